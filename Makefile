@@ -1,0 +1,38 @@
+# make demo | test | check | bench | install       PYTHON=/path/to/python3 to choose the interpreter (3.11 or newer)
+
+PYTHON ?= python3
+BIN := .venv/bin
+DEMO := demo
+
+.PHONY: help install demo test check bench clean
+
+help:
+	@echo "make demo     simulate a small recording, refine it, and compare with the truth (minutes)"
+	@echo "make test     all tests"
+	@echo "make check    lint, formatting, types, layering"
+	@echo "make bench    speed and memory, into docs/benchmarks.md"
+	@echo "make install  lvba in .venv, and nothing else"
+
+install: .venv/.installed-simulate,laz
+
+.venv/.installed-%: pyproject.toml deploy/setup.sh
+	@sh deploy/setup.sh "$(PYTHON)" "$*"
+	@touch $@
+
+demo: install
+	@$(BIN)/python -m service.demo $(DEMO)
+
+test: .venv/.installed-dev
+	$(BIN)/python -m pytest $(PYTEST)
+
+check: .venv/.installed-dev
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: .venv/.installed-dev
+	$(BIN)/python benchmarks/bench.py $(BENCH)
+
+clean:
+	rm -rf .venv $(DEMO) build *.egg-info

@@ -1,0 +1,195 @@
+"""Makes docs/results.md: every table in it comes from runs of the installed `lvba` command, none is typed by hand.
+
+    python benchmarks/results.py recordings --data DIR       the real recordings, default settings
+    python benchmarks/results.py simulated --seeds 101 102 103
+    python benchmarks/results.py ablations --seeds 101
+    python benchmarks/results.py weak                         bare plane and corridor
+    python benchmarks/results.py write                        docs/results.md from docs/results.json
+
+Each command adds its rows to docs/results.json (one object per row, keyed by table and row) and rewrites docs/results.md.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+JSON = ROOT / "docs" / "results.json"
+MARKDOWN = ROOT / "docs" / "results.md"
+LVBA = [sys.executable, "-m", "service.cli"]
+
+RECORDINGS = ("kitti360_suburb", "seven_scenes_kitchen", "balm_realworld")
+SCENES = ("courtyard", "rooms", "street")
+LIDARS = ("spinning", "non_repetitive")
+ABLATIONS: dict[str, list[str]] = {
+    "full": [],
+    "without global scene points": ["visual.visibility.use_global=false"],
+    "without exposures": ["visual.exposures=none"],
+    "as-printed score (4)": ["visual.visibility.score=as printed"],
+    "without the pose prior": ["visual.prior.enabled=false"],
+    "without LiDAR BA": ["refine_scans=false"],
+    "without plane offsets": ["visual.adjustment.plane_offsets=false"],
+    "without visual BA": ["refine_cameras=false"],
+}
+
+
+def run_lvba(dataset: Path, out: Path, options: list[str], reference: Path | None) -> dict[str, Any]:
+    """The report of one run, with wall seconds and the command's peak memory added."""
+    command = [*LVBA, "run", str(dataset), "--out", str(out)]
+    for option in options:
+        command += ["--set", option]
+    if reference is not None:
+        command += ["--reference", str(reference)]
+    started = time.monotonic()
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    seconds = time.monotonic() - started
+    if done.returncode != 0:
+        return {"failed": done.stderr.strip().splitlines()[-1] if done.stderr else f"exit {done.returncode}"}
+    report = json.loads((out / "report.json").read_text())
+    report["wall_seconds"] = seconds
+    return report
+
+
+def figures(report: dict[str, Any]) -> dict[str, Any]:
+    """The row that goes into the tables."""
+    if "failed" in report:
+        return report
+    evaluation = report.get("evaluation", {})
+    row: dict[str, Any] = {
+        "seconds": report["wall_seconds"],
+        "peak_memory_mb": max((s.get("peak_memory_mb") or 0) for s in report["stages"]),
+        "rough": evaluation.get("rough"),
+        "refined": evaluation.get("refined"),
+        "reference": report.get("reference"),
+        "lidar_accepted": report.get("lidar", {}).get("accepted"),
+        "visual_accepted": report.get("visual", {}).get("accepted"),
+        "warnings": report.get("warnings", []),
+    }
+    return _without_arrays(row)
+
+
+def _without_arrays(value: Any) -> Any:
+    """Drops per-frame lists: tables hold scalars."""
+    if isinstance(value, dict):
+        return {
+            k: _without_arrays(v) for k, v in value.items() if not (isinstance(v, list) and k != "warnings")
+        }
+    return value
+
+
+def simulate(
+    scene: str,
+    out: Path,
+    *,
+    seed: int,
+    lidar: str = "spinning",
+    difficulty: str = "medium",
+    frames: int | None = None,
+    extra: tuple[str, ...] = (),
+) -> None:
+    """A dataset with truth in its reference folder."""
+    command = [
+        *LVBA,
+        "simulate",
+        scene,
+        "--out",
+        str(out),
+        "--seed",
+        str(seed),
+        "--difficulty",
+        difficulty,
+        "--lidar",
+        lidar,
+        *extra,
+    ]
+    if frames:
+        command += ["--frames", str(frames)]
+    if not out.exists():
+        subprocess.run(command, check=True, capture_output=True)
+
+
+def save(table: str, row: str, values: dict[str, Any]) -> None:
+    """Adds one row to docs/results.json and says so."""
+    results = json.loads(JSON.read_text()) if JSON.exists() else {}
+    results.setdefault(table, {})[row] = values
+    JSON.write_text(json.dumps(results, indent=1, sort_keys=True) + "\n")
+    sys.stdout.write(f"{table} / {row}: {values.get('failed', 'done')}\n")
+    sys.stdout.flush()
+
+
+def recordings(data: Path, work: Path) -> None:
+    for name in RECORDINGS:
+        reference = data / name / "reference"
+        report = run_lvba(data / name, work / name, [], reference if reference.exists() else None)
+        save("recordings", name, figures(report))
+
+
+def simulated(seeds: list[int], scenes: list[str], difficulty: str, work: Path) -> None:
+    for seed in seeds:
+        for scene in scenes:
+            for lidar in LIDARS:
+                name = f"{scene}, {lidar.replace('_', '-')}, seed {seed}"
+                dataset = work / f"{scene}_{lidar}_{seed}_{difficulty}"
+                simulate(scene, dataset, seed=seed, lidar=lidar, difficulty=difficulty)
+                report = run_lvba(dataset, work / f"{dataset.name}_out", [], dataset / "reference")
+                save(f"simulated, {difficulty}", name, figures(report))
+
+
+def ablations(seeds: list[int], scenes: list[str], work: Path) -> None:
+    for seed in seeds:
+        for scene in scenes:
+            dataset = work / f"{scene}_{seed}"
+            simulate(scene, dataset, seed=seed)
+            for name, options in ABLATIONS.items():
+                out = work / f"{scene}_{seed}_{name.replace(' ', '_').replace('/', '_')}"
+                report = run_lvba(dataset, out, options, dataset / "reference")
+                save("ablations", f"{scene}, seed {seed}: {name}", figures(report))
+
+
+def weak(work: Path) -> None:
+    for scene in ("plane", "corridor"):
+        dataset = work / scene
+        simulate(scene, dataset, seed=101)
+        report = run_lvba(dataset, work / f"{scene}_out", [], dataset / "reference")
+        row = figures(report)
+        for part in ("lidar", "visual"):
+            row[f"{part}_weak_directions"] = report.get(part, {}).get("weak_directions")
+        save("weak directions", scene, row)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("table", choices=["recordings", "simulated", "ablations", "weak", "write"])
+    parser.add_argument("--data", type=Path, help="folder of the real recordings")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[101, 102, 103])
+    parser.add_argument("--scenes", nargs="+", default=list(SCENES))
+    parser.add_argument("--difficulty", default="medium")
+    parser.add_argument(
+        "--work", type=Path, help="folder for datasets and results (default: a temporary one)"
+    )
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        work = arguments.work or Path(temporary)
+        work.mkdir(parents=True, exist_ok=True)
+        if arguments.table == "recordings":
+            recordings(arguments.data, work)
+        elif arguments.table == "simulated":
+            simulated(arguments.seeds, arguments.scenes, arguments.difficulty, work)
+        elif arguments.table == "ablations":
+            ablations(arguments.seeds, arguments.scenes, work)
+        elif arguments.table == "weak":
+            weak(work)
+    from results_table import markdown
+
+    MARKDOWN.write_text(markdown(json.loads(JSON.read_text())))
+
+
+if __name__ == "__main__":
+    main()

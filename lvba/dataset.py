@@ -1,0 +1,59 @@
+"""What goes in: scans and images by path, with rough poses; nothing is loaded until asked for."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lvba.camera import Camera
+from lvba.trajectory import Trajectory
+
+NO_CAMERA = Camera(0, 0, 1.0, 1.0, 0.0, 0.0)
+"""The camera of a recording without images."""
+
+
+@dataclass(frozen=True)
+class Scan:
+    """The points of one scan file.
+
+    points: (N, 3) float32, m, scan frame, all finite
+    intensity: (N,) float32 in the file's unit, or None
+    time: (N,) float64 in the file's unit and from the file's zero (drivers agree on neither), or None
+    """
+
+    points: np.ndarray
+    intensity: np.ndarray | None = None
+    time: np.ndarray | None = None
+    dropped: int = 0
+    """Points of the file left out because they had no finite position."""
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A recording: files and matched rough poses, in time order.
+
+    The scan frame is the frame the PCD points are given in (FAST-LIVO2's body frame). The world frame of all poses here
+    is the input's, shifted by `origin` so that coordinates stay small: `x_input_world = x + origin`.
+    """
+
+    root: str
+    scan_paths: tuple[str, ...]
+    scans: Trajectory
+    """world_from_scan of each scan, (S, 4, 4)."""
+    image_paths: tuple[str, ...]
+    images: Trajectory
+    """world_from_camera of each image, (I, 4, 4); z forward."""
+    camera: Camera
+    """Intrinsics of the raw (distorted) images, at the size of the files; NO_CAMERA if there are no images."""
+    camera_from_scan: np.ndarray
+    """(4, 4), rough extrinsic."""
+    sensor_position_scan: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    """(3,), m: where the LiDAR is in the scan frame (from extrinsic_T); view directions start here."""
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    """(3,), m: added to positions when poses and maps are written."""
+    warnings: tuple[str, ...] = ()
+    """What was left out, and why, one sentence each."""
+    digest: str = ""
+    """sha256 over names, sizes and contents of everything used: equal digest, equal input."""

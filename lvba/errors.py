@@ -1,0 +1,33 @@
+"""Every error that lvba raises on purpose.
+
+LvbaError
+├── InputError               something the user gave is missing, malformed or contradictory
+├── DegenerateProblemError   the input is well formed, but holds too little to solve for anything
+└── ArtifactError            an intermediate result is missing, truncated or altered
+"""
+
+
+class LvbaError(Exception):
+    """Base of all errors raised on purpose; str(error) is one line for the user."""
+
+
+class InputError(LvbaError):
+    """Bad input. The message names the file (and line), says what is wrong, and how to mend it."""
+
+    def __init__(self, where: object, problem: str, mend: str) -> None:
+        self.where, self.problem, self.mend = str(where), problem, mend
+        line = " ".join(f"{where}: {problem}; {mend}".splitlines())
+        super().__init__(
+            line.encode("utf-8", "backslashreplace").decode()
+        )  # names of files may hold any bytes
+
+    def __reduce__(self) -> tuple[type["InputError"], tuple[str, str, str]]:
+        return type(self), (self.where, self.problem, self.mend)
+
+
+class DegenerateProblemError(LvbaError):
+    """Too few planes, scene points or frames to determine the unknowns."""
+
+
+class ArtifactError(LvbaError):
+    """An intermediate result cannot be used as it is."""

@@ -1,0 +1,248 @@
+"""The facts of a run, as plain data: report.json without what only the runner knows (seconds, memory, versions)."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from lvba import geometry, uncertainty
+from lvba.dataset import Dataset
+from lvba.gate import ROUGH
+from lvba.io.exposures import Exposures
+from lvba.io.reference import Reference
+from lvba.products import reference as references
+from lvba.products.evaluate import Scores
+from lvba.stages import Accepted, LidarStage, ScanPoses, VisualStage
+from lvba.trajectory import Trajectory, align
+
+
+def collect(
+    dataset: Dataset,
+    lidar: LidarStage,
+    scans: ScanPoses,
+    visual: VisualStage,
+    scores: Mapping[str, Scores],
+    accepted: Accepted,
+    reference: Reference | None,
+) -> dict[str, Any]:
+    """Everything the report says about the dataset, the stages, the evaluation and the reference."""
+    facts: dict[str, Any] = {
+        "dataset": of_dataset(dataset),
+        "lidar": of_lidar(lidar, scans, accepted),
+        "visual": of_visual(dataset, visual, accepted),
+        "trajectory": of_trajectories(dataset, accepted),
+        "exposure": of_exposure(dataset, accepted, reference),
+        "evaluation": of_evaluation(scans, scores, accepted.state),
+    }
+    if reference is not None:
+        facts["reference"] = of_reference(dataset, lidar, visual, accepted, reference)
+    facts["warnings"] = _warnings(dataset, lidar, visual, accepted)
+    return plain(facts)
+
+
+def of_dataset(dataset: Dataset) -> dict[str, Any]:
+    """Counts, times and camera of the input."""
+    times = np.concatenate([dataset.scans.times, dataset.images.times])
+    positions = dataset.scans.world_from_sensor[:, :3, 3]
+    return {
+        "digest": dataset.digest,
+        "scans": len(dataset.scan_paths),
+        "images": len(dataset.image_paths),
+        "duration_s": float(times.max() - times.min()),
+        "path_length_m": float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()),
+        "camera": dataclasses.asdict(dataset.camera) if dataset.image_paths else None,
+        "origin": dataset.origin,
+        "warnings": list(dataset.warnings),
+    }
+
+
+def of_lidar(lidar: LidarStage, scans: ScanPoses, accepted: Accepted) -> dict[str, Any]:
+    """What the LiDAR stage did."""
+    facts: dict[str, Any] = {
+        "accepted": accepted.scans.accepted,
+        "reason": accepted.scans.reason,
+        "entropy_rough": scans.entropy_rough,
+        "entropy_refined": scans.entropy_refined,
+    }
+    if lidar.result is not None:
+        facts |= _fields(lidar.result, but=("world_from_scan", "covariance", "planes", "plane_points"))
+        facts["planes"] = len(lidar.result.planes)
+    return facts
+
+
+def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict[str, Any]:
+    """What the visual stage did; the mount is compared with the calibration."""
+    if not dataset.image_paths:
+        return {"accepted": None, "problem": visual.problem}
+    facts: dict[str, Any] = {
+        "accepted": accepted.cameras.accepted,
+        "reason": accepted.cameras.reason,
+        "exposures_accepted": accepted.exposures.accepted,
+        "exposures_reason": accepted.exposures.reason,
+        "state": accepted.state,
+    }
+    result = visual.result
+    if result is None:
+        return facts | {"problem": visual.problem}
+    change = geometry.log(dataset.camera_from_scan @ result.scan_from_camera)
+    facts |= _fields(
+        result, but=("world_from_camera", "covariance", "scan_from_camera", "weak", "log_exposure")
+    )
+    facts["history"] = _history(visual)
+    facts["iterations"] = len(facts["history"])
+    facts["time_offset"] = {"seconds": result.time_offset, "sigma": float(result.mount_sigma[6])}
+    facts["extrinsic"] = {
+        "scan_from_camera": result.scan_from_camera,
+        "change_deg": float(np.degrees(np.linalg.norm(change[:3]))),
+        "change_m": float(np.linalg.norm(change[3:])),
+    }
+    facts["keyframes"] = len(result.keyframes)
+    last = result.levels[-1]
+    facts["observations"] = last.local_pairs + last.global_pairs
+    facts |= {
+        name: getattr(last, name) for name in ("scene_points", "global_points", "local_pairs", "global_pairs")
+    }
+    facts["weak_directions"] = {"count": int(np.sum(result.weak)), "per_image": result.weak}
+    return facts
+
+
+def _history(visual: VisualStage) -> list[dict[str, Any]]:
+    """One row per iteration, with its pyramid level."""
+    levels = () if visual.result is None else visual.result.levels
+    return [{"level": level.level, **dataclasses.asdict(row)} for level in levels for row in level.iterations]
+
+
+def of_trajectories(dataset: Dataset, accepted: Accepted) -> dict[str, Any]:
+    """Positions before and after, in the input's world frame."""
+    pairs = {
+        "scans": (dataset.scans, accepted.world_from_scan),
+        "images": (dataset.images, accepted.world_from_camera),
+    }
+    return {
+        name: {
+            "times": rough.times,
+            "rough": rough.world_from_sensor[:, :3, 3] + dataset.origin,
+            "refined": refined[:, :3, 3] + dataset.origin,
+        }
+        for name, (rough, refined) in pairs.items()
+    }
+
+
+def of_exposure(dataset: Dataset, accepted: Accepted, reference: Reference | None) -> dict[str, Any]:
+    """Relative exposures by image, and the reference's where it has one for the same time."""
+    if not dataset.image_paths:
+        return {}
+    times = dataset.images.times
+    facts: dict[str, Any] = {
+        "times": times,
+        "relative": np.exp(accepted.log_exposure - accepted.log_exposure[0]),
+    }
+    if reference is not None and reference.exposures is not None:
+        pairs = uncertainty.matched(times, reference.exposures.times)
+        known = np.full(len(times), np.nan)
+        known[pairs[:, 0]] = reference.exposures.relative[pairs[:, 1]]
+        facts["reference"] = known
+    return facts
+
+
+def of_evaluation(scans: ScanPoses, scores: Mapping[str, Scores], state: str) -> dict[str, Any]:
+    """Scores of the input and of the result, and of the states between them."""
+    if not scores:
+        entropy = scans.entropy_refined if scans.verdict.accepted else scans.entropy_rough
+        return {
+            "rough": {**_NOTHING, "map_entropy": scans.entropy_rough},
+            "refined": {**_NOTHING, "map_entropy": entropy},
+        }
+    judged = {name: score.facts() for name, score in scores.items()}
+    return {"rough": judged[ROUGH], "refined": judged[state], "states": judged}
+
+
+_NOTHING = dict.fromkeys(("psnr", "ssim", "coverage", "psnr_leave_one_out", "ssim_leave_one_out"))
+
+
+def of_reference(
+    dataset: Dataset, lidar: LidarStage, visual: VisualStage, accepted: Accepted, reference: Reference
+) -> dict[str, Any]:
+    """Errors of the result, and under `rough` of the input; with the errors that the covariances predict."""
+    final_scans = Trajectory(dataset.scans.times, accepted.world_from_scan)
+    final_images = Trajectory(dataset.images.times, accepted.world_from_camera)
+    times = dataset.images.times
+    facts = references.compare(
+        reference, final_scans, final_images, Exposures(times, np.exp(accepted.log_exposure))
+    )
+    rough = references.compare(
+        reference, dataset.scans, dataset.images, Exposures(times, np.ones(len(times)))
+    )
+    for part, predicted in _predicted(lidar, visual, accepted, final_scans, final_images, reference).items():
+        facts.setdefault(part, {}).update(predicted)
+    return {**facts, "rough": rough}
+
+
+def _predicted(
+    lidar: LidarStage,
+    visual: VisualStage,
+    accepted: Accepted,
+    final_scans: Trajectory,
+    final_images: Trajectory,
+    reference: Reference,
+) -> dict[str, dict[str, Any]]:
+    found: dict[str, dict[str, Any]] = {}
+    aligned = None
+    if reference.scans is not None:
+        pairs = uncertainty.matched(final_scans.times, reference.scans.times)
+        if len(pairs) > 1:
+            truth = reference.scans.world_from_sensor[pairs[:, 1]]
+            aligned = align(final_scans.world_from_sensor[pairs[:, 0]], truth)
+    if lidar.result is not None and accepted.scans.accepted and reference.scans is not None:
+        found["lidar"] = uncertainty.against(final_scans, lidar.result.covariance, reference.scans, aligned)
+    if visual.result is None:
+        return found
+    if accepted.cameras.accepted and reference.images is not None:
+        found["camera"] = uncertainty.against(
+            final_images, visual.result.covariance, reference.images, aligned
+        )
+    if accepted.exposures.accepted and reference.exposures is not None:
+        found["exposure"] = uncertainty.of_exposures(
+            final_images.times,
+            accepted.log_exposure,
+            visual.result.log_exposure_sigma,
+            reference.exposures.times,
+            reference.exposures.relative,
+        )
+    return found
+
+
+def _warnings(dataset: Dataset, lidar: LidarStage, visual: VisualStage, accepted: Accepted) -> list[str]:
+    """What a user should know beside the verdicts of the stages, with what to do."""
+    found = list(dataset.warnings)
+    if lidar.result is not None:
+        found += list(lidar.result.warnings)
+    if visual.result is not None:
+        found += list(visual.result.warnings)
+    if dataset.image_paths and not accepted.exposures.accepted:
+        found.append(f"Exposures: {accepted.exposures.reason}.")
+    if accepted.remark:
+        found.append(f"Scans: {accepted.remark}.")
+    return list(dict.fromkeys(found))
+
+
+def _fields(value: Any, but: tuple[str, ...]) -> dict[str, Any]:
+    return {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.name not in but}
+
+
+def plain(value: Any) -> Any:
+    """The value as JSON holds it: arrays as lists, dataclasses as objects, what is not finite as null."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return plain(_fields(value, ()))
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, Mapping):
+        return {str(name): plain(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

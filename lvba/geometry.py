@@ -1,0 +1,125 @@
+"""Rigid transforms as (..., 4, 4) float64 arrays, named `a_from_b`: `x_a = a_from_b @ x_b`.
+
+Tangent vectors are `[rotation (rad) | translation (m)]`, 6 numbers, and act on the right (local perturbation):
+`retract(a_from_b, delta) = a_from_b @ exp(delta)`. Leading axes broadcast as in numpy.
+Source of the closed forms: Sola et al. 2018, "A micro Lie theory", appendix D.
+"""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+_SMALL_ANGLE = 1e-5
+
+
+def from_rotation_translation(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """The (..., 4, 4) transform of a (..., 3, 3) rotation matrix and a (..., 3) translation."""
+    rotation, translation = np.asarray(rotation, float), np.asarray(translation, float)
+    shape = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    transform = np.zeros((*shape, 4, 4))
+    transform[..., :3, :3] = rotation
+    transform[..., :3, 3] = translation
+    transform[..., 3, 3] = 1.0
+    return transform
+
+
+def from_quaternion_translation(quaternion_xyzw: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """The (..., 4, 4) transform of (..., 4) quaternions (x, y, z, w; normalized here) and (..., 3) translations."""
+    quaternion_xyzw = np.asarray(quaternion_xyzw, float)
+    rotation = Rotation.from_quat(quaternion_xyzw.reshape(-1, 4)).as_matrix()
+    return from_rotation_translation(rotation.reshape(*quaternion_xyzw.shape[:-1], 3, 3), translation)
+
+
+def quaternion(transform: np.ndarray) -> np.ndarray:
+    """The (..., 4) unit quaternions (x, y, z, w; w >= 0) of (..., 4, 4) transforms."""
+    rotation = transform[..., :3, :3]
+    quaternion_xyzw = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_quat(canonical=True)
+    return np.asarray(quaternion_xyzw).reshape(*rotation.shape[:-2], 4)
+
+
+def inverse(a_from_b: np.ndarray) -> np.ndarray:
+    """`b_from_a`, (..., 4, 4)."""
+    rotation_t = np.swapaxes(a_from_b[..., :3, :3], -1, -2)
+    translation = -(rotation_t @ a_from_b[..., :3, 3:])[..., 0]
+    return from_rotation_translation(rotation_t, translation)
+
+
+def transform_points(a_from_b: np.ndarray, points_b: np.ndarray) -> np.ndarray:
+    """`points_a`, (N, 3) float64, of one (4, 4) transform and (N, 3) points."""
+    return np.asarray(points_b, float) @ a_from_b[:3, :3].T + a_from_b[:3, 3]
+
+
+def hat(vector: np.ndarray) -> np.ndarray:
+    """The (..., 3, 3) cross-product matrices of (..., 3) vectors: `hat(a) @ b = a x b`."""
+    vector = np.asarray(vector, float)
+    matrix = np.zeros((*vector.shape, 3))
+    matrix[..., 0, 1], matrix[..., 0, 2] = -vector[..., 2], vector[..., 1]
+    matrix[..., 1, 0], matrix[..., 1, 2] = vector[..., 2], -vector[..., 0]
+    matrix[..., 2, 0], matrix[..., 2, 1] = -vector[..., 1], vector[..., 0]
+    return matrix
+
+
+def _series(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """sin(a)/a, (1-cos(a))/a^2, (a-sin(a))/a^3, safe at zero; each with two trailing unit axes."""
+    small = angle < _SMALL_ANGLE
+    safe = np.where(small, 1.0, angle)
+    square = angle * angle
+    first = np.where(small, 1 - square / 6, np.sin(safe) / safe)
+    second = np.where(small, 0.5 - square / 24, 2 * np.sin(safe / 2) ** 2 / safe**2)
+    third = np.where(angle < 1e-2, 1 / 6 - square / 120 + square**2 / 5040, (safe - np.sin(safe)) / safe**3)
+    return first[..., None, None], second[..., None, None], third[..., None, None]
+
+
+def exp(delta: np.ndarray) -> np.ndarray:
+    """The (..., 4, 4) transforms of (..., 6) tangent vectors `[rotation | translation]`."""
+    delta = np.asarray(delta, float)
+    phi, rho = delta[..., :3], delta[..., 3:]
+    first, second, third = _series(np.linalg.norm(phi, axis=-1))
+    skew = hat(phi)
+    square = skew @ skew
+    rotation = np.eye(3) + first * skew + second * square
+    left_jacobian = np.eye(3) + second * skew + third * square
+    return from_rotation_translation(rotation, (left_jacobian @ rho[..., None])[..., 0])
+
+
+def log(transform: np.ndarray) -> np.ndarray:
+    """The (..., 6) tangent vectors `[rotation | translation]` of (..., 4, 4) transforms; rotation below pi."""
+    transform = np.asarray(transform, float)
+    rotation = transform[..., :3, :3]
+    phi = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec().reshape(*rotation.shape[:-2], 3)
+    _, second, third = _series(np.linalg.norm(phi, axis=-1))
+    skew = hat(phi)
+    left_jacobian = np.eye(3) + second * skew + third * (skew @ skew)
+    rho = np.linalg.solve(left_jacobian, transform[..., :3, 3:])[..., 0]
+    return np.concatenate([phi, rho], axis=-1)
+
+
+def retract(a_from_b: np.ndarray, delta: np.ndarray) -> np.ndarray:
+    """`a_from_b @ exp(delta)`, with the rotation part made orthonormal again, (..., 4, 4)."""
+    return orthonormalize(a_from_b @ exp(delta))
+
+
+def orthonormalize(transform: np.ndarray) -> np.ndarray:
+    """The nearest (..., 4, 4) rigid transforms: rotation parts projected on SO(3)."""
+    return from_quaternion_translation(quaternion(transform), transform[..., :3, 3])
+
+
+def adjoint(a_from_b: np.ndarray) -> np.ndarray:
+    """(..., 6, 6) such that `a_from_b @ exp(d) = exp(adjoint(a_from_b) @ d) @ a_from_b`."""
+    rotation = a_from_b[..., :3, :3]
+    matrix = np.zeros((*a_from_b.shape[:-2], 6, 6))
+    matrix[..., :3, :3] = matrix[..., 3:, 3:] = rotation
+    matrix[..., 3:, :3] = hat(a_from_b[..., :3, 3]) @ rotation
+    return matrix
+
+
+def interpolate(first: np.ndarray, second: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+    """On the screw motion from `first` (fraction 0) to `second` (fraction 1), (..., 4, 4); extrapolates beyond."""
+    fraction = np.asarray(fraction, float)[..., None]
+    return orthonormalize(first @ exp(fraction * log(inverse(first) @ second)))
+
+
+def rotation_angle_deg(transform: np.ndarray) -> np.ndarray:
+    """The rotation angles of (..., 4, 4) transforms, (...), degrees."""
+    rotation = transform[..., :3, :3].reshape(-1, 3, 3)
+    angle = Rotation.from_matrix(rotation).magnitude()
+    return np.degrees(angle).reshape(transform.shape[:-2])

@@ -1,0 +1,1 @@
+"""The only code that opens a file: recordings in, results out."""

@@ -1,0 +1,262 @@
+"""The calibration of a recording: camera intrinsics and extrinsics from YAML, in one file or several.
+
+Read are Global-LVBA's one file (`cam_model: {cam_width, ...}` and `extrin_calib: {...}`) and FAST-LIVO2's two (camera
+keys at top level or below any other key, `extrin_calib` in another file; ROS 2 parameter files nest both deeper).
+
+cam_width, cam_height and the intrinsics belong together. `scale` is the factor by which FAST-LIVO2 shrinks images before
+it uses and saves them: it changes nothing here, since the image files show their size (`for_size`). FAST-LIVO2 and
+Global-LVBA multiply the principal point by the scale; we map pixel centers, as their resizing does.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lvba import geometry
+from lvba.camera import Camera
+from lvba.errors import InputError
+from lvba.io import yaml_files
+from lvba.io.image_header import ImageSize
+
+ROTATION_TOLERANCE = 1e-3
+"""Largest entry of R R^T - I of a matrix that is taken for a rotation (four printed digits)."""
+
+_CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
+_OTHER_CAMERA_KEYS = ("model", "scale", "d0", "d1", "d2", "d3", "d4")
+_EXTRINSIC_KEYS = ("Rcl", "Pcl", "extrinsic_T", "extrinsic_R")
+_MAX_SIDE = 100_000
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What the YAML files of a recording say.
+
+    camera: at cam_width x cam_height; None if no file has camera keys
+    scale: the `scale` key
+    camera_from_lidar: (4, 4), from Rcl and Pcl; None if no file has them
+    body_from_lidar: (4, 4), from extrinsic_R and extrinsic_T; identity if no file has them
+    camera_path, extrinsic_path: the files that said so (`config.yaml` if none did)
+    warnings: one sentence about each default taken
+    """
+
+    camera: Camera | None
+    scale: float
+    camera_from_lidar: np.ndarray | None
+    body_from_lidar: np.ndarray
+    camera_path: Path
+    extrinsic_path: Path
+    warnings: tuple[str, ...] = ()
+
+
+def read_calibration(folder: str | Path) -> Calibration:
+    """The calibration in the YAML files of a folder or its `config` folder; `config.yaml` comes first.
+
+    Raises: InputError if a file is no YAML, or a value is missing, malformed or no rotation.
+    """
+    folder = Path(folder)
+    documents = _Documents(yaml_files.find(folder))
+    camera_path, camera_keys = _section(documents, _camera_section, folder)
+    extrinsic_path, extrinsic_keys = _section(documents, _extrinsic_section, folder)
+    has_camera = any(key in extrinsic_keys for key in ("Rcl", "Pcl"))
+    return Calibration(
+        _camera(camera_path, camera_keys) if camera_keys else None,
+        _number(camera_path, camera_keys, "scale", 1.0, 1e-3, 1e3) if camera_keys else 1.0,
+        _transform(extrinsic_path, extrinsic_keys, "Rcl", "Pcl") if has_camera else None,
+        _transform(extrinsic_path, extrinsic_keys, "extrinsic_R", "extrinsic_T", optional=True),
+        camera_path,
+        extrinsic_path,
+        _defaults(extrinsic_path, extrinsic_keys) if has_camera else (),
+    )
+
+
+def _defaults(path: Path, keys: dict[str, Any]) -> tuple[str, ...]:
+    missing = [key for key in ("extrinsic_R", "extrinsic_T") if key not in keys]
+    return (
+        (f"{path}: {' and '.join(missing)} missing: scans are taken to be in the LiDAR's frame.",)
+        if missing
+        else ()
+    )
+
+
+def for_size(calibration: Calibration, size: ImageSize) -> Camera:
+    """The camera of images of another size: they must be shrunk or enlarged by one factor in both directions.
+
+    Raises: InputError if there is no such factor (images that were cropped, turned, or of another camera).
+    """
+    camera = calibration.camera
+    if camera is None:
+        raise InputError(
+            calibration.camera_path,
+            "cam_fx and other camera keys are missing",
+            "add cam_model: {cam_fx, ...}",
+        )
+    if (size.width, size.height) == (camera.width, camera.height):
+        return camera
+    for factor in (calibration.scale, size.width / camera.width, size.height / camera.height):
+        off = max(abs(size.width - factor * camera.width), abs(size.height - factor * camera.height))
+        if off < 1 and size.width != camera.width and size.height != camera.height:
+            scaled = camera.scaled(factor)
+            return Camera(
+                size.width, size.height, scaled.fx, scaled.fy, scaled.cx, scaled.cy, camera.distortion
+            )
+    raise InputError(
+        calibration.camera_path,
+        f"cam_width x cam_height is {camera.width} x {camera.height}, but the images are {size.width} x {size.height}",
+        "give the calibration of these images",
+    )
+
+
+class _Documents:
+    """YAML files and their values; each is read once, and only if those before it did not say all."""
+
+    def __init__(self, paths: list[Path]) -> None:
+        self._paths = paths
+        self._values: dict[Path, Any] = {}
+
+    def __iter__(self) -> Iterator[tuple[Path, Any]]:
+        for path in self._paths:
+            if path not in self._values:
+                self._values[path] = yaml_files.read_yaml(path)
+            yield path, self._values[path]
+
+
+def _section(
+    documents: _Documents, pick: Callable[[str, dict[str, Any]], dict[str, Any]], folder: Path
+) -> tuple[Path, dict[str, Any]]:
+    """The first file that has such keys, and all of them; `config.yaml` alone if it has some.
+
+    Raises: InputError if they are there twice with different values: we cannot know which camera took the images.
+    """
+    first, found = folder / "config.yaml", dict[str, Any]()
+    for path, document in documents:
+        for name, mapping in yaml_files.mappings(document):
+            for key, value in pick(name, mapping).items():
+                before = found.setdefault(key, value)
+                if before is not value and before != value:
+                    problem = f"has another {key} than {'the same file' if path == first else first.name} has before"
+                    raise InputError(path, problem, "keep one calibration, or name its file config.yaml")
+                first = path if len(found) == 1 else first
+        if found and path.stem.lower() == "config":
+            break
+    return first, found
+
+
+def _camera_section(name: str, mapping: dict[str, Any]) -> dict[str, Any]:
+    """Camera keys of one mapping, without the prefix cam_."""
+    if any(str(key) in ("cam_width", "cam_height", "cam_fx", "cam_fy") for key in mapping):
+        found = {str(key).removeprefix("cam_"): value for key, value in mapping.items()}
+    elif name in ("camera", "cam_model") and any(key in mapping for key in _CAMERA_KEYS):
+        found = {str(key): value for key, value in mapping.items()}
+    else:
+        return {}
+    known = (*_CAMERA_KEYS, *_OTHER_CAMERA_KEYS)
+    return {key: value for key, value in found.items() if key in known and not isinstance(value, dict)}
+
+
+def _extrinsic_section(name: str, mapping: dict[str, Any]) -> dict[str, Any]:
+    return {key: mapping[key] for key in _EXTRINSIC_KEYS if key in mapping}
+
+
+def _camera(path: Path, keys: dict[str, Any]) -> Camera:
+    model = str(keys.get("model", "pinhole"))
+    if "pinhole" not in model.lower():
+        raise InputError(
+            path, f"the camera model {model[:40]!r} is not known", "undistort the images to a pinhole"
+        )
+    if _number(path, keys, "d4", 0.0) != 0:
+        raise InputError(
+            path, "cam_d4 (k3) is not known", "undistort the images, or calibrate k1 k2 p1 p2 only"
+        )
+    width = _number(path, keys, "width", None, 1, _MAX_SIDE)
+    height = _number(path, keys, "height", None, 1, _MAX_SIDE)
+    if width != int(width) or height != int(height):
+        raise InputError(path, "cam_width and cam_height are no whole numbers", "correct them")
+    return Camera(
+        int(width),
+        int(height),
+        _number(path, keys, "fx", None, 1e-2 * width, 1e3 * width),
+        _number(path, keys, "fy", None, 1e-2 * height, 1e3 * height),
+        _number(path, keys, "cx", None, -width, 2 * width),
+        _number(path, keys, "cy", None, -height, 2 * height),
+        (
+            _number(path, keys, "d0", 0.0),
+            _number(path, keys, "d1", 0.0),
+            _number(path, keys, "d2", 0.0),
+            _number(path, keys, "d3", 0.0),
+        ),
+    )
+
+
+def _number(
+    path: Path, keys: dict[str, Any], key: str, default: float | None, least: float = -1e4, most: float = 1e4
+) -> float:
+    name = key if key == "scale" else f"cam_{key}"
+    if key not in keys:
+        if default is None:
+            raise InputError(path, f"{name} is missing", f"add {name} of the camera calibration")
+        return default
+    value = _float(keys[key])
+    if value is None or not least <= value <= most:
+        raise InputError(
+            path, f"{name} is {str(keys[key])[:40]!r}", f"write a number from {least:g} to {most:g}"
+        )
+    return value
+
+
+def _transform(
+    path: Path, keys: dict[str, Any], rotation_key: str, translation_key: str, optional: bool = False
+) -> np.ndarray:
+    """(4, 4) from 9 and 3 numbers; optional ones are the identity where they are missing."""
+    if optional and rotation_key not in keys:
+        rotation = np.eye(3)
+    else:
+        rotation = _rotation(path, rotation_key, _numbers(path, keys, rotation_key, 9).reshape(3, 3))
+    if optional and translation_key not in keys:
+        translation = np.zeros(3)
+    else:
+        translation = _numbers(path, keys, translation_key, 3)
+    return geometry.from_rotation_translation(rotation, translation)
+
+
+def _rotation(path: Path, key: str, matrix: np.ndarray) -> np.ndarray:
+    off = np.abs(matrix @ matrix.T - np.eye(3)).max()
+    if not off <= ROTATION_TOLERANCE or np.linalg.det(matrix) < 0:
+        reason = "a reflection" if off <= ROTATION_TOLERANCE else f"rows are off orthonormal by {off:.3g}"
+        raise InputError(
+            path, f"{key} is no rotation: {reason}", "write its 9 numbers row by row, with 6 digits"
+        )
+    u, _, vt = np.linalg.svd(matrix)
+    return u @ vt
+
+
+def _numbers(path: Path, keys: dict[str, Any], key: str, count: int) -> np.ndarray:
+    """(count,) float64 of a list, nested lists, or an OpenCV matrix."""
+    if key not in keys:
+        raise InputError(path, f"{key} is missing", f"add {key}: [{count} numbers] to extrin_calib")
+    value = keys[key]
+    if isinstance(value, dict):
+        value = value.get("data")
+    values = [_float(item) for item in _flat(value)]
+    if len(values) != count or any(item is None or abs(item) > 1e6 for item in values):
+        raise InputError(path, f"{key} is not {count} numbers", f"write {key}: [{count} numbers]")
+    return np.array(values, float)
+
+
+def _flat(value: Any) -> list[Any]:
+    if not isinstance(value, list):
+        return [value]
+    return [item for row in value for item in (row if isinstance(row, list) else [row])]
+
+
+def _float(value: Any) -> float | None:
+    """The finite number, also where YAML 1.1 takes it for text (1e-3), or None."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        return None
+    try:
+        number = float(value)
+    except (ValueError, OverflowError):
+        return None
+    return number if np.isfinite(number) else None

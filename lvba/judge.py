@@ -1,0 +1,125 @@
+"""Any method's poses and exposures, judged as this package judges its own."""
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lvba import config as settings
+from lvba import facts, stages
+from lvba.dataset import Dataset
+from lvba.gate import ROUGH, VISUAL, Verdict
+from lvba.io import timestamps
+from lvba.io.exposures import Exposures, read_exposures
+from lvba.io.reference import Reference
+from lvba.io.tum import read_trajectory
+from lvba.pipeline import Config
+from lvba.products import evaluate as evaluation
+from lvba.products import map_quality
+from lvba.products import reference as references
+from lvba.products.evaluate import State
+from lvba.progress import Progress, silent
+from lvba.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class Given:
+    """The frames that are judged, and what is claimed about them.
+
+    dataset: the recording, without the frames that the files say nothing about
+    world_from_scan: (S, 4, 4), world_from_camera: (I, 4, 4), in the dataset's frame; log_exposure: (I,)
+    """
+
+    dataset: Dataset
+    world_from_scan: np.ndarray
+    world_from_camera: np.ndarray
+    log_exposure: np.ndarray
+    warnings: tuple[str, ...]
+
+
+def read_given(
+    dataset: Dataset, scan_poses: Path | None, image_poses: Path | None, exposures: Path | None
+) -> Given:
+    """Poses and exposures from files; where no file is given, those of the dataset (all equally exposed).
+
+    Raises InputError: a file is malformed, or its times are of another clock.
+    """
+    scans, scan_index = _poses(dataset.scans, scan_poses, dataset.origin)
+    images, image_index = _poses(dataset.images, image_poses, dataset.origin)
+    log_exposure = np.zeros(len(dataset.images))
+    if exposures is not None:
+        known = read_exposures(exposures)
+        log_exposure = np.interp(dataset.images.times, known.times, np.log(known.relative))
+    missing = (len(dataset.scans) - len(scan_index), len(dataset.images) - len(image_index))
+    warnings = tuple(
+        f"{count} {kind} are left out: the poses given say nothing about them."
+        for count, kind in zip(missing, ("scans", "images"), strict=True)
+        if count
+    )
+    return Given(
+        _subset(dataset, scan_index, image_index), scans, images, log_exposure[image_index], warnings
+    )
+
+
+def report(
+    given: Given, config: Config, reference: Reference | None, progress: Progress = silent
+) -> dict[str, Any]:
+    """report.json of the judgement: `rough` is the dataset, `refined` is what is given."""
+    dataset = given.dataset
+    rough = stages.cloud_of(dataset, dataset.scans.world_from_sensor, progress)
+    refined = stages.cloud_of(dataset, given.world_from_scan, progress)
+    entropies = [map_quality.mean_map_entropy(cloud, config.evaluate.entropy) for cloud in (rough, refined)]
+    scores = {}
+    if dataset.image_paths:
+        views = stages.views_of(dataset)
+        claimed = dataclasses.replace(
+            views, world_from_camera=given.world_from_camera, log_exposure=given.log_exposure
+        )
+        states = {ROUGH: State(rough, views), VISUAL: State(refined, claimed)}
+        scores = evaluation.evaluate(states, config.evaluate, progress=progress)
+    scans = stages.ScanPoses(given.world_from_scan, Verdict(True, "given"), *entropies)
+    found: dict[str, Any] = {
+        "schema": 1,
+        "dataset": {"path": dataset.root, **facts.of_dataset(dataset)},
+        "config": settings.to_dict(config),
+        "evaluation": facts.of_evaluation(scans, scores, VISUAL),
+        "warnings": [*dataset.warnings, *given.warnings],
+    }
+    if reference is not None:
+        found["reference"] = _against(given, reference)
+    return dict(facts.plain(found))
+
+
+def _against(given: Given, reference: Reference) -> dict[str, Any]:
+    dataset = given.dataset
+    found = references.compare(
+        reference,
+        Trajectory(dataset.scans.times, given.world_from_scan),
+        Trajectory(dataset.images.times, given.world_from_camera),
+        Exposures(dataset.images.times, np.exp(given.log_exposure)),
+    )
+    equal = Exposures(dataset.images.times, np.ones(len(dataset.images)))
+    rough = references.compare(reference, dataset.scans, dataset.images, equal)
+    return {**found, "rough": rough}
+
+
+def _poses(frames: Trajectory, path: Path | None, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (M, 4, 4) of the frames that the file says something about, and their indices (M,)."""
+    if path is None or not len(frames):
+        return frames.world_from_sensor, np.arange(len(frames))
+    found = timestamps.match(frames.times, read_trajectory(path), path)
+    poses = found.poses.world_from_sensor.copy()
+    poses[:, :3, 3] -= origin
+    return poses, found.files
+
+
+def _subset(dataset: Dataset, scans: np.ndarray, images: np.ndarray) -> Dataset:
+    return dataclasses.replace(
+        dataset,
+        scan_paths=tuple(dataset.scan_paths[i] for i in scans),
+        scans=Trajectory(dataset.scans.times[scans], dataset.scans.world_from_sensor[scans]),
+        image_paths=tuple(dataset.image_paths[i] for i in images),
+        images=Trajectory(dataset.images.times[images], dataset.images.world_from_sensor[images]),
+    )

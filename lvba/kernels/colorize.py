@@ -1,0 +1,310 @@
+"""Color samples of points in images: one view by eq. (10), or the best few views behind an occlusion test."""
+
+import numpy as np
+from numba import njit, prange
+
+from lvba.kernels.zbuffer import EMPTY, NEAR_M, project_run, sphere_in_view, view_slopes
+
+_CLIPPED_RANK = np.float32(1e-9)
+_RUN = 512
+
+
+@njit(cache=True, nogil=True)
+def _bilinear(image: np.ndarray, u: float, v: float, color: np.ndarray) -> np.float32:
+    """Writes the bilinear RGB at (u, v), inside the image, and returns the largest channel value it touches."""
+    height, width = image.shape[0], image.shape[1]
+    column, row = min(int(u), width - 2), min(int(v), height - 2)
+    a, b = u - np.float32(column), v - np.float32(row)
+    high = np.float32(0.0)
+    one = np.float32(1.0)
+    for c in range(3):
+        p, q = np.float32(image[row, column, c]), np.float32(image[row, column + 1, c])
+        r, s = np.float32(image[row + 1, column, c]), np.float32(image[row + 1, column + 1, c])
+        color[c] = (one - b) * ((one - a) * p + a * q) + b * ((one - a) * r + a * s)
+        high = max(high, max(max(p, q), max(r, s)))
+    return high
+
+
+@njit(cache=True, nogil=True)
+def sample_image(
+    points: np.ndarray,
+    pose: np.ndarray,
+    intrinsics: np.ndarray,
+    image: np.ndarray,
+    valid: np.ndarray,
+    gray: np.ndarray,
+    seen: np.ndarray,
+) -> None:
+    """Writes the bilinear color of each point that projects into the image; eq. (10).
+
+    points: (N, 3) float32, world; pose: (3, 4) float32 rotation rows and camera center; intrinsics: fx, fy, cx, cy;
+    image: (H, W, 3) uint8; valid: (H, W) bool, pixels that hold a picture; gray: (N, 3) float32 and seen: (N,) bool, out
+    """
+    height, width = image.shape[0], image.shape[1]
+    for i in range(points.shape[0]):
+        seen[i] = False
+        dx, dy, dz = points[i, 0] - pose[0, 3], points[i, 1] - pose[1, 3], points[i, 2] - pose[2, 3]
+        z = pose[2, 0] * dx + pose[2, 1] * dy + pose[2, 2] * dz
+        if z < NEAR_M:
+            continue
+        inverse = np.float32(1.0) / z
+        u = intrinsics[0] * (pose[0, 0] * dx + pose[0, 1] * dy + pose[0, 2] * dz) * inverse + intrinsics[2]
+        v = intrinsics[1] * (pose[1, 0] * dx + pose[1, 1] * dy + pose[1, 2] * dz) * inverse + intrinsics[3]
+        if not (u >= 0 and v >= 0 and u <= width - 1 and v <= height - 1):
+            continue
+        if not valid[int(v + np.float32(0.5)), int(u + np.float32(0.5))]:
+            continue
+        _bilinear(image, u, v, gray[i])
+        seen[i] = True
+
+
+@njit(cache=True, nogil=True)
+def _worst(ranks: np.ndarray) -> int:
+    """The first slot of the least rank."""
+    slot = 0
+    for k in range(1, ranks.shape[0]):
+        if ranks[k] < ranks[slot]:
+            slot = k
+    return slot
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def collect_views(
+    points: np.ndarray,
+    normals: np.ndarray,
+    start: np.ndarray,
+    spheres: np.ndarray,
+    poses: np.ndarray,
+    intrinsics: np.ndarray,
+    pictures: np.ndarray,
+    numbers: np.ndarray,
+    valid: np.ndarray,
+    nearest: np.ndarray,
+    cell: int,
+    tolerance: np.ndarray,
+    limits: np.ndarray,
+    ranks: np.ndarray,
+    colors: np.ndarray,
+    images: np.ndarray,
+) -> None:
+    """Adds the samples of a batch of images to the best views of every point.
+
+    points: (3, M) float32, world; normals: (3, M) float32, zero where unknown; start, spheres: blocks;
+    poses: (B, 3, 4) float32; pictures: (B, H, W, 3) uint8; numbers: (B,) int32, image numbers;
+    valid: (H, W) bool; nearest: (B, h, w) float32, m, depth of the nearest surface in and round each cell of `cell`
+    pixels; tolerance: (2,) float32, m and part of the depth; limits: (2,) float32, darkest and brightest usable value;
+    ranks (M, K) float32, colors (M, K, 3) uint8, images (M, K) int32: in and out. A better view takes the place of the
+    worst, so that the K best remain; of equal ones the earlier stays.
+    """
+    height, width = pictures.shape[1], pictures.shape[2]
+    slopes = view_slopes(intrinsics, width, height)
+    right, bottom = np.float32(width - 1), np.float32(height - 1)
+    half, far = np.float32(0.5), np.float32(1.0) + tolerance[1]
+    for b in prange(start.shape[0] - 1):
+        color = np.empty(3, np.float32)
+        u, v, depth = np.empty(_RUN, np.float32), np.empty(_RUN, np.float32), np.empty(_RUN, np.float32)
+        for image in range(len(numbers)):
+            pose = poses[image]
+            if not sphere_in_view(spheres[b], pose, slopes):
+                continue
+            for first in range(start[b], start[b + 1], _RUN):
+                count = min(_RUN, start[b + 1] - first)
+                project_run(points, first, count, pose, intrinsics, width, height, u, v, depth)
+                for k in range(count):
+                    z = depth[k]
+                    if z < 0:
+                        continue
+                    column, row = int(u[k] + half), int(v[k] + half)
+                    if (
+                        z > nearest[image, row // cell, column // cell] * far + tolerance[0]
+                        or not valid[row, column]
+                    ):
+                        continue
+                    i = first + k
+                    rank = _rank(points, normals, i, pose)
+                    slot = _worst(ranks[i])
+                    if not rank > ranks[i, slot]:
+                        continue
+                    x, y = min(max(u[k], np.float32(0.0)), right), min(max(v[k], np.float32(0.0)), bottom)
+                    high = _bilinear(pictures[image], x, y, color)
+                    if high >= limits[1] or high <= limits[0]:
+                        rank *= _CLIPPED_RANK
+                        if not rank > ranks[i, slot]:
+                            continue
+                    ranks[i, slot], images[i, slot] = rank, numbers[image]
+                    for c in range(3):
+                        colors[i, slot, c] = np.uint8(color[c] + half)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _rank(points: np.ndarray, normals: np.ndarray, i: int, pose: np.ndarray) -> np.float32:
+    """Resolution of the view on the surface, but for a constant: cos(incidence) / distance^2."""
+    dx, dy, dz = points[0, i] - pose[0, 3], points[1, i] - pose[1, 3], points[2, i] - pose[2, 3]
+    square = dx * dx + dy * dy + dz * dz
+    facing = abs(normals[0, i] * dx + normals[1, i] * dy + normals[2, i] * dz)
+    cosine = facing / np.sqrt(square) if facing > 0 else np.float32(0.5)
+    return max(cosine, np.float32(0.05)) / square
+
+
+@njit(cache=True, nogil=True)
+def _sort(values: np.ndarray, weights: np.ndarray, count: int) -> None:
+    """Sorts the first `count` values in place, their weights along with them; stable."""
+    for k in range(1, count):
+        value, weight = values[k], weights[k]
+        j = k
+        while j > 0 and values[j - 1] > value:
+            values[j], weights[j] = values[j - 1], weights[j - 1]
+            j -= 1
+        values[j], weights[j] = value, weight
+
+
+@njit(cache=True, nogil=True)
+def _weighted_median(values: np.ndarray, weights: np.ndarray, count: int) -> np.float32:
+    """The smallest value at which half of the weight is reached; both arrays are sorted in place."""
+    _sort(values, weights, count)
+    total, reached = np.float32(0.0), np.float32(0.0)
+    for k in range(count):
+        total += weights[k]
+    for k in range(count):
+        reached += weights[k]
+        if reached >= np.float32(0.5) * total:
+            return values[k]
+    return values[count - 1]
+
+
+@njit(cache=True, nogil=True)
+def robust_mean(
+    samples: np.ndarray,
+    weights: np.ndarray,
+    count: int,
+    floor: np.float32,
+    scratch: np.ndarray,
+    out: np.ndarray,
+) -> np.float32:
+    """Writes the Huber mean per channel, started at the weighted median; returns the spread of the samples.
+
+    samples: (3, K) float32, radiances; weights: (K,) float32; floor: float32, least noise of a sample, same unit;
+    scratch: (3, K) float32; out: (3,) float32. Spread: weighted root mean square of the difference from the mean, all
+    channels.
+    """
+    total, squares = np.float32(0.0), np.float32(0.0)
+    values, copies, distance = scratch[0], scratch[1], scratch[2]
+    for k in range(count):
+        total += weights[k]
+    for c in range(3):
+        for k in range(count):
+            values[k], copies[k] = samples[c, k], weights[k]
+        center = _weighted_median(values, copies, count)
+        for k in range(count):
+            distance[k] = abs(samples[c, k] - center)
+            values[k], copies[k] = distance[k], weights[k]
+        knee = np.float32(1.5) * max(np.float32(1.4826) * _weighted_median(values, copies, count), floor)
+        weight, value = np.float32(0.0), np.float32(0.0)
+        for k in range(count):
+            w = weights[k] * (np.float32(1.0) if distance[k] <= knee else knee / distance[k])
+            weight += w
+            value += w * samples[c, k]
+        out[c] = value / weight
+        for k in range(count):
+            squares += weights[k] * (samples[c, k] - out[c]) ** 2
+    return np.sqrt(squares / (np.float32(3.0) * total))
+
+
+@njit(cache=True, nogil=True)
+def _gather(
+    ranks: np.ndarray,
+    colors: np.ndarray,
+    images: np.ndarray,
+    gains: np.ndarray,
+    without: int,
+    samples: np.ndarray,
+    weights: np.ndarray,
+) -> tuple[int, np.float32]:
+    """Writes a point's usable samples as radiances (3, K) and their weights (K,), those of image `without` left out.
+
+    Returns their number and the sum of their gains. Clipped samples are usable only where there is no other.
+    """
+    best = np.float32(0.0)
+    for k in range(ranks.shape[0]):
+        if images[k] != without:
+            best = max(best, ranks[k])
+    count, gain = 0, np.float32(0.0)
+    for k in range(ranks.shape[0]):
+        if ranks[k] > np.float32(1e-6) * best and images[k] != without:
+            factor = gains[images[k]]
+            gain += factor
+            weights[count] = ranks[k]
+            for c in range(3):
+                samples[c, count] = np.float32(colors[k, c]) * factor
+            count += 1
+    return count, gain
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def blend_views(
+    ranks: np.ndarray,
+    colors: np.ndarray,
+    images: np.ndarray,
+    gains: np.ndarray,
+    floor: np.float32,
+    radiance: np.ndarray,
+    views: np.ndarray,
+    spread: np.ndarray,
+) -> None:
+    """Blends every point's samples: out radiance (M, 3) float32, views (M,) uint8, spread (M,) float32.
+
+    gains: (I,) float32, 1 / relative exposure; floor: noise of a gray value, 0..255
+    """
+    number, slots = ranks.shape
+    for run in prange((number + _RUN - 1) // _RUN):
+        samples, weights = np.empty((3, slots), np.float32), np.empty(slots, np.float32)
+        scratch = np.empty((3, slots), np.float32)
+        for i in range(run * _RUN, min(number, (run + 1) * _RUN)):
+            count, gain = _gather(ranks[i], colors[i], images[i], gains, -1, samples, weights)
+            views[i] = count
+            if count:
+                noise = floor * gain / np.float32(count)
+                spread[i] = robust_mean(samples, weights, count, noise, scratch, radiance[i])
+
+
+@njit(cache=True, nogil=True)
+def shade_blended(
+    entries: np.ndarray,
+    radiance: np.ndarray,
+    ranks: np.ndarray,
+    colors: np.ndarray,
+    images: np.ndarray,
+    gains: np.ndarray,
+    floor: np.float32,
+    image: int,
+    color: np.ndarray,
+    covered: np.ndarray,
+) -> None:
+    """Writes colors (2, H, W, 3) float32, 0..255, and whether anything is seen (2, H, W) bool, of one image.
+
+    entries: (2, H, W) int64 of lvba.kernels.zbuffer; radiance: (M, 3) float32, of all samples: the first picture. In
+    the second, points with a sample of the image itself are blended again without it.
+    """
+    slots = ranks.shape[1]
+    samples, weights = np.empty((3, slots), np.float32), np.empty(slots, np.float32)
+    scratch, value = np.empty((3, slots), np.float32), np.empty(3, np.float32)
+    exposure, white = np.float32(1.0) / gains[image], np.float32(255.0)
+    for variant in range(2):
+        for row in range(entries.shape[1]):
+            for column in range(entries.shape[2]):
+                entry = entries[variant, row, column]
+                covered[variant, row, column] = entry != EMPTY
+                for c in range(3):
+                    color[variant, row, column, c] = 0.0
+                if entry == EMPTY:
+                    continue
+                i = np.int32(entry & 0xFFFFFFFF)
+                own = False
+                for k in range(slots):
+                    own |= ranks[i, k] > 0 and images[i, k] == image
+                value[:] = radiance[i]
+                if variant == 1 and own:
+                    count, gain = _gather(ranks[i], colors[i], images[i], gains, image, samples, weights)
+                    robust_mean(samples, weights, count, floor * gain / np.float32(count), scratch, value)
+                for c in range(3):
+                    color[variant, row, column, c] = min(value[c] * exposure, white)

@@ -1,0 +1,278 @@
+"""The plane cost of LiDAR bundle adjustment and its exact first and second derivatives.
+
+A feature f is a plane seen by several scans; an observation o is what one scan holds of it, a weighted point cluster in
+the scan's frame. Cost of a feature: N lam0, the weighted sum of squared point-plane distances at the best plane, N the
+weighted number of points and lam0 <= lam1 <= lam2 the eigenvalues of the weighted covariance of all its points.
+Source of the derivatives: Liu, Liu and Zhang 2023 (BALM2), section IV, regrouped: a feature's Hessian is block-diagonal
+minus rank three, H = D - W W'. Perturbation of scan i, world axes about the sensor's own position (BALM2: about the
+world's origin, which loses digits far from it): R <- exp(phi) R, t <- t + tau.
+"""
+
+import numpy as np
+from numba import njit, prange
+
+from lvba.kernels.point_cluster import add_cluster, eigen3, rotate_scatter
+
+COLUMNS = 8
+"""Numbers kept per column of W: 6, padded so that a column fills whole vector registers."""
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def fit(
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    offsets: np.ndarray,
+    scan: np.ndarray,
+    count: np.ndarray,
+    mean: np.ndarray,
+    scatter: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The best plane of each feature at given poses.
+
+    rotation: (S, 3, 3), translation: (S, 3), world from scan; offsets: (F + 1,) int64, feature f owns observations
+    offsets[f] to offsets[f + 1]; scan: (O,) int32; count (O,), mean (O, 3), scatter (O, 6): weighted, scan frame.
+    Returns total (F,), center (F, 3), eigenvalues (F, 3) ascending, eigenvectors (F, 3, 3) as rows; world frame.
+    """
+    features = len(offsets) - 1
+    total = np.zeros(features)
+    center = np.zeros((features, 3))
+    values = np.zeros((features, 3))
+    vectors = np.zeros((features, 3, 3))
+    for f in prange(features):
+        sums = np.zeros(6)
+        world_mean = np.empty(3)
+        world_scatter = np.empty(6)
+        for o in range(offsets[f], offsets[f + 1]):
+            r, t = rotation[scan[o]], translation[scan[o]]
+            for a in range(3):
+                world_mean[a] = r[a, 0] * mean[o, 0] + r[a, 1] * mean[o, 1] + r[a, 2] * mean[o, 2] + t[a]
+            rotate_scatter(r, scatter[o], world_scatter)
+            add_cluster(total[f : f + 1], center[f], sums, count[o], world_mean, world_scatter)
+        if total[f] > 0.0:
+            for a in range(6):
+                sums[a] /= total[f]
+            eigen3(sums, values[f], vectors[f])
+    return total, center, values, vectors
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def linearize(
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    scan_starts: np.ndarray,
+    by_scan: np.ndarray,
+    feature: np.ndarray,
+    count: np.ndarray,
+    mean: np.ndarray,
+    scatter: np.ndarray,
+    total: np.ndarray,
+    center: np.ndarray,
+    values: np.ndarray,
+    vectors: np.ndarray,
+    exact: bool,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Gradient (S, 6), diagonal part D (S, 6, 6) and the columns of W (O, 3, 8) of sum_f N lam0.
+
+    scan_starts: (S + 1,) int64, scan s owns observations by_scan[scan_starts[s]:scan_starts[s + 1]]; feature: (O,) int32;
+    total, center, values, vectors: of `fit` at the same poses. exact: False drops what depends on the residuals
+    (Gauss-Newton with the planes eliminated): never indefinite, for poses far from the solution.
+    """
+    scans = len(scan_starts) - 1
+    share = 1.0 if exact else 0.0
+    gradient = np.zeros((scans, 6))
+    diagonal = np.zeros((scans, 6, 6))
+    columns = np.zeros((len(feature), 3, COLUMNS))
+    for s in prange(scans):
+        r = rotation[s]
+        lever = np.empty(3)
+        moved = np.empty(6)
+        turned = np.empty(6)
+        cross = np.zeros((3, 3))
+        q = np.empty((3, 3))
+        ue = np.empty(3)
+        b = np.empty(3)
+        for k in range(scan_starts[s], scan_starts[s + 1]):
+            o = by_scan[k]
+            f = feature[o]
+            n = count[o]
+            for a in range(3):
+                lever[a] = r[a, 0] * mean[o, 0] + r[a, 1] * mean[o, 1] + r[a, 2] * mean[o, 2]
+            rotate_scatter(r, scatter[o], moved)
+            for j in range(3):
+                u = vectors[f, j]
+                ue[j] = n * (
+                    u[0] * (lever[0] + translation[s, 0] - center[f, 0])
+                    + u[1] * (lever[1] + translation[s, 1] - center[f, 1])
+                    + u[2] * (lever[2] + translation[s, 2] - center[f, 2])
+                )
+                q[j, 0] = moved[0] * u[0] + moved[1] * u[1] + moved[2] * u[2] + ue[j] * lever[0]
+                q[j, 1] = moved[1] * u[0] + moved[3] * u[1] + moved[4] * u[2] + ue[j] * lever[1]
+                q[j, 2] = moved[2] * u[0] + moved[4] * u[1] + moved[5] * u[2] + ue[j] * lever[2]
+            u0 = vectors[f, 0]
+            q0 = q[0]
+            # columns of W and the gradient
+            b[0] = n * (lever[1] * u0[2] - lever[2] * u0[1])
+            b[1] = n * (lever[2] * u0[0] - lever[0] * u0[2])
+            b[2] = n * (lever[0] * u0[1] - lever[1] * u0[0])
+            scale = np.sqrt(2.0 / total[f])
+            for a in range(3):
+                columns[o, 0, a] = scale * b[a]
+                columns[o, 0, 3 + a] = scale * n * u0[a]
+            for j in range(1, 3):
+                u, qj = vectors[f, j], q[j]
+                gap = values[f, j] - share * values[f, 0]
+                scale = np.sqrt(2.0 / (total[f] * gap)) if gap > 0.0 else 0.0
+                columns[o, j, 0] = scale * (
+                    qj[1] * u0[2] - qj[2] * u0[1] + share * (q0[1] * u[2] - q0[2] * u[1])
+                )
+                columns[o, j, 1] = scale * (
+                    qj[2] * u0[0] - qj[0] * u0[2] + share * (q0[2] * u[0] - q0[0] * u[2])
+                )
+                columns[o, j, 2] = scale * (
+                    qj[0] * u0[1] - qj[1] * u0[0] + share * (q0[0] * u[1] - q0[1] * u[0])
+                )
+                for a in range(3):
+                    columns[o, j, 3 + a] = scale * (ue[j] * u0[a] + share * ue[0] * u[a])
+            gradient[s, 0] += 2.0 * (q0[1] * u0[2] - q0[2] * u0[1])
+            gradient[s, 1] += 2.0 * (q0[2] * u0[0] - q0[0] * u0[2])
+            gradient[s, 2] += 2.0 * (q0[0] * u0[1] - q0[1] * u0[0])
+            for a in range(3):
+                gradient[s, 3 + a] += 2.0 * ue[0] * u0[a]
+            # D: the plane held fixed, and the curvature of the rotation
+            cross[0, 1], cross[0, 2] = -u0[2], u0[1]
+            cross[1, 0], cross[1, 2] = u0[2], -u0[0]
+            cross[2, 0], cross[2, 1] = -u0[1], u0[0]
+            rotate_scatter(cross, moved, turned)
+            d = diagonal[s]
+            full = (turned[0], turned[1], turned[2], turned[3], turned[4], turned[5])
+            d[0, 0] += 2.0 * full[0]
+            d[0, 1] += 2.0 * full[1]
+            d[0, 2] += 2.0 * full[2]
+            d[1, 1] += 2.0 * full[3]
+            d[1, 2] += 2.0 * full[4]
+            d[2, 2] += 2.0 * full[5]
+            along = 2.0 * share * (u0[0] * q0[0] + u0[1] * q0[1] + u0[2] * q0[2])
+            for a in range(3):
+                d[a, a] -= along
+                for c in range(a, 3):
+                    d[a, c] += 2.0 * b[a] * b[c] / n + share * (u0[a] * q0[c] + q0[a] * u0[c])
+                    d[3 + a, 3 + c] += 2.0 * n * u0[a] * u0[c]
+                for c in range(3):
+                    d[a, 3 + c] += 2.0 * b[a] * u0[c]
+        for a in range(6):
+            for c in range(a):
+                diagonal[s, a, c] = diagonal[s, c, a]
+    return gradient, diagonal, columns
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def hessian(
+    scan_starts: np.ndarray,
+    by_scan: np.ndarray,
+    offsets: np.ndarray,
+    feature: np.ndarray,
+    scan: np.ndarray,
+    diagonal: np.ndarray,
+    columns: np.ndarray,
+) -> np.ndarray:
+    """The dense H = D - W W', (6 S, 6 S), both triangles.
+
+    Row blocks are outputs of one thread each; only pairs of scans that share a feature are touched.
+    """
+    scans = len(scan_starts) - 1
+    out = np.empty((6 * scans, 6 * scans))
+    half = (scans + 1) // 2
+    for h in prange(half):
+        # a thread's static share gets short and long rows alike
+        for turn in range(2):
+            i = np.int64(h) if turn == 0 else np.int64(scans - 1 - h)
+            row = np.zeros((scans, 6, COLUMNS))
+            for k in range(scan_starts[i], scan_starts[i + 1]):
+                o = by_scan[k]
+                own = columns[o]
+                for p in range(o, offsets[feature[o] + 1]):
+                    other = columns[p]
+                    block = row[scan[p]]
+                    for a in range(6):
+                        w0, w1, w2 = own[0, a], own[1, a], own[2, a]
+                        for c in range(COLUMNS):
+                            block[a, c] += w0 * other[0, c] + w1 * other[1, c] + w2 * other[2, c]
+            for a in range(6):
+                for j in range(i, scans):
+                    for c in range(6):
+                        out[6 * i + a, 6 * j + c] = -row[j, a, c]
+                for c in range(6):
+                    out[6 * i + a, 6 * i + c] += diagonal[i, a, c]
+    for lower in prange(6 * scans):
+        for j in range(6 * (lower // 6)):
+            out[lower, j] = out[j, lower]
+    return out
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def information(
+    rotation: np.ndarray,
+    scan_starts: np.ndarray,
+    by_scan: np.ndarray,
+    feature: np.ndarray,
+    count: np.ndarray,
+    mean: np.ndarray,
+    scatter: np.ndarray,
+    total: np.ndarray,
+    values: np.ndarray,
+    vectors: np.ndarray,
+    trusted: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """What each scan's observations say about its pose, planes held fixed: (S, 6, 6), and what of it the planes' own
+    uncertainty feigns, (S, 6, 6): a normal that is off by noise measures a motion along its plane that nothing tells.
+
+    trusted: points that a normal is never trusted beyond; its variance about eigenvector k is taken as
+    lam0 / (min(N, trusted) (lam_k - lam0)). World axes about each sensor; sums of weights, that is times sigma^2.
+    """
+    scans = len(scan_starts) - 1
+    told = np.zeros((scans, 6, 6))
+    feigned = np.zeros((scans, 6, 6))
+    for s in prange(scans):
+        r = rotation[s]
+        lever = np.empty(3)
+        moved = np.empty(6)
+        turned = np.empty(6)
+        cross = np.zeros((3, 3))
+        row = np.empty(6)
+        for k in range(scan_starts[s], scan_starts[s + 1]):
+            o = by_scan[k]
+            f = feature[o]
+            for a in range(3):
+                lever[a] = r[a, 0] * mean[o, 0] + r[a, 1] * mean[o, 1] + r[a, 2] * mean[o, 2]
+            rotate_scatter(r, scatter[o], moved)
+            for j in range(3):
+                u = vectors[f, j]
+                weight = 1.0
+                if j > 0:
+                    gap = values[f, j] - values[f, 0]
+                    if gap <= 0.0:
+                        continue
+                    weight = max(values[f, 0], 0.0) / (min(total[f], trusted) * gap)
+                cross[0, 1], cross[0, 2] = -u[2], u[1]
+                cross[1, 0], cross[1, 2] = u[2], -u[0]
+                cross[2, 0], cross[2, 1] = -u[1], u[0]
+                rotate_scatter(cross, moved, turned)
+                row[0] = lever[1] * u[2] - lever[2] * u[1]
+                row[1] = lever[2] * u[0] - lever[0] * u[2]
+                row[2] = lever[0] * u[1] - lever[1] * u[0]
+                row[3], row[4], row[5] = u[0], u[1], u[2]
+                out = told[s] if j == 0 else feigned[s]
+                scale = weight * count[o]
+                for a in range(6):
+                    for c in range(6):
+                        out[a, c] += scale * row[a] * row[c]
+                out[0, 0] += weight * turned[0]
+                out[0, 1] += weight * turned[1]
+                out[0, 2] += weight * turned[2]
+                out[1, 0] += weight * turned[1]
+                out[1, 1] += weight * turned[3]
+                out[1, 2] += weight * turned[4]
+                out[2, 0] += weight * turned[2]
+                out[2, 1] += weight * turned[4]
+                out[2, 2] += weight * turned[5]
+    return told, feigned

@@ -1,0 +1,55 @@
+"""Image pyramids: halving images so that masked pixels stay masked."""
+
+import numba
+import numpy as np
+
+
+@numba.njit(parallel=True, cache=True, nogil=True)
+def halve(images: np.ndarray, saturated: int) -> np.ndarray:
+    """Every image at half size, (I, H // 2, W // 2, C) uint8: the mean of each 2x2 block, halves rounded to even.
+
+    images: (I, H, W, C) uint8; saturated: value from which a pixel counts as clipped
+
+    A block with a clipped pixel becomes 255 and one with an exactly black (invalid) pixel 0: the mean of a block that
+    lost light, or holds no image, would look like a measurement.
+    """
+    count, height, width, channels = images.shape
+    half = np.empty((count, height // 2, width // 2, channels), np.uint8)
+    for row_of_all in numba.prange(count * (height // 2)):
+        image, row = row_of_all // (height // 2), row_of_all % (height // 2)
+        for column in range(width // 2):
+            for channel in range(channels):
+                a = np.int32(images[image, 2 * row, 2 * column, channel])
+                b = np.int32(images[image, 2 * row, 2 * column + 1, channel])
+                c = np.int32(images[image, 2 * row + 1, 2 * column, channel])
+                d = np.int32(images[image, 2 * row + 1, 2 * column + 1, channel])
+                total = a + b + c + d
+                # rounding up all halves would brighten every level by 1/8
+                value = (total + 1 + ((total >> 2) & 1)) >> 2
+                if max(max(a, b), max(c, d)) >= saturated:
+                    value = 255
+                if min(min(a, b), min(c, d)) <= 0:
+                    value = 0
+                half[image, row, column, channel] = value
+    return half
+
+
+@numba.njit(parallel=True, cache=True, nogil=True)
+def blank_masked(images: np.ndarray, reach: int, dark: float, bright: float) -> np.ndarray:
+    """The images with 0 wherever a pixel within `reach` px (square) is not strictly between dark and bright.
+
+    images: (I, H, W, C); a pixel is masked when any of its channels is
+    """
+    count, height, width, channels = images.shape
+    blank = np.empty_like(images)
+    for i in numba.prange(count):
+        blank[i] = images[i]
+        for row in range(height):
+            for column in range(width):
+                good = True
+                for c in range(channels):
+                    good = good and dark < images[i, row, column, c] < bright
+                if not good:
+                    top, left = max(row - reach, 0), max(column - reach, 0)
+                    blank[i, top : row + reach + 1, left : column + reach + 1] = 0
+    return blank

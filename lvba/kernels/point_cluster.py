@@ -1,0 +1,150 @@
+"""Sums over points: clusters (count, mean, scatter about the mean) and their smallest eigenvalues.
+
+A scatter is the sum of (p - mean)(p - mean)', kept as its 6 numbers xx xy xz yy yz zz, m^2. Centred sums keep their
+digits however far the points are from the origin.
+"""
+
+import numpy as np
+from numba import njit, prange
+
+_SWEEPS = 12
+
+
+@njit(cache=True, nogil=True, inline="always")
+def add_cluster(
+    count: np.ndarray,
+    mean: np.ndarray,
+    scatter: np.ndarray,
+    other_count: float,
+    other_mean: np.ndarray,
+    other_scatter: np.ndarray,
+) -> None:
+    """Add a cluster to (count (1,), mean (3,), scatter (6,)) in place (Chan et al. 1979, pairwise update)."""
+    total = count[0] + other_count
+    if other_count <= 0.0:
+        return
+    share = other_count / total
+    lever = count[0] * share
+    dx = other_mean[0] - mean[0]
+    dy = other_mean[1] - mean[1]
+    dz = other_mean[2] - mean[2]
+    scatter[0] += other_scatter[0] + lever * dx * dx
+    scatter[1] += other_scatter[1] + lever * dx * dy
+    scatter[2] += other_scatter[2] + lever * dx * dz
+    scatter[3] += other_scatter[3] + lever * dy * dy
+    scatter[4] += other_scatter[4] + lever * dy * dz
+    scatter[5] += other_scatter[5] + lever * dz * dz
+    mean[0] += share * dx
+    mean[1] += share * dy
+    mean[2] += share * dz
+    count[0] = total
+
+
+@njit(cache=True, nogil=True)
+def rotate_scatter(rotation: np.ndarray, scatter: np.ndarray, out: np.ndarray) -> None:
+    """out (6,) = R S R' for a (3, 3) rotation and the 6 numbers of S."""
+    r = rotation
+    a0, a1, a2, a3, a4, a5 = scatter[0], scatter[1], scatter[2], scatter[3], scatter[4], scatter[5]
+    x0 = r[0, 0] * a0 + r[0, 1] * a1 + r[0, 2] * a2
+    x1 = r[0, 0] * a1 + r[0, 1] * a3 + r[0, 2] * a4
+    x2 = r[0, 0] * a2 + r[0, 1] * a4 + r[0, 2] * a5
+    y0 = r[1, 0] * a0 + r[1, 1] * a1 + r[1, 2] * a2
+    y1 = r[1, 0] * a1 + r[1, 1] * a3 + r[1, 2] * a4
+    y2 = r[1, 0] * a2 + r[1, 1] * a4 + r[1, 2] * a5
+    z0 = r[2, 0] * a0 + r[2, 1] * a1 + r[2, 2] * a2
+    z1 = r[2, 0] * a1 + r[2, 1] * a3 + r[2, 2] * a4
+    z2 = r[2, 0] * a2 + r[2, 1] * a4 + r[2, 2] * a5
+    out[0] = x0 * r[0, 0] + x1 * r[0, 1] + x2 * r[0, 2]
+    out[1] = x0 * r[1, 0] + x1 * r[1, 1] + x2 * r[1, 2]
+    out[2] = x0 * r[2, 0] + x1 * r[2, 1] + x2 * r[2, 2]
+    out[3] = y0 * r[1, 0] + y1 * r[1, 1] + y2 * r[1, 2]
+    out[4] = y0 * r[2, 0] + y1 * r[2, 1] + y2 * r[2, 2]
+    out[5] = z0 * r[2, 0] + z1 * r[2, 1] + z2 * r[2, 2]
+
+
+@njit(cache=True, nogil=True)
+def eigen3(symmetric: np.ndarray, values: np.ndarray, vectors: np.ndarray) -> None:
+    """Eigenvalues (3,) ascending and eigenvectors (3, 3), rows, of the 6 numbers of a symmetric matrix.
+
+    Cyclic Jacobi rotations: unlike the closed form they keep the digits of a small eigenvalue beside large ones
+    (Golub and Van Loan, section 8.5).
+    """
+    a = np.empty((3, 3))
+    a[0, 0], a[0, 1], a[0, 2] = symmetric[0], symmetric[1], symmetric[2]
+    a[1, 0], a[1, 1], a[1, 2] = symmetric[1], symmetric[3], symmetric[4]
+    a[2, 0], a[2, 1], a[2, 2] = symmetric[2], symmetric[4], symmetric[5]
+    v = np.zeros((3, 3))
+    v[0, 0] = v[1, 1] = v[2, 2] = 1.0
+    for _ in range(_SWEEPS):
+        off = abs(a[0, 1]) + abs(a[0, 2]) + abs(a[1, 2])
+        if off <= 1e-18 * (abs(a[0, 0]) + abs(a[1, 1]) + abs(a[2, 2])):
+            break
+        for p in range(2):
+            for q in range(p + 1, 3):
+                if a[p, q] == 0.0:
+                    continue
+                theta = (a[q, q] - a[p, p]) / (2.0 * a[p, q])
+                t = 1.0 / (abs(theta) + np.sqrt(theta * theta + 1.0))
+                if theta < 0.0:
+                    t = -t
+                c = 1.0 / np.sqrt(t * t + 1.0)
+                s = t * c
+                apq = a[p, q]
+                a[p, p] -= t * apq
+                a[q, q] += t * apq
+                a[p, q] = a[q, p] = 0.0
+                k = 3 - p - q
+                akp, akq = a[k, p], a[k, q]
+                a[k, p] = a[p, k] = c * akp - s * akq
+                a[k, q] = a[q, k] = s * akp + c * akq
+                for i in range(3):
+                    vp, vq = v[i, p], v[i, q]
+                    v[i, p] = c * vp - s * vq
+                    v[i, q] = s * vp + c * vq
+    i0, i1, i2 = 0, 1, 2
+    if a[i1, i1] < a[i0, i0]:
+        i0, i1 = i1, i0
+    if a[i2, i2] < a[i0, i0]:
+        i0, i2 = i2, i0
+    if a[i2, i2] < a[i1, i1]:
+        i1, i2 = i2, i1
+    values[0], values[1], values[2] = a[i0, i0], a[i1, i1], a[i2, i2]
+    for i in range(3):
+        vectors[0, i], vectors[1, i], vectors[2, i] = v[i, i0], v[i, i1], v[i, i2]
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def merge(
+    order: np.ndarray, starts: np.ndarray, count: np.ndarray, mean: np.ndarray, scatter: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One cluster per segment: (G,), (G, 3), (G, 6) of the clusters order[starts[g]:starts[g + 1]].
+
+    order: (K,) int64; starts: (G + 1,) int64; count: (C,), mean: (C, 3), scatter: (C, 6) float64.
+    """
+    groups = len(starts) - 1
+    out_count = np.zeros(groups)
+    out_mean = np.zeros((groups, 3))
+    out_scatter = np.zeros((groups, 6))
+    for g in prange(groups):
+        for k in range(starts[g], starts[g + 1]):
+            c = order[k]
+            add_cluster(out_count[g : g + 1], out_mean[g], out_scatter[g], count[c], mean[c], scatter[c])
+    return out_count, out_mean, out_scatter
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def transform(
+    rotation: np.ndarray, translation: np.ndarray, pose: np.ndarray, mean: np.ndarray, scatter: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Means (C, 3) and scatters (C, 6) of clusters moved by R x + t; cluster c by pose[c].
+
+    rotation: (S, 3, 3), translation: (S, 3), pose: (C,) int32.
+    """
+    out_mean = np.empty_like(mean)
+    out_scatter = np.empty_like(scatter)
+    for c in prange(len(pose)):
+        r, t = rotation[pose[c]], translation[pose[c]]
+        for i in range(3):
+            out_mean[c, i] = r[i, 0] * mean[c, 0] + r[i, 1] * mean[c, 1] + r[i, 2] * mean[c, 2] + t[i]
+        rotate_scatter(r, scatter[c], out_scatter[c])
+    return out_mean, out_scatter

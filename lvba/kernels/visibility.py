@@ -1,0 +1,347 @@
+"""Which cameras see a patch: the gates of eq. (3) on warped patches, and the voxel map of who saw what."""
+
+import math
+
+import numba
+import numpy as np
+
+from lvba.kernels.visibility_depth import patch_hidden
+
+_jit = numba.njit(cache=True, nogil=True)
+
+PASSED, BEHIND, OUTSIDE, SLANTED, SCALED, HIDDEN, MASKED, UNLIKE = 0, 1, 2, 3, 4, 5, 6, 7
+"""What became of a pair: passed, or the first gate that it failed."""
+
+
+@_jit
+def plane_homography(
+    world_from_reference: np.ndarray,
+    world_from_target: np.ndarray,
+    position: np.ndarray,
+    normal: np.ndarray,
+    reference: np.ndarray,
+    target: np.ndarray,
+) -> np.ndarray:
+    """Eq. (7) over n^T (p - t_r), (3, 3): pixels of the reference to homogeneous ones of the target.
+
+    The third component is depth in the target over depth in the reference. reference, target: fx, fy, cx, cy.
+    """
+    r, t = world_from_reference, world_from_target
+    offset = 0.0
+    for a in range(3):
+        offset += normal[a] * (position[a] - r[a, 3])
+    rays = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            value = 0.0
+            for a in range(3):
+                along = r[0, j] * normal[0] + r[1, j] * normal[1] + r[2, j] * normal[2]
+                value += t[a, i] * (r[a, j] + (r[a, 3] - t[a, 3]) * along / offset)
+            rays[i, j] = value
+    h = np.empty((3, 3))
+    for i in range(3):
+        h[i, 0] = rays[i, 0] / reference[0]
+        h[i, 1] = rays[i, 1] / reference[1]
+        h[i, 2] = rays[i, 2] - h[i, 0] * reference[2] - h[i, 1] * reference[3]
+    for j in range(3):
+        h[0, j] = target[0] * h[0, j] + target[2] * h[2, j]
+        h[1, j] = target[1] * h[1, j] + target[3] * h[2, j]
+    return h
+
+
+@_jit
+def warp(h: np.ndarray, u: float, v: float) -> tuple[float, float, float]:
+    """Pixel (u, v) moved by h, and the third homogeneous component."""
+    w = h[2, 0] * u + h[2, 1] * v + h[2, 2]
+    if w == 0:
+        return 0.0, 0.0, 0.0
+    return (h[0, 0] * u + h[0, 1] * v + h[0, 2]) / w, (h[1, 0] * u + h[1, 1] * v + h[1, 2]) / w, w
+
+
+@_jit
+def local_scale(h: np.ndarray, u: float, v: float) -> tuple[float, float]:
+    """The singular values (small, large) of the warp's Jacobian at (u, v): target px per reference px."""
+    x, y, w = warp(h, u, v)
+    a, b = (h[0, 0] - x * h[2, 0]) / w, (h[0, 1] - x * h[2, 1]) / w
+    c, d = (h[1, 0] - y * h[2, 0]) / w, (h[1, 1] - y * h[2, 1]) / w
+    total, area = a * a + b * b + c * c + d * d, abs(a * d - b * c)
+    plus, minus = math.sqrt(total + 2 * area), math.sqrt(max(total - 2 * area, 0.0))
+    return (plus - minus) / 2, (plus + minus) / 2
+
+
+@_jit
+def patch_inside(h: np.ndarray, u: int, v: int, half: int, width: int, height: int) -> int:
+    """PASSED where all four corners of the patch land inside the image and in front; else BEHIND or OUTSIDE."""
+    for i in range(-1, 2, 2):
+        for j in range(-1, 2, 2):
+            x, y, w = warp(h, u + j * half, v + i * half)
+            if w <= 0:
+                return BEHIND
+            if not (0 <= x <= width - 1.001 and 0 <= y <= height - 1.001):
+                return OUTSIDE
+    return PASSED
+
+
+@_jit
+def warp_row(h: np.ndarray, u: int, v: int, half: int, xs: np.ndarray, ys: np.ndarray) -> None:
+    """Fill xs, ys (N,) with where the pixels (u - half ... u + half, v) land."""
+    x, y, w = h[0, 1] * v + h[0, 2], h[1, 1] * v + h[1, 2], h[2, 1] * v + h[2, 2]
+    for j in range(2 * half + 1):
+        column = u - half + j
+        scale = 1.0 / (h[2, 0] * column + w)
+        xs[j] = (h[0, 0] * column + x) * scale
+        ys[j] = (h[1, 0] * column + y) * scale
+
+
+@_jit
+def correlation(
+    reference: np.ndarray,
+    target: np.ndarray,
+    h: np.ndarray,
+    u: int,
+    v: int,
+    half: int,
+    dark: float,
+    bright: float,
+    floor: float,
+) -> tuple[float, float]:
+    """(NCC, usable part of the patch): means removed per channel, channels stacked, variances not below `floor`.
+
+    reference, target: (H, W, C); dark, bright: pixels outside are skipped, as is a target sample any of whose four
+    neighbours is
+    """
+    size, channels = 2 * half + 1, reference.shape[2]
+    sums = np.zeros((channels, 5))
+    count = 0
+    values, xs, ys = np.empty((channels, 2)), np.empty(size), np.empty(size)
+    for i in range(-half, half + 1):
+        warp_row(h, u, v + i, half, xs, ys)
+        for j in range(size):
+            x0, y0 = int(xs[j]), int(ys[j])
+            fx, fy = xs[j] - x0, ys[j] - y0
+            good = True
+            for c in range(channels):
+                a = float(reference[v + i, u - half + j, c])
+                p, q = float(target[y0, x0, c]), float(target[y0, x0 + 1, c])
+                r, s = float(target[y0 + 1, x0, c]), float(target[y0 + 1, x0 + 1, c])
+                low, high = min(min(p, q), min(r, s)), max(max(p, q), max(r, s))
+                good = good and dark < min(a, low) and max(a, high) < bright
+                top, bottom = p + fx * (q - p), r + fx * (s - r)
+                values[c, 0] = a
+                values[c, 1] = top + fy * (bottom - top)
+            if not good:
+                continue
+            count += 1
+            for c in range(channels):
+                a, b = values[c, 0], values[c, 1]
+                sums[c, 0] += a
+                sums[c, 1] += b
+                sums[c, 2] += a * a
+                sums[c, 3] += b * b
+                sums[c, 4] += a * b
+    if count < 2:
+        return 0.0, 0.0
+    first, second, cross = 0.0, 0.0, 0.0
+    for c in range(channels):
+        first += (sums[c, 2] - sums[c, 0] * sums[c, 0] / count) / count
+        second += (sums[c, 3] - sums[c, 1] * sums[c, 1] / count) / count
+        cross += (sums[c, 4] - sums[c, 0] * sums[c, 1] / count) / count
+    ncc = cross / math.sqrt(max(first, floor * channels) * max(second, floor * channels))
+    return ncc, count / float(size**2)
+
+
+@_jit
+def view_cosines(pose: np.ndarray, position: np.ndarray, normal: np.ndarray) -> tuple[float, float]:
+    """(d . z_C, |d . n|) of a camera (4, 4) and a point."""
+    along, slant, square = 0.0, 0.0, 0.0
+    for a in range(3):
+        d = position[a] - pose[a, 3]
+        along += d * pose[a, 2]
+        slant += d * normal[a]
+        square += d * d
+    length = math.sqrt(square)
+    return along / length, abs(slant) / length
+
+
+@_jit
+def judge(
+    images: np.ndarray,
+    poses: np.ndarray,
+    intrinsics: np.ndarray,
+    position: np.ndarray,
+    normal: np.ndarray,
+    reference: int,
+    target: int,
+    u: int,
+    v: int,
+    gates: np.ndarray,
+    nearest: np.ndarray,
+    points: np.ndarray,
+    cell: float,
+) -> tuple[int, float]:
+    """The verdict on one pair and its NCC (0 where it came not that far); arguments as in `judge_pairs`."""
+    height, width, half = images.shape[1], images.shape[2], int(gates[0])
+    along, slant = view_cosines(poses[target], position, normal)
+    if not along > gates[1]:
+        return BEHIND, 0.0
+    if not (slant > gates[2] and view_cosines(poses[reference], position, normal)[1] > gates[2]):
+        return SLANTED, 0.0
+    h = plane_homography(poses[reference], poses[target], position, normal, intrinsics, intrinsics)
+    inside = patch_inside(h, u, v, half, width, height)
+    if inside != PASSED:
+        return inside, 0.0
+    small, large = local_scale(h, float(u), float(v))
+    if small < gates[3] or large > gates[4]:
+        return SCALED, 0.0
+    if len(nearest):
+        depth = 0.0
+        for a in range(3):
+            depth += poses[reference, a, 2] * (position[a] - poses[reference, a, 3])
+        if patch_hidden(
+            nearest[target], points, poses[target], cell, h, u, v, half, depth, position, normal, gates[10]
+        ):
+            return HIDDEN, 0.0
+    ncc, usable = correlation(images[reference], images[target], h, u, v, half, gates[7], gates[8], gates[6])
+    if usable < gates[9]:
+        return MASKED, ncc
+    return (PASSED if ncc > gates[5] else UNLIKE), ncc
+
+
+@numba.njit(parallel=True, cache=True, nogil=True)
+def judge_pairs(
+    images: np.ndarray,
+    poses: np.ndarray,
+    intrinsics: np.ndarray,
+    position: np.ndarray,
+    normal: np.ndarray,
+    reference: np.ndarray,
+    pixel: np.ndarray,
+    point: np.ndarray,
+    target: np.ndarray,
+    gates: np.ndarray,
+    nearest: np.ndarray,
+    points: np.ndarray,
+    cell: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which pairs of a scene point and a target pass eq. (3): verdict (O,) uint8 and NCC (O,) float32.
+
+    images: (I, H, W, C); poses: (I, 4, 4) world_from_camera; intrinsics: fx, fy, cx, cy
+    position, normal: (P, 3); reference: (P,); pixel: (P, 2); point, target: (O,)
+    gates: [half patch, least d.z_C, least |d.n|, least scale, largest scale, least NCC, variance floor, dark, bright,
+        least usable part, tolerance of hiding m]
+    nearest: (I, rows, columns) from `visibility_depth.nearest_points`, or (0, 0, 0) to skip that gate; points: (M, 3)
+        LiDAR points it indexes; cell: px at this level
+    """
+    verdict = np.empty(len(point), np.uint8)
+    ncc = np.empty(len(point), np.float32)
+    for o in numba.prange(len(point)):
+        p = point[o]
+        verdict[o], ncc[o] = judge(
+            images, poses, intrinsics, position[p], normal[p], reference[p], target[o], pixel[p, 0], pixel[p, 1],
+            gates, nearest, points, cell,
+        )  # fmt: skip
+    return verdict, ncc
+
+
+@_jit
+def voxel_key(x: float, y: float, z: float, size: float) -> int:
+    """One int64 for the voxel of a point: 21 bits a coordinate, good for a million voxels either way."""
+    i, j, k = math.floor(x / size), math.floor(y / size), math.floor(z / size)
+    return ((i + 1048576) << 42) | ((j + 1048576) << 21) | (k + 1048576)
+
+
+@numba.njit(parallel=True, cache=True, nogil=True)
+def voxel_keys(points: np.ndarray, size: float) -> np.ndarray:
+    """`voxel_key` of (N, 3) points, (N,) int64."""
+    keys = np.empty(len(points), np.int64)
+    for m in numba.prange(len(points)):
+        keys[m] = voxel_key(points[m, 0], points[m, 1], points[m, 2], size)
+    return keys
+
+
+@numba.njit(parallel=True, cache=True, nogil=True)
+def scan_voxels(points: np.ndarray, offsets: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """The voxels of each scan, each once and ascending: keys (M,) int64 (only the first ones of a scan's range hold) and
+    their number (S,) int64."""
+    keys = np.empty(len(points), np.int64)
+    count = np.zeros(len(offsets) - 1, np.int64)
+    for s in numba.prange(len(offsets) - 1):
+        start, stop = offsets[s], offsets[s + 1]
+        for m in range(start, stop):
+            keys[m] = voxel_key(points[m, 0], points[m, 1], points[m, 2], size)
+        keys[start:stop].sort()
+        kept = 0
+        for m in range(start, stop):
+            if kept == 0 or keys[m] != keys[start + kept - 1]:
+                keys[start + kept] = keys[m]
+                kept += 1
+        count[s] = kept
+    return keys, count
+
+
+@_jit
+def cameras_of_voxel(
+    scans: np.ndarray, scan_offsets: np.ndarray, scan_cameras: np.ndarray, marked: np.ndarray, out: np.ndarray
+) -> int:
+    """Collect into `out` the cameras of these scans, each once and ascending; their number. `marked` comes back zero."""
+    count = 0
+    for s in scans:
+        for o in range(scan_offsets[s], scan_offsets[s + 1]):
+            camera = scan_cameras[o]
+            if not marked[camera]:
+                marked[camera] = True
+                out[count] = camera
+                count += 1
+    for k in range(count):
+        marked[out[k]] = False
+    out[:count].sort()
+    return count
+
+
+@numba.njit(parallel=True, cache=True, nogil=True)
+def voxel_cameras(
+    offsets: np.ndarray, scans: np.ndarray, scan_offsets: np.ndarray, scan_cameras: np.ndarray, cameras: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The cameras of every voxel as compressed rows: offsets (V + 1,) int64, cameras int32, ascending in a row.
+
+    offsets (V + 1,), scans: the scans of every voxel; scan_offsets (S + 1,), scan_cameras: the cameras of every scan
+    """
+    block = 256
+    blocks = (len(offsets) - 1 + block - 1) // block
+    row = np.zeros(len(offsets), np.int64)
+    for b in numba.prange(blocks):
+        marked, out = np.zeros(cameras, np.bool_), np.empty(cameras, np.int32)
+        for v in range(b * block, min((b + 1) * block, len(offsets) - 1)):
+            row[v + 1] = cameras_of_voxel(
+                scans[offsets[v] : offsets[v + 1]], scan_offsets, scan_cameras, marked, out
+            )
+    for v in range(len(offsets) - 1):
+        row[v + 1] += row[v]
+    found = np.empty(row[-1], np.int32)
+    for b in numba.prange(blocks):
+        marked, out = np.zeros(cameras, np.bool_), np.empty(cameras, np.int32)
+        for v in range(b * block, min((b + 1) * block, len(offsets) - 1)):
+            count = cameras_of_voxel(
+                scans[offsets[v] : offsets[v + 1]], scan_offsets, scan_cameras, marked, out
+            )
+            found[row[v] : row[v] + count] = out[:count]
+    return row, found
+
+
+@_jit
+def keep_spread(group: np.ndarray, limit: int) -> np.ndarray:
+    """(O,) bool: of every run of equal values in `group` (sorted), at most `limit`, evenly spread over the run."""
+    keep = np.zeros(len(group), np.bool_)
+    start = 0
+    while start < len(group):
+        stop = start
+        while stop < len(group) and group[stop] == group[start]:
+            stop += 1
+        count = stop - start
+        if count <= limit:
+            keep[start:stop] = True
+        else:
+            for k in range(limit):
+                keep[start + ((2 * k + 1) * count) // (2 * limit)] = True
+        start = stop
+    return keep

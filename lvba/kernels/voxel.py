@@ -1,0 +1,284 @@
+"""From points to cells: the (cell, scan) clusters of a voxel grid, in one parallel pass over the scans.
+
+Keys are Morton codes of 16 bits per axis: the parent of a cell is its key shifted by three bits, so that cells in the
+order of their keys hold every coarser level as contiguous runs.
+"""
+
+from typing import Any
+
+import numpy as np
+from numba import njit, prange
+
+from lvba.kernels.point_cluster import add_cluster, eigen3, rotate_scatter
+
+AXIS_CELLS = 1 << 16
+_EMPTY = np.int64(-1)
+_FIRST_TABLE = 1 << 13
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _spread(x: Any) -> Any:
+    x = np.uint64(x) & np.uint64(0xFFFF)
+    x = (x | (x << np.uint64(16))) & np.uint64(0x0000FF0000FF)
+    x = (x | (x << np.uint64(8))) & np.uint64(0x00F00F00F00F)
+    x = (x | (x << np.uint64(4))) & np.uint64(0x0C30C30C30C3)
+    x = (x | (x << np.uint64(2))) & np.uint64(0x249249249249)
+    return x
+
+
+@njit(cache=True, nogil=True, inline="always")
+def morton(x: Any, y: Any, z: Any) -> Any:
+    """The int64 Morton code of three cell numbers in [0, 65536)."""
+    return np.int64(_spread(x) | (_spread(y) << np.uint64(1)) | (_spread(z) << np.uint64(2)))
+
+
+@njit(cache=True, nogil=True)
+def _find(table_key: np.ndarray, key: Any) -> Any:
+    """Where the key is, or the free place where it belongs, in an open-addressing table of 2^k places."""
+    mask = len(table_key) - 1
+    h = np.int64((np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(32)) & mask
+    while table_key[h] != _EMPTY and table_key[h] != key:
+        h = (h + 1) & mask
+    return h
+
+
+@njit(cache=True, nogil=True)
+def _grow(table_key: np.ndarray, table_value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    keys = np.full(2 * len(table_key), _EMPTY)
+    values = np.empty(2 * len(table_key), np.int32)
+    for j in range(len(table_key)):
+        if table_key[j] != _EMPTY:
+            h = _find(keys, table_key[j])
+            keys[h], values[h] = table_key[j], table_value[j]
+    return keys, values
+
+
+@njit(cache=True, nogil=True)
+def _number(
+    points: np.ndarray, r: np.ndarray, t: np.ndarray, scale: float, local: np.ndarray, keys: np.ndarray
+) -> int:
+    """Fill one scan's part of `assign`'s outputs; returns its number of cells."""
+    table_key = np.full(_FIRST_TABLE, _EMPTY)
+    table_value = np.empty(_FIRST_TABLE, np.int32)
+    n = 0
+    last_x, last_y, last_z, last = np.int64(-1), np.int64(-1), np.int64(-1), np.int32(-1)
+    for i in range(len(points)):
+        px, py, pz = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
+        gx = (r[0, 0] * px + r[0, 1] * py + r[0, 2] * pz + t[0]) * scale
+        gy = (r[1, 0] * px + r[1, 1] * py + r[1, 2] * pz + t[1]) * scale
+        gz = (r[2, 0] * px + r[2, 1] * py + r[2, 2] * pz + t[2]) * scale
+        # written so that NaN is outside
+        inside = (
+            gx >= 0.0 and gy >= 0.0 and gz >= 0.0 and gx < AXIS_CELLS and gy < AXIS_CELLS and gz < AXIS_CELLS
+        )
+        if not inside:
+            local[i] = -1
+            continue
+        x, y, z = np.int64(gx), np.int64(gy), np.int64(gz)
+        if x != last_x or y != last_y or z != last_z:
+            last_x, last_y, last_z = x, y, z
+            key = morton(x, y, z)
+            h = _find(table_key, key)
+            if table_key[h] == _EMPTY:
+                table_key[h], table_value[h] = key, n
+                keys[n] = key
+                n += 1
+                last = table_value[h]
+                if 2 * n > len(table_key):
+                    table_key, table_value = _grow(table_key, table_value)
+            else:
+                last = table_value[h]
+        local[i] = last
+    return n
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def assign(
+    points: np.ndarray, offsets: np.ndarray, rotation: np.ndarray, translation: np.ndarray, size: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Number the cells that each scan's points fall in.
+
+    points: (M, 3) float32, scan frame; offsets: (S + 1,) int64; rotation (S, 3, 3), translation (S, 3): into the grid's
+    frame, whose cells start at the origin; size: edge, m. Points outside of [0, 65536) cells get -1.
+    Returns (M,) int32 the point's cell among its scan's cells in order of first appearance; (M,) int64 whose entries
+    from offsets[s] on are the Morton keys of scan s's cells; (S,) int64 the number of those cells.
+    """
+    scans = len(offsets) - 1
+    local = np.empty(len(points), np.int32)
+    keys = np.empty(len(points), np.int64)
+    cells = np.zeros(scans, np.int64)
+    for s in prange(scans):
+        first, last = offsets[s], offsets[s + 1]
+        cells[s] = _number(
+            points[first:last], rotation[s], translation[s], 1.0 / size, local[first:last], keys[first:last]
+        )
+    return local, keys, cells
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def accumulate(
+    points: np.ndarray,
+    offsets: np.ndarray,
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    local: np.ndarray,
+    starts: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Clusters of the (cell, scan) pairs that `assign` numbered, in the frame of rotation and translation.
+
+    local: (M,) int32, -1: no cell; starts: (S + 1,) int64, scan s owns outputs starts[s] to starts[s + 1].
+    Returns count (K,), mean (K, 3), scatter (K, 6), float64.
+    """
+    total = starts[-1]
+    count = np.zeros(total)
+    mean = np.empty((total, 3))
+    scatter = np.zeros((total, 6))
+    for s in prange(len(offsets) - 1):
+        r, t = rotation[s], translation[s]
+        n = starts[s + 1] - starts[s]
+        # sums about the cell's first point: no digits lost to the distance from the sensor
+        origin = np.empty((n, 3))
+        sums = np.zeros((n, 10))
+        for i in range(offsets[s], offsets[s + 1]):
+            c = local[i]
+            if c < 0:
+                continue
+            px, py, pz = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
+            if sums[c, 0] == 0.0:
+                origin[c, 0], origin[c, 1], origin[c, 2] = px, py, pz
+            x, y, z = px - origin[c, 0], py - origin[c, 1], pz - origin[c, 2]
+            sums[c, 0] += 1.0
+            sums[c, 1] += x
+            sums[c, 2] += y
+            sums[c, 3] += z
+            sums[c, 4] += x * x
+            sums[c, 5] += x * y
+            sums[c, 6] += x * z
+            sums[c, 7] += y * y
+            sums[c, 8] += y * z
+            sums[c, 9] += z * z
+        body = np.empty(6)
+        for c in range(n):
+            k = starts[s] + c
+            if sums[c, 0] == 0.0:
+                mean[k] = 0.0
+                continue
+            inv = 1.0 / sums[c, 0]
+            mx, my, mz = sums[c, 1] * inv, sums[c, 2] * inv, sums[c, 3] * inv
+            body[0] = sums[c, 4] - sums[c, 1] * mx
+            body[1] = sums[c, 5] - sums[c, 1] * my
+            body[2] = sums[c, 6] - sums[c, 1] * mz
+            body[3] = sums[c, 7] - sums[c, 2] * my
+            body[4] = sums[c, 8] - sums[c, 2] * mz
+            body[5] = sums[c, 9] - sums[c, 3] * mz
+            mx, my, mz = mx + origin[c, 0], my + origin[c, 1], mz + origin[c, 2]
+            count[k] = sums[c, 0]
+            for a in range(3):
+                mean[k, a] = r[a, 0] * mx + r[a, 1] * my + r[a, 2] * mz + t[a]
+            rotate_scatter(r, body, scatter[k])
+    return count, mean, scatter
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def fit_cells(
+    open_cell: np.ndarray,
+    starts: np.ndarray,
+    scan: np.ndarray,
+    sensor: np.ndarray,
+    count: np.ndarray,
+    mean: np.ndarray,
+    scatter: np.ndarray,
+    min_points: int,
+    two_sided: bool,
+) -> tuple[np.ndarray, ...]:
+    """Planes of each cell, one per side that a surface is seen from.
+
+    open_cell: (C,) bool, the others are passed over; starts: (C + 1,) int64, cell c owns entries starts[c] to
+    starts[c + 1]; scan (E,) int32, count (E,), mean (E, 3), scatter (E, 6): one scan's points in the cell, world frame;
+    sensor: (S, 3), its positions.
+    The cell's own normal splits its entries by side first: both faces of a thin wall have that normal in common.
+    Returns side (E,) int8 (0 or 1; -1 where the cell is passed over); for each cell and side total (C, 2), scans (C, 2)
+    int32, center (C, 2, 3), eigenvalues (C, 2, 3), normals (C, 2, 3) towards the sensors.
+    """
+    cells = len(starts) - 1
+    side = np.full(len(scan), np.int8(-1))
+    total = np.zeros((cells, 2))
+    scans = np.zeros((cells, 2), np.int32)
+    center = np.zeros((cells, 2, 3))
+    values = np.zeros((cells, 2, 3))
+    normals = np.zeros((cells, 2, 3))
+    for c in prange(cells):
+        if not open_cell[c]:
+            continue
+        whole_count, whole_mean, sums = np.zeros(1), np.zeros(3), np.zeros(6)
+        value, vector = np.empty(3), np.empty((3, 3))
+        for e in range(starts[c], starts[c + 1]):
+            add_cluster(whole_count, whole_mean, sums, count[e], mean[e], scatter[e])
+        if whole_count[0] < min_points:
+            continue
+        for a in range(6):
+            sums[a] /= whole_count[0]
+        eigen3(sums, value, vector)
+        n = vector[0]
+        for e in range(starts[c], starts[c + 1]):
+            p = sensor[scan[e]]
+            height = n[0] * (p[0] - mean[e, 0]) + n[1] * (p[1] - mean[e, 1]) + n[2] * (p[2] - mean[e, 2])
+            side[e] = 0 if height >= 0.0 or not two_sided else 1
+        for k in range(2):
+            sums[:] = 0.0
+            for e in range(starts[c], starts[c + 1]):
+                if side[e] == k:
+                    add_cluster(total[c, k : k + 1], center[c, k], sums, count[e], mean[e], scatter[e])
+                    scans[c, k] += 1
+            if total[c, k] < 3.0:
+                continue
+            for a in range(6):
+                sums[a] /= total[c, k]
+            eigen3(sums, values[c, k], vector)
+            up = vector[0, 0] * n[0] + vector[0, 1] * n[1] + vector[0, 2] * n[2]
+            sign = 1.0 if (up >= 0.0) == (k == 0) else -1.0
+            for a in range(3):
+                normals[c, k, a] = sign * vector[0, a]
+    return side, total, scans, center, values, normals
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def label(
+    points: np.ndarray,
+    offsets: np.ndarray,
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    pair: np.ndarray,
+    pair_starts: np.ndarray,
+    plane_of_pair: np.ndarray,
+    center: np.ndarray,
+    normal: np.ndarray,
+    gate: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The points in the world (M, 3) float32 and the plane of each (M,) int32, -1: none or further off than gate (K,).
+
+    pair: (M,) int32 of `assign`; scan s owns plane_of_pair[pair_starts[s]:pair_starts[s + 1]], int32.
+    """
+    world = np.empty((len(points), 3), np.float32)
+    plane = np.full(len(points), np.int32(-1))
+    for s in prange(len(offsets) - 1):
+        r, t = rotation[s], translation[s]
+        for i in range(offsets[s], offsets[s + 1]):
+            px, py, pz = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
+            x = r[0, 0] * px + r[0, 1] * py + r[0, 2] * pz + t[0]
+            y = r[1, 0] * px + r[1, 1] * py + r[1, 2] * pz + t[1]
+            z = r[2, 0] * px + r[2, 1] * py + r[2, 2] * pz + t[2]
+            world[i, 0], world[i, 1], world[i, 2] = x, y, z
+            if pair[i] < 0:
+                continue
+            k = plane_of_pair[pair_starts[s] + pair[i]]
+            if k < 0:
+                continue
+            away = (
+                normal[k, 0] * (x - center[k, 0])
+                + normal[k, 1] * (y - center[k, 1])
+                + normal[k, 2] * (z - center[k, 2])
+            )
+            if abs(away) <= gate[k]:
+                plane[i] = k
+    return world, plane

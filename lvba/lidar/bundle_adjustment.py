@@ -1,0 +1,237 @@
+"""LiDAR bundle adjustment: from rough scan poses to the poses at which the scans agree on their planes.
+
+Voxel map at the poses so far, planes in it, weights, a step of the poses; again, with planes found anew, coarse cells
+first, until the poses stand still.
+Source: Liu, Liu and Zhang 2023 (BALM2) for the cost and its derivatives; Li et al., section II-B. Different from both:
+association in every round, surfaces kept apart by the side they are seen from, coarse planes refused where finer ones
+contradict them, weights from each plane's own noise, weak directions held at the odometry.
+"""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lvba import geometry
+from lvba.errors import DegenerateProblemError
+from lvba.lidar import covariance as uncertainty
+from lvba.lidar import density, surface, voxel_map, weak
+from lvba.lidar.config import LidarConfig, StageConfig, balm2
+from lvba.lidar.normal_equations import Problem
+from lvba.lidar.plane import PlanePoints, Planes
+from lvba.lidar.plane_feature import fit
+from lvba.lidar.prior import OdometryPrior, odometry_prior
+from lvba.lidar.scan import Scans, gather
+from lvba.lidar.solver import Solution, solve
+from lvba.lidar.voxel_map import Association, VoxelMap
+from lvba.lidar.weights import observation_weights
+from lvba.progress import Progress, silent
+
+__all__ = ["LidarConfig", "LidarResult", "Round", "StageConfig", "balm2", "find_planes", "refine"]
+
+_log = logging.getLogger(__name__)
+
+_OBLIQUE = geometry.exp(np.array([0.31, 0.47, 0.58, 0.0, 0.0, 0.0]))
+"""grid_from_world: any rotation far from all symmetries of a cube."""
+
+
+@dataclass(frozen=True)
+class Round:
+    """One association and the steps that followed it.
+
+    planes, observations: how many; cost_before, cost_after: squared errors over their variances per point, same planes;
+    sigma: m, typical distance of a point to its plane; moved: m, the furthest that a scan moved;
+    weak_scans: scans with a weak direction
+    """
+
+    planes: int
+    observations: int
+    cost_before: float
+    cost_after: float
+    sigma: float
+    moved: float
+    steps: int
+    weak_scans: int
+
+
+@dataclass(frozen=True)
+class LidarResult:
+    """Refined scan poses and what is known about them.
+
+    world_from_scan: (S, 4, 4) float64, in the world frame of the input, first pose unchanged
+    covariance: (S, 6, 6) float64, local tangent [rotation | translation], rad and m, of the pose within the trajectory
+        (what is left after aligning it with the truth)
+    cost_initial, cost_final: squared errors over their variances per point, of the last association's planes at the
+        rough poses and at the refined ones
+    weak_directions: motions of all scans together that the planes leave open: held at the odometry
+    weak_scans: (S,) int64, how many such directions each scan has
+    """
+
+    world_from_scan: np.ndarray
+    covariance: np.ndarray
+    planes: Planes
+    plane_points: PlanePoints
+    history: tuple[Round, ...]
+    cost_initial: float
+    cost_final: float
+    iterations: int
+    converged: bool
+    weak_directions: tuple[weak.WeakDirection, ...]
+    weak_scans: np.ndarray
+    warnings: tuple[str, ...]
+
+
+def refine(
+    scans: Sequence[np.ndarray],
+    world_from_scan: np.ndarray,
+    *,
+    sensor_position: np.ndarray | None = None,
+    config: LidarConfig | None = None,
+    progress: Progress = silent,
+) -> LidarResult:
+    """Poses at which the scans agree on their planes, and those planes.
+
+    scans: S arrays (N, 3) float32, m, scan frame; NaN rows are passed over
+    world_from_scan: (S, 4, 4), rough; the first pose stays
+    sensor_position: (3,), m, where the LiDAR is in the scan frame
+    Raises DegenerateProblemError: no plane is seen by two scans.
+    """
+    config = config or LidarConfig()
+    sensor = np.zeros(3) if sensor_position is None else np.asarray(sensor_position, float)
+    points = gather(scans)
+    config = density.adapted(config, points)
+    rough = np.array(world_from_scan, float)
+    prior = odometry_prior(rough, config.prior_rotation, config.prior_translation)
+    total = sum(stage.rounds for stage in config.stages)
+    poses, history, done = rough, [], 0
+    for stage in config.stages:
+        settled = False
+        for turn in range(stage.rounds):
+            progress("aligning scans", done + turn, total)
+            problem, weakness = _associate(points, poses, sensor, config, stage, prior)
+            found = solve(problem, poses, _metric(config), steps=stage.steps, exact=stage.exact)
+            history.append(_round(problem, weakness, poses, found))
+            _log.info("round %d: %s", len(history), history[-1])
+            settled = history[-1].moved < stage.settled
+            poses = found.world_from_scan
+            if settled:
+                break
+        done += stage.rounds
+    progress("aligning scans", total, total)
+    planes, plane_points = find_planes(points, poses, sensor_position=sensor, config=config)
+    covariance = uncertainty.estimate(problem, poses)
+    return LidarResult(
+        poses,
+        covariance,
+        planes,
+        plane_points,
+        tuple(history),
+        problem.cost(rough) / _points(problem),
+        problem.cost(poses) / _points(problem),
+        sum(entry.steps for entry in history),
+        settled,
+        weakness.common,
+        weakness.count,
+        _warnings(points, history[-1], config, settled, weakness, problem),
+    )
+
+
+def find_planes(
+    scans: Sequence[np.ndarray] | Scans,
+    world_from_scan: np.ndarray,
+    *,
+    sensor_position: np.ndarray | None = None,
+    config: LidarConfig | None = None,
+) -> tuple[Planes, PlanePoints]:
+    """The planes of the map at given poses (S, 4, 4), and every point with the plane it lies on.
+
+    Raises DegenerateProblemError: no plane is seen by two scans.
+    """
+    config = config or LidarConfig()
+    sensor = np.zeros(3) if sensor_position is None else np.asarray(sensor_position, float)
+    points = scans if isinstance(scans, Scans) else gather(scans)
+    config = density.adapted(config, points)
+    stage = config.stages[-1]
+    grid, found = _planes(points, world_from_scan, sensor, config, stage)
+    weights = observation_weights(found.features, world_from_scan, config.weights, stage.systematic)
+    return surface.extract(points, grid, found, weights, world_from_scan, sensor)
+
+
+def _planes(
+    points: Scans, poses: np.ndarray, sensor: np.ndarray, config: LidarConfig, stage: StageConfig
+) -> tuple[VoxelMap, Association]:
+    grid_from_world = _OBLIQUE if config.oblique_grid else None
+    grid = voxel_map.build(points, poses, stage.sizes, grid_from_world)
+    found = voxel_map.find_planes(grid, poses, sensor, stage.plane_test)
+    if len(found.features) == 0:
+        raise DegenerateProblemError(
+            "no plane is seen by two scans: the scans do not overlap, or their poses are too far off"
+        )
+    return grid, found
+
+
+def _associate(
+    points: Scans,
+    poses: np.ndarray,
+    sensor: np.ndarray,
+    config: LidarConfig,
+    stage: StageConfig,
+    prior: OdometryPrior,
+) -> tuple[Problem, weak.Weakness]:
+    """The planes at the poses so far, with weights and weak directions: a problem to solve."""
+    features = _planes(points, poses, sensor, config, stage)[1].features
+    weights = observation_weights(features, poses, config.weights, stage.systematic)
+    features = features.with_weight(weights.weight)
+    weakness = weak.find(features, fit(features, poses), poses, weights.sigma, config.prior_sigmas)
+    projector = weakness.projector if stage.hold and weakness.count.any() else None
+    return Problem(features, weights.sigma, prior, projector), weakness
+
+
+def _metric(config: LidarConfig) -> np.ndarray:
+    return np.asarray(2.0 / config.prior_sigmas**2)
+
+
+def _round(problem: Problem, weakness: weak.Weakness, before: np.ndarray, found: Solution) -> Round:
+    features = problem.features
+    points = _points(problem)
+    moved = np.linalg.norm(found.world_from_scan[:, :3, 3] - before[:, :3, 3], axis=1)
+    return Round(
+        len(features),
+        len(features.scan),
+        found.cost_before / points,
+        found.cost_after / points,
+        problem.sigma,
+        float(moved.max()),
+        found.steps,
+        int(np.count_nonzero(weakness.count)),
+    )
+
+
+def _points(problem: Problem) -> float:
+    return float(np.sum(problem.features.clusters.count))
+
+
+def _warnings(
+    points: Scans,
+    last: Round,
+    config: LidarConfig,
+    settled: bool,
+    weakness: weak.Weakness,
+    problem: Problem,
+) -> tuple[str, ...]:
+    """What a user should know, one sentence each."""
+    told = []
+    unseen = len(points) - len(np.unique(problem.features.scan))
+    if unseen:
+        told.append(
+            f"{unseen} of {len(points)} scans see no plane that others see: they move with the odometry"
+        )
+    if last.weak_scans:
+        told.append(
+            f"planes leave directions of {last.weak_scans} of {len(points)} scans open: these stay at the odometry"
+        )
+    single = len(config.stages) == 1 and config.stages[0].rounds == 1
+    if not settled and not single:
+        told.append(f"scan poses still moved by {last.moved * 1e3:.2f} mm in the last round of association")
+    return tuple(told)

@@ -1,0 +1,114 @@
+"""How certain the refined poses are.
+
+The information leaves the planes' own parameters free, so it knows that they are estimated too. Where surfaces are not
+quite flat or cells hold bits of others, errors within a cell go together and it promises too much: then the spread of the
+planes' own gradients at the solution (the "sandwich" estimator: Huber 1967, White 1982; each plane one sample) is larger
+than the noise that they should have, and the covariance is scaled by as much. The sandwich itself is not used: gradients
+at the solution are smaller than those at the truth, and on simulated scenes it is too narrow by a half.
+"""
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse
+
+from lvba import geometry
+from lvba.lidar.normal_equations import Problem, linearize
+from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
+
+
+def estimate(problem: Problem, world_from_scan: np.ndarray) -> np.ndarray:
+    """Covariances (S, 6, 6) of the poses, local tangent [rotation | translation], rad and m.
+
+    Relative to the trajectory as a whole: of what is left after a rigid motion has brought the positions as close to the
+    truth as it can. So the first pose has one too, and no pose is worse for being far from the first.
+    """
+    scans = len(world_from_scan)
+    information = 0.5 * linearize(problem, world_from_scan, exact=False).hessian[6:, 6:]
+    inverse = _inverse(information)
+    covariance = np.zeros((6 * scans, 6 * scans))
+    covariance[6:, 6:] = inverse * _excess(problem, world_from_scan, inverse)
+    free = _alignment(world_from_scan)
+    covariance = free @ covariance @ free.T
+    here = np.arange(scans)
+    blocks = covariance.reshape(scans, 6, scans, 6)[here, :, here]
+    turn = np.zeros((scans, 6, 6))
+    turn[:, :3, :3] = turn[:, 3:, 3:] = np.swapaxes(world_from_scan[:, :3, :3], -1, -2)
+    return np.asarray(turn @ blocks @ np.swapaxes(turn, -1, -2))
+
+
+def _inverse(information: np.ndarray) -> np.ndarray:
+    """The inverse of a positive matrix; eigenvalues that rounding made negative count as tiny."""
+    try:
+        factor = scipy.linalg.cho_factor(information, lower=True, check_finite=False)
+        return np.asarray(scipy.linalg.cho_solve(factor, np.eye(len(information)), check_finite=False))
+    except np.linalg.LinAlgError:
+        values, vectors = scipy.linalg.eigh(information, check_finite=False)
+        return np.asarray((vectors / np.maximum(values, 1e-9 * values[-1])) @ vectors.T)
+
+
+def _excess(problem: Problem, world_from_scan: np.ndarray, inverse: np.ndarray) -> float:
+    """How much wider the planes' gradients spread than noise alone would make them, at least 1.
+
+    The mean, over all motions, of what the robust covariance would be relative to the plain one.
+    """
+    spread = _gradient_spread(problem, world_from_scan)[6:, 6:] + _prior_information(problem, world_from_scan)
+    return max(1.0, float(np.sum(inverse * spread)) / len(inverse))
+
+
+def _gradient_spread(problem: Problem, world_from_scan: np.ndarray) -> np.ndarray:
+    """Sum over planes of the outer products of their gradients, (6 S, 6 S), world axes about each sensor."""
+    features = problem.features
+    fits = fit(features, world_from_scan)
+    gradient = observation_gradients(features, fits, world_from_scan) / problem.sigma**2
+    if problem.projector is not None:
+        gradient = np.einsum("oji,oj->oi", problem.projector[features.scan], gradient)
+    rows = (6 * features.scan[:, None] + np.arange(6)).ravel()
+    columns = np.repeat(features.feature, 6)
+    shape = (6 * len(world_from_scan), len(features))
+    every = scipy.sparse.csr_matrix((gradient.ravel(), (rows, columns)), shape=shape)
+    return np.asarray((every @ every.T).toarray())
+
+
+def observation_gradients(
+    features: PlaneFeatures, fits: PlaneFits, world_from_scan: np.ndarray
+) -> np.ndarray:
+    """Half the gradient of N lam0 by each observation's pose, (O, 6), m^2 per unit, world axes about the sensor."""
+    clusters = features.clusters.weighted(features.weight).moved(world_from_scan, features.scan)
+    normal = fits.normal[features.feature]
+    lever = clusters.mean - world_from_scan[features.scan, :3, 3]
+    height = clusters.count * np.einsum("oi,oi->o", normal, clusters.mean - fits.center[features.feature])
+    xx, xy, xz, yy, yz, zz = clusters.scatter.T
+    x, y, z = normal.T
+    turned = np.stack([xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z], 1)
+    turned += height[:, None] * lever
+    return np.concatenate([np.cross(turned, normal), height[:, None] * normal], axis=1)
+
+
+def _prior_information(problem: Problem, world_from_scan: np.ndarray) -> np.ndarray:
+    """The prior's information about all poses but the first, (6 S - 6, 6 S - 6)."""
+    scans = len(world_from_scan)
+    total = np.zeros((scans, 6, scans, 6))
+    if problem.prior is not None:
+        _, diagonal, upper = problem.prior.linearize(world_from_scan)
+        here = np.arange(scans)
+        total[here, :, here, :] += 0.5 * diagonal
+        total[here[:-1], :, here[1:], :] += 0.5 * upper
+        total[here[1:], :, here[:-1], :] += 0.5 * np.swapaxes(upper, -1, -2)
+    return total.reshape(6 * scans, 6 * scans)[6:, 6:]
+
+
+def _alignment(world_from_scan: np.ndarray) -> np.ndarray:
+    """(6 S, 6 S), takes out of a motion of all poses the rigid part that brings positions closest to where they were."""
+    scans = len(world_from_scan)
+    arm = world_from_scan[:, :3, 3] - world_from_scan[:, :3, 3].mean(0)
+    rigid = np.zeros((scans, 6, 6))
+    rigid[:, :3, :3] = rigid[:, 3:, 3:] = np.eye(3)
+    rigid[:, 3:, :3] = -geometry.hat(arm)
+    motion = rigid.reshape(6 * scans, 6)
+    seen = np.zeros((scans, 6, 6))
+    seen[:, 3:] = rigid[:, 3:]
+    # positions on a line leave the rotation about it open: the orientations decide, as in `trajectory.align`
+    lever = max(1e-3 * float(np.sqrt((arm**2).sum(1).mean())), 1e-6)
+    seen[:, :3, :3] = lever**2 * np.eye(3)
+    pick = seen.reshape(6 * scans, 6)
+    return np.eye(6 * scans) - motion @ np.linalg.solve(pick.T @ motion, pick.T)

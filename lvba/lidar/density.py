@@ -1,0 +1,49 @@
+"""How fine the cells may be: as fine as single scans still fill them."""
+
+import dataclasses
+
+import numpy as np
+
+from lvba.lidar.config import LidarConfig
+from lvba.lidar.scan import Scans
+
+_SAMPLED_SCANS = 10
+_MOST_HALVINGS = 2
+
+
+def adapted(config: LidarConfig, scans: Scans) -> LidarConfig:
+    """The settings with finer cells added to every stage where the scans are dense enough for them.
+
+    A depth camera over a desk puts hundreds of points of one scan into a cell of 0.25 m, and surfaces there are smaller
+    than the cell; a spinning LiDAR in the open puts five there, and a finer cell would hold no plane at all.
+    """
+    if config.dense_points == 0 or not len(scans.points):
+        return config
+    finest = min(stage.sizes[0] for stage in config.stages)
+    halvings = 0
+    while (
+        halvings < _MOST_HALVINGS
+        and points_per_cell(scans, finest / 2 ** (halvings + 1)) >= config.dense_points
+    ):
+        halvings += 1
+    finer = [0.5 ** (halvings - k) for k in range(halvings)]
+    stages = tuple(
+        dataclasses.replace(stage, sizes=(*(stage.sizes[0] * factor for factor in finer), *stage.sizes))
+        for stage in config.stages
+    )
+    return dataclasses.replace(config, stages=stages, dense_points=0)
+
+
+def points_per_cell(scans: Scans, size: float) -> float:
+    """How many points of a scan share a cell of edge `size` (m) with a typical point: median over points, then scans."""
+    step = max(1, len(scans) // _SAMPLED_SCANS)
+    medians = []
+    for first, last in zip(scans.offsets[:-1:step], scans.offsets[1::step], strict=True):
+        points = scans.points[first:last]
+        points = points[np.isfinite(points).all(axis=1)]
+        if len(points):
+            cells = np.floor(points / np.float32(size)).astype(np.int64)
+            key = (cells[:, 0] * 2_000_003 + cells[:, 1]) * 2_000_003 + cells[:, 2]
+            _, inverse, count = np.unique(key, return_inverse=True, return_counts=True)
+            medians.append(float(np.median(count[inverse.ravel()])))
+    return float(np.median(medians)) if medians else 0.0

@@ -1,0 +1,46 @@
+"""The planes of the LiDAR map and the points that lie on them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Planes:
+    """K planes of the refined LiDAR map, world frame.
+
+    center: (K, 3) float64, m, mean of the plane's points
+    normal: (K, 3) float64, unit, turned towards the sensors that saw it
+    eigenvalues: (K, 3) float64, m^2, ascending, of the (weighted) point covariance
+    axes: (K, 3, 3) float64, columns are the unit eigenvectors in the order of `eigenvalues`
+    count: (K,) int64, points
+    scans: (K,) int32, number of scans that saw it
+    size: (K,) float64, m, edge of the voxel it fills
+    sigma_offset: (K,) float64, m, standard deviation of the offset along the normal at the centre
+    """
+
+    center: np.ndarray
+    normal: np.ndarray
+    eigenvalues: np.ndarray
+    axes: np.ndarray
+    count: np.ndarray
+    scans: np.ndarray
+    size: np.ndarray
+    sigma_offset: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.count)
+
+
+@dataclass(frozen=True)
+class PlanePoints:
+    """The scan points of all scans, moved by the refined poses, with the plane each lies on.
+
+    points_world: (M, 3) float32, m (raw points, not projected on their plane)
+    plane: (M,) int32, index into Planes, -1 where the point lies on none
+    scan_offsets: (S + 1,) int64: scan s owns points scan_offsets[s] to scan_offsets[s + 1]
+    """
+
+    points_world: np.ndarray
+    plane: np.ndarray
+    scan_offsets: np.ndarray

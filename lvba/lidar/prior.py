@@ -1,0 +1,61 @@
+"""The odometry prior: neighbouring scans stay about as far apart as the rough poses say.
+
+It decides only what planes leave open. Where they determine a direction, they outweigh it by orders of magnitude.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lvba import geometry
+
+
+@dataclass(frozen=True)
+class OdometryPrior:
+    """Relative poses of neighbouring scans, S - 1 factors.
+
+    next_from_previous is measured as previous_from_next: (S - 1, 4, 4)
+    information: (S - 1, 6, 6), of the local tangent [rotation | translation] at the later scan
+    """
+
+    previous_from_next: np.ndarray
+    information: np.ndarray
+
+    def cost(self, world_from_scan: np.ndarray) -> float:
+        """Sum of squared errors over their variances."""
+        error = self._error(world_from_scan)
+        return float(np.einsum("ni,nij,nj->", error, self.information, error))
+
+    def _error(self, world_from_scan: np.ndarray) -> np.ndarray:
+        relative = geometry.inverse(world_from_scan[:-1]) @ world_from_scan[1:]
+        return geometry.log(geometry.inverse(self.previous_from_next) @ relative)
+
+    def linearize(self, world_from_scan: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Gradient (S, 6), diagonal blocks (S, 6, 6) and blocks (S - 1, 6, 6) of (scan, next scan) of the cost.
+
+        Perturbation in world axes about each sensor, as in `kernels.lidar`; Gauss-Newton.
+        """
+        error = self._error(world_from_scan)
+        scans = len(world_from_scan)
+        turn = np.zeros((scans, 6, 6))
+        turn[:, :3, :3] = turn[:, 3:, 3:] = np.swapaxes(world_from_scan[:, :3, :3], -1, -2)
+        relative = geometry.inverse(world_from_scan[1:]) @ world_from_scan[:-1]
+        later = turn[1:]
+        earlier = -geometry.adjoint(relative) @ turn[:-1]
+        gradient = np.zeros((scans, 6))
+        diagonal = np.zeros((scans, 6, 6))
+        pull = np.einsum("nij,nj->ni", self.information, error)
+        gradient[1:] += 2 * np.einsum("nji,nj->ni", later, pull)
+        gradient[:-1] += 2 * np.einsum("nji,nj->ni", earlier, pull)
+        diagonal[1:] += 2 * np.swapaxes(later, -1, -2) @ self.information @ later
+        diagonal[:-1] += 2 * np.swapaxes(earlier, -1, -2) @ self.information @ earlier
+        return gradient, diagonal, 2 * np.swapaxes(earlier, -1, -2) @ self.information @ later
+
+
+def odometry_prior(
+    world_from_scan: np.ndarray, sigma_rotation: float, sigma_translation: float
+) -> OdometryPrior:
+    """The prior of rough poses (S, 4, 4) with standard deviations (rad, m) of one step."""
+    information = np.diag([sigma_rotation**-2] * 3 + [sigma_translation**-2] * 3)
+    steps = geometry.inverse(world_from_scan[:-1]) @ world_from_scan[1:]
+    return OdometryPrior(steps, np.broadcast_to(information, (len(steps), 6, 6)).copy())

@@ -1,0 +1,79 @@
+"""Damped Newton steps on fixed planes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lvba.lidar.normal_equations import Problem, damped_step, linearize, retract
+
+_NOISE_OF_COST = 20.0
+"""A change of the cost (squared errors over variances) that means nothing. Weak directions are held against what the
+planes' noise would have them do, so the cost of the planes may rise by about as much."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Poses (S, 4, 4), the cost before and after, and the accepted steps."""
+
+    world_from_scan: np.ndarray
+    cost_before: float
+    cost_after: float
+    steps: int
+
+
+def solve(
+    problem: Problem,
+    world_from_scan: np.ndarray,
+    damping_metric: np.ndarray,
+    *,
+    steps: int = 10,
+    exact: bool = True,
+    tolerance: float = 1e-9,
+) -> Solution:
+    """At most `steps` accepted steps, fewer where the cost stands still. The first pose stays.
+
+    damping_metric: (6,), information about each scan's motion that one unit of damping adds: damping is absolute, for
+    relative to the diagonal of the Hessian it would stop the slow common motions that close a loop.
+    tolerance: relative decrease of the cost that ends it.
+    """
+    poses, damping = world_from_scan, 0.0
+    start = cost = problem.cost(poses)
+    slack = 0.0 if problem.projector is None else _NOISE_OF_COST
+    for taken in range(steps):
+        trial = _trial(problem, poses, cost + slack, damping, damping_metric, exact)
+        if trial is None:
+            return Solution(poses, start, cost, taken)
+        gained = cost - trial.cost
+        poses, cost, damping = trial.poses, trial.cost, trial.damping / 100
+        if gained <= tolerance * cost:
+            return Solution(poses, start, cost, taken + 1)
+    return Solution(poses, start, cost, steps)
+
+
+@dataclass(frozen=True)
+class _Trial:
+    poses: np.ndarray
+    cost: float
+    damping: float
+
+
+_DAMPINGS = 8
+
+
+def _trial(
+    problem: Problem, poses: np.ndarray, limit: float, damping: float, metric: np.ndarray, exact: bool
+) -> _Trial | None:
+    """The first step that keeps the cost below the limit, with more and more damping; None if there is none."""
+    equations = linearize(problem, poses, exact=exact)
+    for _ in range(_DAMPINGS):
+        step = damped_step(equations, damping * metric)
+        if step is None and exact:
+            exact, equations = False, linearize(problem, poses, exact=False)
+            step = damped_step(equations, damping * metric)
+        if step is not None:
+            moved = retract(poses, step)
+            cost = problem.cost(moved)
+            if cost <= limit:
+                return _Trial(moved, cost, damping)
+        damping = max(10.0 * damping, 1.0)
+    return None

@@ -1,0 +1,76 @@
+"""The planes of the finished map, and which of them each point lies on."""
+
+import numpy as np
+
+from lvba.kernels import voxel as kernel
+from lvba.lidar.plane import PlanePoints, Planes
+from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
+from lvba.lidar.point_cluster import split
+from lvba.lidar.scan import Scans
+from lvba.lidar.voxel_map import Association, VoxelMap
+from lvba.lidar.weights import Weights
+
+GATE = 3.0
+"""Furthest that a point may be from its plane, in standard deviations of such distances."""
+
+
+def extract(
+    points: Scans,
+    grid: VoxelMap,
+    found: Association,
+    weights: Weights,
+    world_from_scan: np.ndarray,
+    sensor_position: np.ndarray,
+) -> tuple[Planes, PlanePoints]:
+    """The planes of an association, and every point with its plane."""
+    features = found.features.with_weight(weights.weight)
+    fits = fit(features, world_from_scan)
+    planes = _planes(features, fits, weights, world_from_scan, sensor_position)
+    feature = features.feature
+    plane_of_pair = np.where(found.observation >= 0, feature[found.observation], np.int32(-1))
+    rotation, translation = split(world_from_scan)
+    thickness = np.sqrt(np.maximum(fits.eigenvalues[:, 0], weights.sigma**2))
+    world, plane = kernel.label(
+        points.points,
+        points.offsets,
+        rotation,
+        translation,
+        grid.pair,
+        grid.pair_starts,
+        plane_of_pair.astype(np.int32),
+        planes.center,
+        planes.normal,
+        GATE * thickness,
+    )
+    return planes, PlanePoints(world, plane, points.offsets)
+
+
+def _planes(
+    features: PlaneFeatures,
+    fits: PlaneFits,
+    weights: Weights,
+    world_from_scan: np.ndarray,
+    sensor_position: np.ndarray,
+) -> Planes:
+    feature = features.feature
+    sensor = world_from_scan[:, :3, :3] @ sensor_position + world_from_scan[:, :3, 3]
+    height = np.einsum("oi,oi->o", fits.normal[feature], sensor[features.scan] - fits.center[feature])
+    up = np.bincount(feature, height * features.clusters.count, len(features)) >= 0
+    normal = np.where(up[:, None], fits.normal, -fits.normal)
+    axes = np.swapaxes(fits.eigenvectors, 1, 2).copy()
+    axes[:, :, 0] = normal
+    flip = np.linalg.det(axes) < 0
+    axes[flip, :, 2] *= -1
+    count = np.bincount(feature, features.clusters.count, len(features))
+    share = features.clusters.count * features.weight / np.maximum(fits.total, 1e-300)[feature]
+    disagreement = np.bincount(feature, share**2, len(features)) * weights.disagreement**2
+    return Planes(
+        fits.center,
+        normal,
+        fits.eigenvalues,
+        axes,
+        np.round(count).astype(np.int64),
+        np.diff(features.offsets).astype(np.int32),
+        features.size,
+        np.sqrt(fits.eigenvalues[:, 0] / np.maximum(fits.total, 1.0) + disagreement),
+    )

@@ -1,0 +1,307 @@
+"""The adaptive voxel map: cells that are split until what lies in them is a plane.
+
+Points are touched once, to make the clusters of the finest cells; every coarser cell is a sum of finer ones.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lvba import geometry
+from lvba.errors import InputError
+from lvba.kernels import voxel as kernel
+from lvba.lidar.plane_feature import PlaneFeatures
+from lvba.lidar.point_cluster import PointClusters, concatenate, split
+from lvba.lidar.scan import Scans
+
+_SCAN_BITS = 15
+_SIDES = 2
+_MINOR = 0.1
+"""Part of a cell's points that may lie outside of its planes; beyond, the cell is split."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """The cells of one size, in Morton order, and the scans' shares of them.
+
+    size: m, edge of a cell
+    key: (C,) int64, Morton code of each cell
+    starts: (C + 1,) int64, cell c owns entries starts[c] to starts[c + 1], ascending in scan
+    scan: (E,) int32
+    clusters: E point clusters, world frame
+    entry_of: (K,) int64, the entry that each entry of the finer level is part of; at the finest level, that each
+        (cell, scan) pair is, in the order in which the points were numbered
+    """
+
+    size: float
+    key: np.ndarray
+    starts: np.ndarray
+    scan: np.ndarray
+    clusters: PointClusters
+    entry_of: np.ndarray
+
+    @property
+    def cell(self) -> np.ndarray:
+        """The cell of each entry, (E,) int64."""
+        return np.repeat(np.arange(len(self.key)), np.diff(self.starts))
+
+
+@dataclass(frozen=True)
+class VoxelMap:
+    """All levels, finest first, and where each point is.
+
+    pair: (M,) int32, the point's (cell, scan) pair among those of its scan, -1: outside of the grid or NaN
+    pair_starts: (S + 1,) int64, scan s owns the pairs pair_starts[s] to pair_starts[s + 1]
+    """
+
+    levels: tuple[Level, ...]
+    pair: np.ndarray
+    pair_starts: np.ndarray
+
+
+@dataclass(frozen=True)
+class Association:
+    """The planes found, and which observation of them each (cell, scan) pair of the finest level belongs to.
+
+    features: F planes, O observations
+    observation: (K,) int32, -1 where the pair lies on no plane
+    """
+
+    features: PlaneFeatures
+    observation: np.ndarray
+
+
+@dataclass(frozen=True)
+class Cells:
+    """What `kernels.voxel.fit_cells` found in the cells of one level: see there."""
+
+    side: np.ndarray
+    total: np.ndarray
+    scans: np.ndarray
+    center: np.ndarray
+    eigenvalues: np.ndarray
+    normals: np.ndarray
+
+
+def build(
+    scans: Scans,
+    world_from_scan: np.ndarray,
+    sizes: tuple[float, ...],
+    grid_from_world: np.ndarray | None = None,
+) -> VoxelMap:
+    """The voxel map of the scans at some poses.
+
+    world_from_scan: (S, 4, 4); sizes: m, finest first, each twice the one before.
+    Raises InputError where the scans reach further than the grid does.
+    """
+    if len(scans) >= 1 << _SCAN_BITS:
+        raise InputError(
+            "scans", f"{len(scans)} in one window", f"split into windows below {1 << _SCAN_BITS}"
+        )
+    rotation, translation = split(world_from_scan)
+    turned = world_from_scan if grid_from_world is None else grid_from_world @ world_from_scan
+    grid_rotation, grid_translation = split(turned)
+    origin = _origin(grid_translation, sizes[-1], sizes[0])
+    local, keys, cells = kernel.assign(
+        scans.points, scans.offsets, grid_rotation, grid_translation - origin, sizes[0]
+    )
+    starts = np.concatenate([[0], np.cumsum(cells)]).astype(np.int64)
+    clusters = PointClusters(
+        *kernel.accumulate(scans.points, scans.offsets, rotation, translation, local, starts)
+    )
+    key = np.concatenate(
+        [keys[first : first + n] for first, n in zip(scans.offsets[:-1], cells, strict=True)]
+    )
+    scan = np.repeat(np.arange(len(scans), dtype=np.int64), cells)
+    levels = [_level(sizes[0], key, scan, clusters, distinct=True)]
+    for size in sizes[1:]:
+        finer = levels[-1]
+        levels.append(
+            _level(size, np.repeat(finer.key >> 3, np.diff(finer.starts)), finer.scan, finer.clusters)
+        )
+    return VoxelMap(tuple(levels), local, starts)
+
+
+def _origin(positions: np.ndarray, coarsest: float, finest: float) -> np.ndarray:
+    """Lowest corner of the grid, on a multiple of the coarsest cell so that cells do not depend on the window."""
+    middle = np.round(0.5 * (positions.min(0) + positions.max(0)) / coarsest) * coarsest
+    half = np.floor(0.5 * kernel.AXIS_CELLS * finest / coarsest) * coarsest
+    return np.asarray(middle - half)
+
+
+def _starts_of_runs(values: np.ndarray) -> np.ndarray:
+    """Where in sorted values (N,) a new one begins."""
+    return np.flatnonzero(np.concatenate([np.ones(min(len(values), 1), bool), values[1:] != values[:-1]]))
+
+
+def _level(
+    size: float, key: np.ndarray, scan: np.ndarray, clusters: PointClusters, distinct: bool = False
+) -> Level:
+    """Entries that share cell and scan merged, and put in order; distinct: none do."""
+    together = (key << _SCAN_BITS) | scan
+    order = np.argsort(together, kind="stable")
+    together = together[order]
+    first = _starts_of_runs(together)
+    starts = np.concatenate([first, [len(together)]]).astype(np.int64)
+    merged = clusters.take(order) if distinct else clusters.merged(order, starts)
+    entry_of = np.empty(len(order), np.int64)
+    entry_of[order] = np.repeat(np.arange(len(first)), np.diff(starts))
+    together = together[first]
+    cell_key = together >> _SCAN_BITS
+    cell_first = _starts_of_runs(cell_key)
+    return Level(
+        size,
+        cell_key[cell_first],
+        np.concatenate([cell_first, [len(cell_key)]]).astype(np.int64),
+        (together & ((1 << _SCAN_BITS) - 1)).astype(np.int32),
+        merged,
+        entry_of,
+    )
+
+
+@dataclass(frozen=True)
+class PlaneTest:
+    """When the points in a cell are one plane, and when the cell is split instead."""
+
+    ratio: float = 1.0 / 16.0
+    """Largest ratio of the smallest to the middle eigenvalue; 0.01 to 0.2. BALM2: 1/16."""
+    finest_ratio: float = 1.0 / 9.0
+    """The same at the finest level, where noise is a larger part of the cell; 0.01 to 0.3. BALM2: 1/9."""
+    min_points: int = 16
+    """Fewest points of a plane; 4 to 1000."""
+    min_scans: int = 2
+    """Fewest scans that see it; 1 to 10."""
+    excess: float = 0.15
+    """How much larger the sum of squared distances may be than that of the finer planes in the cell, as a fraction of the
+    latter; 0.05 to 1, or infinity to trust coarse planes as BALM2 does."""
+    spread: float = 0.1
+    """Smallest standard deviation of the points along the plane's shorter side, as a fraction of the cell; 0 to 0.25."""
+    max_tilt: float = 0.02
+    """rad, largest standard deviation of the normal, from the noise and number of its points; 0.001 to infinity."""
+    two_sided: bool = True
+    """Keep points that see a surface from opposite sides apart (thin walls)."""
+
+    def __post_init__(self) -> None:
+        for name, low, high in (("ratio", 0.0, 1.0), ("finest_ratio", 0.0, 1.0), ("spread", 0.0, 0.29)):
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"plane_test.{name} = {getattr(self, name)}; allowed: {low} to {high}")
+        if self.min_points < 4 or self.min_scans < 1 or self.excess < 0:
+            raise ValueError(
+                f"plane_test: min_points {self.min_points} (at least 4), min_scans {self.min_scans} (at least 1), "
+                f"excess {self.excess} (at least 0)"
+            )
+
+
+BALM2_TEST = PlaneTest(excess=np.inf, spread=0.0, max_tilt=np.inf, two_sided=False)
+"""The test of the public BALM2, for comparison."""
+
+
+def find_planes(
+    voxel_map: VoxelMap,
+    world_from_scan: np.ndarray,
+    sensor_position: np.ndarray,
+    test: PlaneTest,
+) -> Association:
+    """The planes of the map: of every cell the coarsest ones that pass the test.
+
+    world_from_scan: (S, 4, 4), the poses that the map was built with; sensor_position: (3,), m, scan frame.
+    """
+    sensor = world_from_scan[:, :3, :3] @ sensor_position + world_from_scan[:, :3, 3]
+    levels = voxel_map.levels
+    fits: list[Cells] = []
+    passed: list[np.ndarray] = []
+    rss, covered = np.zeros(0), np.zeros(0)
+    for number, level in enumerate(levels):
+        cells = _fit_cells(level, sensor, test)
+        own, points = _squares(cells).sum(1), cells.total.sum(1)
+        ok, whole = _pass(cells, level.size, test, test.finest_ratio if number == 0 else test.ratio)
+        if number > 0:
+            first = _first_child(levels[number - 1], level)
+            finer, judged = (np.add.reduceat(v, first) if len(first) else v for v in (rss, covered))
+            if np.isfinite(test.excess):
+                whole &= own * judged - finer * points <= test.excess * finer * points
+            ok &= whole[:, None]
+            rss, covered = np.where(whole, own, finer), np.where(whole, points, judged)
+        else:
+            rss, covered = own, points
+        fits.append(cells)
+        passed.append(ok)
+    return _collect(levels, fits, passed, world_from_scan)
+
+
+def _fit_cells(level: Level, sensor: np.ndarray, test: PlaneTest) -> Cells:
+    clusters = level.clusters
+    every = np.ones(len(level.key), bool)
+    return Cells(
+        *kernel.fit_cells(
+            every,
+            level.starts,
+            level.scan,
+            sensor,
+            clusters.count,
+            clusters.mean,
+            clusters.scatter,
+            test.min_points,
+            test.two_sided,
+        )
+    )
+
+
+def _squares(cells: Cells) -> np.ndarray:
+    """Sum of squared distances to the plane (C, 2), m^2, as it would be if fitting took no freedom away."""
+    total = cells.total
+    return total * cells.eigenvalues[:, :, 0] * np.where(total > 3, total / np.maximum(total - 3, 1.0), 1.0)
+
+
+def _first_child(finer: Level, level: Level) -> np.ndarray:
+    """The first of each cell's children, (C,), in the order of the finer level."""
+    return np.searchsorted(finer.key >> 3, level.key)
+
+
+def _pass(cells: Cells, size: float, test: PlaneTest, ratio: float) -> tuple[np.ndarray, np.ndarray]:
+    """(C, 2) which sides are planes, and (C,) whether the cell holds nothing else of weight."""
+    small, middle = cells.eigenvalues[:, :, 0], cells.eigenvalues[:, :, 1]
+    ok = (cells.total >= test.min_points) & (cells.scans >= test.min_scans) & (small < ratio * middle)
+    ok &= middle >= (test.spread * size) ** 2
+    if np.isfinite(test.max_tilt):
+        ok &= small <= test.max_tilt**2 * middle * cells.total
+    other = np.where(ok, 0.0, cells.total).sum(1)
+    whole = ok.any(1) & (other <= _MINOR * cells.total.sum(1))
+    return ok, whole
+
+
+def _collect(
+    levels: tuple[Level, ...], fits: list[Cells], passed: list[np.ndarray], world_from_scan: np.ndarray
+) -> Association:
+    """The observations of the passed (cell, side) pairs that no coarser passed cell contains."""
+    scans, counts, sizes, clusters = [], [], [], []
+    closed = np.zeros(len(levels[-1].key), bool)
+    observation = np.full(len(levels[-1].scan), -1, np.int32)
+    done = 0
+    for number in range(len(levels) - 1, -1, -1):
+        level, cells, ok = levels[number], fits[number], passed[number] & ~closed[:, None]
+        keep, count = _observations(level, cells.side, ok)
+        observation[keep] = done + np.arange(len(keep), dtype=np.int32)
+        done += len(keep)
+        scans.append(level.scan[keep])
+        counts.append(count)
+        clusters.append(level.clusters.take(keep))
+        sizes.append(np.full(len(count), level.size))
+        observation = observation[level.entry_of]
+        if number > 0:
+            parent = np.searchsorted(level.key, levels[number - 1].key >> 3)
+            closed = (closed | ok.any(1))[parent]
+    scan = np.concatenate(scans)
+    offsets = np.concatenate([[0], np.cumsum(np.concatenate(counts))]).astype(np.int64)
+    body = concatenate(clusters).moved(geometry.inverse(world_from_scan), scan)
+    features = PlaneFeatures(offsets, scan, body, np.ones(len(scan)), np.concatenate(sizes))
+    return Association(features, observation)
+
+
+def _observations(level: Level, side: np.ndarray, ok: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The entries of the (cell, side) pairs ok (C, 2), by pair and scan, and the number of entries of each pair."""
+    cell = level.cell
+    keep = np.flatnonzero((side >= 0) & ok[cell, np.maximum(side, 0)])
+    pair = cell[keep] * _SIDES + side[keep]
+    order = np.argsort(pair, kind="stable")
+    return keep[order], np.unique(pair, return_counts=True)[1]

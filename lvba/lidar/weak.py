@@ -1,0 +1,97 @@
+"""Directions in which the planes do not hold a scan: found, held at the odometry, and reported.
+
+One plane leaves a scan three free directions, a corridor one. The cost is not quite flat there: the noise of the fitted
+normals feigns information, and following it lets a scan slide along its walls by much more than the odometry is off.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from lvba.kernels import lidar as kernel
+from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits
+from lvba.lidar.point_cluster import split
+
+TRUSTED_POINTS = 50.0
+"""A normal is never trusted better than one of this many independent points: surfaces have edges and bumps."""
+SIGNAL_TO_NOISE = 4.0
+"""Information below this multiple of what noise feigns is not followed."""
+
+
+@dataclass(frozen=True)
+class WeakDirection:
+    """A motion of the scans as a whole that the planes hardly determine.
+
+    direction: (6,) unit after division by the prior's sigmas, world axes about the sensor, [rotation | translation]
+    ratio: information of the planes over that of noise and odometry
+    """
+
+    direction: np.ndarray
+    ratio: float
+
+
+@dataclass(frozen=True)
+class Weakness:
+    """What the planes leave open.
+
+    projector: (S, 6, 6), world axes about each sensor: keeps of a motion what the planes determine
+    count: (S,) int64, weak directions of each scan
+    common: those of all scans together
+    """
+
+    projector: np.ndarray
+    count: np.ndarray
+    common: tuple[WeakDirection, ...]
+
+
+def find(
+    features: PlaneFeatures,
+    fits: PlaneFits,
+    world_from_scan: np.ndarray,
+    sigma: float,
+    prior_sigmas: np.ndarray,
+) -> Weakness:
+    """The weak directions at poses (S, 4, 4); prior_sigmas: (6,), rad and m, of the odometry from scan to scan."""
+    told, feigned = _information(features, fits, world_from_scan)
+    scale = np.outer(prior_sigmas, prior_sigmas) / sigma**2
+    told, noise = told * scale, SIGNAL_TO_NOISE * feigned * scale + np.eye(6)
+    scans = len(world_from_scan)
+    projector = np.broadcast_to(np.eye(6), (scans, 6, 6)).copy()
+    count = np.zeros(scans, np.int64)
+    for index in range(scans):
+        values, vectors = scipy.linalg.eigh(told[index], noise[index], check_finite=False)
+        weak = vectors[:, values < 1.0]
+        count[index] = weak.shape[1]
+        if count[index]:
+            basis = np.linalg.qr(weak)[0]
+            inside = np.eye(6) - basis @ basis.T
+            projector[index] = inside * np.outer(prior_sigmas, 1.0 / prior_sigmas)
+    values, vectors = scipy.linalg.eigh(told.mean(0), noise.mean(0), check_finite=False)
+    common = tuple(
+        WeakDirection(vector / np.linalg.norm(vector), float(value))
+        for value, vector in zip(values, vectors.T, strict=True)
+        if value < 1.0
+    )
+    return Weakness(projector, count, common)
+
+
+def _information(
+    features: PlaneFeatures, fits: PlaneFits, world_from_scan: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    clusters = features.clusters.weighted(features.weight)
+    by_scan = np.argsort(features.scan, kind="stable")
+    starts = np.searchsorted(features.scan[by_scan], np.arange(len(world_from_scan) + 1))
+    return kernel.information(
+        split(world_from_scan)[0],
+        starts,
+        by_scan,
+        features.feature,
+        clusters.count,
+        clusters.mean,
+        clusters.scatter,
+        fits.total,
+        fits.eigenvalues,
+        fits.eigenvectors,
+        TRUSTED_POINTS,
+    )

@@ -1,0 +1,122 @@
+"""How far each observation of a plane is trusted."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
+
+
+@dataclass(frozen=True)
+class WeightConfig:
+    """How observations that do not fit are held back."""
+
+    cutoff: float = 4.0
+    """Distance to the plane, in expected standard deviations, at which an observation's weight falls to a quarter;
+    2 to 100, infinity trusts all."""
+    passes: int = 2
+    """How often planes and weights are found in turn; 0 to 10; 0: all points weigh the same, as in BALM2."""
+
+    def __post_init__(self) -> None:
+        if not self.cutoff >= 1.0 or not 0 <= self.passes <= 10:
+            raise ValueError(
+                f"lidar.weights: cutoff {self.cutoff} (at least 1), passes {self.passes} (0 to 10)"
+            )
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of O observations and what they were made from.
+
+    weight: (O,) float64, 1 for a typical point that fits, more where surfaces are measured better
+    sigma: m, standard deviation of a point's distance to its plane, within one scan
+    disagreement: m, standard deviation of an observation's distance to its plane, beyond that of its points
+    """
+
+    weight: np.ndarray
+    sigma: float
+    disagreement: float
+
+
+def observation_weights(
+    features: PlaneFeatures, world_from_scan: np.ndarray, config: WeightConfig, systematic: float
+) -> Weights:
+    """Weights from the distances of observations to the planes at poses (S, 4, 4).
+
+    An observation of n points with variance v about its plane is expected to be off by v / n + disagreement^2; all are
+    estimated from the data, robustly, so that one cutoff serves rough and refined poses. Geman-McClure weights, times
+    the information that such an observation has.
+    systematic: largest disagreement, in sigma, that counts as an error of the surface and lowers the information.
+    """
+    weight = np.ones(len(features.scan))
+    count = features.clusters.count
+    for turn in range(max(config.passes, 1)):
+        fits = fit(features.with_weight(weight), world_from_scan)
+        distance, within = _distances(features, fits, world_from_scan)
+        if turn == 0:
+            sigma = _within_scan_sigma(within, count)
+        own = _own_variance(features, within, sigma)
+        disagreement = _disagreement(distance, count, own)
+        if config.passes == 0:
+            break
+        expected = own / count + disagreement**2
+        robust = 1.0 / (1.0 + distance**2 / (expected * config.cutoff**2)) ** 2
+        surface = min(disagreement, systematic * sigma)
+        weight = robust * sigma**2 / (own + count * surface**2)
+    return Weights(weight, sigma, disagreement)
+
+
+_SHRINK = 10.0
+"""Points that the noise of a plane, and of one scan on it, is drawn to the common one by."""
+_FLOOR = 0.1
+"""No noise is taken for less than this part of the typical one."""
+
+
+def _own_variance(features: PlaneFeatures, within: np.ndarray, sigma: float) -> np.ndarray:
+    """Variance of a point's distance to its plane, for each observation (O,), m^2.
+
+    Its own scatter, the less trusted the fewer its points, drawn to that of its plane, and that to all planes'.
+    """
+    feature, count = features.feature, features.clusters.count
+    squares = np.bincount(feature, within, len(features)) + _SHRINK * sigma**2
+    freedom = np.bincount(feature, count - 1, len(features)) + _SHRINK
+    plane = (squares / freedom)[feature]
+    own = (within + _SHRINK * plane) / (count - 1 + _SHRINK)
+    return np.maximum(own, (_FLOOR * sigma) ** 2)
+
+
+def _distances(
+    features: PlaneFeatures, fits: PlaneFits, world_from_scan: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Each observation's distance to its plane (O,), m, and its points' sum of squares along the normal (O,), m^2."""
+    feature = features.feature
+    rotation = world_from_scan[:, :3, :3][features.scan]
+    normal = np.einsum("oji,oj->oi", rotation, fits.normal[feature])
+    offset = np.einsum(
+        "oi,oi->o", fits.normal[feature], fits.center[feature] - world_from_scan[features.scan, :3, 3]
+    )
+    distance = np.einsum("oi,oi->o", normal, features.clusters.mean) - offset
+    xx, xy, xz, yy, yz, zz = features.clusters.scatter.T
+    x, y, z = normal.T
+    within = xx * x * x + yy * y * y + zz * z * z + 2 * (xy * x * y + xz * x * z + yz * y * z)
+    return distance, within
+
+
+def _within_scan_sigma(within: np.ndarray, count: np.ndarray) -> float:
+    """Standard deviation of points about their own scan's mean, m: the weighted median over observations."""
+    many = count >= 5
+    if not many.any():
+        many = count >= 2
+    if not many.any():
+        return 0.02
+    variance = np.maximum(within[many], 0.0) / (count[many] - 1)
+    order = np.argsort(variance)
+    mass = np.cumsum(count[many][order])
+    return float(max(np.sqrt(variance[order][np.searchsorted(mass, 0.5 * mass[-1])]), 1e-4))
+
+
+def _disagreement(distance: np.ndarray, count: np.ndarray, own: np.ndarray) -> float:
+    """What is left of the distances beyond the noise of the points, m, by median of squares."""
+    noise = own / count
+    typical = np.median(distance**2 / noise) / 0.4549
+    return float(np.sqrt(max(typical - 1.0, 1e-4) * np.median(noise)))

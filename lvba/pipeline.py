@@ -1,0 +1,63 @@
+"""The whole chain, from a recording to its colored map and report: the only place that says what follows what."""
+
+from dataclasses import dataclass, field
+
+from lvba import facts, stages
+from lvba.dataset import Dataset
+from lvba.gate import GateConfig
+from lvba.io.reference import Reference
+from lvba.lidar.bundle_adjustment import LidarConfig
+from lvba.plan import Plan
+from lvba.products.evaluate import EvaluateConfig
+from lvba.products.map_file import MapConfig
+from lvba.visual.refine import VisualConfig
+
+
+@dataclass(frozen=True)
+class Config:
+    """Every setting of a run, stage by stage."""
+
+    refine_scans: bool = True
+    """False: no LiDAR bundle adjustment, scan poses stay as they are (for ablations)."""
+    refine_cameras: bool = True
+    """False: no visual bundle adjustment, cameras only move along with the scans (for ablations)."""
+    lidar: LidarConfig = field(default_factory=LidarConfig)
+    """LiDAR bundle adjustment."""
+    visual: VisualConfig = field(default_factory=VisualConfig)
+    """Visual bundle adjustment."""
+    gate: GateConfig = field(default_factory=GateConfig)
+    """What a stage must gain to be accepted."""
+    map: MapConfig = field(default_factory=MapConfig)
+    """The colored map that users keep."""
+    evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
+    """How input and result are judged."""
+
+
+def refine(
+    dataset: Dataset, config: Config | None = None, reference: Reference | None = None, version: str = ""
+) -> Plan:
+    """From a recording to scan poses, camera poses, exposures, a colored map and the facts of the report.
+
+    reference: poses to compare with, which decide nothing
+    version: of the code, as far as it changes results
+    """
+    config = config or Config()
+    plan = Plan(version)
+    lidar = plan.add("lidar", stages.solve_lidar, dataset, config.lidar, config.refine_scans)
+    scans = plan.add("lidar-gate", stages.judge_lidar, dataset, lidar, config.evaluate.entropy, config.gate)
+    visual = plan.add(
+        "visual",
+        stages.solve_visual,
+        dataset,
+        lidar,
+        scans,
+        config.lidar,
+        config.visual,
+        config.refine_cameras,
+    )
+    scores = plan.add("evaluate", stages.evaluate, dataset, scans, visual, config.evaluate)
+    accepted = plan.add("visual-gate", stages.decide, dataset, scans, visual, scores, config.gate)
+    plan.add("map", stages.color_map, dataset, accepted, config.map)
+    plan.add("pictures", stages.make_pictures, dataset, accepted, scores, config.evaluate)
+    plan.add("facts", facts.collect, dataset, lidar, scans, visual, scores, accepted, reference)
+    return plan

@@ -1,0 +1,113 @@
+"""The point cloud of all scans, sorted into blocks so that an image only meets the points in front of it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from lvba.kernels import cloud as kernels
+from lvba.products.parallel import in_order
+from lvba.progress import Progress, silent
+
+_MAX_BLOCKS = 1 << 20
+_MIN_EDGE_M = 0.5
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """The points of all scans in the world frame, in scan order.
+
+    points_world: (M, 3) float32, m
+    scan_offsets: (S + 1,) int64: scan s owns points scan_offsets[s] to scan_offsets[s + 1]
+    scan_times: (S,) float64, s
+    """
+
+    points_world: np.ndarray
+    scan_offsets: np.ndarray
+    scan_times: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.points_world)
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """An order of points in which neighbors in space are neighbors in memory.
+
+    order: (M,) int32, indices into the cloud
+    start: (B + 1,) int64: block b owns order[start[b] : start[b + 1]]; no block is empty
+    spheres: (B, 4) float32, m, center and radius
+    """
+
+    order: np.ndarray
+    start: np.ndarray
+    spheres: np.ndarray
+
+
+def assemble(
+    load_scan: Callable[[int], np.ndarray],
+    world_from_scan: np.ndarray,
+    scan_times: np.ndarray,
+    progress: Progress = silent,
+) -> Cloud:
+    """The cloud of all scans moved by their poses; points that are not finite are left out.
+
+    load_scan: gives the (N, 3) float32 points of a scan, scan frame; world_from_scan: (S, 4, 4); scan_times: (S,)
+    """
+
+    def move(s: int) -> np.ndarray:
+        points = np.ascontiguousarray(load_scan(s), np.float32)
+        finite = np.isfinite(points).all(1)
+        points = points if finite.all() else points[finite]
+        out = np.empty_like(points)
+        kernels.transform(points, np.ascontiguousarray(world_from_scan[s], float), out)
+        return out
+
+    moved = []
+    for points in in_order(move, range(len(world_from_scan))):
+        moved.append(points)
+        progress("assemble cloud", len(moved), len(world_from_scan))
+    offsets = np.concatenate([[0], np.cumsum([len(points) for points in moved], dtype=np.int64)]).astype(
+        np.int64
+    )
+    points_world = np.concatenate(moved) if moved else np.empty((0, 3), np.float32)
+    return Cloud(points_world, offsets, np.asarray(scan_times, float))
+
+
+def sort_into_blocks(points_world: np.ndarray, min_edge: float = _MIN_EDGE_M) -> Blocks:
+    """Blocks of (M, 3) float32 points: cubes of at least `min_edge` m, larger where the map would need too many."""
+    if not len(points_world):
+        return Blocks(np.empty(0, np.int32), np.zeros(1, np.int64), np.empty((0, 4), np.float32))
+    low, high = _robust_bounds(points_world)
+    edge = max(min_edge, float(np.prod(np.maximum(high - low, min_edge)) / _MAX_BLOCKS) ** (1 / 3))
+    shape = np.maximum(np.ceil((high - low) / edge), 1).astype(np.int64)
+    cell = kernels.cell_index(points_world, low, edge, shape)
+    order, start = kernels.counting_order(cell, int(np.prod(shape)))
+    start = start[np.concatenate([[True], np.diff(start) > 0])]
+    return Blocks(order, start, kernels.bounding_spheres(points_world[order], start))
+
+
+def thin(points_world: np.ndarray, voxel: float) -> np.ndarray:
+    """Indices (K,) int64, ascending, of one point per voxel of edge `voxel` m: the one nearest to its center.
+
+    points_world: (M, 3) float32. The points kept are measured ones, not averages: nothing is moved.
+    """
+    if voxel <= 0 or not len(points_world):
+        return np.arange(len(points_world))
+    low, high = _robust_bounds(points_world)
+    volume = float(np.prod(np.maximum(high - low, _MIN_EDGE_M)))
+    edge = voxel * np.ceil(max(_MIN_EDGE_M, (volume / _MAX_BLOCKS) ** (1 / 3)) / voxel)
+    low = np.floor(low / edge) * edge
+    shape = np.maximum(np.ceil((high - low) / edge), 1).astype(np.int64)
+    order, start = kernels.counting_order(
+        kernels.cell_index(points_world, low, edge, shape), int(np.prod(shape))
+    )
+    return np.flatnonzero(kernels.thin_blocks(points_world, order, start, voxel))
+
+
+def _robust_bounds(points_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of a box that holds nearly all points: a few stray far points shall not make the blocks huge."""
+    sample = points_world[:: max(1, len(points_world) // 20000)].astype(float)
+    low, high = np.quantile(sample, [0.005, 0.995], axis=0)
+    margin = 0.1 * (high - low) + 1e-3
+    return low - margin, high + margin

@@ -1,0 +1,233 @@
+"""Colors for the points of a map: the paper's one-view protocol, and robust blending of several views.
+
+Colors are radiances: gray values 0..255 divided by the image's relative exposure, so that all images agree.
+"""
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+
+from lvba.kernels import colorize as kernels
+from lvba.kernels import zbuffer
+from lvba.products.cloud import Blocks, Cloud, sort_into_blocks
+from lvba.products.parallel import in_order
+from lvba.products.views import Views, nearest_in_time
+from lvba.progress import Progress, silent
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class ColorizeConfig:
+    """How the map that users keep is colored."""
+
+    max_views: int = 8
+    """Views blended per point, the best ones by resolution and incidence; 1 to 32."""
+    tolerance_m: float = 0.15
+    """A point is hidden when it lies this much (m) plus `tolerance_ratio` behind what the image sees; 0 to 10."""
+    tolerance_ratio: float = 0.02
+    """Part of the depth added to `tolerance_m`; 0 to 0.5."""
+    cell_px: int = 4
+    """Cells of the occlusion z-buffer, px; larger closes gaps between points, and leaves out more near edges; 1 to 32."""
+    darkest: float = 5.0
+    """Samples whose brightest channel is at most this gray value are left out as black; 0 to 100."""
+    brightest: float = 250.0
+    """Samples that touch a channel value of this or more are left out as saturated; 128 to 256."""
+    noise: float = 2.0
+    """Noise of a gray value (0..255): differences below it never count as outliers; above 0 to 50."""
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("max_views", 1, 32),
+            ("tolerance_m", 0, 10),
+            ("tolerance_ratio", 0, 0.5),
+            ("cell_px", 1, 32),
+            ("darkest", 0, 100),
+            ("brightest", 128, 256),
+            ("noise", 1e-6, 50),
+        ):
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"colorize.{name} is {getattr(self, name)}, must be within {low} to {high}")
+
+
+@dataclass(frozen=True)
+class PaperColors:
+    """One color per point, from one image.
+
+    gray: (M, 3) float32, gray values 0..255 in that image, 0 where uncolored
+    source: (M,) int32, the image the color is from; -1: uncolored
+    """
+
+    gray: np.ndarray
+    source: np.ndarray
+
+    def radiance(self, log_exposure: np.ndarray) -> np.ndarray:
+        """(M, 3) float32: gray values over the relative exposure of their image."""
+        gain = np.exp(-np.append(log_exposure, 0.0)).astype(np.float32)
+        return self.gray * gain[self.source][:, None]
+
+
+@dataclass(frozen=True)
+class BlendedColors:
+    """One color per point, from several images.
+
+    radiance: (M, 3) float32, 0 where uncolored
+    views: (M,) uint8, number of samples blended; 0: uncolored
+    spread: (M,) float32, weighted RMS difference of the samples from the color, radiance
+    """
+
+    radiance: np.ndarray
+    views: np.ndarray
+    spread: np.ndarray
+
+
+@dataclass(frozen=True)
+class Samples:
+    """The best samples of points, filled in place, in no order.
+
+    ranks (M, K) float32, 0 where there is none; gray (M, K, 3) uint8; images (M, K) int32
+    """
+
+    ranks: np.ndarray
+    gray: np.ndarray
+    images: np.ndarray
+
+
+def paper(
+    cloud: Cloud, views: Views, held_out: np.ndarray | None = None, progress: Progress = silent
+) -> PaperColors:
+    """Colors each point by its projection into the image nearest in time to its scan; no occlusion test.
+
+    held_out: indices of images that must not color anything. Source: Li et al., eq. (10).
+    """
+    usable = np.setdiff1d(np.arange(len(views)), [] if held_out is None else held_out)
+    gray = np.zeros((len(cloud), 3), np.float32)
+    source = np.full(len(cloud), -1, np.int32)
+    if not len(usable):
+        return PaperColors(gray, source)
+    image_of_scan = usable[nearest_in_time(views.times[usable], cloud.scan_times)]
+    mask, intrinsics, images = views.mask, views.intrinsics, np.unique(image_of_scan)
+
+    def color(image: int) -> None:
+        picture, pose = np.ascontiguousarray(views.load(image)), views.kernel_pose(image)
+        for s in np.flatnonzero(image_of_scan == image):
+            span = slice(cloud.scan_offsets[s], cloud.scan_offsets[s + 1])
+            seen = np.empty(span.stop - span.start, bool)
+            kernels.sample_image(cloud.points_world[span], pose, intrinsics, picture, mask, gray[span], seen)
+            source[span][seen] = image
+
+    for done, _ in enumerate(in_order(color, map(int, images))):
+        progress("color points", done + 1, len(images))
+    return PaperColors(gray, source)
+
+
+def blended(
+    points_world: np.ndarray,
+    views: Views,
+    config: ColorizeConfig | None = None,
+    *,
+    normals: np.ndarray | None = None,
+    held_out: np.ndarray | None = None,
+    progress: Progress = silent,
+    batch: int = 8,
+) -> BlendedColors:
+    """Colors each point by a robust mean over its best views that nothing hides.
+
+    points_world: (M, 3) float32, m; normals: (M, 3) float32, unit, or None: incidence is not weighed;
+    held_out: indices of images that must not color anything.
+    A view ranks by its resolution on the surface, cos(incidence) / distance^2. Hidden: behind the map's own z-buffer in
+    that image, by more than the tolerance. Saturated and black samples count only where a point has no other.
+    """
+    config = config or ColorizeConfig()
+    blocks = sort_into_blocks(points_world)
+    points = np.ascontiguousarray(points_world[blocks.order].T)
+    facing = None if normals is None else normals[blocks.order]
+    samples = collect(
+        points, blocks, views, config, normals=facing, held_out=held_out, progress=progress, batch=batch
+    )
+    back = np.empty(len(blocks.order), np.int64)
+    back[blocks.order] = np.arange(len(blocks.order))
+    colors = blend(samples, views.log_exposure, config)
+    return BlendedColors(colors.radiance[back], colors.views[back], colors.spread[back])
+
+
+def collect(
+    points: np.ndarray,
+    blocks: Blocks,
+    views: Views,
+    config: ColorizeConfig,
+    *,
+    normals: np.ndarray | None = None,
+    held_out: np.ndarray | None = None,
+    progress: Progress = silent,
+    batch: int = 8,
+) -> Samples:
+    """The best samples of points in the order of their blocks; see `blended`.
+
+    points: (3, M) float32, m, world, by axis
+    """
+    facing = np.zeros_like(points) if normals is None else _by_axis(normals)
+    slots = (points.shape[1], config.max_views)
+    samples = Samples(
+        np.zeros(slots, np.float32), np.zeros((*slots, 3), np.uint8), np.full(slots, -1, np.int32)
+    )
+    usable = np.setdiff1d(np.arange(len(views)), [] if held_out is None else held_out).astype(np.int32)
+    pictures = in_order(views.load, map(int, usable))
+    for first in range(0, len(usable), batch):
+        numbers = usable[first : first + batch]
+        stack = np.stack([next(pictures) for _ in numbers])
+        _collect(points, facing, blocks, views, numbers, stack, config, samples)
+        progress("color map", first + len(numbers), len(usable))
+    return samples
+
+
+def _by_axis(vectors: np.ndarray) -> np.ndarray:
+    """(N, 3) as (3, N) float32."""
+    return np.ascontiguousarray(vectors.T, np.float32)
+
+
+def _collect(
+    points: np.ndarray,
+    normals: np.ndarray,
+    blocks: Blocks,
+    views: Views,
+    numbers: np.ndarray,
+    pictures: np.ndarray,
+    config: ColorizeConfig,
+    samples: Samples,
+) -> None:
+    """Adds the samples of some images to the lists of the best views, in place. numbers: of the pictures."""
+    poses, mask = views.kernel_poses()[numbers], views.mask
+    nearest = zbuffer.seen_depths(
+        points, blocks.start, blocks.spheres, poses, views.intrinsics, config.cell_px, *mask.shape
+    )
+    kernels.collect_views(
+        points, normals, blocks.start, blocks.spheres, poses, views.intrinsics,
+        pictures, numbers, mask, nearest, config.cell_px,
+        np.array([config.tolerance_m, config.tolerance_ratio], np.float32),
+        np.array([config.darkest, config.brightest], np.float32),
+        samples.ranks, samples.gray, samples.images,
+    )  # fmt: skip
+
+
+def blend(samples: Samples, log_exposure: np.ndarray, config: ColorizeConfig) -> BlendedColors:
+    """The blended colors, in the order of the samples. log_exposure: (I,)"""
+    count = len(samples.ranks)
+    radiance, spread = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
+    number = np.zeros(count, np.uint8)
+    gains, floor = np.exp(-log_exposure).astype(np.float32), np.float32(config.noise)
+    kernels.blend_views(samples.ranks, samples.gray, samples.images, gains, floor, radiance, number, spread)
+    seen = np.count_nonzero(number)
+    logger.info("colored %d of %d points from %.1f views each", seen, count, number.sum() / max(seen, 1))
+    return BlendedColors(radiance, number, spread)
+
+
+def display_gain(log_exposure: np.ndarray) -> float:
+    """What turns a radiance into a gray value for display: the typical (median) relative exposure."""
+    return float(np.exp(np.median(log_exposure))) if len(log_exposure) else 1.0
+
+
+def to_rgb8(radiance: np.ndarray, gain: float) -> np.ndarray:
+    """(M, 3) uint8 colors of (M, 3) radiances times a gain, rounded and clipped."""
+    return np.clip(np.rint(radiance * np.float32(gain)), 0, 255).astype(np.uint8)

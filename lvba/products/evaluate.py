@@ -1,0 +1,249 @@
+"""How well a colored map explains the images: the paper's protocol, leave-one-out, and held-out images.
+
+The authors' tool is not published; this module defines the protocol and docs/evaluation.md explains it.
+"""
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from lvba.products import colorize, map_quality, metrics, render
+from lvba.products.cloud import Cloud
+from lvba.products.colorize import ColorizeConfig
+from lvba.products.parallel import in_order
+from lvba.products.render import ALL, OTHERS, ColoredCloud, RenderConfig, Rendering
+from lvba.products.views import Views
+from lvba.progress import Progress, silent
+
+_SUFFIX = {ALL: "", OTHERS: "_leave_one_out"}
+_FIGURES = (
+    *(
+        f"{name}{suffix}"
+        for name in ("psnr", "ssim", "coverage", "psnr_full", "ssim_full")
+        for suffix in _SUFFIX.values()
+    ),
+    *("psnr_common", "ssim_common", "coverage_common"),
+)
+
+
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """What is judged, and how."""
+
+    colors: Literal["paper", "blended"] = "paper"
+    """paper: a point has the color of one image, eq. (10); blended: of several, as in the map that users keep (slow)."""
+    render: RenderConfig = field(default_factory=RenderConfig)
+    """How points become pixels."""
+    entropy: map_quality.EntropyConfig = field(default_factory=map_quality.EntropyConfig)
+    """Mean map entropy."""
+    max_images: int = 400
+    """Images judged, spread evenly over longer recordings; 1 to 1000000. All images always color the map."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.max_images <= 1_000_000:
+            raise ValueError(f"evaluate.max_images is {self.max_images}, must be within 1 to 1000000")
+        if self.colors == "blended" and self.render.guard_images:
+            raise ValueError("evaluate.render.guard_images needs evaluate.colors = paper")
+
+
+@dataclass(frozen=True)
+class State:
+    """One set of poses and exposures under judgement: the cloud by its scan poses, the views by its camera poses."""
+
+    cloud: Cloud
+    views: Views
+
+
+@dataclass(frozen=True)
+class Scores:
+    """How one state scores.
+
+    psnr (dB), ssim, coverage (part of the image): paper protocol, over covered pixels; with _leave_one_out: pixels judged
+    only by points of other images; with _full: over the whole image, holes black; with _common: leave-one-out over the
+    pixels that every compared state covers; with _held_out: images that colored nothing. Means over the images
+    judged; NaN where there is nothing to judge. map_entropy: nats, lower is crisper.
+    per_image: the same by image, each (J,) float64; images: (J,) int32, the images judged
+    """
+
+    psnr: float
+    ssim: float
+    coverage: float
+    psnr_leave_one_out: float
+    ssim_leave_one_out: float
+    coverage_leave_one_out: float
+    psnr_common: float
+    ssim_common: float
+    coverage_common: float
+    psnr_full: float
+    ssim_full: float
+    psnr_full_leave_one_out: float
+    ssim_full_leave_one_out: float
+    psnr_held_out: float
+    ssim_held_out: float
+    map_entropy: float
+    splat_px: int
+    images: np.ndarray
+    per_image: dict[str, np.ndarray]
+
+    def facts(self) -> dict[str, Any]:
+        """Plain numbers for report.json: NaN becomes None, arrays become lists."""
+        numbers = {
+            name: _plain(value) for name, value in vars(self).items() if isinstance(value, int | float)
+        }
+        lists = {name: [_plain(float(v)) for v in values] for name, values in self.per_image.items()}
+        return {**numbers, "images": [int(i) for i in self.images], "per_image": lists}
+
+
+def _plain(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def judged_images(count: int, held_out: np.ndarray, limit: int) -> np.ndarray:
+    """Indices (J,) int32, ascending, of at most `limit` images spread evenly, with all held-out ones among them."""
+    spread = np.unique(np.linspace(0, count - 1, min(count, limit)).round().astype(np.int32))
+    return np.union1d(spread, held_out).astype(np.int32)
+
+
+def evaluate(
+    states: Mapping[str, State],
+    config: EvaluateConfig | None = None,
+    *,
+    held_out: np.ndarray | None = None,
+    entropies: Mapping[str, float] | None = None,
+    brief: Collection[str] = (),
+    progress: Progress = silent,
+) -> dict[str, Scores]:
+    """The scores of each state, all judged on the same images.
+
+    states: by name, for example rough and refined; their views load the same images. Give all in one call: the figures
+    named _common are over the pixels covered in each, and states with the same poses share their renderings.
+    held_out: indices of images that color nothing and are judged apart.
+    entropies: mean map entropies by state that are known already.
+    brief: states of which only the leave-one-out PSNR and coverage are wanted; the rest of their figures is NaN.
+    """
+    config = config or EvaluateConfig()
+    out_of_color = np.unique(np.asarray([] if held_out is None else held_out, np.int32))
+    geometries = _geometries(states, config)
+    clouds = [_colored(states[names[0]], config, out_of_color, progress) for names in geometries]
+    first = next(iter(states.values())).views
+    images = judged_images(len(first), out_of_color, config.max_images)
+
+    def judge_image(image: int) -> dict[str, dict[str, float]]:
+        entries = [
+            render.nearest(cloud, states[names[0]].views, image, config.render)
+            for cloud, names in zip(clouds, geometries, strict=True)
+        ]
+        renderings = {
+            name: render.shade(seen, cloud, states[name].views.log_exposure, image)
+            for seen, cloud, names in zip(entries, clouds, geometries, strict=True)
+            for name in names
+        }
+        return judge(metrics.prepare(first.load(image)), renderings, first.mask, brief)
+
+    rows: dict[str, list[dict[str, float]]] = {name: [] for name in states}
+    for done, row in enumerate(in_order(judge_image, [int(i) for i in images])):
+        progress("judge images", done + 1, len(images))
+        for name in states:
+            rows[name].append(row[name])
+    entropy = _entropies(states, config, entropies or {})
+    return {
+        name: _scores(rows[name], images, out_of_color, entropy[name], config.render.splat_px)
+        for name in states
+    }
+
+
+def _geometries(states: Mapping[str, State], config: EvaluateConfig) -> list[list[str]]:
+    """Names of the states, those with the same cloud and camera poses together (blended colors need exposures, too)."""
+    groups: dict[tuple[int, bytes], list[str]] = {}
+    for name, state in states.items():
+        exposures = state.views.log_exposure.tobytes() if config.colors == "blended" else b""
+        key = id(state.cloud), state.views.world_from_camera.tobytes() + exposures
+        groups.setdefault(key, []).append(name)
+    return list(groups.values())
+
+
+def _entropies(
+    states: Mapping[str, State], config: EvaluateConfig, known: Mapping[str, float]
+) -> dict[str, float]:
+    """Mean map entropy of each state; states of one cloud share it."""
+    found = {id(states[name].cloud): value for name, value in known.items() if name in states}
+    for state in states.values():
+        if id(state.cloud) not in found:
+            found[id(state.cloud)] = map_quality.mean_map_entropy(state.cloud, config.entropy)
+    return {name: found[id(state.cloud)] for name, state in states.items()}
+
+
+def _colored(state: State, config: EvaluateConfig, held_out: np.ndarray, progress: Progress) -> ColoredCloud:
+    if config.colors == "paper":
+        return color_by_paper(state, held_out, progress)
+    return render.blended_cloud(state.cloud.points_world, state.views, ColorizeConfig(), held_out)
+
+
+def color_by_paper(
+    state: State, held_out: np.ndarray | None = None, progress: Progress = silent
+) -> ColoredCloud:
+    """The cloud colored by eq. (10), ready to be rendered."""
+    colors = colorize.paper(state.cloud, state.views, held_out, progress)
+    return render.colored_cloud(state.cloud.points_world, colors.gray, colors.source)
+
+
+def judge(
+    raw: metrics.RawImage,
+    renderings: Mapping[str, Rendering],
+    valid: np.ndarray,
+    brief: Collection[str] = (),
+) -> dict[str, dict[str, float]]:
+    """The figures of one image for each state's rendering of it.
+
+    valid: (H, W) bool, pixels that hold a picture; brief: states judged by their leave-one-out PSNR alone
+    """
+    common = np.logical_and.reduce([rendering.covered[OTHERS] for rendering in renderings.values()]) & valid
+    pixels = max(int(np.count_nonzero(valid)), 1)
+    rows = {}
+    for name, rendering in renderings.items():
+        row = dict.fromkeys(_FIGURES, float("nan"))
+        row["coverage_common"] = int(np.count_nonzero(common)) / pixels
+        for variant, suffix in _SUFFIX.items():
+            covered = rendering.covered[variant] & valid
+            row[f"coverage{suffix}"] = int(np.count_nonzero(covered)) / pixels
+            if name in brief:
+                squared = metrics.squared_error(raw, rendering.color[variant]) if variant == OTHERS else None
+            else:
+                found = metrics.compare(raw, rendering.color[variant], covered)
+                squared = found.squared
+                row[f"psnr_full{suffix}"] = metrics.psnr(squared, valid)
+                row[f"ssim{suffix}"] = metrics.mean_ssim(found.ssim_alone, covered)
+                row[f"ssim_full{suffix}"] = metrics.mean_ssim(found.ssim_whole, valid)
+                if variant == OTHERS:
+                    row["ssim_common"] = metrics.mean_ssim(found.ssim_alone, common)
+            if squared is not None:
+                row[f"psnr{suffix}"] = metrics.psnr(squared, covered)
+                if variant == OTHERS:
+                    row["psnr_common"] = metrics.psnr(squared, common)
+        rows[name] = row
+    return rows
+
+
+def _scores(
+    rows: list[dict[str, float]], images: np.ndarray, held_out: np.ndarray, entropy: float, splat_px: int
+) -> Scores:
+    """Means over the images that are not held out, and apart over those that are."""
+    per_image = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    apart = np.isin(images, held_out)
+    means = {name: _mean(values[~apart]) for name, values in per_image.items()}
+    return Scores(
+        **means,
+        psnr_held_out=_mean(per_image["psnr_leave_one_out"][apart]),
+        ssim_held_out=_mean(per_image["ssim_leave_one_out"][apart]),
+        map_entropy=entropy,
+        splat_px=splat_px,
+        images=images,
+        per_image=per_image,
+    )
+
+
+def _mean(values: np.ndarray) -> float:
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if len(finite) else float("nan")

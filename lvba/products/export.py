@@ -1,0 +1,181 @@
+"""A result folder in other formats: LAS and LAZ, COLMAP models, nerfstudio datasets."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from lvba.camera import Camera
+from lvba.dataset import Dataset
+from lvba.errors import InputError
+from lvba.io import colmap, files, images, laz, nerfstudio, ply, tum
+from lvba.io import dataset as recordings
+from lvba.products.cloud import thin
+from lvba.products.parallel import in_order
+from lvba.products.tracks import visible
+from lvba.products.views import Views
+from lvba.progress import Progress, silent
+from lvba.visual.image import Undistorter
+
+MAX_POINTS = 200_000
+"""Points of a COLMAP or nerfstudio model: enough to start a trainer from, few enough for its loader."""
+
+
+def export(result: str | Path, kind: str, out: str | Path | None = None, progress: Progress = silent) -> Path:
+    """Writes a result folder in another format and returns where it is.
+
+    kind: one of FORMATS; out: file or folder to write, or None for a name inside the result folder.
+    Raises: InputError if the result folder lacks something, the format is unknown, or nothing can be written.
+    """
+    result = Path(result)
+    if kind not in FORMATS:
+        raise InputError(kind, "is no format known here", f"choose one of {', '.join(FORMATS)}")
+    if not (result / "map.ply").exists():
+        raise InputError(result, "holds no map.ply", "give the folder that `lvba run` wrote")
+    name, write = FORMATS[kind]
+    target = Path(out) if out is not None else result / name
+    write(result, target, progress)
+    return target
+
+
+def _ply(result: Path, out: Path, progress: Progress) -> None:
+    files.write_bytes(out, files.read_bytes(result / "map.ply", limit=1 << 40))
+
+
+def _las(result: Path, out: Path, progress: Progress) -> None:
+    first = next(ply.read_ply_chunks(result / "map.ply"))
+    names = first.dtype.names or ()
+    extra = {name: first.dtype[name] for name in names if name not in ("x", "y", "z", "red", "green", "blue")}
+    corner = np.array([first[name].min() for name in "xyz"], float) if len(first) else np.zeros(3)
+    chunks = ({name: chunk[name] for name in names} for chunk in ply.read_ply_chunks(result / "map.ply"))
+    laz.write_las(out, chunks, extra, corner)
+
+
+def _colmap(result: Path, out: Path, progress: Progress) -> None:
+    scene = _Scene(result)
+    names = scene.write_images(out / "images", progress)
+    points, rgb = scene.start_points()
+    views = scene.views()
+    track = visible(points, scene.map_points, views)
+    model = colmap.ColmapModel(scene.camera, names, views.world_from_camera, points, rgb, *track)
+    colmap.write_model(out / "sparse" / "0", model)
+    scene.write_offset(out)
+
+
+def _nerfstudio(result: Path, out: Path, progress: Progress) -> None:
+    scene = _Scene(result)
+    names = scene.write_images(out / "images", progress)
+    points, rgb = scene.start_points()
+    axes = dict(zip("xyz", points.astype(np.float32).T, strict=True))
+    colors = dict(zip(("red", "green", "blue"), rgb.T, strict=True))
+    ply.write_ply(out / "points.ply", axes | colors)
+    nerfstudio.write_transforms(out, scene.camera, names, scene.world_from_camera, "points.ply")
+    scene.write_offset(out)
+
+
+FORMATS: dict[str, tuple[str, Callable[[Path, Path, Progress], None]]] = {
+    "ply": ("export.ply", _ply),
+    "las": ("map.las", _las),
+    "laz": ("map.laz", _las),
+    "colmap": ("colmap", _colmap),
+    "nerfstudio": ("nerfstudio", _nerfstudio),
+}
+"""Name of the format, name of what it writes by default, and who writes it."""
+
+
+class _Scene:
+    """Result and recording together, in the recording's shifted frame, images undistorted and cut to what is valid."""
+
+    def __init__(self, result: Path) -> None:
+        self.dataset = _recording(result)
+        trajectory = tum.read_trajectory(result / "image_poses.txt")
+        pairs = np.searchsorted(trajectory.times, self.dataset.images.times - 1e-6)
+        if len(trajectory) != len(self.dataset.images) or (pairs != np.arange(len(trajectory))).any():
+            raise InputError(
+                result, "has other images than its recording", "run again on the recording as it is now"
+            )
+        self.world_from_camera = trajectory.world_from_sensor.copy()
+        self.world_from_camera[:, :3, 3] -= self.dataset.origin
+        columns = ply.read_ply(result / "map.ply")
+        world = np.stack([columns[name] for name in "xyz"], axis=1).astype(float) - self.dataset.origin
+        self.map_points = world.astype(np.float32)
+        self.rgb = np.stack([columns[name] for name in ("red", "green", "blue")], axis=1)
+        self.colored = columns["views"] > 0
+        self._undistort = Undistorter(self.dataset.camera)
+        self._cut = valid_rectangle(_valid(self.dataset.camera, self._undistort))
+        self.camera = _cut_camera(self.dataset.camera.undistorted(), self._cut)
+
+    def views(self) -> Views:
+        """The cut images at the result's poses (no pixels are needed)."""
+        times = self.dataset.images.times
+        return Views(self._load, self.camera, times, self.world_from_camera, np.zeros(len(times)))
+
+    def _load(self, i: int) -> np.ndarray:
+        return np.ascontiguousarray(self._undistort(recordings.load_image(self.dataset, i))[self._cut])
+
+    def write_images(self, folder: Path, progress: Progress) -> tuple[str, ...]:
+        """Writes the images and returns their names, those of the recording."""
+        files.make_folder(folder)
+        names = tuple(Path(path).stem + ".png" for path in self.dataset.image_paths)
+
+        def write(i: int) -> None:
+            images.write_image(folder / names[i], self._load(i))
+
+        for done, _ in enumerate(in_order(write, range(len(names)))):
+            progress("write images", done + 1, len(names))
+        return names
+
+    def start_points(self) -> tuple[np.ndarray, np.ndarray]:
+        """At most about MAX_POINTS colored points, evenly spread: (P, 3) float64 and colors (P, 3) uint8."""
+        points, rgb = self.map_points[self.colored], self.rgb[self.colored]
+        voxel = 0.01
+        while len(points) > MAX_POINTS:
+            kept = thin(points, voxel)
+            points, rgb = points[kept], rgb[kept]
+            voxel *= 1.25
+        return points.astype(float), rgb
+
+    def write_offset(self, folder: Path) -> None:
+        """Says what must be added to get the coordinates of the recording."""
+        x, y, z = self.dataset.origin
+        if self.dataset.origin.any():
+            files.write_text(folder / "offset.txt", f"{x} {y} {z}\n")
+
+
+def valid_rectangle(valid: np.ndarray) -> tuple[slice, slice]:
+    """A large rectangle (rows, columns) in which every pixel of (H, W) bool is valid: the emptiest side goes first."""
+    top, bottom, left, right = 0, valid.shape[0], 0, valid.shape[1]
+    while top < bottom and left < right:
+        inner = ~valid[top:bottom, left:right]
+        sides = [inner[0].mean(), inner[-1].mean(), inner[:, 0].mean(), inner[:, -1].mean()]
+        worst = int(np.argmax(sides))
+        if not inner.any():
+            break
+        if sides[worst] == 0:  # a hole inside: cut the image as if its edge were there
+            worst = int(np.argmin(inner.shape))
+        top, bottom = top + (worst == 0), bottom - (worst == 1)
+        left, right = left + (worst == 2), right - (worst == 3)
+    return slice(top, bottom), slice(left, right)
+
+
+def _valid(camera: Camera, undistort: Undistorter) -> np.ndarray:
+    return undistort(np.full((camera.height, camera.width, 3), 255, np.uint8))[..., 0] == 255
+
+
+def _cut_camera(camera: Camera, cut: tuple[slice, slice]) -> Camera:
+    rows, columns = cut
+    return Camera(
+        columns.stop - columns.start, rows.stop - rows.start, camera.fx, camera.fy,
+        camera.cx - columns.start, camera.cy - rows.start,
+    )  # fmt: skip
+
+
+def _recording(result: Path) -> Dataset:
+    """The recording that a result was made from, by the path in its report."""
+    report = result / "report.json"
+    try:
+        path = json.loads(files.read_text(report))["dataset"]["path"]
+    except (json.JSONDecodeError, KeyError, TypeError) as error:
+        raise InputError(report, "does not say which recording it is of", "run again") from error
+    return recordings.open_dataset(path)

@@ -1,0 +1,108 @@
+"""The map that users keep: points, colors and how sure they are, as columns of a PLY or LAZ file."""
+
+import logging
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from lvba.products import colorize
+from lvba.products.cloud import Cloud, thin
+from lvba.products.colorize import ColorizeConfig
+from lvba.products.views import Views
+from lvba.progress import Progress, silent
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class MapConfig:
+    """The map that users keep."""
+
+    colors: Literal["blended", "paper"] = "blended"
+    """blended: several views per point, nothing hidden; paper: one view per point, eq. (10), no occlusion test."""
+    blend: ColorizeConfig = field(default_factory=ColorizeConfig)
+    """Blending of several views."""
+    voxel_m: float = -1.0
+    """One point is kept per voxel of this edge, m; 0 keeps every point; -1: two image pixels at the median range."""
+    keep_uncolored: bool = True
+    """Keep points that no image sees; they are gray and have views = 0."""
+
+    def __post_init__(self) -> None:
+        if self.voxel_m != -1 and not 0 <= self.voxel_m <= 100:
+            raise ValueError(f"map.voxel_m is {self.voxel_m}, must be -1 or within 0 to 100")
+
+
+UNCOLORED = 128
+"""Gray value of points that no image sees."""
+
+
+@dataclass(frozen=True)
+class PointMap:
+    """The thinned, colored map.
+
+    points_world: (K, 3) float32, m; rgb: (K, 3) uint8; views: (K,) uint8, images that colored the point;
+    spread: (K,) float32, gray values 0..255, weighted RMS difference between those images
+    voxel_m: the voxel edge it was thinned to
+    """
+
+    points_world: np.ndarray
+    rgb: np.ndarray
+    views: np.ndarray
+    spread: np.ndarray
+    voxel_m: float
+
+    def __len__(self) -> int:
+        return len(self.points_world)
+
+
+def build(
+    cloud: Cloud, views: Views, config: MapConfig | None = None, progress: Progress = silent
+) -> PointMap:
+    """The map of a cloud, thinned, colored by the views, shown at their typical (median) exposure."""
+    config = config or MapConfig()
+    voxel = 2 * pixel_footprint(cloud, views) if config.voxel_m < 0 else config.voxel_m
+    kept = thin(cloud.points_world, voxel)
+    points = cloud.points_world[kept]
+    gain = colorize.display_gain(views.log_exposure)
+    if config.colors == "paper":
+        one = colorize.paper(cloud, views, progress=progress)
+        radiance = one.radiance(views.log_exposure)[kept]
+        number = (one.source[kept] >= 0).astype(np.uint8)
+        spread = np.zeros(len(kept), np.float32)
+    else:
+        several = colorize.blended(points, views, config.blend, progress=progress)
+        radiance, number, spread = several.radiance, several.views, several.spread
+    rgb = colorize.to_rgb8(radiance, gain)
+    rgb[number == 0] = UNCOLORED
+    wanted = slice(None) if config.keep_uncolored or not len(views) else number > 0
+    logger.info("map: %d of %d points kept at %.4f m", len(kept), len(cloud), voxel)
+    return PointMap(points[wanted], rgb[wanted], number[wanted], spread[wanted] * np.float32(gain), voxel)
+
+
+def pixel_footprint(cloud: Cloud, views: Views) -> float:
+    """The edge, m, of what one pixel sees at the median distance of the cloud from the cameras; 0 without any.
+
+    Finer detail than this is in no image. The distance of a point is that from the camera nearest in time to its scan.
+    """
+    if not len(cloud) or not len(views):
+        return 0.0
+    step = max(1, len(cloud) // 50_000)
+    sample = np.arange(0, len(cloud), step)
+    scan = np.searchsorted(cloud.scan_offsets, sample, side="right") - 1
+    nearest = np.abs(views.times[None] - cloud.scan_times[:, None]).argmin(1)[scan]
+    distance = np.linalg.norm(cloud.points_world[sample] - views.world_from_camera[nearest, :3, 3], axis=1)
+    return float(np.median(distance)) / max(views.camera.fx, views.camera.fy)
+
+
+def columns(point_map: PointMap, origin: np.ndarray) -> dict[str, np.ndarray]:
+    """The map as columns of a file, in the input's world frame.
+
+    origin: (3,) float64, m, added to the points. Coordinates are float32 as long as these hold a tenth of a millimeter
+    or so (within 2 km of zero), and float64 beyond.
+    """
+    xyz = point_map.points_world.astype(float) + origin
+    far = len(xyz) and np.abs(xyz).max() > 2000.0
+    names = dict(zip("xyz", (xyz if far else xyz.astype(np.float32)).T, strict=True))
+    names |= dict(zip(("red", "green", "blue"), point_map.rgb.T, strict=True))
+    return names | {"views": point_map.views, "spread": point_map.spread}

@@ -1,0 +1,133 @@
+"""How crisp a point map is, without truth: mean map entropy and plane thickness."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from lvba.kernels import map_entropy as kernels
+from lvba.products.cloud import Cloud
+
+
+@dataclass(frozen=True)
+class EntropyConfig:
+    """Mean map entropy."""
+
+    radius_m: float = 0.3
+    """Neighborhood of each map point, m; 0.01 to 100."""
+    voxel_m: float = 0.1
+    """The map is thinned to the mean of the points in each voxel of this edge, m; 0.001 to 100."""
+    min_neighbors: int = 10
+    """Points with fewer neighbors (itself counted) are left out; 4 to 1000."""
+
+    def __post_init__(self) -> None:
+        if not 0.01 <= self.radius_m <= 100:
+            raise ValueError(f"entropy.radius_m is {self.radius_m}, must be within 0.01 to 100")
+        if not 0.001 <= self.voxel_m <= 100:
+            raise ValueError(f"entropy.voxel_m is {self.voxel_m}, must be within 0.001 to 100")
+        if not 4 <= self.min_neighbors <= 1000:
+            raise ValueError(f"entropy.min_neighbors is {self.min_neighbors}, must be within 4 to 1000")
+
+
+def mean_map_entropy(cloud: Cloud, config: EntropyConfig | None = None) -> float:
+    """Mean over the map of ln sqrt(det(2 pi e S)), S the covariance of a point's neighborhood; nats, lower is crisper.
+
+    NaN where no point has neighbors enough. Source: Droeschel and Behnke 2014; radius and map as in HBA's tool.
+    """
+    config = config or EntropyConfig()
+    centers = voxel_means(cloud.points_world, config.voxel_m)
+    values = point_entropies(centers, config.radius_m, config.min_neighbors)
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if len(finite) else float("nan")
+
+
+def point_entropies(points: np.ndarray, radius: float, min_neighbors: int) -> np.ndarray:
+    """The (N,) float64 entropies of the neighborhoods of (N, 3) points; NaN where there are too few."""
+    if not len(points):
+        return np.empty(0)
+    points = np.asarray(points, float)
+    cells = np.floor((points - points.min(0)) / radius).astype(np.int64) + 1
+    span = int(cells.max()) + 2
+    keys, order, start = _group((cells[:, 0] * span + cells[:, 1]) * span + cells[:, 2])
+    return kernels.entropies(points, order, start, keys, radius, min_neighbors, span)
+
+
+def voxel_means(points_world: np.ndarray, voxel: float) -> np.ndarray:
+    """The mean (V, 3) float64 of the points in each voxel of edge `voxel` m."""
+    if not len(points_world):
+        return np.empty((0, 3))
+    points = np.asarray(points_world, float)
+    cells = np.floor(points / voxel).astype(np.int64)
+    cells -= cells.min(0)
+    span = cells.max(0) + 1
+    _, order, start = _group((cells[:, 0] * span[1] + cells[:, 1]) * span[2] + cells[:, 2])
+    return np.add.reduceat(points[order], start[:-1]) / np.diff(start)[:, None]
+
+
+@dataclass(frozen=True)
+class ThicknessConfig:
+    """Plane thickness."""
+
+    cube_m: float = 0.5
+    """Edge of the cubes looked at, m; 0.05 to 100."""
+    min_points: int = 50
+    """Points that a cube needs; 4 to 1000000."""
+    max_eigenvalue_ratio: float = 1 / 16
+    """A cube is planar below this ratio of least to middle eigenvalue; 0 to 1."""
+
+    def __post_init__(self) -> None:
+        if not 0.05 <= self.cube_m <= 100:
+            raise ValueError(f"thickness.cube_m is {self.cube_m}, must be within 0.05 to 100")
+        if not 4 <= self.min_points <= 1_000_000:
+            raise ValueError(f"thickness.min_points is {self.min_points}, must be within 4 to 1000000")
+        if not 0 < self.max_eigenvalue_ratio <= 1:
+            raise ValueError(
+                f"thickness.max_eigenvalue_ratio is {self.max_eigenvalue_ratio}, must be within 0 to 1"
+            )
+
+
+def plane_thickness(
+    clouds: Mapping[str, Cloud], config: ThicknessConfig | None = None
+) -> dict[str, dict[str, float]]:
+    """How thick the planar cubes of each map are, standard deviations across the plane in m; one row per map.
+
+    clouds: by name, in one frame. planar: number of cubes that two scans or more see as a plane; own: mean thickness
+    of these; in_<name>: mean thickness of the cubes that are planar in map <name>; NaN where there are none. A bad
+    map has fewer planar cubes, not thicker ones, and a fixed set favors the map that it is drawn from: read the count
+    and both sets together.
+    """
+    config = config or ThicknessConfig()
+    found = {name: _planar_cubes(cloud, config) for name, cloud in clouds.items()}
+    rows: dict[str, dict[str, float]] = {}
+    for name, (keys, thickness, planar) in found.items():
+        row = {"planar": float(planar.sum()), "own": _mean(thickness[planar])}
+        for other, (other_keys, _, other_planar) in found.items():
+            row[f"in_{other}"] = _mean(thickness[np.isin(keys, other_keys[other_planar])])
+        rows[name] = row
+    return rows
+
+
+def _planar_cubes(cloud: Cloud, config: ThicknessConfig) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Keys (K,) of the cubes with points enough, their thickness (K,), m, and whether they are planes (K,)."""
+    if not len(cloud):
+        return np.empty(0, np.int64), np.empty(0), np.empty(0, bool)
+    cells = np.floor(np.asarray(cloud.points_world, float) / config.cube_m).astype(np.int64)
+    keys, order, start = _group(((cells[:, 0] << 21) + cells[:, 1] << 21) + cells[:, 2])
+    scan = np.searchsorted(cloud.scan_offsets, order, side="right")
+    several = np.maximum.reduceat(scan, start[:-1]) > np.minimum.reduceat(scan, start[:-1])
+    values = np.linalg.eigvalsh(kernels.cell_covariances(cloud.points_world, order, start))
+    enough = np.diff(start) >= config.min_points
+    planar = several & (values[:, 0] < config.max_eigenvalue_ratio * values[:, 1])
+    return keys[enough], np.sqrt(np.maximum(values[enough, 0], 0)), planar[enough]
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(values.mean()) if len(values) else float("nan")
+
+
+def _group(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distinct keys ascending, the stable order that sorts by key, and the (K + 1,) start of each key in it."""
+    order = np.argsort(keys, kind="stable")
+    ordered = keys[order]
+    start = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1], [True]]))
+    return ordered[start[:-1]], order, start

@@ -1,0 +1,66 @@
+"""How far a result is from a reference: truth of a simulation, or another solution."""
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from lvba.io.exposures import Exposures
+from lvba.io.reference import Reference
+from lvba.trajectory import Trajectory, align, pose_error
+
+MAX_TIME_DIFFERENCE_S = 1e-3
+"""Samples further apart in time than this are not of the same frame."""
+
+
+def compare(
+    reference: Reference, scans: Trajectory, images: Trajectory, exposures: Exposures | None = None
+) -> dict[str, Any]:
+    """The `reference` part of report.json: errors of the scans, the cameras and the exposures.
+
+    lidar: after alignment of the scan positions. camera: in the frame of the LiDAR map, that is with the alignment of
+    the scans (or its own where there is no scan); camera_aligned: after their own alignment. exposure: after one
+    common scale. Frames are matched by time; a part without two frames in common is left out.
+    """
+    facts: dict[str, Any] = {}
+    aligned = None
+    scan_pairs = _pairs(scans.times, None if reference.scans is None else reference.scans.times)
+    if len(scan_pairs) > 1 and reference.scans is not None:
+        estimate = scans.world_from_sensor[scan_pairs[:, 0]]
+        truth = reference.scans.world_from_sensor[scan_pairs[:, 1]]
+        aligned = align(estimate, truth)
+        facts["lidar"] = asdict(pose_error(estimate, truth, aligned=aligned))
+    image_pairs = _pairs(images.times, None if reference.images is None else reference.images.times)
+    if len(image_pairs) > 1 and reference.images is not None:
+        estimate = images.world_from_sensor[image_pairs[:, 0]]
+        truth = reference.images.world_from_sensor[image_pairs[:, 1]]
+        own = asdict(pose_error(estimate, truth))
+        facts["camera"] = own if aligned is None else asdict(pose_error(estimate, truth, aligned=aligned))
+        facts["camera_aligned"] = own
+    if exposures is not None and reference.exposures is not None:
+        facts |= _exposure_facts(exposures, reference.exposures)
+    return facts
+
+
+def _exposure_facts(estimate: Exposures, reference: Exposures) -> dict[str, Any]:
+    pairs = _pairs(estimate.times, reference.times)
+    if len(pairs) < 2:
+        return {}
+    difference = np.log(estimate.relative[pairs[:, 0]]) - np.log(reference.relative[pairs[:, 1]])
+    error = np.expm1(difference - difference.mean())
+    facts = {
+        "rms_percent": 100 * float(np.sqrt((error**2).mean())),
+        "max_percent": 100 * float(np.abs(error).max()),
+    }
+    return {"exposure": {**facts, "frames": len(pairs)}}
+
+
+def _pairs(times: np.ndarray, others: np.ndarray | None) -> np.ndarray:
+    """Index pairs (P, 2) of samples at the same time, each used once. Both (N,) ascending."""
+    if others is None or not len(times) or not len(others):
+        return np.empty((0, 2), np.int64)
+    after = np.clip(np.searchsorted(others, times), 0, len(others) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(times - others[before]) <= np.abs(others[after] - times), before, after)
+    close = np.abs(others[nearest] - times) <= MAX_TIME_DIFFERENCE_S
+    return np.stack([np.flatnonzero(close), nearest[close]], axis=1)

@@ -1,0 +1,131 @@
+"""Images of a colored cloud: the nearest point of every pixel, times the image's exposure."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lvba.kernels import colorize as color_kernels
+from lvba.kernels import zbuffer as kernels
+from lvba.products.cloud import Blocks, sort_into_blocks
+from lvba.products.colorize import ColorizeConfig, Samples, blend, collect
+from lvba.products.views import Views
+
+SEVERAL = -(1 << 30)
+"""Source of a point that several images colored: it remains when one of them is left out."""
+
+ALL, OTHERS = 0, 1
+"""Variants of a rendering: from all colored points, and from those that other images colored (leave-one-out)."""
+
+
+@dataclass(frozen=True)
+class RenderConfig:
+    """How points become pixels."""
+
+    splat_px: int = 3
+    """Edge of the square that a point fills, px, odd; 1 to 15. Larger covers more and blurs more."""
+    guard_images: int = 0
+    """Leave-one-out also leaves out the points of this many images before and after; 0 to 1000."""
+
+    def __post_init__(self) -> None:
+        if not (1 <= self.splat_px <= 15 and self.splat_px % 2 == 1):
+            raise ValueError(f"render.splat_px is {self.splat_px}, must be odd and within 1 to 15")
+        if not 0 <= self.guard_images <= 1000:
+            raise ValueError(f"render.guard_images is {self.guard_images}, must be within 0 to 1000")
+
+
+@dataclass(frozen=True)
+class ColoredCloud:
+    """Colored points in blocks, ready to be rendered.
+
+    points_world: (3, M) float32, m, by axis; gray: (M, 3) float32, gray values in the image `source` (M,) int32
+    samples: of points colored by several images; then gray holds radiances, and source is the image of points that only
+        one image colored, else SEVERAL
+    noise: of a gray value of the samples
+    """
+
+    points_world: np.ndarray
+    gray: np.ndarray
+    source: np.ndarray
+    blocks: Blocks
+    samples: Samples | None = None
+    noise: float = 0.0
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """One image, seen from all points and from those of other images; the first axis is ALL, OTHERS.
+
+    color: (2, H, W, 3) float32, 0..255, black where empty
+    covered: (2, H, W) bool
+    """
+
+    color: np.ndarray
+    covered: np.ndarray
+
+
+def colored_cloud(points_world: np.ndarray, gray: np.ndarray, source: np.ndarray) -> ColoredCloud:
+    """The colored ones (source >= 0) of the points (M, 3), sorted into blocks."""
+    colored = np.flatnonzero(source >= 0)
+    blocks = sort_into_blocks(points_world[colored])
+    order = colored[blocks.order]
+    return ColoredCloud(np.ascontiguousarray(points_world[order].T), gray[order], source[order], blocks)
+
+
+def blended_cloud(
+    points_world: np.ndarray, views: Views, config: ColorizeConfig, held_out: np.ndarray | None = None
+) -> ColoredCloud:
+    """The points (M, 3) colored by several views each, with the samples, so that any one image can be left out."""
+    blocks = sort_into_blocks(points_world)
+    points = np.ascontiguousarray(points_world[blocks.order].T)
+    samples = collect(points, blocks, views, config, held_out=held_out)
+    radiance = blend(samples, views.log_exposure, config).radiance
+    seen = samples.ranks > 0
+    first = np.where(seen, samples.images, np.iinfo(np.int32).max).min(1)
+    last = np.where(seen, samples.images, -1).max(1)
+    source = np.where(first == last, first, SEVERAL).astype(np.int32)
+    # a point that no image colors is nowhere: it neither shows nor hides anything
+    points[:, last < 0] = np.nan
+    return ColoredCloud(points, radiance, source, blocks, samples, config.noise)
+
+
+def nearest(cloud: ColoredCloud, views: Views, image: int, config: RenderConfig | None = None) -> np.ndarray:
+    """What each pixel of an image sees, ALL and OTHERS: entries (2, H, W) int64 for `shade` and `depth`.
+
+    Each point fills `splat_px` x `splat_px` pixels round its projection; the nearest point wins.
+    """
+    config = config or RenderConfig()
+    return kernels.splat(
+        cloud.points_world, cloud.source, cloud.blocks.start, cloud.blocks.spheres, views.kernel_pose(image),
+        views.intrinsics, image, config.guard_images, config.splat_px // 2, views.camera.height, views.camera.width,
+    )  # fmt: skip
+
+
+def shade(entries: np.ndarray, cloud: ColoredCloud, log_exposure: np.ndarray, image: int) -> Rendering:
+    """The rendering of an image: gray values divided by their image's exposure, times this one's, clipped at 255."""
+    color = np.empty((*entries.shape, 3), np.float32)
+    covered = np.empty(entries.shape, bool)
+    if cloud.samples is not None:
+        gains = np.exp(-log_exposure).astype(np.float32)
+        color_kernels.shade_blended(
+            entries, cloud.gray, cloud.samples.ranks, cloud.samples.gray, cloud.samples.images, gains,
+            np.float32(cloud.noise), image, color, covered,
+        )  # fmt: skip
+        return Rendering(color, covered)
+    ratio = np.exp(log_exposure[image] - log_exposure).astype(np.float32)
+    kernels.shade(entries, cloud.gray, cloud.source, ratio, color, covered)
+    return Rendering(color, covered)
+
+
+def fill(entries: np.ndarray, radius_px: int) -> np.ndarray:
+    """The entries with small gaps between points closed, for pictures that people look at; never for figures."""
+    return kernels.fill(entries, radius_px)
+
+
+def depth(entries: np.ndarray) -> np.ndarray:
+    """Depth maps (2, H, W) float32, m, inf where empty."""
+    return kernels.split(entries)[0]
+
+
+def render(cloud: ColoredCloud, views: Views, image: int, config: RenderConfig | None = None) -> Rendering:
+    """One image, rendered from all points and from those of other images."""
+    return shade(nearest(cloud, views, image, config), cloud, views.log_exposure, image)

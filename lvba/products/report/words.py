@@ -1,0 +1,109 @@
+"""Numbers and verdicts in words."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+MISSING = "\N{EN DASH}"
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One figure of the evaluation: how it is named, written and read."""
+
+    key: str
+    name: str
+    unit: str
+    digits: int
+    higher_is_better: bool | None
+
+
+MEASURES = (
+    Measure("psnr_leave_one_out", "PSNR, leave-one-out", "dB", 2, True),
+    Measure("ssim_leave_one_out", "SSIM, leave-one-out", "", 3, True),
+    Measure("map_entropy", "Mean map entropy", "nats", 3, False),
+    Measure("psnr_common", "PSNR, leave-one-out, same pixels", "dB", 2, True),
+    Measure("ssim_common", "SSIM, leave-one-out, same pixels", "", 3, True),
+    Measure("psnr", "PSNR, paper protocol", "dB", 2, True),
+    Measure("ssim", "SSIM, paper protocol", "", 3, True),
+    Measure("psnr_held_out", "PSNR, held-out images", "dB", 2, True),
+    Measure("ssim_held_out", "SSIM, held-out images", "", 3, True),
+    Measure("psnr_full", "PSNR, paper protocol, holes black", "dB", 2, True),
+    Measure("ssim_full", "SSIM, paper protocol, holes black", "", 3, True),
+    Measure("psnr_full_leave_one_out", "PSNR, leave-one-out, holes black", "dB", 2, True),
+    Measure("ssim_full_leave_one_out", "SSIM, leave-one-out, holes black", "", 3, True),
+    Measure("coverage", "Coverage", "%", 1, None),
+    Measure("coverage_leave_one_out", "Coverage, leave-one-out", "%", 1, None),
+)
+
+
+def number(value: Any, digits: int = 2, unit: str = "") -> str:
+    """A number with a true minus sign and its unit; a dash where it is missing."""
+    if not isinstance(value, int | float):
+        return MISSING
+    words = f"{value:,.{digits}f}".replace("-", "\N{MINUS SIGN}").replace(",", "\N{THIN SPACE}")
+    return f"{words}\N{NO-BREAK SPACE}{unit}" if unit else words
+
+
+def measure(value: Any, kind: Measure, unit: bool = True) -> str:
+    """A figure of the evaluation as its measure is written, with its unit unless that is said elsewhere."""
+    if kind.unit == "%" and isinstance(value, int | float):
+        value = 100 * value
+    return number(value, kind.digits, kind.unit if unit else "")
+
+
+def length(meters: Any) -> str:
+    """A length in the unit that suits it: mm, cm or m."""
+    if not isinstance(meters, int | float):
+        return MISSING
+    size = abs(meters)
+    if size < 0.0995:
+        return number(1000 * meters, 1 if size >= 0.001 else 2, "mm")
+    return number(100 * meters, 1, "cm") if size < 0.995 else number(meters, 2, "m")
+
+
+def angle(degrees: Any) -> str:
+    """An angle in degrees, with more digits where it is small."""
+    if not isinstance(degrees, int | float):
+        return MISSING
+    return number(degrees, 2 if abs(degrees) >= 1 else 3 if abs(degrees) >= 0.01 else 4) + "°"
+
+
+def count(value: Any) -> str:
+    """A whole number, thousands set apart."""
+    return number(value, 0)
+
+
+def verdict(facts: Mapping[str, Any]) -> str:
+    """What came out, in a sentence or two of HTML without user text."""
+    rough, refined = (facts.get("evaluation", {}).get(name) or {} for name in ("rough", "refined"))
+    sentences = []
+    before, after = rough.get("psnr_leave_one_out"), refined.get("psnr_leave_one_out")
+    if before is not None and after is not None:
+        gain = after - before
+        if gain > 0.005:
+            better = number(gain, 2, "dB")
+            sentences.append(
+                f"The map predicts images that it has not seen <strong>{better} better</strong> than before."
+            )
+        elif gain < -0.005:
+            worse = number(-gain, 2, "dB")
+            sentences.append(
+                f"The map predicts images that it has not seen <strong>{worse} worse</strong> than before."
+            )
+        else:
+            sentences.append(
+                "The map predicts images that it has not seen <strong>as well as before</strong>."
+            )
+    before, after = rough.get("map_entropy"), refined.get("map_entropy")
+    if before is not None and after is not None and abs(after - before) > 5e-4:
+        word = "crisper" if after < before else "less crisp"
+        sentences.append(f"Its surfaces are <strong>{word}</strong>.")
+    kept = [
+        name
+        for key, name in (("lidar", "scan"), ("visual", "camera"))
+        if facts.get(key, {}).get("accepted") is False
+    ]
+    if kept:
+        sentences.append(f"The input's <strong>{' and '.join(kept)} poses were kept</strong>: see below why.")
+    return " ".join(sentences)

@@ -1,0 +1,60 @@
+"""The images that color a map and judge it, with their poses and exposures."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lvba.camera import Camera
+
+
+@dataclass(frozen=True)
+class Views:
+    """Undistorted images, loaded one at a time.
+
+    load: gives image i as (H, W, 3) uint8 RGB, undistorted
+    camera: their pinhole camera
+    times: (I,) float64, s
+    world_from_camera: (I, 4, 4) float64
+    log_exposure: (I,) float64, natural log of the relative exposure time
+    valid: (H, W) bool, pixels that hold a picture (undistortion leaves empty corners); None: all
+    """
+
+    load: Callable[[int], np.ndarray]
+    camera: Camera
+    times: np.ndarray
+    world_from_camera: np.ndarray
+    log_exposure: np.ndarray
+    valid: np.ndarray | None = field(default=None)
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    @property
+    def intrinsics(self) -> np.ndarray:
+        """fx, fy, cx, cy, (4,) float32."""
+        return np.array([self.camera.fx, self.camera.fy, self.camera.cx, self.camera.cy], np.float32)
+
+    @property
+    def mask(self) -> np.ndarray:
+        """(H, W) bool, pixels that hold a picture."""
+        if self.valid is not None:
+            return self.valid
+        return np.ones((self.camera.height, self.camera.width), bool)
+
+    def kernel_poses(self) -> np.ndarray:
+        """(I, 3, 4) float32: the rotation of camera_from_world, and the camera center in the world as last column."""
+        rotation = np.swapaxes(self.world_from_camera[:, :3, :3], 1, 2)
+        return np.concatenate([rotation, self.world_from_camera[:, :3, 3:]], axis=2).astype(np.float32)
+
+    def kernel_pose(self, image: int) -> np.ndarray:
+        """(3, 4) float32: one row of `kernel_poses`."""
+        rotation = self.world_from_camera[image, :3, :3].T
+        return np.concatenate([rotation, self.world_from_camera[image, :3, 3:]], axis=1).astype(np.float32)
+
+
+def nearest_in_time(times: np.ndarray, queries: np.ndarray) -> np.ndarray:
+    """For each query the index (Q,) of the sample nearest in time, the earlier of two equally near. times: ascending."""
+    after = np.clip(np.searchsorted(times, queries), 0, len(times) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(queries - times[before] <= times[after] - queries, before, after)

@@ -1,0 +1,95 @@
+"""What a run gives, and the folder it is written to."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lvba import config as settings
+from lvba import pipeline, plan
+from lvba.dataset import Dataset
+from lvba.io import ply, result_folder
+from lvba.io.reference import Reference
+from lvba.pipeline import Config
+from lvba.plan import Plan, Store
+from lvba.products import map_file, report
+from lvba.products.map_file import PointMap
+from lvba.products.pictures import Pictures
+from lvba.progress import Progress, silent
+
+
+@dataclass(frozen=True)
+class Result:
+    """Refined poses and exposures, the colored map and the facts of the report.
+
+    world_from_scan: (S, 4, 4), world_from_camera: (I, 4, 4) float64, in the dataset's world frame
+    relative_exposure: (I,) float64, first image 1
+    report: plain data, see docs/report.md
+    """
+
+    dataset: Dataset
+    config: Config
+    world_from_scan: np.ndarray
+    world_from_camera: np.ndarray
+    relative_exposure: np.ndarray
+    map: PointMap
+    pictures: Pictures | None
+    report: dict[str, Any]
+
+    def write(self, out: str | Path) -> None:
+        """Write the result folder; each file in it is the old one or the whole new one.
+
+        Raises InputError: it cannot be written.
+        """
+        folder = result_folder.prepare(out)
+        result_folder.write_poses(folder, self.dataset, self.world_from_scan, self.world_from_camera)
+        if len(self.relative_exposure):
+            result_folder.write_exposures(folder, self.dataset, self.relative_exposure)
+        ply.write_ply(folder / "map.ply", map_file.columns(self.map, self.dataset.origin))
+        result_folder.write_config(folder, settings.to_dict(self.config))
+        report.write(folder, self.report, self.pictures)
+
+
+def refine(
+    dataset: Dataset,
+    config: Config | None = None,
+    *,
+    reference: Reference | None = None,
+    store: Store | None = None,
+    progress: Progress = silent,
+) -> Result:
+    """The refined recording, made in this process.
+
+    reference: poses to compare with, which decide nothing
+    store: where finished stages are kept and looked for; None: in memory
+    """
+    config = config or Config()
+    work = pipeline.refine(dataset, config, reference)
+    store = plan.run(work, {} if store is None else store, progress)
+    return collect(dataset, config, work, store)
+
+
+def collect(dataset: Dataset, config: Config, work: Plan, store: Store) -> Result:
+    """The result of a plan that was run over the store."""
+    keys = {step.name: key for key, step in work.steps.items()}
+    accepted = store[keys["visual-gate"]]
+    facts = {"schema": 1, **store[keys["facts"]], "config": settings.to_dict(config)}
+    facts["dataset"] = {"path": dataset.root, **facts["dataset"]}
+    return Result(
+        dataset,
+        config,
+        accepted.world_from_scan,
+        accepted.world_from_camera,
+        np.exp(accepted.log_exposure),
+        store[keys["map"]],
+        store[keys["pictures"]],
+        facts,
+    )
+
+
+def with_run(result: Result, stages: Sequence[Any], versions: dict[str, str]) -> Result:
+    """The result with what its runner knows: a record per stage, and the versions of the software."""
+    records = [asdict(stage) for stage in stages]
+    return replace(result, report={**result.report, "versions": versions, "stages": records})

@@ -1,0 +1,66 @@
+"""The text files of a simulated recording: poses, true poses, exposures, calibration, and what was put in."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lvba.camera import Camera
+from lvba.errors import InputError
+from lvba.io import exposures, files, tum
+from lvba.io.exposures import Exposures
+from lvba.simulate.truth import Rig, Truth
+
+IMAGES, SCANS, REFERENCE = "all_image", "all_pcd_body", "reference"
+
+
+def make_folders(out: str | Path, facts: dict[str, Any]) -> Path:
+    """The folder to write to, with its parts; notes there what is being simulated.
+
+    Raises: InputError if it holds anything but the same simulation: the files of two would mix.
+    """
+    root, text = files.make_folder(out), json.dumps(facts, indent=1) + "\n"
+    note = root / REFERENCE / "simulation.json"
+    if not (note.is_file() and files.read_text(note) == text):
+        for name in (IMAGES, SCANS):
+            if (root / name).is_dir() and any((root / name).iterdir()):
+                raise InputError(root / name, "is not empty", "take another folder, or remove this one")
+    for name in (IMAGES, SCANS, REFERENCE):
+        files.make_folder(root / name)
+    files.write_text(note, text)
+    return root
+
+
+def write_texts(root: Path, truth: Truth, rig: Rig, camera: Camera, exposure: np.ndarray) -> None:
+    """Poses, true poses, exposures and calibration."""
+    tum.write_trajectory(root / SCANS / "lidar_poses.txt", truth.rough_scans)
+    tum.write_trajectory(root / IMAGES / "image_poses.txt", truth.rough_images)
+    reference = root / REFERENCE
+    tum.write_trajectory(reference / "lidar_poses.txt", truth.scans)
+    tum.write_trajectory(reference / "image_poses.txt", truth.images)
+    exposures.write_exposures(reference / "exposures.csv", Exposures(truth.images.times, exposure))
+    files.write_text(root / "config.yaml", _config_text(camera, rig, truth.rough_camera_from_body))
+
+
+def _config_text(camera: Camera, rig: Rig, rough_camera_from_body: np.ndarray) -> str:
+    """config.yaml as FAST-LIVO2 writes it; its camera extrinsic is the rough one."""
+    camera_from_lidar = rough_camera_from_body @ rig.body_from_lidar
+    keys = {
+        "cam_width": camera.width,
+        "cam_height": camera.height,
+        "scale": 1.0,
+        "cam_fx": camera.fx,
+        "cam_fy": camera.fy,
+        "cam_cx": camera.cx,
+        "cam_cy": camera.cy,
+        **{f"cam_d{index}": value for index, value in enumerate(camera.distortion)},
+    }
+    lines = ["cam_model:", *(f"  {key}: {value!r}" for key, value in keys.items()), "extrin_calib:"]
+    for rotation_key, translation_key, transform in (
+        ("extrinsic_R", "extrinsic_T", rig.body_from_lidar),
+        ("Rcl", "Pcl", camera_from_lidar),
+    ):
+        lines.append(f"  {rotation_key}: {transform[:3, :3].ravel().tolist()}")
+        lines.append(f"  {translation_key}: {transform[:3, 3].tolist()}")
+    return "\n".join(lines) + "\n"

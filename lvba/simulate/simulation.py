@@ -1,0 +1,208 @@
+"""A recording with known truth: a scene, sensors moved through it, and rough poses."""
+
+import warnings
+import zlib
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lvba import geometry
+from lvba.errors import InputError
+from lvba.io import images, pcd
+from lvba.progress import Progress, silent
+from lvba.simulate import camera as cameras
+from lvba.simulate import drift, recording, scenes, texture
+from lvba.simulate import lidar as lidars
+from lvba.simulate import truth as truths
+from lvba.simulate.camera import Sensor, View
+from lvba.simulate.scenes import Scene
+from lvba.simulate.truth import Rig, Truth
+from lvba.simulate.world import RayCaster
+
+DEFAULT_FRAMES = 100
+_MEAN_GREY = 95.0
+"""Grey value of radiance 0.45 at the middle exposure of a recording."""
+_VIGNETTING = 0.35
+_SHOT_NOISE = 0.02
+_BLUR_S = 0.008
+"""How long the shutter is open at relative exposure 1."""
+_SCAN_RNG, _IMAGE_RNG = 1, 2
+
+
+@dataclass(frozen=True)
+class _Simulation:
+    """All that is needed to take scans and images."""
+
+    seed: int
+    lidar: str
+    points_per_scan: int
+    motion_blur: bool
+    scene: Scene
+    rig: Rig
+    truth: Truth
+    caster: RayCaster
+    view: View
+    sensor: Sensor
+    exposure: np.ndarray
+
+
+def simulate(
+    scene: str,
+    out: str | Path,
+    *,
+    frames: int | None = None,
+    seed: int = 0,
+    difficulty: str = "medium",
+    lidar: str = "spinning",
+    vignetting: bool = False,
+    motion_blur: bool = False,
+    shot_noise: bool = False,
+    width: int = 640,
+    height: int = 480,
+    points_per_scan: int = 30_000,
+    scans: int | None = None,
+    length: float | None = None,
+    progress: Progress = silent,
+) -> None:
+    """Writes a dataset folder of a simulated recording, with the truth in its folder `reference`.
+
+    scene: courtyard, rooms, street, corridor or plane; frames: images (100); scans: as many as images by default
+    seed: of everything: geometry, textures, path, noise; the same seed writes the same bytes
+    difficulty: easy, medium or hard, of the rough poses; lidar: spinning or non_repetitive
+    points_per_scan: beams; some come back without echo; length: m, of a street, corridor or flight over the plane
+    Raises: InputError on an unknown name, a number out of range, a folder that holds another recording, or if Open3D
+        is not installed.
+    """
+    frames = DEFAULT_FRAMES if frames is None else frames
+    scans = frames if scans is None else scans
+    counts = {"frames": frames, "scans": scans, "width": width, "height": height, "points": points_per_scan}
+    _check(counts, lidar, seed, length)
+    level = drift.difficulty(difficulty)
+    layout, mounting, moves, optics, paint = _streams(scene, seed)
+    built = scenes.build(scene, layout, frames, length)
+    caster = RayCaster(built.world)
+    rig = truths.random_rig(scene, mounting)
+    truth = truths.build(built, rig, level, scans, frames, moves)
+    camera, exposure = cameras.random_camera(width, height, optics), cameras.exposures(frames, optics)
+    sensor = Sensor(
+        gain=_MEAN_GREY / 0.45 / float(np.exp(np.median(np.log(exposure)))),
+        shot_noise=_SHOT_NOISE if shot_noise else 0.0,
+        vignetting=_VIGNETTING if vignetting else 0.0,
+    )
+    view = View.of(caster, texture.build(built.world, paint), camera)
+    simulation = _Simulation(
+        seed, lidar, points_per_scan, motion_blur, built, rig, truth, caster, view, sensor, exposure
+    )
+    facts = {"scene": scene, "difficulty": difficulty, "length_m": length, **counts, **_facts(simulation)}
+    root = recording.make_folders(out, facts)
+    recording.write_texts(root, truth, rig, camera, exposure)
+    with warnings.catch_warnings():
+        # numba asks for a newer TBB than the one Open3D brings, and does without
+        warnings.filterwarnings("ignore", message="The TBB threading layer requires")
+        _write_all(root, simulation, progress)
+
+
+def _check(counts: dict[str, int], lidar: str, seed: int, length: float | None) -> None:
+    least = {"frames": 2, "scans": 2, "width": 32, "height": 32, "points": 64}
+    for name, value in counts.items():
+        if value < least[name]:
+            raise InputError(name, f"{value} is too few", f"take {least[name]} or more")
+    if lidar not in lidars.PATTERNS:
+        raise InputError("lidar", f"{lidar[:40]!r} is not known", f"take one of {', '.join(lidars.PATTERNS)}")
+    if seed < 0:
+        raise InputError("seed", f"{seed} is negative", "take 0 or more")
+    if length is not None and not 5 <= length <= 20_000:
+        raise InputError("length", f"{length} m cannot be simulated", "take 5 to 20000")
+
+
+def _streams(scene: str, seed: int) -> list[np.random.Generator]:
+    """Independent generators: layout, mounting, motion and drift, optics, textures."""
+    sequence = np.random.SeedSequence([seed, zlib.crc32(scene.encode())])
+    return [np.random.default_rng(child) for child in sequence.spawn(5)]
+
+
+def _facts(simulation: _Simulation) -> dict[str, Any]:
+    """What was put in, for simulation.json."""
+    rig, truth, sensor = simulation.rig, simulation.truth, simulation.sensor
+    error = rig.camera_from_body @ geometry.inverse(truth.rough_camera_from_body)
+    return {
+        "seed": simulation.seed,
+        "lidar": simulation.lidar,
+        "images_taken_after_stamp_s": truth.time_offset,
+        "extrinsic_error": {
+            "rotation_deg": float(geometry.rotation_angle_deg(error)),
+            "translation_m": float(np.linalg.norm(error[:3, 3])),
+        },
+        "true_camera_from_body": rig.camera_from_body.tolist(),
+        "rough_camera_from_body": truth.rough_camera_from_body.tolist(),
+        "body_from_lidar": rig.body_from_lidar.tolist(),
+        "range_noise_m": lidars.RANGE_NOISE_M,
+        "image_noise": sensor.noise,
+        "shot_noise": sensor.shot_noise,
+        "vignetting": sensor.vignetting,
+        "motion_blur_s": _BLUR_S if simulation.motion_blur else 0.0,
+    }
+
+
+Job = Callable[[], None]
+"""Finishes and writes one file; may run in any thread."""
+
+
+def _write_all(root: Path, simulation: _Simulation, progress: Progress) -> None:
+    """Casts rays here, where all threads help with one frame, and leaves noise, compression and disk to others."""
+    waiting: list[Future[None]] = []
+    with ThreadPoolExecutor(2) as pool:
+        for name, jobs, count in (
+            ("scans", _scans(root, simulation), len(simulation.truth.scans)),
+            ("images", _images(root, simulation), len(simulation.truth.images)),
+        ):
+            for done, job in enumerate(jobs, 1):
+                waiting.append(pool.submit(job))
+                if len(waiting) > 4:
+                    waiting.pop(0).result()
+                progress(name, done, count)
+        for future in waiting:
+            future.result()
+
+
+def _scans(root: Path, simulation: _Simulation) -> Iterator[Job]:
+    """One job for each scan."""
+    truth, body_from_lidar = simulation.truth, simulation.rig.body_from_lidar
+    for index, (stamp, scene_from_body) in enumerate(
+        zip(truth.scans.times, truth.scene_from_body, strict=True)
+    ):
+        rng = np.random.default_rng([simulation.seed, _SCAN_RNG, index])
+        points, intensity = lidars.scan(
+            simulation.caster,
+            simulation.scene.world,
+            scene_from_body @ body_from_lidar,
+            lidars.PATTERNS[simulation.lidar](simulation.points_per_scan, rng),
+            rng,
+        )
+        points_body = geometry.transform_points(body_from_lidar, points)
+        path = root / recording.SCANS / f"{stamp:.6f}.pcd"
+        yield partial(pcd.write_pcd, path, points_body, intensity)
+
+
+def _images(root: Path, simulation: _Simulation) -> Iterator[Job]:
+    """One job for each image."""
+    truth, body_from_camera = simulation.truth, geometry.inverse(simulation.rig.camera_from_body)
+    for index, stamp in enumerate(truth.images.times):
+        exposure, poses = float(simulation.exposure[index]), truth.scene_from_camera[index]
+        if simulation.motion_blur:
+            moments = cameras.blur_times(truth.image_moments[index], _BLUR_S * exposure)
+            poses = simulation.scene.motion.poses(moments) @ body_from_camera
+        rng = np.random.default_rng([simulation.seed, _IMAGE_RNG, index])
+        path = root / recording.IMAGES / f"{stamp:.6f}.png"
+        yield partial(_take, path, simulation.view.radiance(poses), simulation.sensor, exposure, rng)
+
+
+def _take(
+    path: Path, radiance: np.ndarray, sensor: Sensor, exposure: float, rng: np.random.Generator
+) -> None:
+    images.write_image(path, sensor.picture(radiance, exposure, rng))

@@ -1,0 +1,128 @@
+"""The geometry of a scene: parallelograms, and which of them rays meet."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lvba.errors import InputError
+
+
+@dataclass(frozen=True)
+class World:
+    """Rectangles with what their textures are made of, scene frame (z up).
+
+    corner, edge_u, edge_v: (Q, 3) float64, m; color: (Q, 3) float64, mean radiance
+    contrast: (Q,) float64, 0 flat to 1; patches: (Q,) float64, part of the 0.7 m cells that hold a flat patch
+    """
+
+    corner: np.ndarray
+    edge_u: np.ndarray
+    edge_v: np.ndarray
+    color: np.ndarray
+    contrast: np.ndarray
+    patches: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.corner)
+
+    @property
+    def normal(self) -> np.ndarray:
+        """(Q, 3), unit length; the side is arbitrary."""
+        normal = np.cross(self.edge_u, self.edge_v)
+        return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+class Builder:
+    """Collects rectangles; objects get colors and contrasts of their own from `rng`."""
+
+    def __init__(self, rng: np.random.Generator, bare: float = 0.0) -> None:
+        """bare: part of the objects that have hardly any texture."""
+        self.rng = rng
+        self._bare = bare
+        self._edges: list[np.ndarray] = []
+        self._styles: list[np.ndarray] = []
+
+    def rectangle(
+        self,
+        corner: tuple[float, ...] | np.ndarray,
+        edge_u: tuple[float, ...] | np.ndarray,
+        edge_v: tuple[float, ...] | np.ndarray,
+        style: np.ndarray | None = None,
+    ) -> None:
+        """One parallelogram."""
+        self._edges.append(np.array([corner, edge_u, edge_v], float))
+        self._styles.append(self.style() if style is None else style)
+
+    def box(
+        self,
+        center: tuple[float, float, float],
+        size: tuple[float, float, float],
+        yaw: float = 0.0,
+        tilt: float = 0.0,
+    ) -> None:
+        """A cuboid, turned about z by `yaw` and then about its own x axis by `tilt` (rad); faces differ in shade."""
+        c, s = np.cos(yaw), np.sin(yaw)
+        ct, st = np.cos(tilt), np.sin(tilt)
+        axes = np.array([[c, s, 0.0], [-s * ct, c * ct, st], [s * st, -c * st, ct]])
+        x, y, z = axes * np.array(size)[:, None]
+        corner = np.array(center) - (x + y + z) / 2
+        style = self.style()
+        for u, v, across in ((x, y, z), (x, z, y), (y, z, x)):
+            self.rectangle(corner, u, v, self._shaded(style))
+            self.rectangle(corner + across, u, v, self._shaded(style))
+
+    def style(self) -> np.ndarray:
+        """(5,): mean radiance (red, green, blue), contrast, patch density."""
+        level, tint = self.rng.uniform(0.25, 0.65), self.rng.uniform(-1, 1, 3)
+        color = level * (1 + 0.3 * (tint - tint.mean()))
+        bare = self.rng.random() < self._bare
+        contrast = self.rng.uniform(0.08, 0.2) if bare else self.rng.uniform(0.6, 1.0)
+        return np.array([*color, contrast, 0.0 if bare else self.rng.uniform(0.15, 0.5)])
+
+    def build(self) -> World:
+        """The world of all rectangles so far."""
+        edges, styles = np.array(self._edges), np.array(self._styles)
+        return World(
+            edges[:, 0], edges[:, 1], edges[:, 2], styles[:, :3], styles[:, 3].copy(), styles[:, 4].copy()
+        )
+
+    def _shaded(self, style: np.ndarray) -> np.ndarray:
+        shaded = style.copy()
+        shaded[:3] *= self.rng.uniform(0.75, 1.15)
+        return shaded
+
+
+class RayCaster:
+    """Finds the first rectangle along rays (Embree, through Open3D)."""
+
+    def __init__(self, world: World) -> None:
+        """Raises: InputError if Open3D is not installed."""
+        try:
+            import open3d.core
+            import open3d.t.geometry
+        except ImportError as error:
+            raise InputError(
+                "lvba simulate", f"Open3D cannot be loaded ({error})", "pip install 'lvba[simulate]'"
+            ) from error
+        tensor: Any = open3d.core.Tensor
+        self._tensor = tensor
+        c, u, v = world.corner, world.edge_u, world.edge_v
+        vertices = np.stack([c, c + u, c + u + v, c + v], axis=1).reshape(-1, 3).astype(np.float32)
+        first = 4 * np.arange(len(world))[:, None, None]
+        triangles = (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
+        self._scene: Any = open3d.t.geometry.RaycastingScene()
+        self._scene.add_triangles(tensor(vertices), tensor(triangles.astype(np.uint32)))
+
+    def cast(self, center: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far rays go, (M,) float32 (inf: no hit), in lengths of their direction; what they meet, (M,) int32 (-1).
+
+        center: (3,) or (M, 3), m, scene frame; directions: (M, 3)
+        """
+        rays = np.empty((len(directions), 6), np.float32)
+        rays[:, :3], rays[:, 3:] = center, directions
+        answer = self._scene.cast_rays(self._tensor(rays))
+        distance = answer["t_hit"].numpy()
+        quad = (answer["primitive_ids"].numpy() // 2).astype(np.int32)
+        quad[~np.isfinite(distance)] = -1
+        return distance, quad

@@ -1,0 +1,137 @@
+"""Timed poses: looking them up between samples, carrying corrections over, aligning and comparing."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from lvba import geometry
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Poses of one sensor over time.
+
+    times: (N,) float64, s, strictly ascending
+    world_from_sensor: (N, 4, 4) float64
+    """
+
+    times: np.ndarray
+    world_from_sensor: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+
+def bracket(times: np.ndarray, queries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """For each query, the index (Q,) of the sample before it and its fraction (Q,) to the next; clamped at the ends."""
+    if len(times) == 1:
+        return np.zeros(len(queries), np.int64), np.zeros(len(queries))
+    before = np.clip(np.searchsorted(times, queries, side="right") - 1, 0, len(times) - 2)
+    fraction = (queries - times[before]) / (times[before + 1] - times[before])
+    return before, np.clip(fraction, 0.0, 1.0)
+
+
+def interpolate_corrections(rough: Trajectory, refined: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """World corrections `refined @ rough^-1` at other times, (Q, 4, 4); constant beyond the ends.
+
+    refined: (N, 4, 4), poses at rough.times. Source: Li et al., eq. (1), made continuous (the paper takes the
+    closest frame, which jumps). Both trajectories are interpolated and then compared, so that a correction common to
+    all frames comes back exactly, and the error of interpolating the motion cancels.
+    """
+    before, fraction = bracket(rough.times, times)
+    after = np.minimum(before + 1, len(rough) - 1)
+    rough_at = geometry.interpolate(rough.world_from_sensor[before], rough.world_from_sensor[after], fraction)
+    refined_at = geometry.interpolate(refined[before], refined[after], fraction)
+    return refined_at @ geometry.inverse(rough_at)
+
+
+def sample(trajectory: Trajectory, times: np.ndarray) -> np.ndarray:
+    """Poses at other times, (Q, 4, 4): cubic spline in position, shortest arc in rotation; clamped at the ends."""
+    before, fraction = bracket(trajectory.times, times)
+    after = np.minimum(before + 1, len(trajectory) - 1)
+    poses = geometry.interpolate(
+        trajectory.world_from_sensor[before], trajectory.world_from_sensor[after], fraction
+    )
+    if len(trajectory) > 2:
+        clamped = np.clip(times, trajectory.times[0], trajectory.times[-1])
+        poses[..., :3, 3] = CubicSpline(trajectory.times, trajectory.world_from_sensor[:, :3, 3])(clamped)
+    return poses
+
+
+def align(estimate: np.ndarray, reference: np.ndarray, rounds: int = 5) -> np.ndarray:
+    """`reference_from_estimate` (4, 4), the rigid motion that brings poses closest; no scale.
+
+    estimate, reference: (N, 4, 4), same order. Positions and orientations both count, each by its own spread about the
+    result. Positions alone (Umeyama) leave the roll of a straight path open: 1 mm of noise on a path 1 m wide
+    turns all of it by 0.06 degrees.
+    """
+    p, q = estimate[:, :3, 3], reference[:, :3, 3]
+    p_mean, q_mean = p.mean(0), q.mean(0)
+    positions = (q - q_mean).T @ (p - p_mean)
+    orientations = np.einsum("nij,nkj->ik", reference[:, :3, :3], estimate[:, :3, :3])
+    lever = 1e-3 * max(float(np.sqrt(((p - p_mean) ** 2).sum(1).mean())), 1e-3)
+    for _ in range(rounds):
+        rotation = _closest_rotation(positions + lever**2 * orientations)
+        off = (q - q_mean) - (p - p_mean) @ rotation.T
+        turned = np.einsum("nji,jk,nkl->nil", reference[:, :3, :3], rotation, estimate[:, :3, :3])
+        angle = np.linalg.norm(Rotation.from_matrix(turned).as_rotvec(), axis=1)
+        if (angle**2).mean() < _EXACT**2:
+            break
+        # |R_a - R_b|^2 is twice the squared angle: meters per radian at equal spread, over sqrt(2)
+        lever = float(np.sqrt(max((off**2).sum(1).mean(), _EXACT**2) / (2 * (angle**2).mean())))
+    return geometry.from_rotation_translation(rotation, q_mean - rotation @ p_mean)
+
+
+_EXACT = 1e-12
+
+
+def _closest_rotation(cross: np.ndarray) -> np.ndarray:
+    u, _, vt = np.linalg.svd(cross)
+    return np.asarray(u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt)
+
+
+@dataclass(frozen=True)
+class PoseError:
+    """How far an estimate is from a reference, after alignment unless said otherwise."""
+
+    ate_m: float
+    """Root mean square of the position error, m."""
+    rotation_deg: float
+    """Root mean square of the rotation error, degrees."""
+    ate_max_m: float
+    rotation_max_deg: float
+    rpe_m: float
+    """Root mean square of the position error of the motion between neighbours, m."""
+    rpe_deg: float
+    frames: int
+
+
+def pose_error(
+    estimate: np.ndarray, reference: np.ndarray, *, aligned: np.ndarray | None = None
+) -> PoseError:
+    """Errors of (N, 4, 4) poses against (N, 4, 4) reference poses.
+
+    aligned: the (4, 4) `reference_from_estimate` to use, for example that of the LiDAR map for cameras; None: found here.
+    """
+    reference_from_estimate = align(estimate, reference) if aligned is None else aligned
+    error = geometry.inverse(reference) @ (reference_from_estimate @ estimate)
+    position = np.linalg.norm((reference_from_estimate @ estimate)[:, :3, 3] - reference[:, :3, 3], axis=1)
+    angle = geometry.rotation_angle_deg(error)
+    step = geometry.inverse(geometry.inverse(reference[:-1]) @ reference[1:]) @ (
+        geometry.inverse(estimate[:-1]) @ estimate[1:]
+    )
+    return PoseError(
+        ate_m=_rms(position),
+        rotation_deg=_rms(angle),
+        ate_max_m=float(position.max(initial=0)),
+        rotation_max_deg=float(angle.max(initial=0)),
+        rpe_m=_rms(np.linalg.norm(step[:, :3, 3], axis=1)),
+        rpe_deg=_rms(geometry.rotation_angle_deg(step)),
+        frames=len(estimate),
+    )
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0

@@ -1,0 +1,68 @@
+"""Whether reported covariances are honest: the error they predict, beside the error against a reference."""
+
+from typing import Any
+
+import numpy as np
+
+from lvba import geometry, trajectory
+from lvba.trajectory import Trajectory
+
+_SAME_TIME_S = 1e-3
+
+
+def against(
+    estimate: Trajectory,
+    covariance: np.ndarray,
+    reference: Trajectory,
+    reference_from_map: np.ndarray | None = None,
+) -> dict[str, float]:
+    """Predicted root mean square errors and the normalized estimation error squared (1: honest).
+
+    covariance: (N, 6, 6), local tangent `[rotation | translation]`; frames without one (all zero, or not finite) are
+        left out
+    reference_from_map: alignment to use; None: found here
+    """
+    pairs = matched(estimate.times, reference.times)
+    known = np.isfinite(covariance).all((1, 2)) & (np.trace(covariance, axis1=1, axis2=2) > 0)
+    pairs = pairs[known[pairs[:, 0]]]
+    if len(pairs) < 2:
+        return {}
+    poses, truth = estimate.world_from_sensor[pairs[:, 0]], reference.world_from_sensor[pairs[:, 1]]
+    spread = covariance[pairs[:, 0]]
+    aligned = trajectory.align(poses, truth) if reference_from_map is None else reference_from_map
+    error = geometry.log(geometry.inverse(aligned @ poses) @ truth)
+    whitened = np.linalg.solve(spread, error[..., None])[..., 0]
+    rotation, position = (np.trace(spread[:, s, s], axis1=1, axis2=2).mean() for s in (slice(3), slice(3, 6)))
+    return {
+        "predicted_ate_m": float(np.sqrt(position)),
+        "predicted_rotation_deg": float(np.degrees(np.sqrt(rotation))),
+        "nees": float((error * whitened).sum(1).mean() / 6),
+    }
+
+
+def of_exposures(
+    times: np.ndarray, log_exposure: np.ndarray, sigma: np.ndarray, true_times: np.ndarray, true: np.ndarray
+) -> dict[str, Any]:
+    """The same for log exposures (I,) with standard deviations (I,), after one common scale. true: (E,) relative."""
+    pairs = matched(times, true_times)
+    pairs = pairs[(np.isfinite(sigma) & (sigma > 0))[pairs[:, 0]]]
+    if len(pairs) < 2:
+        return {}
+    error = log_exposure[pairs[:, 0]] - np.log(true[pairs[:, 1]])
+    error -= error.mean()
+    spread = sigma[pairs[:, 0]]
+    return {
+        "predicted_percent": float(100 * np.sqrt(np.mean(spread**2))),
+        "nees": float(np.mean((error / spread) ** 2)),
+    }
+
+
+def matched(times: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Index pairs (P, 2) of samples at the same time. Both ascending."""
+    if not len(times) or not len(others):
+        return np.empty((0, 2), np.int64)
+    after = np.clip(np.searchsorted(others, times), 0, len(others) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(times - others[before]) <= np.abs(others[after] - times), before, after)
+    close = np.abs(others[nearest] - times) <= _SAME_TIME_S
+    return np.stack([np.flatnonzero(close), nearest[close]], axis=1)

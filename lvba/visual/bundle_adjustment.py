@@ -1,0 +1,214 @@
+"""One pyramid level of the visual bundle adjustment: photometric cost plus prior, by Levenberg-Marquardt."""
+
+import logging
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from lvba import solver
+from lvba.camera import Camera
+from lvba.solver import Iteration, NormalEquations, SolverConfig
+from lvba.visual import covariance, photometric
+from lvba.visual import prior as priors
+from lvba.visual.photometric import Linearization, PhotometricConfig, PhotometricState, Problem
+from lvba.visual.prior import Prior, Source
+from lvba.visual.scene_points import Observations, ScenePoints
+from lvba.visual.states import Mount, VisualState
+
+logger = logging.getLogger(__name__)
+
+_QUICK_DECREASE = 1e-3
+"""Where weights are about to be estimated anew, a solve stops at this relative decrease."""
+
+
+@dataclass(frozen=True)
+class BundleAdjustmentConfig:
+    """How one level is solved."""
+
+    rounds: int = 3
+    """Solves per level, each with noise level and prior estimated anew from the last; 1 to 10."""
+    solve_exposures: bool = True
+    """False: log exposures stay as they are."""
+    plane_offsets: bool = True
+    """Each scene point's plane may move along its normal as far as the LiDAR's noise lets it; False: as in the paper."""
+    plane_floor_m: float = 0.001
+    """No plane is taken as better known than this, m; 1e-5 to 1."""
+    photometric: PhotometricConfig = field(default_factory=PhotometricConfig)
+    solver: SolverConfig = field(
+        default_factory=lambda: SolverConfig(max_iterations=12, relative_decrease=1e-5)
+    )
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.rounds <= 10:
+            raise ValueError(f"rounds is {self.rounds}, must be between 1 and 10")
+        if not 1e-5 <= self.plane_floor_m <= 1:
+            raise ValueError(f"plane_floor_m is {self.plane_floor_m}, must be between 1e-5 and 1")
+
+
+@dataclass(frozen=True)
+class LevelSolution:
+    """What one level ends with.
+
+    linearization: of the photometric cost at the solution
+    offset: (P,) m, how far each scene point's plane was moved along its normal
+    """
+
+    state: VisualState
+    offset: np.ndarray
+    problem: Problem
+    prior: Prior | None
+    linearization: Linearization
+    free: np.ndarray
+    history: tuple[Iteration, ...]
+    converged: bool
+
+
+def solve(
+    images: np.ndarray,
+    camera: Camera,
+    points: ScenePoints,
+    observations: Observations,
+    state: VisualState,
+    prior: Prior | None,
+    config: BundleAdjustmentConfig = BundleAdjustmentConfig(),
+    *,
+    inflation: float = 10.0,
+) -> LevelSolution:
+    """The state of least cost at one level.
+
+    images: (I, H, W, C) uint8, the level's; camera: undistorted, of the level
+    prior: None for the paper's cost
+    inflation: first guess of how many times the pixels' information overstates itself
+    """
+    sigma = offset_sigma(points, config.plane_floor_m) if config.plane_offsets else None
+    problem = photometric.prepare(
+        images, camera, points, observations, config.photometric, offset_sigma=sigma, inflation=inflation
+    )
+    free = _free(problem, prior is not None, config.solve_exposures)
+    at = _State(PhotometricState(state.cameras, np.zeros(len(points))), state.mount)
+    history: tuple[Iteration, ...] = ()
+    quick = replace(config.solver, relative_decrease=max(config.solver.relative_decrease, _QUICK_DECREASE))
+    sums = photometric.sums(problem, at.photometric)
+    for turn in range(config.rounds):
+        last = turn == config.rounds - 1
+        problem = replace(problem, sigma=photometric.robust_sigma(sums, problem.samples))
+        model = _Model(problem, prior)
+        how = config.solver if last else quick
+        solution = solver.levenberg_marquardt(at, model.linearize, model.retract, how, free)
+        at, history = solution.state, history + solution.history
+        linearization = model.at(at)
+        sums = linearization.sums
+        if not last:
+            problem, prior = _reweighted(problem, prior, at, linearization, free)
+    visual = VisualState(at.photometric.cameras, at.mount)
+    return LevelSolution(
+        visual, at.photometric.offset, problem, prior, linearization, free, history, solution.converged
+    )
+
+
+def offset_sigma(points: ScenePoints, floor_m: float) -> np.ndarray:
+    """(P,) m: how far the plane at each point may be off, so that a plane's points together know what one does.
+
+    The points of a plane share its error. Each has an offset of its own here, so each gets the variance times the
+    number of points on the plane: then their sum carries the information of one measurement of the plane.
+    """
+    _, plane, count = np.unique(points.plane, return_inverse=True, return_counts=True)
+    return np.asarray(np.maximum(points.sigma_plane, floor_m) * np.sqrt(count[plane]))
+
+
+@dataclass(frozen=True)
+class _State:
+    photometric: PhotometricState
+    mount: Mount
+
+    @property
+    def visual(self) -> VisualState:
+        return VisualState(self.photometric.cameras, self.mount)
+
+
+class _Model:
+    """Linearizes and retracts for the solver; remembers the last two linearizations, which both steps need."""
+
+    def __init__(self, problem: Problem, prior: Prior | None) -> None:
+        self._problem, self._prior = problem, prior
+        self._known: list[tuple[_State, Linearization]] = []
+
+    def at(self, state: _State) -> Linearization:
+        for known, linearization in self._known:
+            if known is state:
+                return linearization
+        linearization = photometric.linearize(self._problem, state.photometric)
+        self._known = [*self._known[-1:], (state, linearization)]
+        return linearization
+
+    def linearize(self, state: _State) -> NormalEquations:
+        return joint(self.at(state).equations, self._prior, state.visual)
+
+    def retract(self, state: _State, step: np.ndarray) -> _State:
+        moved = photometric.retract(self._problem, state.photometric, self.at(state), step[:-1])
+        return _State(moved, priors.retract(state.mount, step[-1]))
+
+
+def joint(equations: NormalEquations, prior: Prior | None, state: VisualState) -> NormalEquations:
+    """Photometric equations plus the prior's, over I + 1 blocks of 7; the last is mount and time offset."""
+    photo = equations.padded(len(state.cameras) + 1)
+    return photo if prior is None else photo + priors.linearize(prior, state)
+
+
+def components(pair_reference: np.ndarray, pair_target: np.ndarray, images: int) -> np.ndarray:
+    """The connected component (I,) of the co-visibility graph each image belongs to."""
+    graph = coo_matrix((np.ones(len(pair_reference)), (pair_reference, pair_target)), shape=(images, images))
+    return connected_components(graph, directed=False)[1]
+
+
+def _free(problem: Problem, with_prior: bool, solve_exposures: bool) -> np.ndarray:
+    """(I + 1, 7) bool: what may move. One exposure per component is held: its scale is free (A2, one gauge each)."""
+    images, pairs = len(problem.images), problem.pairs
+    free = np.ones((images + 1, 7), bool)
+    seen = np.zeros(images, bool)
+    seen[pairs.reference] = seen[pairs.target] = True
+    _, first = np.unique(components(pairs.reference, pairs.target, images), return_index=True)
+    free[:images, 6] = seen & solve_exposures
+    free[first, 6] = False
+    free[images] = with_prior
+    if not with_prior:
+        free[:images, :6] &= seen[:, None]
+    return free
+
+
+def _reweighted(
+    problem: Problem, prior: Prior | None, at: _State, linearization: Linearization, free: np.ndarray
+) -> tuple[Problem, Prior | None]:
+    """Inflation, plane offsets' sigma and the prior's sigmas estimated anew (variance components)."""
+    if problem.offset_sigma is not None:
+        scale = covariance.offset_scale(problem, at.photometric.offset, linearization.offset_hessian)
+        problem = replace(problem, offset_sigma=problem.offset_sigma * scale)
+    clusters = covariance.cluster_gradients(problem, linearization)
+    ratio = covariance.inflation(linearization.equations, clusters)
+    problem = replace(problem, inflation=max(problem.inflation * ratio, 1.0))
+    if prior is not None:
+        own, with_mount = solver.covariance_blocks(joint(linearization.equations, prior, at.visual), free)
+        undecided = tuple(_undecided(prior, source, at.visual, own, with_mount) for source in prior.sources)
+        prior = priors.reestimated(prior, at.visual, undecided)
+    return problem, prior
+
+
+def _undecided(
+    prior: Prior, source: Source, state: VisualState, own: np.ndarray, with_mount: np.ndarray
+) -> np.ndarray:
+    """(I, 6): posterior variance of each frame's deviation from a source of the prior."""
+    by_camera, by_mount = priors.jacobians(prior, source, state)
+    cross = by_camera @ with_mount[:-1, :6] @ np.swapaxes(by_mount, 1, 2)
+    total = by_camera @ own[:-1, :6, :6] @ np.swapaxes(by_camera, 1, 2) + cross + np.swapaxes(cross, 1, 2)
+    total += by_mount @ own[-1] @ np.swapaxes(by_mount, 1, 2)
+    return np.asarray(np.diagonal(total, axis1=1, axis2=2))
+
+
+def covariance_of(solution: LevelSolution) -> np.ndarray:
+    """(I + 1, 7, 7) covariance blocks of the images' unknowns, then of mount and time offset."""
+    total = joint(solution.linearization.equations, solution.prior, solution.state)
+    held = None if solution.prior is None else priors.linearize(solution.prior, solution.state)
+    clusters = covariance.cluster_gradients(solution.problem, solution.linearization, jackknife=True)
+    return covariance.camera_covariance(total, clusters, held, solution.free)

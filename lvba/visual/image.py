@@ -1,0 +1,184 @@
+"""Images as the visual part wants them: undistorted, as a pyramid of contiguous arrays, with their noise."""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from lvba.camera import Camera
+from lvba.kernels.patches_pyramid import halve
+from lvba.progress import Progress, silent
+
+SATURATED = 250
+"""Grey value (of 255) from which a pixel counts as clipped."""
+_NOISE_BLOCK = 16
+_NOISE_QUANTILE = 0.05
+_NOISE_BIAS = 0.866
+"""What the 5 % quantile of the block estimates below is for white noise of sigma 1 (8 bit images, simulated)."""
+_HALVED_NOISE = 0.65
+"""Part of the noise that a 2x2 mean leaves at most: 0.5 for white noise, more after resampling."""
+_MIN_NOISE = 0.29
+"""Standard deviation of rounding to whole grey values."""
+
+
+@dataclass(frozen=True)
+class ImageConfig:
+    """How images are loaded."""
+
+    channels: int = 1
+    """1: grey (three times less memory and time, no loss of accuracy measured); 3: RGB."""
+    threads: int = 2
+    """Images decoded at a time, 1 to 64."""
+
+    def __post_init__(self) -> None:
+        if self.channels not in (1, 3):
+            raise ValueError(f"channels = {self.channels}: must be 1 (grey) or 3 (RGB)")
+        if not 1 <= self.threads <= 64:
+            raise ValueError(f"threads = {self.threads}: must lie in 1 to 64")
+
+
+@dataclass(frozen=True)
+class Pyramid:
+    """All images at every level, undistorted.
+
+    levels: per level (I, H, W, C) uint8, C-contiguous. 0 marks pixels without image, values from SATURATED on clipped
+        ones (a coarse pixel that covers a clipped one is 255)
+    camera: of level 0, without distortion; `camera.at_level(k)` belongs to `levels[k]`
+    noise: (levels,) float64, grey values: standard deviation of the sensor's noise at each level
+    """
+
+    levels: tuple[np.ndarray, ...]
+    camera: Camera
+    noise: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.levels)
+
+
+def usable_levels(camera: Camera, wanted: int, min_width: int = 160) -> int:
+    """How many pyramid levels to use: `wanted`, fewer where the coarsest would be narrower than `min_width` px."""
+    levels = 1
+    while levels < wanted and camera.at_level(levels).width >= min_width:
+        levels += 1
+    return levels
+
+
+def memory_bytes(count: int, camera: Camera, levels: int, channels: int = 1) -> int:
+    """Bytes that the pyramid of `count` images takes."""
+    sizes = [camera.at_level(level) for level in range(levels)]
+    per_image = sum(c.width * c.height for c in sizes)
+    return count * channels * per_image
+
+
+class Undistorter:
+    """Resamples images of one camera to the pinhole camera `camera.undistorted()`; zero where there is no image."""
+
+    def __init__(self, camera: Camera) -> None:
+        self.camera = camera
+        self.identity = not any(camera.distortion)
+        if self.identity:
+            return
+        size = (camera.width, camera.height)
+        self._map_x, self._map_y = cv2.initUndistortRectifyMap(
+            camera.matrix, np.array(camera.distortion), None, camera.matrix, size, cv2.CV_32FC1
+        )
+        inside_x = (self._map_x >= 0) & (self._map_x <= camera.width - 1)
+        self._outside = ~(inside_x & (self._map_y >= 0) & (self._map_y <= camera.height - 1))
+
+    def __call__(self, image: np.ndarray) -> np.ndarray:
+        """The undistorted (H, W) or (H, W, C) uint8 image."""
+        if self.identity:
+            return image
+        resampled = cv2.remap(
+            image, self._map_x, self._map_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+        )
+        clipped = image >= SATURATED
+        if clipped.any():
+            # a mixture of clipped and good pixels is no measurement either; cubic weights reach two pixels
+            wide = cv2.dilate(clipped.astype(np.uint8) * 255, np.ones((3, 3), np.uint8))
+            mixed = cv2.remap(wide, self._map_x, self._map_y, cv2.INTER_LINEAR)
+            resampled[mixed > 0] = 255
+        resampled[self._outside] = 0
+        return resampled
+
+
+def undistort(rgb: np.ndarray, camera: Camera) -> np.ndarray:
+    """The (H, W, C) uint8 image that the pinhole camera `camera.undistorted()` would have taken; 0 outside."""
+    return Undistorter(camera)(rgb)
+
+
+def grey(rgb: np.ndarray) -> np.ndarray:
+    """Linear luma (0.299, 0.587, 0.114) of an (H, W, 3) uint8 image, (H, W) uint8; 255 where any channel is clipped."""
+    luma = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
+    luma[rgb.max(axis=2) >= SATURATED] = 255
+    return luma
+
+
+def load_images(
+    read: Callable[[int], np.ndarray],
+    count: int,
+    camera: Camera,
+    levels: int,
+    config: ImageConfig = ImageConfig(),
+    progress: Progress = silent,
+) -> Pyramid:
+    """The pyramid of `count` images with `levels` levels, read a few at a time.
+
+    read: gives the raw (H, W, 3) uint8 RGB image of an index; called from several threads
+    camera: of the raw images, with distortion
+    """
+    full = np.empty((count, camera.height, camera.width, config.channels), np.uint8)
+    undistorter = Undistorter(camera)
+
+    def load(index: int) -> None:
+        raw = read(index)
+        plain = grey(raw) if config.channels == 1 else raw
+        full[index] = undistorter(plain).reshape(full.shape[1:])
+
+    with ThreadPoolExecutor(config.threads) as pool:
+        for done, _ in enumerate(pool.map(load, range(count))):
+            progress("images", done + 1, count)
+    return build_pyramid(full, camera.undistorted(), levels)
+
+
+def build_pyramid(full: np.ndarray, camera: Camera, levels: int) -> Pyramid:
+    """The pyramid over undistorted images (I, H, W, C) uint8 of a pinhole camera."""
+    arrays = [full]
+    for _ in range(1, levels):
+        arrays.append(halve(arrays[-1], SATURATED))
+    noise = [sensor_noise(array) for array in arrays]
+    for level in range(1, levels):
+        # coarse images hold texture in every block: halving leaves at most this much of the finer level's noise
+        noise[level] = min(noise[level], float(np.hypot(_HALVED_NOISE * noise[level - 1], _MIN_NOISE)))
+    return Pyramid(tuple(arrays), camera, np.array(noise))
+
+
+def sensor_noise(images: np.ndarray, samples: int = 24) -> float:
+    """Standard deviation of white noise in (I, H, W, C) images, grey values, from the calmest parts of some of them.
+
+    The residual is the second difference in both directions (Immerkaer 1996), blind to edges along rows and columns;
+    each block of 16 x 16 gives a mean absolute residual, and a low quantile over blocks leaves texture out.
+    """
+    chosen = images[np.unique(np.linspace(0, len(images) - 1, min(samples, len(images))).astype(int))]
+    blocks = np.concatenate([_block_noise(image.astype(np.float32)) for image in np.moveaxis(chosen, -1, 1)])
+    if len(blocks) == 0:
+        return _MIN_NOISE
+    return max(float(np.quantile(blocks, _NOISE_QUANTILE)) / _NOISE_BIAS, _MIN_NOISE)
+
+
+def _block_noise(channels: np.ndarray) -> np.ndarray:
+    """Noise estimate of every block without masked pixels, (B,), of one (C, H, W) float32 image."""
+    b = _NOISE_BLOCK
+    rows, columns = (channels.shape[1] - 2) // b, (channels.shape[2] - 2) // b
+    second = channels[:, :-2] - 2 * channels[:, 1:-1] + channels[:, 2:]
+    residual = np.abs(second[:, :, :-2] - 2 * second[:, :, 1:-1] + second[:, :, 2:])
+    masked = (channels <= 0) | (channels >= SATURATED)
+
+    def blocks(values: np.ndarray) -> np.ndarray:
+        cut = values[:, : rows * b, : columns * b].reshape(-1, rows, b, columns, b)
+        return cut.transpose(0, 1, 3, 2, 4).reshape(-1, b * b)
+
+    good = ~blocks(masked[:, 1:-1, 1:-1]).any(axis=1)
+    return blocks(residual)[good].mean(axis=1) / (6 * np.sqrt(2 / np.pi))

@@ -1,0 +1,368 @@
+"""The photometric cost of plane patches seen in two images, its normal equations and its noise."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lvba import geometry, solver
+from lvba.camera import Camera
+from lvba.kernels import photometric as kernels
+from lvba.kernels import plane_offsets as offset_kernels
+from lvba.solver import NormalEquations
+from lvba.visual.scene_points import Observations, ScenePoints
+from lvba.visual.states import CameraStates
+
+COST, COUNT, SQUARE, WEIGHTS = 9, 10, 11, 12
+"""Columns of the sums of an observation."""
+
+
+@dataclass(frozen=True)
+class PhotometricConfig:
+    """The residual of a pixel pair and how it is weighted."""
+
+    patch: int = 9
+    """Side of a patch, pixels, odd; 3 to 21."""
+    huber: float = 3.0
+    """Residuals beyond this many standard deviations count linearly; 0.5 to 100."""
+    least_intensity: float = 3.0
+    """Darker pixels are left out, of 255; 0 to 100."""
+    greatest_intensity: float = 250.0
+    """Brighter pixels are left out as saturated, of 255; 100 to 255."""
+    noise_growth: float = 0.0
+    """Noise variance grows as 1 + noise_growth * intensity; 0 (constant noise) to 10."""
+
+    def __post_init__(self) -> None:
+        limits = {
+            "patch": (3, 21),
+            "huber": (0.5, 100.0),
+            "least_intensity": (0.0, 100.0),
+            "greatest_intensity": (100.0, 255.0),
+            "noise_growth": (0.0, 10.0),
+        }
+        for name, (low, high) in limits.items():
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name} is {getattr(self, name)}, must be between {low} and {high}")
+        if self.patch % 2 == 0:
+            raise ValueError(f"patch is {self.patch}, must be odd")
+
+    @property
+    def radius(self) -> int:
+        """Pixels between the centre and the border of a patch."""
+        return self.patch // 2
+
+
+def homography(
+    world_from_reference: np.ndarray,
+    world_from_target: np.ndarray,
+    position: np.ndarray,
+    normal: np.ndarray,
+    matrix: np.ndarray,
+) -> np.ndarray:
+    """The (3, 3) homography from reference to target pixels over the plane `normal . (x - position) = 0`.
+
+    matrix: (3, 3) K of both images. Scaled so that the third component is the target's depth over the reference's:
+    in front of the camera is > 0. Source: Li et al., eq. (7), divided by n^T (p - t_r).
+    """
+    rotation_r, rotation_t = world_from_reference[:3, :3], world_from_target[:3, :3]
+    offset = world_from_reference[:3, 3] - world_from_target[:3, 3]
+    distance = normal @ (position - world_from_reference[:3, 3])
+    between = np.eye(3) + np.outer(offset, normal) / distance
+    return matrix @ rotation_t.T @ between @ rotation_r @ np.linalg.inv(matrix)
+
+
+def residual(
+    reference: np.ndarray, target: np.ndarray, exposure_reference: float, exposure_target: float
+) -> np.ndarray:
+    """`(eps_r I_t - eps_t I_r) / sqrt(eps_r^2 + eps_t^2)`, the shape of the intensities.
+
+    Its square is what remains of both pixels' squared errors when the unknown radiance is eliminated by maximum
+    likelihood. Source: Li et al., supplement eq. (10); the weight in the paper's eq. (8) is biased by noise.
+    """
+    norm = np.hypot(exposure_reference, exposure_target)
+    return (exposure_reference * target - exposure_target * reference) / norm
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Observations grouped by image pair, fixed for a level: order (O,), starts (M + 1,), reference and target (M,)."""
+
+    order: np.ndarray
+    starts: np.ndarray
+    reference: np.ndarray
+    target: np.ndarray
+
+
+@dataclass(frozen=True)
+class Elimination:
+    """Which blocks the elimination of plane offsets touches: rows, columns (B,), and who contributes what."""
+
+    rows: np.ndarray
+    columns: np.ndarray
+    slots: np.ndarray
+    first: np.ndarray
+    second: np.ndarray
+    point: np.ndarray
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One pyramid level, ready to be linearized at any state.
+
+    images: (I, H, W, C) uint8, contiguous
+    starts: (P + 1,) int64, point p owns observations starts[p] to starts[p + 1]
+    weights: (O,) float64, one factor per observation
+    offset_sigma: (P,) m, how far the plane at each point may be off along its normal; None: planes are exact
+    sigma: standard deviation of the residual of a pixel pair, of 255
+    inflation: how many times the pixels' information overstates itself; the cost is divided by it
+    """
+
+    images: np.ndarray
+    camera: Camera
+    points: ScenePoints
+    observations: Observations
+    config: PhotometricConfig
+    starts: np.ndarray
+    pairs: Pairs
+    weights: np.ndarray
+    offset_sigma: np.ndarray | None = None
+    elimination: Elimination | None = None
+    sigma: float = 3.0
+    inflation: float = 1.0
+
+    @property
+    def intrinsics(self) -> np.ndarray:
+        """fx, fy, cx, cy of the level, (4,) float64."""
+        return np.array([self.camera.fx, self.camera.fy, self.camera.cx, self.camera.cy])
+
+    @property
+    def samples(self) -> int:
+        """Samples of a whole patch, all channels."""
+        return self.config.patch**2 * self.images.shape[3]
+
+
+def prepare(
+    images: np.ndarray,
+    camera: Camera,
+    points: ScenePoints,
+    observations: Observations,
+    config: PhotometricConfig,
+    *,
+    offset_sigma: np.ndarray | None = None,
+    weights: np.ndarray | None = None,
+    sigma: float = 3.0,
+    inflation: float = 1.0,
+) -> Problem:
+    """The problem of one level; observations must be sorted by (point, target)."""
+    if images.dtype != np.uint8 or images.ndim != 4 or images.shape[3] not in (1, 3):
+        raise ValueError(f"images are {images.dtype} {images.shape}, must be uint8 (I, H, W, 1 or 3)")
+    starts = np.searchsorted(observations.point, np.arange(len(points) + 1)).astype(np.int64)
+    return Problem(
+        images=np.ascontiguousarray(images),
+        camera=camera,
+        points=points,
+        observations=observations,
+        config=config,
+        starts=starts,
+        pairs=_group(points.reference[observations.point], observations.target, len(images)),
+        weights=np.ones(len(observations)) if weights is None else weights,
+        offset_sigma=offset_sigma,
+        elimination=None if offset_sigma is None else _eliminate(starts, points, observations, len(images)),
+        sigma=sigma,
+        inflation=inflation,
+    )
+
+
+def _group(reference: np.ndarray, target: np.ndarray, images: int) -> Pairs:
+    key = reference.astype(np.int64) * images + target
+    order = np.argsort(key, kind="stable")
+    pairs, first = np.unique(key[order], return_index=True)
+    starts = np.append(first, len(order)).astype(np.int64)
+    return Pairs(order, starts, (pairs // images).astype(np.int32), (pairs % images).astype(np.int32))
+
+
+def _eliminate(
+    starts: np.ndarray, points: ScenePoints, observations: Observations, images: int
+) -> Elimination:
+    first, second, point, key = offset_kernels.contributions(
+        starts, points.reference, observations.target, images
+    )
+    order = np.argsort(key, kind="stable")
+    unique, begin = np.unique(key[order], return_index=True)
+    return Elimination(
+        (unique // images).astype(np.int32),
+        (unique % images).astype(np.int32),
+        np.append(begin, len(order)).astype(np.int64),
+        first[order],
+        second[order],
+        point[order],
+    )
+
+
+@dataclass(frozen=True)
+class PhotometricState:
+    """The cameras, and how far each scene point's plane is moved along its normal, (P,) m."""
+
+    cameras: CameraStates
+    offset: np.ndarray
+
+
+@dataclass(frozen=True)
+class Linearization:
+    """The photometric cost about a state.
+
+    equations: over the images' 7 unknowns `[rotation | translation | log exposure]`, plane offsets eliminated
+    single: (O, 15) gradient of each observation by its reference's, its target's unknowns and its plane's offset
+    offset_hessian, offset_gradient: (P,), of the plane offsets, with their prior; entry: (P + O, 7) their couplings
+    """
+
+    equations: NormalEquations
+    sums: np.ndarray
+    single: np.ndarray
+    offset_hessian: np.ndarray
+    offset_gradient: np.ndarray
+    entry: np.ndarray
+
+
+def sums(problem: Problem, state: PhotometricState) -> np.ndarray:
+    """The sums over the patch of every observation, (O, 13) float64; see `lvba.kernels.photometric`."""
+    config, points = problem.config, problem.points
+    limits = (
+        config.huber * problem.sigma,
+        config.least_intensity,
+        config.greatest_intensity,
+        config.noise_growth,
+    )
+    return kernels.evaluate(
+        problem.images,
+        *_poses(state.cameras),
+        np.exp(state.cameras.log_exposure),
+        problem.intrinsics,
+        _positions(problem, state),
+        points.normal_world,
+        points.reference,
+        points.pixel,
+        problem.starts,
+        problem.observations.target,
+        config.radius,
+        np.array(limits, np.float32),
+    )
+
+
+def _poses(cameras: CameraStates) -> tuple[np.ndarray, np.ndarray]:
+    pose = cameras.world_from_camera
+    return np.ascontiguousarray(pose[:, :3, :3]), np.ascontiguousarray(pose[:, :3, 3])
+
+
+def _positions(problem: Problem, state: PhotometricState) -> np.ndarray:
+    return problem.points.position_world + state.offset[:, None] * problem.points.normal_world
+
+
+def linearize(
+    problem: Problem, state: PhotometricState, observation_sums: np.ndarray | None = None
+) -> Linearization:
+    """The cost about a state: Gauss-Newton with robust weights, each sample divided by sigma^2 and the inflation.
+
+    The cost is the sum of Huber's function of residual / sigma. A sample that is masked or outside counts as a
+    constant (what noise alone costs), so that no step is accepted for losing samples.
+    """
+    s = sums(problem, state) if observation_sums is None else observation_sums
+    information = 1 / (problem.sigma**2 * problem.inflation)
+    points, pairs = problem.points, problem.pairs
+    blocks, gradients, single, coupling = kernels.assemble(
+        s,
+        problem.weights * information,
+        pairs.order,
+        pairs.starts,
+        pairs.reference,
+        pairs.target,
+        problem.observations.point,
+        *_poses(state.cameras),
+        problem.intrinsics,
+        _positions(problem, state),
+        points.normal_world,
+        points.pixel,
+    )
+    gradient = np.zeros((len(state.cameras), 7))
+    np.add.at(gradient, pairs.reference, gradients[:, :7])
+    np.add.at(gradient, pairs.target, gradients[:, 7:])
+    rows = np.concatenate([pairs.reference, pairs.target, pairs.reference])
+    columns = np.concatenate([pairs.reference, pairs.target, pairs.target])
+    parts = np.concatenate([blocks[:, :7, :7], blocks[:, 7:, 7:], blocks[:, :7, 7:]])
+    equations = solver.from_blocks(rows, columns, parts, gradient, cost(problem, s))
+    if problem.elimination is None or problem.offset_sigma is None:
+        none = np.zeros(0)
+        return Linearization(equations, s, single, none, none, none)
+    precision = 1 / problem.offset_sigma**2
+    hessian, own, entry = offset_kernels.gather(single, coupling, problem.starts, precision, state.offset)
+    return Linearization(
+        equations + _schur(problem, problem.elimination, hessian, own, entry, precision, state.offset),
+        s,
+        single,
+        hessian,
+        own,
+        entry,
+    )
+
+
+def cost(problem: Problem, observation_sums: np.ndarray) -> float:
+    """Half the robust squared residuals over sigma^2 and inflation; a lost sample costs what noise alone does."""
+    lost = 0.5 * problem.sigma**2 * (problem.samples - observation_sums[:, COUNT])
+    total = float(problem.weights @ (observation_sums[:, COST] + lost))
+    return total / (problem.sigma**2 * problem.inflation)
+
+
+def _schur(
+    problem: Problem,
+    elimination: Elimination,
+    hessian: np.ndarray,
+    own: np.ndarray,
+    entry: np.ndarray,
+    precision: np.ndarray,
+    offset: np.ndarray,
+) -> NormalEquations:
+    """What the plane offsets add to the equations of the cameras: their prior's cost, less what they can explain."""
+    blocks = offset_kernels.schur_blocks(
+        entry, hessian, elimination.first, elimination.second, elimination.point, elimination.slots
+    )
+    gradient = np.zeros((len(problem.images), 7))
+    points, observations = problem.points, problem.observations
+    pull = own / hessian
+    offset_kernels.scatter(gradient, entry, pull, points.reference, observations.target, observations.point)
+    held = 0.5 * float(precision @ offset**2)
+    alone = 0.5 * float(own @ pull)
+    return NormalEquations(elimination.rows, elimination.columns, blocks, gradient, held, alone)
+
+
+def retract(
+    problem: Problem, state: PhotometricState, at: Linearization, step: np.ndarray
+) -> PhotometricState:
+    """The state moved by a (I, 7) step: poses on the right, log exposures by addition, plane offsets following."""
+    cameras = moved(state.cameras, step)
+    if problem.elimination is None:
+        return PhotometricState(cameras, state.offset)
+    points, observations = problem.points, problem.observations
+    count = len(points)
+    pull = np.einsum("pk,pk->p", at.entry[:count], step[points.reference])
+    far = np.einsum("ok,ok->o", at.entry[count:], step[observations.target])
+    pull += np.bincount(observations.point, far, count)
+    return PhotometricState(cameras, state.offset - (at.offset_gradient + pull) / at.offset_hessian)
+
+
+def moved(cameras: CameraStates, step: np.ndarray) -> CameraStates:
+    """Cameras moved by a (I, 7) step."""
+    return CameraStates(
+        geometry.retract(cameras.world_from_camera, step[:, :6]), cameras.log_exposure + step[:, 6]
+    )
+
+
+def robust_sigma(observation_sums: np.ndarray, patch_samples: int, floor: float = 0.5) -> float:
+    """Standard deviation of a residual: the median over observations of their root mean square, never below `floor`.
+
+    Observations with fewer than half their samples do not vote. The median resists the patches that do not lie on
+    their plane; within a patch the plain mean square is the efficient estimate.
+    """
+    count = observation_sums[:, COUNT]
+    valid = count >= 0.5 * patch_samples
+    if not valid.any():
+        return floor
+    return max(float(np.sqrt(np.median(observation_sums[valid, SQUARE] / count[valid]))), floor)

@@ -1,0 +1,216 @@
+"""The visual stage: from rough camera poses and refined scans to refined cameras, coarse to fine over the pyramid."""
+
+import logging
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from lvba import trajectory
+from lvba.errors import DegenerateProblemError
+from lvba.lidar.plane import PlanePoints, Planes
+from lvba.progress import Progress, silent
+from lvba.trajectory import Trajectory
+from lvba.visual import bundle_adjustment, exposure, scene_points, visibility, weak
+from lvba.visual import prior as priors
+from lvba.visual import result as results
+from lvba.visual.bundle_adjustment import BundleAdjustmentConfig, LevelSolution
+from lvba.visual.exposure import ExposureConfig
+from lvba.visual.image import ImageConfig, Pyramid
+from lvba.visual.keyframes import KeyframeConfig
+from lvba.visual.prior import Prior, PriorConfig
+from lvba.visual.result import LevelReport, VisualResult
+from lvba.visual.scene_points import PointsConfig
+from lvba.visual.states import CameraStates, VisualState
+from lvba.visual.visibility import DepthBuffers, VisibilityConfig, VisibilityMap
+
+__all__ = ["LevelReport", "VisualConfig", "VisualResult", "refine"]
+
+logger = logging.getLogger(__name__)
+
+_FIRST_INFLATION = 10.0
+_COARSE_DECREASE = 1e-4
+"""Relative decrease of the cost at which a coarse level stops."""
+
+
+@dataclass(frozen=True)
+class VisualConfig:
+    """Everything the visual stage can be told."""
+
+    levels: int = 3
+    """Pyramid levels, 1 to 6; level 0 is full size. Fewer are used where the coarsest would be narrower than 160 px."""
+    patch: int = 9
+    """Side of a patch at every step, pixels, odd; 3 to 21."""
+    exposures: Literal["means", "joint", "none"] = "means"
+    """"means": from robust log ratios of patch means; "joint": unknowns of the photometric cost, as in the paper;
+    "none": all images are taken as equally exposed."""
+    images: ImageConfig = field(default_factory=ImageConfig)
+    keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
+    points: PointsConfig = field(default_factory=PointsConfig)
+    visibility: VisibilityConfig = field(
+        default_factory=lambda: VisibilityConfig(max_view_angle_deg=84.0, max_local=4)
+    )
+    exposure: ExposureConfig = field(default_factory=ExposureConfig)
+    adjustment: BundleAdjustmentConfig = field(default_factory=BundleAdjustmentConfig)
+    prior: PriorConfig = field(default_factory=PriorConfig)
+
+    def __post_init__(self) -> None:
+        if self.exposures not in ("means", "joint", "none"):
+            raise ValueError(f'exposures is {self.exposures!r}, must be "means", "joint" or "none"')
+        if not 1 <= self.levels <= 6:
+            raise ValueError(f"levels is {self.levels}, must be between 1 and 6")
+        if self.patch % 2 == 0 or not 3 <= self.patch <= 21:
+            raise ValueError(f"patch is {self.patch}, must be odd, between 3 and 21")
+
+
+def refine(
+    pyramid: Pyramid,
+    keyframes: np.ndarray,
+    images: Trajectory,
+    scans: Trajectory,
+    refined_scans: np.ndarray,
+    camera_from_scan: np.ndarray,
+    sensor_position_scan: np.ndarray,
+    planes: Planes,
+    plane_points: PlanePoints,
+    config: VisualConfig = VisualConfig(),
+    progress: Progress = silent,
+) -> VisualResult:
+    """Refined poses and exposures of all images.
+
+    pyramid: of the keyframes only; keyframes: (K,) their indices among the images
+    images, scans: rough trajectories; refined_scans: (S, 4, 4), poses the planes were made with
+    camera_from_scan: (4, 4) calibrated mount; sensor_position_scan: (3,) m
+    Raises DegenerateProblemError where no scene point is seen twice.
+    """
+    config = _one_patch_size(config)
+    times = images.times[keyframes]
+    prior_of_all = priors.build(scans, refined_scans, images, camera_from_scan, config.prior)
+    prior = priors.take(prior_of_all, keyframes)
+    start = (
+        trajectory.interpolate_corrections(scans, refined_scans, times) @ images.world_from_sensor[keyframes]
+    )
+    state = VisualState(CameraStates(start, np.zeros(len(times))), prior.mount)
+    sensors = (refined_scans @ np.append(sensor_position_scan, 1.0))[:, :3]
+    seen = _visibility_map(scans.times, sensors, times, start, plane_points, config.visibility)
+    scene = _Scene(pyramid, times, scans.times, planes, plane_points, seen)
+    held: Prior | None = prior if config.prior.enabled else None
+    solutions: list[LevelSolution] = []
+    inflation = _FIRST_INFLATION
+    for done, level in enumerate(reversed(range(len(pyramid)))):
+        progress("visual", done, len(pyramid))
+        solution = _solve_level(scene, level, state, held, config, inflation)
+        directions = weak.find(solution.problem, solution.linearization, planes)
+        held, inflation = solution.prior, solution.problem.inflation
+        state = solution.state if held is None else weak.hold(solution.state, held, directions)
+        solutions.append(solution)
+        logger.info("%s", results.level_report(level, solution))
+    progress("visual", len(pyramid), len(pyramid))
+    sigma = np.zeros(len(times))
+    if config.exposures == "means":
+        state, sigma = _exposed(scene, 0, state, config)
+    return results.collect(solutions, state, directions, sigma, start, prior_of_all, keyframes, images.times)
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """What all levels share."""
+
+    pyramid: Pyramid
+    image_times: np.ndarray
+    scan_times: np.ndarray
+    planes: Planes
+    plane_points: PlanePoints
+    seen: VisibilityMap | None
+    """Made once: which cameras are near a scan does not change by centimetres."""
+
+
+def _one_patch_size(config: VisualConfig) -> VisualConfig:
+    adjustment = replace(
+        config.adjustment,
+        photometric=replace(config.adjustment.photometric, patch=config.patch),
+        solve_exposures=config.exposures == "joint",
+    )
+    return replace(
+        config,
+        points=replace(config.points, patch_size=config.patch),
+        visibility=replace(config.visibility, patch_size=config.patch),
+        adjustment=adjustment,
+    )
+
+
+def _visibility_map(
+    scan_times: np.ndarray,
+    sensors: np.ndarray,
+    image_times: np.ndarray,
+    world_from_camera: np.ndarray,
+    points: PlanePoints,
+    config: VisibilityConfig,
+) -> VisibilityMap | None:
+    if not config.use_global:
+        return None
+    near = visibility.cameras_near_scans(
+        scan_times, sensors, image_times, world_from_camera[:, :3, 3], config
+    )
+    return visibility.build_map(
+        points.points_world, points.scan_offsets, near, len(world_from_camera), config.voxel_m
+    )
+
+
+def _exposed(
+    scene: _Scene,
+    level: int,
+    state: VisualState,
+    config: VisualConfig,
+    depth: DepthBuffers | None = None,
+) -> tuple[VisualState, np.ndarray]:
+    """The state with exposures solved anew, and their standard deviations (K,)."""
+    poses = state.cameras.world_from_camera
+    if config.exposures == "none":
+        return state, np.zeros(len(poses))
+    # coarse where the poses are still rough
+    level_config = replace(config.exposure, level=max(min(level, 5), config.exposure.level))
+    found = exposure.solve(
+        scene.pyramid, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, scene.seen,
+        level_config, depth,
+    )  # fmt: skip
+    return replace(state, cameras=CameraStates(poses, found.log_exposure)), found.sigma
+
+
+def _solve_level(
+    scene: _Scene,
+    level: int,
+    state: VisualState,
+    prior: Prior | None,
+    config: VisualConfig,
+    inflation: float,
+) -> LevelSolution:
+    """Scene points, visibility and exposures anew at the present poses, then the solve."""
+    images, camera = scene.pyramid.levels[level], scene.pyramid.camera.at_level(level)
+    noise = float(scene.pyramid.noise[level])
+    poses = state.cameras.world_from_camera
+    points = scene_points.select(
+        images, camera, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, noise,
+        config.points,
+    )  # fmt: skip
+    depth = visibility.depth_buffers(
+        camera, poses, scene.image_times, scene.plane_points, scene.scan_times, config.points.time_window_s
+    )
+    points, observations = visibility.find(
+        images, camera, poses, points, scene.seen, noise, config.visibility, depth
+    )
+    if len(observations) == 0:
+        raise DegenerateProblemError(f"no scene point is seen by two images at pyramid level {level}")
+    state, _ = _exposed(scene, level, state, config, depth)
+    adjustment = config.adjustment if level == 0 else _coarse(config.adjustment)
+    return bundle_adjustment.solve(
+        images, camera, points, observations, state, prior, adjustment, inflation=inflation
+    )
+
+
+def _coarse(config: BundleAdjustmentConfig) -> BundleAdjustmentConfig:
+    """What a level needs that only gives the next one its start."""
+    decrease = max(config.solver.relative_decrease, _COARSE_DECREASE)
+    return replace(
+        config, rounds=min(config.rounds, 2), solver=replace(config.solver, relative_decrease=decrease)
+    )

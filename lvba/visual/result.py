@@ -1,0 +1,184 @@
+"""What the visual stage hands back: poses of all images, their errors, and an account of every level."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lvba.solver import Iteration
+from lvba.visual import bundle_adjustment, photometric, weak
+from lvba.visual import prior as priors
+from lvba.visual.bundle_adjustment import LevelSolution
+from lvba.visual.photometric import PhotometricState
+from lvba.visual.prior import Prior
+from lvba.visual.states import CameraStates, VisualState
+from lvba.visual.weak import WeakDirections
+
+_NAMED = 12
+"""At most so many frames are named in a warning."""
+
+
+@dataclass(frozen=True)
+class LevelReport:
+    """What happened at one pyramid level."""
+
+    level: int
+    scene_points: int
+    global_points: int
+    local_pairs: int
+    global_pairs: int
+    sigma: float
+    """Standard deviation of a residual, of 255."""
+    rms: float
+    """Root mean square of all valid residuals, of 255."""
+    inflation: float
+    """How many times the pixels' information overstated itself."""
+    prior_position_m: tuple[float, ...]
+    """Spread of the cameras about the LiDAR trajectory: by eq. (1), and by splines; empty without prior."""
+    prior_rotation_deg: tuple[float, ...]
+    iterations: tuple[Iteration, ...]
+    converged: bool
+
+
+@dataclass(frozen=True)
+class VisualResult:
+    """The refined cameras, with what is known about their errors.
+
+    world_from_camera: (I, 4, 4) float64, all images; keyframes: (K,) indices of those that were solved
+    log_exposure: (I,) float64, first image 0
+    covariance: (I, 6, 6) float64, of `[rotation | translation]` in the camera's frame (rad, m)
+    log_exposure_sigma: (I,) float64
+    scan_from_camera: (4, 4) the mount found; time_offset: s, image time + offset = LiDAR time
+    mount_sigma: (7,) standard deviations of `[rotation | translation | time offset]`
+    weak: (I,) int32, number of common motions of an image and its scene that nothing it sees holds
+    weak_common: (k, 6) float64, motions `[rotation | translation]` of all images about their scene's middle, world
+        axes, that no image holds: there the result is the prior's
+    cost_initial, cost_final: photometric cost of the finest level at the carried rough poses and at the result
+    """
+
+    world_from_camera: np.ndarray
+    log_exposure: np.ndarray
+    covariance: np.ndarray
+    log_exposure_sigma: np.ndarray
+    keyframes: np.ndarray
+    scan_from_camera: np.ndarray
+    time_offset: float
+    mount_sigma: np.ndarray
+    weak: np.ndarray
+    weak_common: np.ndarray
+    levels: tuple[LevelReport, ...]
+    cost_initial: float
+    cost_final: float
+    converged: bool
+    warnings: tuple[str, ...]
+
+
+def level_report(level: int, solution: LevelSolution) -> LevelReport:
+    """The account of one level."""
+    observations, points = solution.problem.observations, solution.problem.points
+    sums = solution.linearization.sums
+    sources = () if solution.prior is None else solution.prior.sources
+    count = max(float(sums[:, photometric.COUNT].sum()), 1.0)
+    return LevelReport(
+        level=level,
+        scene_points=len(points),
+        global_points=int(points.is_global.sum()),
+        local_pairs=int((~observations.is_global).sum()),
+        global_pairs=int(observations.is_global.sum()),
+        sigma=solution.problem.sigma,
+        rms=float(np.sqrt(sums[:, photometric.SQUARE].sum() / count)),
+        inflation=solution.problem.inflation,
+        prior_position_m=tuple(float(np.median(s.sigma_position)) for s in sources),
+        prior_rotation_deg=tuple(float(np.degrees(np.median(s.sigma_rotation))) for s in sources),
+        iterations=solution.history,
+        converged=solution.converged,
+    )
+
+
+def collect(
+    solutions: list[LevelSolution],
+    state: VisualState,
+    directions: WeakDirections,
+    log_exposure_sigma: np.ndarray,
+    start: np.ndarray,
+    prior: Prior,
+    keyframes: np.ndarray,
+    times: np.ndarray,
+) -> VisualResult:
+    """The result from the levels' solutions, coarse to fine.
+
+    state: final, with its exposures and at the prior along the weak directions; log_exposure_sigma: (K,)
+    start: (K, 4, 4), carried rough poses
+    prior: of all I images, before the solve; keyframes: (K,); times: (I,) s of all images
+    """
+    last = solutions[-1]
+    levels = tuple(level_report(len(solutions) - 1 - n, solution) for n, solution in enumerate(solutions))
+    blocks = bundle_adjustment.covariance_of(last)
+    if last.prior is not None:
+        blocks[:-1, :6, :6] += weak.held_covariance(state, last.prior, directions)
+    solved = priors.take(prior, keyframes) if last.prior is None else last.prior
+    poses, between = priors.fill(prior, solved, state, keyframes, times)
+    nearest = np.abs(times[keyframes][None] - times[:, None]).argmin(axis=1)
+    log_exposure = np.interp(times, times[keyframes], state.cameras.log_exposure)
+    return VisualResult(
+        world_from_camera=poses,
+        log_exposure=log_exposure - log_exposure[0],
+        covariance=blocks[:-1, :6, :6][nearest] + between,
+        log_exposure_sigma=log_exposure_sigma[nearest],
+        keyframes=keyframes,
+        scan_from_camera=state.mount.scan_from_camera,
+        time_offset=state.mount.time_offset,
+        mount_sigma=np.sqrt(np.diagonal(blocks[-1])),
+        weak=directions.count[nearest],
+        weak_common=directions.common,
+        levels=levels,
+        cost_initial=_cost(last, start, state),
+        cost_final=_cost(last, state.cameras.world_from_camera, state),
+        converged=all(report.converged for report in levels),
+        warnings=_warnings(last, levels, directions, blocks[:-1], keyframes),
+    )
+
+
+def _cost(solution: LevelSolution, world_from_camera: np.ndarray, state: VisualState) -> float:
+    """Photometric cost of the finest level over planes as the LiDAR found them."""
+    cameras = CameraStates(world_from_camera, state.cameras.log_exposure)
+    at = PhotometricState(cameras, np.zeros(len(solution.problem.points)))
+    return photometric.cost(solution.problem, photometric.sums(solution.problem, at))
+
+
+def _warnings(
+    solution: LevelSolution,
+    levels: tuple[LevelReport, ...],
+    directions: WeakDirections,
+    blocks: np.ndarray,
+    keyframes: np.ndarray,
+) -> tuple[str, ...]:
+    """What the user should know, one sentence each."""
+    found = []
+    open_levels = [str(report.level) for report in levels if not report.converged]
+    if open_levels:
+        found.append(
+            f"the visual bundle adjustment had not settled at pyramid level {', '.join(open_levels)}; "
+            "more solver iterations (visual.adjustment.solver.max_iterations) may help"
+        )
+    held = "the LiDAR trajectory" if solution.prior is not None else "nothing (the prior is off)"
+    if len(directions.common):
+        found.append(
+            f"the images do not see planes that hold all cameras in {len(directions.common)} directions; "
+            f"there {held} holds them"
+        )
+    pairs, count = solution.problem.pairs, len(solution.problem.images)
+    unseen = np.setdiff1d(np.arange(count), np.concatenate([pairs.reference, pairs.target]))
+    if len(unseen):
+        found.append(f"{len(unseen)} images share no scene point with others: {_names(keyframes[unseen])}")
+    spread = np.sqrt(np.trace(blocks[:, 3:6, 3:6], axis1=1, axis2=2))
+    vague = np.flatnonzero(spread > 3 * np.median(spread))
+    if len(vague):
+        found.append(
+            f"{len(vague)} images are known 3 times less well than the others: {_names(keyframes[vague])}"
+        )
+    return tuple(found)
+
+
+def _names(images: np.ndarray) -> str:
+    text = ", ".join(f"image {index}" for index in images[:_NAMED])
+    return text if len(images) <= _NAMED else f"{text} and {len(images) - _NAMED} more"

@@ -1,0 +1,341 @@
+"""Who sees a scene point: neighbours in time, and through the global visibility voxel map cameras anywhere."""
+
+import logging
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lvba.camera import Camera
+from lvba.kernels import visibility as kernels
+from lvba.kernels.visibility_depth import nearest_points
+from lvba.lidar.plane import PlanePoints
+from lvba.visual.scene_points import Observations, ScenePoints, near_ranges, take
+
+_log = logging.getLogger(__name__)
+_GATES = ("passed", "behind", "outside", "slanted", "scaled", "hidden", "masked", "unlike")
+
+
+@dataclass(frozen=True)
+class VisibilityConfig:
+    """Which images become targets of a scene point."""
+
+    window: int = 5
+    """Local targets: up to this many keyframes before and after the reference; 1 to 1000."""
+    max_local: int = 6
+    """Local targets kept per point, spread over the window; 1 to 1000."""
+    use_global: bool = True
+    """Global scene points and their targets through the voxel map (the paper's ablation without: False)."""
+    max_global: int = 6
+    """Global targets kept per global point, spread over the recording; 1 to 1000."""
+    score: str = "area"
+    """Best view of a voxel, eq. (4): "area", pixels per m^2 fx fy |n.d| / z^3, or "as printed" (absolute value)."""
+    patch_size: int = 9
+    """N of the N x N patch, px, odd, 3 to 31; that of the scene points."""
+    min_view_cosine: float = 0.17
+    """alpha_1: least cosine between the target's axis and the direction to the point; 0 to 1."""
+    max_view_angle_deg: float = 82.0
+    """alpha_2: largest angle between view direction and normal, at target and reference, degrees; 0 to 89."""
+    min_ncc: float = 0.8
+    """alpha_3: least correlation of the two patches; -1 to 1."""
+    min_scale: float = 0.6
+    """The target must see the patch at this part of the reference's resolution, in its worse direction; 0 to 1. A
+    target much farther away is blurred against the reference, and has points of its own that see it the other way."""
+    max_scale: float = 3.5
+    """Nor larger than this (bilinear samples of a finer image alias); 1 or more."""
+    min_std_sigma: float = 1.0
+    """Floor of a patch's contrast in the correlation, in standard deviations of the noise; 0 or more."""
+    dark: float = 3.0
+    """Grey values up to this are masked; 0 to 50."""
+    bright: float = 250.0
+    """Grey values from this on are masked; 100 to 256."""
+    min_usable: float = 0.8
+    """Least part of the patch masked in neither image; 0 to 1."""
+    hidden_m: float = 0.15
+    """A target that has LiDAR points this much (and 2 % of the depth) in front of the patch does not see it, m."""
+    voxel_m: float = 0.5
+    """Edge of the voxels of the global map, m; 2-4 from the air; above 0."""
+    near_time_s: float = 0.5
+    """A camera sees what a scan saw within this time, seconds (and `near_time_m`); 0 or more."""
+    near_time_m: float = 3.0
+    """But not when it was further than this from the scan, m (the camera closest in time always does); 0 or more."""
+    near_space_m: float = 0.4
+    """A camera sees what a scan saw from within this distance at any time, m; less than a wall and a step."""
+
+    def __post_init__(self) -> None:
+        if self.patch_size % 2 == 0 or not 3 <= self.patch_size <= 31:
+            raise ValueError(f"patch_size = {self.patch_size}: must be odd, 3 to 31")
+        if self.score not in ("area", "as printed"):
+            raise ValueError(f'score = {self.score!r}: must be "area" or "as printed"')
+        ranges = {
+            "window": (1, 1000), "max_local": (1, 1000), "max_global": (1, 1000), "min_view_cosine": (0, 1),
+            "max_view_angle_deg": (0, 89), "min_ncc": (-1, 1), "min_scale": (0, 1), "max_scale": (1, 1e3),
+            "min_std_sigma": (0, 1e3), "dark": (0, 50), "bright": (100, 256), "min_usable": (0, 1),
+            "voxel_m": (1e-3, 1e3), "hidden_m": (0, 1e3), "near_time_s": (0, 1e4), "near_time_m": (0, 1e4),
+            "near_space_m": (0, 1e3),
+        }  # fmt: skip
+        for name, (low, high) in ranges.items():
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name} = {getattr(self, name)}: must lie in {low} to {high}")
+
+
+@dataclass(frozen=True)
+class VisibilityMap:
+    """The global visibility voxel map: which cameras see a voxel, because LiDAR scans near them did.
+
+    keys: (V,) int64, ascending, of the voxels; offsets: (V + 1,) int64; cameras: int32, ascending in each row
+    voxel_m: edge of a voxel, m
+    """
+
+    keys: np.ndarray
+    offsets: np.ndarray
+    cameras: np.ndarray
+    voxel_m: float
+
+    def rows(self, points_world: np.ndarray) -> np.ndarray:
+        """The row (P,) int64 of the voxel that holds each point (P, 3); -1 where the map has none."""
+        keys = kernels.voxel_keys(np.ascontiguousarray(points_world, dtype=np.float64), self.voxel_m)
+        row = np.minimum(np.searchsorted(self.keys, keys), max(len(self.keys) - 1, 0))
+        if len(self.keys) == 0:
+            return np.full(len(keys), -1)
+        return np.where(self.keys[row] == keys, row, -1)
+
+
+@dataclass(frozen=True)
+class DepthBuffers:
+    """The nearest LiDAR point in every cell of every image.
+
+    nearest: (I, rows, columns) int32, index into points_world, -1: none; empty: nothing is known to hide anything
+    points_world: (M, 3) float32; cell: edge of a cell as a part of the focal length fx (the same at every level)
+    """
+
+    nearest: np.ndarray
+    points_world: np.ndarray
+    cell: float
+
+
+NOTHING_HIDES = DepthBuffers(np.empty((0, 0, 0), np.int32), np.empty((0, 3), np.float32), 1.0)
+
+
+def depth_buffers(
+    camera: Camera,
+    world_from_camera: np.ndarray,
+    image_times: np.ndarray,
+    plane_points: PlanePoints,
+    scan_times: np.ndarray,
+    time_window_s: float = 0.5,
+    max_points: int = 1_000_000,
+) -> DepthBuffers:
+    """Depth buffers of all images from the scans near each in time.
+
+    camera: of any level; world_from_camera: (I, 4, 4); image_times: (I,) s; scan_times: (S,) s
+    A cell is wide enough that few are empty: 1.5 mean spacings of LiDAR points, 1/160 to 1/40 of the width.
+    """
+    window = np.full(len(image_times), time_window_s)
+    ranges = near_ranges(image_times, scan_times, plane_points.scan_offsets, window, max_points)
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    poses, points = np.ascontiguousarray(world_from_camera), plane_points.points_world
+
+    def buffers(part: slice, size: float) -> np.ndarray:
+        return nearest_points(
+            points, ranges[part], poses[part], intrinsics, camera.width, camera.height, size, 0.1
+        )
+
+    finest = camera.width / 160
+    some = buffers(slice(None, None, max(len(poses) // 8, 1)), finest)
+    # of n points thrown on cells, a part exp(-n) of the cells stays empty
+    held = min(float(np.median((some >= 0).mean(axis=(1, 2)))), 0.999) if len(some) else 0.0
+    cell = finest * float(np.clip(1.5 / np.sqrt(max(-np.log1p(-held), 1e-9)), 1, 4))
+    return DepthBuffers(buffers(slice(None), cell), points, cell / camera.fx)
+
+
+def cameras_near_scans(
+    scan_times: np.ndarray,
+    scan_positions: np.ndarray,
+    image_times: np.ndarray,
+    camera_positions: np.ndarray,
+    config: VisibilityConfig = VisibilityConfig(),
+) -> tuple[np.ndarray, np.ndarray]:
+    """Compressed rows of the cameras that see what a scan saw: offsets (S + 1,) int64, cameras int32.
+
+    scan_times (S,), scan_positions (S, 3) of the sensor; image_times (I,), camera_positions (I, 3); world frame
+    """
+    rows = []
+    for time, position in zip(scan_times, scan_positions, strict=True):
+        gap = np.abs(image_times - time)
+        distance = np.linalg.norm(camera_positions - position, axis=1)
+        near = (gap <= config.near_time_s) & (distance <= config.near_time_m)
+        near |= distance <= config.near_space_m
+        near[gap.argmin()] |= gap.min() <= config.near_time_s
+        rows.append(np.flatnonzero(near).astype(np.int32))
+    offsets = np.concatenate([[0], np.cumsum([len(row) for row in rows])]).astype(np.int64)
+    return offsets, np.concatenate(rows) if rows else np.empty(0, np.int32)
+
+
+def build_map(
+    points_world: np.ndarray,
+    scan_offsets: np.ndarray,
+    near: tuple[np.ndarray, np.ndarray],
+    images: int,
+    voxel_m: float = VisibilityConfig.voxel_m,
+) -> VisibilityMap:
+    """The global visibility voxel map of all scans; Li et al., II-C3a.
+
+    points_world: (M, 3) float32, scan_offsets: (S + 1,), as in PlanePoints; near: from `cameras_near_scans`
+    """
+    keys, count = kernels.scan_voxels(points_world, scan_offsets, voxel_m)
+    parts = [keys[start : start + n] for start, n in zip(scan_offsets[:-1], count, strict=True)]
+    every = np.concatenate(parts) if parts else np.empty(0, np.int64)
+    scans = np.repeat(np.arange(len(count)), count)
+    order = np.argsort(every, kind="stable")
+    unique, first = np.unique(every[order], return_index=True)
+    offsets = np.append(first, len(every)).astype(np.int64)
+    rows, cameras = kernels.voxel_cameras(offsets, scans[order], near[0], near[1], images)
+    return VisibilityMap(unique, rows, cameras, voxel_m)
+
+
+def view_scores(
+    points: ScenePoints, camera: Camera, world_from_camera: np.ndarray, form: str = "area"
+) -> np.ndarray:
+    """How well the reference sees each point (P,): larger is better; Li et al., eq. (4).
+
+    "area": pixels per m^2 of surface, fx fy |n.(p - t)| / z^3, which is what the paper's text describes.
+    "as printed": |n.(p - t)| / |p - t|^2 (with the absolute value that eq. (4) lacks).
+    """
+    pose = world_from_camera[points.reference]
+    view = points.position_world - pose[:, :3, 3]
+    facing = np.abs(np.einsum("pi,pi->p", points.normal_world, view))
+    if form == "as printed":
+        return np.asarray(facing / np.einsum("pi,pi->p", view, view))
+    depth = np.einsum("pi,pi->p", pose[:, :3, 2], view)
+    return np.asarray(camera.fx * camera.fy * facing / depth**3)
+
+
+def choose_global(points: ScenePoints, rows: np.ndarray, score: np.ndarray) -> np.ndarray:
+    """(P,) bool: the best point of every voxel; of equal scores the first. rows: (P,) voxel, -1: none."""
+    order = np.lexsort((np.arange(len(rows)), -score, rows))
+    best = np.ones(len(rows), bool)
+    best[1:] = rows[order][1:] != rows[order][:-1]
+    chosen = np.zeros(len(rows), bool)
+    chosen[order[best]] = True
+    return chosen & (rows >= 0)
+
+
+def local_pairs(reference: np.ndarray, images: int, window: int) -> tuple[np.ndarray, np.ndarray]:
+    """Candidate (point, target), (O,) int32 each: the keyframes within `window` of each reference; sorted."""
+    steps = np.concatenate([np.arange(-window, 0), np.arange(1, window + 1)])
+    target = reference[:, None].astype(np.int64) + steps
+    point = np.broadcast_to(np.arange(len(reference))[:, None], target.shape)
+    inside = (target >= 0) & (target < images)
+    return point[inside].astype(np.int32), target[inside].astype(np.int32)
+
+
+def global_pairs(
+    chosen: np.ndarray, rows: np.ndarray, reference: np.ndarray, seen: VisibilityMap
+) -> tuple[np.ndarray, np.ndarray]:
+    """Candidate (point, target), (O,) int32 each: the cameras of each chosen point's voxel; sorted."""
+    index = np.flatnonzero(chosen)
+    start, stop = seen.offsets[rows[index]], seen.offsets[rows[index] + 1]
+    count = stop - start
+    point = np.repeat(index, count)
+    within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    target = seen.cameras[np.repeat(start, count) + within]
+    other = target != reference[point]
+    return point[other].astype(np.int32), target[other].astype(np.int32)
+
+
+def find(
+    images: np.ndarray,
+    camera: Camera,
+    world_from_camera: np.ndarray,
+    points: ScenePoints,
+    seen: VisibilityMap | None,
+    noise: float,
+    config: VisibilityConfig = VisibilityConfig(),
+    depth: DepthBuffers = NOTHING_HIDES,
+) -> tuple[ScenePoints, Observations]:
+    """The scene points that some target sees, with `is_global` set, and their pairs, at one pyramid level.
+
+    images: (I, H, W, C); camera: of this level; world_from_camera: (I, 4, 4); points: from `scene_points.select`
+    seen: the global map; None: local targets only. noise: standard deviation of the images' noise, grey values
+    depth: of the same images, to refuse hidden targets by geometry; without, the correlation alone judges
+
+    Source: Li et al., II-C2, II-C3 and eq. (3), without the bars round d.z_C, with the whole warped patch inside the
+    target, a gate on its scale, and the union of local and global targets.
+    """
+    local = _passing(*local_pairs(points.reference, len(images), config.window), images, camera,
+                     world_from_camera, points, noise, config, depth)  # fmt: skip
+    local = _spread(local, config.max_local)
+    chosen = np.zeros(len(points), bool)
+    far = (np.empty(0, np.int32), np.empty(0, np.int32))
+    if seen is not None and config.use_global:
+        rows = seen.rows(points.position_world)
+        chosen = choose_global(points, rows, view_scores(points, camera, world_from_camera, config.score))
+        candidates = _without(global_pairs(chosen, rows, points.reference, seen), local, len(images))
+        far = _passing(*candidates, images, camera, world_from_camera, points, noise, config, depth)
+        far = _spread(far, config.max_global)
+    return _union(replace(points, is_global=chosen), local, far, len(images))
+
+
+Pairs = tuple[np.ndarray, np.ndarray]
+
+
+def _passing(
+    point: np.ndarray,
+    target: np.ndarray,
+    images: np.ndarray,
+    camera: Camera,
+    world_from_camera: np.ndarray,
+    points: ScenePoints,
+    noise: float,
+    config: VisibilityConfig,
+    depth: DepthBuffers,
+) -> Pairs:
+    """The pairs that pass eq. (3)."""
+    gates = np.array([
+        config.patch_size // 2, config.min_view_cosine, np.cos(np.radians(config.max_view_angle_deg)),
+        config.min_scale, config.max_scale, config.min_ncc, (config.min_std_sigma * noise) ** 2, config.dark,
+        config.bright, config.min_usable, config.hidden_m,
+    ])  # fmt: skip
+    verdict, _ = kernels.judge_pairs(
+        images, np.ascontiguousarray(world_from_camera),
+        np.array([camera.fx, camera.fy, camera.cx, camera.cy]), points.position_world, points.normal_world,
+        points.reference, points.pixel, point, target, gates, depth.nearest, depth.points_world,
+        depth.cell * camera.fx,
+    )  # fmt: skip
+    counts = np.bincount(verdict, minlength=len(_GATES))
+    _log.debug("pairs: %s", ", ".join(f"{n} {name}" for name, n in zip(_GATES, counts, strict=True)))
+    good = verdict == kernels.PASSED
+    return point[good], target[good]
+
+
+def _spread(pairs: Pairs, limit: int) -> Pairs:
+    keep = kernels.keep_spread(pairs[0], limit)
+    return pairs[0][keep], pairs[1][keep]
+
+
+def _without(pairs: Pairs, others: Pairs, images: int) -> Pairs:
+    """The pairs that are not among `others`, which are sorted."""
+    codes, known = _codes(pairs, images), _codes(others, images)
+    if len(known) == 0:
+        return pairs
+    place = np.minimum(np.searchsorted(known, codes), len(known) - 1)
+    new = known[place] != codes
+    return pairs[0][new], pairs[1][new]
+
+
+def _codes(pairs: Pairs, images: int) -> np.ndarray:
+    return np.asarray(pairs[0].astype(np.int64) * images + pairs[1])
+
+
+def _union(points: ScenePoints, local: Pairs, far: Pairs, images: int) -> tuple[ScenePoints, Observations]:
+    """Points with at least one pair, and all pairs by (point, target)."""
+    point, target = np.concatenate([local[0], far[0]]), np.concatenate([local[1], far[1]])
+    through_map = np.arange(len(point)) >= len(local[0])
+    order = np.argsort(_codes((point, target), images), kind="stable")
+    seen = np.zeros(len(points), bool)
+    seen[point] = True
+    renumbered = (np.cumsum(seen) - 1)[point[order]]
+    observations = Observations(
+        renumbered.astype(np.int32), target[order].astype(np.int32), through_map[order]
+    )
+    return take(points, seen), observations

@@ -1,0 +1,197 @@
+"""The command line: `lvba run | evaluate | simulate | export`.
+
+Nothing heavy is imported before a command runs, so that `lvba --help` answers at once.
+"""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import NoReturn
+
+from service import stopping
+
+_EPILOG = """\
+examples:
+  lvba simulate courtyard --out demo
+  lvba run demo --out result --reference demo/reference
+  lvba export result laz --out map.laz
+
+Each command has its own help: lvba run --help"""
+
+_RUN = """\
+Refine the scan poses, camera poses and exposures of a recording, and color its map.
+
+OUT holds the result (poses, exposures, map.ply, report.html, report.json, config.yaml) and, in OUT/stages, what every
+stage made. A run that was stopped goes on from the finished stages when the same command is given again."""
+
+_RUN_EXAMPLES = """\
+examples:
+  lvba run recording --out result
+  lvba run recording --out result --set visual.levels=2 --set visual.exposures=none
+  lvba run recording --out result --config settings.yaml --reference truth
+
+Every setting with its value is in OUT/config.yaml, which can be given as --config."""
+
+_EVALUATE = """\
+Judge poses and exposures made by any method, as `lvba run` judges its own.
+
+"rough" in the report is the dataset as it is, "refined" is with the files given here in its place."""
+
+_EVALUATE_EXAMPLES = """\
+examples:
+  lvba evaluate recording --out judged
+  lvba evaluate recording --out judged --lidar-poses other/lidar_poses.txt --image-poses other/image_poses.txt
+  lvba evaluate recording --out judged --reference truth"""
+
+_SIMULATE = """\
+Make a recording of a made-up place, with known truth in OUT/reference."""
+
+_SIMULATE_EXAMPLES = """\
+examples:
+  lvba simulate courtyard --out yard
+  lvba simulate rooms --out rooms --frames 60 --seed 3 --difficulty hard --lidar non_repetitive"""
+
+_EXPORT = """\
+Write the map or the poses of a result in another format."""
+
+_EXPORT_EXAMPLES = """\
+examples:
+  lvba export result laz
+  lvba export result colmap --out colmap_model"""
+
+
+class Parser(argparse.ArgumentParser):
+    """Usage mistakes are one line on stderr, and exit code 2."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs a command. 0: done; 2: bad input or usage, one line on stderr; 1: anything else."""
+    arguments = parser().parse_args(argv)
+    limit_threads(arguments.threads)
+    stopping.install()
+    try:
+        from service import commands
+
+        return commands.main(arguments)
+    except KeyboardInterrupt:
+        # so early or so late that nothing is lost
+        sys.stderr.write("lvba: stopped\n")
+        return 1
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of all commands."""
+    top = Parser(
+        prog="lvba",
+        description="LiDAR-visual bundle adjustment: from rough odometry poses to a colored map.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    top.add_argument("--version", action="version", version=f"lvba {metadata.version('lvba')}")
+    commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    _add_run(commands)
+    _add_evaluate(commands)
+    _add_simulate(commands)
+    _add_export(commands)
+    return top
+
+
+def _add_run(commands: "argparse._SubParsersAction[Parser]") -> None:
+    run = _command(commands, "run", "refine a recording", _RUN, _RUN_EXAMPLES)
+    _add_dataset_and_out(run)
+    _add_settings(run)
+    run.add_argument("--reference", type=Path, metavar="DIR", help="folder of true poses to compare with")
+    cluster = run.add_mutually_exclusive_group()
+    cluster.add_argument("--workers", type=int, metavar="N", help="worker processes (not in this version)")
+    cluster.add_argument("--scheduler", metavar="ADDRESS", help="a cluster's scheduler (not in this version)")
+
+
+def _add_evaluate(commands: "argparse._SubParsersAction[Parser]") -> None:
+    evaluate = _command(commands, "evaluate", "judge poses and exposures", _EVALUATE, _EVALUATE_EXAMPLES)
+    _add_dataset_and_out(evaluate)
+    _add_settings(evaluate)
+    evaluate.add_argument("--lidar-poses", type=Path, metavar="FILE", help="TUM, world from scan")
+    evaluate.add_argument("--image-poses", type=Path, metavar="FILE", help="TUM, world from camera")
+    evaluate.add_argument("--exposures", type=Path, metavar="FILE", help="CSV: timestamp,relative_exposure")
+    evaluate.add_argument(
+        "--reference", type=Path, metavar="DIR", help="folder of true poses to compare with"
+    )
+
+
+def _add_simulate(commands: "argparse._SubParsersAction[Parser]") -> None:
+    simulate = _command(
+        commands, "simulate", "make a recording with known truth", _SIMULATE, _SIMULATE_EXAMPLES
+    )
+    simulate.add_argument("scene", metavar="SCENE", help="courtyard, rooms, corridor, street, plane")
+    simulate.add_argument("--out", type=Path, required=True, metavar="DATASET", help="folder to write")
+    simulate.add_argument("--frames", type=int, metavar="N", help="images (default: the scene's)")
+    simulate.add_argument("--seed", type=int, default=0, metavar="S", help="of all randomness (default: 0)")
+    simulate.add_argument(
+        "--difficulty", choices=["easy", "medium", "hard"], default="medium", help="of the drift"
+    )
+    simulate.add_argument(
+        "--lidar", choices=["spinning", "non_repetitive"], default="spinning", help="its scan pattern"
+    )
+
+
+def _add_export(commands: "argparse._SubParsersAction[Parser]") -> None:
+    export = _command(commands, "export", "write a result in another format", _EXPORT, _EXPORT_EXAMPLES)
+    export.add_argument("result", type=Path, metavar="RESULT", help="the OUT folder of a run")
+    export.add_argument("format", metavar="FORMAT", help="ply, las, laz, colmap, nerfstudio")
+    export.add_argument(
+        "--out", type=Path, metavar="PATH", help="file or folder to write (default: in RESULT)"
+    )
+
+
+def _command(
+    commands: "argparse._SubParsersAction[Parser]", name: str, summary: str, description: str, examples: str
+) -> Parser:
+    command = commands.add_parser(
+        name,
+        help=summary,
+        description=description,
+        epilog=examples,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    command.add_argument("--threads", type=_count, metavar="N", help="threads to use (default: all cores)")
+    talk = command.add_mutually_exclusive_group()
+    talk.add_argument("--quiet", action="store_true", help="no progress on stderr")
+    talk.add_argument("--verbose", action="store_true", help="say more on stderr")
+    return command
+
+
+def _add_dataset_and_out(command: Parser) -> None:
+    command.add_argument("dataset", type=Path, metavar="DATASET", help="folder of the recording")
+    command.add_argument("--out", type=Path, required=True, metavar="OUT", help="folder for the result")
+
+
+def _add_settings(command: Parser) -> None:
+    command.add_argument("--config", type=Path, metavar="FILE", help="settings, YAML")
+    command.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="one setting; may be repeated"
+    )
+
+
+def _count(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not 1 or more")
+    return number
+
+
+def limit_threads(threads: int | None) -> None:
+    """BLAS gets one thread: its threads beside numba's slow both down many times. Must come before numpy is imported."""
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    if threads is not None:
+        os.environ["NUMBA_NUM_THREADS"] = str(threads)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

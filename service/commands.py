@@ -1,0 +1,110 @@
+"""What the commands do, and how every way to fail ends: one line on stderr and an exit code."""
+
+import argparse
+import errno
+import logging
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from lvba.errors import InputError, LvbaError
+from lvba.io import files
+from service import stopping
+from service.progress import Display
+
+_USERS_TO_MEND = {errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS, errno.EFBIG}
+"""Failures of the system that whoever started the command can do something about."""
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """The exit code of a command."""
+    display = Display(quiet=arguments.quiet)
+    try:
+        return _run(arguments, display)
+    except Exception:
+        if stopping.asked():
+            return _end(display, _stopped(arguments), 1)
+        raise
+    finally:
+        display.clear()
+
+
+def _run(arguments: argparse.Namespace, display: Display) -> int:
+    try:
+        with _log_to(display, arguments.verbose):
+            _command(arguments.command)(arguments, display)
+        return 0
+    except KeyboardInterrupt:
+        return _end(display, _stopped(arguments), 1)
+    except InputError as error:
+        return _end(display, str(error), 2)
+    except LvbaError as error:
+        return _end(display, str(error), 1)
+    except MemoryError:
+        return _end(display, "out of memory: finished stages are kept; free memory or use fewer frames", 1)
+    except BrokenPipeError:
+        return 1
+    except OSError as error:
+        if error.errno not in _USERS_TO_MEND:
+            raise
+        where = error.filename or getattr(arguments, "out", None) or "output"
+        return _end(display, str(files.input_error(where, error)), 2)
+
+
+def _command(name: str) -> Callable[[argparse.Namespace, Display], None]:
+    # imported by name: `simulate` must not load what only `run` needs
+    if name == "run":
+        from service import run_command
+
+        return run_command.run
+    if name == "evaluate":
+        from service import evaluate_command
+
+        return evaluate_command.evaluate
+    if name == "simulate":
+        from service import simulate_command
+
+        return simulate_command.simulate
+    from service import export_command
+
+    return export_command.export
+
+
+def _stopped(arguments: argparse.Namespace) -> str:
+    if arguments.command == "run":
+        return f"stopped; finished stages are kept in {arguments.out}: the same command goes on from there"
+    return "stopped"
+
+
+def _end(display: Display, message: str, code: int) -> int:
+    display.clear()
+    one_line = " ".join(message.split())
+    sys.stderr.write(f"lvba: {one_line}\n")
+    return code
+
+
+@contextmanager
+def _log_to(display: Display, verbose: bool) -> Iterator[None]:
+    """What the library logs, as lines between the progress."""
+    handler = _Lines(display)
+    logger = logging.getLogger()
+    before = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(logging.WARNING)
+    for name in ("lvba", "workers", "service"):
+        logging.getLogger(name).setLevel(logging.DEBUG if verbose else logging.WARNING)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(before)
+
+
+class _Lines(logging.Handler):
+    def __init__(self, display: Display) -> None:
+        super().__init__()
+        self._display = display
+
+    def emit(self, record: logging.LogRecord) -> None:
+        kind = "warning: " if record.levelno >= logging.WARNING else ""
+        self._display.note(f"{kind}{record.getMessage()}")

@@ -1,0 +1,110 @@
+"""How far a run is: one line that moves on a terminal, plain lines elsewhere. Both on stderr."""
+
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from typing import TextIO
+
+_BAR = 24
+_REDRAW = 0.1
+_PLAIN = 10.0
+"""Seconds between redraws of the bar, and between plain lines of one stage."""
+
+
+class Display:
+    """Shows stages (`stage`) and counts within them (`progress`, as lvba calls it)."""
+
+    def __init__(
+        self,
+        stream: TextIO | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        quiet: bool = False,
+    ) -> None:
+        self._quiet = quiet
+        self._stream = stream or sys.stderr
+        self._clock = clock
+        self._terminal = self._stream.isatty()
+        self._stage = self._what = ""
+        self._began = self._what_began = self._shown = clock()
+        self._width = 0
+
+    def stage(self, name: str, index: int, total: int) -> None:
+        """A stage begins: its name, its index and how many there are."""
+        self.clear()
+        if self._quiet:
+            return
+        self._stage = f"[{index + 1}/{total}] {name}"
+        self._what, self._began = "", self._clock()
+        self._shown = self._began
+        if self._terminal:
+            self._draw(self._stage)
+        else:
+            self._line(self._stage)
+
+    def progress(self, what: str, done: int, total: int) -> None:
+        """`done` of `total` pieces of `what` are finished; rate and time left are those of this count."""
+        if self._quiet:
+            return
+        now = self._clock()
+        if what != self._what:
+            self._what, self._what_began = what, now
+        wait = _REDRAW if self._terminal else _PLAIN
+        if now - self._shown < wait:
+            return
+        self._shown = now
+        text = f"{self._stage}: {what} {counts(done, total, now - self._what_began)}"
+        if self._terminal:
+            self._draw(f"{text} {bar(done, total)}")
+        else:
+            self._line(text)
+
+    def note(self, text: str) -> None:
+        """A line that stays."""
+        self.clear()
+        self._line(text)
+
+    def clear(self) -> None:
+        """Take the moving line away."""
+        if self._width:
+            self._stream.write("\r" + " " * self._width + "\r")
+            self._stream.flush()
+            self._width = 0
+
+    def _draw(self, text: str) -> None:
+        # a line that wraps could not be taken back
+        text = text[: shutil.get_terminal_size().columns - 1]
+        self._stream.write("\r" + text.ljust(self._width))
+        self._stream.flush()
+        self._width = len(text)
+
+    def _line(self, text: str) -> None:
+        self._stream.write(text + "\n")
+        self._stream.flush()
+
+
+def counts(done: int, total: int, seconds: float) -> str:
+    """For example `34/100, 12.3/s, 0:05 left`."""
+    text = f"{done}/{total}" if total else f"{done}"
+    if done and seconds > 0:
+        rate = done / seconds
+        text += f", {rate:.3g}/s"
+        if total > done:
+            text += f", {clock_text((total - done) / rate)} left"
+    return text
+
+
+def bar(done: int, total: int) -> str:
+    """For example `#########---------------`; empty where the total is not known."""
+    if total <= 0:
+        return ""
+    filled = min(_BAR, _BAR * done // total)
+    return "#" * filled + "-" * (_BAR - filled)
+
+
+def clock_text(seconds: float) -> str:
+    """Seconds as `m:ss` or `h:mm:ss`."""
+    whole = round(seconds)
+    hours, minutes = whole // 3600, whole // 60 % 60
+    return f"{hours}:{minutes:02}:{whole % 60:02}" if hours else f"{minutes}:{whole % 60:02}"

@@ -1,0 +1,21 @@
+"""`lvba simulate`: a recording with known truth."""
+
+import argparse
+
+from service.progress import Display
+
+
+def simulate(arguments: argparse.Namespace, display: Display) -> None:
+    """Write the dataset folder."""
+    from lvba.simulate import simulate as make
+
+    display.stage(f"simulate {arguments.scene}", 0, 1)
+    make(
+        arguments.scene,
+        arguments.out,
+        frames=arguments.frames,
+        seed=arguments.seed,
+        difficulty=arguments.difficulty,
+        lidar=arguments.lidar,
+        progress=display.progress,
+    )

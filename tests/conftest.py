@@ -1,0 +1,68 @@
+"""What several packages' tests share: a small recording with known truth, and a guard against silent skips."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def pytest_addoption(parser):
+    parser.addoption("--no-skips", action="store_true", help="fail when a test not marked `data` is skipped")
+
+
+def pytest_sessionfinish(session, exitstatus):
+    """With --no-skips, a skipped test fails the run unless it is marked `data`."""
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if not session.config.getoption("--no-skips") or reporter is None:
+        return
+    skipped = [r for r in reporter.stats.get("skipped", []) if "data" not in getattr(r, "keywords", {})]
+    if skipped and session.exitstatus == pytest.ExitCode.OK:
+        reporter.write_line(f"skipped without being marked data: {[r.nodeid for r in skipped]}", red=True)
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+@pytest.fixture(scope="session")
+def recording(tmp_path_factory):
+    """A short street with 16 images of 320 x 240 and as many scans, truth in reference/."""
+    from lvba import simulate
+
+    folder = tmp_path_factory.mktemp("recording") / "street"
+    simulate.simulate(
+        "street",
+        folder,
+        frames=16,
+        scans=16,
+        length=12.0,
+        seed=5,
+        width=320,
+        height=240,
+        points_per_scan=6000,
+    )
+    return folder
+
+
+@pytest.fixture(scope="session")
+def lvba():
+    """Runs the command line in a process of its own."""
+    return run_lvba
+
+
+@pytest.fixture(scope="session")
+def undisturbed(recording, lvba, tmp_path_factory):
+    """The result folder of a run that nothing disturbed, and its finished process."""
+    out = tmp_path_factory.mktemp("run") / "out"
+    done = lvba("run", recording, "--out", out, "--reference", recording / "reference", "--threads", 2)
+    return out, done
+
+
+def run_lvba(*arguments, code=0, program=("-m", "service.cli"), **options):
+    """The finished process of `lvba ARGUMENTS`, after checking its exit code."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, *program, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, **options)
+    assert done.returncode == code, f"exit code {done.returncode}\n{done.stdout}\n{done.stderr}"
+    return done

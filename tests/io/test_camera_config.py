@@ -1,0 +1,203 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import small_recording
+
+from lvba.errors import InputError
+from lvba.io import camera_config
+from lvba.io.image_header import ImageSize
+
+CAMERA_ONLY = """\
+cam_model: Pinhole
+cam_width: 1280
+cam_height: 1024
+scale: 0.5
+cam_fx: 1293.5
+cam_fy: 1293.25
+cam_cx: 626.75
+cam_cy: 522.5
+cam_d0: -0.076
+cam_d1: 0.123
+cam_d2: -0.00113
+cam_d3: 2.51e-4
+"""
+EXTRINSIC_ONLY = """\
+common: {img_topic: "/left_camera/image", lidar_en: 1}
+extrin_calib:
+  extrinsic_T: [0.04165, 0.02326, -0.0284]
+  extrinsic_R: [1., 0., 0., 0., 1., 0., 0., 0., 1.]
+  Rcl: [0.00610193,-0.999863,-0.0154172,
+        -0.00615449,0.0153796,-0.999863,
+        0.999962,0.00619598,-0.0060598]
+  Pcl: [0.0194384, 0.104689,-0.0251952]
+pcd_save: {interval: -1}
+"""
+
+
+def _indent(text: str, by: int = 6) -> str:
+    return "".join(f"{' ' * by}{line}\n" for line in text.splitlines())
+
+
+def _check_fast_livo(folder: Path) -> None:
+    found = camera_config.read_calibration(folder)
+    assert (found.camera.width, found.camera.height, found.scale) == (1280, 1024, 0.5)
+    assert (found.camera.fx, found.camera.fy, found.camera.cx, found.camera.cy) == (
+        1293.5,
+        1293.25,
+        626.75,
+        522.5,
+    )
+    assert found.camera.distortion == (-0.076, 0.123, -0.00113, 2.51e-4)
+    rotation = found.camera_from_lidar[:3, :3]
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(rotation[0], [0.00610193, -0.999863, -0.0154172], atol=1e-4)
+    np.testing.assert_array_equal(found.camera_from_lidar[:3, 3], [0.0194384, 0.104689, -0.0251952])
+    np.testing.assert_array_equal(found.body_from_lidar[:3, 3], [0.04165, 0.02326, -0.0284])
+
+
+def test_one_file(tmp_path: Path):
+    lines = CAMERA_ONLY.splitlines(keepends=True)[1:]
+    (tmp_path / "config.yaml").write_text(
+        "cam_model:\n" + "".join("  " + line for line in lines) + EXTRINSIC_ONLY
+    )
+    _check_fast_livo(tmp_path)
+
+
+@pytest.mark.parametrize("folder", ["", "config"])
+def test_two_files_as_fast_livo_has_them(tmp_path: Path, folder: str):
+    (tmp_path / folder).mkdir(exist_ok=True)
+    (tmp_path / folder / "avia.yaml").write_text(EXTRINSIC_ONLY)
+    (tmp_path / folder / "camera_pinhole.yaml").write_text(CAMERA_ONLY)
+    _check_fast_livo(tmp_path)
+
+
+def test_ros_2_parameters_with_and_without_the_prefix(tmp_path: Path):
+    camera = CAMERA_ONLY.replace("cam_", "")
+    extrinsic = EXTRINSIC_ONLY
+    (tmp_path / "a.yaml").write_text(f"/node:\n  ros__parameters:\n{_indent(extrinsic, 4)}")
+    (tmp_path / "b.yaml").write_text(f"/**:\n  ros__parameters:\n    camera:\n{_indent(camera)}")
+    _check_fast_livo(tmp_path)
+    (tmp_path / "b.yaml").write_text(f"/**:\n  ros__parameters:\n    camera:\n{_indent(CAMERA_ONLY)}")
+    _check_fast_livo(tmp_path)
+
+
+def test_opencv_s_header_matrices_and_numbers_without_a_point(tmp_path: Path):
+    text = "%YAML:1.0\n---\n" + small_recording.CONFIG.replace("cam_d2: 0.001", "cam_d2: 1e-3").replace(
+        "Pcl: [0.02, 0.10, -0.03]",
+        "Pcl: !!opencv-matrix\n    rows: 3\n    cols: 1\n    dt: d\n    data: [0.02, 0.10, -3e-2]",
+    ).replace("Rcl: [0, -1, 0, 0, 0, -1, 1, 0, 0]", "Rcl: [[0, -1, 0], [0, 0, -1], [1, 0, 0]]")
+    (tmp_path / "config.yml").write_text(text)
+    found = camera_config.read_calibration(tmp_path)
+    assert found.camera.distortion[2] == 1e-3
+    np.testing.assert_array_equal(found.camera_from_lidar[:3, 3], small_recording.PCL)
+    np.testing.assert_array_equal(found.camera_from_lidar[:3, :3], small_recording.RCL)
+
+
+def test_config_yaml_is_enough_and_others_are_not_looked_at(tmp_path: Path):
+    (tmp_path / "config.yaml").write_text(small_recording.CONFIG)
+    (tmp_path / "another.yaml").write_text("{[ no yaml")
+    assert camera_config.read_calibration(tmp_path).camera.width == 32
+
+
+def test_two_cameras_are_not_chosen_between(tmp_path: Path):
+    (tmp_path / "a.yaml").write_text(EXTRINSIC_ONLY)
+    (tmp_path / "camera_1.yaml").write_text(CAMERA_ONLY)
+    (tmp_path / "camera_2.yaml").write_text(CAMERA_ONLY)
+    _check_fast_livo(tmp_path)  # the same twice is no question
+    (tmp_path / "camera_2.yaml").write_text(CAMERA_ONLY.replace("1293.5\n", "900\n"))
+    with pytest.raises(InputError, match=r"camera_2\.yaml: has another fx than camera_1\.yaml"):
+        camera_config.read_calibration(tmp_path)
+    (tmp_path / "camera_2.yaml").rename(tmp_path / "config.yaml")
+    assert camera_config.read_calibration(tmp_path).camera.fx == 900
+    (tmp_path / "config.yaml").write_text("left: {cam_fx: 1}\nright: {cam_fx: 2}")
+    with pytest.raises(InputError, match="has another fx than the same file"):
+        camera_config.read_calibration(tmp_path)
+
+
+def test_a_folder_without_yaml_has_no_calibration(tmp_path: Path):
+    found = camera_config.read_calibration(tmp_path)
+    assert found.camera is None
+    assert found.camera_from_lidar is None
+    np.testing.assert_array_equal(found.body_from_lidar, np.eye(4))
+
+
+def test_the_size_of_the_images_decides_not_the_scale_key(tmp_path: Path):
+    (tmp_path / "config.yaml").write_text(CAMERA_ONLY + EXTRINSIC_ONLY)
+    found = camera_config.read_calibration(tmp_path)
+    assert camera_config.for_size(found, ImageSize(1280, 1024)) == found.camera
+    half = camera_config.for_size(found, ImageSize(640, 512))
+    assert half == found.camera.scaled(0.5)
+    assert half.cx == (626.75 + 0.5) / 2 - 0.5  # pixel centers
+    quarter = camera_config.for_size(found, ImageSize(320, 256))
+    assert quarter.fx == 1293.5 / 4
+
+
+def test_odd_sizes_are_rounded(tmp_path: Path):
+    (tmp_path / "config.yaml").write_text(
+        CAMERA_ONLY.replace("1280", "1281").replace("1024", "1025") + EXTRINSIC_ONLY
+    )
+    found = camera_config.read_calibration(tmp_path)
+    for width, height in ((640, 512), (641, 513)):
+        camera = camera_config.for_size(found, ImageSize(width, height))
+        assert (camera.width, camera.height) == (width, height)
+        assert camera.fx == 1293.5 / 2
+
+
+@pytest.mark.parametrize("size", [(1280, 1023), (1279, 1024), (1024, 1280), (640, 500), (640, 480)])
+def test_images_that_are_no_scaled_version_are_refused(tmp_path: Path, size: tuple[int, int]):
+    (tmp_path / "config.yaml").write_text(CAMERA_ONLY + EXTRINSIC_ONLY)
+    with pytest.raises(InputError, match="but the images are"):
+        camera_config.for_size(camera_config.read_calibration(tmp_path), ImageSize(*size))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "problem"),
+    [
+        ("  cam_fx: 30.5\n", "", "cam_fx is missing"),
+        ("  cam_width: 32\n", "", "cam_width is missing"),
+        ("cam_fx: 30.5", "cam_fx: -30.5", "cam_fx is '-30.5'"),
+        ("cam_fx: 30.5", "cam_fx: 0", "cam_fx is '0'"),
+        ("cam_fx: 30.5", "cam_fx: .nan", "cam_fx is 'nan'"),
+        ("cam_fx: 30.5", "cam_fx: true", "cam_fx is 'True'"),
+        ("cam_fx: 30.5", "cam_fx: [30.5]", "cam_fx is '[30.5]'"),
+        ("cam_fx: 30.5", "cam_fx: about 30", "cam_fx is 'about 30'"),
+        ("cam_cx: 15.5", "cam_cx: 1555", "cam_cx is '1555'"),
+        ("cam_width: 32", "cam_width: 32.5", "no whole numbers"),
+        ("cam_width: 32", "cam_width: 1e99", "cam_width is '1e99'"),
+        ("scale: 1.0", "scale: 0", "scale is '0'"),
+        ("cam_d3: -0.002", "cam_d3: -0.002\n  cam_d4: 0.1", "k3"),
+        ("scale: 1.0", "model: EquidistantCamera", "'EquidistantCamera' is not known"),
+        ("Rcl: [0, -1, 0, 0, 0, -1, 1, 0, 0]", "Rcl: [0, -1, 0, 0, 0, -1, 1, 0, 0.1]", "Rcl is no rotation"),
+        ("Rcl: [0, -1, 0, 0, 0, -1, 1, 0, 0]", "Rcl: [0, -1, 0, 0, 0, -1, -1, 0, 0]", "a reflection"),
+        ("Rcl: [0, -1, 0, 0, 0, -1, 1, 0, 0]", "Rcl: [0, 0, 0, 0, 0, 0, 0, 0, 0]", "Rcl is no rotation"),
+        ("Rcl: [0, -1, 0, 0, 0, -1, 1, 0, 0]", "Rcl: [0, -1, 0, 0, 0, -1, 1, 0]", "Rcl is not 9 numbers"),
+        ("  Rcl: [0, -1, 0, 0, 0, -1, 1, 0, 0]\n", "", "Rcl is missing"),
+        ("Pcl: [0.02, 0.10, -0.03]", "Pcl: [0.02, x, -0.03]", "Pcl is not 3 numbers"),
+        ("Pcl: [0.02, 0.10, -0.03]", "Pcl: 5", "Pcl is not 3 numbers"),
+        ("extrinsic_R: [1, 0, 0, 0, 1", "extrinsic_R: [1, 0, 0, 0, 2", "extrinsic_R is no rotation"),
+        ("cam_model:\n", "cam_model: [\n", "config.yaml:"),
+        ("cam_fx: 30.5", "cam_fx: &a 30.5\n  other: *a", "aliases"),
+        ("cam_fx: 30.5", "cam_fx: !!python/object/apply:os.system [ls]", "config.yaml:5"),
+        ("cam_fx: 30.5", "cam_fx: !!int ''", "config.yaml"),
+        ("cam_fx: 30.5", "cam_fx: 2001-13-45", "config.yaml"),
+        ("cam_fx: 30.5", "cam_fx: " + "[" * 5000, "nested too deep"),
+        ("cam_fx: 30.5", "cam_fx: " + "9" * 5000, "config.yaml"),
+        ("cam_fx: 30.5", "cam_fx: 30.5\n" + "# much too long\n" * 10000, "more than 65536"),
+    ],
+)  # fmt: skip
+def test_bad_values_are_named(tmp_path: Path, old: str, new: str, problem: str):
+    assert old in small_recording.CONFIG
+    (tmp_path / "config.yaml").write_text(small_recording.CONFIG.replace(old, new))
+    with pytest.raises(InputError) as caught:
+        camera_config.read_calibration(tmp_path)
+    assert problem in str(caught.value)
+    assert "config.yaml" in str(caught.value)
+    assert len(str(caught.value)) < 600
+
+
+def test_a_bomb_of_aliases_does_not_explode(tmp_path: Path):
+    levels = "".join(f"l{i}: &l{i} [{','.join([f'*l{i - 1}'] * 9)}]\n" for i in range(1, 30))
+    (tmp_path / "config.yaml").write_text("l0: &l0 [lol]\n" + levels)
+    with pytest.raises(InputError, match="aliases"):
+        camera_config.read_calibration(tmp_path)

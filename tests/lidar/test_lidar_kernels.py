@@ -1,0 +1,248 @@
+"""Kernels against their plain twins, derivatives against differences, bytes against the number of threads."""
+
+import naive_lidar as naive
+import numba
+import numpy as np
+import pytest
+
+from lvba import geometry
+from lvba.kernels import lidar as kernel
+from lvba.kernels import point_cluster, voxel
+from lvba.lidar import covariance, normal_equations, plane_feature
+from lvba.lidar.plane_feature import PlaneFeatures
+from lvba.lidar.point_cluster import PointClusters, split
+
+
+def poses_of(rng, scans):
+    return geometry.exp(rng.normal(size=(scans, 6)) * [0.3, 0.3, 0.3, 3, 3, 3])
+
+
+def planes_of(rng, poses, planes=7, noise=0.02, points=40):
+    """Features as lists of (scan, points in the scan's frame, weight), noisy so that no term is small."""
+    features = []
+    for _ in range(planes):
+        frame = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        center = rng.normal(size=3) * 8
+        seen = np.sort(rng.choice(len(poses), size=rng.integers(2, len(poses) + 1), replace=False))
+        feature = []
+        for scan in seen:
+            flat = rng.uniform(-1, 1, size=(points, 3)) * [1.0, 0.7, 0] + rng.normal(size=(points, 3)) * noise
+            world = center + flat @ frame.T
+            feature.append(
+                (
+                    int(scan),
+                    geometry.transform_points(geometry.inverse(poses[scan]), world),
+                    rng.uniform(0.5, 2),
+                )
+            )
+        features.append(feature)
+    return features
+
+
+def packed(features):
+    observations = [observation for feature in features for observation in feature]
+    clusters = [naive.cluster(points) for _, points, _ in observations]
+    return PlaneFeatures(
+        np.concatenate([[0], np.cumsum([len(f) for f in features])]).astype(np.int64),
+        np.array([scan for scan, _, _ in observations], np.int32),
+        PointClusters(*(np.array([c[k] for c in clusters]) for k in range(3))),
+        np.array([weight for _, _, weight in observations]),
+        np.ones(len(features)),
+    )
+
+
+@pytest.fixture
+def problem():
+    rng = np.random.default_rng(5)
+    poses = poses_of(rng, 6)
+    plain = planes_of(rng, poses)
+    disturbed = normal_equations.retract(poses, rng.normal(size=(6, 6)) * 0.005)
+    return disturbed, plain, packed(plain)
+
+
+def pieces(features, poses, exact=True):
+    fits = plane_feature.fit(features, poses)
+    clusters = features.clusters.weighted(features.weight)
+    by_scan = np.argsort(features.scan, kind="stable")
+    starts = np.searchsorted(features.scan[by_scan], np.arange(len(poses) + 1))
+    out = kernel.linearize(
+        *split(poses), starts, by_scan, features.feature, clusters.count, clusters.mean, clusters.scatter,
+        fits.total, fits.center, fits.eigenvalues, fits.eigenvectors, exact,
+    )  # fmt: skip
+    return starts, by_scan, fits, clusters, out
+
+
+def test_eigen3_against_numpy_also_where_one_value_is_tiny():
+    rng = np.random.default_rng(0)
+    for scale in (0.4, 1e-3, 1e-7):
+        vectors = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        matrix = vectors @ np.diag([1.0, 0.5, scale]) @ vectors.T
+        values, rows = np.empty(3), np.empty((3, 3))
+        point_cluster.eigen3(np.array([matrix[i, j] for i, j in naive.SYMMETRIC]), values, rows)
+        np.testing.assert_allclose(values, [scale, 0.5, 1.0], rtol=1e-8)
+        np.testing.assert_allclose(rows @ matrix @ rows.T, np.diag(values), atol=1e-15)
+
+
+def test_merge_and_transform_against_the_points():
+    rng = np.random.default_rng(1)
+    sets = [rng.normal(size=(n, 3)) + 1000.0 for n in (1, 5, 9, 3)]
+    clusters = PointClusters(*(np.array([naive.cluster(s)[k] for s in sets]) for k in range(3)))
+    merged = clusters.merged(np.array([2, 0, 1, 3]), np.array([0, 2, 4]))
+    for k, group in enumerate([(2, 0), (1, 3)]):
+        expected = naive.cluster(np.concatenate([sets[i] for i in group]))
+        for got, want in zip((merged.count[k], merged.mean[k], merged.scatter[k]), expected, strict=True):
+            np.testing.assert_allclose(got, want, rtol=1e-9, atol=1e-8)
+    pose = poses_of(rng, 1)
+    moved = clusters.moved(pose, np.zeros(4, np.int32))
+    expected = naive.cluster(geometry.transform_points(pose[0], sets[2]))
+    np.testing.assert_allclose(moved.mean[2], expected[1], rtol=1e-12)
+    np.testing.assert_allclose(moved.scatter[2], expected[2], rtol=1e-9, atol=1e-9)
+
+
+def test_cells_and_their_clusters_against_the_points():
+    rng = np.random.default_rng(2)
+    points = rng.uniform(-3, 3, size=(900, 3)).astype(np.float32)
+    points[5] = np.nan
+    points[6, 1] = np.nan
+    points[7] = 1e30
+    offsets = np.array([0, 400, 400, 900])
+    poses = poses_of(rng, 3)
+    rotation, translation = split(poses)
+    shift = np.full(3, 64.0)
+    local, keys, count = voxel.assign(points, offsets, rotation, translation + shift, 0.5)
+    starts = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+    found = voxel.accumulate(points, offsets, rotation, translation, local, starts)
+    assert list(local[5:8]) == [-1, -1, -1]
+    assert count[1] == 0
+    for s in range(3):
+        own = points[offsets[s] : offsets[s + 1]].astype(float)
+        world = own @ rotation[s].T + translation[s]
+        world[np.abs(world).max(1) > 50] = np.nan
+        expected = naive.cells(world + shift, 0.5)
+        assert count[s] == len(expected)
+        for number, (cell, members) in enumerate(expected.items()):
+            assert (local[offsets[s] + np.array(members)] == number).all()
+            assert keys[offsets[s] + number] == voxel.morton(*cell)
+            for got, want in zip(found, naive.cluster(world[members]), strict=True):
+                np.testing.assert_allclose(got[starts[s] + number], want, atol=1e-9)
+
+
+def test_a_table_that_has_to_grow():
+    grid = np.stack(np.meshgrid(*[np.arange(40)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    points = (grid + 0.5).astype(np.float32)
+    eye = np.eye(3)[None]
+    _, keys, count = voxel.assign(points, np.array([0, len(points)]), eye, np.zeros((1, 3)), 1.0)
+    assert count[0] == 40**3
+    assert len(np.unique(keys)) == 40**3
+
+
+def test_cost_against_the_points(problem):
+    poses, plain, features = problem
+    assert plane_feature.fit(features, poses).cost == pytest.approx(naive.plane_cost(poses, plain), rel=1e-11)
+
+
+def test_gradient_and_hessian_against_differences_of_the_cost(problem):
+    poses, _, features = problem
+
+    def cost(step):
+        return plane_feature.fit(features, normal_equations.retract(poses, step)).cost
+
+    equations = normal_equations.linearize_planes(features, poses, 1.0)
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        direction = rng.normal(size=(6, 6)) * [1, 1, 1, 3, 3, 3]
+        direction[0] = 0
+        small, h = 1e-6, 3e-5
+        slope = (cost(small * direction) - cost(-small * direction)) / (2 * small)
+        bend = (cost(h * direction) - 2 * cost(0 * direction) + cost(-h * direction)) / h**2
+        flat = direction.ravel()
+        assert equations.gradient @ flat == pytest.approx(slope, rel=1e-6)
+        assert flat @ equations.hessian @ flat == pytest.approx(bend, rel=1e-4)
+
+
+def test_gauss_newton_is_never_indefinite_and_meets_the_hessian_where_planes_are_exact():
+    rng = np.random.default_rng(4)
+    poses = poses_of(rng, 5)
+    features = packed(planes_of(rng, poses, planes=12, noise=0.0))
+    exact = normal_equations.linearize_planes(features, poses, 1.0).hessian
+    newton = normal_equations.linearize_planes(features, poses, 1.0, exact=False).hessian
+    np.testing.assert_allclose(newton, exact, atol=1e-6 * np.abs(exact).max())
+    far = normal_equations.retract(poses, rng.normal(size=(5, 6)) * 0.2)
+    values = np.linalg.eigvalsh(normal_equations.linearize_planes(features, far, 1.0, exact=False).hessian)
+    assert values[0] > -1e-9 * values[-1]
+
+
+def test_hessian_kernel_against_its_twin(problem):
+    poses, _, features = problem
+    starts, by_scan, _, _, (_, diagonal, columns) = pieces(features, poses)
+    got = kernel.hessian(
+        starts, by_scan, features.offsets, features.feature, features.scan, diagonal, columns
+    )
+    expected = naive.hessian(diagonal, columns, features.offsets, features.scan)
+    np.testing.assert_allclose(got, expected, atol=1e-11 * np.abs(expected).max())
+
+
+def test_gradients_of_observations_add_up_to_those_of_the_scans(problem):
+    poses, _, features = problem
+    each = covariance.observation_gradients(features, plane_feature.fit(features, poses), poses)
+    total = np.stack([np.bincount(features.scan, 2 * each[:, k], len(poses)) for k in range(6)], 1)
+    np.testing.assert_allclose(
+        total.ravel(), normal_equations.linearize_planes(features, poses, 1.0).gradient, rtol=1e-9, atol=1e-9
+    )
+
+
+def test_information_kernel_against_its_twin(problem):
+    poses, plain, features = problem
+    starts, by_scan, fits, clusters, _ = pieces(features, poses)
+    args = (features.feature, clusters.count, clusters.mean, clusters.scatter)
+    told, feigned = kernel.information(
+        split(poses)[0], starts, by_scan, *args, fits.total, fits.eigenvalues, fits.eigenvectors, 50.0
+    )
+    points = [points for feature in plain for _, points, _ in feature]
+    expected = naive.information(
+        poses[:, :3, :3], features.feature, features.scan, points, features.weight,
+        fits.eigenvalues, fits.eigenvectors, fits.total, 50.0,
+    )  # fmt: skip
+    np.testing.assert_allclose(told, expected[0], rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(feigned, expected[1], rtol=1e-8, atol=1e-10)
+
+
+def test_cost_does_not_depend_on_the_frame(problem):
+    poses, _, features = problem
+    motion = geometry.exp(np.array([0.4, -1.0, 0.3, 50.0, -20.0, 7.0]))
+    here, there = (plane_feature.fit(features, p).cost for p in (poses, motion @ poses))
+    assert there == pytest.approx(here, rel=1e-9)
+    # the gradient has no part along a common motion
+    gradient = normal_equations.linearize_planes(features, poses, 1.0).gradient.reshape(-1, 6)
+    moment = gradient[:, :3].sum(0) + np.cross(poses[:, :3, 3], gradient[:, 3:]).sum(0)
+    scale = np.abs(gradient).sum()
+    assert np.abs(gradient[:, 3:].sum(0)).max() < 1e-9 * scale
+    assert np.abs(moment).max() < 1e-9 * scale
+
+
+def test_same_bytes_for_one_and_two_threads(problem):
+    poses, _, features = problem
+    rng = np.random.default_rng(6)
+    points = rng.uniform(-3, 3, size=(4000, 3)).astype(np.float32)
+    offsets = np.linspace(0, 4000, 7).astype(np.int64)
+
+    def run():
+        equations = normal_equations.linearize_planes(features, poses, 1.0)
+        local, _, count = voxel.assign(points, offsets, split(poses)[0], split(poses)[1] + 64, 0.5)
+        starts = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+        sums = voxel.accumulate(points, offsets, *split(poses), local, starts)
+        return [
+            equations.hessian.tobytes(),
+            equations.gradient.tobytes(),
+            local.tobytes(),
+            *(s.tobytes() for s in sums),
+        ]
+
+    before = numba.get_num_threads()
+    try:
+        numba.set_num_threads(1)
+        single = run()
+        numba.set_num_threads(min(2, numba.config.NUMBA_NUM_THREADS))
+        assert run() == single
+    finally:
+        numba.set_num_threads(before)

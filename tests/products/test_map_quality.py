@@ -1,0 +1,92 @@
+"""Mean map entropy and plane thickness."""
+
+import naive_products as naive
+import numpy as np
+import pytest
+
+from lvba.kernels import map_entropy as kernels
+from lvba.products import map_quality
+from lvba.products.cloud import Cloud
+
+
+def test_entropies_match_the_plain_twin():
+    points = np.random.default_rng(0).uniform(-1, 1.5, (1500, 3)) * [1, 1, 0.3]
+    values = map_quality.point_entropies(points, 0.3, 10)
+    expected = naive.entropies(points, 0.3, 10)
+    assert 0.2 < np.isfinite(expected).mean() < 1
+    np.testing.assert_allclose(values, expected, atol=1e-9)
+
+
+def test_voxel_means_match_a_plain_grouping():
+    points = np.random.default_rng(1).normal(0, 0.2, (800, 3)).astype(np.float32)
+    means = map_quality.voxel_means(points, 0.1)
+    groups = {}
+    for point in points.astype(float):
+        groups.setdefault(tuple(np.floor(point / 0.1)), []).append(point)
+    expected = np.array([np.mean(groups[key], axis=0) for key in sorted(groups)])
+    np.testing.assert_allclose(means, expected, atol=1e-12)
+
+
+def cloud_of(points):
+    points = points.astype(np.float32)
+    return Cloud(points, np.array([0, len(points) // 2, len(points)]), np.arange(2.0))
+
+
+def test_a_thicker_wall_has_more_entropy():
+    rng = np.random.default_rng(2)
+    wall = rng.uniform(0, 4, (40000, 3)) * [1, 1, 0]
+    noise = rng.normal(0, 1, 40000)
+    scores = [
+        map_quality.mean_map_entropy(cloud_of(wall + np.outer(noise, [0, 0, sigma])))
+        for sigma in (0.01, 0.03, 0.1)
+    ]
+    assert scores[0] < scores[1] < scores[2]
+
+
+def test_an_empty_or_sparse_map_has_no_entropy():
+    assert np.isnan(map_quality.mean_map_entropy(cloud_of(np.zeros((0, 3)))))
+    assert np.isnan(map_quality.mean_map_entropy(cloud_of(np.eye(3) * 10)))
+
+
+@pytest.mark.parametrize("field", [{"radius_m": 0}, {"voxel_m": -1}, {"min_neighbors": 1}])
+def test_bad_settings_are_named(field):
+    with pytest.raises(ValueError, match=next(iter(field))):
+        map_quality.EntropyConfig(**field)
+
+
+def test_cell_covariances_match_numpy():
+    points = (np.random.default_rng(4).normal(0, 0.1, (300, 3)) + np.array([1000, -2000, 30])).astype(
+        np.float32
+    )
+    order = np.random.default_rng(5).permutation(300)
+    start = np.array([0, 1, 100, 300])
+    found = kernels.cell_covariances(points, order, start)
+    for cell in range(3):
+        inside = points[order[start[cell] : start[cell + 1]]].astype(float)
+        np.testing.assert_allclose(
+            found[cell], np.cov(inside.T, bias=True) if len(inside) > 1 else 0, atol=1e-10
+        )
+
+
+def test_thickness_is_that_of_the_walls_on_each_set():
+    rng = np.random.default_rng(6)
+    wall = rng.uniform(0.01, 3.99, (60000, 3)) * [1, 1, 0] + [0, 0, 0.25]
+    noise = rng.normal(0, 1, 60000)
+    clouds = {
+        name: cloud_of(wall + np.outer(noise, [0, 0, s])) for name, s in (("thin", 0.01), ("thick", 0.03))
+    }
+    clouds["bad"] = cloud_of(rng.uniform(0, 4, (60000, 3)) * [1, 1, 0.12])
+    rows = map_quality.plane_thickness(clouds)
+    assert rows["thin"]["planar"] == rows["thick"]["planar"] == 64
+    assert rows["thin"]["own"] == pytest.approx(0.01, rel=0.05)
+    assert rows["thick"]["in_thin"] == pytest.approx(0.03, rel=0.05)
+    assert rows["bad"]["planar"] == 0
+    assert np.isnan(rows["bad"]["own"])
+    assert rows["bad"]["in_thin"] > 0.1
+
+
+def test_a_cube_of_one_scan_alone_says_nothing():
+    wall = (np.random.default_rng(7).uniform(0, 0.5, (400, 3)) * [1, 1, 0]).astype(np.float32)
+    alone = Cloud(wall, np.array([0, len(wall)]), np.zeros(1))
+    assert map_quality.plane_thickness({"one": alone})["one"]["planar"] == 0
+    assert map_quality.plane_thickness({"none": cloud_of(np.zeros((0, 3)))})["none"]["planar"] == 0

@@ -1,0 +1,106 @@
+"""Pictures of the report, and work in threads that stays in order."""
+
+import threading
+import time
+
+import box_world
+import numba
+import numpy as np
+import pytest
+
+from lvba import geometry
+from lvba.kernels import zbuffer
+from lvba.products import evaluate, parallel, pictures
+
+
+@pytest.fixture(scope="module")
+def made():
+    world = box_world.make()
+    rng = np.random.default_rng(1)
+    shaken = geometry.retract(world.world_from_camera, rng.normal(0, [0.03] * 3 + [0.05] * 3, (6, 6)))
+    rough = evaluate.State(world.cloud(), world.views(shaken, np.zeros(6)))
+    refined = evaluate.State(world.cloud(), world.views())
+    scores = evaluate.evaluate({"rough": rough, "refined": refined})
+    return pictures.make(rough, refined, scores)
+
+
+def test_the_best_the_middling_and_the_worst_image_are_shown(made):
+    assert len(made.views) == 3
+    gains = [picture.psnr_after - picture.psnr_before for picture in made.views]
+    assert gains[0] > 0
+    assert gains[0] >= gains[1] >= gains[2]
+    for picture in made.views:
+        assert picture.raw.shape == picture.before.shape == picture.after.shape == (72, 96, 3)
+
+
+def test_crops_show_where_most_changed(made):
+    assert 1 <= len(made.crops) <= 4
+    for crop in made.crops:
+        assert crop.raw.shape == (24, 32, 3)
+        assert crop.psnr_after > crop.psnr_before
+
+
+def test_identical_states_give_no_crops():
+    world = box_world.make(images=3)
+    state = evaluate.State(world.cloud(), world.views())
+    scores = evaluate.evaluate({"rough": state, "refined": state})
+    assert pictures.make(state, state, scores).crops == ()
+
+
+def test_filling_closes_small_gaps_and_keeps_what_is_there():
+    entries = np.full((2, 9, 9), zbuffer.EMPTY, np.int64)
+    entries[:, 4, 4], entries[:, 4, 6] = 20 << 32 | 1, 10 << 32 | 2
+    filled = zbuffer.fill(entries, 2)
+    assert filled[0, 4, 4] == entries[0, 4, 4]
+    assert filled[0, 4, 5] == entries[0, 4, 6]
+    assert filled[0, 2, 2] == entries[0, 4, 4]
+    assert filled[0, 0, 0] == zbuffer.EMPTY
+
+
+def test_results_come_in_order_whatever_takes_longest():
+    def work(item):
+        time.sleep(0.01 * (5 - item % 5))
+        return item * item
+
+    assert list(parallel.in_order(work, range(12), threads=4)) == [k * k for k in range(12)]
+
+
+def test_only_a_few_items_are_taken_ahead():
+    taken = []
+
+    def items():
+        for k in range(100):
+            taken.append(k)
+            yield k
+
+    stream = parallel.in_order(lambda k: k, items(), threads=2)
+    assert next(stream) == 0
+    assert len(taken) <= 5
+    stream.close()
+    assert threading.active_count() < 50
+
+
+def test_an_error_reaches_the_caller():
+    def work(item):
+        if item == 3:
+            raise ValueError("three")
+        return item
+
+    with pytest.raises(ValueError, match="three"):
+        list(parallel.in_order(work, range(10)))
+
+
+def test_scores_do_not_depend_on_the_number_of_threads():
+    world = box_world.make(images=4)
+    state = evaluate.State(world.cloud(), world.views())
+    before = numba.get_num_threads()
+    found = []
+    for threads in (1, before):
+        numba.set_num_threads(threads)
+        try:
+            found.append(evaluate.evaluate({"one": state})["one"])
+        finally:
+            numba.set_num_threads(before)
+    for name in found[0].per_image:
+        assert found[0].per_image[name].tobytes() == found[1].per_image[name].tobytes()
+    assert found[0].map_entropy == found[1].map_entropy

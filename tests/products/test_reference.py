@@ -1,0 +1,67 @@
+"""Errors against a reference: alignment, matching by time, the scale of exposures."""
+
+import numpy as np
+import pytest
+
+from lvba import geometry
+from lvba.io.exposures import Exposures
+from lvba.io.reference import Reference
+from lvba.products import reference
+from lvba.trajectory import Trajectory
+
+RNG = np.random.default_rng(0)
+TIMES = np.arange(20.0)
+SCANS = geometry.exp(np.cumsum(RNG.normal(0, 0.3, (20, 6)), axis=0))
+CAMERAS = SCANS @ geometry.exp(np.array([0.1, 1.5, 0.2, 0.1, 0.0, -0.1]))
+SHIFT = geometry.exp(np.array([0.5, -1.0, 2.0, 10.0, 20.0, -3.0]))
+
+
+def truth(scans=SCANS, cameras=CAMERAS, exposures=None):
+    return Reference(Trajectory(TIMES, SHIFT @ scans), Trajectory(TIMES + 0.5, SHIFT @ cameras), exposures)
+
+
+def test_another_world_frame_is_no_error():
+    facts = reference.compare(truth(), Trajectory(TIMES, SCANS), Trajectory(TIMES + 0.5, CAMERAS))
+    for part in ("lidar", "camera", "camera_aligned"):
+        assert facts[part]["ate_m"] < 1e-9
+        assert facts[part]["rotation_deg"] < 1e-6
+        assert facts[part]["frames"] == 20
+    assert "exposure" not in facts
+
+
+def test_cameras_are_judged_in_the_frame_of_the_scans():
+    moved = CAMERAS.copy()
+    moved[:, :3, 3] += [0.05, 0, 0]
+    facts = reference.compare(truth(), Trajectory(TIMES, SCANS), Trajectory(TIMES + 0.5, moved))
+    assert facts["lidar"]["ate_m"] < 1e-9
+    assert facts["camera"]["ate_m"] == pytest.approx(0.05)
+    assert facts["camera_aligned"]["ate_m"] < 1e-9
+
+
+def test_frames_are_matched_by_time_and_others_are_left_out():
+    kept = np.array([0, 3, 4, 7, 12, 19])
+    scans = Trajectory(TIMES[kept] + 4e-4, SCANS[kept])
+    strangers = Trajectory(TIMES + 0.25, CAMERAS)
+    facts = reference.compare(truth(), scans, strangers)
+    assert facts["lidar"]["frames"] == 6
+    assert facts["lidar"]["ate_m"] < 1e-9
+    assert "camera" not in facts
+
+
+def test_without_scans_cameras_are_aligned_on_their_own():
+    only = Reference(None, Trajectory(TIMES, SHIFT @ CAMERAS), None)
+    facts = reference.compare(only, Trajectory(TIMES, SCANS), Trajectory(TIMES, CAMERAS))
+    assert "lidar" not in facts
+    assert facts["camera"]["ate_m"] < 1e-9
+
+
+def test_one_scale_of_the_exposures_is_free():
+    exact = np.exp(RNG.normal(0, 0.5, 20))
+    found = Exposures(TIMES, 3.0 * exact)
+    both = (Trajectory(TIMES, SCANS), Trajectory(TIMES + 0.5, CAMERAS))
+    facts = reference.compare(truth(exposures=Exposures(TIMES, exact)), *both, found)
+    assert facts["exposure"]["rms_percent"] < 1e-9
+    noisy = Exposures(TIMES, exact * np.exp(np.where(np.arange(20) % 2, 0.01, -0.01)))
+    facts = reference.compare(truth(exposures=Exposures(TIMES, exact)), *both, noisy)
+    assert facts["exposure"]["rms_percent"] == pytest.approx(1.0, rel=0.01)
+    assert facts["exposure"]["frames"] == 20

@@ -1,0 +1,118 @@
+"""Everything a user can get wrong ends with one line on stderr that says what and how to mend it, and exit code 2."""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+AS_SHELL = "import os, sys; os.execvp('bash', ['bash', '-c', sys.argv[1], sys.executable, *sys.argv[2:]])"
+"""A program for `lvba` that runs it below a shell command."""
+
+COMMANDS = ["run", "evaluate", "simulate", "export"]
+
+
+@pytest.mark.parametrize("command", [(), *((c,) for c in COMMANDS)])
+def test_help_has_examples(lvba, command):
+    done = lvba(*command, "--help")
+    assert "examples:\n  lvba " in done.stdout
+    assert done.stderr == ""
+
+
+def test_version(lvba):
+    assert lvba("--version").stdout.startswith("lvba ")
+
+
+def assert_one_line(done, *words):
+    lines = done.stderr.splitlines()
+    shown = [line for line in lines if not line.startswith(("[", "warning: "))]
+    assert len(shown) == 1, done.stderr
+    for word in words:
+        assert word in shown[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], ["required: COMMAND"]),
+        (["rum"], ["invalid choice: 'rum'"]),
+        (["run"], ["DATASET, --out"]),
+        (["run", "D", "--out", "O", "--bogus"], ["--bogus"]),
+        (["run", "D", "--out", "O", "--threads", "0"], ["--threads"]),
+        (["run", "D", "--out", "O", "--workers", "3"], ["not available in this version"]),
+        (["run", "D", "--out", "O", "--scheduler", "tcp://a:1"], ["not available in this version"]),
+        (["run", "D", "--out", "O", "--set", "visual.ptch=3"], ["visual.ptch", "did you mean visual.patch?"]),
+        (["run", "D", "--out", "O", "--set", "visual.patch=many"], ["visual.patch", "not a whole number"]),
+        (["run", "D", "--out", "O", "--set", "visual.patch=4"], ["patch is 4", "odd"]),
+        (["run", "D", "--out", "O", "--set", "visual.patch"], ["name=value"]),
+        (["run", "D", "--out", "O", "--config", "missing.yaml"], ["missing.yaml"]),
+        (["run", "D", "--out", "O", "--config", "bad.yaml"], ["bad.yaml:2", "not YAML"]),
+        (["run", "D", "--out", "O", "--config", "typo.yaml"], ["typo.yaml", "lidra", "did you mean lidar?"]),
+        (["run", "D", "--out", "O"], ["D: no such", "check the path"]),
+        (["evaluate", "D", "--out", "O"], ["D: no such"]),
+        (["run", "empty", "--out", "O"], ["empty"]),
+    ],
+)  # fmt: skip
+def test_mistake_in_one_line(lvba, tmp_path, arguments, words):
+    (tmp_path / "bad.yaml").write_text("lidar:\n  a: }\n")
+    (tmp_path / "typo.yaml").write_text("lidra: {}\n")
+    (tmp_path / "empty").mkdir()
+    assert_one_line(lvba(*arguments, code=2, cwd=tmp_path), *words)
+    assert not (tmp_path / "O").exists()
+
+
+@pytest.fixture
+def copy(recording, tmp_path):
+    return shutil.copytree(recording, tmp_path / "recording")
+
+
+@pytest.mark.parametrize("out", [".", "all_image", "all_pcd_body/deeper"])
+def test_out_cannot_be_the_recording(lvba, copy, out):
+    before = sorted(copy.rglob("*"))
+    assert_one_line(lvba("run", copy, "--out", copy / out, code=2), "is the recording itself")
+    assert sorted(copy.rglob("*")) == before
+
+
+def test_out_cannot_be_another_recording(lvba, copy, recording):
+    assert_one_line(lvba("run", recording, "--out", copy, code=2), "holds a recording")
+
+
+def test_out_is_a_file(lvba, recording, tmp_path):
+    (tmp_path / "out").write_text("keep me")
+    assert_one_line(lvba("run", recording, "--out", tmp_path / "out", code=2), "out")
+    assert (tmp_path / "out").read_text() == "keep me"
+
+
+def test_out_that_cannot_be_written(lvba, recording, tmp_path):
+    (tmp_path / "locked").mkdir(mode=0o555)
+    # permissions do not bind root, but not even root may make folders in /proc
+    out = Path("/proc/out") if os.getuid() == 0 else tmp_path / "locked" / "out"
+    assert_one_line(lvba("run", recording, "--out", out, code=2), str(out), "; ")
+
+
+def test_full_disk_loses_nothing_and_the_same_command_goes_on(lvba, recording, undisturbed, tmp_path):
+    # after `undisturbed`: the limit would also keep compiled kernels from being cached
+    out = tmp_path / "out"
+    command = 'ulimit -f 200; exec "$0" -m service.cli "$@"'
+    run = ["run", recording, "--out", out, "--reference", recording / "reference"]
+    done = lvba(*run, program=("-c", AS_SHELL, command), code=2)
+    assert_one_line(done, str(out), "file")
+    assert not list((out / "stages").glob(".partial*"))
+    kept = {p.name for p in (out / "stages").iterdir() if p.name[0] != "."}
+    lvba(*run)
+    assert kept < {p.name for p in (out / "stages").iterdir()}
+    assert (out / "map.ply").read_bytes() == (undisturbed[0] / "map.ply").read_bytes()
+
+
+def test_two_runs_into_one_folder(lvba, recording, tmp_path):
+    from workers.store import lock
+
+    out = tmp_path / "out"
+    with lock(out / "stages"):
+        assert_one_line(lvba("run", recording, "--out", out, code=2), "another run is writing here")
+
+
+def test_reference_without_poses(lvba, recording, tmp_path):
+    (tmp_path / "truth").mkdir()
+    done = lvba("run", recording, "--out", tmp_path / "out", "--reference", tmp_path / "truth", code=2)
+    assert_one_line(done, "truth", "holds no poses")

@@ -1,0 +1,175 @@
+"""Whole simulated recordings: they open, they are what their truth says, and a seed fixes every byte."""
+
+import json
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lvba import geometry
+from lvba.errors import InputError
+from lvba.io import reference
+from lvba.io.dataset import load_image, load_scan, open_dataset
+from lvba.simulate import camera as cameras
+from lvba.simulate import scenes, simulate, truth
+from lvba.simulate.drift import difficulty
+from lvba.simulate.world import RayCaster
+from lvba.trajectory import pose_error
+
+SMALL = {"frames": 6, "width": 96, "height": 72, "points_per_scan": 2000}
+
+
+@pytest.fixture(scope="module")
+def field(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("field")
+    simulate("plane", out, seed=4, scans=8, **{**SMALL, "width": 320, "height": 240})
+    return out
+
+
+def test_a_recording_opens_without_warnings(field):
+    dataset = open_dataset(field)
+    assert dataset.warnings == ()
+    assert (len(dataset.images), len(dataset.scans)) == (6, 8)
+    assert not set(dataset.images.times) & set(dataset.scans.times)
+    assert np.linalg.norm(dataset.sensor_position_scan) > 0.01
+    facts = json.loads((field / "reference" / "simulation.json").read_text())
+    true = np.array(facts["true_camera_from_body"])
+    assert 0 < geometry.rotation_angle_deg(true @ geometry.inverse(dataset.camera_from_scan)) < 1
+    assert facts["images_taken_after_stamp_s"] != 0
+    assert reference.read_reference(field / "reference").exposures.relative[0] == 1
+
+
+def test_true_poses_put_the_points_of_all_scans_on_one_plane(field):
+    dataset, true = open_dataset(field), reference.read_reference(field / "reference")
+
+    def thickness(poses: np.ndarray) -> float:
+        points = np.concatenate(
+            [geometry.transform_points(pose, load_scan(dataset, i).points) for i, pose in enumerate(poses)]
+        )
+        return float(np.sqrt(np.linalg.eigvalsh(np.cov(points.T))[0]))
+
+    assert thickness(true.scans.world_from_sensor) < 0.02
+    assert thickness(dataset.scans.world_from_sensor) > 0.03
+
+
+def test_a_place_has_the_same_radiance_in_every_image(field):
+    """Points of the true map, seen in two images at the true poses, divided by the true exposures."""
+    dataset, true = open_dataset(field), reference.read_reference(field / "reference")
+    points = geometry.transform_points(true.scans.world_from_sensor[4], load_scan(dataset, 4).points)
+    seen = [look_up(dataset, i, true, points) for i in range(len(dataset.images))]
+    ratios, spreads = [], []
+    for first, second in pairwise(seen):
+        both = np.isfinite(first) & np.isfinite(second)
+        if both.sum() > 100:
+            ratios.append(first[both].mean() / second[both].mean())
+            spreads.append(np.corrcoef(first[both], second[both])[0, 1])
+    assert len(ratios) >= 3
+    assert np.abs(np.array(ratios) - 1).max() < 0.01
+    assert min(spreads) > 0.8
+
+
+def look_up(dataset, index: int, true, points_world: np.ndarray) -> np.ndarray:
+    """(N,): grey value over exposure at the nearest pixel, nan where a point is not seen."""
+    camera, grey = dataset.camera, load_image(dataset, index).mean(axis=2)
+    points = geometry.transform_points(geometry.inverse(true.images.world_from_sensor[index]), points_world)
+    x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
+    u, v = cameras.distort(x, y, camera.distortion)
+    column, row = np.rint(u * camera.fx + camera.cx), np.rint(v * camera.fy + camera.cy)
+    inside = (points[:, 2] > 0) & (np.abs(x) < 0.8) & (np.abs(y) < 0.8)
+    inside &= (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+    value = np.full(len(points), np.nan)
+    value[inside] = grey[row[inside].astype(int), column[inside].astype(int)]
+    value[value > 240] = np.nan
+    return value / true.exposures.relative[index]
+
+
+def test_a_seed_fixes_every_byte_and_another_changes_the_world(tmp_path):
+    for name, seed in (("first", 3), ("again", 3), ("other", 5)):
+        simulate("courtyard", tmp_path / name, seed=seed, lidar="non_repetitive", motion_blur=True, **SMALL)
+
+    def content(name: str) -> dict[str, bytes]:
+        files = (path for path in (tmp_path / name).rglob("*") if path.is_file())
+        return {str(path.relative_to(tmp_path / name)): path.read_bytes() for path in files}
+
+    assert content("first") == content("again")
+    assert not set(content("first")) & {n for n in content("other") if n.endswith((".png", ".pcd"))}
+
+
+def test_the_same_simulation_may_be_written_again_but_no_other(tmp_path):
+    simulate("corridor", tmp_path, seed=1, **SMALL)
+    simulate("corridor", tmp_path, seed=1, **SMALL)
+    with pytest.raises(InputError, match="not empty"):
+        simulate("corridor", tmp_path, seed=2, **SMALL)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"scene": "moon"}, "courtyard"),
+        ({"lidar": "flash"}, "spinning"),
+        ({"difficulty": "brutal"}, "medium"),
+        ({"frames": 1}, "frames"),
+        ({"seed": -1}, "seed"),
+        ({"length": 1.0}, "length"),
+    ],
+)
+def test_what_cannot_be_simulated_is_one_clear_line(tmp_path, wrong, message):
+    with pytest.raises(InputError, match=message) as error:
+        simulate(**{"scene": "plane", "out": tmp_path / "out", **wrong})
+    assert "\n" not in str(error.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_without_open3d_one_line_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "open3d.core", None)
+    with pytest.raises(InputError, match=r"pip install 'lvba\[simulate\]'"):
+        simulate("plane", tmp_path / "out", **SMALL)
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+@pytest.mark.parametrize("name", list(scenes.SCENES))
+def test_nobody_walks_through_walls_and_there_is_always_something_to_see(name, seed):
+    rng = np.random.default_rng(seed)
+    scene = scenes.build(name, rng, 60, None)
+    caster = RayCaster(scene.world)
+    rig = truth.random_rig(name, rng)
+    found = truth.build(scene, rig, difficulty("medium"), 60, 60, rng)
+    poses = scene.motion.poses(np.linspace(0, scene.motion.duration, 600))
+    centers = poses[:, :3, 3]
+    around = rng.normal(size=(500, 3))
+    around /= np.linalg.norm(around, axis=1, keepdims=True)
+    assert min(caster.cast(center, around)[0].min() for center in centers[::6]) > 0.3
+    assert np.all(caster.cast(centers[:-1], np.diff(centers, axis=0))[0] > 1)
+    x, y = np.meshgrid(np.linspace(-0.6, 0.6, 16), np.linspace(-0.45, 0.45, 12))
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
+    for pose in found.scene_from_camera:
+        distance, quad = caster.cast(pose[:3, 3], rays @ pose[:3, :3].T)
+        assert (quad >= 0).mean() > 0.6
+        assert np.median(distance) > 0.4
+
+
+def test_a_street_is_as_long_as_one_likes():
+    for length in (50.0, 400.0):
+        motion = scenes.build("street", np.random.default_rng(0), 30, length).motion
+        ends = motion.position([0, motion.duration])
+        assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(length, rel=0.02)
+
+
+def test_a_courtyard_comes_back_to_its_start():
+    motion = scenes.build("courtyard", np.random.default_rng(0), 60, None).motion
+    ends = motion.position([0, motion.duration])
+    assert np.linalg.norm(ends[1] - ends[0]) < 3
+    assert np.ptp(motion.position(np.linspace(0, motion.duration, 50))[:, 0]) > 8
+
+
+def test_rough_cameras_follow_the_drift_of_the_scans():
+    rng = np.random.default_rng(2)
+    scene = scenes.build("courtyard", rng, 60, None)
+    found = truth.build(scene, truth.random_rig("courtyard", rng), difficulty("medium"), 60, 60, rng)
+    scans = pose_error(found.rough_scans.world_from_sensor, found.scans.world_from_sensor)
+    images = pose_error(found.rough_images.world_from_sensor, found.images.world_from_sensor)
+    assert 0.06 < scans.ate_m < 0.10
+    assert 0.15 < scans.rotation_deg < 0.25
+    assert abs(images.ate_m - scans.ate_m) < 0.02

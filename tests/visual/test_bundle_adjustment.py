@@ -1,0 +1,104 @@
+"""One level of the visual bundle adjustment in a small world of known planes."""
+
+import numpy as np
+import pytest
+import textured_planes
+
+from lvba import geometry, trajectory
+from lvba.camera import Camera
+from lvba.visual import bundle_adjustment, prior
+from lvba.visual.bundle_adjustment import BundleAdjustmentConfig
+from lvba.visual.prior import Prior, PriorConfig, Source
+from lvba.visual.states import CameraStates, Mount, VisualState
+
+CAMERA = Camera(320, 240, 190.0, 190.0, 159.5, 119.5)
+COUNT = 10
+
+
+@pytest.fixture(scope="module")
+def scene():
+    world, poses = textured_planes.room(), textured_planes.walk(COUNT)
+    log_exposure = 0.2 * np.random.default_rng(1).normal(size=COUNT)
+    log_exposure -= log_exposure[0]
+    images = textured_planes.render(world, poses, CAMERA, np.exp(log_exposure), noise=2.0)
+    points, observations = textured_planes.scene_points(world, poses, CAMERA, step=14)
+    return images, points, observations, poses, log_exposure
+
+
+def still(world_from_camera: np.ndarray, sigma_m: float = 0.02, sigma_deg: float = 0.3) -> Prior:
+    """A prior that expects the cameras at these poses."""
+    count = len(world_from_camera)
+    none = np.zeros((count, 3))
+    source = Source(world_from_camera, np.full(count, np.radians(sigma_deg)), np.full(count, sigma_m))
+    return Prior((source,), none, none, Mount(np.eye(4)), PriorConfig())
+
+
+def start(poses: np.ndarray, seed: int = 0) -> VisualState:
+    rough = textured_planes.disturbed(poses, 0.005, 0.1, seed)
+    return VisualState(CameraStates(rough, np.zeros(len(poses))), Mount(np.eye(4)))
+
+
+def errors(state: VisualState, poses: np.ndarray) -> tuple[float, float]:
+    """Root mean square position error in mm and rotation error in degrees, without alignment."""
+    error = trajectory.pose_error(state.cameras.world_from_camera, poses, aligned=np.eye(4))
+    return 1e3 * error.ate_m, error.rotation_deg
+
+
+def test_poses_and_exposures_are_found_in_a_room_without_any_prior(scene):
+    images, points, observations, poses, log_exposure = scene
+    rough = start(poses)
+    found = bundle_adjustment.solve(images, CAMERA, points, observations, rough, None)
+    assert errors(rough, poses)[0] > 6
+    # the least held common motion, along the view, has a standard deviation of 1.5 mm here
+    assert errors(found.state, poses)[0] < 3.0
+    among = trajectory.pose_error(found.state.cameras.world_from_camera, poses)
+    assert among.ate_m < 0.0005
+    assert among.rotation_deg < 0.04
+    assert found.state.cameras.log_exposure == pytest.approx(log_exposure, abs=0.003)
+    assert found.converged
+    assert 1.5 < found.problem.sigma < 3.0
+
+
+def test_a_prior_with_a_wrong_mount_does_not_pull_and_the_mount_is_found(scene):
+    images, points, observations, poses, _ = scene
+    wrong = geometry.exp(np.array([0.01, -0.02, 0.01, 0.01, 0.02, -0.01]))
+    rough = start(poses)
+    found = bundle_adjustment.solve(images, CAMERA, points, observations, rough, still(poses @ wrong))
+    millimeters, degrees = errors(found.state, poses)
+    assert millimeters < 1.5
+    assert degrees < 0.02
+    assert geometry.log(wrong @ found.state.mount.scan_from_camera) == pytest.approx(np.zeros(6), abs=1.5e-3)
+    assert found.prior is not None
+    assert found.prior.sources[0].sigma_position.max() < 0.004
+
+
+def test_over_one_bare_plane_the_cameras_stay_at_the_prior(scene):
+    images, points, observations, poses, _ = scene
+    floor = points.plane[observations.point] == np.bincount(points.plane).argmax()
+    only = textured_planes.Observations(
+        observations.point[floor], observations.target[floor], observations.is_global[floor]
+    )
+    truth = still(poses)
+    found = bundle_adjustment.solve(images, CAMERA, points, only, start(poses), truth)
+    deviation = prior.residuals(truth, truth.sources[0], found.state)
+    rotation, position = deviation[:, :3], deviation[:, 3:]
+    # 5 mm per axis at the start; along the plane the common motion is the prior's
+    assert np.abs(position.mean(axis=0)).max() < 2e-3
+    assert np.sqrt((position**2).mean()) < 4e-3
+    assert np.degrees(np.sqrt((rotation**2).mean())) < 0.1
+
+
+def test_exposures_that_are_not_to_be_solved_stay(scene):
+    images, points, observations, poses, log_exposure = scene
+    state = VisualState(CameraStates(start(poses).cameras.world_from_camera, log_exposure), Mount(np.eye(4)))
+    config = BundleAdjustmentConfig(solve_exposures=False)
+    found = bundle_adjustment.solve(images, CAMERA, points, observations, state, None, config)
+    assert (found.state.cameras.log_exposure == log_exposure).all()
+    assert errors(found.state, poses)[0] < 3.0
+
+
+def test_every_component_of_the_graph_keeps_one_exposure():
+    component = bundle_adjustment.components(np.array([0, 1, 4]), np.array([1, 2, 3]), 6)
+    assert component[0] == component[1] == component[2]
+    assert component[3] == component[4]
+    assert len(set(component)) == 3

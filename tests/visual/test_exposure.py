@@ -1,0 +1,283 @@
+from dataclasses import replace
+
+import numba
+import numpy as np
+import pytest
+from naive_points import blank_masked as naive_blank_masked
+from naive_points import compare as naive_compare
+from naive_points import warp_by_plane
+from rectangle_world import CAMERA, look, plane_points, planes_of, rectangle, render, room_with_screen, scan
+
+from lvba.kernels import patches_mean
+from lvba.visual import exposure, image, visibility
+from lvba.visual.exposure import ExposureConfig, Ratios, solve_ratios
+from lvba.visual.image import Pyramid
+
+
+def _solve(rec, images=None, config=ExposureConfig(), levels=2):  # noqa: B008
+    pyramid = image.build_pyramid(rec.images if images is None else images, CAMERA, levels)
+    return exposure.solve(
+        pyramid, rec.poses, rec.times, rec.planes, rec.plane_points, rec.times, None, config
+    )
+
+
+def _error(found, truth):
+    error = found.log_exposure - np.log(truth)
+    return error - error.mean()
+
+
+def _graph(rng, images=12, per_edge=20, sigma=0.01, skip=()):
+    truth = np.cumsum(0.2 * rng.standard_normal(images))
+    first, second = np.array(
+        [
+            (i, j)
+            for i in range(images)
+            for j in range(images)
+            if 0 < abs(i - j) <= 3 and not {i, j} & set(skip)
+        ]
+    ).T
+    first, second = np.repeat(first, per_edge), np.repeat(second, per_edge)
+    value = truth[second] - truth[first] + sigma * rng.standard_normal(len(first))
+    block = rng.integers(0, exposure.BLOCKS, len(first))
+    ratios = Ratios(first.astype(np.int32), second.astype(np.int32), value, np.full(len(first), sigma), block)
+    return truth, ratios
+
+
+def test_graph_of_exact_ratios_gives_the_exact_exposures():
+    truth, ratios = _graph(np.random.default_rng(0), sigma=1e-4)
+    exact = replace(ratios, value=truth[ratios.second] - truth[ratios.first])
+    found = solve_ratios(exact, len(truth))
+    np.testing.assert_allclose(found.log_exposure, truth - truth[0], atol=1e-12)
+    assert found.component.tolist() == [0] * len(truth)
+    assert found.pairs == len(ratios.value)
+
+
+def test_sigma_predicts_the_error():
+    nees = []
+    for seed in range(40):
+        truth, ratios = _graph(np.random.default_rng(seed), sigma=0.05)
+        found = solve_ratios(ratios, len(truth), ExposureConfig(edge_floor=1e-6, few_patches=0))
+        nees.append((_error(found, np.exp(truth)) / found.sigma) ** 2)
+    assert 0.5 < np.mean(nees) < 1.5
+
+
+def test_sigma_grows_where_patches_err_together():
+    rng = np.random.default_rng(1)
+    nees = []
+    for _ in range(20):
+        truth, ratios = _graph(rng, sigma=0.01)
+        # each part of the surface looks brighter or darker to each image, to all pairs alike
+        shift = 0.01 * rng.standard_normal((len(truth), exposure.BLOCKS))
+        value = ratios.value + shift[ratios.second, ratios.block] - shift[ratios.first, ratios.block]
+        found = solve_ratios(
+            replace(ratios, value=value), len(truth), ExposureConfig(edge_floor=1e-6, few_patches=0)
+        )
+        nees.append((_error(found, np.exp(truth)) / found.sigma) ** 2)
+    assert 0.4 < np.mean(nees) < 2.5
+
+
+def test_wrong_patches_and_wrong_pairs_of_images_do_little():
+    rng = np.random.default_rng(2)
+    truth, ratios = _graph(rng)
+    value = ratios.value.copy()
+    value[rng.random(len(value)) < 0.15] -= 0.5
+    whole_edge = (ratios.first == 2) & (ratios.second == 4) | (ratios.first == 4) & (ratios.second == 2)
+    value[whole_edge & (ratios.first == 2)] += 0.3
+    value[whole_edge & (ratios.first == 4)] -= 0.3
+    found = solve_ratios(replace(ratios, value=value), len(truth))
+    assert np.abs(_error(found, np.exp(truth))).max() < 0.01
+
+
+def test_two_components_and_a_lone_image():
+    rng = np.random.default_rng(3)
+    truth, ratios = _graph(rng, images=13, skip=(5, 6))
+    across = (np.minimum(ratios.first, ratios.second) < 5) & (np.maximum(ratios.first, ratios.second) > 6)
+    kept = Ratios(*(getattr(ratios, name)[~across] for name in Ratios.__dataclass_fields__))
+    found = solve_ratios(kept, 13)
+    assert found.component.tolist() == [0] * 5 + [1, 2] + [3] * 6
+    assert np.isinf(found.sigma[5:7]).all()
+    assert np.isfinite(np.delete(found.sigma, [5, 6])).all()
+    for part in (slice(0, 5), slice(7, 13)):
+        assert np.abs(np.diff(found.log_exposure[part]) - np.diff(truth[part])).max() < 0.02
+    # no measurement, no jump
+    assert found.log_exposure[5] == found.log_exposure[6] == found.log_exposure[7] == found.log_exposure[4]
+
+
+def test_nothing_to_compare():
+    none = np.empty(0)
+    found = solve_ratios(
+        Ratios(none.astype(np.int32), none.astype(np.int32), none, none, none.astype(int)), 3
+    )
+    assert found.log_exposure.tolist() == [0, 0, 0]
+    assert np.isinf(found.sigma).all()
+    assert found.pairs == 0
+
+
+def test_medians_match_numpy():
+    rng = np.random.default_rng(0)
+    group, value = rng.integers(0, 7, 200), rng.standard_normal(200)
+    expected = [np.median(value[group == g]) for g in range(7)]
+    np.testing.assert_allclose(exposure._medians(group, value, 7), expected)
+
+
+def test_leaving_blocks_out_is_what_it_says():
+    rng = np.random.default_rng(0)
+    edge, block = rng.integers(0, 3, 90), rng.integers(0, exposure.BLOCKS, 90)
+    value, weight = rng.standard_normal(90), rng.uniform(0.5, 2, 90)
+    edge[0], edge[1:][edge[1:] == 2] = 2, 1
+    mean = np.array([np.average(value[edge == e], weights=weight[edge == e]) for e in range(3)])
+    found = exposure.leave_out_blocks(edge, value, weight, block, mean)
+    for e in range(2):
+        for b in range(exposure.BLOCKS):
+            rest = (edge == e) & (block != b)
+            assert found[e, b] == pytest.approx(np.average(value[rest], weights=weight[rest]))
+    assert (found[2] == mean[2]).all(), "an edge that lies in one block stays"
+
+
+def test_exposures_of_a_room():
+    rec = room_with_screen()
+    found = _solve(rec)
+    error = _error(found, rec.exposure)
+    assert np.sqrt((error**2).mean()) < 0.003
+    assert (found.component == 0).all()
+    assert 0.2 < np.mean((error / found.sigma) ** 2) < 4
+
+
+def test_clipped_light_does_not_darken_the_brighter_image():
+    rec = room_with_screen()
+    gain = np.where(np.arange(len(rec.images)) % 2, 1.7, 1.0)
+    rng = np.random.default_rng(0)
+    bright = np.clip(
+        rec.images * gain[:, None, None, None] + rng.uniform(-0.5, 0.5, rec.images.shape), 0, 255
+    )
+    clipped = np.round(bright).astype(np.uint8)
+    assert (clipped[1::2] >= 250).mean() > 0.05
+    found = _solve(rec, clipped)
+    error = _error(found, rec.exposure * gain)
+    assert abs(error[1::2].mean() - error[::2].mean()) < 0.004
+    # without keeping away from clipped spots the same images are off
+    near = _error(_solve(rec, clipped, ExposureConfig(mask_reach=0, bright=250.0)), rec.exposure * gain)
+    assert abs(near[1::2].mean() - near[::2].mean()) > abs(error[1::2].mean() - error[::2].mean())
+
+
+def _approach(seed):
+    """A wall with fine texture seen from nearer and nearer, every view blurred by its pixels."""
+    rng = np.random.default_rng(seed)
+    wall = [rectangle([6, -6, -4], [0, 12, 0], [0, 0, 8], seed)]
+    poses = np.array([look([0.5 * i, 0, 0], [6, 0.2, 0]) for i in range(6)])
+    images = np.stack(
+        [render(wall, CAMERA, p, 0.8, 1.0, rng, samples=3, finest=0.05, waves=10) for p in poses]
+    )
+    scans = plane_points([scan(wall, p[:3, 3], 8000, 0.01, rng) for p in poses])
+    return images, poses, scans, planes_of(wall, 0.01)
+
+
+def test_walking_ahead_does_not_add_up():
+    slopes = []
+    for seed in range(2):
+        images, poses, scans, planes = _approach(seed)
+        times = 0.2 * np.arange(len(poses))
+        pyramid = image.build_pyramid(images, CAMERA, 2)
+        found = exposure.solve(pyramid, poses, times, planes, scans, times, None)
+        assert (found.component == 0).all()
+        slopes.append(found.log_exposure[-1] - found.log_exposure[0])
+    assert abs(np.mean(slopes)) < 0.003
+    assert np.max(np.abs(slopes)) < 0.01
+
+
+def test_hidden_patches_are_not_compared():
+    rec = room_with_screen(sideways=True)
+    pyramid = image.build_pyramid(rec.images, CAMERA, 2)
+    args = (pyramid, rec.poses, rec.times, rec.planes, rec.plane_points, rec.times, None, ExposureConfig())
+    with_depth = exposure.solve(*args)
+    without = exposure.solve(*args, visibility.NOTHING_HIDES)
+    assert with_depth.pairs < without.pairs
+    assert np.sqrt((_error(with_depth, rec.exposure) ** 2).mean()) < 0.003
+
+
+def test_placing_does_not_look_at_the_images():
+    rec = room_with_screen()
+    config = ExposureConfig()
+    camera = CAMERA.at_level(1)
+    args = (camera, rec.poses, rec.times, rec.planes, rec.plane_points, rec.times, config)
+    half = image.build_pyramid(rec.images, CAMERA, 2).levels[1]
+    first = exposure.place(half, *args)
+    second = exposure.place(np.clip(255 - half, 1, 249).astype(np.uint8), *args)
+    np.testing.assert_array_equal(first.pixel, second.pixel)
+    assert len(first) > 100
+
+
+@pytest.mark.parametrize("dilation", [0, 1])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_measuring_matches_its_twin(dilation, channels):
+    rec = room_with_screen()
+    images = np.repeat(rec.images[:4], channels, axis=3)
+    images[1, 70:80, 90:110] = 255
+    images = naive_blank_masked(images, dilation, 3, 250)
+    finer = np.repeat(np.repeat(images, 2, axis=1), 2, axis=2)
+    coarser = np.ascontiguousarray(images[:, ::2, ::2])
+    camera, rng = CAMERA, np.random.default_rng(0)
+    pixel = np.column_stack([rng.integers(20, 180, 40), rng.integers(20, 130, 40)]).astype(np.int32)
+    reference = rng.integers(0, 4, 40).astype(np.int32)
+    position = rec.poses[reference, :3, 3] + 3 * rec.poses[reference, :3, 2]
+    normal = -rec.poses[reference, :3, 2]
+    target = ((reference + rng.integers(1, 4, 40)) % 4).astype(np.int32)
+    poses = rec.poses[:4].copy()
+    poses[3, :3, 3] += 1.6 * poses[3, :3, 2]  # one much nearer, so that other levels are read
+    weights = exposure.window_weights(7)
+    gates = np.array([0.1, 0.2, 0.3, 4.0, 0.0, 256.0, 0.5, 0.15])
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    found = patches_mean.measure_pairs(
+        finer, images, coarser, poses, intrinsics, position, normal, reference, pixel,
+        np.arange(40, dtype=np.int32), target, weights, gates, visibility.NOTHING_HIDES.nearest,
+        visibility.NOTHING_HIDES.points_world, 1.0,
+    )  # fmt: skip
+    used = 0
+    for k in range(40):
+        r, t = poses[reference[k]], poses[target[k]]
+
+        def moved(du, dv, k=k, r=r, t=t):
+            return warp_by_plane(pixel[k, 0] + du, pixel[k, 1] + dv, r, t, position[k], normal[k], intrinsics)
+
+        e = 1e-4
+        jacobian = np.array(
+            [np.subtract(moved(e, 0)[:2], moved(-e, 0)[:2]), np.subtract(moved(0, e)[:2], moved(0, -e)[:2])]
+        )
+        scale = np.sqrt(abs(np.linalg.det(jacobian / (2 * e))))
+        shrink, source = (
+            (0.5, coarser) if scale > 2**0.5 else (2.0, finer) if scale < 0.5**0.5 else (1.0, images)
+        )
+        expected = naive_compare(
+            images[reference[k]], source[target[k]], pixel[k], moved, shrink, weights, 0.5
+        )
+        if found[k, 0] < 0:
+            continue
+        used += 1
+        np.testing.assert_allclose(found[k], expected, rtol=1e-6, atol=1e-6)
+    assert used > 15
+
+
+def test_same_bytes_for_any_number_of_threads():
+    rec, results, before = room_with_screen(), [], numba.get_num_threads()
+    for threads in (1, before):
+        numba.set_num_threads(threads)
+        found = _solve(rec)
+        results.append((found.log_exposure.tobytes(), found.sigma.tobytes()))
+    numba.set_num_threads(before)
+    assert results[0] == results[1]
+
+
+def test_pyramid_too_short_is_extended():
+    rec = room_with_screen()
+    full = image.build_pyramid(rec.images, CAMERA, 3)
+    short = Pyramid(full.levels[:1], CAMERA, full.noise[:1])
+    args = (rec.poses, rec.times, rec.planes, rec.plane_points, rec.times, None)
+    np.testing.assert_array_equal(
+        exposure.solve(short, *args).log_exposure, exposure.solve(full, *args).log_exposure
+    )
+
+
+@pytest.mark.parametrize("bad", [{"patch_size": 8}, {"cells": 1}, {"max_scale": 0.5}, {"bright": 10}])
+def test_exposure_config_refuses(bad):
+    with pytest.raises(ValueError, match=next(iter(bad))):
+        ExposureConfig(**bad)

@@ -1,0 +1,137 @@
+import numpy as np
+import pytest
+from naive_points import blank_masked as naive_blank_masked
+from naive_points import halve as naive_halve
+
+from lvba.camera import Camera
+from lvba.kernels.patches_pyramid import blank_masked, halve
+from lvba.visual import image
+from lvba.visual.image import ImageConfig
+
+DISTORTED = Camera(160, 120, 130.0, 131.0, 81.0, 58.0, (-0.2, 0.05, 0.002, -0.001))
+
+
+def _wave(u, v):
+    return 128 + 50 * np.sin(0.11 * u + 0.3) * np.cos(0.09 * v) + 20 * np.sin(0.05 * (u + v))
+
+
+def _distort(camera, u, v):
+    """Where the ray of an undistorted pixel lies in the raw image: the radial-tangential model written out."""
+    k1, k2, p1, p2 = camera.distortion
+    x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
+    r2 = x * x + y * y
+    radial = 1 + k1 * r2 + k2 * r2 * r2
+    xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    return camera.fx * xd + camera.cx, camera.fy * yd + camera.cy
+
+
+def test_undistorted_pixels_show_what_their_ray_saw():
+    v, u = np.mgrid[:120, :160].astype(float)
+    raw = np.round(_wave(u, v)).astype(np.uint8)
+    ud, vd = _distort(DISTORTED, u, v)
+    inside = (ud >= 1) & (ud <= 158) & (vd >= 1) & (vd <= 118)
+    result = image.undistort(raw, DISTORTED).astype(float)
+    assert np.abs(result - _wave(ud, vd))[inside].max() < 1.5
+    assert np.abs(raw - _wave(ud, vd))[inside].max() > 10, "the distortion must matter here"
+
+
+def test_pixels_without_image_are_black_and_clipped_ones_stay_clipped():
+    pincushion = Camera(160, 120, 130.0, 130.0, 79.5, 59.5, (0.3, 0.0, 0.0, 0.0))
+    raw = np.full((120, 160, 3), 130, np.uint8)
+    raw[60, 40] = 255
+    result = image.undistort(raw, pincushion)
+    assert (result[0, 0] == 0).all()
+    assert (result[60, 80] == 130).all()
+    values = np.unique(result)
+    assert set(values) <= {0, 130, 255}, "no mixture of clipped and good pixels"
+    assert (result == 255).any()
+
+
+def test_no_distortion_leaves_the_image_alone():
+    raw = np.random.default_rng(0).integers(0, 256, (120, 160, 3), np.uint8)
+    assert image.undistort(raw, DISTORTED.undistorted()) is raw
+
+
+@pytest.mark.parametrize("shape", [(2, 12, 16, 1), (1, 13, 15, 3)])
+def test_halve_matches_its_twin(shape):
+    images = np.random.default_rng(1).integers(0, 256, shape).astype(np.uint8)
+    np.testing.assert_array_equal(halve(images, 250), naive_halve(images, 250))
+
+
+def test_halve_keeps_pixel_centres_and_brightness():
+    camera = Camera(64, 48, 50.0, 50.0, 31.5, 23.5)
+    v, u = np.mgrid[:48, :64]
+    ramp = (10 + 3 * u + v)[None, :, :, None].astype(np.uint8)
+    half, small = halve(ramp, 256), camera.at_level(1)
+    # the same rays at both levels
+    vh, uh = np.mgrid[:24, :32]
+    x, y = (uh - small.cx) / small.fx, (vh - small.cy) / small.fy
+    at_full = 10 + 3 * (camera.fx * x + camera.cx) + camera.fy * y + camera.cy
+    assert np.abs(half[0, :, :, 0] - at_full).max() <= 0.5
+    noise = np.random.default_rng(0).integers(60, 180, (4, 256, 256, 1)).astype(np.uint8)
+    assert halve(halve(noise, 256), 256).mean() == pytest.approx(noise.mean(), abs=0.02)
+
+
+@pytest.mark.parametrize("reach", [0, 1, 3])
+def test_blank_masked_matches_its_twin(reach):
+    images = np.random.default_rng(2).integers(0, 256, (3, 20, 30, 2)).astype(np.uint8)
+    images[:, 5:15, 5:25] = np.clip(images[:, 5:15, 5:25], 30, 200)
+    np.testing.assert_array_equal(
+        blank_masked(images, reach, 4.0, 248.0), naive_blank_masked(images, reach, 4, 248)
+    )
+
+
+@pytest.mark.parametrize("sigma", [0.8, 2.0, 6.0])
+def test_sensor_noise_of_white_noise_on_a_slope(sigma):
+    rng = np.random.default_rng(3)
+    ramp = np.linspace(60, 180, 320)[None, None, :, None]
+    images = np.clip(np.round(ramp + sigma * rng.standard_normal((6, 240, 320, 1))), 0, 255).astype(np.uint8)
+    assert image.sensor_noise(images) == pytest.approx(np.hypot(sigma, 0.289), rel=0.05)
+
+
+def test_sensor_noise_looks_past_texture_and_masked_pixels():
+    rng = np.random.default_rng(4)
+    clean = np.full((4, 240, 320), 100.0)
+    clean[:, :, 80:] += 40 * rng.standard_normal((4, 240, 240))
+    clean[:, 100:150, :] = 255
+    images = np.clip(np.round(clean + 2 * rng.standard_normal(clean.shape)), 0, 255).astype(np.uint8)
+    images[:, 100:150] = 255
+    assert image.sensor_noise(images[..., None]) == pytest.approx(2.02, rel=0.1)
+
+
+def test_pyramid_noise_falls_with_every_level():
+    rng = np.random.default_rng(5)
+    full = np.clip(100 + 30 * rng.standard_normal((3, 120, 160, 1)), 1, 249).astype(np.uint8)
+    pyramid = image.build_pyramid(full, DISTORTED.undistorted(), 3)
+    assert (pyramid.noise[1:] <= np.hypot(0.66 * pyramid.noise[:-1], 0.3)).all()
+    assert [level.shape[1:3] for level in pyramid.levels] == [(120, 160), (60, 80), (30, 40)]
+
+
+def test_load_images_makes_grey_and_color_alike():
+    rng = np.random.default_rng(6)
+    raw = rng.integers(20, 220, (5, 120, 160, 3)).astype(np.uint8)
+    raw[2, 50, 60] = (255, 30, 30)
+    calls = []
+    camera = DISTORTED.undistorted()
+    config = ImageConfig(channels=1, threads=3)
+    pyramid = image.load_images(raw.__getitem__, 5, camera, 2, config, lambda *a: calls.append(a))
+    expected = raw @ [0.299, 0.587, 0.114]
+    expected[2, 50, 60] = 255
+    assert np.abs(pyramid.levels[0][..., 0] - expected).max() <= 1
+    assert calls[-1] == ("images", 5, 5)
+    assert sum(level.nbytes for level in pyramid.levels) == image.memory_bytes(5, camera, 2)
+    color = image.load_images(raw.__getitem__, 5, camera, 1, ImageConfig(channels=3))
+    np.testing.assert_array_equal(color.levels[0], raw)
+
+
+def test_usable_levels_stop_before_images_get_tiny():
+    assert image.usable_levels(Camera(640, 480, 500, 500, 320, 240), 4) == 3
+    assert image.usable_levels(Camera(1408, 376, 500, 500, 320, 240), 4) == 4
+    assert image.usable_levels(Camera(200, 150, 100, 100, 99.5, 74.5), 3) == 1
+
+
+@pytest.mark.parametrize("bad", [{"channels": 2}, {"threads": 0}])
+def test_image_config_refuses(bad):
+    with pytest.raises(ValueError, match=next(iter(bad))):
+        ImageConfig(**bad)

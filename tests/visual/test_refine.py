@@ -1,0 +1,160 @@
+"""The whole visual stage in a small room: images, scans and rough trajectories in, refined cameras out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import textured_planes
+
+from lvba import geometry, trajectory
+from lvba.camera import Camera
+from lvba.errors import DegenerateProblemError
+from lvba.lidar.plane import PlanePoints, Planes
+from lvba.trajectory import Trajectory
+from lvba.visual import image, refine
+from lvba.visual.prior import PriorConfig
+from lvba.visual.visibility import VisibilityConfig
+
+CAMERA = Camera(320, 240, 190.0, 190.0, 159.5, 119.5)
+MOUNT = geometry.exp(np.array([0.02, -0.01, 0.03, 0.05, -0.02, 0.04]))
+COUNT, RAYS = 12, 6000
+
+
+def scan(
+    world: textured_planes.PlaneWorld, pose: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (N, 3) in the world that a LiDAR sees all round, and the plane of each."""
+    u, v = rng.uniform(0, 320, RAYS), rng.uniform(0, 240, RAYS)
+    wide = Camera(320, 240, 60.0, 60.0, 159.5, 119.5)
+    plane, points = textured_planes.cast(world, pose, wide, u, v)
+    return (points + 0.01 * rng.normal(size=points.shape)).astype(np.float32), plane.astype(np.int32)
+
+
+@pytest.fixture(scope="module")
+def room():
+    """Everything `refine` takes, and the truth."""
+    rng = np.random.default_rng(0)
+    world, every = textured_planes.room(), textured_planes.walk(2 * COUNT)
+    times = np.arange(2 * COUNT) * 0.2
+    truth = np.array(geometry.interpolate(every[0], every[-1], np.linspace(0, 1, 2 * COUNT)))
+    images = truth[::2] @ MOUNT
+    log_exposure = 0.2 * rng.normal(size=COUNT)
+    log_exposure -= log_exposure[0]
+    pictures = textured_planes.render(world, images, CAMERA, np.exp(log_exposure), noise=2.0, supersample=1)
+    found = [scan(world, pose, rng) for pose in truth]
+    points = np.concatenate([p for p, _ in found])
+    planes = np.concatenate([k for _, k in found])
+    axes = np.stack([world.normals, world.axes[:, 0], world.axes[:, 1]], axis=2)
+    facing = np.sign(((truth[0, :3, 3] - world.points) * world.normals).sum(axis=1))
+    axes[:, :, 0] *= facing[:, None]
+    lidar = Planes(
+        world.points, axes[:, :, 0].copy(), np.tile([1e-4, 1.0, 1.0], (6, 1)), axes, np.bincount(planes, minlength=6),
+        np.full(6, 2 * COUNT, np.int32), np.full(6, 4.0), np.full(6, 3e-4),
+    )  # fmt: skip
+    rough = textured_planes.disturbed(images, 0.006, 0.15, seed=3)
+    return (
+        {
+            "pyramid": image.build_pyramid(pictures, CAMERA, 2),
+            "keyframes": np.arange(COUNT),
+            "images": Trajectory(times[::2], rough),
+            "scans": Trajectory(times, truth),
+            "refined_scans": truth,
+            "camera_from_scan": geometry.inverse(MOUNT),
+            "sensor_position_scan": np.zeros(3),
+            "planes": lidar,
+            "plane_points": PlanePoints(points, planes, np.arange(0, len(points) + 1, RAYS)),
+        },
+        images,
+        log_exposure,
+    )
+
+
+@pytest.fixture(scope="module")
+def refined(room):
+    return refine.refine(**room[0])
+
+
+def error(poses: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
+    found = trajectory.pose_error(poses, truth, aligned=np.eye(4))
+    return 1e3 * found.ate_m, found.rotation_deg
+
+
+def test_cameras_and_exposures_end_at_the_truth(room, refined):
+    problem, truth, log_exposure = room
+    before = error(problem["images"].world_from_sensor, truth)
+    after = error(refined.world_from_camera, truth)
+    assert after[0] < 2.0 < 8.0 < before[0]
+    assert after[1] < 0.03 < 0.2 < before[1]
+    assert refined.log_exposure == pytest.approx(log_exposure, abs=0.01)
+    assert refined.converged
+    assert refined.cost_final < 0.5 * refined.cost_initial
+
+
+def test_the_reported_covariance_covers_the_error(room, refined):
+    wrong = geometry.log(geometry.inverse(refined.world_from_camera) @ room[1])
+    nees = np.einsum("ni,nij,nj->n", wrong, np.linalg.inv(refined.covariance), wrong) / 6
+    assert 0.1 < nees.mean() < 6  # one small scene: 12 images of six planes, a loose bound
+
+
+def test_the_account_of_the_levels_goes_from_coarse_to_fine(refined):
+    assert [level.level for level in refined.levels] == [1, 0]
+    for level in refined.levels:
+        assert level.local_pairs > 100
+        assert len(level.iterations) > 0
+        assert 1.0 < level.sigma < 4.0
+    assert refined.weak.shape == (COUNT,)
+    assert len(refined.weak_common) == 0
+    assert abs(refined.time_offset) < 0.005
+
+
+def test_the_same_input_gives_the_same_bytes(room, refined):
+    again = refine.refine(**room[0])
+    assert again.world_from_camera.tobytes() == refined.world_from_camera.tobytes()
+    assert again.log_exposure.tobytes() == refined.log_exposure.tobytes()
+
+
+def test_images_between_keyframes_are_carried_along(room):
+    problem, truth, _ = room
+    chosen = np.arange(0, COUNT, 2)
+    pyramid = problem["pyramid"]
+    thinned = replace(pyramid, levels=tuple(np.ascontiguousarray(level[chosen]) for level in pyramid.levels))
+    found = refine.refine(**(problem | {"pyramid": thinned, "keyframes": chosen}))
+    between = np.setdiff1d(np.arange(COUNT), chosen)
+    assert error(found.world_from_camera[between], truth[between])[0] < 3.0
+    assert error(problem["images"].world_from_sensor[between], truth[between])[0] > 7.0
+    assert len(found.covariance) == len(found.weak) == COUNT
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"prior": PriorConfig(enabled=False)},
+        {"exposures": "joint"},
+        {"visibility": VisibilityConfig(use_global=False)},
+        {"visibility": VisibilityConfig(score="as printed")},
+    ],
+    ids=["no prior", "joint exposures", "no global points", "score as printed"],
+)
+def test_ablations_are_one_option_away_and_still_improve(room, options):
+    problem, truth, _ = room
+    found = refine.refine(**problem, config=refine.VisualConfig(**options))
+    assert (
+        error(found.world_from_camera, truth)[0] < 0.7 * error(problem["images"].world_from_sensor, truth)[0]
+    )
+
+
+def test_without_exposures_all_images_count_as_equally_exposed(room):
+    found = refine.refine(**room[0], config=refine.VisualConfig(exposures="none"))
+    assert (found.log_exposure == 0).all()
+
+
+def test_images_that_show_nothing_are_an_error_that_says_so(room):
+    blank = np.full_like(room[0]["pyramid"].levels[0], 128)
+    with pytest.raises(DegenerateProblemError, match="scene point"):
+        refine.refine(**(room[0] | {"pyramid": image.build_pyramid(blank, CAMERA, 2)}))
+
+
+@pytest.mark.parametrize("wrong", [{"patch": 8}, {"exposures": "some"}])
+def test_settings_out_of_range_are_refused_by_name(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        refine.VisualConfig(**wrong)

@@ -1,0 +1,422 @@
+from itertools import pairwise
+
+import numba
+import numpy as np
+import pytest
+from naive_points import judge as naive_judge
+from naive_points import keep_spread as naive_keep_spread
+from naive_points import nearest_points as naive_nearest_points
+from naive_points import visibility_map as naive_visibility_map
+from naive_points import warp_by_plane
+from rectangle_world import CAMERA, box, cast, plane_points, room_with_screen, scan
+
+from lvba import geometry
+from lvba.kernels import visibility as kernels
+from lvba.kernels.visibility_depth import nearest_points
+from lvba.visual import scene_points, visibility
+from lvba.visual.scene_points import PointsConfig, ScenePoints, take
+from lvba.visual.visibility import VisibilityConfig
+
+NOTHING = (visibility.NOTHING_HIDES.nearest, visibility.NOTHING_HIDES.points_world, 1.0)
+INTRINSICS = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
+
+
+def local_points(rec, cells=150):
+    config = PointsConfig(cells=cells)
+    return scene_points.select(
+        rec.images, CAMERA, rec.poses, rec.times, rec.planes, rec.plane_points, rec.times, rec.noise, config
+    )
+
+
+def global_map(rec, config=VisibilityConfig()):  # noqa: B008
+    positions = rec.poses[:, :3, 3]
+    near = visibility.cameras_near_scans(rec.times, positions, rec.times, positions, config)
+    pp = rec.plane_points
+    return visibility.build_map(pp.points_world, pp.scan_offsets, near, len(rec.images), config.voxel_m)
+
+
+def find(rec, points, seen=None, images=None, **changes):
+    return visibility.find(
+        rec.images if images is None else images,
+        CAMERA,
+        rec.poses,
+        points,
+        seen,
+        rec.noise,
+        VisibilityConfig(**changes),
+    )
+
+
+def _random_pair(rng):
+    def pose():
+        return geometry.exp(np.concatenate([0.2 * rng.standard_normal(3), 0.5 * rng.standard_normal(3)]))
+
+    normal = np.array([0, 0, -1.0]) + 0.4 * rng.standard_normal(3)
+    return pose(), pose(), np.array([0, 0, 5.0]) + rng.standard_normal(3), normal / np.linalg.norm(normal)
+
+
+def test_homography_is_ray_plane_intersection():
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        r, t, position, normal = _random_pair(rng)
+        u, v = rng.uniform(0, 200), rng.uniform(0, 150)
+        h = kernels.plane_homography(r, t, position, normal, INTRINSICS, INTRINSICS)
+        x, y, ratio = kernels.warp(h, u, v)
+        expected = warp_by_plane(u, v, r, t, position, normal, INTRINSICS)
+        assert np.hypot(x - expected[0], y - expected[1]) < 1e-9
+        assert ratio == pytest.approx(
+            expected[2] / warp_by_plane(u, v, r, r, position, normal, INTRINSICS)[2], abs=1e-12
+        )
+
+
+def test_judge_matches_its_twin():
+    rec = room_with_screen()
+    points = take(local_points(rec), slice(None, None, 5))
+    point, target = visibility.local_pairs(points.reference, len(rec.images), 7)
+    images = np.repeat(rec.images, 2, axis=3)
+    images[..., 1] = 255 - images[..., 1]
+    images[3, 60:100, 60:120] = 255
+    gates = np.array([4, 0.17, 0.45, 0.9, 1.08, 0.75, 4.0, 3.0, 250.0, 0.8, 0.15])
+    args = (images, rec.poses, INTRINSICS, points.position_world, points.normal_world)
+    verdict, ncc = kernels.judge_pairs(*args, points.reference, points.pixel, point, target, gates, *NOTHING)
+    expected = [
+        naive_judge(images, rec.poses, INTRINSICS, points.position_world[p], points.normal_world[p],
+                    points.reference[p], t, points.pixel[p], gates)
+        for p, t in zip(point, target, strict=True)
+    ]  # fmt: skip
+    assert set(verdict) >= {0, 2, 3, 4, 6, 7}
+    np.testing.assert_array_equal(verdict, [v for v, _ in expected])
+    np.testing.assert_allclose(ncc, [n for _, n in expected], atol=1e-5)
+
+
+def _one_pair(gates=(), **changes):
+    """The verdict of a point 4 m ahead on a facing wall, seen from two places, with some things changed."""
+    setup = {
+        "target": np.zeros(3), "turn": np.zeros(3), "normal": np.array([0, 0, -1.0]), "position": np.array([0, 0, 4.0]),
+        "change": lambda image: image,
+    } | changes  # fmt: skip
+    v, u = np.mgrid[:150, :200]
+    image = np.round(120 + 40 * np.sin(0.4 * u) * np.cos(0.3 * v)).astype(np.uint8)[..., None]
+    images = np.stack([image, setup["change"](image).astype(np.uint8)])
+    poses = np.stack([np.eye(4), geometry.exp(np.concatenate([setup["turn"], [0, 0, 0]]))])
+    poses[1, :3, 3] = setup["target"]
+    values = np.array([4, 0.17, 0.2, 0.45, 2.5, 0.8, 4.0, 3.0, 250.0, 0.8, 0.15])
+    for index, value in gates:
+        values[index] = value
+    return kernels.judge(
+        images, poses, INTRINSICS, setup["position"], setup["normal"], 0, 1, 100, 75, values, *NOTHING
+    )
+
+
+def test_same_view_passes_and_gain_does_not_matter():
+    assert _one_pair() == (kernels.PASSED, pytest.approx(1.0))
+    dimmed = _one_pair(change=lambda image: 20 + 0.5 * image)
+    assert dimmed[0] == kernels.PASSED
+    assert dimmed[1] > 0.999
+
+
+def test_behind_the_camera_is_not_visible():
+    turned = np.array([0, np.pi, 0])
+    assert _one_pair(turn=turned)[0] == kernels.BEHIND
+
+
+@pytest.mark.parametrize(
+    ("verdict", "changes"),
+    [
+        (kernels.OUTSIDE, {"target": np.array([2.9, 0, 0])}),
+        (kernels.SLANTED, {"normal": np.array([1, 0, -0.05]) / np.hypot(1, 0.05)}),
+        (kernels.SCALED, {"target": np.array([0, 0, -6.0])}),
+        (kernels.SCALED, {"target": np.array([0, 0, 2.6])}),
+        (kernels.MASKED, {"change": lambda image: np.where(image > 0, 255, 0)}),
+        (kernels.UNLIKE, {"change": lambda image: image[::-1]}),
+        (kernels.UNLIKE, {"change": lambda image: np.full_like(image, 120)}),
+    ],
+)
+def test_each_gate_refuses(verdict, changes):
+    assert _one_pair(**changes)[0] == verdict
+
+
+def test_flat_patches_fail_by_the_variance_floor():
+    def faint(image):
+        return 120 + np.round((image - 120.0) / 20)
+
+    with_floor = _one_pair(change=faint, gates=[(6, 25.0)])
+    without = _one_pair(change=faint, gates=[(6, 0.0)])
+    assert without[0] == kernels.PASSED
+    assert with_floor[0] == kernels.UNLIKE
+
+
+def test_color_contrast_alone_does_not_pass():
+    # two flat patches of one color: a single mean over channels would correlate perfectly
+    rng = np.random.default_rng(0)
+    images = np.full((2, 150, 200, 3), [40, 120, 200], np.uint8) + rng.integers(
+        0, 3, (2, 150, 200, 3), np.uint8
+    )
+    gates = np.array([4, 0.17, 0.2, 0.45, 2.5, 0.8, 0.5, 3.0, 250.0, 0.8, 0.15])
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    verdict, ncc = kernels.judge(
+        images,
+        poses,
+        INTRINSICS,
+        np.array([0, 0, 4.0]),
+        np.array([0, 0, -1.0]),
+        0,
+        1,
+        100,
+        75,
+        gates,
+        *NOTHING,
+    )
+    assert verdict == kernels.UNLIKE
+    assert abs(ncc) < 0.5
+
+
+@pytest.mark.parametrize("limit", [1, 3, 4])
+def test_keep_spread_matches_its_twin(limit):
+    group = np.repeat([0, 1, 4, 5], [1, 4, 9, 3]).astype(np.int32)
+    np.testing.assert_array_equal(kernels.keep_spread(group, limit), naive_keep_spread(group, limit))
+
+
+def test_global_map_matches_its_twin():
+    rec = room_with_screen()
+    config = VisibilityConfig(near_time_s=0.25, near_space_m=0.15, voxel_m=0.5)
+    seen = global_map(rec, config)
+    positions = rec.poses[:, :3, 3]
+    near = visibility.cameras_near_scans(rec.times, positions, rec.times, positions, config)
+    expected = naive_visibility_map(rec.plane_points.points_world, rec.plane_points.scan_offsets, near, 0.5)
+    assert len(seen.keys) == len(expected)
+    centers = (np.array(list(expected)) + 0.5) * 0.5
+    rows = seen.rows(centers)
+    assert (rows >= 0).all()
+    for row, cameras in zip(rows, expected.values(), strict=True):
+        assert seen.cameras[seen.offsets[row] : seen.offsets[row + 1]].tolist() == sorted(cameras)
+    assert seen.rows(np.array([[100.0, 0, 0]]))[0] == -1
+
+
+def test_cameras_near_scans_in_time_and_space():
+    config = VisibilityConfig(near_time_s=0.5, near_time_m=2.0, near_space_m=0.4)
+    image_times = np.array([0.0, 0.4, 10.0, 20.0])
+    cameras = np.array([[0, 0, 0], [3.0, 0, 0], [0.1, 0, 0], [1.0, 0, 0]])
+    offsets, found = visibility.cameras_near_scans(
+        np.array([0.0, 5.0, 0.39]),
+        np.array([[0, 0, 0], [0, 0, 0], [9.0, 0, 0]]),
+        image_times,
+        cameras,
+        config,
+    )
+    # in time but 3 m off; at the place long after; in time and nearest although far
+    assert [found[a:b].tolist() for a, b in pairwise(offsets)] == [[0, 2], [0, 2], [1]]
+
+
+def test_walls_hide_in_the_global_map():
+    rng = np.random.default_rng(0)
+    rooms = [*box([-4, -2, -1], [0, 2, 1]), *box([0.1, -2, -1], [4, 2, 1])]
+    positions = np.array([[-2.0, 0, 0], [2.0, 0, 0]])
+    scans = plane_points([scan(rooms, p, 8000, 0.01, rng) for p in positions])
+    near = visibility.cameras_near_scans(np.array([0.0, 9.0]), positions, np.array([0.0, 9.0]), positions)
+    seen = visibility.build_map(scans.points_world, scans.scan_offsets, near, 2)
+    rows = seen.rows(np.array([[-3.99, 0.3, 0.2], [3.99, 0.3, 0.2]]))
+    assert [seen.cameras[seen.offsets[r] : seen.offsets[r + 1]].tolist() for r in rows] == [[0], [1]]
+
+
+def _points(position, normal, reference):
+    n = len(reference)
+    return ScenePoints(
+        np.asarray(position, float), np.asarray(normal, float), np.ones(n), np.asarray(reference, np.int32),
+        np.zeros((n, 2), np.int32), np.zeros(n, np.int32), np.zeros(n, bool),
+    )  # fmt: skip
+
+
+def test_area_score_is_pixels_per_square_metre():
+    rng = np.random.default_rng(0)
+    pose, _, position, normal = _random_pair(rng)
+    first = np.cross(normal, [1, 0, 0])
+    first /= np.linalg.norm(first)
+    e = 1e-4
+    corners = [position, position + e * first, position + e * np.cross(normal, first)]
+    local = np.array([pose[:3, :3].T @ (c - pose[:3, 3]) for c in corners])
+    pixels = np.column_stack([CAMERA.fx * local[:, 0] / local[:, 2], CAMERA.fy * local[:, 1] / local[:, 2]])
+    area = abs(np.linalg.det([pixels[1] - pixels[0], pixels[2] - pixels[0]])) / e**2
+    score = visibility.view_scores(_points([position], [normal], [0]), CAMERA, pose[None])
+    assert score[0] == pytest.approx(area, rel=1e-3)
+
+
+def test_best_view_of_a_voxel_is_near_and_frontal_and_both_forms_can_differ():
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[:, :3, 3] = [[0, 0, 0], [0, 0, 2.0], [0, 0, -2.0]]
+    near = _points([[0, 0, 4.0]] * 3, [[0, 0, -1.0]] * 3, [0, 1, 2])
+    for form in ("area", "as printed"):
+        score = visibility.view_scores(near, CAMERA, poses, form)
+        assert visibility.choose_global(near, np.zeros(3, int), score).tolist() == [False, True, False]
+    # slanted but near against frontal but far
+    slanted = np.array([np.sqrt(1 - 0.3**2), 0, -0.3])
+    pair = _points([[0, 0, 4.0], [0, 0, 4.0]], [slanted, [0, 0, -1.0]], [1, 2])
+    forms = {f: visibility.view_scores(pair, CAMERA, poses, f) for f in ("area", "as printed")}
+    assert forms["area"][0] > forms["area"][1]
+    assert forms["as printed"][0] < forms["as printed"][1]
+
+
+def test_choose_global_takes_one_per_voxel_and_none_without():
+    rows = np.array([3, 3, -1, 5, 5, 5])
+    score = np.array([1.0, 2.0, 9.0, 4.0, 4.0, 1.0])
+    chosen = visibility.choose_global(_points(np.zeros((6, 3)), np.zeros((6, 3)), np.zeros(6)), rows, score)
+    assert chosen.tolist() == [False, True, False, True, False, False]
+
+
+def test_union_is_sorted_without_duplicates_and_marks_what_only_the_map_found():
+    rec = room_with_screen()
+    points, seen = local_points(rec), global_map(rec)
+    kept, pairs = find(rec, points, seen, window=2)
+    code = pairs.point.astype(np.int64) * 1000 + pairs.target
+    assert (np.diff(code) > 0).all(), "sorted by (point, target), no pair twice"
+    assert (pairs.target != kept.reference[pairs.point]).all()
+    assert len(np.unique(pairs.point)) == len(kept), "every point has a target"
+    far = np.abs(pairs.target - kept.reference[pairs.point]) > 2
+    np.testing.assert_array_equal(far, pairs.is_global)
+    assert kept.is_global[pairs.point[pairs.is_global]].all()
+    assert pairs.is_global.sum() > 50
+    assert len(pairs.point) == len(pairs.target) == len(pairs)
+
+
+def test_without_global_points_only_the_window_is_left():
+    rec = room_with_screen()
+    points, seen = local_points(rec), global_map(rec)
+    _, local = find(rec, points, None)
+    kept, switched_off = find(rec, points, seen, use_global=False)
+    np.testing.assert_array_equal(local.target, switched_off.target)
+    assert not switched_off.is_global.any()
+    assert not kept.is_global.any()
+
+
+def test_limits_per_point_hold():
+    rec = room_with_screen()
+    points, seen = local_points(rec), global_map(rec)
+    kept, pairs = find(rec, points, seen, window=2, max_local=3, max_global=2)
+    local = np.bincount(pairs.point[~pairs.is_global], minlength=len(kept))
+    far = np.bincount(pairs.point[pairs.is_global], minlength=len(kept))
+    assert local.max() == 3
+    assert far.max() == 2
+
+
+def test_targets_truly_see_their_points():
+    rec = room_with_screen()
+    kept, pairs = find(rec, local_points(rec, 400), global_map(rec))
+    position = kept.position_world[pairs.point]
+    origin = rec.poses[pairs.target, :3, 3]
+    seen = np.ones(len(pairs), bool)
+    for t in np.unique(pairs.target):
+        of = pairs.target == t
+        seen[of] = cast(rec.world, origin[of][0], position[of] - origin[of])[0] > 0.999
+    assert len(pairs) > 2000
+    assert seen.mean() > 0.995
+
+
+def test_occluded_targets_are_refused():
+    rec = room_with_screen(sideways=True)
+    points, point, target, visible = _pair_truth(rec)
+    kept, pairs = find(rec, points, window=7, max_local=20)
+    # pairs of the points before those without any were dropped
+    old = np.flatnonzero(np.isin(np.arange(len(points)), _index_in(points, kept)))
+    passed = np.isin(point * 1000 + target, old[pairs.point] * 1000 + pairs.target)
+    assert (~visible).sum() > 50
+    assert passed[visible].mean() > 0.5
+    assert passed[~visible].mean() < 0.1
+
+
+def _pair_truth(rec, window=7):
+    """Points, candidate pairs, and whether the target truly sees the point."""
+    points = local_points(rec, 600)
+    point, target = visibility.local_pairs(points.reference, len(rec.images), window)
+    visible = np.empty(len(point), bool)
+    for t in range(len(rec.images)):
+        of, origin = target == t, rec.poses[t, :3, 3]
+        visible[of] = cast(rec.world, origin, points.position_world[point[of]] - origin)[0] > 0.999
+    return points, point, target, visible
+
+
+def test_depth_buffers_match_their_twin():
+    rec = room_with_screen(sideways=True)
+    ranges = scene_points.near_ranges(
+        rec.times, rec.times, rec.plane_points.scan_offsets, np.full(8, 0.3), 9000
+    )
+    args = (
+        rec.plane_points.points_world,
+        ranges,
+        rec.poses,
+        INTRINSICS,
+        CAMERA.width,
+        CAMERA.height,
+        3.7,
+        0.1,
+    )
+    found = nearest_points(*args)
+    for i, expected in enumerate(naive_nearest_points(*args)):
+        cells = {(int(r), int(c)): int(found[i, r, c]) for r, c in np.argwhere(found[i] >= 0)}
+        assert cells == expected
+        assert len(cells) > 400
+
+
+def test_depth_buffers_refuse_hidden_targets_without_looking_at_the_images():
+    rec = room_with_screen(sideways=True)
+    points, point, target, visible = _pair_truth(rec)
+    depth = visibility.depth_buffers(CAMERA, rec.poses, rec.times, rec.plane_points, rec.times)
+    half_camera = CAMERA.at_level(1)
+    half = visibility.depth_buffers(half_camera, rec.poses, rec.times, rec.plane_points, rec.times)
+    gates = np.array([4, 0.17, 0.2, 0.1, 10, -2, 4.0, -1.0, 300.0, 0.0, 0.15])
+    verdict, _ = kernels.judge_pairs(
+        rec.images, rec.poses, INTRINSICS, points.position_world, points.normal_world, points.reference, points.pixel,
+        point, target, gates, depth.nearest, depth.points_world, depth.cell * CAMERA.fx,
+    )  # fmt: skip
+    judged = np.isin(verdict, [kernels.PASSED, kernels.HIDDEN])
+    hidden = verdict == kernels.HIDDEN
+    assert (judged & ~visible).sum() > 50
+    assert hidden[judged & ~visible].mean() > 0.95
+    assert hidden[judged & visible].mean() < 0.08, "patches at the screen's border count as hidden"
+    assert half.cell == pytest.approx(depth.cell, rel=0.1), "the same at every level"
+
+
+def _index_in(points, kept):
+    """Indices of the kept points among all."""
+    code = {
+        (r, *p): k for k, (r, p) in enumerate(zip(points.reference, map(tuple, points.pixel), strict=True))
+    }
+    return [code[(r, *p)] for r, p in zip(kept.reference, map(tuple, kept.pixel), strict=True)]
+
+
+def test_same_bytes_for_any_number_of_threads():
+    rec = room_with_screen()
+    points, results, before = local_points(rec), [], numba.get_num_threads()
+    for threads in (1, before):
+        numba.set_num_threads(threads)
+        seen = global_map(rec)
+        kept, pairs = find(rec, points, seen)
+        arrays = (
+            seen.keys,
+            seen.offsets,
+            seen.cameras,
+            kept.position_world,
+            pairs.point,
+            pairs.target,
+            pairs.is_global,
+        )
+        results.append([array.tobytes() for array in arrays])
+    numba.set_num_threads(before)
+    assert results[0] == results[1]
+
+
+def test_nothing_in_nothing_out():
+    rec = room_with_screen()
+    none = take(local_points(rec), slice(0, 0))
+    kept, pairs = find(rec, none, global_map(rec))
+    assert len(kept) == len(pairs) == 0
+    nobody = (np.zeros(1, np.int64), np.empty(0, np.int32))
+    empty = visibility.build_map(np.empty((0, 3), np.float32), np.zeros(1, np.int64), nobody, 3)
+    assert empty.rows(np.zeros((2, 3))).tolist() == [-1, -1]
+
+
+@pytest.mark.parametrize(
+    "bad", [{"window": 0}, {"score": "best"}, {"min_ncc": 2}, {"voxel_m": 0}, {"patch_size": 4}]
+)
+def test_visibility_config_refuses(bad):
+    with pytest.raises(ValueError, match=next(iter(bad))):
+        VisibilityConfig(**bad)

@@ -1,0 +1,117 @@
+"""Running a plan in one process over a store: reuse, interruption, records."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lvba.plan import Plan
+from lvba.trajectory import Trajectory
+from workers import local
+from workers.store import ZarrStore
+
+CALLS: list[str] = []
+
+
+def make(name, *inputs, fail=False):
+    CALLS.append(name)
+    if fail and FAIL:
+        raise KeyboardInterrupt
+    times = np.arange(3.0) + sum(t.times.sum() for t in inputs)
+    # Fortran order on purpose: a reloaded artifact is C-ordered
+    return Trajectory(times, np.asfortranarray(np.random.default_rng(len(name)).normal(size=(3, 4, 4))))
+
+
+def reduce(*inputs):
+    CALLS.append("reduce")
+    return {"sum": [float((t.world_from_sensor @ t.world_from_sensor).sum()) for t in inputs]}
+
+
+FAIL = False
+NAMES = ["a", "bb", "ccc", "dddd"]
+
+
+def chain(failing=""):
+    work = Plan()
+    refs: list = []
+    for name in NAMES:
+        refs.append(work.add(name, make, name, *refs, fail=name == failing))
+    work.add("reduce", reduce, *refs)
+    return work
+
+
+@pytest.fixture(autouse=True)
+def fresh_calls():
+    CALLS.clear()
+
+
+def contents(folder: Path):
+    return {
+        p.relative_to(folder).as_posix(): p.read_bytes()
+        for p in sorted(folder.rglob("*"))
+        if p.is_file() and p.name != "manifest.json"
+    }
+
+
+def test_records_of_a_run_and_of_its_repetition(tmp_path):
+    first = local.run(chain(), ZarrStore(tmp_path))
+    assert [r.name for r in first] == [*NAMES, "reduce"]
+    assert not any(r.reused for r in first)
+    assert all(r.peak_memory_mb > 1 and r.tasks == 1 for r in first)
+    assert [*NAMES, "reduce"] == CALLS
+    again = local.run(chain(), ZarrStore(tmp_path))
+    assert all(r.reused for r in again)
+    assert [r.seconds for r in again] == [r.seconds for r in first]
+    assert [*NAMES, "reduce"] == CALLS
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_interrupted_in_any_step_it_goes_on_and_ends_with_the_same_bytes(tmp_path, monkeypatch, name):
+    local.run(chain(name), ZarrStore(tmp_path / "undisturbed"))
+    CALLS.clear()
+    monkeypatch.setitem(globals(), "FAIL", True)
+    with pytest.raises(KeyboardInterrupt):
+        local.run(chain(name), ZarrStore(tmp_path / "interrupted"))
+    monkeypatch.setitem(globals(), "FAIL", False)
+    records = local.run(chain(name), ZarrStore(tmp_path / "interrupted"))
+    done = NAMES.index(name)
+    assert [r.reused for r in records] == [True] * done + [False] * (5 - done)
+    assert [*NAMES[: done + 1], *NAMES[done:], "reduce"] == CALLS
+    assert contents(tmp_path / "undisturbed") == contents(tmp_path / "interrupted")
+
+
+def test_only_what_is_damaged_is_made_again(tmp_path):
+    work = chain()
+    local.run(work, ZarrStore(tmp_path))
+    before = contents(tmp_path)
+    key = next(step.key for step in work.steps.values() if step.name == "bb")
+    (tmp_path / key / "zarr.json").write_text("{")
+    CALLS.clear()
+    local.run(work, ZarrStore(tmp_path))
+    assert CALLS == ["bb"]
+    assert contents(tmp_path) == before
+
+
+def test_artifacts_are_dropped_from_memory_after_their_last_use(tmp_path):
+    store = ZarrStore(tmp_path)
+    held = []
+    local.run(chain(), store, on_step=lambda step, index, total: held.append(len(store._values)))
+    assert held == [0, 1, 2, 3, 4]
+    assert store._values == {}
+
+
+def test_steps_are_announced(tmp_path):
+    told = []
+    local.run(chain(), ZarrStore(tmp_path), on_step=lambda step, i, n: told.append((step.name, i, n)))
+    assert told[0] == ("a", 0, 5)
+    assert told[-1] == ("reduce", 4, 5)
+
+
+def test_peak_memory_is_that_of_the_step():
+    local.reset_peak_memory()
+    base = local.peak_memory_mb()
+    block = np.ones(25_000_000)
+    assert local.peak_memory_mb() - base > 150
+    del block
+    local.reset_peak_memory()
+    assert local.peak_memory_mb() - base < 100

@@ -1,0 +1,88 @@
+"""A plan in this process: steps in order, finished ones reused, time and memory of each recorded."""
+
+import contextlib
+import resource
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from lvba import plan
+from lvba.plan import Plan, Step
+from lvba.progress import Progress, silent
+from workers.store import ZarrStore
+
+
+@dataclass(frozen=True)
+class StageRecord:
+    """How one step went. Seconds and memory are those of the run that made the artifact."""
+
+    name: str
+    seconds: float
+    peak_memory_mb: float
+    """Peak resident memory of the process while the step ran, MB."""
+    tasks: int
+    reused: bool
+
+
+def run(
+    work: Plan,
+    store: ZarrStore,
+    progress: Progress = silent,
+    on_step: Callable[[Step, int, int], None] | None = None,
+) -> list[StageRecord]:
+    """Make every artifact of the plan that the store does not hold yet; one record per step.
+
+    on_step: called before each step with the step, its index and the number of steps
+    """
+    records = []
+    last_uses = work.last_uses()
+    for index, step in enumerate(work.steps.values()):
+        if on_step is not None:
+            on_step(step, index, len(work.steps))
+        records.append(
+            _record(step, store) if step.key in store else _make(step, store, progress, work.version)
+        )
+        for key in [key for key, user in last_uses.items() if user == step.key]:
+            store.release(key)
+    return records
+
+
+def _make(step: Step, store: ZarrStore, progress: Progress, version: str) -> StageRecord:
+    reset_peak_memory()
+    started = time.perf_counter()
+    value = plan.compute(step, store, progress)
+    seconds = time.perf_counter() - started
+    record = StageRecord(step.name, round(seconds, 3), round(peak_memory_mb(), 1), 1, reused=False)
+    facts = asdict(record)
+    facts.pop("reused")
+    store.put(step.key, value, {**facts, "version": version})
+    return record
+
+
+def _record(step: Step, store: ZarrStore) -> StageRecord:
+    facts: dict[str, Any] = store.facts(step.key)
+    return StageRecord(
+        step.name,
+        facts.get("seconds", 0.0),
+        facts.get("peak_memory_mb", 0.0),
+        facts.get("tasks", 1),
+        reused=True,
+    )
+
+
+def reset_peak_memory() -> None:
+    """Start a new peak, where the system can (Linux)."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+
+
+def peak_memory_mb() -> float:
+    """Peak resident memory since the last reset, MB; since the process began where the system cannot reset."""
+    try:
+        status = Path("/proc/self/status").read_text()
+        line = next(line for line in status.splitlines() if line.startswith("VmHWM:"))
+        return int(line.split()[1]) * 1024 / 1e6
+    except (OSError, StopIteration, ValueError):
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
