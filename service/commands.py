@@ -18,14 +18,12 @@ _USERS_TO_MEND = {errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.E
 
 def main(arguments: argparse.Namespace) -> int:
     """The exit code of a command."""
-    display = Display(quiet=arguments.quiet)
+    display = Display(quiet=arguments.quiet, check=stopping.check)
+    stopping.say_at_last(lambda: _end(display, _stopped(arguments), 1))
     try:
         return _run(arguments, display)
-    except Exception:
-        if stopping.asked():
-            return _end(display, _stopped(arguments), 1)
-        raise
     finally:
+        stopping.heard()
         display.clear()
 
 

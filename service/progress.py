@@ -13,7 +13,10 @@ _PLAIN = 10.0
 
 
 class Display:
-    """Shows stages (`stage`) and counts within them (`progress`, as lvba calls it)."""
+    """Shows stages (`stage`) and counts within them (`progress`, as lvba calls it).
+
+    check: called at every one of these, shown or not; what it raises goes through.
+    """
 
     def __init__(
         self,
@@ -21,8 +24,10 @@ class Display:
         clock: Callable[[], float] = time.monotonic,
         *,
         quiet: bool = False,
+        check: Callable[[], None] = lambda: None,
     ) -> None:
         self._quiet = quiet
+        self._check = check
         self._stream = stream or sys.stderr
         self._clock = clock
         self._terminal = self._stream.isatty()
@@ -32,6 +37,7 @@ class Display:
 
     def stage(self, name: str, index: int, total: int) -> None:
         """A stage begins: its name, its index and how many there are."""
+        self._check()
         self.clear()
         if self._quiet:
             return
@@ -45,6 +51,7 @@ class Display:
 
     def progress(self, what: str, done: int, total: int) -> None:
         """`done` of `total` pieces of `what` are finished; rate and time left are those of this count."""
+        self._check()
         if self._quiet:
             return
         now = self._clock()

@@ -1,23 +1,59 @@
-"""Being told to stop, by Ctrl-C or by SIGTERM."""
+"""Being told to stop, by Ctrl-C or by SIGTERM.
 
+The signal handler raises nothing: an exception from there is lost, or ends the process, where it meets a callback of a
+compiled library (numba's compiler calls back into Python). It takes note; the next report of progress raises. Where none
+comes in time, or the signal comes again, the process ends at once: whatever is finished is on disk, and nothing else counts.
+"""
+
+import os
 import signal
+import sys
+import threading
+from collections.abc import Callable
 from types import FrameType
-from typing import NoReturn
 
-_asked: list[int] = []
+_PATIENCE = 1.5
+"""Seconds from the signal to the next report of progress; after them nobody asks any more."""
+
+_asked = threading.Event()
+_timers: list[threading.Timer] = []
+_last_words: list[Callable[[], object]] = [lambda: sys.stderr.write("lvba: stopped\n")]
 
 
 def install() -> None:
-    """From now on both signals raise KeyboardInterrupt, and `asked` says that one came."""
-    signal.signal(signal.SIGINT, _stop)
-    signal.signal(signal.SIGTERM, _stop)
+    """From now on both signals are noted, and end the process even where nobody looks."""
+    signal.signal(signal.SIGINT, _note)
+    signal.signal(signal.SIGTERM, _note)
 
 
-def asked() -> bool:
-    """Whether a signal came. An interrupt inside compiled libraries can surface as any other error: ask this then."""
-    return bool(_asked)
+def say_at_last(words: Callable[[], object]) -> None:
+    """What is called before the process ends without being asked; replaces what was given before."""
+    _last_words[:] = [words]
 
 
-def _stop(number: int, frame: FrameType | None) -> NoReturn:
-    _asked.append(number)
-    raise KeyboardInterrupt
+def check() -> None:
+    """Raises KeyboardInterrupt if a signal came: for places where nothing is lost by that."""
+    if _asked.is_set():
+        raise KeyboardInterrupt
+
+
+def heard() -> None:
+    """The command has ended by itself: no need to force it."""
+    for timer in _timers:
+        timer.cancel()
+
+
+def _note(number: int, frame: FrameType | None) -> None:
+    if _asked.is_set():
+        _end()
+    _asked.set()
+    timer = threading.Timer(_PATIENCE, _end)
+    timer.daemon = True
+    _timers.append(timer)
+    timer.start()
+
+
+def _end() -> None:
+    _last_words[0]()
+    sys.stderr.flush()
+    os._exit(1)
