@@ -2,7 +2,7 @@
 
 The signal handler raises nothing: an exception from there is lost, or ends the process, where it meets a callback of a
 compiled library (numba's compiler calls back into Python). It takes note; the next report of progress raises. Where none
-comes in time, or the signal comes again, the process ends at once: whatever is finished is on disk, and nothing else counts.
+comes in time, or the signal comes again, the process ends at once: what is finished is on disk, nothing else counts.
 """
 
 import os
