@@ -9,6 +9,7 @@ import os
 from pathlib import Path
 
 import numpy as np
+import oracle_poses
 import pytest
 
 from lvba import geometry
@@ -17,7 +18,6 @@ from lvba.lidar.normal_equations import Problem
 from lvba.lidar.plane_feature import PlaneFeatures
 from lvba.lidar.point_cluster import PointClusters
 from lvba.lidar.solver import solve
-from tests.lidar import oracle_poses
 
 FOLDER = (
     Path(os.environ.get("LVBA_DATA", Path(__file__).parents[3] / "shared" / "data"))
