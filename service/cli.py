@@ -1,4 +1,4 @@
-"""The command line: `lvba run | evaluate | simulate | export`.
+"""The command line: `lvba run | batch | worker | evaluate | simulate | export`.
 
 Nothing heavy is imported before a command runs, so that `lvba --help` answers at once.
 """
@@ -32,8 +32,36 @@ examples:
   lvba run recording --out result
   lvba run recording --out result --set visual.levels=2 --set visual.exposures=none
   lvba run recording --out result --config settings.yaml --reference truth
+  lvba run recording --out result --workers 4
+  lvba run recording --out result --scheduler tcp://head:8786 --store s3://bucket/recording
 
 Every setting with its value is in OUT/config.yaml, which can be given as --config."""
+
+_BATCH = """\
+Refine many recordings, a few at a time, and say in one table how each went.
+
+MANIFEST is a YAML list; each entry has `dataset`, and may have `name`, `config`, `set` (a list), `reference` and
+`group`. Paths are relative to MANIFEST. Groups take turns, so that a long list does not hold up a short one. One that
+fails does not stop the others. The same command goes on after an interruption."""
+
+_BATCH_EXAMPLES = """\
+examples:
+  lvba batch recordings.yaml --out results
+  lvba batch recordings.yaml --out results --jobs 4 --scheduler tcp://head:8786
+
+OUT/NAME is the result of a recording, OUT/NAME.log what it said; OUT/summary.json and OUT/summary.csv are the table.
+Exit code 1: some failed."""
+
+_WORKER = """\
+Work for the Dask scheduler at ADDRESS until stopped: one step at a time, with --threads threads.
+
+Start one on each machine, or several with --threads and --memory-limit. A worker that loses its scheduler waits for it
+to come back. Whoever can talk to a scheduler can run code on its workers: use tls:// outside a trusted network."""
+
+_WORKER_EXAMPLES = """\
+examples:
+  lvba worker tcp://127.0.0.1:8786 --threads 4 --memory-limit 8GB
+  lvba worker tls://head:8786 --tls-ca ca.pem --tls-cert node.pem --tls-key node.key"""
 
 _EVALUATE = """\
 Judge poses and exposures made by any method, as `lvba run` judges its own.
@@ -96,6 +124,8 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument("--version", action="version", version=f"lvba {metadata.version('lvba')}")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
     _add_run(commands)
+    _add_batch(commands)
+    _add_worker(commands)
     _add_evaluate(commands)
     _add_simulate(commands)
     _add_export(commands)
@@ -107,9 +137,30 @@ def _add_run(commands: "argparse._SubParsersAction[Parser]") -> None:
     _add_dataset_and_out(run)
     _add_settings(run)
     run.add_argument("--reference", type=Path, metavar="DIR", help="folder of true poses to compare with")
-    cluster = run.add_mutually_exclusive_group()
-    cluster.add_argument("--workers", type=int, metavar="N", help="worker processes (not in this version)")
-    cluster.add_argument("--scheduler", metavar="ADDRESS", help="a cluster's scheduler (not in this version)")
+    run.add_argument(
+        "--store", metavar="URL", help="folder or URL for what stages make (default: OUT/stages)"
+    )
+    _add_cluster(run)
+
+
+def _add_batch(commands: "argparse._SubParsersAction[Parser]") -> None:
+    batch = _command(commands, "batch", "refine many recordings", _BATCH, _BATCH_EXAMPLES)
+    batch.add_argument("manifest", type=Path, metavar="MANIFEST", help="YAML list of recordings")
+    batch.add_argument(
+        "--out", type=Path, required=True, metavar="OUT", help="folder for results and summary"
+    )
+    batch.add_argument(
+        "--jobs", type=_count, default=1, metavar="N", help="recordings at a time (default: 1)"
+    )
+    batch.add_argument("--store", metavar="URL", help="folder or URL for what stages make (default: in OUT)")
+    _add_cluster(batch)
+
+
+def _add_worker(commands: "argparse._SubParsersAction[Parser]") -> None:
+    worker = _command(commands, "worker", "work for a cluster's scheduler", _WORKER, _WORKER_EXAMPLES)
+    worker.add_argument("address", metavar="ADDRESS", help="scheduler: tcp://HOST:PORT or tls://HOST:PORT")
+    worker.add_argument("--memory-limit", metavar="BYTES", help="for example 8GB (default: all there is)")
+    _add_tls(worker)
 
 
 def _add_evaluate(commands: "argparse._SubParsersAction[Parser]") -> None:
@@ -176,6 +227,21 @@ def _add_settings(command: Parser) -> None:
     command.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", help="one setting; may be repeated"
     )
+
+
+def _add_cluster(command: Parser) -> None:
+    cluster = command.add_mutually_exclusive_group()
+    cluster.add_argument("--workers", type=_count, metavar="N", help="run in N worker processes")
+    cluster.add_argument(
+        "--scheduler", metavar="ADDRESS", help="run on a Dask cluster: tcp://HOST:PORT or tls://HOST:PORT"
+    )
+    _add_tls(command)
+
+
+def _add_tls(command: Parser) -> None:
+    command.add_argument("--tls-ca", type=Path, metavar="FILE", help="PEM: authority of the cluster")
+    command.add_argument("--tls-cert", type=Path, metavar="FILE", help="PEM: own certificate")
+    command.add_argument("--tls-key", type=Path, metavar="FILE", help="PEM: its key")
 
 
 def _count(text: str) -> int:

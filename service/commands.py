@@ -55,6 +55,14 @@ def _command(name: str) -> Callable[[argparse.Namespace, Display], None]:
         from service import run_command
 
         return run_command.run
+    if name == "batch":
+        from service import batch_command
+
+        return batch_command.batch
+    if name == "worker":
+        from service import worker_command
+
+        return worker_command.work
     if name == "evaluate":
         from service import evaluate_command
 

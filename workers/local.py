@@ -42,14 +42,15 @@ def run(
         if on_step is not None:
             on_step(step, index, len(work.steps))
         records.append(
-            _record(step, store) if step.key in store else _make(step, store, progress, work.version)
+            recorded(step, store) if step.key in store else make(step, store, progress, work.version)
         )
         for key in [key for key, user in last_uses.items() if user == step.key]:
             store.release(key)
     return records
 
 
-def _make(step: Step, store: ZarrStore, progress: Progress, version: str) -> StageRecord:
+def make(step: Step, store: ZarrStore, progress: Progress, version: str) -> StageRecord:
+    """Make one artifact and put it in the store."""
     reset_peak_memory()
     started = time.perf_counter()
     value = plan.compute(step, store, progress)
@@ -61,7 +62,8 @@ def _make(step: Step, store: ZarrStore, progress: Progress, version: str) -> Sta
     return record
 
 
-def _record(step: Step, store: ZarrStore) -> StageRecord:
+def recorded(step: Step, store: ZarrStore) -> StageRecord:
+    """The record of an artifact that the store holds."""
     facts: dict[str, Any] = store.facts(step.key)
     return StageRecord(
         step.name,

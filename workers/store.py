@@ -8,6 +8,7 @@ An artifact is written to a partial folder, synced, and renamed: a process kille
 or nothing under its name. Whatever no longer matches its manifest is made again.
 """
 
+import errno
 import fcntl
 import hashlib
 import json
@@ -16,7 +17,7 @@ import os
 import shutil
 import uuid
 from collections.abc import Iterator, Mapping, MutableMapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,8 @@ from workers import codec
 
 _log = logging.getLogger(__name__)
 _PARTIAL = ".partial-"
-_MANIFEST = "manifest.json"
+MANIFEST = "manifest.json"
+"""Name of the file that says that the others are all there."""
 _CHUNK_BYTES = 1 << 28
 """Arrays up to this size are one file: few files, and one task owns one array."""
 
@@ -39,6 +41,11 @@ class ZarrStore(MutableMapping[str, Any]):
         self.folder = Path(folder)
         self._values: dict[str, Any] = {}
         self._verified: set[str] = set()
+
+    @property
+    def place(self) -> str:
+        """What `open_store` finds this store by."""
+        return str(self.folder)
 
     def __contains__(self, key: object) -> bool:
         """Whether the artifact is there and matches its manifest; one that does not is removed."""
@@ -105,8 +112,19 @@ class ZarrStore(MutableMapping[str, Any]):
         for folder in self.folder.glob(_PARTIAL + "*"):
             shutil.rmtree(folder, ignore_errors=True)
         for key in list(self) if version is not None else []:
-            if _version(self.folder / key) != version:
+            if self.version(key) != version:
                 del self[key]
+
+    def version(self, key: str) -> str | None:
+        """The version that an artifact's manifest names; None where it names none or cannot be read."""
+        try:
+            return _read_manifest(self.folder / key).get("version")
+        except ArtifactError:
+            return None
+
+    def lock(self, out: Path | None = None) -> AbstractContextManager[None]:
+        """See `lock`."""
+        return lock(self.folder, out)
 
 
 @contextmanager
@@ -137,7 +155,7 @@ def write(folder: Path, key: str, value: Any, facts: Mapping[str, Any]) -> None:
         _write_group(partial, value)
         files = {name: _sha256(partial / name) for name in _files(partial)}
         manifest = {"key": key, "files": files, **facts}
-        (partial / _MANIFEST).write_text(json.dumps(manifest, indent=1, sort_keys=True) + "\n")
+        (partial / MANIFEST).write_text(json.dumps(manifest, indent=1, sort_keys=True) + "\n")
         _sync(partial)
         _move_into_place(partial, folder / key)
     except BaseException:
@@ -172,7 +190,7 @@ def verify(artifact: Path) -> None:
     """
     expected = _read_manifest(artifact).get("files")
     present = _files(artifact)
-    if not isinstance(expected, dict) or sorted(expected) != sorted(set(present) - {_MANIFEST}):
+    if not isinstance(expected, dict) or sorted(expected) != sorted(set(present) - {MANIFEST}):
         raise ArtifactError(f"{artifact.name} has not the files its manifest lists")
     for name, digest in expected.items():
         if _sha256(artifact / name) != digest:
@@ -214,19 +232,12 @@ def _files(folder: Path) -> list[str]:
 
 def _read_manifest(artifact: Path) -> dict[str, Any]:
     try:
-        manifest = json.loads((artifact / _MANIFEST).read_text())
+        manifest = json.loads((artifact / MANIFEST).read_text())
     except (OSError, ValueError):
         raise ArtifactError(f"{artifact.name} has no readable manifest") from None
     if not isinstance(manifest, dict):
         raise ArtifactError(f"{artifact.name} has no readable manifest")
     return manifest
-
-
-def _version(artifact: Path) -> str | None:
-    try:
-        return _read_manifest(artifact).get("version")
-    except ArtifactError:
-        return None
 
 
 def _sha256(path: Path) -> str:
@@ -245,9 +256,16 @@ def _sync(folder: Path) -> None:
 
 
 def _move_into_place(partial: Path, artifact: Path) -> None:
-    if artifact.exists():
-        shutil.rmtree(artifact)
-    partial.rename(artifact)
+    with suppress(FileNotFoundError):
+        artifact.rename(partial.with_name(f"{partial.name}-replaced"))
+    try:
+        partial.rename(artifact)
+    except OSError as error:
+        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+            raise
+        # two workers made the same artifact, and the other one was faster: the same key means the same bytes
+        shutil.rmtree(partial)
+    shutil.rmtree(partial.with_name(f"{partial.name}-replaced"), ignore_errors=True)
     descriptor = os.open(artifact.parent, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -1,0 +1,69 @@
+"""The cluster that a command line asks for: its own workers, or a scheduler that runs elsewhere."""
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+from lvba.errors import InputError
+
+if TYPE_CHECKING:
+    from workers.connection import Scheduler, Tls
+
+
+def check(arguments: argparse.Namespace) -> None:
+    """That what the command line says of a cluster can be meant.
+
+    Raises InputError: it cannot.
+    """
+    if arguments.scheduler is not None:
+        connections().at(arguments.scheduler, tls(arguments))
+    elif arguments.workers is not None:
+        connections()
+    if arguments.scheduler is None and _tls_files(arguments) != [None, None, None]:
+        raise InputError("--tls-ca", "means nothing without --scheduler", "give --scheduler tls://HOST:PORT")
+
+
+@contextmanager
+def scheduler(arguments: argparse.Namespace) -> "Iterator[Scheduler]":
+    """The scheduler of --workers or --scheduler, for as long as the block runs.
+
+    Raises InputError: Dask is not installed, or options that do not fit together.
+    """
+    connection = connections()
+    if arguments.scheduler is not None:
+        yield connection.at(arguments.scheduler, tls(arguments))
+        return
+    with connection.local(arguments.workers, arguments.threads) as own:
+        yield own
+
+
+def tls(arguments: argparse.Namespace) -> "Tls | None":
+    """What --tls-ca, --tls-cert and --tls-key say; None where they say nothing.
+
+    Raises InputError: some of them are missing.
+    """
+    given = _tls_files(arguments)
+    if given == [None, None, None]:
+        return None
+    if None in given:
+        raise InputError("--tls-ca, --tls-cert, --tls-key", "one of them is missing", "give all three")
+    return connections().Tls(*given)
+
+
+def _tls_files(arguments: argparse.Namespace) -> list[Path | None]:
+    return [arguments.tls_ca, arguments.tls_cert, arguments.tls_key]
+
+
+def connections() -> ModuleType:
+    """`workers.connection`.
+
+    Raises InputError: Dask is not installed.
+    """
+    try:
+        from workers import connection
+    except ImportError as error:
+        raise InputError("a cluster", f"needs Dask ({error})", "install lvba[cluster]") from None
+    return connection

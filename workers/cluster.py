@@ -1,0 +1,224 @@
+"""A plan on Dask: a task for each step, as soon as what it needs is there.
+
+Nothing that matters lives in Dask. What is finished is in the store; when workers, the scheduler or this process die,
+what is not there is asked for again. Futures hold a few hundred bytes.
+"""
+
+import logging
+import time
+import uuid
+from collections import Counter
+from collections.abc import Callable
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from distributed import Client, Future, KilledWorker
+
+from lvba.errors import ArtifactError
+from lvba.plan import Plan, Step
+from lvba.progress import Progress, silent
+from workers import sending, task
+from workers.connection import ClusterError, Scheduler
+from workers.local import StageRecord
+from workers.url_store import open_store
+
+_log = logging.getLogger(__name__)
+
+ATTEMPTS = 4
+"""How often a step is tried when workers or schedulers are lost under it, or files cannot be read for a moment."""
+FIRST_CONTACT_SECONDS = 10.0
+"""How long a scheduler may take to answer at first ..."""
+RECONNECT_SECONDS = 600.0
+"""... and to come back after it was lost."""
+_WAIT_SECONDS = 0.05
+_LONELY_SECONDS = 5.0
+
+
+def run(
+    work: Plan,
+    place: str,
+    scheduler: Scheduler,
+    progress: Progress = silent,
+    on_step: Callable[[Step, int, int], None] | None = None,
+    check: Callable[[], None] = lambda: None,
+) -> list[StageRecord]:
+    """Make every artifact of the plan that the store does not hold yet; one record per step, in the plan's order.
+
+    place: folder or URL of the store, as the workers see it
+    on_step: called when a step begins with the step, its index and the number of steps
+    check: called many times a second; what it raises stops the tasks and goes through
+    Raises what a step raises, after everything that does not need this step is made. ClusterError: a step that lost its
+    worker too often, or no scheduler.
+    """
+    sent = sending.send(work, open_store(place))
+    execution = Execution(work, place, sent, scheduler, progress, on_step, check)
+    try:
+        return execution.run()
+    finally:
+        execution.stop()
+
+
+def latest_progress(client: Client, topic: str) -> dict[str, dict[str, Any]]:
+    """The last thing told about each step that began: for who did not listen, or missed something."""
+    return {event["step"]: event for _, event in client.get_events(topic)}
+
+
+class Execution:
+    """One run of a plan. Only `run` and `stop` are for others."""
+
+    def __init__(
+        self,
+        work: Plan,
+        place: str,
+        sent: str,
+        scheduler: Scheduler,
+        progress: Progress,
+        on_step: Callable[[Step, int, int], None] | None,
+        check: Callable[[], None],
+    ) -> None:
+        self._work, self._place, self._sent, self._scheduler = work, place, sent, scheduler
+        self._progress, self._on_step, self._check = progress, on_step, check
+        self._numbers = {key: number for number, key in enumerate(work.steps)}
+        self._id = uuid.uuid4().hex[:12]
+        self._events: SimpleQueue[dict[str, Any]] = SimpleQueue()
+        self._records: dict[str, StageRecord] = {}
+        self._running: dict[str, Future] = {}
+        self._failures: dict[str, Exception] = {}
+        self._attempts: Counter[str] = Counter()
+        self._begun: set[str] = set()
+        self._client: Client = self._connect(FIRST_CONTACT_SECONDS)
+        self._heard = time.monotonic()
+
+    def run(self) -> list[StageRecord]:
+        """See `run` of the module."""
+        while True:
+            self._submit_what_is_ready()
+            if not self._running:
+                break
+            self._check()
+            self._tell_progress()
+            self._settle_what_is_done()
+            time.sleep(_WAIT_SECONDS)
+        for key in self._work.steps:
+            if key in self._failures:
+                raise self._failures[key]
+        return [self._records[key] for key in self._work.steps]
+
+    def stop(self) -> None:
+        """Take back what still runs; workers notice at their next report of progress."""
+        if self._running and self._client.status == "running":
+            self._client.cancel(list(self._running.values()), force=True, asynchronous=False)
+        self._client.close(timeout=1)
+
+    # the frontier
+
+    def _submit_what_is_ready(self) -> None:
+        for key, step in self._work.steps.items():
+            if not (key in self._records or key in self._running or key in self._failures) and all(
+                needed in self._records for needed in step.needs
+            ):
+                self._submit(step)
+
+    def _submit(self, step: Step) -> None:
+        self._attempts[step.key] += 1
+        if self._attempts[step.key] > ATTEMPTS:
+            self._failures[step.key] = ClusterError(
+                f"{step.name}: lost {ATTEMPTS} times; see the workers' logs"
+            )
+            return
+        self._running[step.key] = self._client.submit(
+            task.make,
+            self._place,
+            self._sent,
+            step.key,
+            step.function,
+            self._topic,
+            key=f"{step.key}-{self._id}-{self._attempts[step.key]}",
+            pure=False,
+            priority=-self._numbers[step.key],
+        )
+
+    def _settle_what_is_done(self) -> None:
+        if any(future.cancelled() for future in self._running.values()) or self._client.status != "running":
+            self._start_over()
+        for key in [key for key, future in self._running.items() if future.done()]:
+            future = self._running.pop(key)
+            if future.status == "finished":
+                self._accept(key, future.result())
+            else:
+                self._fail(key, future.exception())
+
+    def _accept(self, key: str, outcome: dict[str, Any]) -> None:
+        if "record" in outcome:
+            self._records[key] = StageRecord(**outcome["record"])
+            return
+        for missing in outcome["missing"]:
+            _log.warning("%s is gone; it is made again", missing)
+            self._records.pop(missing, None)
+
+    def _fail(self, key: str, error: Exception) -> None:
+        name = self._work.steps[key].name
+        if isinstance(error, KilledWorker):
+            reason = "most often for lack of memory: give the workers more, or the recording in parts"
+            self._failures[key] = ClusterError(f"{name}: its worker process died again and again, {reason}")
+        elif self._may_pass(error) and self._attempts[key] < ATTEMPTS:
+            _log.warning("%s is tried again (%s)", name, error)
+        else:
+            self._failures[key] = error
+
+    def _may_pass(self, error: Exception) -> bool:
+        """Whether trying again makes sense: never for what the user gave or what the method found."""
+        return isinstance(error, OSError | ArtifactError | task.UnwantedError)
+
+    # the connection
+
+    @property
+    def _topic(self) -> str:
+        return f"lvba-{self._id}"
+
+    def _connect(self, seconds: float) -> Client:
+        client = self._scheduler.connect(seconds, self._check)
+        client.subscribe_topic(self._topic, lambda event: self._events.put(event[1]))
+        return client
+
+    def _start_over(self) -> None:
+        """The scheduler is gone, and with it everything that it knew."""
+        _log.warning("lost the scheduler at %s; waiting for it to come back", self._scheduler.address)
+        self._running.clear()
+        self._client.close(timeout=1)
+        self._client = self._connect(RECONNECT_SECONDS)
+        self._heard = time.monotonic()
+
+    # what people see
+
+    def _tell_progress(self) -> None:
+        try:
+            while True:
+                self._tell(self._events.get_nowait())
+        except Empty:
+            self._say_if_lonely()
+
+    def _tell(self, event: dict[str, Any]) -> None:
+        self._heard = time.monotonic()
+        key = event["step"]
+        step = self._work.steps[key]
+        if not event["what"]:
+            self._begin(step, event["process"])
+        elif key in self._running:
+            what = event["what"] if len(self._running) == 1 else f"{step.name}: {event['what']}"
+            self._progress(what, event["done"], event["total"])
+
+    def _begin(self, step: Step, process: int) -> None:
+        if step.key in self._begun:
+            _log.warning("%s begins again", step.name)
+        self._begun.add(step.key)
+        _log.debug("%s begins in process %d", step.name, process)
+        if self._on_step is not None:
+            self._on_step(step, self._numbers[step.key], len(self._work.steps))
+
+    def _say_if_lonely(self) -> None:
+        if time.monotonic() - self._heard < _LONELY_SECONDS:
+            return
+        self._heard = float("inf")
+        if not self._client.scheduler_info()["workers"]:
+            _log.warning("no workers at %s yet; waiting for them", self._scheduler.address)

@@ -1,0 +1,65 @@
+"""What a worker process may use: one step at a time, its share of the threads, its share of the memory."""
+
+import contextlib
+import logging
+import signal
+from typing import Any
+
+import dask
+from distributed import WorkerPlugin
+from distributed.system import MEMORY_LIMIT
+
+_CONFIG = {
+    # what is kept between steps is a few hundred bytes: there is nothing to spill, and a process that holds memory
+    # after a large step must go on taking tasks; only the hard limit counts
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.memory.terminate": 0.95,
+    # compiled code may hold the interpreter for minutes
+    "distributed.scheduler.worker-ttl": "30 minutes",
+    "distributed.scheduler.allowed-failures": 3,
+    "distributed.admin.tick.limit": "10 minutes",
+    "distributed.logging.distributed": "critical",
+}
+
+
+def configure() -> None:
+    """Set what the processes started from here, and this one, hold themselves to."""
+    dask.config.set(_CONFIG)
+    quiet()
+
+
+def quiet() -> None:
+    """Dask's own messages are not for people who run a recording; what matters is told by the driver."""
+    for name in (
+        "distributed",
+        "distributed.nanny",
+        "distributed.worker",
+        "distributed.scheduler",
+        "tornado",
+    ):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+
+
+def memory_share(processes: int) -> int:
+    """Bytes for each of so many worker processes on this machine (or within this container's limit)."""
+    return int(MEMORY_LIMIT / processes)
+
+
+class Limits(WorkerPlugin):
+    """Threads of the libraries in a worker process: numba's limit (NUMBA_NUM_THREADS) for all."""
+
+    name = "lvba-limits"
+    idempotent = True
+
+    def setup(self, worker: Any) -> None:
+        """Called in the worker process when it joins."""
+        import cv2
+        import numba
+
+        cv2.setNumThreads(numba.get_num_threads())
+        quiet()
+        # Ctrl-C reaches every process of a terminal: the driver alone decides what it means
+        with contextlib.suppress(ValueError):
+            signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,0 +1,89 @@
+"""One step of a plan as a task: what a worker process does, and how it tells of it."""
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any
+
+from distributed import get_worker
+
+from lvba.errors import InputError
+from workers import local, sending, versions
+from workers.url_store import open_store
+
+_ALONE = threading.Lock()
+"""numba's simplest threading layer ends the process when two threads enter it: one step at a time in each process."""
+_TELL_SECONDS = 0.25
+
+
+class UnwantedError(Exception):
+    """Nobody waits for this step any more: it was canceled, or its driver is gone."""
+
+
+def make(place: str, sent: str, key: str, function: Callable[..., Any], topic: str) -> dict[str, Any]:
+    """Make one artifact, unless it is there already.
+
+    place, sent: the store, and the key there of the plan (see `sending`)
+    topic: where progress is told
+    Returns a few hundred bytes: {"record": fields of a StageRecord}, or {"missing": keys} of inputs that are not there
+    (any more).
+    """
+    with _ALONE:
+        store = open_store(place)
+        try:
+            step, version = sending.receive(store, sent, key, function)
+        except KeyError:
+            raise _unseen(place) from None
+        _check_version(version)
+        report = Reporter(topic, key)
+        report("", 0, 0)
+        if key in store:
+            return {"record": asdict(local.recorded(step, store))}
+        missing = [needed for needed in step.needs if needed not in store]
+        if missing:
+            return {"missing": missing}
+        return {"record": asdict(local.make(step, store, report, version))}
+
+
+class Reporter:
+    """Progress of the task that is running in this thread, as events of the scheduler. Raises UnwantedError."""
+
+    def __init__(self, topic: str, step: str) -> None:
+        self._worker = get_worker()
+        self._task = self._worker.get_current_task()
+        self._topic, self._step = topic, step
+        self._what: str | None = None
+        self._began = self._told = 0.0
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        if self._is_unwanted():
+            raise UnwantedError(self._step)
+        now = time.monotonic()
+        if what != self._what:
+            self._what, self._began, self._told = what, now, 0.0
+        if now - self._told >= _TELL_SECONDS:
+            self._told = now
+            self._tell({"what": what, "done": done, "total": total, "seconds": round(now - self._began, 3)})
+
+    def _tell(self, facts: dict[str, Any]) -> None:
+        self._worker.log_event(self._topic, {"step": self._step, "process": os.getpid(), **facts})
+
+    def _is_unwanted(self) -> bool:
+        """The scheduler takes a task back when it is canceled and when its client is gone; the thread must ask."""
+        task = self._worker.state.tasks.get(self._task)
+        return task is None or task.state != "executing" or self._worker.status.name != "running"
+
+
+def _unseen(place: str) -> InputError:
+    where = f"{place}, seen from {get_worker().address}"
+    return InputError(
+        where, "does not hold the plan", "choose a folder that all machines share, or a URL, with --store"
+    )
+
+
+def _check_version(version: str) -> None:
+    if version != versions.key_version():
+        where = f"worker {get_worker().address}"
+        raise InputError(where, "has another version of lvba than the driver", "install the same on both")

@@ -1,0 +1,85 @@
+"""A worker process that outlives its schedulers: it joins the next one that answers at the address."""
+
+import asyncio
+import contextlib
+import logging
+import signal
+from collections.abc import Callable
+from typing import Any
+
+from distributed import Nanny
+from distributed.comm import get_address_host
+from distributed.security import Security
+from distributed.utils import get_ip
+
+from workers import limits
+
+_log = logging.getLogger(__name__)
+_PAUSE_SECONDS = 1.0
+
+
+def serve(address: str, security: Security, memory_bytes: int | None, say: Callable[[str], None]) -> None:
+    """Work for the scheduler at the address until SIGTERM or SIGINT.
+
+    memory_bytes: above it the worker process is ended and begins anew; None: all that this machine or container has
+    A worker that loses its scheduler ends; here a new one then waits for a scheduler to come back.
+    """
+    limits.configure()
+    asyncio.run(_serve(address, security, memory_bytes or limits.memory_share(1), say))
+
+
+async def _serve(address: str, security: Security, memory_bytes: int, say: Callable[[str], None]) -> None:
+    told = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, told.set)
+    stop = asyncio.create_task(told.wait())
+    say(f"waiting for the scheduler at {address}")
+    while not told.is_set():
+        await _one_life(address, security, memory_bytes, stop, say)
+        await asyncio.wait([stop], timeout=_PAUSE_SECONDS)
+
+
+async def _one_life(
+    address: str,
+    security: Security,
+    memory_bytes: int,
+    stop: "asyncio.Task[bool]",
+    say: Callable[[str], None],
+) -> None:
+    """Until the scheduler is lost, or somebody says stop."""
+    nanny = Nanny(
+        address,
+        nthreads=1,
+        # the interface that leads to the scheduler, not every one
+        host=get_ip(get_address_host(address)),
+        memory_limit=memory_bytes,
+        security=security,
+        # metrics and a page about the worker, without any check of who asks: for this machine only
+        dashboard_address="127.0.0.1:0",
+        plugins=[limits.Limits()],
+        silence_logs=logging.CRITICAL,
+    )
+    try:
+        if not await _first(asyncio.ensure_future(nanny.start()), stop):
+            return
+        say(f"working for {address}, with at most {memory_bytes / 1e9:.1f} GB")
+        await _first(asyncio.ensure_future(nanny.finished()), stop)
+        say(f"{'stopped' if stop.done() else 'lost the scheduler'}")
+    except OSError as error:
+        _log.info("%s", error)
+    finally:
+        with contextlib.suppress(OSError):
+            await nanny.close(timeout=1)
+
+
+async def _first(work: "asyncio.Future[Any]", stop: "asyncio.Task[bool]") -> bool:
+    """Whether the work ended before the stop; its error goes through."""
+    both: set[asyncio.Future[Any]] = {work, stop}
+    await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
+    if not work.done():
+        work.cancel()
+        with contextlib.suppress(asyncio.CancelledError, OSError):
+            await work
+        return False
+    work.result()
+    return True
