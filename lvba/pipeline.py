@@ -55,7 +55,7 @@ def refine(
         config.visual,
         config.refine_cameras,
     )
-    scores = plan.add("evaluate", stages.evaluate, dataset, scans, visual, config.evaluate)
+    scores = plan.add("evaluate", stages.evaluate, dataset, scans, visual, config.evaluate, config.gate)
     accepted = plan.add("visual-gate", stages.decide, dataset, scans, visual, scores, config.gate)
     plan.add("map", stages.color_map, dataset, accepted, config.map)
     plan.add("pictures", stages.make_pictures, dataset, accepted, scores, config.evaluate)

@@ -1,6 +1,7 @@
 """The stages of the chain as plain functions: each reads what it needs from the recording and the stages before it."""
 
 import dataclasses
+import weakref
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -213,9 +214,13 @@ def evaluate(
     scans: ScanPoses,
     visual: VisualStage,
     config: EvaluateConfig,
+    gates: GateConfig,
     progress: Progress = silent,
 ) -> dict[str, Scores]:
-    """The scores of the input and of what each stage made of it, by name (see `lvba.gate`); empty without images."""
+    """The scores of the input and of what each stage made of it, by name (see `lvba.gate`); empty without images.
+
+    Of states that are neither input nor result there are only the figures that decide; the others are NaN.
+    """
     if not dataset.image_paths:
         return {}
     clouds = {ROUGH: cloud_of(dataset, dataset.scans.world_from_sensor, progress)}
@@ -234,7 +239,11 @@ def evaluate(
     entropies = {ROUGH: scans.entropy_rough}
     if scans.verdict.accepted:
         entropies[CARRIED] = scans.entropy_refined
-    return evaluation.evaluate(states, config, entropies=entropies, progress=progress)
+    between = {CARRIED, EXPOSED} if VISUAL in states else set()
+    scores = evaluation.evaluate(states, config, entropies=entropies, brief=between, progress=progress)
+    if choose(scores, visual, gates)[0] in between:
+        scores = evaluation.evaluate(states, config, entropies=entropies, progress=progress)
+    return scores
 
 
 def camera_states(
@@ -250,15 +259,22 @@ def camera_states(
     return states
 
 
+def choose(
+    scores: Mapping[str, Scores], visual: VisualStage, config: GateConfig
+) -> tuple[str, Verdict, Verdict]:
+    """The state that what the visual stage found is used in, with the verdicts on its camera poses and exposures."""
+    cameras = exposures = Verdict(False, f"input kept: {visual.problem}")
+    if visual.result is not None:
+        cameras, exposures = gate.judge_cameras(dict(scores), config)
+    return VISUAL if cameras.accepted else EXPOSED if exposures.accepted else CARRIED, cameras, exposures
+
+
 def decide(
     dataset: Dataset, scans: ScanPoses, visual: VisualStage, scores: Mapping[str, Scores], config: GateConfig
 ) -> Accepted:
     """The state that predicts the images best, never worse than the input."""
     states = camera_states(dataset, scans, visual)
-    cameras = exposures = Verdict(False, f"input kept: {visual.problem}")
-    if visual.result is not None:
-        cameras, exposures = gate.judge_cameras(dict(scores), config)
-    chosen = VISUAL if cameras.accepted else EXPOSED if exposures.accepted else CARRIED
+    chosen, cameras, exposures = choose(scores, visual, config)
     remark = ""
     if scores:
         verdict = gate.judge_all(scores[ROUGH], scores[chosen], config)
@@ -272,7 +288,7 @@ def decide(
 def views_of(dataset: Dataset) -> Views:
     """The undistorted images at their rough poses, all equally exposed."""
     return Views(
-        load=Undistorted(dataset),
+        load=undistorted(dataset),
         camera=dataset.camera.undistorted(),
         times=dataset.images.times,
         world_from_camera=dataset.images.world_from_sensor,
@@ -302,6 +318,22 @@ class Undistorted:
         if len(self._kept) < self._capacity:
             self._kept[index] = picture
         return picture
+
+
+_UNDISTORTED: dict[int, Undistorted] = {}
+
+
+def undistorted(dataset: Dataset) -> Undistorted:
+    """The undistorted images of a recording, the same for all stages, so that those kept are decoded once.
+
+    They go when the recording goes.
+    """
+    key = id(dataset)
+    if key not in _UNDISTORTED:
+        # of a copy: images that held on to the recording itself would never let it go
+        _UNDISTORTED[key] = Undistorted(dataclasses.replace(dataset))
+        weakref.finalize(dataset, _UNDISTORTED.pop, key, None)
+    return _UNDISTORTED[key]
 
 
 def color_map(

@@ -1,61 +1,125 @@
-"""Sums behind PSNR and SSIM, one image at a time; meant to run in several threads, one image each."""
+"""Sums behind PSNR and SSIM, one image at a time; meant to run in several threads, one image each.
+
+An image is walked once, row by row, so that all but the image itself stays in the processor's cache. Regions are the
+bits of a byte per pixel. Sums go down the columns first: those of one row do not wait for each other, and the compiler
+takes many at a time.
+"""
 
 import numpy as np
 from numba import njit
 
 _C1, _C2 = np.float32((0.01 * 255.0) ** 2), np.float32((0.03 * 255.0) ** 2)
-MIDDLE = np.float32(128.0)
+_MIDDLE = np.float32(128.0)
+_FIELDS = 8
+WINDOW = 11
+"""Edge of the windows of SSIM, px."""
+REGIONS = 3
+"""Bits of a region that are looked at. The first is the part of the image that is covered."""
 
 
 @njit(cache=True, nogil=True)
 def luma(color: np.ndarray, out: np.ndarray) -> None:
-    """Writes luma less 128, (H, W) float32, of an image (H, W, 3): round zero, float32 keeps variances exact enough."""
-    for row in range(color.shape[0]):
-        for column in range(color.shape[1]):
-            red, green, blue = color[row, column, 0], color[row, column, 1], color[row, column, 2]
-            value = np.float32(0.299) * np.float32(red) + np.float32(0.587) * np.float32(green)
-            out[row, column] = value + np.float32(0.114) * np.float32(blue) - MIDDLE
+    """Writes luma less 128, (W,) float32, of a row of pixels (W, 3): round zero, float32 keeps variances exact enough."""
+    for column in range(len(color)):
+        red, green, blue = color[column, 0], color[column, 1], color[column, 2]
+        value = np.float32(0.299) * np.float32(red) + np.float32(0.587) * np.float32(green)
+        out[column] = value + np.float32(0.114) * np.float32(blue) - _MIDDLE
 
 
 @njit(cache=True, nogil=True)
-def squared_error(raw: np.ndarray, color: np.ndarray, squared: np.ndarray) -> None:
-    """Writes the squared difference (H, W) float32, mean of the channels, of (H, W, 3) uint8 and float32 images."""
+def image_luma(color: np.ndarray) -> np.ndarray:
+    """Luma less 128, (H, W) float32, of an image (H, W, 3)."""
+    out = np.empty(color.shape[:2], np.float32)
+    for row in range(len(color)):
+        luma(color[row], out[row])
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _square(raw: np.ndarray, color: np.ndarray, out: np.ndarray) -> None:
+    """Writes the squared difference (W,) float32, mean of the channels, of two rows of pixels (W, 3)."""
     third = np.float32(1.0 / 3.0)
-    for row in range(raw.shape[0]):
-        for column in range(raw.shape[1]):
-            total = np.float32(0.0)
-            for c in range(3):
-                difference = color[row, column, c] - np.float32(raw[row, column, c])
-                total += difference * difference
-            squared[row, column] = total * third
+    for column in range(len(raw)):
+        red = color[column, 0] - np.float32(raw[column, 0])
+        green = color[column, 1] - np.float32(raw[column, 1])
+        blue = color[column, 2] - np.float32(raw[column, 2])
+        out[column] = (red * red + green * green + blue * blue) * third
 
 
 @njit(cache=True, nogil=True)
-def moments(
-    raw: np.ndarray,
-    x: np.ndarray,
-    color: np.ndarray,
-    covered: np.ndarray,
-    fields: np.ndarray,
-    squared: np.ndarray,
-) -> None:
-    """Writes the fields (6, H, W) float32 whose Gaussian means SSIM needs, and the squared error (H, W) float32.
+def _add(values: np.ndarray, regions: np.ndarray, sums: np.ndarray) -> None:
+    """Adds a row's values (W,) to the sums (REGIONS, W) float64 of the regions (W,) that they are in."""
+    zero = np.float32(0.0)
+    for region in range(REGIONS):
+        flag, line = np.uint8(1 << region), sums[region]
+        for column in range(len(values)):
+            line[column] += np.float64(values[column] if regions[column] & flag else zero)
 
-    raw: (H, W, 3) uint8; x: (H, W) float32, its luma - 128; color: (H, W, 3) float32; covered: (H, W) bool.
-    fields: mask, x, x x, y, y y, x y, all zero outside the mask; squared: mean over the channels
+
+@njit(cache=True, nogil=True)
+def _total(sums: np.ndarray) -> np.ndarray:
+    """(REGIONS,) float64, from column to column."""
+    totals = np.zeros(REGIONS)
+    for region in range(REGIONS):
+        for column in range(sums.shape[1]):
+            totals[region] += sums[region, column]
+    return totals
+
+
+@njit(cache=True, nogil=True)
+def count(regions: np.ndarray, border: int) -> np.ndarray:
+    """Pixels (REGIONS,) float64 in each region, `border` pixels at each side of the image left out."""
+    inner = regions[border : regions.shape[0] - border, border : regions.shape[1] - border]
+    sums, ones = np.zeros((REGIONS, inner.shape[1])), np.ones(inner.shape[1], np.float32)
+    for row in range(inner.shape[0]):
+        _add(ones, inner[row], sums)
+    return _total(sums)
+
+
+@njit(cache=True, nogil=True)
+def squared_error(raw: np.ndarray, color: np.ndarray, regions: np.ndarray) -> np.ndarray:
+    """Sums (REGIONS,) float64 of the squared difference, mean of the channels, of (H, W, 3) uint8 and float32 images.
+
+    regions: (H, W) uint8
     """
-    luma(color, fields[3])
-    squared_error(raw, color, squared)
-    for row in range(raw.shape[0]):
-        for column in range(raw.shape[1]):
-            mask = np.float32(covered[row, column])
-            a, b = x[row, column] * mask, fields[3, row, column] * mask
-            fields[0, row, column] = mask
-            fields[1, row, column] = a
-            fields[2, row, column] = a * a
-            fields[3, row, column] = b
-            fields[4, row, column] = b * b
-            fields[5, row, column] = a * b
+    height, width = regions.shape
+    sums, squared = np.zeros((REGIONS, width)), np.empty(width, np.float32)
+    for row in range(height):
+        _square(raw[row], color[row], squared)
+        _add(squared, regions[row], sums)
+    return _total(sums)
+
+
+@njit(cache=True, nogil=True)
+def _moments(x: np.ndarray, y: np.ndarray, regions: np.ndarray, fields: np.ndarray) -> None:
+    """Writes a row (8, W) float32: x, x x; then over the covered pixels: 1, x, x x, y, y y, x y. x, y: luma - 128."""
+    for column in range(len(x)):
+        mask = np.float32(regions[column] & 1)
+        a, b = x[column] * mask, y[column] * mask
+        fields[0, column] = x[column]
+        fields[1, column] = x[column] * x[column]
+        fields[2, column] = mask
+        fields[3, column] = a
+        fields[4, column] = a * a
+        fields[5, column] = b
+        fields[6, column] = b * b
+        fields[7, column] = a * b
+
+
+@njit(cache=True, nogil=True)
+def _blur(values: np.ndarray, step: int, taps: np.ndarray, out: np.ndarray) -> None:
+    """Writes sums of the values i, i + step, ... i + 10 step, weighted by the taps (11,), which are symmetric."""
+    n = len(out)
+    t0, t1, t2, t3, t4, t5 = taps[0], taps[1], taps[2], taps[3], taps[4], taps[5]
+    a0, b0 = values[:n], values[10 * step : 10 * step + n]
+    a1, b1 = values[step : step + n], values[9 * step : 9 * step + n]
+    a2, b2 = values[2 * step : 2 * step + n], values[8 * step : 8 * step + n]
+    a3, b3 = values[3 * step : 3 * step + n], values[7 * step : 7 * step + n]
+    a4, b4 = values[4 * step : 4 * step + n], values[6 * step : 6 * step + n]
+    middle = values[5 * step : 5 * step + n]
+    for i in range(n):
+        near = t5 * middle[i] + t4 * (a4[i] + b4[i]) + t3 * (a3[i] + b3[i])
+        out[i] = near + t2 * (a2[i] + b2[i]) + t1 * (a1[i] + b1[i]) + t0 * (a0[i] + b0[i])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -66,46 +130,56 @@ def _ssim(
     two = np.float32(2.0)
     variances = (square_x - mean_x * mean_x) + (square_y - mean_y * mean_y)
     covariance = product - mean_x * mean_y
-    x, y = mean_x + MIDDLE, mean_y + MIDDLE
+    x, y = mean_x + _MIDDLE, mean_y + _MIDDLE
     return ((two * x * y + _C1) * (two * covariance + _C2)) / ((x * x + y * y + _C1) * (variances + _C2))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def ssim(
-    means: np.ndarray, mean_x: np.ndarray, square_x: np.ndarray, whole: np.ndarray, alone: np.ndarray
-) -> None:
-    """Writes SSIM maps (H, W) float32: whole windows with holes black, and the covered pixels of each window alone.
-
-    means: (6, H, W) float32, Gaussian means of the fields; mean_x, square_x: (H, W), of x and x x without mask
-    """
+def _ssim_row(means: np.ndarray, whole: np.ndarray, alone: np.ndarray) -> None:
+    """Writes the SSIM of a row, (W,) float32 each, from the means (8, W) of the fields of `_moments`."""
     one = np.float32(1.0)
-    for row in range(whole.shape[0]):
-        for column in range(whole.shape[1]):
-            weight, xm, xx = means[0, row, column], means[1, row, column], means[2, row, column]
-            ym, yy, xy = means[3, row, column], means[4, row, column], means[5, row, column]
-            # black is -128 here: what holes add to the means of y, y y and x y
-            hole = MIDDLE * (one - weight)
-            hole_x = MIDDLE * (mean_x[row, column] - xm)
-            whole[row, column] = _ssim(
-                mean_x[row, column], ym - hole, square_x[row, column], yy + MIDDLE * hole, xy - hole_x
-            )
-            scale = one / max(weight, np.float32(1e-6))
-            alone[row, column] = _ssim(xm * scale, ym * scale, xx * scale, yy * scale, xy * scale)
+    for column in range(len(whole)):
+        mean_x, square_x, weight = means[0, column], means[1, column], means[2, column]
+        xm, xx, ym, yy = means[3, column], means[4, column], means[5, column], means[6, column]
+        xy = means[7, column]
+        # black is -128 here: what holes add to the means of y, y y and x y
+        hole = _MIDDLE * (one - weight)
+        hole_x = _MIDDLE * (mean_x - xm)
+        whole[column] = _ssim(mean_x, ym - hole, square_x, yy + _MIDDLE * hole, xy - hole_x)
+        scale = one / max(weight, np.float32(1e-6))
+        alone[column] = _ssim(xm * scale, ym * scale, xx * scale, yy * scale, xy * scale)
 
 
 @njit(cache=True, nogil=True)
-def masked_sum(values: np.ndarray, mask: np.ndarray, border: int) -> tuple[float, int]:
-    """Sum (float64) and number of the values inside a mask, `border` pixels at each side left out."""
-    height, width = mask.shape
-    # by column first: sums of one column do not wait for each other, so that the compiler takes many at a time
-    totals, counts = np.zeros(width, np.float64), np.zeros(width, np.int32)
-    for row in range(border, height - border):
-        for column in range(border, width - border):
-            inside = np.int32(mask[row, column])
-            totals[column] += np.float64(values[row, column]) * np.float64(inside)
-            counts[column] += inside
-    total, count = 0.0, 0
-    for column in range(border, width - border):
-        total += totals[column]
-        count += counts[column]
-    return total, count
+def ssim(
+    x: np.ndarray, color: np.ndarray, regions: np.ndarray, taps: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sums (REGIONS,) float64 of SSIM: whole windows with holes black, and the covered pixels of each window alone.
+
+    x: (H, W) float32, luma - 128 of the raw image; color: (H, W, 3) float32; regions: (H, W) uint8; taps: (11,) float32,
+    the window in one direction. Pixels whose window does not fit into the image are left out.
+    """
+    height, width = regions.shape
+    half = WINDOW // 2
+    inner = max(width - WINDOW + 1, 0)
+    y, fields = np.empty(width, np.float32), np.empty((_FIELDS, width), np.float32)
+    # every row stands in it twice, so that the last eleven always follow each other
+    rows = np.empty((2 * WINDOW, _FIELDS * inner), np.float32)
+    means = np.empty((_FIELDS, inner), np.float32)
+    whole, alone = np.empty(inner, np.float32), np.empty(inner, np.float32)
+    whole_sums, alone_sums = np.zeros((REGIONS, inner)), np.zeros((REGIONS, inner))
+    for row in range(height):
+        luma(color[row], y)
+        _moments(x[row], y, regions[row], fields)
+        slot = row % WINDOW
+        for field in range(_FIELDS):
+            _blur(fields[field], 1, taps, rows[slot, field * inner : (field + 1) * inner])
+        rows[slot + WINDOW] = rows[slot]
+        if row < WINDOW - 1:
+            continue
+        _blur(rows[slot + 1 : slot + 1 + WINDOW].ravel(), _FIELDS * inner, taps, means.ravel())
+        _ssim_row(means, whole, alone)
+        center = regions[row - half, half : half + inner]
+        _add(whole, center, whole_sums)
+        _add(alone, center, alone_sums)
+    return _total(whole_sums), _total(alone_sums)

@@ -205,25 +205,32 @@ def judge(
     for name, rendering in renderings.items():
         row = dict.fromkeys(_FIGURES, float("nan"))
         row["coverage_common"] = int(np.count_nonzero(common)) / pixels
-        for variant, suffix in _SUFFIX.items():
+        for variant in _SUFFIX:
             covered = rendering.covered[variant] & valid
-            row[f"coverage{suffix}"] = int(np.count_nonzero(covered)) / pixels
-            if name in brief:
-                squared = metrics.squared_error(raw, rendering.color[variant]) if variant == OTHERS else None
-            else:
-                found = metrics.compare(raw, rendering.color[variant], covered)
-                squared = found.squared
-                row[f"psnr_full{suffix}"] = metrics.psnr(squared, valid)
-                row[f"ssim{suffix}"] = metrics.mean_ssim(found.ssim_alone, covered)
-                row[f"ssim_full{suffix}"] = metrics.mean_ssim(found.ssim_whole, valid)
-                if variant == OTHERS:
-                    row["ssim_common"] = metrics.mean_ssim(found.ssim_alone, common)
-            if squared is not None:
-                row[f"psnr{suffix}"] = metrics.psnr(squared, covered)
-                if variant == OTHERS:
-                    row["psnr_common"] = metrics.psnr(squared, common)
+            row[f"coverage{_SUFFIX[variant]}"] = int(np.count_nonzero(covered)) / pixels
+            bits = metrics.regions(covered, valid, common)
+            if name not in brief:
+                row |= _figures(metrics.compare(raw, rendering.color[variant], bits), variant)
+            elif variant == OTHERS:
+                row["psnr_leave_one_out"], _, row["psnr_common"] = metrics.psnr(
+                    raw, rendering.color[variant], bits
+                )
         rows[name] = row
     return rows
+
+
+def _figures(found: metrics.Comparison, variant: int) -> dict[str, float]:
+    """The figures of one variant of a rendering; regions: covered, valid, common."""
+    suffix = _SUFFIX[variant]
+    row = {
+        f"psnr{suffix}": found.psnr[0],
+        f"psnr_full{suffix}": found.psnr[1],
+        f"ssim{suffix}": found.ssim_alone[0],
+        f"ssim_full{suffix}": found.ssim_whole[1],
+    }
+    if variant == OTHERS:
+        row |= {"psnr_common": found.psnr[2], "ssim_common": found.ssim_alone[2]}
+    return {name: float(value) for name, value in row.items()}
 
 
 def _scores(

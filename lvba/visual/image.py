@@ -112,7 +112,7 @@ def undistort(rgb: np.ndarray, camera: Camera) -> np.ndarray:
 def grey(rgb: np.ndarray) -> np.ndarray:
     """Linear luma (0.299, 0.587, 0.114) of an (H, W, 3) uint8 image, (H, W) uint8; 255 where any channel is clipped."""
     luma = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
-    luma[rgb.max(axis=2) >= SATURATED] = 255
+    luma[cv2.inRange(rgb, (0, 0, 0), (SATURATED - 1,) * 3) == 0] = 255
     return luma
 
 
