@@ -13,8 +13,10 @@ from numba import njit, prange
 
 from lvba.kernels.point_cluster import add_cluster, eigen3, rotate_scatter
 
-COLUMNS = 8
-"""Numbers kept per column of W: 6, padded so that a column fills whole vector registers."""
+TILE = 12
+"""Neighboring scans whose parts of W share a panel: enough of them to fill whole vector registers."""
+_WIDTH = 6 * TILE
+_ROWS = 3
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -69,21 +71,25 @@ def linearize(
     center: np.ndarray,
     values: np.ndarray,
     vectors: np.ndarray,
+    panel: np.ndarray,
+    panels: int,
     exact: bool,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gradient (S, 6), diagonal part D (S, 6, 6) and the columns of W (O, 3, 8) of sum_f N lam0.
+    """Gradient (S, 6), diagonal part D (S, 6, 6) and W of sum_f N lam0, in panels: (P, 3, 6 TILE).
 
     scan_starts: (S + 1,) int64, scan s owns observations by_scan[scan_starts[s]:scan_starts[s + 1]]; feature: (O,) int32;
-    total, center, values, vectors: of `fit` at the same poses. exact: False drops what depends on the residuals
-    (Gauss-Newton with the planes eliminated): never indefinite, for poses far from the solution.
+    total, center, values, vectors: of `fit` at the same poses; panel: (O,) int32, where the observation's part of W
+    goes, in the place of its scan in the tile. exact: False drops what depends on the residuals (Gauss-Newton with the
+    planes eliminated): never indefinite, for poses far from the solution.
     """
     scans = len(scan_starts) - 1
     share = 1.0 if exact else 0.0
     gradient = np.zeros((scans, 6))
     diagonal = np.zeros((scans, 6, 6))
-    columns = np.zeros((len(feature), 3, COLUMNS))
+    columns = np.zeros((panels, 3, _WIDTH))
     for s in prange(scans):
         r = rotation[s]
+        x, y = 6 * (s % TILE), 6 * (s % TILE) + 3
         lever = np.empty(3)
         moved = np.empty(6)
         turned = np.empty(6)
@@ -115,24 +121,19 @@ def linearize(
             b[1] = n * (lever[2] * u0[0] - lever[0] * u0[2])
             b[2] = n * (lever[0] * u0[1] - lever[1] * u0[0])
             scale = np.sqrt(2.0 / total[f])
+            w = columns[panel[o]]
             for a in range(3):
-                columns[o, 0, a] = scale * b[a]
-                columns[o, 0, 3 + a] = scale * n * u0[a]
+                w[0, x + a] = scale * b[a]
+                w[0, y + a] = scale * n * u0[a]
             for j in range(1, 3):
                 u, qj = vectors[f, j], q[j]
                 gap = values[f, j] - share * values[f, 0]
                 scale = np.sqrt(2.0 / (total[f] * gap)) if gap > 0.0 else 0.0
-                columns[o, j, 0] = scale * (
-                    qj[1] * u0[2] - qj[2] * u0[1] + share * (q0[1] * u[2] - q0[2] * u[1])
-                )
-                columns[o, j, 1] = scale * (
-                    qj[2] * u0[0] - qj[0] * u0[2] + share * (q0[2] * u[0] - q0[0] * u[2])
-                )
-                columns[o, j, 2] = scale * (
-                    qj[0] * u0[1] - qj[1] * u0[0] + share * (q0[0] * u[1] - q0[1] * u[0])
-                )
+                w[j, x] = scale * (qj[1] * u0[2] - qj[2] * u0[1] + share * (q0[1] * u[2] - q0[2] * u[1]))
+                w[j, x + 1] = scale * (qj[2] * u0[0] - qj[0] * u0[2] + share * (q0[2] * u[0] - q0[0] * u[2]))
+                w[j, x + 2] = scale * (qj[0] * u0[1] - qj[1] * u0[0] + share * (q0[0] * u[1] - q0[1] * u[0]))
                 for a in range(3):
-                    columns[o, j, 3 + a] = scale * (ue[j] * u0[a] + share * ue[0] * u[a])
+                    w[j, y + a] = scale * (ue[j] * u0[a] + share * ue[0] * u[a])
             gradient[s, 0] += 2.0 * (q0[1] * u0[2] - q0[2] * u0[1])
             gradient[s, 1] += 2.0 * (q0[2] * u0[0] - q0[0] * u0[2])
             gradient[s, 2] += 2.0 * (q0[0] * u0[1] - q0[1] * u0[0])
@@ -165,47 +166,68 @@ def linearize(
     return gradient, diagonal, columns
 
 
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _add_rows(block: np.ndarray, x: int, own: np.ndarray, other: np.ndarray) -> None:
+    """Rows x to x + _ROWS of own' other onto those of the block; together, so that `other` is loaded once."""
+    row0, row1, row2 = block[x], block[x + 1], block[x + 2]
+    a0, a1, a2 = own[0, x], own[1, x], own[2, x]
+    b0, b1, b2 = own[0, x + 1], own[1, x + 1], own[2, x + 1]
+    c0, c1, c2 = own[0, x + 2], own[1, x + 2], own[2, x + 2]
+    other0, other1, other2 = other[0], other[1], other[2]
+    for y in range(_WIDTH):
+        w0, w1, w2 = other0[y], other1[y], other2[y]
+        row0[y] += a0 * w0 + a1 * w1 + a2 * w2
+        row1[y] += b0 * w0 + b1 * w1 + b2 * w2
+        row2[y] += c0 * w0 + c1 * w1 + c2 * w2
+
+
+@njit(cache=True, nogil=True)
+def _tile_product(
+    i: int, j: int, starts: np.ndarray, feature: np.ndarray, seen: np.ndarray, columns: np.ndarray
+) -> np.ndarray:
+    """(6 TILE, 6 TILE) of W W', scans of tile i by scans of tile j: over the features that have a panel in both."""
+    block = np.zeros((_WIDTH, _WIDTH))
+    a, b = starts[i], starts[j]
+    while a < starts[i + 1] and b < starts[j + 1]:
+        if feature[a] < feature[b]:
+            a += 1
+        elif feature[a] > feature[b]:
+            b += 1
+        else:
+            for s in range(TILE):
+                if (seen[a] >> s) & 1:
+                    for x in range(6 * s, 6 * s + 6, _ROWS):
+                        _add_rows(block, x, columns[a], columns[b])
+            a += 1
+            b += 1
+    return block
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def hessian(
-    scan_starts: np.ndarray,
-    by_scan: np.ndarray,
-    offsets: np.ndarray,
-    feature: np.ndarray,
-    scan: np.ndarray,
-    diagonal: np.ndarray,
-    columns: np.ndarray,
+    starts: np.ndarray, feature: np.ndarray, seen: np.ndarray, diagonal: np.ndarray, columns: np.ndarray
 ) -> np.ndarray:
     """The dense H = D - W W', (6 S, 6 S), both triangles.
 
-    Row blocks are outputs of one thread each; only pairs of scans that share a feature are touched.
+    diagonal: (S, 6, 6) and columns: (P, 3, 6 TILE) of `linearize`. Tile t of TILE scans owns panels starts[t] to
+    starts[t + 1], ascending in feature (P,) int32; seen: (P,) int64, bit s is set where scan s of the tile sees it.
+    Pairs of tiles are outputs of one thread each, and small enough to stay in its cache.
     """
-    scans = len(scan_starts) - 1
-    out = np.empty((6 * scans, 6 * scans))
-    half = (scans + 1) // 2
-    for h in prange(half):
-        # a thread's static share gets short and long rows alike
+    tiles, size = len(starts) - 1, 6 * len(diagonal)
+    out = np.empty((size, size))
+    pairs = np.array([(i, i + d) for d in range(tiles) for i in range(tiles - d)])
+    for h in prange((len(pairs) + 1) // 2):
+        # near pairs have more in common than far ones: a thread's static share gets of both alike
         for turn in range(2):
-            i = np.int64(h) if turn == 0 else np.int64(scans - 1 - h)
-            row = np.zeros((scans, 6, COLUMNS))
-            for k in range(scan_starts[i], scan_starts[i + 1]):
-                o = by_scan[k]
-                own = columns[o]
-                for p in range(o, offsets[feature[o] + 1]):
-                    other = columns[p]
-                    block = row[scan[p]]
-                    for a in range(6):
-                        w0, w1, w2 = own[0, a], own[1, a], own[2, a]
-                        for c in range(COLUMNS):
-                            block[a, c] += w0 * other[0, c] + w1 * other[1, c] + w2 * other[2, c]
-            for a in range(6):
-                for j in range(i, scans):
-                    for c in range(6):
-                        out[6 * i + a, 6 * j + c] = -row[j, a, c]
-                for c in range(6):
-                    out[6 * i + a, 6 * i + c] += diagonal[i, a, c]
-    for lower in prange(6 * scans):
-        for j in range(6 * (lower // 6)):
-            out[lower, j] = out[j, lower]
+            n = np.int64(h) if turn == 0 else np.int64(len(pairs) - 1 - h)
+            i, j = pairs[n, 0], pairs[n, 1]
+            block = _tile_product(i, j, starts, feature, seen, columns)
+            for x in range(min(_WIDTH, size - _WIDTH * i)):
+                for y in range(min(_WIDTH, size - _WIDTH * j)):
+                    out[_WIDTH * i + x, _WIDTH * j + y] = -block[x, y]
+                    out[_WIDTH * j + y, _WIDTH * i + x] = -block[x, y]
+    for s in range(len(diagonal)):
+        out[6 * s : 6 * s + 6, 6 * s : 6 * s + 6] += diagonal[s]
     return out
 
 

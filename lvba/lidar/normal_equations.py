@@ -7,6 +7,7 @@ import scipy.linalg
 
 from lvba import geometry
 from lvba.kernels import lidar as kernel
+from lvba.lidar import panels
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
 from lvba.lidar.point_cluster import split
 from lvba.lidar.prior import OdometryPrior
@@ -29,9 +30,10 @@ class Problem:
     projector: np.ndarray | None = None
     """(S, 6, 6), keeps of a motion what the planes determine (see `weak`); None: all of it."""
 
-    def cost(self, world_from_scan: np.ndarray) -> float:
-        """The sum of squared errors over their variances at poses (S, 4, 4)."""
-        planes = fit(self.features, world_from_scan).cost / self.sigma**2
+    def cost(self, world_from_scan: np.ndarray, fits: PlaneFits | None = None) -> float:
+        """The sum of squared errors over their variances at poses (S, 4, 4); fits: of the planes there, if at hand."""
+        fits = fit(self.features, world_from_scan) if fits is None else fits
+        planes = fits.cost / self.sigma**2
         return planes + (self.prior.cost(world_from_scan) if self.prior else 0.0)
 
 
@@ -63,15 +65,12 @@ def linearize_planes(
     fits = fit(features, world_from_scan) if fits is None else fits
     rotation, translation = split(world_from_scan)
     clusters = features.clusters.weighted(features.weight)
-    feature = features.feature
-    by_scan = np.argsort(features.scan, kind="stable")
-    scan_starts = np.searchsorted(features.scan[by_scan], np.arange(len(world_from_scan) + 1))
+    laid = panels.lay_out(features, len(world_from_scan))
     gradient, diagonal, columns = kernel.linearize(
         rotation,
         translation,
-        scan_starts,
-        by_scan,
-        feature,
+        *panels.by_scan(features, len(world_from_scan)),
+        features.feature,
         clusters.count,
         clusters.mean,
         clusters.scatter,
@@ -79,12 +78,12 @@ def linearize_planes(
         fits.center,
         fits.eigenvalues,
         fits.eigenvectors,
+        laid.panel,
+        len(laid.feature),
         exact,
     )
     scale = 1.0 / sigma**2
-    hessian = kernel.hessian(
-        scan_starts, by_scan, features.offsets, feature, features.scan, diagonal, columns
-    )
+    hessian = kernel.hessian(laid.starts, laid.feature, laid.seen, diagonal, columns)
     hessian *= scale
     return NormalEquations(hessian, gradient.ravel() * scale, fits.cost * scale)
 
@@ -117,9 +116,11 @@ def _project(equations: NormalEquations, projector: np.ndarray) -> NormalEquatio
     return NormalEquations(hessian, gradient.ravel(), equations.cost)
 
 
-def linearize(problem: Problem, world_from_scan: np.ndarray, exact: bool = True) -> NormalEquations:
-    """The normal equations of the whole problem at poses (S, 4, 4)."""
-    equations = linearize_planes(problem.features, world_from_scan, problem.sigma, exact=exact)
+def linearize(
+    problem: Problem, world_from_scan: np.ndarray, exact: bool = True, fits: PlaneFits | None = None
+) -> NormalEquations:
+    """The normal equations of the whole problem at poses (S, 4, 4); fits: of the planes there, if at hand."""
+    equations = linearize_planes(problem.features, world_from_scan, problem.sigma, fits, exact)
     if problem.projector is not None:
         equations = _project(equations, problem.projector)
     return add_prior(equations, problem.prior, world_from_scan) if problem.prior else equations

@@ -43,13 +43,13 @@ def plane_cost(poses, features):
 
 
 def hessian(diagonal, columns, offsets, scan):
-    """D - W W' with W written out, (6 S, 6 S)."""
+    """D - W W' with W written out, (6 S, 6 S); columns: (O, 3, 6) of each observation."""
     size = 6 * len(diagonal)
     features = len(offsets) - 1
     w = np.zeros((size, 3 * features))
     for f in range(features):
         for o in range(offsets[f], offsets[f + 1]):
-            w[6 * scan[o] : 6 * scan[o] + 6, 3 * f : 3 * f + 3] = columns[o, :, :6].T
+            w[6 * scan[o] : 6 * scan[o] + 6, 3 * f : 3 * f + 3] = columns[o].T
     dense = -w @ w.T
     for s, block in enumerate(diagonal):
         dense[6 * s : 6 * s + 6, 6 * s : 6 * s + 6] += block

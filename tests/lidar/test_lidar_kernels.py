@@ -8,7 +8,7 @@ import pytest
 from lvba import geometry
 from lvba.kernels import lidar as kernel
 from lvba.kernels import point_cluster, voxel
-from lvba.lidar import covariance, normal_equations, plane_feature
+from lvba.lidar import covariance, normal_equations, panels, plane_feature
 from lvba.lidar.plane_feature import PlaneFeatures
 from lvba.lidar.point_cluster import PointClusters, split
 
@@ -51,25 +51,26 @@ def packed(features):
     )
 
 
-@pytest.fixture
-def problem():
+def a_problem(scans, planes):
     rng = np.random.default_rng(5)
-    poses = poses_of(rng, 6)
-    plain = planes_of(rng, poses)
-    disturbed = normal_equations.retract(poses, rng.normal(size=(6, 6)) * 0.005)
+    poses = poses_of(rng, scans)
+    plain = planes_of(rng, poses, planes)
+    disturbed = normal_equations.retract(poses, rng.normal(size=(scans, 6)) * 0.005)
     return disturbed, plain, packed(plain)
 
 
-def pieces(features, poses, exact=True):
-    fits = plane_feature.fit(features, poses)
-    clusters = features.clusters.weighted(features.weight)
-    by_scan = np.argsort(features.scan, kind="stable")
-    starts = np.searchsorted(features.scan[by_scan], np.arange(len(poses) + 1))
-    out = kernel.linearize(
-        *split(poses), starts, by_scan, features.feature, clusters.count, clusters.mean, clusters.scatter,
-        fits.total, fits.center, fits.eigenvalues, fits.eigenvectors, exact,
-    )  # fmt: skip
-    return starts, by_scan, fits, clusters, out
+@pytest.fixture
+def problem():
+    return a_problem(scans=6, planes=7)
+
+
+@pytest.fixture
+def several_tiles():
+    """More scans than three tiles hold, the last tile not full, and features that skip whole tiles."""
+    poses, plain, _ = a_problem(scans=3 * kernel.TILE + 5, planes=9)
+    plain[0] = [seen for seen in plain[0] if not kernel.TILE <= seen[0] < 2 * kernel.TILE]
+    plain[1] = plain[1][:2]
+    return poses, plain, packed(plain)
 
 
 def test_eigen3_against_numpy_also_where_one_value_is_tiny():
@@ -172,14 +173,38 @@ def test_gauss_newton_is_never_indefinite_and_meets_the_hessian_where_planes_are
     assert values[0] > -1e-9 * values[-1]
 
 
-def test_hessian_kernel_against_its_twin(problem):
-    poses, _, features = problem
-    starts, by_scan, _, _, (_, diagonal, columns) = pieces(features, poses)
-    got = kernel.hessian(
-        starts, by_scan, features.offsets, features.feature, features.scan, diagonal, columns
-    )
-    expected = naive.hessian(diagonal, columns, features.offsets, features.scan)
+def test_hessian_kernel_against_its_twin(several_tiles):
+    poses, _, features = several_tiles
+    fits = plane_feature.fit(features, poses)
+    clusters = features.clusters.weighted(features.weight)
+    laid = panels.lay_out(features, len(poses))
+    _, diagonal, columns = kernel.linearize(
+        *split(poses), *panels.by_scan(features, len(poses)), features.feature,
+        clusters.count, clusters.mean, clusters.scatter,
+        fits.total, fits.center, fits.eigenvalues, fits.eigenvectors, laid.panel, len(laid.feature), True,
+    )  # fmt: skip
+    got = kernel.hessian(laid.starts, laid.feature, laid.seen, diagonal, columns)
+    place = 6 * (features.scan % kernel.TILE)[:, None] + np.arange(6)
+    by_observation = columns[laid.panel[:, None, None], np.arange(3)[:, None], place[:, None]]
+    expected = naive.hessian(diagonal, by_observation, features.offsets, features.scan)
     np.testing.assert_allclose(got, expected, atol=1e-11 * np.abs(expected).max())
+    assert np.array_equal(got, got.T)
+    # W is what the planes' own freedom takes away: nothing, of a motion that all scans share
+    motion = np.tile([0, 0, 0, 0.3, -0.5, 0.2], len(poses))
+    assert abs(motion @ got @ motion) < 1e-9 * np.abs(got).sum()
+
+
+def test_a_panel_for_each_feature_and_tile(several_tiles):
+    poses, _, features = several_tiles
+    laid = panels.lay_out(features, len(poses))
+    tile = np.repeat(np.arange(len(laid.starts) - 1), np.diff(laid.starts))
+    pairs = list(zip(features.feature, features.scan // kernel.TILE, strict=True))
+    assert [(laid.feature[p], tile[p]) for p in laid.panel] == pairs
+    assert sorted(set(pairs), key=lambda pair: pair[::-1]) == list(zip(laid.feature, tile, strict=True))
+    for p in range(len(laid.feature)):
+        inside = [scan % kernel.TILE for (f, t), scan in zip(pairs, features.scan, strict=True)
+                  if (f, t) == (laid.feature[p], tile[p])]  # fmt: skip
+        assert laid.seen[p] == sum(1 << place for place in inside)
 
 
 def test_gradients_of_observations_add_up_to_those_of_the_scans(problem):
@@ -193,7 +218,9 @@ def test_gradients_of_observations_add_up_to_those_of_the_scans(problem):
 
 def test_information_kernel_against_its_twin(problem):
     poses, plain, features = problem
-    starts, by_scan, fits, clusters, _ = pieces(features, poses)
+    starts, by_scan = panels.by_scan(features, len(poses))
+    fits = plane_feature.fit(features, poses)
+    clusters = features.clusters.weighted(features.weight)
     args = (features.feature, clusters.count, clusters.mean, clusters.scatter)
     told, feigned = kernel.information(
         split(poses)[0], starts, by_scan, *args, fits.total, fits.eigenvalues, fits.eigenvectors, 50.0
@@ -220,8 +247,8 @@ def test_cost_does_not_depend_on_the_frame(problem):
     assert np.abs(moment).max() < 1e-9 * scale
 
 
-def test_same_bytes_for_one_and_two_threads(problem):
-    poses, _, features = problem
+def test_same_bytes_for_one_and_two_threads(several_tiles):
+    poses, _, features = several_tiles
     rng = np.random.default_rng(6)
     points = rng.uniform(-3, 3, size=(4000, 3)).astype(np.float32)
     offsets = np.linspace(0, 4000, 7).astype(np.int64)

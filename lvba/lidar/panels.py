@@ -1,0 +1,44 @@
+"""How the low-rank part of the Hessian lies in memory."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lvba.kernels.lidar import TILE
+from lvba.lidar.plane_feature import PlaneFeatures
+
+
+@dataclass(frozen=True)
+class Panels:
+    """A panel for each feature and tile of `TILE` neighboring scans that see it: P panels, tile after tile.
+
+    starts: (T + 1,) int64, tile t owns panels starts[t] to starts[t + 1], ascending in feature
+    feature: (P,) int32
+    seen: (P,) int64, bit s is set where scan s of the tile sees the feature
+    panel: (O,) int32, the panel of each observation
+    """
+
+    starts: np.ndarray
+    feature: np.ndarray
+    seen: np.ndarray
+    panel: np.ndarray
+
+
+def lay_out(features: PlaneFeatures, scans: int) -> Panels:
+    """The panels of the features' observations by `scans` scans."""
+    feature, tile = features.feature, features.scan // TILE
+    new = np.ones(len(tile), bool)
+    new[1:] = (feature[1:] != feature[:-1]) | (tile[1:] != tile[:-1])
+    first = np.flatnonzero(new)
+    order = np.argsort(tile[first], kind="stable")
+    place = np.empty(len(first), np.int32)
+    place[order] = np.arange(len(first), dtype=np.int32)
+    seen = np.bitwise_or.reduceat(np.int64(1) << (features.scan % TILE), first) if len(first) else first
+    starts = np.searchsorted(tile[first][order], np.arange(-(-scans // TILE) + 1))
+    return Panels(starts, feature[first][order], seen[order], place[np.cumsum(new) - 1])
+
+
+def by_scan(features: PlaneFeatures, scans: int) -> tuple[np.ndarray, np.ndarray]:
+    """Starts (S + 1,) int64 of each scan's part of the observations (O,) int64, ascending within a scan."""
+    order = np.argsort(features.scan.astype(np.int16), kind="stable")
+    return np.searchsorted(features.scan[order], np.arange(scans + 1)), order
