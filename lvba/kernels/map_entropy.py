@@ -1,9 +1,73 @@
-"""Neighborhood covariances of a point map: mean map entropy and plane thickness."""
+"""Voxel means and neighborhood covariances of a point map: mean map entropy and plane thickness."""
 
 import numpy as np
 from numba import njit, prange
 
 _LOG_2PIE = np.log(2.0 * np.pi * np.e)
+_FREE = np.int64(-1)
+
+
+@njit(cache=True, nogil=True)
+def _place(table: np.ndarray, key: int) -> int:
+    """Where a key is in an open-addressing table of 2^k places, or the free place where it belongs."""
+    mask = len(table) - 1
+    place = np.int64((np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(32)) & mask
+    while table[place] != _FREE and table[place] != key:
+        place = (place + 1) & mask
+    return place
+
+
+@njit(cache=True, nogil=True)
+def _doubled(table: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The table and what stands beside it, in twice the places."""
+    wider, moved = np.full(2 * len(table), _FREE), np.zeros((2 * len(table), 4))
+    for old in range(len(table)):
+        if table[old] != _FREE:
+            new = _place(wider, table[old])
+            wider[new] = table[old]
+            moved[new] = sums[old]
+    return wider, moved
+
+
+@njit(cache=True, nogil=True)
+def bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest coordinates (3,) float32 of the points (N, 3) float32, N > 0."""
+    low, high = points[0].copy(), points[0].copy()
+    for i in range(len(points)):
+        for a in range(3):
+            low[a], high[a] = min(low[a], points[i, a]), max(high[a], points[i, a])
+    return low, high
+
+
+@njit(cache=True, nogil=True)
+def voxel_sums(
+    points: np.ndarray, voxel: float, first: np.ndarray, span: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Keys (V,) int64 of the voxels that hold points, in no order, and their sums of x, y, z and 1, (V, 4) float64.
+
+    points: (N, 3) float32; first: (3,) int64, the least voxel number in each direction; span: (3,) int64, how many there
+    are. Key: (x span[1] + y) span[2] + z, numbers counted from `first`. Points of a voxel are added in their order.
+    """
+    table, sums = np.full(1 << 16, _FREE), np.zeros((1 << 16, 4))
+    used = 0
+    for i in range(len(points)):
+        x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
+        a = np.int64(np.floor(x / voxel)) - first[0]
+        b = np.int64(np.floor(y / voxel)) - first[1]
+        c = np.int64(np.floor(z / voxel)) - first[2]
+        key = (a * span[1] + b) * span[2] + c
+        place = _place(table, key)
+        if table[place] == _FREE:
+            table[place] = key
+            used += 1
+        sums[place, 0] += x
+        sums[place, 1] += y
+        sums[place, 2] += z
+        sums[place, 3] += 1.0
+        if 2 * used > len(table):
+            table, sums = _doubled(table, sums)
+    held = np.flatnonzero(table != _FREE)
+    return table[held], sums[held]
 
 
 @njit(cache=True, nogil=True)
@@ -19,22 +83,44 @@ def _log_determinant(s: np.ndarray, count: int) -> float:
     return np.log(determinant)
 
 
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+def _add_near(points: np.ndarray, p: int, first: int, last: int, square: float, sums: np.ndarray) -> int:
+    """Adds those of the points [first:last] that are near point p to its sums; returns their number.
+
+    Without branches, and with terms that may be added in any order, the compiler takes many points at a time.
+    """
+    px, py, pz = points[0, p], points[1, p], points[2, p]
+    xs, ys, zs = points[0, first:last], points[1, first:last], points[2, first:last]
+    number = sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
+    for q in range(len(xs)):
+        x, y, z = xs[q] - px, ys[q] - py, zs[q] - pz
+        near = 1.0 if x * x + y * y + z * z <= square else 0.0
+        x, y, z = x * near, y * near, z * near
+        number += near
+        sx += x
+        sy += y
+        sz += z
+        xx += x * x
+        xy += x * y
+        xz += x * z
+        yy += y * y
+        yz += y * z
+        zz += z * z
+    for k, value in enumerate((sx, sy, sz, xx, xy, xz, yy, yz, zz)):
+        sums[k] += value
+    return int(number)
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def entropies(
-    points: np.ndarray,
-    order: np.ndarray,
-    start: np.ndarray,
-    keys: np.ndarray,
-    radius: float,
-    min_neighbors: int,
-    span: int,
+    points: np.ndarray, start: np.ndarray, keys: np.ndarray, radius: float, min_neighbors: int, span: int
 ) -> np.ndarray:
     """Differential entropy (N,) float64, nats, of the Gaussian through the points within `radius` of each point.
 
-    points: (N, 3) float64; order, start, keys: points sorted into cubes of edge `radius`, keys ascending, each
+    points: (3, N) float64, by axis, sorted into cubes of edge `radius`; start, keys: of the cubes, keys ascending, each
     (x * span + y) * span + z with a margin of one cube; NaN where there are fewer than `min_neighbors`, itself counted.
     """
-    out = np.full(points.shape[0], np.nan)
+    out = np.full(points.shape[1], np.nan)
     square = radius * radius
     for cell in prange(len(keys)):
         first = np.empty(9, np.int64)
@@ -42,30 +128,10 @@ def entropies(
         for column in range(9):
             key = keys[cell] + ((column // 3 - 1) * span + (column % 3 - 1)) * span
             first[column], last[column] = _run(keys, start, key)
-        sums = np.empty(9)
-        for k in range(start[cell], start[cell + 1]):
-            p = order[k]
-            sums[:] = 0.0
-            count = 0
+        for p in range(start[cell], start[cell + 1]):
+            sums, count = np.zeros(9), 0
             for column in range(9):
-                for j in range(first[column], last[column]):
-                    q = order[j]
-                    x, y, z = (
-                        points[q, 0] - points[p, 0],
-                        points[q, 1] - points[p, 1],
-                        points[q, 2] - points[p, 2],
-                    )
-                    if x * x + y * y + z * z <= square:
-                        count += 1
-                        sums[0] += x
-                        sums[1] += y
-                        sums[2] += z
-                        sums[3] += x * x
-                        sums[4] += x * y
-                        sums[5] += x * z
-                        sums[6] += y * y
-                        sums[7] += y * z
-                        sums[8] += z * z
+                count += _add_near(points, p, first[column], last[column], square, sums)
             if count >= min_neighbors:
                 out[p] = 0.5 * (3.0 * _LOG_2PIE + _log_determinant(sums, count))
     return out

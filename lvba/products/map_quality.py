@@ -49,19 +49,24 @@ def point_entropies(points: np.ndarray, radius: float, min_neighbors: int) -> np
     cells = np.floor((points - points.min(0)) / radius).astype(np.int64) + 1
     span = int(cells.max()) + 2
     keys, order, start = _group((cells[:, 0] * span + cells[:, 1]) * span + cells[:, 2])
-    return kernels.entropies(points, order, start, keys, radius, min_neighbors, span)
+    values = np.empty(len(points))
+    values[order] = kernels.entropies(
+        np.ascontiguousarray(points[order].T), start, keys, radius, min_neighbors, span
+    )
+    return values
 
 
 def voxel_means(points_world: np.ndarray, voxel: float) -> np.ndarray:
-    """The mean (V, 3) float64 of the points in each voxel of edge `voxel` m."""
+    """The mean (V, 3) float64 of the (N, 3) float32 points in each voxel of edge `voxel` m, by voxel."""
     if not len(points_world):
         return np.empty((0, 3))
-    points = np.asarray(points_world, float)
-    cells = np.floor(points / voxel).astype(np.int64)
-    cells -= cells.min(0)
-    span = cells.max(0) + 1
-    _, order, start = _group((cells[:, 0] * span[1] + cells[:, 1]) * span[2] + cells[:, 2])
-    return np.add.reduceat(points[order], start[:-1]) / np.diff(start)[:, None]
+    points = np.ascontiguousarray(points_world)
+    first, last = (
+        np.floor(corner.astype(float) / voxel).astype(np.int64) for corner in kernels.bounds(points)
+    )
+    keys, sums = kernels.voxel_sums(points, voxel, first, last - first + 1)
+    sums = sums[np.argsort(keys)]
+    return np.asarray(sums[:, :3] / sums[:, 3:])
 
 
 @dataclass(frozen=True)
