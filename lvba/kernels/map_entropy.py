@@ -1,5 +1,7 @@
 """Voxel means and neighborhood covariances of a point map: mean map entropy and plane thickness."""
 
+from typing import Any
+
 import numpy as np
 from numba import njit, prange
 
@@ -8,7 +10,7 @@ _FREE = np.int64(-1)
 
 
 @njit(cache=True, nogil=True)
-def _place(table: np.ndarray, key: int) -> int:
+def _place(table: np.ndarray, key: Any) -> Any:
     """Where a key is in an open-addressing table of 2^k places, or the free place where it belongs."""
     mask = len(table) - 1
     place = np.int64((np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(32)) & mask
