@@ -14,6 +14,7 @@ from typing import Any
 
 from distributed import Client, Future, KilledWorker
 
+from lvba import plan
 from lvba.errors import ArtifactError
 from lvba.plan import Plan, Step
 from lvba.progress import Progress, silent
@@ -58,9 +59,17 @@ def run(
         execution.stop()
 
 
-def latest_progress(client: Client, topic: str) -> dict[str, dict[str, Any]]:
-    """The last thing told about each step that began: for who did not listen, or missed something."""
-    return {event["step"]: event for _, event in client.get_events(topic)}
+def latest_progress(client: Client, place: str) -> dict[str, dict[str, Any]]:
+    """The last thing told about each step, by key, of the run over a store: for who did not listen, or missed something.
+
+    Each has `what`, `done`, `total`, the `seconds` since this count began, and the `process`.
+    """
+    return {event["step"]: event for _, event in client.get_events(topic(place))}
+
+
+def topic(place: str) -> str:
+    """Where the run over a store tells its progress: one run at a time has the store."""
+    return f"lvba-{plan.digest(place)[:12]}"
 
 
 class Execution:
@@ -132,7 +141,7 @@ class Execution:
             self._sent,
             step.key,
             step.function,
-            self._topic,
+            topic(self._place),
             key=f"{step.key}-{self._id}-{self._attempts[step.key]}",
             pure=False,
             priority=-self._numbers[step.key],
@@ -172,13 +181,9 @@ class Execution:
 
     # the connection
 
-    @property
-    def _topic(self) -> str:
-        return f"lvba-{self._id}"
-
     def _connect(self, seconds: float) -> Client:
         client = self._scheduler.connect(seconds, self._check)
-        client.subscribe_topic(self._topic, lambda event: self._events.put(event[1]))
+        client.subscribe_topic(topic(self._place), lambda event: self._events.put(event[1]))
         return client
 
     def _start_over(self) -> None:

@@ -32,14 +32,9 @@ def configure() -> None:
 
 def quiet() -> None:
     """Dask's own messages are not for people who run a recording; what matters is told by the driver."""
-    for name in (
-        "distributed",
-        "distributed.nanny",
-        "distributed.worker",
-        "distributed.scheduler",
-        "tornado",
-    ):
-        logging.getLogger(name).setLevel(logging.CRITICAL)
+    for name in list(logging.root.manager.loggerDict):
+        if name.partition(".")[0] in ("distributed", "tornado"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 def memory_share(processes: int) -> int:

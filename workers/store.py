@@ -57,7 +57,8 @@ class ZarrStore(MutableMapping[str, Any]):
             verify(self.folder / key)
         except ArtifactError as error:
             _log.warning("%s; it is made again", error)
-            del self[key]
+            with suppress(KeyError):  # another worker saw it too, and was faster
+                del self[key]
             return False
         self._verified.add(key)
         return True

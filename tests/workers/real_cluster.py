@@ -1,0 +1,61 @@
+"""A real cluster on this machine: a scheduler and workers as processes of their own."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class Cluster:
+    """`dask scheduler` and `lvba worker` processes."""
+
+    def __init__(self, folder, tls=()):
+        self.folder, self.tls = folder, tls
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port = free.getsockname()[1]
+        self.address = f"{'tls' if tls else 'tcp'}://127.0.0.1:{self.port}"
+        self.processes = []
+        self.start_scheduler()
+
+    def start_scheduler(self):
+        words = ["distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", self.port]
+        words += ["--dashboard-address", "127.0.0.1:0", "--protocol", self.address[:3]]
+        if self.tls:
+            words += ["--tls-ca-file", self.tls[0], "--tls-cert", self.tls[1], "--tls-key", self.tls[2]]
+        self.scheduler = self._start("-m", *words)
+
+    def start_worker(self, *options):
+        words = ["service.cli", "worker", self.address, "--threads", 1, *self.tls_options, *options]
+        return self._start("-m", *words)
+
+    @property
+    def tls_options(self):
+        return [w for pair in zip(("--tls-ca", "--tls-cert", "--tls-key"), self.tls) for w in pair]
+
+    def kill_scheduler(self):
+        self.scheduler.send_signal(signal.SIGKILL)
+        self.scheduler.wait()
+
+    def _start(self, *words):
+        environment = {**os.environ, "PYTHONPATH": f"{ROOT}:{Path(__file__).parent}"}
+        with (self.folder / f"{len(self.processes)}.log").open("wb") as log:
+            process = subprocess.Popen(
+                [sys.executable, *map(str, words)], stdout=log, stderr=log, env=environment
+            )
+        self.processes.append(process)
+        return process
+
+    def end(self):
+        for process in reversed(self.processes):
+            process.terminate()
+        for process in reversed(self.processes):
+            try:
+                process.wait(10)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()

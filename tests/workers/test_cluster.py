@@ -1,0 +1,242 @@
+"""Running a plan on Dask with real processes: the same bytes, and every way in which processes can die."""
+
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+import toy_steps
+from real_cluster import Cluster
+from toy_steps import chain, said, wait_for
+
+from lvba.errors import InputError
+from lvba.plan import Plan, Ref
+from workers import cluster, connection, local, versions
+from workers.store import ZarrStore
+
+STEPS = ["a", "bb", "ccc", "dddd"]
+
+DRIVER = """
+import sys
+from pathlib import Path
+from toy_steps import chain
+from workers import cluster, connection
+folder = Path(sys.argv[1])
+cluster.run(chain(folder), str(folder / "store"), connection.at(sys.argv[2], None))
+"""
+"""A driver in a process of its own."""
+
+
+@pytest.fixture(scope="module")
+def toy_cluster(tmp_path_factory):
+    """A scheduler and two workers that may use little memory."""
+    started = Cluster(tmp_path_factory.mktemp("cluster"))
+    for _ in range(2):
+        started.start_worker("--memory-limit", "700MB")
+    yield started
+    started.end()
+
+
+def contents(folder: Path):
+    """Every file of the steps' artifacts but the manifests, which hold times."""
+    return {
+        p.relative_to(folder).as_posix(): p.read_bytes()
+        for p in sorted(folder.rglob("*"))
+        if p.is_file() and p.name != "manifest.json" and p.relative_to(folder).parts[0].split("-")[0] in STEPS
+    }
+
+
+@pytest.fixture
+def expected(tmp_path):
+    """What one process makes of the plan; the log begins empty."""
+    local.run(chain(tmp_path), ZarrStore(tmp_path / "expected"))
+    (tmp_path / "log").unlink()
+    return contents(tmp_path / "expected")
+
+
+def run(toy_cluster, folder, work=None, **options):
+    scheduler = connection.at(toy_cluster.address, None)
+    return cluster.run(work or chain(folder), str(folder / "store"), scheduler, **options)
+
+
+class Background(threading.Thread):
+    """A run beside the test, held in the step `bb`."""
+
+    def __init__(self, toy_cluster, folder, **options):
+        super().__init__(daemon=True)
+        (folder / "hold-bb").touch()
+        self.result = self.error = None
+        self._arguments, self._options, self._folder = (toy_cluster, folder), options, folder
+        self.start()
+        self.worker = int(wait_for(lambda: said(folder, "began bb"))[0].split()[2])
+
+    def run(self):
+        try:
+            self.result = run(*self._arguments, **self._options)
+        except BaseException as error:
+            self.error = error
+
+    def release(self):
+        (self._folder / "hold-bb").unlink()
+        self.join(60)
+        if self.error:
+            raise self.error
+        return self.result
+
+
+def test_same_bytes_as_one_process_and_a_record_per_step(toy_cluster, expected, tmp_path):
+    begun, told = [], []
+    records = run(
+        toy_cluster,
+        tmp_path,
+        on_step=lambda step, index, total: begun.append((step.name, index, total)),
+        progress=lambda what, done, total: told.append(what),
+    )
+    assert [r.name for r in records] == STEPS
+    assert all(r.peak_memory_mb > 1 and not r.reused for r in records)
+    assert sorted(begun) == [(name, i, 4) for i, name in enumerate(STEPS)]
+    assert any("making" in what for what in told)
+    assert contents(tmp_path / "store") == expected
+    again = run(toy_cluster, tmp_path)
+    assert all(r.reused for r in again)
+    assert len(said(tmp_path, "began")) == 4
+
+
+def test_progress_can_be_asked_for(toy_cluster, tmp_path):
+    background = Background(toy_cluster, tmp_path)
+    client = connection.at(toy_cluster.address, None).connect(5, lambda: None)
+    store = str(tmp_path / "store")
+    (bb,) = (key for key in chain(tmp_path).steps if key.startswith("bb-"))
+    state = wait_for(lambda: (e := cluster.latest_progress(client, store).get(bb)) and e["done"] and e)
+    assert state["what"] == "holding"
+    assert state["seconds"] > 0
+    assert state["process"] == background.worker
+    client.close()
+    background.release()
+
+
+def test_only_keys_go_through_the_scheduler(toy_cluster, tmp_path):
+    run(toy_cluster, tmp_path)
+    names = {p.name.split("-")[0] for p in (tmp_path / "store").iterdir()}
+    assert names == {*STEPS, "plan"}
+
+
+def test_worker_killed_in_the_midst_of_a_step(toy_cluster, expected, tmp_path):
+    background = Background(toy_cluster, tmp_path)
+    subprocess.run(["kill", "-9", str(background.worker)], check=True)
+    wait_for(lambda: len(said(tmp_path, "began bb")) == 2)
+    background.release()
+    assert contents(tmp_path / "store") == expected
+    assert len(said(tmp_path, "began")) == 5
+
+
+def test_scheduler_killed_in_the_midst_of_a_step(toy_cluster, expected, tmp_path):
+    background = Background(toy_cluster, tmp_path)
+    wait_for(lambda: said(tmp_path, "ended dddd"))
+    toy_cluster.kill_scheduler()
+    toy_cluster.start_scheduler()
+    wait_for(lambda: len(said(tmp_path, "began bb")) == 2)
+    background.release()
+    assert contents(tmp_path / "store") == expected
+    assert len(said(tmp_path, "began")) == 5
+
+
+def test_driver_killed_in_the_midst_of_a_step(toy_cluster, expected, tmp_path):
+    (tmp_path / "hold-bb").touch()
+    environment = {"PYTHONPATH": f"{Path(toy_steps.__file__).parent}:{Path(connection.__file__).parents[1]}"}
+    driver = subprocess.Popen([sys.executable, "-c", DRIVER, tmp_path, toy_cluster.address], env=environment)
+    wait_for(lambda: said(tmp_path, "began bb") and said(tmp_path, "ended dddd"))
+    driver.send_signal(signal.SIGKILL)
+    driver.wait()
+    # nobody waits for the step any more, and its worker notices
+    assert wait_for(lambda: said(tmp_path, "stopped bb")) == ["stopped bb UnwantedError"]
+    (tmp_path / "hold-bb").unlink()
+    records = run(toy_cluster, tmp_path)
+    assert [r.reused for r in records] == [True, False, False, True]
+    assert contents(tmp_path / "store") == expected
+
+
+def test_told_to_stop_the_worker_stops_and_the_same_run_goes_on(toy_cluster, expected, tmp_path):
+    stop = threading.Event()
+
+    def check():
+        if stop.is_set():
+            raise KeyboardInterrupt
+
+    background = Background(toy_cluster, tmp_path, check=check)
+    stop.set()
+    assert wait_for(lambda: said(tmp_path, "stopped bb")) == ["stopped bb UnwantedError"]
+    with pytest.raises(KeyboardInterrupt):
+        background.release()
+    run(toy_cluster, tmp_path)
+    assert contents(tmp_path / "store") == expected
+    assert len(said(tmp_path, "began a")) == 1
+
+
+@pytest.mark.parametrize("damage", ["chunk", "manifest", "half-written"])
+def test_damaged_artifact_alone_is_made_again(toy_cluster, expected, tmp_path, damage):
+    run(toy_cluster, tmp_path)
+    artifact = next((tmp_path / "store").glob("bb-*"))
+    if damage == "chunk":
+        (artifact / "0" / "c" / "0" / "0").write_bytes(b"\0" * 100)
+    elif damage == "manifest":
+        (artifact / "manifest.json").unlink()
+    else:
+        shutil.move(artifact, artifact.with_name(".partial-1"))
+    records = run(toy_cluster, tmp_path)
+    assert [r.reused for r in records] == [True, False, True, True]
+    assert contents(tmp_path / "store") == expected
+
+
+def test_artifact_damaged_while_the_run_goes_on(toy_cluster, expected, tmp_path):
+    work = chain(tmp_path)
+    a = next(iter(work.steps))
+    spoiled = work.add("spoil", toy_steps.spoil, str(tmp_path), str(tmp_path / "store"), Ref(a))
+    work.add("last", toy_steps.make, str(tmp_path), "last", Ref(a), spoiled)
+    records = run(toy_cluster, tmp_path, work)
+    assert len(records) == 6
+    assert len(said(tmp_path, "began a ")) == 2
+    assert contents(tmp_path / "store") == expected
+
+
+@pytest.mark.parametrize(
+    ("kind", "error", "words", "tries"),
+    [
+        ("input", InputError, "scan.pcd: is cut short", 1),
+        ("disk", OSError, "Input/output error", 4),
+        ("death", connection.ClusterError, "fail: its worker process died", 4),
+        ("memory", connection.ClusterError, "fail: its worker process died", 4),
+    ],
+)
+def test_step_that_always_fails_is_given_up_and_the_others_are_finished(
+    toy_cluster, tmp_path, kind, error, words, tries
+):
+    work = Plan(versions.key_version())
+    failing = work.add("fail", toy_steps.fail, str(tmp_path), kind)
+    work.add("after", toy_steps.make, str(tmp_path), "after", failing)
+    work.add("a", toy_steps.make, str(tmp_path), "a")
+    with pytest.raises(error, match=words):
+        run(toy_cluster, tmp_path, work)
+    assert len(said(tmp_path, "began fail")) == tries
+    assert said(tmp_path, "ended") == ["ended a"]
+
+
+def test_worker_of_another_version_is_refused(toy_cluster, tmp_path):
+    with pytest.raises(InputError, match="another version"):
+        run(toy_cluster, tmp_path, chain(tmp_path, "older"))
+
+
+def test_store_that_workers_cannot_see_is_said(toy_cluster, tmp_path):
+    scheduler = connection.at(toy_cluster.address, None)
+    with pytest.raises(InputError, match="all machines share"):
+        cluster.run(chain(tmp_path), "memory://mine", scheduler)
+
+
+def test_no_scheduler(tmp_path, monkeypatch):
+    monkeypatch.setattr(cluster, "FIRST_CONTACT_SECONDS", 0.1)
+    monkeypatch.setattr(connection, "_ATTEMPT_SECONDS", 0.2)
+    with pytest.raises(connection.ClusterError, match="no scheduler answers"):
+        cluster.run(chain(tmp_path), str(tmp_path), connection.at("tcp://127.0.0.1:9", None))

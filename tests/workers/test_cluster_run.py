@@ -1,0 +1,130 @@
+"""`lvba run` on clusters and over stores elsewhere: real stages, real processes, and always the same bytes."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import boto3
+import pytest
+from distributed.security import Security
+from moto.server import ThreadedMotoServer
+from real_cluster import ROOT, Cluster
+
+from workers import connection
+
+STAGES = ["lidar", "lidar-gate", "visual", "evaluate", "visual-gate", "map", "pictures", "facts"]
+PRODUCTS = ["lidar_poses.txt", "image_poses.txt", "exposures.csv", "map.ply", "config.yaml"]
+
+
+def bytes_of(out):
+    return {name: (out / name).read_bytes() for name in PRODUCTS}
+
+
+def artifacts(folder):
+    """Every file of the stages' artifacts but the manifests, which hold times."""
+    paths = [p.relative_to(folder) for p in folder.rglob("*") if p.is_file()]
+    kept = [p for p in paths if p.parts[0].rsplit("-", 1)[0] in STAGES and p.name != "manifest.json"]
+    return {p.as_posix(): (folder / p).read_bytes() for p in kept}
+
+
+@pytest.fixture(scope="module")
+def tls(tmp_path_factory):
+    """PEM files of an authority, a certificate and its key."""
+    folder = tmp_path_factory.mktemp("tls")
+    made = Security.temporary()
+    for name, text in (
+        ("ca", made.tls_ca_file),
+        ("cert", made.tls_client_cert),
+        ("key", made.tls_client_key),
+    ):
+        (folder / name).write_text(text)
+    return [folder / "ca", folder / "cert", folder / "key"]
+
+
+@pytest.fixture(scope="module")
+def tls_cluster(tls, tmp_path_factory):
+    started = Cluster(tmp_path_factory.mktemp("tls_cluster"), tls)
+    for _ in range(2):
+        started.start_worker()
+    yield started
+    started.end()
+
+
+def on(cluster):
+    return ["--scheduler", cluster.address, *cluster.tls_options]
+
+
+def test_scheduler_and_workers_over_tls_give_the_same_bytes(
+    undisturbed, recording, lvba, tls_cluster, tmp_path
+):
+    lvba("run", recording, "--out", tmp_path, "--reference", recording / "reference", *on(tls_cluster))
+    assert bytes_of(tmp_path) == bytes_of(undisturbed[0])
+    assert artifacts(tmp_path / "stages") == artifacts(undisturbed[0] / "stages")
+
+
+def test_without_a_certificate_nobody_is_let_in(tls_cluster):
+    scheduler = connection.at(tls_cluster.address.replace("tls", "tcp"), None)
+    with pytest.raises(connection.ClusterError, match="no scheduler answers"):
+        scheduler.connect(0.1, lambda: None)
+
+
+def test_worker_killed_in_every_stage(undisturbed, recording, tls_cluster, tmp_path):
+    words = ["run", recording, "--out", tmp_path, "--reference", recording / "reference", "--verbose"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "service.cli", *map(str, [*words, *on(tls_cluster)])],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    killed = []
+    for line in process.stderr:
+        begins = re.match(r"(\S+) begins in process (\d+)", line)
+        if begins and begins[1] not in killed:
+            os.kill(int(begins[2]), signal.SIGKILL)
+            killed.append(begins[1])
+    assert process.wait(60) == 0
+    assert killed == STAGES
+    assert bytes_of(tmp_path) == bytes_of(undisturbed[0])
+
+
+@pytest.fixture(scope="module")
+def bucket():
+    """An S3 server on this machine, with an empty bucket."""
+    server = ThreadedMotoServer(port=0)
+    server.start()
+    host, port = server.get_host_and_port()
+    settings = {
+        "AWS_ENDPOINT_URL": f"http://{host}:{port}",
+        "AWS_ACCESS_KEY_ID": "any",
+        "AWS_SECRET_ACCESS_KEY": "any",
+        "AWS_DEFAULT_REGION": "us-east-1",
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in settings.items():
+            patch.setenv(name, value)
+        client = boto3.client("s3")
+        client.create_bucket(Bucket="maps")
+        yield client
+    server.stop()
+
+
+def download(bucket, prefix, folder):
+    for page in bucket.get_paginator("list_objects_v2").paginate(Bucket="maps", Prefix=prefix):
+        for item in page["Contents"]:
+            path = folder / Path(item["Key"]).relative_to(prefix)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            bucket.download_file("maps", item["Key"], str(path))
+    return folder
+
+
+def test_own_workers_and_a_store_in_a_bucket(undisturbed, recording, lvba, bucket, tmp_path):
+    run = ["run", recording, "--out", tmp_path / "out", "--reference", recording / "reference"]
+    lvba(*run, "--store", "s3://maps/street", "--workers", 2)
+    assert bytes_of(tmp_path / "out") == bytes_of(undisturbed[0])
+    assert not (tmp_path / "out" / "stages").exists()
+    stored = artifacts(download(bucket, "street", tmp_path / "bucket"))
+    assert stored == artifacts(undisturbed[0] / "stages")
