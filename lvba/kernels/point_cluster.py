@@ -114,25 +114,6 @@ def eigen3(symmetric: np.ndarray, values: np.ndarray, vectors: np.ndarray) -> No
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def merge(
-    order: np.ndarray, starts: np.ndarray, count: np.ndarray, mean: np.ndarray, scatter: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """One cluster per segment: (G,), (G, 3), (G, 6) of the clusters order[starts[g]:starts[g + 1]].
-
-    order: (K,) int64; starts: (G + 1,) int64; count: (C,), mean: (C, 3), scatter: (C, 6) float64.
-    """
-    groups = len(starts) - 1
-    out_count = np.zeros(groups)
-    out_mean = np.zeros((groups, 3))
-    out_scatter = np.zeros((groups, 6))
-    for g in prange(groups):
-        for k in range(starts[g], starts[g + 1]):
-            c = order[k]
-            add_cluster(out_count[g : g + 1], out_mean[g], out_scatter[g], count[c], mean[c], scatter[c])
-    return out_count, out_mean, out_scatter
-
-
-@njit(cache=True, nogil=True, parallel=True)
 def transform(
     rotation: np.ndarray, translation: np.ndarray, pose: np.ndarray, mean: np.ndarray, scatter: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:

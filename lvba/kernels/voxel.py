@@ -115,6 +115,49 @@ def assign(
     return local, keys, cells
 
 
+@njit(cache=True, nogil=True)
+def order_pairs(
+    keys: np.ndarray, offsets: np.ndarray, cells: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The (cell, scan) pairs that `assign` found, by cell in Morton order, then by scan.
+
+    keys, cells: of `assign`; offsets: (S + 1,) int64.
+    Returns key (C,) int64 ascending; starts (C + 1,) int64, cell c owns entries starts[c] to starts[c + 1]; scan (K,)
+    int32 of each entry; entry (K,) int64 of each pair, pairs numbered scan after scan.
+    """
+    pairs = cells.sum()
+    table_key, table_value = np.full(_FIRST_TABLE, _EMPTY), np.empty(_FIRST_TABLE, np.int32)
+    cell, found, count = np.empty(pairs, np.int32), np.empty(pairs, np.int64), np.zeros(pairs, np.int64)
+    n, k = 0, 0
+    for s in range(len(cells)):
+        for i in range(offsets[s], offsets[s] + cells[s]):
+            h = _find(table_key, keys[i])
+            if table_key[h] == _EMPTY:
+                table_key[h], table_value[h], found[n] = keys[i], n, keys[i]
+                n += 1
+                if 2 * n > len(table_key):
+                    table_key, table_value = _grow(table_key, table_value)
+                    h = _find(table_key, keys[i])
+            cell[k] = table_value[h]
+            count[table_value[h]] += 1
+            k += 1
+    # few cells are sorted, not the many pairs
+    order = np.argsort(found[:n])
+    starts, free = np.zeros(n + 1, np.int64), np.empty(n, np.int64)
+    for c in range(n):
+        starts[c + 1] = starts[c] + count[order[c]]
+        free[order[c]] = starts[c]
+    scan, entry = np.empty(pairs, np.int32), np.empty(pairs, np.int64)
+    k = 0
+    for s in range(len(cells)):
+        for _ in range(cells[s]):
+            entry[k] = free[cell[k]]
+            scan[entry[k]] = s
+            free[cell[k]] += 1
+            k += 1
+    return found[:n][order], starts, scan, entry
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def accumulate(
     points: np.ndarray,
@@ -123,11 +166,13 @@ def accumulate(
     translation: np.ndarray,
     local: np.ndarray,
     starts: np.ndarray,
+    entry: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Clusters of the (cell, scan) pairs that `assign` numbered, in the frame of rotation and translation.
 
-    local: (M,) int32, -1: no cell; starts: (S + 1,) int64, scan s owns outputs starts[s] to starts[s + 1].
-    Returns count (K,), mean (K, 3), scatter (K, 6), float64.
+    local: (M,) int32, -1: no cell; starts: (S + 1,) int64, scan s owns pairs starts[s] to starts[s + 1]; entry: (K,)
+    int64, where each pair's cluster goes.
+    Returns count (K,), mean (K, 3), scatter (K, 6), float64, in the order of entries.
     """
     total = starts[-1]
     count = np.zeros(total)
@@ -159,7 +204,7 @@ def accumulate(
             sums[c, 9] += z * z
         body = np.empty(6)
         for c in range(n):
-            k = starts[s] + c
+            k = entry[starts[s] + c]
             if sums[c, 0] == 0.0:
                 mean[k] = 0.0
                 continue
@@ -177,6 +222,70 @@ def accumulate(
                 mean[k, a] = r[a, 0] * mx + r[a, 1] * my + r[a, 2] * mz + t[a]
             rotate_scatter(r, body, scatter[k])
     return count, mean, scatter
+
+
+_NONE = np.int32(2**31 - 1)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _next_scan(head: np.ndarray, last: np.ndarray, children: int, scan: np.ndarray) -> Any:
+    """The smallest scan that one of some ascending runs of entries, head to last, goes on with."""
+    lowest = _NONE
+    for c in range(children):
+        if head[c] < last[c] and scan[head[c]] < lowest:
+            lowest = scan[head[c]]
+    return lowest
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def merge_cells(
+    children: np.ndarray,
+    starts: np.ndarray,
+    scan: np.ndarray,
+    count: np.ndarray,
+    mean: np.ndarray,
+    scatter: np.ndarray,
+) -> tuple[np.ndarray, ...]:
+    """The next coarser cells: entries of children that share a scan merged, ascending in scan.
+
+    children: (G + 1,) int64, cell g owns finer cells children[g] to children[g + 1], at most 8; starts, scan, count,
+    mean, scatter: of the finer cells, as in `fit_cells`.
+    Returns starts (G + 1,) int64, scan (E,) int32, count (E,), mean (E, 3), scatter (E, 6) of the coarser cells, and the
+    coarser entry of each finer one, int64.
+    """
+    groups = len(children) - 1
+    size = np.zeros(groups + 1, np.int64)
+    for g in prange(groups):
+        first, n = children[g], children[g + 1] - children[g]
+        head, last = starts[first : first + n].copy(), starts[first + 1 : first + n + 1]
+        while True:
+            lowest = _next_scan(head, last, n, scan)
+            if lowest == _NONE:
+                break
+            size[g + 1] += 1
+            for c in range(n):
+                if head[c] < last[c] and scan[head[c]] == lowest:
+                    head[c] += 1
+    merged = np.cumsum(size)
+    entries = merged[-1]
+    out_scan = np.empty(entries, np.int32)
+    out_count, out_mean, out_scatter = np.zeros(entries), np.zeros((entries, 3)), np.zeros((entries, 6))
+    entry_of = np.empty(len(scan), np.int64)
+    for g in prange(groups):
+        first, n = children[g], children[g + 1] - children[g]
+        head, last = starts[first : first + n].copy(), starts[first + 1 : first + n + 1]
+        for e in range(merged[g], merged[g + 1]):
+            lowest = _next_scan(head, last, n, scan)
+            out_scan[e] = lowest
+            for c in range(n):
+                h = head[c]
+                if h < last[c] and scan[h] == lowest:
+                    add_cluster(
+                        out_count[e : e + 1], out_mean[e], out_scatter[e], count[h], mean[h], scatter[h]
+                    )
+                    entry_of[h] = e
+                    head[c] += 1
+    return merged, out_scan, out_count, out_mean, out_scatter, entry_of
 
 
 @njit(cache=True, nogil=True, parallel=True)

@@ -36,10 +36,6 @@ class PointClusters:
         mean, scatter = kernel.transform(*split(a_from_b), pose, self.mean, self.scatter)
         return PointClusters(self.count, mean, scatter)
 
-    def merged(self, order: np.ndarray, starts: np.ndarray) -> "PointClusters":
-        """One cluster per group g: the sum of the clusters order[starts[g]:starts[g + 1]], int64."""
-        return PointClusters(*kernel.merge(order, starts, self.count, self.mean, self.scatter))
-
 
 def split(transform: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Contiguous rotations (S, 3, 3) and translations (S, 3) of (S, 4, 4) transforms, as the kernels take them."""

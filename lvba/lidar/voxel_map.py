@@ -14,7 +14,8 @@ from lvba.lidar.plane_feature import PlaneFeatures
 from lvba.lidar.point_cluster import PointClusters, concatenate, split
 from lvba.lidar.scan import Scans
 
-_SCAN_BITS = 15
+_MAX_SCANS = 1 << 15
+"""Scans are sorted as int16."""
 _SIDES = 2
 _MINOR = 0.1
 """Part of a cell's points that may lie outside of its planes; beyond, the cell is split."""
@@ -94,9 +95,9 @@ def build(
     world_from_scan: (S, 4, 4); sizes: m, finest first, each twice the one before.
     Raises InputError where the scans reach further than the grid does.
     """
-    if len(scans) >= 1 << _SCAN_BITS:
+    if len(scans) > _MAX_SCANS:
         raise InputError(
-            "scans", f"{len(scans)} in one window", f"split into windows below {1 << _SCAN_BITS}"
+            "scans", f"{len(scans)} in one window", f"split into windows of at most {_MAX_SCANS}"
         )
     rotation, translation = split(world_from_scan)
     turned = world_from_scan if grid_from_world is None else grid_from_world @ world_from_scan
@@ -105,21 +106,38 @@ def build(
     local, keys, cells = kernel.assign(
         scans.points, scans.offsets, grid_rotation, grid_translation - origin, sizes[0]
     )
-    starts = np.concatenate([[0], np.cumsum(cells)]).astype(np.int64)
-    clusters = PointClusters(
-        *kernel.accumulate(scans.points, scans.offsets, rotation, translation, local, starts)
-    )
-    key = np.concatenate(
-        [keys[first : first + n] for first, n in zip(scans.offsets[:-1], cells, strict=True)]
-    )
-    scan = np.repeat(np.arange(len(scans), dtype=np.int64), cells)
-    levels = [_level(sizes[0], key, scan, clusters, distinct=True)]
+    levels = [_finest(scans, rotation, translation, sizes[0], local, keys, cells)]
     for size in sizes[1:]:
-        finer = levels[-1]
-        levels.append(
-            _level(size, np.repeat(finer.key >> 3, np.diff(finer.starts)), finer.scan, finer.clusters)
-        )
-    return VoxelMap(tuple(levels), local, starts)
+        levels.append(_coarser(levels[-1], size))
+    return VoxelMap(tuple(levels), local, np.concatenate([[0], np.cumsum(cells)]))
+
+
+def _finest(
+    scans: Scans,
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    size: float,
+    local: np.ndarray,
+    keys: np.ndarray,
+    cells: np.ndarray,
+) -> Level:
+    """The level of the cells that `kernels.voxel.assign` found."""
+    key, starts, scan, entry = kernel.order_pairs(keys, scans.offsets, cells)
+    pair_starts = np.concatenate([[0], np.cumsum(cells)])
+    sums = kernel.accumulate(scans.points, scans.offsets, rotation, translation, local, pair_starts, entry)
+    return Level(size, key, starts, scan, PointClusters(*sums), entry)
+
+
+def _coarser(finer: Level, size: float) -> Level:
+    """The level above: cells of twice the size."""
+    parent = finer.key >> 3
+    first = _starts_of_runs(parent)
+    clusters = finer.clusters
+    children = np.concatenate([first, [len(parent)]])
+    starts, scan, *sums, entry_of = kernel.merge_cells(
+        children, finer.starts, finer.scan, clusters.count, clusters.mean, clusters.scatter
+    )
+    return Level(size, parent[first], starts, scan, PointClusters(*sums), entry_of)
 
 
 def _origin(positions: np.ndarray, coarsest: float, finest: float) -> np.ndarray:
@@ -132,31 +150,6 @@ def _origin(positions: np.ndarray, coarsest: float, finest: float) -> np.ndarray
 def _starts_of_runs(values: np.ndarray) -> np.ndarray:
     """Where in sorted values (N,) a new one begins."""
     return np.flatnonzero(np.concatenate([np.ones(min(len(values), 1), bool), values[1:] != values[:-1]]))
-
-
-def _level(
-    size: float, key: np.ndarray, scan: np.ndarray, clusters: PointClusters, distinct: bool = False
-) -> Level:
-    """Entries that share cell and scan merged, and put in order; distinct: none do."""
-    together = (key << _SCAN_BITS) | scan
-    order = np.argsort(together, kind="stable")
-    together = together[order]
-    first = _starts_of_runs(together)
-    starts = np.concatenate([first, [len(together)]]).astype(np.int64)
-    merged = clusters.take(order) if distinct else clusters.merged(order, starts)
-    entry_of = np.empty(len(order), np.int64)
-    entry_of[order] = np.repeat(np.arange(len(first)), np.diff(starts))
-    together = together[first]
-    cell_key = together >> _SCAN_BITS
-    cell_first = _starts_of_runs(cell_key)
-    return Level(
-        size,
-        cell_key[cell_first],
-        np.concatenate([cell_first, [len(cell_key)]]).astype(np.int64),
-        (together & ((1 << _SCAN_BITS) - 1)).astype(np.int32),
-        merged,
-        entry_of,
-    )
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,14 @@ def cells(points, size):
     return found
 
 
+def groups(rows):
+    """Lists of the indices of equal rows, in order of first appearance."""
+    found = {}
+    for index, row in enumerate(rows):
+        found.setdefault(tuple(row), []).append(index)
+    return list(found.values())
+
+
 def plane_cost(poses, features):
     """Sum over features [(scan, points, weight), ...] of N lam0, from the points themselves."""
     cost = 0.0

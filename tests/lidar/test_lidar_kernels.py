@@ -8,9 +8,10 @@ import pytest
 from lvba import geometry
 from lvba.kernels import lidar as kernel
 from lvba.kernels import point_cluster, voxel
-from lvba.lidar import covariance, normal_equations, panels, plane_feature
+from lvba.lidar import covariance, normal_equations, panels, plane_feature, voxel_map
 from lvba.lidar.plane_feature import PlaneFeatures
 from lvba.lidar.point_cluster import PointClusters, split
+from lvba.lidar.scan import Scans, gather
 
 
 def poses_of(rng, scans):
@@ -84,20 +85,45 @@ def test_eigen3_against_numpy_also_where_one_value_is_tiny():
         np.testing.assert_allclose(rows @ matrix @ rows.T, np.diag(values), atol=1e-15)
 
 
-def test_merge_and_transform_against_the_points():
+def test_transform_against_the_points():
     rng = np.random.default_rng(1)
     sets = [rng.normal(size=(n, 3)) + 1000.0 for n in (1, 5, 9, 3)]
     clusters = PointClusters(*(np.array([naive.cluster(s)[k] for s in sets]) for k in range(3)))
-    merged = clusters.merged(np.array([2, 0, 1, 3]), np.array([0, 2, 4]))
-    for k, group in enumerate([(2, 0), (1, 3)]):
-        expected = naive.cluster(np.concatenate([sets[i] for i in group]))
-        for got, want in zip((merged.count[k], merged.mean[k], merged.scatter[k]), expected, strict=True):
-            np.testing.assert_allclose(got, want, rtol=1e-9, atol=1e-8)
     pose = poses_of(rng, 1)
     moved = clusters.moved(pose, np.zeros(4, np.int32))
     expected = naive.cluster(geometry.transform_points(pose[0], sets[2]))
     np.testing.assert_allclose(moved.mean[2], expected[1], rtol=1e-12)
     np.testing.assert_allclose(moved.scatter[2], expected[2], rtol=1e-9, atol=1e-9)
+
+
+def test_every_level_holds_the_clusters_of_its_cells_and_scans():
+    rng = np.random.default_rng(7)
+    clouds = [rng.uniform(-2, 2, size=(n, 3)).astype(np.float32) for n in (300, 0, 500, 200)]
+    poses = poses_of(rng, 4)
+    grid = voxel_map.build(gather(clouds), poses, (0.5, 1.0, 2.0))
+    world = np.concatenate([geometry.transform_points(p, c) for p, c in zip(poses, clouds, strict=True)])
+    scan = np.repeat(np.arange(4), [len(c) for c in clouds])
+    entry = (grid.pair_starts[scan] + grid.pair).astype(np.int64)
+    for level in grid.levels:
+        assert (np.diff(level.key) > 0).all()
+        entry = level.entry_of[entry]
+        # points share an entry exactly where they share cell and scan
+        cell = np.floor(world / level.size).astype(int)
+        together = naive.groups(np.column_stack([cell, scan]))
+        assert naive.groups(entry[:, None]) == together
+        assert len(level.scan) == len(together)
+        for members in together:
+            e = entry[members[0]]
+            assert level.scan[e] == scan[members[0]]
+            got = (level.clusters.count[e], level.clusters.mean[e], level.clusters.scatter[e])
+            for value, wanted in zip(got, naive.cluster(world[members]), strict=True):
+                np.testing.assert_allclose(value, wanted, atol=1e-9)
+        # cells in Morton order, scans in order within
+        corner = np.array([cell[entry == e][0] for e in range(len(level.scan))])
+        corner -= np.floor(voxel_map._origin(poses[:, :3, 3], 2.0, 0.5) / level.size).astype(int)
+        keys = [voxel.morton(*c) for c in corner]
+        assert list(level.key[level.cell]) == keys
+        assert (np.diff(level.scan)[np.diff(level.cell) == 0] > 0).all()
 
 
 def test_cells_and_their_clusters_against_the_points():
@@ -112,7 +138,8 @@ def test_cells_and_their_clusters_against_the_points():
     shift = np.full(3, 64.0)
     local, keys, count = voxel.assign(points, offsets, rotation, translation + shift, 0.5)
     starts = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
-    found = voxel.accumulate(points, offsets, rotation, translation, local, starts)
+    turned = np.arange(starts[-1])[::-1].copy()
+    found = voxel.accumulate(points, offsets, rotation, translation, local, starts, turned)
     assert list(local[5:8]) == [-1, -1, -1]
     assert count[1] == 0
     for s in range(3):
@@ -125,7 +152,7 @@ def test_cells_and_their_clusters_against_the_points():
             assert (local[offsets[s] + np.array(members)] == number).all()
             assert keys[offsets[s] + number] == voxel.morton(*cell)
             for got, want in zip(found, naive.cluster(world[members]), strict=True):
-                np.testing.assert_allclose(got[starts[s] + number], want, atol=1e-9)
+                np.testing.assert_allclose(got[turned[starts[s] + number]], want, atol=1e-9)
 
 
 def test_a_table_that_has_to_grow():
@@ -251,19 +278,15 @@ def test_same_bytes_for_one_and_two_threads(several_tiles):
     poses, _, features = several_tiles
     rng = np.random.default_rng(6)
     points = rng.uniform(-3, 3, size=(4000, 3)).astype(np.float32)
-    offsets = np.linspace(0, 4000, 7).astype(np.int64)
+    scans = Scans(points, np.linspace(0, 4000, 7).astype(np.int64))
 
     def run():
         equations = normal_equations.linearize_planes(features, poses, 1.0)
-        local, _, count = voxel.assign(points, offsets, split(poses)[0], split(poses)[1] + 64, 0.5)
-        starts = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
-        sums = voxel.accumulate(points, offsets, *split(poses), local, starts)
-        return [
-            equations.hessian.tobytes(),
-            equations.gradient.tobytes(),
-            local.tobytes(),
-            *(s.tobytes() for s in sums),
-        ]
+        grid = voxel_map.build(scans, poses[:6], (0.25, 0.5, 1.0))
+        arrays = [equations.hessian, equations.gradient, grid.pair]
+        for level in grid.levels:
+            arrays += [level.key, level.scan, level.entry_of, level.clusters.mean, level.clusters.scatter]
+        return [array.tobytes() for array in arrays]
 
     before = numba.get_num_threads()
     try:
