@@ -3,10 +3,9 @@
 import numpy as np
 from numba import njit, prange
 
-from lvba.kernels.zbuffer import EMPTY, NEAR_M, project_run, sphere_in_view, view_slopes
+from lvba.kernels.zbuffer import EMPTY, NEAR_M, RUN, in_view, sphere_in_view, view_buffers, view_slopes
 
 _CLIPPED_RANK = np.float32(1e-9)
-_RUN = 512
 
 
 @njit(cache=True, nogil=True)
@@ -100,25 +99,22 @@ def collect_views(
     slopes = view_slopes(intrinsics, width, height)
     right, bottom = np.float32(width - 1), np.float32(height - 1)
     half, far = np.float32(0.5), np.float32(1.0) + tolerance[1]
+    cell_of = np.arange(max(height, width)) // cell
     for b in prange(start.shape[0] - 1):
         color = np.empty(3, np.float32)
-        u, v, depth = np.empty(_RUN, np.float32), np.empty(_RUN, np.float32), np.empty(_RUN, np.float32)
+        u, v, depth, which = view_buffers()
         for image in range(len(numbers)):
             pose = poses[image]
             if not sphere_in_view(spheres[b], pose, slopes):
                 continue
-            for first in range(start[b], start[b + 1], _RUN):
-                count = min(_RUN, start[b + 1] - first)
-                project_run(points, first, count, pose, intrinsics, width, height, u, v, depth)
-                for k in range(count):
-                    z = depth[k]
-                    if z < 0:
-                        continue
+            for first in range(start[b], start[b + 1], RUN):
+                seen = in_view(
+                    points, first, start[b + 1], pose, intrinsics, width, height, u, v, depth, which
+                )
+                for k in which[:seen]:
                     column, row = int(u[k] + half), int(v[k] + half)
-                    if (
-                        z > nearest[image, row // cell, column // cell] * far + tolerance[0]
-                        or not valid[row, column]
-                    ):
+                    limit = nearest[image, cell_of[row], cell_of[column]] * far + tolerance[0]
+                    if depth[k] > limit or not valid[row, column]:
                         continue
                     i = first + k
                     rank = _rank(points, normals, i, pose)
@@ -148,28 +144,47 @@ def _rank(points: np.ndarray, normals: np.ndarray, i: int, pose: np.ndarray) -> 
 
 @njit(cache=True, nogil=True)
 def _sort(values: np.ndarray, weights: np.ndarray, count: int) -> None:
-    """Sorts the first `count` values in place, their weights along with them; stable."""
-    for k in range(1, count):
-        value, weight = values[k], weights[k]
-        j = k
-        while j > 0 and values[j - 1] > value:
-            values[j], weights[j] = values[j - 1], weights[j - 1]
-            j -= 1
-        values[j], weights[j] = value, weight
+    """Sorts the first `count` values in place, their weights along with them.
+
+    Neighbors change places without branches: for so few values, guessing wrong costs more than going on.
+    """
+    for turn in range(count):
+        for k in range(turn & 1, count - 1, 2):
+            value, other, weight, beside = values[k], values[k + 1], weights[k], weights[k + 1]
+            swap = value > other
+            values[k], values[k + 1] = (other if swap else value), (value if swap else other)
+            weights[k], weights[k + 1] = (beside if swap else weight), (weight if swap else beside)
 
 
 @njit(cache=True, nogil=True)
-def _weighted_median(values: np.ndarray, weights: np.ndarray, count: int) -> np.float32:
-    """The smallest value at which half of the weight is reached; both arrays are sorted in place."""
-    _sort(values, weights, count)
-    total, reached = np.float32(0.0), np.float32(0.0)
-    for k in range(count):
-        total += weights[k]
+def _weighted_median(weights: np.ndarray, count: int, half: np.float32) -> int:
+    """Which of the sorted values is the first at which half of the weight is reached."""
+    reached = np.float32(0.0)
     for k in range(count):
         reached += weights[k]
-        if reached >= np.float32(0.5) * total:
-            return values[k]
-    return values[count - 1]
+        if reached >= half:
+            return k
+    return count - 1
+
+
+@njit(cache=True, nogil=True)
+def _median_distance(
+    values: np.ndarray, weights: np.ndarray, count: int, middle: int, half: np.float32
+) -> np.float32:
+    """The weighted median distance of the sorted values from the middle one: outwards until half the weight is met."""
+    low, high, none = middle, middle + 1, np.float32(np.inf)
+    reached, distance = np.float32(0.0), np.float32(0.0)
+    while reached < half and (low >= 0 or high < count):
+        left = values[middle] - values[low] if low >= 0 else none
+        right = values[high] - values[middle] if high < count else none
+        distance = min(left, right)
+        if left <= right:
+            reached += weights[low]
+            low -= 1
+        else:
+            reached += weights[high]
+            high += 1
+    return distance
 
 
 @njit(cache=True, nogil=True)
@@ -184,24 +199,26 @@ def robust_mean(
     """Writes the Huber mean per channel, started at the weighted median; returns the spread of the samples.
 
     samples: (3, K) float32, radiances; weights: (K,) float32; floor: float32, least noise of a sample, same unit;
-    scratch: (3, K) float32; out: (3,) float32. Spread: weighted root mean square of the difference from the mean, all
+    scratch: (2, K) float32; out: (3,) float32. Spread: weighted root mean square of the difference from the mean, all
     channels.
     """
-    total, squares = np.float32(0.0), np.float32(0.0)
-    values, copies, distance = scratch[0], scratch[1], scratch[2]
+    total, squares, one = np.float32(0.0), np.float32(0.0), np.float32(1.0)
+    values, ordered = scratch[0], scratch[1]
     for k in range(count):
         total += weights[k]
+    half = np.float32(0.5) * total
     for c in range(3):
         for k in range(count):
-            values[k], copies[k] = samples[c, k], weights[k]
-        center = _weighted_median(values, copies, count)
-        for k in range(count):
-            distance[k] = abs(samples[c, k] - center)
-            values[k], copies[k] = distance[k], weights[k]
-        knee = np.float32(1.5) * max(np.float32(1.4826) * _weighted_median(values, copies, count), floor)
+            values[k], ordered[k] = samples[c, k], weights[k]
+        _sort(values, ordered, count)
+        middle = _weighted_median(ordered, count, half)
+        center = values[middle]
+        scale = np.float32(1.4826) * _median_distance(values, ordered, count, middle, half)
+        knee = np.float32(1.5) * max(scale, floor)
         weight, value = np.float32(0.0), np.float32(0.0)
         for k in range(count):
-            w = weights[k] * (np.float32(1.0) if distance[k] <= knee else knee / distance[k])
+            distance = abs(samples[c, k] - center)
+            w = weights[k] * (one if distance <= knee else knee / distance)
             weight += w
             value += w * samples[c, k]
         out[c] = value / weight
@@ -256,10 +273,10 @@ def blend_views(
     gains: (I,) float32, 1 / relative exposure; floor: noise of a gray value, 0..255
     """
     number, slots = ranks.shape
-    for run in prange((number + _RUN - 1) // _RUN):
+    for run in prange((number + RUN - 1) // RUN):
         samples, weights = np.empty((3, slots), np.float32), np.empty(slots, np.float32)
-        scratch = np.empty((3, slots), np.float32)
-        for i in range(run * _RUN, min(number, (run + 1) * _RUN)):
+        scratch = np.empty((2, slots), np.float32)
+        for i in range(run * RUN, min(number, (run + 1) * RUN)):
             count, gain = _gather(ranks[i], colors[i], images[i], gains, -1, samples, weights)
             views[i] = count
             if count:
@@ -287,7 +304,7 @@ def shade_blended(
     """
     slots = ranks.shape[1]
     samples, weights = np.empty((3, slots), np.float32), np.empty(slots, np.float32)
-    scratch, value = np.empty((3, slots), np.float32), np.empty(3, np.float32)
+    scratch, value = np.empty((2, slots), np.float32), np.empty(3, np.float32)
     exposure, white = np.float32(1.0) / gains[image], np.float32(255.0)
     for variant in range(2):
         for row in range(entries.shape[1]):

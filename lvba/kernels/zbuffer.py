@@ -12,7 +12,8 @@ NEAR_M = np.float32(0.05)
 EMPTY = np.int64(0x7FFFFFFF_FFFFFFFF)
 _FAR_M = np.float32(2047.0)
 _STEPS = np.float32(1048576.0)
-_RUN = 512
+RUN = 512
+"""Points projected at a time: what is known about them stays in the nearest cache."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -46,10 +47,9 @@ def view_slopes(intrinsics: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def project_run(
+def _project(
     points: np.ndarray,
     first: int,
-    count: int,
     pose: np.ndarray,
     intrinsics: np.ndarray,
     width: int,
@@ -58,11 +58,7 @@ def project_run(
     v: np.ndarray,
     depth: np.ndarray,
 ) -> None:
-    """Writes where `count` points from `first` on are in the image; depth is -1 for those that are not in it.
-
-    points: (3, M) float32, world; pose: (3, 4) float32, rows of camera_from_world's rotation and the camera center;
-    u, v, depth: float32, px and m, out
-    """
+    """Writes where points from `first` on are in the image, without branches; depth -1: not in it. See `in_view`."""
     one, half, out = np.float32(1.0), np.float32(0.5), np.float32(-1.0)
     right, bottom = np.float32(width) - half, np.float32(height) - half
     r00, r01, r02 = pose[0, 0], pose[0, 1], pose[0, 2]
@@ -70,12 +66,9 @@ def project_run(
     r20, r21, r22 = pose[2, 0], pose[2, 1], pose[2, 2]
     tx, ty, tz = pose[0, 3], pose[1, 3], pose[2, 3]
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
-    xs, ys, zs = (
-        points[0, first : first + count],
-        points[1, first : first + count],
-        points[2, first : first + count],
-    )
-    for k in range(count):
+    last = first + len(depth)
+    xs, ys, zs = points[0, first:last], points[1, first:last], points[2, first:last]
+    for k in range(len(depth)):
         dx, dy, dz = xs[k] - tx, ys[k] - ty, zs[k] - tz
         z = r20 * dx + r21 * dy + r22 * dz
         inverse = one / z
@@ -85,6 +78,41 @@ def project_run(
         u[k] = column
         v[k] = row
         depth[k] = z if inside else out
+
+
+@njit(cache=True, nogil=True)
+def view_buffers() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Room for what `in_view` writes about one run of points: u, v, depth float32 and which int64, (RUN,) each."""
+    floats = np.empty((3, RUN), np.float32)
+    return floats[0], floats[1], floats[2], np.empty(RUN, np.int64)
+
+
+@njit(cache=True, nogil=True)
+def in_view(
+    points: np.ndarray,
+    first: int,
+    stop: int,
+    pose: np.ndarray,
+    intrinsics: np.ndarray,
+    width: int,
+    height: int,
+    u: np.ndarray,
+    v: np.ndarray,
+    depth: np.ndarray,
+    which: np.ndarray,
+) -> int:
+    """How many of the points [first : stop], RUN at most, the image shows; `which` starts with them, in order.
+
+    points: (3, M) float32, world; pose: (3, 4) float32, rows of camera_from_world's rotation and the camera center;
+    u, v, depth: float32, px and m, of all points of the run, and which: int64, counted from `first`, out
+    """
+    count = min(RUN, stop - first)
+    _project(points, first, pose, intrinsics, width, height, u[:count], v[:count], depth[:count])
+    seen = 0
+    for k in range(count):
+        which[seen] = k
+        seen += depth[k] >= 0
+    return seen
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -112,19 +140,15 @@ def splat(
     nearest = np.full((height, width, 2), EMPTY, np.int64)
     slopes = view_slopes(intrinsics, width, height)
     half = np.float32(0.5)
-    u, v, depth = np.empty(_RUN, np.float32), np.empty(_RUN, np.float32), np.empty(_RUN, np.float32)
+    u, v, depth, which = view_buffers()
     for b in range(start.shape[0] - 1):
         if not sphere_in_view(spheres[b], pose, slopes):
             continue
-        for first in range(start[b], start[b + 1], _RUN):
-            count = min(_RUN, start[b + 1] - first)
-            project_run(points, first, count, pose, intrinsics, width, height, u, v, depth)
-            for k in range(count):
-                z = depth[k]
-                if z < 0:
-                    continue
+        for first in range(start[b], start[b + 1], RUN):
+            seen = in_view(points, first, start[b + 1], pose, intrinsics, width, height, u, v, depth, which)
+            for k in which[:seen]:
                 column, row = int(u[k] + half), int(v[k] + half)
-                entry = (np.int64(min(z, _FAR_M) * _STEPS) << 32) | np.int64(first + k)
+                entry = (np.int64(min(depth[k], _FAR_M) * _STEPS) << 32) | (first + k)
                 # stores without branches: which point is nearer cannot be predicted
                 other = entry if abs(source[first + k] - image) > guard else EMPTY
                 nearest[row, column, 0] = min(nearest[row, column, 0], entry)
@@ -231,21 +255,21 @@ def seen_depths(
     out = np.empty((poses.shape[0], rows, columns), np.float32)
     slopes = view_slopes(intrinsics, width, height)
     half = np.float32(0.5)
+    cell_of = np.arange(max(height, width)) // cell
     for image in prange(poses.shape[0]):
         nearest = np.full((rows, columns), EMPTY, np.int64)
-        u, v, depth = np.empty(_RUN, np.float32), np.empty(_RUN, np.float32), np.empty(_RUN, np.float32)
+        u, v, depth, which = view_buffers()
         for b in range(start.shape[0] - 1):
             if not sphere_in_view(spheres[b], poses[image], slopes):
                 continue
-            for first in range(start[b], start[b + 1], _RUN):
-                count = min(_RUN, start[b + 1] - first)
-                project_run(points, first, count, poses[image], intrinsics, width, height, u, v, depth)
-                for k in range(count):
-                    z = depth[k]
-                    if z < 0:
-                        continue
-                    row, column = int(v[k] + half) // cell, int(u[k] + half) // cell
-                    nearest[row, column] = min(nearest[row, column], np.int64(min(z, _FAR_M) * _STEPS))
+            for first in range(start[b], start[b + 1], RUN):
+                seen = in_view(
+                    points, first, start[b + 1], poses[image], intrinsics, width, height, u, v, depth, which
+                )
+                for k in which[:seen]:
+                    row, column = cell_of[int(v[k] + half)], cell_of[int(u[k] + half)]
+                    steps = np.int64(min(depth[k], _FAR_M) * _STEPS)
+                    nearest[row, column] = min(nearest[row, column], steps)
         inverse = np.zeros((rows + 2, columns + 2), np.float32)
         for row in range(rows):
             for column in range(columns):
