@@ -3,7 +3,8 @@
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from typing import Any
 
@@ -15,7 +16,8 @@ from workers.url_store import open_store
 
 _ALONE = threading.Lock()
 """numba's simplest threading layer ends the process when two threads enter it: one step at a time in each process."""
-_TELL_SECONDS = 0.25
+_TELL_SECONDS = _LOOK_SECONDS = 0.25
+_PATIENCE_SECONDS = 1.25
 
 
 class UnwantedError(Exception):
@@ -30,14 +32,14 @@ def make(place: str, sent: str, key: str, function: Callable[..., Any], topic: s
     Returns a few hundred bytes: {"record": fields of a StageRecord}, or {"missing": keys} of inputs that are not there
     (any more).
     """
-    with _ALONE:
+    report = Reporter(topic, key)
+    with _ALONE, _ended_where_unwanted(report):
         store = open_store(place)
         try:
             step, version = sending.receive(store, sent, key, function)
         except KeyError:
             raise _unseen(place) from None
         _check_version(version)
-        report = Reporter(topic, key)
         report("", 0, 0)
         if key in store:
             return {"record": asdict(local.recorded(step, store))}
@@ -58,7 +60,7 @@ class Reporter:
         self._began = self._told = 0.0
 
     def __call__(self, what: str, done: int, total: int) -> None:
-        if self._is_unwanted():
+        if self.is_unwanted():
             raise UnwantedError(self._step)
         now = time.monotonic()
         if what != self._what:
@@ -70,10 +72,30 @@ class Reporter:
     def _tell(self, facts: dict[str, Any]) -> None:
         self._worker.log_event(self._topic, {"step": self._step, "process": os.getpid(), **facts})
 
-    def _is_unwanted(self) -> bool:
+    def is_unwanted(self) -> bool:
         """The scheduler takes a task back when it is canceled and when its client is gone; the thread must ask."""
         task = self._worker.state.tasks.get(self._task)
         return task is None or task.state != "executing" or self._worker.status.name != "running"
+
+
+@contextmanager
+def _ended_where_unwanted(report: Reporter) -> Iterator[None]:
+    """Ends the process where an unwanted step does not report for a while: its nanny starts a new one.
+
+    Compiled code cannot be interrupted, and an artifact is either whole or not there.
+    """
+    done = threading.Event()
+
+    def watch() -> None:
+        while not done.wait(_LOOK_SECONDS):
+            if report.is_unwanted() and not done.wait(_PATIENCE_SECONDS):
+                os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+    try:
+        yield
+    finally:
+        done.set()
 
 
 def _unseen(place: str) -> InputError:

@@ -176,6 +176,24 @@ def test_told_to_stop_the_worker_stops_and_the_same_run_goes_on(toy_cluster, exp
     assert len(said(tmp_path, "began a")) == 1
 
 
+def test_told_to_stop_a_step_that_reports_nothing_is_ended_with_its_process(toy_cluster, tmp_path):
+    (tmp_path / "hold-stay").touch()
+    work = Plan(versions.key_version())
+    work.add("stay", toy_steps.stay, str(tmp_path))
+
+    def check():
+        if said(tmp_path, "began stay"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(toy_cluster, tmp_path, work, check=check)
+    process = Path("/proc") / said(tmp_path, "began stay")[0].split()[2]
+    wait_for(lambda: not process.exists())
+    (tmp_path / "hold-stay").unlink()
+    run(toy_cluster, tmp_path, work)
+    assert len(said(tmp_path, "began stay")) == 2
+
+
 @pytest.mark.parametrize("damage", ["chunk", "manifest", "half-written"])
 def test_damaged_artifact_alone_is_made_again(toy_cluster, expected, tmp_path, damage):
     run(toy_cluster, tmp_path)
@@ -207,7 +225,6 @@ def test_artifact_damaged_while_the_run_goes_on(toy_cluster, expected, tmp_path)
     [
         ("input", InputError, "scan.pcd: is cut short", 1),
         ("disk", OSError, "Input/output error", 4),
-        ("death", connection.ClusterError, "fail: its worker process died", 4),
         ("memory", connection.ClusterError, "fail: its worker process died", 4),
     ],
 )

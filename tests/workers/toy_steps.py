@@ -1,7 +1,6 @@
 """Steps that say what they do in a file, and misbehave when asked to: importable by worker processes."""
 
 import os
-import signal
 import time
 from pathlib import Path
 
@@ -57,11 +56,16 @@ def fail(folder, kind):
         raise InputError("scan.pcd", "is cut short", "copy it again")
     if kind == "disk":
         raise OSError(5, "Input/output error")
-    if kind == "death":
-        os.kill(os.getpid(), signal.SIGKILL)
     hungry = []
     while True:
         hungry.append(np.ones(20_000_000))
+
+
+def stay(folder):
+    """Reports nothing while `folder/hold-stay` exists."""
+    say(folder, f"began stay {os.getpid()}")
+    while (Path(folder) / "hold-stay").exists():
+        time.sleep(PAUSE)
 
 
 def spoil(folder, store, value):
