@@ -11,6 +11,7 @@ world's origin, which loses digits far from it): R <- exp(phi) R, t <- t + tau.
 import numpy as np
 from numba import njit, prange
 
+from lvba.kernels.parallel import parallel
 from lvba.kernels.point_cluster import add_cluster, eigen3, rotate_scatter
 
 TILE = 12
@@ -19,7 +20,7 @@ _WIDTH = 6 * TILE
 _ROWS = 3
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel
 def fit(
     rotation: np.ndarray,
     translation: np.ndarray,
@@ -57,7 +58,7 @@ def fit(
     return total, center, values, vectors
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel
 def linearize(
     rotation: np.ndarray,
     translation: np.ndarray,
@@ -203,7 +204,7 @@ def _tile_product(
     return block
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel
 def hessian(
     starts: np.ndarray, feature: np.ndarray, seen: np.ndarray, diagonal: np.ndarray, columns: np.ndarray
 ) -> np.ndarray:
@@ -231,7 +232,7 @@ def hessian(
     return out
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel
 def information(
     rotation: np.ndarray,
     scan_starts: np.ndarray,

@@ -7,6 +7,8 @@ digits however far the points are from the origin.
 import numpy as np
 from numba import njit, prange
 
+from lvba.kernels.parallel import parallel
+
 _SWEEPS = 12
 
 
@@ -113,7 +115,7 @@ def eigen3(symmetric: np.ndarray, values: np.ndarray, vectors: np.ndarray) -> No
         vectors[0, i], vectors[1, i], vectors[2, i] = v[i, i0], v[i, i1], v[i, i2]
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel
 def transform(
     rotation: np.ndarray, translation: np.ndarray, pose: np.ndarray, mean: np.ndarray, scatter: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:

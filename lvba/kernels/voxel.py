@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
+from lvba.kernels.parallel import parallel
 from lvba.kernels.point_cluster import add_cluster, eigen3, rotate_scatter
 
 AXIS_CELLS = 1 << 16
@@ -92,7 +93,7 @@ def _number(
     return n
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel
 def assign(
     points: np.ndarray, offsets: np.ndarray, rotation: np.ndarray, translation: np.ndarray, size: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -158,7 +159,7 @@ def order_pairs(
     return found[:n][order], starts, scan, entry
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel
 def accumulate(
     points: np.ndarray,
     offsets: np.ndarray,
@@ -237,7 +238,7 @@ def _next_scan(head: np.ndarray, last: np.ndarray, children: int, scan: np.ndarr
     return lowest
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel
 def merge_cells(
     children: np.ndarray,
     starts: np.ndarray,
@@ -288,7 +289,7 @@ def merge_cells(
     return merged, out_scan, out_count, out_mean, out_scatter, entry_of
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel
 def fit_cells(
     open_cell: np.ndarray,
     starts: np.ndarray,
@@ -351,7 +352,7 @@ def fit_cells(
     return side, total, scans, center, values, normals
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel
 def label(
     points: np.ndarray,
     offsets: np.ndarray,

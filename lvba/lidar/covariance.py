@@ -9,9 +9,10 @@ at the solution are smaller than those at the truth, and on simulated scenes it 
 
 import numpy as np
 import scipy.linalg
-import scipy.sparse
 
 from lvba import geometry
+from lvba.kernels import lidar as kernel
+from lvba.lidar import panels
 from lvba.lidar.normal_equations import Problem, linearize
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
 
@@ -62,11 +63,10 @@ def _gradient_spread(problem: Problem, world_from_scan: np.ndarray) -> np.ndarra
     gradient = observation_gradients(features, fits, world_from_scan) / problem.sigma**2
     if problem.projector is not None:
         gradient = np.einsum("oji,oj->oi", problem.projector[features.scan], gradient)
-    rows = (6 * features.scan[:, None] + np.arange(6)).ravel()
-    columns = np.repeat(features.feature, 6)
-    shape = (6 * len(world_from_scan), len(features))
-    every = scipy.sparse.csr_matrix((gradient.ravel(), (rows, columns)), shape=shape)
-    return np.asarray((every @ every.T).toarray())
+    scans = len(world_from_scan)
+    laid = panels.lay_out(features, scans)
+    columns = panels.fill(laid, features, gradient)
+    return -np.asarray(kernel.hessian(laid.starts, laid.feature, laid.seen, np.zeros((scans, 6, 6)), columns))
 
 
 def observation_gradients(

@@ -38,6 +38,14 @@ def lay_out(features: PlaneFeatures, scans: int) -> Panels:
     return Panels(starts, feature[first][order], seen[order], place[np.cumsum(new) - 1])
 
 
+def fill(panels: Panels, features: PlaneFeatures, column: np.ndarray) -> np.ndarray:
+    """W (P, 3, 6 TILE) of one column for each feature, of which each observation has 6 numbers: column (O, 6)."""
+    w = np.zeros((len(panels.feature), 3, 6 * TILE))
+    place = 6 * (features.scan % TILE)[:, None] + np.arange(6)
+    w[panels.panel[:, None], 0, place] = column
+    return w
+
+
 def by_scan(features: PlaneFeatures, scans: int) -> tuple[np.ndarray, np.ndarray]:
     """Starts (S + 1,) int64 of each scan's part of the observations (O,) int64, ascending within a scan."""
     order = np.argsort(features.scan.astype(np.int16), kind="stable")

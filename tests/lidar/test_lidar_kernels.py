@@ -243,6 +243,16 @@ def test_gradients_of_observations_add_up_to_those_of_the_scans(problem):
     )
 
 
+def test_spread_of_the_planes_gradients(several_tiles):
+    poses, _, features = several_tiles
+    each = covariance.observation_gradients(features, plane_feature.fit(features, poses), poses)
+    dense = np.zeros((len(features), 6 * len(poses)))
+    for gradient, feature, scan in zip(each, features.feature, features.scan, strict=True):
+        dense[feature, 6 * scan : 6 * scan + 6] = gradient / 0.02**2
+    got = covariance._gradient_spread(normal_equations.Problem(features, 0.02, None), poses)
+    np.testing.assert_allclose(got, dense.T @ dense, atol=1e-11 * (dense**2).sum())
+
+
 def test_information_kernel_against_its_twin(problem):
     poses, plain, features = problem
     starts, by_scan = panels.by_scan(features, len(poses))
