@@ -21,6 +21,7 @@ from lvba.products import map_quality
 from lvba.products import reference as references
 from lvba.products.evaluate import State
 from lvba.progress import Progress, silent
+from lvba.recorded_images import views_of
 from lvba.trajectory import Trajectory
 
 
@@ -73,7 +74,7 @@ def report(
     entropies = [map_quality.mean_map_entropy(cloud, config.evaluate.entropy) for cloud in (rough, refined)]
     scores = {}
     if dataset.image_paths:
-        views = stages.views_of(dataset)
+        views = views_of(dataset)
         claimed = dataclasses.replace(
             views, world_from_camera=given.world_from_camera, log_exposure=given.log_exposure
         )

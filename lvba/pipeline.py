@@ -7,9 +7,10 @@ from lvba.dataset import Dataset
 from lvba.gate import GateConfig
 from lvba.io.reference import Reference
 from lvba.lidar.bundle_adjustment import LidarConfig
-from lvba.plan import Plan
+from lvba.plan import Plan, Ref
 from lvba.products.evaluate import EvaluateConfig
 from lvba.products.map_file import MapConfig
+from lvba.stages import VisualLevel
 from lvba.visual.refine import VisualConfig
 
 
@@ -45,15 +46,17 @@ def refine(
     plan = Plan(version)
     lidar = plan.add("lidar", stages.solve_lidar, dataset, config.lidar, config.refine_scans)
     scans = plan.add("lidar-gate", stages.judge_lidar, dataset, lidar, config.evaluate.entropy, config.gate)
+    coarser: Ref | VisualLevel = VisualLevel(None)
+    for level in range(stages.visual_levels(dataset, config.visual) - 1, 0, -1):
+        coarser = plan.add(
+            f"visual-level-{level}",
+            stages.solve_visual_level,
+            *(dataset, lidar, scans, coarser, config.lidar, config.visual, config.refine_cameras),
+        )
     visual = plan.add(
         "visual",
         stages.solve_visual,
-        dataset,
-        lidar,
-        scans,
-        config.lidar,
-        config.visual,
-        config.refine_cameras,
+        *(dataset, lidar, scans, coarser, config.lidar, config.visual, config.refine_cameras),
     )
     scores = plan.add("evaluate", stages.evaluate, dataset, scans, visual, config.evaluate, config.gate)
     accepted = plan.add("visual-gate", stages.decide, dataset, scans, visual, scores, config.gate)

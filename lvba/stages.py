@@ -1,13 +1,12 @@
 """The stages of the chain as plain functions: each reads what it needs from the recording and the stages before it."""
 
 import dataclasses
-import weakref
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from lvba import gate, geometry, trajectory
+from lvba import gate, geometry, recorded_images, trajectory
 from lvba.dataset import Dataset, Scan
 from lvba.errors import DegenerateProblemError
 from lvba.gate import CARRIED, EXPOSED, ROUGH, VISUAL, GateConfig, Verdict
@@ -22,8 +21,8 @@ from lvba.products.evaluate import EvaluateConfig, Scores, State
 from lvba.products.map_file import MapConfig, PointMap
 from lvba.products.map_quality import EntropyConfig
 from lvba.products.pictures import Pictures
-from lvba.products.views import Views
 from lvba.progress import Progress, silent
+from lvba.recorded_images import views_of
 from lvba.visual import image, keyframes
 from lvba.visual import refine as visual_refine
 from lvba.visual.refine import VisualConfig, VisualResult
@@ -56,6 +55,14 @@ class VisualStage:
     """What the visual stage found; nothing where there are no images or it could not be solved."""
 
     result: VisualResult | None
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class VisualLevel:
+    """What the visual stage found down to one pyramid level; nothing where it could not be solved."""
+
+    found: visual_refine.Coarser | None
     problem: str = ""
 
 
@@ -132,52 +139,94 @@ def cloud_of(dataset: Dataset, world_from_scan: np.ndarray, progress: Progress =
     )
 
 
+def visual_levels(dataset: Dataset, config: VisualConfig) -> int:
+    """How many pyramid levels the visual stage goes through."""
+    return image.usable_levels(dataset.camera, config.levels) if dataset.image_paths else 1
+
+
+def solve_visual_level(
+    dataset: Dataset,
+    lidar: LidarStage,
+    scans: ScanPoses,
+    coarser: VisualLevel,
+    lidar_config: LidarConfig,
+    config: VisualConfig,
+    enabled: bool = True,
+    progress: Progress = silent,
+) -> VisualLevel:
+    """One pyramid level more than `coarser`, which is empty at first."""
+    problem = _why_not(dataset, enabled) or coarser.problem
+    if problem:
+        return VisualLevel(None, problem)
+    try:
+        given = visual_inputs(dataset, lidar, scans, lidar_config, config, progress, keep=True)
+        found = visual_refine.refine_level(given, coarser.found, config, progress)
+    except DegenerateProblemError as error:
+        return VisualLevel(None, str(error))
+    return VisualLevel(found)
+
+
 def solve_visual(
     dataset: Dataset,
     lidar: LidarStage,
     scans: ScanPoses,
+    coarser: VisualLevel,
     lidar_config: LidarConfig,
     config: VisualConfig,
     enabled: bool = True,
     progress: Progress = silent,
 ) -> VisualStage:
-    """Camera poses and exposures from the images, over the planes of the scan poses in use."""
-    if not dataset.image_paths:
-        return VisualStage(None, "the recording has no images")
-    if not enabled:
-        return VisualStage(None, "visual bundle adjustment is switched off (refine_cameras)")
+    """Camera poses and exposures from the images, over the planes of the scan poses in use: the finest level."""
+    problem = _why_not(dataset, enabled) or coarser.problem
+    if problem:
+        return VisualStage(None, problem)
     try:
-        planes, points = planes_in_use(dataset, lidar, scans, lidar_config)
-        chosen = keyframes.select(
-            dataset.images.times,
-            dataset.images.world_from_sensor,
-            typical_range(dataset),
-            config.keyframes,
-        )
-        pyramid = image.load_images(
-            lambda index: recordings.load_image(dataset, int(chosen[index])),
-            len(chosen),
-            dataset.camera,
-            image.usable_levels(dataset.camera, config.levels),
-            config.images,
-            progress,
-        )
-        result = visual_refine.refine(
-            pyramid,
-            chosen,
-            dataset.images,
-            dataset.scans,
-            scans.world_from_scan,
-            dataset.camera_from_scan,
-            dataset.sensor_position_scan,
-            planes,
-            points,
-            config,
-            progress,
-        )
+        given = visual_inputs(dataset, lidar, scans, lidar_config, config, progress)
+        result = visual_refine.refine_finest(given, coarser.found, config, progress)
     except DegenerateProblemError as error:
         return VisualStage(None, str(error))
     return VisualStage(result)
+
+
+def _why_not(dataset: Dataset, enabled: bool) -> str:
+    """Why there is no visual stage; empty: there is one."""
+    if not dataset.image_paths:
+        return "the recording has no images"
+    return "" if enabled else "visual bundle adjustment is switched off (refine_cameras)"
+
+
+def visual_inputs(
+    dataset: Dataset,
+    lidar: LidarStage,
+    scans: ScanPoses,
+    lidar_config: LidarConfig,
+    config: VisualConfig,
+    progress: Progress = silent,
+    *,
+    keep: bool = False,
+) -> visual_refine.Inputs:
+    """What all levels of the visual stage work on.
+
+    keep: the images stay in memory for the next level
+    Raises DegenerateProblemError: the scans hold no planes.
+    """
+    planes, points = planes_in_use(dataset, lidar, scans, lidar_config)
+    chosen = keyframes.select(
+        dataset.images.times, dataset.images.world_from_sensor, typical_range(dataset), config.keyframes
+    )
+    levels = visual_levels(dataset, config)
+    pyramid = recorded_images.pyramid(dataset, chosen, levels, config.images, progress, keep=keep)
+    return visual_refine.Inputs(
+        pyramid,
+        chosen,
+        dataset.images,
+        dataset.scans,
+        scans.world_from_scan,
+        dataset.camera_from_scan,
+        dataset.sensor_position_scan,
+        planes,
+        points,
+    )
 
 
 def planes_in_use(
@@ -283,57 +332,6 @@ def decide(
             return Accepted(rough, *states[ROUGH], verdict, verdict, verdict, ROUGH)
         remark = verdict.reason
     return Accepted(scans.world_from_scan, *states[chosen], scans.verdict, cameras, exposures, chosen, remark)
-
-
-def views_of(dataset: Dataset) -> Views:
-    """The undistorted images at their rough poses, all equally exposed."""
-    return Views(
-        load=undistorted(dataset),
-        camera=dataset.camera.undistorted(),
-        times=dataset.images.times,
-        world_from_camera=dataset.images.world_from_sensor,
-        log_exposure=np.zeros(len(dataset.image_paths)),
-        valid=image.undistort(
-            np.full((dataset.camera.height, dataset.camera.width, 3), 255, np.uint8), dataset.camera
-        )[..., 0]
-        > 0,
-    )
-
-
-class Undistorted:
-    """Undistorted images by index; the first ones that fit are kept in memory, the rest read again each time."""
-
-    def __init__(self, dataset: Dataset, kept_bytes: int = 1 << 28) -> None:
-        self._dataset = dataset
-        self._undistort = image.Undistorter(dataset.camera)
-        size = max(1, dataset.camera.width * dataset.camera.height * 3)
-        self._capacity = kept_bytes // size
-        self._kept: dict[int, np.ndarray] = {}
-
-    def __call__(self, index: int) -> np.ndarray:
-        """(H, W, 3) uint8 RGB."""
-        if index in self._kept:
-            return self._kept[index]
-        picture = np.ascontiguousarray(self._undistort(recordings.load_image(self._dataset, index)))
-        if len(self._kept) < self._capacity:
-            self._kept[index] = picture
-        return picture
-
-
-_UNDISTORTED: dict[int, Undistorted] = {}
-
-
-def undistorted(dataset: Dataset) -> Undistorted:
-    """The undistorted images of a recording, the same for all stages, so that those kept are decoded once.
-
-    They go when the recording goes.
-    """
-    key = id(dataset)
-    if key not in _UNDISTORTED:
-        # of a copy: images that held on to the recording itself would never let it go
-        _UNDISTORTED[key] = Undistorted(dataclasses.replace(dataset))
-        weakref.finalize(dataset, _UNDISTORTED.pop, key, None)
-    return _UNDISTORTED[key]
 
 
 def color_map(

@@ -23,8 +23,18 @@ from lvba.visual.result import LevelReport, VisualResult
 from lvba.visual.scene_points import PointsConfig
 from lvba.visual.states import CameraStates, VisualState
 from lvba.visual.visibility import DepthBuffers, VisibilityConfig, VisibilityMap
+from lvba.visual.weak import WeakDirections
 
-__all__ = ["LevelReport", "VisualConfig", "VisualResult", "refine"]
+__all__ = [
+    "Coarser",
+    "Inputs",
+    "LevelReport",
+    "VisualConfig",
+    "VisualResult",
+    "refine",
+    "refine_finest",
+    "refine_level",
+]
 
 logger = logging.getLogger(__name__)
 
@@ -63,66 +73,136 @@ class VisualConfig:
             raise ValueError(f"patch is {self.patch}, must be odd, between 3 and 21")
 
 
-def refine(
-    pyramid: Pyramid,
-    keyframes: np.ndarray,
-    images: Trajectory,
-    scans: Trajectory,
-    refined_scans: np.ndarray,
-    camera_from_scan: np.ndarray,
-    sensor_position_scan: np.ndarray,
-    planes: Planes,
-    plane_points: PlanePoints,
-    config: VisualConfig = VisualConfig(),
-    progress: Progress = silent,
-) -> VisualResult:
-    """Refined poses and exposures of all images.
+@dataclass(frozen=True)
+class Inputs:
+    """What the visual stage works on, the same at every level.
 
     pyramid: of the keyframes only; keyframes: (K,) their indices among the images
     images, scans: rough trajectories; refined_scans: (S, 4, 4), poses the planes were made with
     camera_from_scan: (4, 4) calibrated mount; sensor_position_scan: (3,) m
+    """
+
+    pyramid: Pyramid
+    keyframes: np.ndarray
+    images: Trajectory
+    scans: Trajectory
+    refined_scans: np.ndarray
+    camera_from_scan: np.ndarray
+    sensor_position_scan: np.ndarray
+    planes: Planes
+    plane_points: PlanePoints
+
+
+@dataclass(frozen=True)
+class Coarser:
+    """What the levels done so far leave to the next finer one.
+
+    prior: with its sigmas as estimated last; inflation: how many times the pixels' information overstated itself
+    reports: from coarse to fine
+    """
+
+    state: VisualState
+    prior: Prior | None
+    inflation: float
+    reports: tuple[LevelReport, ...]
+
+
+def refine(given: Inputs, config: VisualConfig = VisualConfig(), progress: Progress = silent) -> VisualResult:
+    """Refined poses and exposures of all images.
+
     Raises DegenerateProblemError where no scene point is seen twice.
     """
-    config = _one_patch_size(config)
-    times = images.times[keyframes]
-    prior_of_all = priors.build(scans, refined_scans, images, camera_from_scan, config.prior)
-    prior = priors.take(prior_of_all, keyframes)
-    start = (
-        trajectory.interpolate_corrections(scans, refined_scans, times) @ images.world_from_sensor[keyframes]
-    )
-    state = VisualState(CameraStates(start, np.zeros(len(times))), prior.mount)
-    sensors = (refined_scans @ np.append(sensor_position_scan, 1.0))[:, :3]
-    seen = _visibility_map(scans.times, sensors, times, start, plane_points, config.visibility)
-    scene = _Scene(pyramid, times, scans.times, planes, plane_points, seen)
-    held: Prior | None = prior if config.prior.enabled else None
-    solutions: list[LevelSolution] = []
-    inflation = _FIRST_INFLATION
-    for done, level in enumerate(reversed(range(len(pyramid)))):
-        progress("visual", done, len(pyramid))
-        solution = _solve_level(scene, level, state, held, config, inflation)
-        directions = weak.find(solution.problem, solution.linearization, planes)
-        held, inflation = solution.prior, solution.problem.inflation
-        state = solution.state if held is None else weak.hold(solution.state, held, directions)
-        solutions.append(solution)
-        logger.info("%s", results.level_report(level, solution))
-    progress("visual", len(pyramid), len(pyramid))
-    sigma = np.zeros(len(times))
+    coarser: Coarser | None = None
+    for _ in range(len(given.pyramid) - 1):
+        coarser = refine_level(given, coarser, config, progress)
+    return refine_finest(given, coarser, config, progress)
+
+
+def refine_level(
+    given: Inputs,
+    coarser: Coarser | None,
+    config: VisualConfig = VisualConfig(),
+    progress: Progress = silent,
+) -> Coarser:
+    """One level more than `coarser`; None: none yet. Raises DegenerateProblemError as `refine` does."""
+    return _solved(_scene(given, config), coarser, config, progress)[0]
+
+
+def refine_finest(
+    given: Inputs,
+    coarser: Coarser | None,
+    config: VisualConfig = VisualConfig(),
+    progress: Progress = silent,
+) -> VisualResult:
+    """The result, from the finest level. Raises DegenerateProblemError as `refine` does."""
+    scene = _scene(given, config)
+    found, last, directions = _solved(scene, coarser, config, progress)
+    state, sigma = found.state, np.zeros(len(scene.image_times))
     if config.exposures == "means":
         state, sigma = _exposed(scene, 0, state, config)
-    return results.collect(solutions, state, directions, sigma, start, prior_of_all, keyframes, images.times)
+    start = scene.start.cameras.world_from_camera
+    return results.collect(
+        found.reports, last, state, directions, sigma, start, scene.prior, given.keyframes, given.images.times
+    )
 
 
 @dataclass(frozen=True)
 class _Scene:
-    """What all levels share."""
+    """What all levels share.
+
+    start: carried rough poses, all equally exposed; prior: of all images
+    """
 
     pyramid: Pyramid
     image_times: np.ndarray
     scan_times: np.ndarray
     planes: Planes
     plane_points: PlanePoints
+    keyframes: np.ndarray
+    start: VisualState
+    prior: Prior
     seen: VisibilityMap | None
-    """Made once: which cameras are near a scan does not change by centimetres."""
+    """Which cameras are near a scan: that does not change by centimetres, so the rough poses will do."""
+
+
+def _scene(given: Inputs, config: VisualConfig) -> _Scene:
+    times, scans = given.images.times[given.keyframes], given.scans
+    prior = priors.build(scans, given.refined_scans, given.images, given.camera_from_scan, config.prior)
+    carried = trajectory.interpolate_corrections(scans, given.refined_scans, times)
+    start = carried @ given.images.world_from_sensor[given.keyframes]
+    sensors = (given.refined_scans @ np.append(given.sensor_position_scan, 1.0))[:, :3]
+    visible = _one_patch_size(config).visibility
+    return _Scene(
+        pyramid=given.pyramid,
+        image_times=times,
+        scan_times=scans.times,
+        planes=given.planes,
+        plane_points=given.plane_points,
+        keyframes=given.keyframes,
+        start=VisualState(CameraStates(start, np.zeros(len(times))), prior.mount),
+        prior=prior,
+        seen=_visibility_map(scans.times, sensors, times, start, given.plane_points, visible),
+    )
+
+
+def _solved(
+    scene: _Scene, coarser: Coarser | None, config: VisualConfig, progress: Progress
+) -> tuple[Coarser, LevelSolution, WeakDirections]:
+    """The next level: what it leaves, its solution, and the directions that no image holds."""
+    config = _one_patch_size(config)
+    if coarser is None:
+        held = priors.take(scene.prior, scene.keyframes) if config.prior.enabled else None
+        coarser = Coarser(scene.start, held, _FIRST_INFLATION, ())
+    level = len(scene.pyramid) - 1 - len(coarser.reports)
+    solution = _solve_level(scene, level, coarser, config, progress)
+    directions = weak.find(solution.problem, solution.linearization, scene.planes)
+    prior, state = solution.prior, solution.state
+    if prior is not None:
+        state = weak.hold(state, prior, directions)
+    report = results.level_report(level, solution)
+    logger.info("%s", report)
+    left = Coarser(state, prior, solution.problem.inflation, (*coarser.reports, report))
+    return left, solution, directions
 
 
 def _one_patch_size(config: VisualConfig) -> VisualConfig:
@@ -178,21 +258,18 @@ def _exposed(
 
 
 def _solve_level(
-    scene: _Scene,
-    level: int,
-    state: VisualState,
-    prior: Prior | None,
-    config: VisualConfig,
-    inflation: float,
+    scene: _Scene, level: int, coarser: Coarser, config: VisualConfig, progress: Progress
 ) -> LevelSolution:
     """Scene points, visibility and exposures anew at the present poses, then the solve."""
     images, camera = scene.pyramid.levels[level], scene.pyramid.camera.at_level(level)
     noise = float(scene.pyramid.noise[level])
-    poses = state.cameras.world_from_camera
+    poses = coarser.state.cameras.world_from_camera
+    progress("scene points", 0, 3)
     points = scene_points.select(
         images, camera, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, noise,
         config.points,
     )  # fmt: skip
+    progress("visibility", 1, 3)
     depth = visibility.depth_buffers(
         camera, poses, scene.image_times, scene.plane_points, scene.scan_times, config.points.time_window_s
     )
@@ -201,11 +278,14 @@ def _solve_level(
     )
     if len(observations) == 0:
         raise DegenerateProblemError(f"no scene point is seen by two images at pyramid level {level}")
-    state, _ = _exposed(scene, level, state, config, depth)
+    progress("camera poses", 2, 3)
+    state, _ = _exposed(scene, level, coarser.state, config, depth)
     adjustment = config.adjustment if level == 0 else _coarse(config.adjustment)
-    return bundle_adjustment.solve(
-        images, camera, points, observations, state, prior, adjustment, inflation=inflation
+    solution = bundle_adjustment.solve(
+        images, camera, points, observations, state, coarser.prior, adjustment, inflation=coarser.inflation
     )
+    progress("camera poses", 3, 3)
+    return solution
 
 
 def _coarse(config: BundleAdjustmentConfig) -> BundleAdjustmentConfig:

@@ -95,7 +95,8 @@ def level_report(level: int, solution: LevelSolution) -> LevelReport:
 
 
 def collect(
-    solutions: list[LevelSolution],
+    levels: tuple[LevelReport, ...],
+    last: LevelSolution,
     state: VisualState,
     directions: WeakDirections,
     log_exposure_sigma: np.ndarray,
@@ -104,14 +105,12 @@ def collect(
     keyframes: np.ndarray,
     times: np.ndarray,
 ) -> VisualResult:
-    """The result from the levels' solutions, coarse to fine.
+    """The result from the account of the levels, coarse to fine, and the last level's solution.
 
     state: final, with its exposures and at the prior along the weak directions; log_exposure_sigma: (K,)
     start: (K, 4, 4), carried rough poses
     prior: of all I images, before the solve; keyframes: (K,); times: (I,) s of all images
     """
-    last = solutions[-1]
-    levels = tuple(level_report(len(solutions) - 1 - n, solution) for n, solution in enumerate(solutions))
     blocks = bundle_adjustment.covariance_of(last)
     if last.prior is not None:
         blocks[:-1, :6, :6] += weak.held_covariance(state, last.prior, directions)

@@ -14,7 +14,10 @@ from conftest import ROOT
 
 from lvba.io import ply, tum
 
-STAGES = ["lidar", "lidar-gate", "visual", "evaluate", "visual-gate", "map", "pictures", "facts"]
+STAGES = [
+    *("lidar", "lidar-gate", "visual-level-1", "visual"),
+    *("evaluate", "visual-gate", "map", "pictures", "facts"),
+]
 PRODUCTS = ["lidar_poses.txt", "image_poses.txt", "exposures.csv", "map.ply", "config.yaml"]
 
 STOPPED_IN = """
@@ -79,7 +82,7 @@ def test_writes_everything_that_is_promised(undisturbed, recording):
     assert {"dataset", "config", "versions", "stages", "lidar", "visual", "evaluation", "reference"} <= set(
         report
     )
-    assert [s["name"] for s in report["stages"]][:9] == ["input", *STAGES]
+    assert [s["name"] for s in report["stages"]][: len(STAGES) + 1] == ["input", *STAGES]
     assert all({"seconds", "peak_memory_mb", "tasks", "reused"} <= set(s) for s in report["stages"])
     for state in ("rough", "refined"):
         assert {"psnr", "ssim", "coverage", "psnr_leave_one_out", "ssim_leave_one_out", "map_entropy"} <= set(
@@ -126,7 +129,7 @@ def test_progress_elsewhere_than_on_a_terminal_is_plain_lines(undisturbed):
     _, done = undisturbed
     assert "\r" not in done.stderr
     assert "\x1b" not in done.stderr
-    assert [line for line in done.stderr.splitlines() if line == "[1/8] lidar"]
+    assert [line for line in done.stderr.splitlines() if line == "[1/9] lidar"]
 
 
 def test_same_command_again_reuses_every_stage(undisturbed, recording, lvba):
@@ -156,17 +159,17 @@ def test_stopped_in_every_stage_in_turn_it_ends_with_the_same_bytes(undisturbed,
     out = tmp_path / "out"
     run = ["run", recording, "--out", out, "--reference", recording / "reference", "--threads", 1]
     for number, name in enumerate(STAGES):
-        for finished in (out / "stages").glob(f"{name}-*"):
+        for finished in (out / "stages").glob(f"{name}-{'[0-9a-f]' * 20}"):
             shutil.rmtree(finished)
         script = STOPPED_WRITING if number % 2 else STOPPED_IN
         done = lvba(f'"{name}"' if number % 2 else name, *run, program=("-c", script), code=1)
-        assert f"[{number + 1}/8] {name}" in done.stderr
+        assert f"[{number + 1}/{len(STAGES)}] {name}" in done.stderr
         assert done.stderr.splitlines()[-1].startswith("lvba: stopped; finished stages are kept")
         kept = sorted(p.name.rsplit("-", 1)[0] for p in (out / "stages").iterdir() if p.name[0] != ".")
         assert kept in (sorted(STAGES[:number]), sorted(STAGES[: number + 1]))
         assert not (out / "map.ply").exists()
     lvba(*run)
-    assert [reused(out)[name] for name in STAGES[:7]] == [True] * 7
+    assert all(reused(out)[name] for name in STAGES[:-1])
     assert bytes_of(out) == bytes_of(undisturbed[0])
 
 
@@ -185,7 +188,7 @@ def test_signal_from_outside_stops_it_with_one_line(recording, tmp_path, number)
     )
     assert process.stderr is not None
     for line in process.stderr:
-        if line.startswith("[3/8]"):
+        if line.startswith("[3/9]"):
             break
     time.sleep(0.2)
     process.send_signal(number)

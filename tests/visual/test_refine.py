@@ -71,7 +71,7 @@ def room():
 
 @pytest.fixture(scope="module")
 def refined(room):
-    return refine.refine(**room[0])
+    return refine.refine(refine.Inputs(**room[0]))
 
 
 def error(poses: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
@@ -108,7 +108,7 @@ def test_the_account_of_the_levels_goes_from_coarse_to_fine(refined):
 
 
 def test_the_same_input_gives_the_same_bytes(room, refined):
-    again = refine.refine(**room[0])
+    again = refine.refine(refine.Inputs(**room[0]))
     assert again.world_from_camera.tobytes() == refined.world_from_camera.tobytes()
     assert again.log_exposure.tobytes() == refined.log_exposure.tobytes()
 
@@ -118,7 +118,7 @@ def test_images_between_keyframes_are_carried_along(room):
     chosen = np.arange(0, COUNT, 2)
     pyramid = problem["pyramid"]
     thinned = replace(pyramid, levels=tuple(np.ascontiguousarray(level[chosen]) for level in pyramid.levels))
-    found = refine.refine(**(problem | {"pyramid": thinned, "keyframes": chosen}))
+    found = refine.refine(refine.Inputs(**(problem | {"pyramid": thinned, "keyframes": chosen})))
     between = np.setdiff1d(np.arange(COUNT), chosen)
     assert error(found.world_from_camera[between], truth[between])[0] < 3.0
     assert error(problem["images"].world_from_sensor[between], truth[between])[0] > 7.0
@@ -137,21 +137,21 @@ def test_images_between_keyframes_are_carried_along(room):
 )
 def test_ablations_are_one_option_away_and_still_improve(room, options):
     problem, truth, _ = room
-    found = refine.refine(**problem, config=refine.VisualConfig(**options))
+    found = refine.refine(refine.Inputs(**problem), refine.VisualConfig(**options))
     assert (
         error(found.world_from_camera, truth)[0] < 0.7 * error(problem["images"].world_from_sensor, truth)[0]
     )
 
 
 def test_without_exposures_all_images_count_as_equally_exposed(room):
-    found = refine.refine(**room[0], config=refine.VisualConfig(exposures="none"))
+    found = refine.refine(refine.Inputs(**room[0]), refine.VisualConfig(exposures="none"))
     assert (found.log_exposure == 0).all()
 
 
 def test_images_that_show_nothing_are_an_error_that_says_so(room):
     blank = np.full_like(room[0]["pyramid"].levels[0], 128)
     with pytest.raises(DegenerateProblemError, match="scene point"):
-        refine.refine(**(room[0] | {"pyramid": image.build_pyramid(blank, CAMERA, 2)}))
+        refine.refine(refine.Inputs(**(room[0] | {"pyramid": image.build_pyramid(blank, CAMERA, 2)})))
 
 
 @pytest.mark.parametrize("wrong", [{"patch": 8}, {"exposures": "some"}])

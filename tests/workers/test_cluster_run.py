@@ -15,7 +15,10 @@ from real_cluster import ROOT, Cluster
 
 from workers import connection
 
-STAGES = ["lidar", "lidar-gate", "visual", "evaluate", "visual-gate", "map", "pictures", "facts"]
+STAGES = [
+    *("lidar", "lidar-gate", "visual-level-1", "visual"),
+    *("evaluate", "visual-gate", "map", "pictures", "facts"),
+]
 PRODUCTS = ["lidar_poses.txt", "image_poses.txt", "exposures.csv", "map.ply", "config.yaml"]
 
 
