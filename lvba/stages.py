@@ -13,6 +13,7 @@ from lvba.gate import CARRIED, EXPOSED, ROUGH, VISUAL, GateConfig, Verdict
 from lvba.io import dataset as recordings
 from lvba.lidar import bundle_adjustment as lidar_ba
 from lvba.lidar.bundle_adjustment import LidarConfig, LidarResult
+from lvba.lidar.covariance import Covariance
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.products import evaluate as evaluation
 from lvba.products import map_file, map_quality, pictures
@@ -226,7 +227,14 @@ def visual_inputs(
         dataset.sensor_position_scan,
         planes,
         points,
+        _scan_covariance(lidar, scans),
     )
+
+
+def _scan_covariance(lidar: LidarStage, scans: ScanPoses) -> Covariance | None:
+    if lidar.result is None or not scans.verdict.accepted:
+        return None
+    return Covariance(lidar.result.covariance, lidar.result.conditional_covariance)
 
 
 def planes_in_use(

@@ -21,7 +21,7 @@ from lvba.lidar.config import LidarConfig, StageConfig, balm2
 from lvba.lidar.normal_equations import Problem
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.lidar.plane_feature import fit
-from lvba.lidar.prior import OdometryPrior, odometry_prior
+from lvba.lidar.prior import OdometryPrior, odometry_prior, reestimated
 from lvba.lidar.scan import Scans, gather
 from lvba.lidar.solver import Solution, solve
 from lvba.lidar.voxel_map import Association, VoxelMap
@@ -62,6 +62,8 @@ class LidarResult:
     world_from_scan: (S, 4, 4) float64, in the world frame of the input, first pose unchanged
     covariance: (S, 6, 6) float64, local tangent [rotation | translation], rad and m, of the pose within the trajectory
         (what is left after aligning it with the truth)
+    conditional_covariance: (S, 6, 6) float64, the same of each pose if all others were known: how far it may be off the
+        map around it
     cost_initial, cost_final: squared errors over their variances per point, of the last association's planes at the
         rough poses and at the refined ones
     weak_directions: motions of all scans together that the planes leave open: held at the odometry
@@ -70,6 +72,7 @@ class LidarResult:
 
     world_from_scan: np.ndarray
     covariance: np.ndarray
+    conditional_covariance: np.ndarray
     planes: Planes
     plane_points: PlanePoints
     history: tuple[Round, ...]
@@ -117,13 +120,15 @@ def refine(
             poses = found.world_from_scan
             if settled:
                 break
+        prior = reestimated(prior, poses, weakness.count == 0, config.prior_sigmas)
         done += stage.rounds
     progress("aligning scans", total, total)
     planes, plane_points = find_planes(points, poses, sensor_position=sensor, config=config)
     covariance = uncertainty.estimate(problem, poses)
     return LidarResult(
         poses,
-        covariance,
+        covariance.marginal,
+        covariance.conditional,
         planes,
         plane_points,
         tuple(history),

@@ -7,6 +7,8 @@ than the noise that they should have, and the covariance is scaled by as much. T
 at the solution are smaller than those at the truth, and on simulated scenes it is too narrow by a half.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 import scipy.linalg
 
@@ -17,22 +19,40 @@ from lvba.lidar.normal_equations import Problem, linearize
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
 
 
-def estimate(problem: Problem, world_from_scan: np.ndarray) -> np.ndarray:
-    """Covariances (S, 6, 6) of the poses, local tangent [rotation | translation], rad and m.
+@dataclass(frozen=True)
+class Covariance:
+    """Of poses, local tangent [rotation | translation], rad and m.
 
-    Relative to the trajectory as a whole: of what is left after a rigid motion has brought the positions as close to the
-    truth as it can. So the first pose has one too, and no pose is worse for being far from the first.
+    marginal: (S, 6, 6), relative to the trajectory as a whole: of what is left after a rigid motion has brought the
+        positions as close to the truth as it can. So the first pose has one too, and no pose is worse for being far from
+        the first.
+    conditional: (S, 6, 6), of each pose if all others were known: how far it may be off the map around it
     """
+
+    marginal: np.ndarray
+    conditional: np.ndarray
+
+
+def estimate(problem: Problem, world_from_scan: np.ndarray) -> Covariance:
+    """How certain poses (S, 4, 4) that solve a problem are."""
     scans = len(world_from_scan)
-    information = 0.5 * linearize(problem, world_from_scan, exact=False).hessian[6:, 6:]
-    inverse = _inverse(information)
+    here = np.arange(scans)
+    information = 0.5 * linearize(problem, world_from_scan, exact=False).hessian
+    inverse = _inverse(information[6:, 6:])
+    excess = _excess(problem, world_from_scan, inverse)
     covariance = np.zeros((6 * scans, 6 * scans))
-    covariance[6:, 6:] = inverse * _excess(problem, world_from_scan, inverse)
+    covariance[6:, 6:] = inverse * excess
     free = _alignment(world_from_scan)
     covariance = free @ covariance @ free.T
-    here = np.arange(scans)
-    blocks = covariance.reshape(scans, 6, scans, 6)[here, :, here]
-    turn = np.zeros((scans, 6, 6))
+    marginal = covariance.reshape(scans, 6, scans, 6)[here, :, here]
+    own = information.reshape(scans, 6, scans, 6)[here, :, here]
+    conditional = np.stack([excess * _inverse(block) for block in own])
+    return Covariance(_local(marginal, world_from_scan), _local(conditional, world_from_scan))
+
+
+def _local(blocks: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray:
+    """Blocks (S, 6, 6) of world axes about each sensor, in the sensor's own axes."""
+    turn = np.zeros(blocks.shape)
     turn[:, :3, :3] = turn[:, 3:, 3:] = np.swapaxes(world_from_scan[:, :3, :3], -1, -2)
     return np.asarray(turn @ blocks @ np.swapaxes(turn, -1, -2))
 

@@ -3,11 +3,15 @@
 It decides only what planes leave open. Where they determine a direction, they outweigh it by orders of magnitude.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lvba import geometry
+
+_FEWEST_STEPS = 10
+_FLOOR_ROTATION, _FLOOR_TRANSLATION = 2e-4, 1e-3
+"""rad and m: no odometry is taken for better than this from scan to scan."""
 
 
 @dataclass(frozen=True)
@@ -59,3 +63,21 @@ def odometry_prior(
     information = np.diag([sigma_rotation**-2] * 3 + [sigma_translation**-2] * 3)
     steps = geometry.inverse(world_from_scan[:-1]) @ world_from_scan[1:]
     return OdometryPrior(steps, np.broadcast_to(information, (len(steps), 6, 6)).copy())
+
+
+def reestimated(
+    prior: OdometryPrior, world_from_scan: np.ndarray, held: np.ndarray, ceiling: np.ndarray
+) -> OdometryPrior:
+    """The prior with the standard deviations that its errors at refined poses (S, 4, 4) show; robust (median).
+
+    held: (S,) bool, scans that planes hold in every direction: only steps between two of these tell how wrong the
+        odometry is; where they are few the prior stays as it is
+    ceiling: (6,), rad and m, [rotation | translation], no estimate is larger
+    """
+    error = np.abs(prior._error(world_from_scan))[held[1:] & held[:-1]]
+    if len(error) < _FEWEST_STEPS:
+        return prior
+    rotation, translation = (1.4826 * float(np.median(error[:, part])) for part in (slice(3), slice(3, 6)))
+    sigma = np.repeat([max(rotation, _FLOOR_ROTATION), max(translation, _FLOOR_TRANSLATION)], 3)
+    information = np.diag(np.minimum(sigma, ceiling) ** -2)
+    return replace(prior, information=np.broadcast_to(information, prior.information.shape).copy())

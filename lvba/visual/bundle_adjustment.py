@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from lvba import solver
 from lvba.camera import Camera
 from lvba.solver import Iteration, NormalEquations, SolverConfig
-from lvba.visual import covariance, photometric
+from lvba.visual import covariance, photometric, prior_sigmas
 from lvba.visual import prior as priors
 from lvba.visual.photometric import Linearization, PhotometricConfig, PhotometricState, Problem
 from lvba.visual.prior import Prior, Source
@@ -191,7 +191,7 @@ def _reweighted(
     if prior is not None:
         own, with_mount = solver.covariance_blocks(joint(linearization.equations, prior, at.visual), free)
         undecided = tuple(_undecided(prior, source, at.visual, own, with_mount) for source in prior.sources)
-        prior = priors.reestimated(prior, at.visual, undecided)
+        prior = prior_sigmas.reestimated(prior, at.visual, undecided)
     return problem, prior
 
 

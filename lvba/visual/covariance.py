@@ -9,17 +9,17 @@ and a cluster is all that hangs on one piece of wall.
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from lvba import solver
+from lvba import geometry, solver
 from lvba.solver import NormalEquations
+from lvba.trajectory import Trajectory
 from lvba.visual.photometric import Linearization, Problem
 from lvba.visual.scene_points import ScenePoints
 
 _GREATEST_LEVERAGE = 0.8
 _CLUSTER_M = 1.0
 """Planes that face the same way within cells of this size share their errors (a bulge, the poses of their scans)."""
-_UNMODELED = 2.0
-"""Factor on the covariance for what no residual shows, above all the errors of the scan poses that planes and prior
-share: measured as the excess of the normalized squared errors over simulated courtyards, rooms, streets and corridors."""
+_MAP_SCANS = 11
+"""So many scans about an image make the part of the map that it is held by."""
 
 
 def cluster_gradients(
@@ -128,7 +128,28 @@ def camera_covariance(
         mine = slice(starts[block], starts[block + 1])
         local = index[mine] - 7 * block
         value = spread[mine] @ spread[mine].T
-        blocks[block][np.ix_(local, local)] = _UNMODELED * (
-            value if middle is None else value + middle[mine, mine]
-        )
+        blocks[block][np.ix_(local, local)] = value if middle is None else value + middle[mine, mine]
     return blocks
+
+
+def of_map(
+    world_from_camera: np.ndarray,
+    times: np.ndarray,
+    scans: Trajectory,
+    scan_covariance: np.ndarray,
+) -> np.ndarray:
+    """(I, 6, 6): how far the map about each camera may be off, in the camera's tangent `[rotation | translation]`.
+
+    No residual shows it: planes and cameras move together with the scans that made the planes. Scans about a camera
+    are off together, so it is their mean information that counts, not the sum.
+
+    scans: refined; scan_covariance: (S, 6, 6) of their poses
+    """
+    middle = np.searchsorted(scans.times, times)
+    count = min(_MAP_SCANS, len(scans))
+    first = np.clip(middle - count // 2, 0, len(scans) - count)
+    near = first[:, None] + np.arange(count)
+    camera_from_scan = geometry.inverse(world_from_camera)[:, None] @ scans.world_from_sensor[near]
+    carry = geometry.adjoint(camera_from_scan)
+    spread = carry @ scan_covariance[near] @ np.swapaxes(carry, -1, -2)
+    return np.asarray(np.linalg.inv(np.linalg.inv(spread).mean(axis=1)))

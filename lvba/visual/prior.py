@@ -72,12 +72,17 @@ class Source:
     """One way to tell from the LiDAR trajectory where each camera is.
 
     world_from_scan: (I, 4, 4) float64, the LiDAR at the images' stamps
-    sigma_rotation, sigma_position: (I,) of one component of a frame's deviation, rad and m
+    sigma_rotation, sigma_position: (I,) of one component of what a frame deviates by itself, rad and m
+    scan_rotation, scan_position: (I,) of one component of the error of the scans' poses, rad and m
+    memory: by what the variances of the latter (rotation, position) grow because neighboring frames share them
     """
 
     world_from_scan: np.ndarray
     sigma_rotation: np.ndarray
     sigma_position: np.ndarray
+    scan_rotation: np.ndarray
+    scan_position: np.ndarray
+    memory: tuple[float, float] = (1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -105,8 +110,12 @@ def build(
     images: Trajectory,
     camera_from_scan: np.ndarray,
     config: PriorConfig = PriorConfig(),
+    scan_covariance: np.ndarray | None = None,
 ) -> Prior:
     """The prior of I images from the rough trajectories and the (S, 4, 4) refined scan poses.
+
+    scan_covariance: (S, 6, 6), how far each refined pose may be off the map around it, tangent `[rotation |
+        translation]`, rad and m; None: as far as a frame may be at most
 
     Two sources. The rough camera carried by the interpolated LiDAR correction (Li et al., eq. 1) follows every motion,
     but has the odometry's noise of each frame. A spline through the refined scans has none, but does not know what
@@ -116,20 +125,32 @@ def build(
     scan_from_camera = geometry.inverse(camera_from_scan)
     carried = trajectory.interpolate_corrections(scans, refined, images.times) @ images.world_from_sensor
     count = len(images)
+    off = _scan_sigmas(scans.times, scan_covariance, images.times, config)
     by_eq1 = Source(
         carried @ camera_from_scan,
         np.full(count, np.radians(config.sigma_rotation_deg)),
         np.full(count, config.sigma_position_m),
+        *off,
     )
     moving = Trajectory(scans.times, refined)
-    sources = (by_eq1,) if len(scans) < _FEWEST_SCANS else (by_eq1, _spline(moving, images.times, config))
+    sources: tuple[Source, ...] = (by_eq1,)
+    if len(scans) >= _FEWEST_SCANS:
+        pose, sigma = _spline(moving, images.times, config)
+        sources = (by_eq1, Source(pose, *sigma, *off))
     return Prior(sources, *_rates(moving, images.times), Mount(scan_from_camera), config)
 
 
 def take(prior: Prior, index: np.ndarray) -> Prior:
     """The prior of some of the images."""
     sources = tuple(
-        Source(s.world_from_scan[index], s.sigma_rotation[index], s.sigma_position[index])
+        Source(
+            s.world_from_scan[index],
+            s.sigma_rotation[index],
+            s.sigma_position[index],
+            s.scan_rotation[index],
+            s.scan_position[index],
+            s.memory,
+        )
         for s in prior.sources
     )
     return replace(
@@ -161,21 +182,41 @@ def fill(
     return poses, added
 
 
-def _spline(scans: Trajectory, times: np.ndarray, config: PriorConfig) -> Source:
-    """The scans' poses at the images' times by twice differentiable splines, with what they may miss."""
+def _scan_sigmas(
+    scan_times: np.ndarray, covariance: np.ndarray | None, times: np.ndarray, config: PriorConfig
+) -> tuple[np.ndarray, np.ndarray]:
+    """(I,) rad and (I,) m: how far the less certain of the scans about each image may be off, in its worst direction."""
+    if covariance is None:
+        return (
+            np.full(len(times), np.radians(config.ceiling_rotation_deg)),
+            np.full(len(times), config.ceiling_position_m),
+        )
+    before, _ = trajectory.bracket(scan_times, times)
+    after = np.minimum(before + 1, len(scan_times) - 1)
+    worst = [np.linalg.eigvalsh(covariance[:, part, part])[:, -1] for part in (slice(3), slice(3, 6))]
+    rotation, position = (np.sqrt(np.maximum(np.maximum(w[before], w[after]), 0.0)) for w in worst)
+    return rotation, position
+
+
+def _spline(
+    scans: Trajectory, times: np.ndarray, config: PriorConfig
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """The scans' poses at the images' times by twice differentiable splines, and what these may miss (rad, m)."""
     clamped = np.clip(times, scans.times[0], scans.times[-1])
     rotation = RotationSpline(scans.times, Rotation.from_matrix(scans.world_from_sensor[:, :3, :3]))
     position = CubicSpline(scans.times, scans.world_from_sensor[:, :3, 3])
     pose = geometry.from_rotation_translation(rotation(clamped).as_matrix(), position(clamped))
     missed = _leave_one_out(scans)
-    before, _ = trajectory.bracket(scans.times, times)
+    before, fraction = trajectory.bracket(scans.times, times)
     around = np.maximum(missed[before], missed[np.minimum(before + 1, len(scans) - 1)])
+    # a spline is exact at the scans and most wrong half way between them
+    inside = times == clamped
+    around *= np.where(inside, 4 * fraction * (1 - fraction), 1.0)[:, None]
     # beyond the scans there is nothing to interpolate: what is extrapolated counts for nothing
-    outside = np.where(times == clamped, 1.0, 1e3)[:, None]
-    sigma = outside * (
+    sigma = np.where(inside, 1.0, 1e3)[:, None] * (
         config.between_scans * around + [np.radians(config.floor_rotation_deg), config.floor_position_m]
     )
-    return Source(pose, sigma[:, 0], sigma[:, 1])
+    return pose, (sigma[:, 0], sigma[:, 1])
 
 
 def _leave_one_out(scans: Trajectory) -> np.ndarray:
@@ -301,8 +342,10 @@ def _linearize_source(prior: Prior, source: Source, state: VisualState) -> Norma
 
 
 def sigmas(source: Source) -> np.ndarray:
-    """(I, 6), of `[rotation | position]`."""
-    return np.repeat(np.stack([source.sigma_rotation, source.sigma_position], axis=1), 3, axis=1)
+    """(I, 6), of `[rotation | position]`: a frame's own deviation and the scans' errors together."""
+    rotation = np.hypot(source.sigma_rotation, np.sqrt(source.memory[0]) * source.scan_rotation)
+    position = np.hypot(source.sigma_position, np.sqrt(source.memory[1]) * source.scan_position)
+    return np.repeat(np.stack([rotation, position], axis=1), 3, axis=1)
 
 
 def _robust(normalized: np.ndarray) -> tuple[np.ndarray, float]:
@@ -340,77 +383,3 @@ def retract(mount: Mount, step: np.ndarray) -> Mount:
         geometry.orthonormalize(geometry.from_rotation_translation(rotation, translation)),
         mount.time_offset + float(step[6]),
     )
-
-
-def reestimated(prior: Prior, state: VisualState, undecided: tuple[np.ndarray, ...]) -> Prior:
-    """The prior with the sigmas of each source scaled to fit the frames' deviations (robust, within limits).
-
-    undecided: per source (I, 6), how much of each deviation the data left undecided: the posterior variances of the
-        deviations. A deviation that only the prior decides is zero by construction and must not count as agreement:
-        each component's vote is weighed by the part of it that the images decided (variance components, Helmert).
-    """
-    config = prior.config
-    sources = []
-    for source, posterior in zip(prior.sources, undecided, strict=True):
-        deviation, sigma = residuals(prior, source, state), sigmas(source)
-        share = np.clip(1 - posterior / sigma**2, 0.0, 1.0)
-        normalized = np.square(deviation / sigma)
-        memory = _memory(deviation / sigma)
-        rotation = _scale(normalized[:, :3], share[:, :3]) * source.sigma_rotation
-        position = _scale(normalized[:, 3:], share[:, 3:]) * source.sigma_position
-        sources.append(
-            replace(
-                source,
-                sigma_rotation=memory[0]
-                * _within(
-                    rotation,
-                    source.sigma_rotation,
-                    np.radians([config.floor_rotation_deg, config.ceiling_rotation_deg]),
-                ),
-                sigma_position=memory[1]
-                * _within(
-                    position,
-                    source.sigma_position,
-                    np.array([config.floor_position_m, config.ceiling_position_m]),
-                ),
-            )
-        )
-    return replace(prior, sources=tuple(sources))
-
-
-def _within(sigma: np.ndarray, before: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """Estimates (I,) between floor and ceiling; one that began above the ceiling (far from any scan) may stay there."""
-    return np.clip(sigma, limits[0], np.maximum(before, limits[1]))
-
-
-def _memory(normalized: np.ndarray) -> tuple[float, float]:
-    """By what factor sigmas of rotation and position grow because neighboring frames deviate alike, >= 1.
-
-    N frames whose deviations have lag-one correlation r tell of their common part only what N (1 - r) / (1 + r)
-    independent ones do.
-    """
-    factors = []
-    for part in (normalized[:, :3], normalized[:, 3:]):
-        clipped = np.clip(part, -3, 3)
-        total = float(np.square(clipped).mean())
-        correlation = (
-            float((clipped[1:] * clipped[:-1]).mean()) / total if len(part) > 10 and total > 0 else 0.0
-        )
-        correlation = min(max(correlation, 0.0), 0.95)
-        factors.append(float(np.sqrt((1 + correlation) / (1 - correlation))))
-    return factors[0], factors[1]
-
-
-def _scale(normalized: np.ndarray, share: np.ndarray) -> float:
-    """By what factor deviations exceed their sigmas, robust (Huber's proposal 2); 1 where the images decided too few."""
-    if share.sum() < 6:
-        return 1.0
-    scale = 1.0
-    for _ in range(20):
-        clip = (2.0 * scale) ** 2
-        # 0.9205 is the mean of a chi-square of one degree of freedom clipped at 4
-        new = float(np.sqrt(np.minimum(normalized, clip).sum() / (0.9205 * share.sum())))
-        if abs(new - scale) < 1e-3 * scale:
-            break
-        scale = new
-    return float(np.clip(scale, 0.1, 10.0))

@@ -8,10 +8,11 @@ import numpy as np
 
 from lvba import trajectory
 from lvba.errors import DegenerateProblemError
+from lvba.lidar.covariance import Covariance
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.progress import Progress, silent
 from lvba.trajectory import Trajectory
-from lvba.visual import bundle_adjustment, exposure, scene_points, visibility, weak
+from lvba.visual import bundle_adjustment, covariance, exposure, scene_points, visibility, weak
 from lvba.visual import prior as priors
 from lvba.visual import result as results
 from lvba.visual.bundle_adjustment import BundleAdjustmentConfig, LevelSolution
@@ -80,6 +81,7 @@ class Inputs:
     pyramid: of the keyframes only; keyframes: (K,) their indices among the images
     images, scans: rough trajectories; refined_scans: (S, 4, 4), poses the planes were made with
     camera_from_scan: (4, 4) calibrated mount; sensor_position_scan: (3,) m
+    scan_covariance: of refined_scans; None: not known
     """
 
     pyramid: Pyramid
@@ -91,6 +93,7 @@ class Inputs:
     sensor_position_scan: np.ndarray
     planes: Planes
     plane_points: PlanePoints
+    scan_covariance: Covariance | None = None
 
 
 @dataclass(frozen=True)
@@ -141,9 +144,18 @@ def refine_finest(
     if config.exposures == "means":
         state, sigma = _exposed(scene, 0, state, config)
     start = scene.start.cameras.world_from_camera
-    return results.collect(
+    result = results.collect(
         found.reports, last, state, directions, sigma, start, scene.prior, given.keyframes, given.images.times
     )
+    return replace(result, covariance=result.covariance + _of_map(given, result.world_from_camera))
+
+
+def _of_map(given: Inputs, world_from_camera: np.ndarray) -> np.ndarray:
+    """(I, 6, 6): what the errors of the map about each camera add to its covariance."""
+    if given.scan_covariance is None:
+        return np.zeros((len(world_from_camera), 6, 6))
+    scans = Trajectory(given.scans.times, given.refined_scans)
+    return covariance.of_map(world_from_camera, given.images.times, scans, given.scan_covariance.marginal)
 
 
 @dataclass(frozen=True)
@@ -167,7 +179,10 @@ class _Scene:
 
 def _scene(given: Inputs, config: VisualConfig) -> _Scene:
     times, scans = given.images.times[given.keyframes], given.scans
-    prior = priors.build(scans, given.refined_scans, given.images, given.camera_from_scan, config.prior)
+    off_map = None if given.scan_covariance is None else given.scan_covariance.conditional
+    prior = priors.build(
+        scans, given.refined_scans, given.images, given.camera_from_scan, config.prior, off_map
+    )
     carried = trajectory.interpolate_corrections(scans, given.refined_scans, times)
     start = carried @ given.images.world_from_sensor[given.keyframes]
     sensors = (given.refined_scans @ np.append(given.sensor_position_scan, 1.0))[:, :3]

@@ -56,6 +56,17 @@ def test_covariance_is_honest(yard):
     assert 0.3 < squared.mean() < 3.0
 
 
+def test_a_scan_is_known_better_if_all_others_are(yard):
+    result = yard[3]
+    marginal, conditional = (
+        np.trace(c, axis1=1, axis2=2) for c in (result.covariance, result.conditional_covariance)
+    )
+    # alignment takes a little out of the marginal one
+    assert (conditional < 1.2 * marginal).all()
+    assert np.median(conditional / marginal) < 0.95
+    assert (np.linalg.eigvalsh(result.conditional_covariance) > 0).all()
+
+
 def test_nothing_is_weak_in_an_open_scene(yard):
     result = yard[3]
     assert result.weak_directions == ()

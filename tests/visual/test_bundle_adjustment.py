@@ -29,7 +29,10 @@ def still(world_from_camera: np.ndarray, sigma_m: float = 0.02, sigma_deg: float
     """A prior that expects the cameras at these poses."""
     count = len(world_from_camera)
     none = np.zeros((count, 3))
-    source = Source(world_from_camera, np.full(count, np.radians(sigma_deg)), np.full(count, sigma_m))
+    exact = np.zeros(count)
+    source = Source(
+        world_from_camera, np.full(count, np.radians(sigma_deg)), np.full(count, sigma_m), exact, exact
+    )
     return Prior((source,), none, none, Mount(np.eye(4)), PriorConfig())
 
 

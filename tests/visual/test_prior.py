@@ -6,6 +6,7 @@ import pytest
 from lvba import geometry
 from lvba.trajectory import Trajectory
 from lvba.visual import prior as priors
+from lvba.visual import prior_sigmas
 from lvba.visual.prior import Prior, PriorConfig
 from lvba.visual.states import CameraStates, Mount, VisualState
 
@@ -123,7 +124,7 @@ def test_sigmas_are_estimated_from_the_deviations_and_resist_a_few_bad_frames():
     step = np.concatenate([0.002 * rng.normal(size=(30, 3)), 0.008 * rng.normal(size=(30, 3))], axis=1)
     step[[4, 20]] *= 30
     none = (np.zeros((30, 6)), np.zeros((30, 6)))
-    found = priors.reestimated(prior, moved(state, step, np.zeros(7)), none)
+    found = prior_sigmas.reestimated(prior, moved(state, step, np.zeros(7)), none)
     for source in found.sources:
         assert np.median(source.sigma_rotation) == pytest.approx(0.002, rel=0.4)
         assert np.median(source.sigma_position) == pytest.approx(0.008, rel=0.4)
@@ -136,9 +137,48 @@ def test_deviations_that_only_the_prior_decided_do_not_count_as_agreement():
     # along two of the camera's axes the images see nothing: there it sits exactly on the prior
     step[:, 3] = 0.01 * rng.normal(size=30)
     undecided = np.zeros((30, 6))
-    undecided[:, 4:] = prior.sources[0].sigma_position[:, None] ** 2
-    found = priors.reestimated(prior, moved(state, step, np.zeros(7)), (undecided, undecided))
+    undecided[:, 4:] = priors.sigmas(prior.sources[0])[:, 4:] ** 2
+    found = prior_sigmas.reestimated(prior, moved(state, step, np.zeros(7)), (undecided, undecided))
     assert found.sources[0].sigma_position[0] == pytest.approx(0.01, rel=0.35)
+
+
+def drifted(count: int = 30) -> np.ndarray:
+    """A slow deviation of all cameras, 6 cm from end to end, that no single step shows."""
+    step = np.zeros((count, 6))
+    step[:, 3] = np.linspace(-0.03, 0.03, count)
+    return step
+
+
+@pytest.mark.parametrize(("scan_m", "free"), [(0.001, False), (0.05, True)])
+def test_a_slow_deviation_is_allowed_only_as_far_as_the_scans_may_be_off(scan_m, free):
+    sure = np.tile(np.diag([1e-8] * 3 + [scan_m**2] * 3), (101, 1, 1))
+    scans = Trajectory(np.arange(0, 10.05, 0.1), handheld(np.arange(0, 10.05, 0.1)))
+    times = np.linspace(0.5, 9.5, 30)
+    cameras = Trajectory(times, handheld(times) @ MOUNT)
+    prior = priors.build(
+        scans, scans.world_from_sensor, cameras, geometry.inverse(MOUNT), scan_covariance=sure
+    )
+    none = (np.zeros((30, 6)), np.zeros((30, 6)))
+    off = moved(
+        VisualState(CameraStates(cameras.world_from_sensor, np.zeros(30)), Mount(MOUNT, 0.0)),
+        drifted(),
+        np.zeros(7),
+    )
+    found = prior_sigmas.reestimated(prior, off, none)
+    for source in found.sources:
+        assert source.sigma_position.max() < 0.004
+        assert (priors.sigmas(source)[:, 3].min() > 0.03) == free
+
+
+def test_a_spline_is_sure_of_itself_at_the_scans():
+    times = np.arange(0, 10.05, 0.5)
+    at = np.array([2.0, 2.25, 2.5])
+    images = Trajectory(at, handheld(at) @ MOUNT)
+    source = priors.build(
+        Trajectory(times, handheld(times)), handheld(times), images, geometry.inverse(MOUNT)
+    ).sources[1]
+    assert source.sigma_position[0] == pytest.approx(PriorConfig().floor_position_m)
+    assert source.sigma_position[1] > 1.5 * source.sigma_position[[0, 2]].max()
 
 
 def test_a_spline_trusts_itself_where_motion_is_smooth_and_not_where_it_is_jerky():

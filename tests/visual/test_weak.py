@@ -68,7 +68,7 @@ def test_two_directions_of_walls_leave_one_along_both(scene):
 def prior_at(poses: np.ndarray) -> Prior:
     count = len(poses)
     none = np.zeros((count, 3))
-    source = Source(poses, np.full(count, 0.002), np.full(count, 0.01))
+    source = Source(poses, np.full(count, 0.002), np.full(count, 0.01), np.zeros(count), np.zeros(count))
     return Prior((source,), none, none, Mount(np.eye(4)), PriorConfig())
 
 
