@@ -40,19 +40,35 @@ class Undistorted:
         """(H, W, 3) uint8 RGB."""
         if index in self._kept:
             return self._kept[index]
-        picture = np.ascontiguousarray(self._undistort(recordings.load_image(self._dataset, index)))
+        return self._keep(index, recordings.load_image(self._dataset, index))
+
+    def raw(self, index: int) -> np.ndarray:
+        """The image as it is in its file, (H, W, 3) uint8 RGB; while it is at hand, it is undistorted as well."""
+        picture = recordings.load_image(self._dataset, index)
+        if index not in self._kept and len(self._kept) < self._capacity:
+            self._keep(index, picture)
+        return picture
+
+    def _keep(self, index: int, raw: np.ndarray) -> np.ndarray:
+        picture = np.ascontiguousarray(self._undistort(raw))
         if len(self._kept) < self._capacity:
             self._kept[index] = picture
         return picture
 
 
-def views_of(dataset: Dataset) -> Views:
-    """The undistorted images at their rough poses, all equally exposed."""
-    kept, camera = _kept(dataset), dataset.camera
+def undistorted(dataset: Dataset) -> Undistorted:
+    """The undistorted images of a recording, the same ones for all stages."""
+    kept = _kept(dataset)
     if "undistorted" not in kept:
         kept["undistorted"] = Undistorted(dataset)
+    return kept["undistorted"]
+
+
+def views_of(dataset: Dataset) -> Views:
+    """The undistorted images at their rough poses, all equally exposed."""
+    camera = dataset.camera
     return Views(
-        load=kept["undistorted"],
+        load=undistorted(dataset),
         camera=camera.undistorted(),
         times=dataset.images.times,
         world_from_camera=dataset.images.world_from_sensor,
@@ -74,8 +90,9 @@ def pyramid(
     kept, key = _kept(dataset), (levels, config, chosen.tobytes())
     known, found = kept.pop("pyramid", (None, None))
     if found is None or known != key:
+        load = undistorted(dataset).raw
         found = image.load_images(
-            lambda index: recordings.load_image(dataset, int(chosen[index])),
+            lambda index: load(int(chosen[index])),
             len(chosen),
             dataset.camera,
             levels,

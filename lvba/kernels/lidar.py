@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit, prange
 
 from lvba.kernels.parallel import parallel
-from lvba.kernels.point_cluster import add_cluster, eigen3, rotate_scatter
+from lvba.kernels.point_cluster import add_cluster, eigen3, move_cluster, rotate_scatter
 
 TILE = 12
 """Neighboring scans whose parts of W share a panel: enough of them to fill whole vector registers."""
@@ -46,10 +46,8 @@ def fit(
         world_mean = np.empty(3)
         world_scatter = np.empty(6)
         for o in range(offsets[f], offsets[f + 1]):
-            r, t = rotation[scan[o]], translation[scan[o]]
-            for a in range(3):
-                world_mean[a] = r[a, 0] * mean[o, 0] + r[a, 1] * mean[o, 1] + r[a, 2] * mean[o, 2] + t[a]
-            rotate_scatter(r, scatter[o], world_scatter)
+            s = scan[o]
+            move_cluster(rotation[s], translation[s], mean[o], scatter[o], world_mean, world_scatter)
             add_cluster(total[f : f + 1], center[f], sums, count[o], world_mean, world_scatter)
         if total[f] > 0.0:
             for a in range(6):

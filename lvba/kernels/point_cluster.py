@@ -65,6 +65,24 @@ def rotate_scatter(rotation: np.ndarray, scatter: np.ndarray, out: np.ndarray) -
 
 
 @njit(cache=True, nogil=True)
+def move_cluster(
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    mean: np.ndarray,
+    scatter: np.ndarray,
+    out_mean: np.ndarray,
+    out_scatter: np.ndarray,
+) -> None:
+    """out_mean (3,) and out_scatter (6,) of a cluster moved by R x + t."""
+    r, t = rotation, translation
+    x, y, z = mean[0], mean[1], mean[2]
+    out_mean[0] = r[0, 0] * x + r[0, 1] * y + r[0, 2] * z + t[0]
+    out_mean[1] = r[1, 0] * x + r[1, 1] * y + r[1, 2] * z + t[1]
+    out_mean[2] = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z + t[2]
+    rotate_scatter(r, scatter, out_scatter)
+
+
+@njit(cache=True, nogil=True)
 def eigen3(symmetric: np.ndarray, values: np.ndarray, vectors: np.ndarray) -> None:
     """Eigenvalues (3,) ascending and eigenvectors (3, 3), rows, of the 6 numbers of a symmetric matrix.
 
@@ -126,8 +144,6 @@ def transform(
     out_mean = np.empty_like(mean)
     out_scatter = np.empty_like(scatter)
     for c in prange(len(pose)):
-        r, t = rotation[pose[c]], translation[pose[c]]
-        for i in range(3):
-            out_mean[c, i] = r[i, 0] * mean[c, 0] + r[i, 1] * mean[c, 1] + r[i, 2] * mean[c, 2] + t[i]
-        rotate_scatter(r, scatter[c], out_scatter[c])
+        p = pose[c]
+        move_cluster(rotation[p], translation[p], mean[c], scatter[c], out_mean[c], out_scatter[c])
     return out_mean, out_scatter

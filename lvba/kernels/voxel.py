@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit, prange
 
 from lvba.kernels.parallel import parallel
-from lvba.kernels.point_cluster import add_cluster, eigen3, rotate_scatter
+from lvba.kernels.point_cluster import add_cluster, eigen3, move_cluster
 
 AXIS_CELLS = 1 << 16
 _EMPTY = np.int64(-1)
@@ -63,11 +63,14 @@ def _number(
     table_value = np.empty(_FIRST_TABLE, np.int32)
     n = 0
     last_x, last_y, last_z, last = np.int64(-1), np.int64(-1), np.int64(-1), np.int32(-1)
+    xx, xy, xz, x0 = r[0, 0], r[0, 1], r[0, 2], t[0]
+    yx, yy, yz, y0 = r[1, 0], r[1, 1], r[1, 2], t[1]
+    zx, zy, zz, z0 = r[2, 0], r[2, 1], r[2, 2], t[2]
     for i in range(len(points)):
         px, py, pz = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
-        gx = (r[0, 0] * px + r[0, 1] * py + r[0, 2] * pz + t[0]) * scale
-        gy = (r[1, 0] * px + r[1, 1] * py + r[1, 2] * pz + t[1]) * scale
-        gz = (r[2, 0] * px + r[2, 1] * py + r[2, 2] * pz + t[2]) * scale
+        gx = (xx * px + xy * py + xz * pz + x0) * scale
+        gy = (yx * px + yy * py + yz * pz + y0) * scale
+        gz = (zx * px + zy * py + zz * pz + z0) * scale
         # written so that NaN is outside
         inside = (
             gx >= 0.0 and gy >= 0.0 and gz >= 0.0 and gx < AXIS_CELLS and gy < AXIS_CELLS and gz < AXIS_CELLS
@@ -161,67 +164,51 @@ def order_pairs(
 
 @parallel
 def accumulate(
-    points: np.ndarray,
-    offsets: np.ndarray,
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    local: np.ndarray,
-    starts: np.ndarray,
-    entry: np.ndarray,
+    points: np.ndarray, offsets: np.ndarray, local: np.ndarray, starts: np.ndarray, entry: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Clusters of the (cell, scan) pairs that `assign` numbered, in the frame of rotation and translation.
+    """Clusters of the (cell, scan) pairs that `assign` numbered, in their scan's frame.
 
     local: (M,) int32, -1: no cell; starts: (S + 1,) int64, scan s owns pairs starts[s] to starts[s + 1]; entry: (K,)
     int64, where each pair's cluster goes.
     Returns count (K,), mean (K, 3), scatter (K, 6), float64, in the order of entries.
     """
     total = starts[-1]
-    count = np.zeros(total)
-    mean = np.empty((total, 3))
-    scatter = np.zeros((total, 6))
+    count, mean, scatter = np.empty(total), np.empty((total, 3)), np.empty((total, 6))
     for s in prange(len(offsets) - 1):
-        r, t = rotation[s], translation[s]
         n = starts[s + 1] - starts[s]
         # sums about the cell's first point: no digits lost to the distance from the sensor
-        origin = np.empty((n, 3))
+        origin = np.zeros((n, 3))
         sums = np.zeros((n, 10))
         for i in range(offsets[s], offsets[s + 1]):
-            c = local[i]
-            if c < 0:
+            if local[i] < 0:
                 continue
+            cell, first = sums[local[i]], origin[local[i]]
             px, py, pz = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
-            if sums[c, 0] == 0.0:
-                origin[c, 0], origin[c, 1], origin[c, 2] = px, py, pz
-            x, y, z = px - origin[c, 0], py - origin[c, 1], pz - origin[c, 2]
-            sums[c, 0] += 1.0
-            sums[c, 1] += x
-            sums[c, 2] += y
-            sums[c, 3] += z
-            sums[c, 4] += x * x
-            sums[c, 5] += x * y
-            sums[c, 6] += x * z
-            sums[c, 7] += y * y
-            sums[c, 8] += y * z
-            sums[c, 9] += z * z
-        body = np.empty(6)
+            if cell[0] == 0.0:
+                first[0], first[1], first[2] = px, py, pz
+            x, y, z = px - first[0], py - first[1], pz - first[2]
+            cell[0] += 1.0
+            cell[1] += x
+            cell[2] += y
+            cell[3] += z
+            cell[4] += x * x
+            cell[5] += x * y
+            cell[6] += x * z
+            cell[7] += y * y
+            cell[8] += y * z
+            cell[9] += z * z
         for c in range(n):
             k = entry[starts[s] + c]
-            if sums[c, 0] == 0.0:
-                mean[k] = 0.0
-                continue
-            inv = 1.0 / sums[c, 0]
-            mx, my, mz = sums[c, 1] * inv, sums[c, 2] * inv, sums[c, 3] * inv
-            body[0] = sums[c, 4] - sums[c, 1] * mx
-            body[1] = sums[c, 5] - sums[c, 1] * my
-            body[2] = sums[c, 6] - sums[c, 1] * mz
-            body[3] = sums[c, 7] - sums[c, 2] * my
-            body[4] = sums[c, 8] - sums[c, 2] * mz
-            body[5] = sums[c, 9] - sums[c, 3] * mz
-            mx, my, mz = mx + origin[c, 0], my + origin[c, 1], mz + origin[c, 2]
             count[k] = sums[c, 0]
-            for a in range(3):
-                mean[k, a] = r[a, 0] * mx + r[a, 1] * my + r[a, 2] * mz + t[a]
-            rotate_scatter(r, body, scatter[k])
+            inv = 1.0 / max(sums[c, 0], 1.0)
+            mx, my, mz = sums[c, 1] * inv, sums[c, 2] * inv, sums[c, 3] * inv
+            mean[k, 0], mean[k, 1], mean[k, 2] = mx + origin[c, 0], my + origin[c, 1], mz + origin[c, 2]
+            scatter[k, 0] = sums[c, 4] - sums[c, 1] * mx
+            scatter[k, 1] = sums[c, 5] - sums[c, 1] * my
+            scatter[k, 2] = sums[c, 6] - sums[c, 1] * mz
+            scatter[k, 3] = sums[c, 7] - sums[c, 2] * my
+            scatter[k, 4] = sums[c, 8] - sums[c, 2] * mz
+            scatter[k, 5] = sums[c, 9] - sums[c, 3] * mz
     return count, mean, scatter
 
 
@@ -291,9 +278,10 @@ def merge_cells(
 
 @parallel
 def fit_cells(
-    open_cell: np.ndarray,
     starts: np.ndarray,
     scan: np.ndarray,
+    rotation: np.ndarray,
+    translation: np.ndarray,
     sensor: np.ndarray,
     count: np.ndarray,
     mean: np.ndarray,
@@ -303,12 +291,12 @@ def fit_cells(
 ) -> tuple[np.ndarray, ...]:
     """Planes of each cell, one per side that a surface is seen from.
 
-    open_cell: (C,) bool, the others are passed over; starts: (C + 1,) int64, cell c owns entries starts[c] to
-    starts[c + 1]; scan (E,) int32, count (E,), mean (E, 3), scatter (E, 6): one scan's points in the cell, world frame;
-    sensor: (S, 3), its positions.
+    starts: (C + 1,) int64, cell c owns entries starts[c] to starts[c + 1]; scan (E,) int32, count (E,), mean (E, 3),
+    scatter (E, 6): one scan's points in the cell, scan frame; rotation (S, 3, 3), translation (S, 3): world from scan;
+    sensor: (S, 3), its positions in the world.
     The cell's own normal splits its entries by side first: both faces of a thin wall have that normal in common.
-    Returns side (E,) int8 (0 or 1; -1 where the cell is passed over); for each cell and side total (C, 2), scans (C, 2)
-    int32, center (C, 2, 3), eigenvalues (C, 2, 3), normals (C, 2, 3) towards the sensors.
+    Returns side (E,) int8 (0 or 1; -1 where the cell holds too little); for each cell and side total (C, 2), scans (C, 2)
+    int32, center (C, 2, 3), eigenvalues (C, 2, 3), normals (C, 2, 3) towards the sensors; world frame.
     """
     cells = len(starts) - 1
     side = np.full(len(scan), np.int8(-1))
@@ -318,33 +306,46 @@ def fit_cells(
     values = np.zeros((cells, 2, 3))
     normals = np.zeros((cells, 2, 3))
     for c in prange(cells):
-        if not open_cell[c]:
-            continue
-        whole_count, whole_mean, sums = np.zeros(1), np.zeros(3), np.zeros(6)
-        value, vector = np.empty(3), np.empty((3, 3))
+        points = 0.0
         for e in range(starts[c], starts[c + 1]):
-            add_cluster(whole_count, whole_mean, sums, count[e], mean[e], scatter[e])
-        if whole_count[0] < min_points:
+            points += count[e]
+        if points < min_points:
             continue
+        moved, turned = np.empty(3), np.empty(6)
+        whole_count, whole_mean, sums = np.zeros(1), np.zeros(3), np.zeros(6)
+        value, vector, n = np.empty(3), np.empty((3, 3)), np.empty(3)
+        for e in range(starts[c], starts[c + 1]):
+            s = scan[e]
+            move_cluster(rotation[s], translation[s], mean[e], scatter[e], moved, turned)
+            add_cluster(whole_count, whole_mean, sums, count[e], moved, turned)
         for a in range(6):
             sums[a] /= whole_count[0]
         eigen3(sums, value, vector)
-        n = vector[0]
+        n[:] = vector[0]
         for e in range(starts[c], starts[c + 1]):
-            p = sensor[scan[e]]
-            height = n[0] * (p[0] - mean[e, 0]) + n[1] * (p[1] - mean[e, 1]) + n[2] * (p[2] - mean[e, 2])
+            r, t, p, m = rotation[scan[e]], translation[scan[e]], sensor[scan[e]], mean[e]
+            height = 0.0
+            for a in range(3):
+                height += n[a] * (p[a] - (r[a, 0] * m[0] + r[a, 1] * m[1] + r[a, 2] * m[2] + t[a]))
             side[e] = 0 if height >= 0.0 or not two_sided else 1
+            scans[c, side[e]] += 1
         for k in range(2):
-            sums[:] = 0.0
-            for e in range(starts[c], starts[c + 1]):
-                if side[e] == k:
-                    add_cluster(total[c, k : k + 1], center[c, k], sums, count[e], mean[e], scatter[e])
-                    scans[c, k] += 1
-            if total[c, k] < 3.0:
+            if scans[c, k] == 0:
                 continue
-            for a in range(6):
-                sums[a] /= total[c, k]
-            eigen3(sums, values[c, k], vector)
+            if scans[c, 1 - k] == 0:  # it is the whole cell
+                total[c, k], center[c, k], values[c, k] = whole_count[0], whole_mean, value
+            else:
+                sums[:] = 0.0
+                for e in range(starts[c], starts[c + 1]):
+                    if side[e] == k:
+                        s = scan[e]
+                        move_cluster(rotation[s], translation[s], mean[e], scatter[e], moved, turned)
+                        add_cluster(total[c, k : k + 1], center[c, k], sums, count[e], moved, turned)
+                if total[c, k] < 3.0:
+                    continue
+                for a in range(6):
+                    sums[a] /= total[c, k]
+                eigen3(sums, values[c, k], vector)
             up = vector[0, 0] * n[0] + vector[0, 1] * n[1] + vector[0, 2] * n[2]
             sign = 1.0 if (up >= 0.0) == (k == 0) else -1.0
             for a in range(3):

@@ -109,14 +109,15 @@ def refine(
     total = sum(stage.rounds for stage in config.stages)
     poses, history, done = rough, [], 0
     for stage in config.stages:
-        settled = False
+        grid, settled = None, False
         for turn in range(stage.rounds):
             progress("aligning scans", done + turn, total)
-            problem, weakness = _associate(points, poses, sensor, config, stage, prior)
+            grid = _grid(points, poses, config, stage, grid)
+            problem, weakness = _associate(grid, poses, sensor, config, stage, prior)
             found = solve(problem, poses, _metric(config), steps=stage.steps, exact=stage.exact)
             history.append(_round(problem, weakness, poses, found))
             _log.info("round %d: %s", len(history), history[-1])
-            settled = history[-1].moved < stage.settled
+            settled = _settled(found, history[-1], stage)
             poses = found.world_from_scan
             if settled:
                 break
@@ -158,26 +159,37 @@ def find_planes(
     points = scans if isinstance(scans, Scans) else gather(scans)
     config = density.adapted(config, points)
     stage = config.stages[-1]
-    grid, found = _planes(points, world_from_scan, sensor, config, stage)
+    grid = _grid(points, world_from_scan, config, stage)
+    found = _planes(grid, world_from_scan, sensor, stage)
     weights = observation_weights(found.features, world_from_scan, config.weights, stage.systematic)
     return surface.extract(points, grid, found, weights, world_from_scan, sensor)
 
 
-def _planes(
-    points: Scans, poses: np.ndarray, sensor: np.ndarray, config: LidarConfig, stage: StageConfig
-) -> tuple[VoxelMap, Association]:
-    grid_from_world = _OBLIQUE if config.oblique_grid else None
-    grid = voxel_map.build(points, poses, stage.sizes, grid_from_world)
+_STALE = 0.02
+"""Part of the finest cells' edge that points may have moved by until they are put into cells anew. Besides time that
+spares rounds: points that change cells at each come and go, and poses never quite stand still."""
+
+
+def _grid(
+    points: Scans, poses: np.ndarray, config: LidarConfig, stage: StageConfig, last: VoxelMap | None = None
+) -> VoxelMap:
+    """The voxel map at some poses: the last one of this stage, while points are still where they were in it."""
+    if last is not None and last.shift(poses) <= _STALE * stage.sizes[0]:
+        return last
+    return voxel_map.build(points, poses, stage.sizes, _OBLIQUE if config.oblique_grid else None)
+
+
+def _planes(grid: VoxelMap, poses: np.ndarray, sensor: np.ndarray, stage: StageConfig) -> Association:
     found = voxel_map.find_planes(grid, poses, sensor, stage.plane_test)
     if len(found.features) == 0:
         raise DegenerateProblemError(
             "no plane is seen by two scans: the scans do not overlap, or their poses are too far off"
         )
-    return grid, found
+    return found
 
 
 def _associate(
-    points: Scans,
+    grid: VoxelMap,
     poses: np.ndarray,
     sensor: np.ndarray,
     config: LidarConfig,
@@ -185,12 +197,18 @@ def _associate(
     prior: OdometryPrior,
 ) -> tuple[Problem, weak.Weakness]:
     """The planes at the poses so far, with weights and weak directions: a problem to solve."""
-    features = _planes(points, poses, sensor, config, stage)[1].features
+    features = _planes(grid, poses, sensor, stage).features
     weights = observation_weights(features, poses, config.weights, stage.systematic)
     features = features.with_weight(weights.weight)
     weakness = weak.find(features, fit(features, poses), poses, weights.sigma, config.prior_sigmas)
     projector = weakness.projector if stage.hold and weakness.count.any() else None
     return Problem(features, weights.sigma, prior, projector), weakness
+
+
+def _settled(found: Solution, last: Round, stage: StageConfig) -> bool:
+    """Whether the poses stand still after a round."""
+    gain = abs(found.cost_before - found.cost_after) / (6 * len(found.world_from_scan))
+    return last.moved < stage.settled or gain < stage.least_gain
 
 
 def _metric(config: LidarConfig) -> np.ndarray:

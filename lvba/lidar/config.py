@@ -21,6 +21,9 @@ class StageConfig:
     """Most associations; 1 to 100."""
     settled: float = 1e-4
     """m: the poses stand still when none moves further than this in a round; 0 to 1."""
+    least_gain: float = 0.01
+    """They stand still, too, when a round changes the squared errors over their variances by less than this for each
+    degree of freedom of the poses: at 0.01 poses move by a tenth of their standard deviations; 0 to 1."""
     steps: int = 1
     """Most steps on the planes of one association; 1 to 50."""
     exact: bool = False
@@ -40,6 +43,7 @@ class StageConfig:
         for name, low, high in (
             ("rounds", 1, 100),
             ("settled", 0.0, 1.0),
+            ("least_gain", 0.0, 1.0),
             ("steps", 1, 50),
             ("systematic", 0.0, 10.0),
         ):

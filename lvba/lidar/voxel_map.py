@@ -29,7 +29,7 @@ class Level:
     key: (C,) int64, Morton code of each cell
     starts: (C + 1,) int64, cell c owns entries starts[c] to starts[c + 1], ascending in scan
     scan: (E,) int32
-    clusters: E point clusters, world frame
+    clusters: E point clusters, each in its scan's frame
     entry_of: (K,) int64, the entry that each entry of the finer level is part of; at the finest level, that each
         (cell, scan) pair is, in the order in which the points were numbered
     """
@@ -51,13 +51,26 @@ class Level:
 class VoxelMap:
     """All levels, finest first, and where each point is.
 
+    world_from_scan: (S, 4, 4), the poses that it was built with
     pair: (M,) int32, the point's (cell, scan) pair among those of its scan, -1: outside of the grid or NaN
     pair_starts: (S + 1,) int64, scan s owns the pairs pair_starts[s] to pair_starts[s + 1]
     """
 
     levels: tuple[Level, ...]
+    world_from_scan: np.ndarray
     pair: np.ndarray
     pair_starts: np.ndarray
+
+    def shift(self, world_from_scan: np.ndarray) -> float:
+        """How far the points of the scan that moved most are, at other poses, from where they were, m."""
+        level = self.levels[-1]
+        clusters, scans = level.clusters, len(world_from_scan)
+        squares = clusters.count * (clusters.mean**2).sum(1) + clusters.scatter[:, [0, 3, 5]].sum(1)
+        points = np.bincount(level.scan, clusters.count, scans)
+        reach = np.sqrt(np.bincount(level.scan, squares, scans) / np.maximum(points, 1.0))
+        motion = geometry.log(geometry.inverse(self.world_from_scan) @ world_from_scan)
+        away, turn = np.linalg.norm(motion[:, 3:], axis=1), np.linalg.norm(motion[:, :3], axis=1)
+        return float(np.max(away + turn * reach))
 
 
 @dataclass(frozen=True)
@@ -99,33 +112,19 @@ def build(
         raise InputError(
             "scans", f"{len(scans)} in one window", f"split into windows of at most {_MAX_SCANS}"
         )
-    rotation, translation = split(world_from_scan)
     turned = world_from_scan if grid_from_world is None else grid_from_world @ world_from_scan
     grid_rotation, grid_translation = split(turned)
     origin = _origin(grid_translation, sizes[-1], sizes[0])
     local, keys, cells = kernel.assign(
         scans.points, scans.offsets, grid_rotation, grid_translation - origin, sizes[0]
     )
-    levels = [_finest(scans, rotation, translation, sizes[0], local, keys, cells)]
+    key, entries, scan, entry = kernel.order_pairs(keys, scans.offsets, cells)
+    pairs = np.concatenate([[0], np.cumsum(cells)])
+    sums = kernel.accumulate(scans.points, scans.offsets, local, pairs, entry)
+    levels = [Level(sizes[0], key, entries, scan, PointClusters(*sums), entry)]
     for size in sizes[1:]:
         levels.append(_coarser(levels[-1], size))
-    return VoxelMap(tuple(levels), local, np.concatenate([[0], np.cumsum(cells)]))
-
-
-def _finest(
-    scans: Scans,
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    size: float,
-    local: np.ndarray,
-    keys: np.ndarray,
-    cells: np.ndarray,
-) -> Level:
-    """The level of the cells that `kernels.voxel.assign` found."""
-    key, starts, scan, entry = kernel.order_pairs(keys, scans.offsets, cells)
-    pair_starts = np.concatenate([[0], np.cumsum(cells)])
-    sums = kernel.accumulate(scans.points, scans.offsets, rotation, translation, local, pair_starts, entry)
-    return Level(size, key, starts, scan, PointClusters(*sums), entry)
+    return VoxelMap(tuple(levels), world_from_scan, local, pairs)
 
 
 def _coarser(finer: Level, size: float) -> Level:
@@ -197,7 +196,8 @@ def find_planes(
 ) -> Association:
     """The planes of the map: of every cell the coarsest ones that pass the test.
 
-    world_from_scan: (S, 4, 4), the poses that the map was built with; sensor_position: (3,), m, scan frame.
+    world_from_scan: (S, 4, 4), the poses that the map was built with, or others at which the points have hardly moved;
+    sensor_position: (3,), m, scan frame.
     """
     sensor = world_from_scan[:, :3, :3] @ sensor_position + world_from_scan[:, :3, 3]
     levels = voxel_map.levels
@@ -205,7 +205,7 @@ def find_planes(
     passed: list[np.ndarray] = []
     rss, covered = np.zeros(0), np.zeros(0)
     for number, level in enumerate(levels):
-        cells = _fit_cells(level, sensor, test)
+        cells = _fit_cells(level, world_from_scan, sensor, test)
         own, points = _squares(cells).sum(1), cells.total.sum(1)
         ok, whole = _pass(cells, level.size, test, test.finest_ratio if number == 0 else test.ratio)
         if number > 0:
@@ -219,17 +219,16 @@ def find_planes(
             rss, covered = own, points
         fits.append(cells)
         passed.append(ok)
-    return _collect(levels, fits, passed, world_from_scan)
+    return _collect(levels, fits, passed)
 
 
-def _fit_cells(level: Level, sensor: np.ndarray, test: PlaneTest) -> Cells:
+def _fit_cells(level: Level, world_from_scan: np.ndarray, sensor: np.ndarray, test: PlaneTest) -> Cells:
     clusters = level.clusters
-    every = np.ones(len(level.key), bool)
     return Cells(
         *kernel.fit_cells(
-            every,
             level.starts,
             level.scan,
+            *split(world_from_scan),
             sensor,
             clusters.count,
             clusters.mean,
@@ -263,9 +262,7 @@ def _pass(cells: Cells, size: float, test: PlaneTest, ratio: float) -> tuple[np.
     return ok, whole
 
 
-def _collect(
-    levels: tuple[Level, ...], fits: list[Cells], passed: list[np.ndarray], world_from_scan: np.ndarray
-) -> Association:
+def _collect(levels: tuple[Level, ...], fits: list[Cells], passed: list[np.ndarray]) -> Association:
     """The observations of the passed (cell, side) pairs that no coarser passed cell contains."""
     scans, counts, sizes, clusters = [], [], [], []
     closed = np.zeros(len(levels[-1].key), bool)
@@ -286,8 +283,7 @@ def _collect(
             closed = (closed | ok.any(1))[parent]
     scan = np.concatenate(scans)
     offsets = np.concatenate([[0], np.cumsum(np.concatenate(counts))]).astype(np.int64)
-    body = concatenate(clusters).moved(geometry.inverse(world_from_scan), scan)
-    features = PlaneFeatures(offsets, scan, body, np.ones(len(scan)), np.concatenate(sizes))
+    features = PlaneFeatures(offsets, scan, concatenate(clusters), np.ones(len(scan)), np.concatenate(sizes))
     return Association(features, observation)
 
 

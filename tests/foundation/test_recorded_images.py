@@ -39,3 +39,17 @@ def test_images_go_with_their_recording(recording):
     del dataset
     gc.collect()
     assert key not in recorded_images._KEPT
+
+
+def test_images_read_for_the_pyramid_are_not_read_again(recording, monkeypatch):
+    dataset = open_dataset(recording)
+    recorded_images.pyramid(dataset, np.array([2, 5]), 2, ImageConfig())
+    read = []
+    real = recorded_images.recordings.load_image
+    monkeypatch.setattr(
+        recorded_images.recordings, "load_image", lambda d, i: (read.append(i), real(d, i))[1]
+    )
+    load = recorded_images.views_of(dataset).load
+    np.testing.assert_array_equal(load(5), recorded_images.Undistorted(dataset, 0)(5))
+    load(4)
+    assert read == [5, 4]

@@ -9,7 +9,7 @@ import pytest
 
 from lvba import geometry, trajectory
 from lvba.errors import DegenerateProblemError
-from lvba.lidar import voxel_map
+from lvba.lidar import normal_equations, voxel_map
 from lvba.lidar.bundle_adjustment import LidarConfig, find_planes, refine
 from lvba.lidar.config import StageConfig
 from lvba.lidar.plane_feature import fit
@@ -273,3 +273,42 @@ def test_settings_out_of_range(change):
 def test_sizes_must_double():
     with pytest.raises(ValueError, match="twice"):
         StageConfig(sizes=(0.5, 1.0, 3.0))
+
+
+def test_points_stay_in_their_cells_while_they_hardly_move(yard):
+    scans, _, rough, _ = yard
+    scans, rough = scans[:6], rough[:6]
+    grid = voxel_map.build(gather(scans), rough, (0.25, 0.5, 1.0))
+    assert grid.shift(rough) == pytest.approx(0.0, abs=1e-9)
+    step = np.zeros((6, 6))
+    step[2, 5], step[4, 2] = 0.003, 1e-3
+    moved = normal_equations.retract(rough, step)
+    away = [
+        np.sqrt(np.mean((geometry.transform_points(a, scan) - geometry.transform_points(b, scan)) ** 2) * 3)
+        for a, b, scan in zip(rough, moved, scans, strict=True)
+    ]
+    assert max(away) < grid.shift(moved) < 2.0 * max(away)
+    # planes found at the new poses in the old cells are those of new cells, but for points that crossed a face
+    sensor, test = np.zeros(3), PlaneTest()
+    kept = voxel_map.find_planes(grid, moved, sensor, test).features
+    grid = voxel_map.build(gather(scans), moved, (0.25, 0.5, 1.0))
+    anew = voxel_map.find_planes(grid, moved, sensor, test).features
+    assert len(kept) == pytest.approx(len(anew), rel=0.05)
+    assert fit(kept, moved).cost == pytest.approx(fit(anew, moved).cost, rel=0.05)
+
+
+def test_rounds_end_when_poses_move_by_much_less_than_their_uncertainty(yard):
+    scans, _, rough, _ = yard
+    *first, last = LidarConfig().stages
+    stopped, forever = (
+        refine(
+            scans, rough, config=replace(LidarConfig(), stages=(*first, replace(last, settled=0.0, **more)))
+        )
+        for more in ({}, {"least_gain": 0.0})
+    )
+    assert stopped.converged
+    assert not forever.converged
+    assert len(stopped.history) < len(forever.history)
+    difference = trajectory.pose_error(stopped.world_from_scan, forever.world_from_scan)
+    sigma = np.sqrt(np.trace(stopped.covariance[:, 3:, 3:], axis1=1, axis2=2).mean())
+    assert difference.ate_m < 0.3 * sigma

@@ -102,6 +102,7 @@ def test_every_level_holds_the_clusters_of_its_cells_and_scans():
     poses = poses_of(rng, 4)
     grid = voxel_map.build(gather(clouds), poses, (0.5, 1.0, 2.0))
     world = np.concatenate([geometry.transform_points(p, c) for p, c in zip(poses, clouds, strict=True)])
+    own = np.concatenate(clouds).astype(float)
     scan = np.repeat(np.arange(4), [len(c) for c in clouds])
     entry = (grid.pair_starts[scan] + grid.pair).astype(np.int64)
     for level in grid.levels:
@@ -116,7 +117,7 @@ def test_every_level_holds_the_clusters_of_its_cells_and_scans():
             e = entry[members[0]]
             assert level.scan[e] == scan[members[0]]
             got = (level.clusters.count[e], level.clusters.mean[e], level.clusters.scatter[e])
-            for value, wanted in zip(got, naive.cluster(world[members]), strict=True):
+            for value, wanted in zip(got, naive.cluster(own[members]), strict=True):
                 np.testing.assert_allclose(value, wanted, atol=1e-9)
         # cells in Morton order, scans in order within
         corner = np.array([cell[entry == e][0] for e in range(len(level.scan))])
@@ -139,7 +140,7 @@ def test_cells_and_their_clusters_against_the_points():
     local, keys, count = voxel.assign(points, offsets, rotation, translation + shift, 0.5)
     starts = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
     turned = np.arange(starts[-1])[::-1].copy()
-    found = voxel.accumulate(points, offsets, rotation, translation, local, starts, turned)
+    found = voxel.accumulate(points, offsets, local, starts, turned)
     assert list(local[5:8]) == [-1, -1, -1]
     assert count[1] == 0
     for s in range(3):
@@ -151,8 +152,47 @@ def test_cells_and_their_clusters_against_the_points():
         for number, (cell, members) in enumerate(expected.items()):
             assert (local[offsets[s] + np.array(members)] == number).all()
             assert keys[offsets[s] + number] == voxel.morton(*cell)
-            for got, want in zip(found, naive.cluster(world[members]), strict=True):
+            for got, want in zip(found, naive.cluster(own[members]), strict=True):
                 np.testing.assert_allclose(got[turned[starts[s] + number]], want, atol=1e-9)
+
+
+@pytest.mark.parametrize("two_sided", [True, False])
+def test_planes_of_cells_and_sides_against_the_points(two_sided):
+    rng = np.random.default_rng(8)
+    poses = poses_of(rng, 5)
+    clouds = [rng.uniform(-2, 2, size=(n, 3)).astype(np.float32) for n in (300, 500, 200, 400, 90)]
+    grid = voxel_map.build(gather(clouds), poses, (1.0,))
+    level, clusters = grid.levels[0], grid.levels[0].clusters
+    sensor = poses[:, :3, 3] + [0.1, 0.2, 0.3]
+    side, total, scans, center, values, normals = voxel.fit_cells(
+        level.starts, level.scan, *split(poses), sensor,
+        clusters.count, clusters.mean, clusters.scatter, 8, two_sided,
+    )  # fmt: skip
+    world = np.concatenate([geometry.transform_points(p, c) for p, c in zip(poses, clouds, strict=True)])
+    scan = np.repeat(np.arange(5), [len(c) for c in clouds])
+    entry = level.entry_of[grid.pair_starts[scan] + grid.pair]
+    small = 0
+    for c in range(len(level.key)):
+        entries = np.arange(level.starts[c], level.starts[c + 1])
+        inside = world[np.isin(entry, entries)]
+        if len(inside) < 8:
+            assert (side[entries] == -1).all()
+            small += 1
+            continue
+        normal = np.linalg.eigh(np.cov(inside.T))[1][:, 0]
+        up = [normal @ (sensor[level.scan[e]] - world[entry == e].mean(0)) >= 0 for e in entries]
+        first = np.array(up) == up[0] if two_sided else np.ones(len(entries), bool)
+        assert ((side[entries] == side[entries[0]]) == first).all()
+        for k in range(2):
+            members = world[np.isin(entry, entries[side[entries] == k])]
+            assert total[c, k] == len(members)
+            assert scans[c, k] == np.count_nonzero(side[entries] == k)
+            if len(members) >= 4:
+                moments = np.linalg.eigh(np.cov(members.T, bias=True))
+                np.testing.assert_allclose(center[c, k], members.mean(0), atol=1e-9)
+                np.testing.assert_allclose(values[c, k], moments[0], atol=1e-9)
+                assert abs(normals[c, k] @ moments[1][:, 0]) == pytest.approx(1.0, abs=1e-6)
+    assert 0 < small < len(level.key)
 
 
 def test_a_table_that_has_to_grow():
