@@ -32,7 +32,8 @@ def main(wanted: list[str]) -> int:
     results = json.loads(JSON.read_text()) if JSON.exists() else {}
     for name in wanted or known:
         sys.stderr.write(f"{name} ...\n")
-        results[name] = importlib.import_module(f"bench_{name}").run()
+        module = importlib.import_module(f"bench_{name}")
+        results[name] = {"about": (module.__doc__ or "").strip(), **module.run()}
         results["machine"] = machine()
         JSON.write_text(json.dumps(results, indent=1, sort_keys=True) + "\n")
         MARKDOWN.write_text(markdown(results))
@@ -57,7 +58,17 @@ def markdown(results: dict[str, Any]) -> str:
     lines += [f"{found.get('processor')}, {found.get('cores')} cores, Python {found.get('python')}.", ""]
     for name, result in results.items():
         if name != "machine":
-            lines += [f"## {name}", "", *_summary(result), "", *_table(result.get("rows", [])), ""]
+            about = result.get("about", "").splitlines()
+            lines += [
+                f"## {name}",
+                "",
+                *about,
+                "",
+                *_summary(result),
+                "",
+                *_table(result.get("rows", [])),
+                "",
+            ]
     return "\n".join(lines)
 
 
@@ -65,7 +76,7 @@ def _summary(result: dict[str, Any]) -> list[str]:
     return [
         f"* {key.replace('_', ' ')}: {_text(value)}"
         for key, value in result.items()
-        if key not in ("name", "rows")
+        if key not in ("name", "about", "rows")
     ]
 
 

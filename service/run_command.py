@@ -62,7 +62,7 @@ def _refine(
     display: Display,
 ) -> Result:
     out = result_folder.prepare(arguments.out)
-    store = open_store(arguments.store or os.path.abspath(out / "stages"))
+    store = open_store(_place(arguments.store or str(out / "stages")))
     with store.lock(out):
         store.tidy(work.version)
         records = _execute(arguments, work, store, display)
@@ -72,6 +72,11 @@ def _refine(
         refined.write(out)
     display.clear()
     return refined
+
+
+def _place(store: str) -> str:
+    """The folder or URL of a store as it holds in any working folder."""
+    return store if "://" in store else os.path.abspath(store)
 
 
 def _execute(

@@ -1,9 +1,11 @@
 """Where the scheduler is, and how to talk to it: a cluster of this machine's own, or one that runs elsewhere."""
 
 import logging
+import os
+import signal
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -121,4 +123,13 @@ def local(workers: int, threads: int | None) -> Iterator[Scheduler]:
     try:
         yield Scheduler(cluster.scheduler_address, security)
     finally:
-        cluster.close(timeout=2)
+        _kill_workers(cluster)
+        cluster.close(timeout=1)
+
+
+def _kill_workers(cluster: LocalCluster) -> None:
+    """At once, whatever they do: what is finished is in the store, and nobody waits for the rest."""
+    for nanny in cluster.workers.values():
+        if nanny.pid:
+            with suppress(ProcessLookupError):
+                os.kill(nanny.pid, signal.SIGKILL)

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import logging
+import os
 import signal
 from collections.abc import Callable
 from typing import Any
@@ -37,6 +38,8 @@ async def _serve(address: str, security: Security, memory_bytes: int, say: Calla
     while not told.is_set():
         await _one_life(address, security, memory_bytes, stop, say)
         await asyncio.wait([stop], timeout=_PAUSE_SECONDS)
+    # a nanny that was just starting a process would wait for it, and this process for the nanny
+    os._exit(0)
 
 
 async def _one_life(
@@ -47,7 +50,25 @@ async def _one_life(
     say: Callable[[str], None],
 ) -> None:
     """Until the scheduler is lost, or somebody says stop."""
-    nanny = Nanny(
+    try:
+        nanny = _nanny(address, security, memory_bytes)
+    except OSError as error:  # a name that is not known (yet)
+        _log.info("%s", error)
+        return
+    try:
+        if not await _first(asyncio.ensure_future(nanny.start()), stop):
+            return
+        say(f"working for {address}, with at most {memory_bytes / 1e9:.1f} GB")
+        await _first(asyncio.ensure_future(nanny.finished()), stop)
+        say(f"{'stopped' if stop.done() else 'lost the scheduler'}")
+    except OSError as error:
+        _log.info("%s", error)
+    finally:
+        await _end(nanny)
+
+
+def _nanny(address: str, security: Security, memory_bytes: int) -> Nanny:
+    return Nanny(
         address,
         nthreads=1,
         # the interface that leads to the scheduler, not every one
@@ -59,17 +80,15 @@ async def _one_life(
         plugins=[limits.Limits()],
         silence_logs=logging.CRITICAL,
     )
-    try:
-        if not await _first(asyncio.ensure_future(nanny.start()), stop):
-            return
-        say(f"working for {address}, with at most {memory_bytes / 1e9:.1f} GB")
-        await _first(asyncio.ensure_future(nanny.finished()), stop)
-        say(f"{'stopped' if stop.done() else 'lost the scheduler'}")
-    except OSError as error:
-        _log.info("%s", error)
-    finally:
-        with contextlib.suppress(OSError):
-            await nanny.close(timeout=1)
+
+
+async def _end(nanny: Nanny) -> None:
+    if nanny.pid:
+        # asked gently, it would first finish its step, which nobody waits for
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(nanny.pid, signal.SIGKILL)
+    with contextlib.suppress(OSError):
+        await asyncio.wait_for(nanny.close(timeout=1), _PAUSE_SECONDS)
 
 
 async def _first(work: "asyncio.Future[Any]", stop: "asyncio.Task[bool]") -> bool:
@@ -78,8 +97,7 @@ async def _first(work: "asyncio.Future[Any]", stop: "asyncio.Task[bool]") -> boo
     await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
     if not work.done():
         work.cancel()
-        with contextlib.suppress(asyncio.CancelledError, OSError):
-            await work
+        await asyncio.wait({work}, timeout=_PAUSE_SECONDS)
         return False
     work.result()
     return True

@@ -57,6 +57,36 @@ def fit(
 
 
 @parallel
+def distances(
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    offsets: np.ndarray,
+    scan: np.ndarray,
+    mean: np.ndarray,
+    scatter: np.ndarray,
+    center: np.ndarray,
+    normal: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """How far each observation's mean is from its plane, (O,), and its points' sum of squares along the normal, (O,).
+
+    As in `fit`; center, normal: (F, 3), world frame.
+    """
+    distance, within = np.empty(len(scan)), np.empty(len(scan))
+    for f in prange(len(offsets) - 1):
+        c, n = center[f], normal[f]
+        for o in range(offsets[f], offsets[f + 1]):
+            r, t, m, s = rotation[scan[o]], translation[scan[o]], mean[o], scatter[o]
+            x = r[0, 0] * n[0] + r[1, 0] * n[1] + r[2, 0] * n[2]
+            y = r[0, 1] * n[0] + r[1, 1] * n[1] + r[2, 1] * n[2]
+            z = r[0, 2] * n[0] + r[1, 2] * n[1] + r[2, 2] * n[2]
+            offset = n[0] * (c[0] - t[0]) + n[1] * (c[1] - t[1]) + n[2] * (c[2] - t[2])
+            distance[o] = x * m[0] + y * m[1] + z * m[2] - offset
+            cross = s[1] * x * y + s[2] * x * z + s[4] * y * z
+            within[o] = s[0] * x * x + s[3] * y * y + s[5] * z * z + 2.0 * cross
+    return distance, within
+
+
+@parallel
 def linearize(
     rotation: np.ndarray,
     translation: np.ndarray,

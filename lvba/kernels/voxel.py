@@ -212,17 +212,8 @@ def accumulate(
     return count, mean, scatter
 
 
-_NONE = np.int32(2**31 - 1)
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _next_scan(head: np.ndarray, last: np.ndarray, children: int, scan: np.ndarray) -> Any:
-    """The smallest scan that one of some ascending runs of entries, head to last, goes on with."""
-    lowest = _NONE
-    for c in range(children):
-        if head[c] < last[c] and scan[head[c]] < lowest:
-            lowest = scan[head[c]]
-    return lowest
+_CHUNK = 64
+"""Cells that a thread takes at a time."""
 
 
 @parallel
@@ -230,49 +221,48 @@ def merge_cells(
     children: np.ndarray,
     starts: np.ndarray,
     scan: np.ndarray,
+    scans: int,
     count: np.ndarray,
     mean: np.ndarray,
     scatter: np.ndarray,
 ) -> tuple[np.ndarray, ...]:
     """The next coarser cells: entries of children that share a scan merged, ascending in scan.
 
-    children: (G + 1,) int64, cell g owns finer cells children[g] to children[g + 1], at most 8; starts, scan, count,
-    mean, scatter: of the finer cells, as in `fit_cells`.
+    children: (G + 1,) int64, cell g owns finer cells children[g] to children[g + 1]; starts, scan, count, mean, scatter:
+    of the finer cells, as in `fit_cells`; scans: how many there are.
     Returns starts (G + 1,) int64, scan (E,) int32, count (E,), mean (E, 3), scatter (E, 6) of the coarser cells, and the
     coarser entry of each finer one, int64.
     """
     groups = len(children) - 1
+    chunks = -(-groups // _CHUNK)
     size = np.zeros(groups + 1, np.int64)
-    for g in prange(groups):
-        first, n = children[g], children[g + 1] - children[g]
-        head, last = starts[first : first + n].copy(), starts[first + 1 : first + n + 1]
-        while True:
-            lowest = _next_scan(head, last, n, scan)
-            if lowest == _NONE:
-                break
-            size[g + 1] += 1
-            for c in range(n):
-                if head[c] < last[c] and scan[head[c]] == lowest:
-                    head[c] += 1
+    for chunk in prange(chunks):
+        met = np.full(scans, -1)  # the last cell that each scan was met in
+        for g in range(chunk * _CHUNK, min(groups, (chunk + 1) * _CHUNK)):
+            for h in range(starts[children[g]], starts[children[g + 1]]):
+                size[g + 1] += met[scan[h]] != g
+                met[scan[h]] = g
     merged = np.cumsum(size)
     entries = merged[-1]
     out_scan = np.empty(entries, np.int32)
     out_count, out_mean, out_scatter = np.zeros(entries), np.zeros((entries, 3)), np.zeros((entries, 6))
     entry_of = np.empty(len(scan), np.int64)
-    for g in prange(groups):
-        first, n = children[g], children[g + 1] - children[g]
-        head, last = starts[first : first + n].copy(), starts[first + 1 : first + n + 1]
-        for e in range(merged[g], merged[g + 1]):
-            lowest = _next_scan(head, last, n, scan)
-            out_scan[e] = lowest
-            for c in range(n):
-                h = head[c]
-                if h < last[c] and scan[h] == lowest:
-                    add_cluster(
-                        out_count[e : e + 1], out_mean[e], out_scatter[e], count[h], mean[h], scatter[h]
-                    )
-                    entry_of[h] = e
-                    head[c] += 1
+    for chunk in prange(chunks):
+        entry = np.full(scans, -1)  # the last entry of each scan: of this cell if it is not below its first
+        for g in range(chunk * _CHUNK, min(groups, (chunk + 1) * _CHUNK)):
+            n = merged[g]
+            for h in range(starts[children[g]], starts[children[g + 1]]):
+                if entry[scan[h]] < merged[g]:
+                    entry[scan[h]] = merged[g]
+                    out_scan[n] = scan[h]
+                    n += 1
+            out_scan[merged[g] : n].sort()
+            for e in range(merged[g], n):
+                entry[out_scan[e]] = e
+            for h in range(starts[children[g]], starts[children[g + 1]]):
+                e = entry[scan[h]]
+                add_cluster(out_count[e : e + 1], out_mean[e], out_scatter[e], count[h], mean[h], scatter[h])
+                entry_of[h] = e
     return merged, out_scan, out_count, out_mean, out_scatter, entry_of
 
 

@@ -109,10 +109,12 @@ def refine(
     total = sum(stage.rounds for stage in config.stages)
     poses, history, done = rough, [], 0
     for stage in config.stages:
-        grid, settled = None, False
+        grid: VoxelMap | None = None
+        settled = False
         for turn in range(stage.rounds):
             progress("aligning scans", done + turn, total)
-            grid = _grid(points, poses, config, stage, grid)
+            grid = None if grid is None or _stale(grid, poses) else grid  # never two at a time
+            grid = grid or _grid(points, poses, config, stage)
             problem, weakness = _associate(grid, poses, sensor, config, stage, prior)
             found = solve(problem, poses, _metric(config), steps=stage.steps, exact=stage.exact)
             history.append(_round(problem, weakness, poses, found))
@@ -123,6 +125,7 @@ def refine(
                 break
         prior = reestimated(prior, poses, weakness.count == 0, config.prior_sigmas)
         done += stage.rounds
+        grid = None
     progress("aligning scans", total, total)
     planes, plane_points = find_planes(points, poses, sensor_position=sensor, config=config)
     covariance = uncertainty.estimate(problem, poses)
@@ -170,12 +173,11 @@ _STALE = 0.02
 spares rounds: points that change cells at each come and go, and poses never quite stand still."""
 
 
-def _grid(
-    points: Scans, poses: np.ndarray, config: LidarConfig, stage: StageConfig, last: VoxelMap | None = None
-) -> VoxelMap:
-    """The voxel map at some poses: the last one of this stage, while points are still where they were in it."""
-    if last is not None and last.shift(poses) <= _STALE * stage.sizes[0]:
-        return last
+def _stale(grid: VoxelMap, poses: np.ndarray) -> bool:
+    return grid.shift(poses) > _STALE * grid.levels[0].size
+
+
+def _grid(points: Scans, poses: np.ndarray, config: LidarConfig, stage: StageConfig) -> VoxelMap:
     return voxel_map.build(points, poses, stage.sizes, _OBLIQUE if config.oblique_grid else None)
 
 

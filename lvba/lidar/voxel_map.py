@@ -123,18 +123,18 @@ def build(
     sums = kernel.accumulate(scans.points, scans.offsets, local, pairs, entry)
     levels = [Level(sizes[0], key, entries, scan, PointClusters(*sums), entry)]
     for size in sizes[1:]:
-        levels.append(_coarser(levels[-1], size))
+        levels.append(_coarser(levels[-1], size, len(scans)))
     return VoxelMap(tuple(levels), world_from_scan, local, pairs)
 
 
-def _coarser(finer: Level, size: float) -> Level:
+def _coarser(finer: Level, size: float, scans: int) -> Level:
     """The level above: cells of twice the size."""
     parent = finer.key >> 3
     first = _starts_of_runs(parent)
     clusters = finer.clusters
     children = np.concatenate([first, [len(parent)]])
     starts, scan, *sums, entry_of = kernel.merge_cells(
-        children, finer.starts, finer.scan, clusters.count, clusters.mean, clusters.scatter
+        children, finer.starts, finer.scan, scans, clusters.count, clusters.mean, clusters.scatter
     )
     return Level(size, parent[first], starts, scan, PointClusters(*sums), entry_of)
 

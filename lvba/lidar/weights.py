@@ -4,7 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lvba.kernels import lidar as kernel
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
+from lvba.lidar.point_cluster import split
 
 
 @dataclass(frozen=True)
@@ -89,17 +91,16 @@ def _distances(
     features: PlaneFeatures, fits: PlaneFits, world_from_scan: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Each observation's distance to its plane (O,), m, and its points' sum of squares along the normal (O,), m^2."""
-    feature = features.feature
-    rotation = world_from_scan[:, :3, :3][features.scan]
-    normal = np.einsum("oji,oj->oi", rotation, fits.normal[feature])
-    offset = np.einsum(
-        "oi,oi->o", fits.normal[feature], fits.center[feature] - world_from_scan[features.scan, :3, 3]
+    clusters = features.clusters
+    return kernel.distances(
+        *split(world_from_scan),
+        features.offsets,
+        features.scan,
+        clusters.mean,
+        clusters.scatter,
+        fits.center,
+        np.ascontiguousarray(fits.normal),
     )
-    distance = np.einsum("oi,oi->o", normal, features.clusters.mean) - offset
-    xx, xy, xz, yy, yz, zz = features.clusters.scatter.T
-    x, y, z = normal.T
-    within = xx * x * x + yy * y * y + zz * z * z + 2 * (xy * x * y + xz * x * z + yz * y * z)
-    return distance, within
 
 
 def _within_scan_sigma(within: np.ndarray, count: np.ndarray) -> float:

@@ -274,6 +274,26 @@ def test_a_panel_for_each_feature_and_tile(several_tiles):
         assert laid.seen[p] == sum(1 << place for place in inside)
 
 
+def test_distances_against_the_points(problem):
+    poses, plain, features = problem
+    fits = plane_feature.fit(features, poses)
+    clusters = features.clusters
+    distance, within = kernel.distances(
+        *split(poses),
+        features.offsets,
+        features.scan,
+        clusters.mean,
+        clusters.scatter,
+        fits.center,
+        fits.normal,
+    )
+    points = [points for feature in plain for _, points, _ in feature]
+    for o, (own, f, s) in enumerate(zip(points, features.feature, features.scan, strict=True)):
+        away = (geometry.transform_points(poses[s], own) - fits.center[f]) @ fits.normal[f]
+        assert distance[o] == pytest.approx(away.mean(), abs=1e-12)
+        assert within[o] == pytest.approx(np.sum((away - away.mean()) ** 2), rel=1e-9)
+
+
 def test_gradients_of_observations_add_up_to_those_of_the_scans(problem):
     poses, _, features = problem
     each = covariance.observation_gradients(features, plane_feature.fit(features, poses), poses)
