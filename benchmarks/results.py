@@ -45,6 +45,11 @@ def run_lvba(dataset: Path, out: Path, options: list[str], reference: Path | Non
         command += ["--set", option]
     if reference is not None:
         command += ["--reference", str(reference)]
+    return report_of(command, out)
+
+
+def report_of(command: list[str], out: Path) -> dict[str, Any]:
+    """The report in `out` of a command that writes one, with its wall seconds added; why there is none, if it failed."""
     started = time.monotonic()
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     seconds = time.monotonic() - started
@@ -127,6 +132,18 @@ def recordings(data: Path, work: Path) -> None:
         reference = data / name / "reference"
         report = run_lvba(data / name, work / name, [], reference if reference.exists() else None)
         save("recordings", name, figures(report))
+        if reference.exists() and "failed" not in report:
+            save("recordings", f"{name}, poses of its reference", at_reference(data / name, work / name))
+
+
+def at_reference(dataset: Path, refined: Path) -> dict[str, Any]:
+    """What the reference's own poses score, with the exposures of a result: how far agreeing with it is a merit."""
+    reference, out = dataset / "reference", refined.with_name(f"{refined.name}_reference")
+    command = [*LVBA, "evaluate", str(dataset), "--out", str(out)]
+    command += ["--lidar-poses", str(reference / "lidar_poses.txt")]
+    command += ["--image-poses", str(reference / "image_poses.txt")]
+    command += ["--exposures", str(refined / "exposures.csv")]
+    return figures(report_of(command, out))
 
 
 def simulated(seeds: list[int], scenes: list[str], difficulty: str, work: Path) -> None:
