@@ -17,8 +17,8 @@ NOTES = {
 
 Before -> after. PSNR and SSIM over covered pixels by the paper's protocol (points may be judged by the image that
 colored them) and leave-one-out (only points colored from other images judge a pixel). Map entropy: lower is better.
-Where a recording has a reference, its poses are judged too, as any method's (`lvba evaluate`): a result that scores better
-than the reference by map and images can come closer to it no further.
+Where a recording has a reference, its poses are judged too, as any method's (`lvba evaluate`): where a result predicts
+images better than the reference itself, their distance is no longer a measure of the result.
 """,
     "simulated": """## Simulated scenes with known truth, {difficulty} difficulty
 
