@@ -108,13 +108,13 @@ def refine(
     prior = odometry_prior(rough, config.prior_rotation, config.prior_translation)
     total = sum(stage.rounds for stage in config.stages)
     poses, history, done = rough, [], 0
+    grid: VoxelMap | None = None
     for stage in config.stages:
-        grid: VoxelMap | None = None
         settled = False
         for turn in range(stage.rounds):
             progress("aligning scans", done + turn, total)
-            grid = None if grid is None or _stale(grid, poses) else grid  # never two at a time
-            grid = grid or _grid(points, poses, config, stage)
+            grid = None if grid is None or _stale(grid, poses, stage) else grid  # never two at a time
+            grid = grid.up_to(stage.sizes[-1]) if grid else _grid(points, poses, config, stage)
             problem, weakness = _associate(grid, poses, sensor, config, stage, prior)
             found = solve(problem, poses, _metric(config), steps=stage.steps, exact=stage.exact)
             history.append(_round(problem, weakness, poses, found))
@@ -125,7 +125,7 @@ def refine(
                 break
         prior = reestimated(prior, poses, weakness.count == 0, config.prior_sigmas)
         done += stage.rounds
-        grid = None
+    grid = None
     progress("aligning scans", total, total)
     planes, plane_points = find_planes(points, poses, sensor_position=sensor, config=config)
     covariance = uncertainty.estimate(problem, poses)
@@ -173,8 +173,10 @@ _STALE = 0.02
 spares rounds: points that change cells at each come and go, and poses never quite stand still."""
 
 
-def _stale(grid: VoxelMap, poses: np.ndarray) -> bool:
-    return grid.shift(poses) > _STALE * grid.levels[0].size
+def _stale(grid: VoxelMap, poses: np.ndarray, stage: StageConfig) -> bool:
+    """Whether points have left their cells, or a stage has others."""
+    finest = stage.sizes[0]
+    return grid.levels[0].size != finest or grid.shift(poses) > _STALE * finest
 
 
 def _grid(points: Scans, poses: np.ndarray, config: LidarConfig, stage: StageConfig) -> VoxelMap:

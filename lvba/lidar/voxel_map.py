@@ -3,7 +3,7 @@
 Points are touched once, to make the clusters of the finest cells; every coarser cell is a sum of finer ones.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from lvba.lidar.plane_feature import PlaneFeatures
 from lvba.lidar.point_cluster import PointClusters, concatenate, split
 from lvba.lidar.scan import Scans
 
+_LARGEST = 32.0
+"""m, no cell is larger."""
 _MAX_SCANS = 1 << 15
 """Scans are sorted as int16."""
 _SIDES = 2
@@ -60,6 +62,13 @@ class VoxelMap:
     world_from_scan: np.ndarray
     pair: np.ndarray
     pair_starts: np.ndarray
+
+    def up_to(self, size: float) -> "VoxelMap":
+        """The same finest cells with other coarser ones, up to edges of size (m); the levels there are stay."""
+        levels = [level for level in self.levels if level.size < 1.5 * size]
+        while levels[-1].size < 0.75 * size:
+            levels.append(_coarser(levels[-1], len(self.world_from_scan)))
+        return replace(self, levels=tuple(levels))
 
     def shift(self, world_from_scan: np.ndarray) -> float:
         """How far the points of the scan that moved most are, at other poses, from where they were, m."""
@@ -114,7 +123,7 @@ def build(
         )
     turned = world_from_scan if grid_from_world is None else grid_from_world @ world_from_scan
     grid_rotation, grid_translation = split(turned)
-    origin = _origin(grid_translation, sizes[-1], sizes[0])
+    origin = _origin(grid_translation, sizes[0])
     local, keys, cells = kernel.assign(
         scans.points, scans.offsets, grid_rotation, grid_translation - origin, sizes[0]
     )
@@ -122,12 +131,10 @@ def build(
     pairs = np.concatenate([[0], np.cumsum(cells)])
     sums = kernel.accumulate(scans.points, scans.offsets, local, pairs, entry)
     levels = [Level(sizes[0], key, entries, scan, PointClusters(*sums), entry)]
-    for size in sizes[1:]:
-        levels.append(_coarser(levels[-1], size, len(scans)))
-    return VoxelMap(tuple(levels), world_from_scan, local, pairs)
+    return VoxelMap(tuple(levels), world_from_scan, local, pairs).up_to(sizes[-1])
 
 
-def _coarser(finer: Level, size: float, scans: int) -> Level:
+def _coarser(finer: Level, scans: int) -> Level:
     """The level above: cells of twice the size."""
     parent = finer.key >> 3
     first = _starts_of_runs(parent)
@@ -136,13 +143,14 @@ def _coarser(finer: Level, size: float, scans: int) -> Level:
     starts, scan, *sums, entry_of = kernel.merge_cells(
         children, finer.starts, finer.scan, scans, clusters.count, clusters.mean, clusters.scatter
     )
-    return Level(size, parent[first], starts, scan, PointClusters(*sums), entry_of)
+    return Level(2.0 * finer.size, parent[first], starts, scan, PointClusters(*sums), entry_of)
 
 
-def _origin(positions: np.ndarray, coarsest: float, finest: float) -> np.ndarray:
-    """Lowest corner of the grid, on a multiple of the coarsest cell so that cells do not depend on the window."""
-    middle = np.round(0.5 * (positions.min(0) + positions.max(0)) / coarsest) * coarsest
-    half = np.floor(0.5 * kernel.AXIS_CELLS * finest / coarsest) * coarsest
+def _origin(positions: np.ndarray, finest: float) -> np.ndarray:
+    """Lowest corner of the grid, on a multiple of the largest cells so that cells do not depend on window and levels."""
+    largest = finest * 2.0 ** np.floor(np.log2(_LARGEST / finest) + 1e-6)
+    middle = np.round(0.5 * (positions.min(0) + positions.max(0)) / largest) * largest
+    half = np.floor(0.5 * kernel.AXIS_CELLS * finest / largest) * largest
     return np.asarray(middle - half)
 
 

@@ -101,6 +101,7 @@ def test_every_level_holds_the_clusters_of_its_cells_and_scans():
     clouds = [rng.uniform(-2, 2, size=(n, 3)).astype(np.float32) for n in (300, 0, 500, 200)]
     poses = poses_of(rng, 4)
     grid = voxel_map.build(gather(clouds), poses, (0.5, 1.0, 2.0))
+    assert [level.size for level in grid.up_to(1.0).up_to(4.0).levels] == [0.5, 1.0, 2.0, 4.0]
     world = np.concatenate([geometry.transform_points(p, c) for p, c in zip(poses, clouds, strict=True)])
     own = np.concatenate(clouds).astype(float)
     scan = np.repeat(np.arange(4), [len(c) for c in clouds])
@@ -121,7 +122,7 @@ def test_every_level_holds_the_clusters_of_its_cells_and_scans():
                 np.testing.assert_allclose(value, wanted, atol=1e-9)
         # cells in Morton order, scans in order within
         corner = np.array([cell[entry == e][0] for e in range(len(level.scan))])
-        corner -= np.floor(voxel_map._origin(poses[:, :3, 3], 2.0, 0.5) / level.size).astype(int)
+        corner -= np.floor(voxel_map._origin(poses[:, :3, 3], 0.5) / level.size).astype(int)
         keys = [voxel.morton(*c) for c in corner]
         assert list(level.key[level.cell]) == keys
         assert (np.diff(level.scan)[np.diff(level.cell) == 0] > 0).all()
