@@ -11,6 +11,8 @@ from lvba.plan import Plan, Ref, Step
 from workers import codec
 from workers.store import ZarrStore
 
+_INPUT = "input"
+
 
 def send(work: Plan, store: ZarrStore) -> str:
     """The key of the artifact that holds the arguments of every step.
@@ -25,7 +27,7 @@ def send(work: Plan, store: ZarrStore) -> str:
         if not getattr(value, "digest", ""):
             return value
         if id(value) not in inputs:
-            inputs[id(value)] = Ref(_put("input", value, store, work.version))
+            inputs[id(value)] = Ref(_put(_INPUT, value, store, work.version))
         return inputs[id(value)]
 
     steps = {
@@ -37,6 +39,11 @@ def send(work: Plan, store: ZarrStore) -> str:
         for key, step in work.steps.items()
     }
     return _put("plan", {"version": work.version, "steps": steps}, store, work.version)
+
+
+def is_input(key: str) -> bool:
+    """Whether the artifact is one that `send` made of what goes into the plan."""
+    return key.startswith(f"{_INPUT}-")
 
 
 def receive(store: ZarrStore, sent: str, key: str, function: Callable[..., Any]) -> tuple[Step, str]:

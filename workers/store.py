@@ -41,6 +41,7 @@ class ZarrStore(MutableMapping[str, Any]):
         self.folder = Path(folder)
         self._values: dict[str, Any] = {}
         self._verified: set[str] = set()
+        self._known: set[str] = set()
 
     @property
     def place(self) -> str:
@@ -49,6 +50,8 @@ class ZarrStore(MutableMapping[str, Any]):
 
     def __contains__(self, key: object) -> bool:
         """Whether the artifact is there and matches its manifest; one that does not is removed."""
+        if key in self._known:
+            return True
         if not isinstance(key, str) or not (self.folder / key).exists():
             return False
         if key in self._verified:
@@ -79,9 +82,15 @@ class ZarrStore(MutableMapping[str, Any]):
         self._values[key] = value
         self._verified.add(key)
 
+    def know(self, key: str, value: Any) -> None:
+        """Take a value that was read before for what the store holds."""
+        self._values[key] = value
+        self._known.add(key)
+
     def __delitem__(self, key: str) -> None:
         self._values.pop(key, None)
         self._verified.discard(key)
+        self._known.discard(key)
         # renamed first, so that a removal cut short leaves no half artifact under its name
         doomed = self.folder / f"{_PARTIAL}{uuid.uuid4().hex}"
         try:
@@ -100,6 +109,7 @@ class ZarrStore(MutableMapping[str, Any]):
     def release(self, key: str) -> None:
         """Forget the value in memory; it stays on disk."""
         self._values.pop(key, None)
+        self._known.discard(key)
 
     def facts(self, key: str) -> dict[str, Any]:
         """The manifest of an artifact."""

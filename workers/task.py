@@ -11,11 +11,15 @@ from typing import Any
 from distributed import get_worker
 
 from lvba.errors import InputError
+from lvba.plan import Step
 from workers import local, sending, versions
+from workers.store import ZarrStore
 from workers.url_store import open_store
 
 _ALONE = threading.Lock()
 """numba's simplest threading layer ends the process when two threads enter it: one step at a time in each process."""
+_kept: dict[str, Any] = {}
+"""The plan that this process works for, and its recording: images are kept in memory as long as that lives."""
 _TELL_SECONDS = _LOOK_SECONDS = 0.25
 _PATIENCE_SECONDS = 1.25
 
@@ -34,11 +38,12 @@ def make(place: str, sent: str, key: str, function: Callable[..., Any], topic: s
     """
     report = Reporter(topic, key)
     with _ALONE, _ended_where_unwanted(report):
-        store = open_store(place)
+        store = _open(place, sent)
         try:
             step, version = sending.receive(store, sent, key, function)
         except KeyError:
             raise _unseen(place) from None
+        _keep(sent, step, store)
         _check_version(version)
         report("", 0, 0)
         if key in store:
@@ -47,6 +52,22 @@ def make(place: str, sent: str, key: str, function: Callable[..., Any], topic: s
         if missing:
             return {"missing": missing}
         return {"record": asdict(local.make(step, store, report, version))}
+
+
+def _open(place: str, sent: str) -> ZarrStore:
+    """The store, with what this process knows of the plan."""
+    if sent not in _kept:
+        _kept.clear()
+    store = open_store(place)
+    for key, value in _kept.items():
+        store.know(key, value)
+    return store
+
+
+def _keep(sent: str, step: Step, store: ZarrStore) -> None:
+    for key in [sent, *filter(sending.is_input, step.needs)]:
+        if key in store:
+            _kept[key] = store[key]
 
 
 class Reporter:

@@ -204,3 +204,13 @@ def test_second_run_into_one_folder_is_refused_and_a_dead_one_does_not_block(tmp
     os.waitpid(pid, 0)
     with stores.lock(tmp_path):
         pass
+
+
+def test_what_is_known_counts_without_being_read(tmp_path):
+    store = ZarrStore(tmp_path)
+    store.know("a-1", VALUES["dataclass"])
+    assert "a-1" in store
+    assert store["a-1"] is VALUES["dataclass"]
+    assert list(tmp_path.iterdir()) == []
+    store.release("a-1")
+    assert "a-1" not in store
