@@ -35,7 +35,7 @@ def main(wanted: list[str]) -> int:
         module = importlib.import_module(f"bench_{name}")
         results[name] = {"about": (module.__doc__ or "").strip(), **module.run()}
         results["machine"] = machine()
-        JSON.write_text(json.dumps(results, indent=1, sort_keys=True) + "\n")
+        JSON.write_text(json.dumps(results, indent=1) + "\n")
         MARKDOWN.write_text(markdown(results))
     sys.stdout.write(markdown(results))
     return 0
@@ -56,7 +56,7 @@ def markdown(results: dict[str, Any]) -> str:
     found = results.get("machine", {})
     lines = ["# Benchmarks", "", "Made by `make bench`; the best of several runs, compilation apart.", ""]
     lines += [f"{found.get('processor')}, {found.get('cores')} cores, Python {found.get('python')}.", ""]
-    for name, result in results.items():
+    for name, result in sorted(results.items()):
         if name != "machine":
             about = result.get("about", "").splitlines()
             lines += [
