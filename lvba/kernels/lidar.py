@@ -195,6 +195,7 @@ def linearize(
     return gradient, diagonal, columns
 
 
+# contract: product and sum in one instruction, with one rounding less; nothing is summed in another order
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def _add_rows(block: np.ndarray, x: int, own: np.ndarray, other: np.ndarray) -> None:
     """Rows x to x + _ROWS of own' other onto those of the block; together, so that `other` is loaded once."""
