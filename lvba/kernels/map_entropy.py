@@ -85,6 +85,7 @@ def _log_determinant(s: np.ndarray, count: int) -> float:
     return np.log(determinant)
 
 
+# reassociation lets the compiler keep several partial sums and vectorize; the order is fixed at compile time
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
 def _add_near(points: np.ndarray, p: int, first: int, last: int, square: float, sums: np.ndarray) -> int:
     """Adds those of the points [first:last] that are near point p to its sums; returns their number.
