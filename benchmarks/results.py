@@ -34,6 +34,7 @@ ABLATIONS: dict[str, list[str]] = {
     "without the pose prior": ["visual.prior.enabled=false"],
     "without LiDAR BA": ["refine_scans=false"],
     "without plane offsets": ["visual.adjustment.plane_offsets=false"],
+    "reference pixels that move, as in the paper": ["visual.adjustment.photometric.reference_pixels=moving"],
     "without visual BA": ["refine_cameras=false"],
 }
 

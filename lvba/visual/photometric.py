@@ -1,12 +1,14 @@
 """The photometric cost of plane patches seen in two images, its normal equations and its noise."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from lvba import geometry, solver
 from lvba.camera import Camera
 from lvba.kernels import photometric as kernels
+from lvba.kernels import photometric_moving as moving_kernels
 from lvba.kernels import plane_offsets as offset_kernels
 from lvba.solver import NormalEquations
 from lvba.visual.scene_points import Observations, ScenePoints
@@ -30,6 +32,9 @@ class PhotometricConfig:
     """Brighter pixels are left out as saturated, of 255; 100 to 255."""
     noise_growth: float = 0.0
     """Noise variance grows as 1 + noise_growth * intensity; 0 (constant noise) to 10."""
+    reference_pixels: Literal["fixed", "moving"] = "fixed"
+    """"fixed": a patch stays at its whole pixels of the reference image; "moving": it moves with the reference's pose,
+    as in the paper: there for comparison, slower and less accurate."""
 
     def __post_init__(self) -> None:
         limits = {
@@ -44,6 +49,8 @@ class PhotometricConfig:
                 raise ValueError(f"{name} is {getattr(self, name)}, must be between {low} and {high}")
         if self.patch % 2 == 0:
             raise ValueError(f"patch is {self.patch}, must be odd")
+        if self.reference_pixels not in ("fixed", "moving"):
+            raise ValueError(f'reference_pixels is {self.reference_pixels!r}, must be "fixed" or "moving"')
 
     @property
     def radius(self) -> int:
@@ -224,7 +231,10 @@ class Linearization:
 
 
 def sums(problem: Problem, state: PhotometricState) -> np.ndarray:
-    """The sums over the patch of every observation, (O, 13) float64; see `lvba.kernels.photometric`."""
+    """The sums over the patch of every observation, (O, 13) float64; see `lvba.kernels.photometric`.
+
+    (O, 24) where the reference pixels move: 11 more, see `lvba.kernels.photometric_moving`.
+    """
     config, points = problem.config, problem.points
     limits = (
         config.huber * problem.sigma,
@@ -232,7 +242,7 @@ def sums(problem: Problem, state: PhotometricState) -> np.ndarray:
         config.greatest_intensity,
         config.noise_growth,
     )
-    return kernels.evaluate(
+    scene = (
         problem.images,
         *_poses(state.cameras),
         np.exp(state.cameras.log_exposure),
@@ -240,12 +250,11 @@ def sums(problem: Problem, state: PhotometricState) -> np.ndarray:
         _positions(problem, state),
         points.normal_world,
         points.reference,
-        points.pixel,
-        problem.starts,
-        problem.observations.target,
-        config.radius,
-        np.array(limits, np.float32),
     )
+    seen = (problem.starts, problem.observations.target, config.radius, np.array(limits, np.float32))
+    if config.reference_pixels == "moving":
+        return moving_kernels.evaluate(*scene, *seen)
+    return kernels.evaluate(*scene, points.pixel, *seen)
 
 
 def _poses(cameras: CameraStates) -> tuple[np.ndarray, np.ndarray]:
@@ -266,22 +275,8 @@ def linearize(
     constant (what noise alone costs), so that no step is accepted for losing samples.
     """
     s = sums(problem, state) if observation_sums is None else observation_sums
-    information = 1 / (problem.sigma**2 * problem.inflation)
-    points, pairs = problem.points, problem.pairs
-    blocks, gradients, single, coupling = kernels.assemble(
-        s,
-        problem.weights * information,
-        pairs.order,
-        pairs.starts,
-        pairs.reference,
-        pairs.target,
-        problem.observations.point,
-        *_poses(state.cameras),
-        problem.intrinsics,
-        _positions(problem, state),
-        points.normal_world,
-        points.pixel,
-    )
+    pairs = problem.pairs
+    blocks, gradients, single, coupling = _assembled(problem, state, s)
     gradient = np.zeros((len(state.cameras), 7))
     np.add.at(gradient, pairs.reference, gradients[:, :7])
     np.add.at(gradient, pairs.target, gradients[:, 7:])
@@ -302,6 +297,29 @@ def linearize(
         own,
         entry,
     )
+
+
+def _assembled(
+    problem: Problem, state: PhotometricState, observation_sums: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Blocks and gradient of every image pair, gradient and plane's row of every observation."""
+    points, pairs = problem.points, problem.pairs
+    arguments = (
+        observation_sums,
+        problem.weights * (1 / (problem.sigma**2 * problem.inflation)),
+        pairs.order,
+        pairs.starts,
+        pairs.reference,
+        pairs.target,
+        problem.observations.point,
+        *_poses(state.cameras),
+        problem.intrinsics,
+        _positions(problem, state),
+        points.normal_world,
+    )
+    if problem.config.reference_pixels == "moving":
+        return moving_kernels.assemble(*arguments)
+    return kernels.assemble(*arguments, points.pixel)
 
 
 def cost(problem: Problem, observation_sums: np.ndarray) -> float:
