@@ -68,7 +68,9 @@ def figures(report: dict[str, Any]) -> dict[str, Any]:
     evaluation = report.get("evaluation", {})
     row: dict[str, Any] = {
         "seconds": report["wall_seconds"],
-        "peak_memory_mb": max((s.get("peak_memory_mb") or 0) for s in report["stages"]),
+        "peak_memory_mb": max(
+            ((s.get("peak_memory_mb") or 0) for s in report.get("stages", [])), default=None
+        ),
         "rough": evaluation.get("rough"),
         "refined": evaluation.get("refined"),
         "reference": report.get("reference"),

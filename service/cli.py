@@ -80,7 +80,8 @@ Make a recording of a made-up place, with known truth in OUT/reference."""
 _SIMULATE_EXAMPLES = """\
 examples:
   lvba simulate courtyard --out yard
-  lvba simulate rooms --out rooms --frames 60 --seed 3 --difficulty hard --lidar non_repetitive"""
+  lvba simulate rooms --out rooms --frames 60 --seed 3 --difficulty hard --lidar non_repetitive
+  lvba simulate street --out street --length 400 --frames 400 --motion-blur"""
 
 _EXPORT = """\
 Write the map or the poses of a result in another format."""
@@ -189,6 +190,20 @@ def _add_simulate(commands: "argparse._SubParsersAction[Parser]") -> None:
     simulate.add_argument(
         "--lidar", choices=["spinning", "non_repetitive"], default="spinning", help="its scan pattern"
     )
+    simulate.add_argument("--scans", type=int, metavar="N", help="scans (default: as many as images)")
+    simulate.add_argument(
+        "--points", type=int, default=30_000, metavar="N", help="beams of a scan (default: 30000)"
+    )
+    simulate.add_argument("--width", type=int, default=640, metavar="PX", help="of the images (default: 640)")
+    simulate.add_argument(
+        "--height", type=int, default=480, metavar="PX", help="of the images (default: 480)"
+    )
+    simulate.add_argument(
+        "--length", type=float, metavar="M", help="of a street, a corridor or the flight over the plane, m"
+    )
+    simulate.add_argument("--vignetting", action="store_true", help="images darker towards their corners")
+    simulate.add_argument("--motion-blur", action="store_true", help="the shutter is open for a while")
+    simulate.add_argument("--shot-noise", action="store_true", help="image noise grows with brightness")
 
 
 def _add_export(commands: "argparse._SubParsersAction[Parser]") -> None:

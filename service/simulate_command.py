@@ -17,5 +17,13 @@ def simulate(arguments: argparse.Namespace, display: Display) -> None:
         seed=arguments.seed,
         difficulty=arguments.difficulty,
         lidar=arguments.lidar,
+        vignetting=arguments.vignetting,
+        motion_blur=arguments.motion_blur,
+        shot_noise=arguments.shot_noise,
+        width=arguments.width,
+        height=arguments.height,
+        points_per_scan=arguments.points,
+        scans=arguments.scans,
+        length=arguments.length,
         progress=display.progress,
     )

@@ -66,8 +66,13 @@ def test_export_and_its_mistakes(undisturbed, lvba, tmp_path):
 
 
 def test_simulate_and_its_mistakes(lvba, tmp_path):
-    lvba("simulate", "plane", "--out", tmp_path / "plane", "--frames", 3, "--seed", 2)
+    options = ["--frames", 3, "--scans", 4, "--points", 500, "--width", 80, "--height", 60, "--length", 5]
+    options += ["--vignetting", "--motion-blur", "--shot-noise"]
+    lvba("simulate", "plane", "--out", tmp_path / "plane", "--seed", 2, *options)
     assert len(list((tmp_path / "plane" / "all_image").glob("*.png"))) == 3
+    assert len(list((tmp_path / "plane" / "all_pcd_body").glob("*.pcd"))) == 4
+    facts = json.loads((tmp_path / "plane" / "reference" / "simulation.json").read_text())
+    assert (facts["width"], facts["points"], facts["length_m"]) == (80, 500, 5)
     assert (tmp_path / "plane" / "reference" / "lidar_poses.txt").exists()
     assert_one_line(lvba("simulate", "moon", "--out", tmp_path / "moon", code=2), "moon", "courtyard")
     assert not (tmp_path / "moon").exists()
