@@ -143,13 +143,13 @@ def build(
 def take(prior: Prior, index: np.ndarray) -> Prior:
     """The prior of some of the images."""
     sources = tuple(
-        Source(
-            s.world_from_scan[index],
-            s.sigma_rotation[index],
-            s.sigma_position[index],
-            s.scan_rotation[index],
-            s.scan_position[index],
-            s.memory,
+        replace(
+            s,
+            world_from_scan=s.world_from_scan[index],
+            sigma_rotation=s.sigma_rotation[index],
+            sigma_position=s.sigma_position[index],
+            scan_rotation=s.scan_rotation[index],
+            scan_position=s.scan_position[index],
         )
         for s in prior.sources
     )
@@ -345,6 +345,11 @@ def sigmas(source: Source) -> np.ndarray:
     """(I, 6), of `[rotation | position]`: a frame's own deviation and the scans' errors together."""
     rotation = np.hypot(source.sigma_rotation, np.sqrt(source.memory[0]) * source.scan_rotation)
     position = np.hypot(source.sigma_position, np.sqrt(source.memory[1]) * source.scan_position)
+    return by_component(rotation, position)
+
+
+def by_component(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """(I, 6), of `[rotation | position]`, from sigmas (I,) of one component each."""
     return np.repeat(np.stack([rotation, position], axis=1), 3, axis=1)
 
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lvba.visual.prior import Prior, PriorConfig, Source, residuals, sigmas
+from lvba.visual.prior import Prior, PriorConfig, Source, by_component, residuals, sigmas
 from lvba.visual.states import VisualState
 
 
@@ -31,7 +31,7 @@ def reestimated(prior: Prior, state: VisualState, undecided: tuple[np.ndarray, .
 
 
 def _rescaled(source: Source, deviation: np.ndarray, posterior: np.ndarray, config: PriorConfig) -> Source:
-    own = np.repeat(np.stack([source.sigma_rotation, source.sigma_position], axis=1), 3, axis=1)
+    own = by_component(source.sigma_rotation, source.sigma_position)
     share = np.clip(1 - posterior / sigmas(source) ** 2, 0.0, 1.0)
     rotation, position = (_own_scale(deviation, own, share, part) for part in (slice(3), slice(3, 6)))
     return replace(
