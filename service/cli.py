@@ -141,6 +141,8 @@ def _add_run(commands: "argparse._SubParsersAction[Parser]") -> None:
     run.add_argument(
         "--store", metavar="URL", help="folder or URL for what stages make (default: OUT/stages)"
     )
+    run.add_argument("--redo", metavar="STAGE", help="make this stage and all that depends on it again")
+    run.add_argument("--events", type=Path, metavar="FILE", help="add what happens to FILE, as JSON lines")
     _add_cluster(run)
 
 

@@ -18,7 +18,10 @@ _USERS_TO_MEND = {errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.E
 
 def main(arguments: argparse.Namespace) -> int:
     """The exit code of a command."""
-    display = Display(quiet=arguments.quiet, check=stopping.check)
+    try:
+        display = _display(arguments)
+    except InputError as error:
+        return _end(Display(), str(error), 2)
     stopping.say_at_last(lambda: _end(display, _stopped(arguments), 1))
     try:
         return _run(arguments, display)
@@ -27,17 +30,27 @@ def main(arguments: argparse.Namespace) -> int:
         display.clear()
 
 
+def _display(arguments: argparse.Namespace) -> Display:
+    events = getattr(arguments, "events", None)
+    if events is None:
+        return Display(quiet=arguments.quiet, check=stopping.check)
+    from service.run_events import TellingDisplay
+
+    return TellingDisplay(events, quiet=arguments.quiet, check=stopping.check)
+
+
 def _run(arguments: argparse.Namespace, display: Display) -> int:
     try:
         with _log_to(display, arguments.verbose):
             _command(arguments.command)(arguments, display)
+        display.end(0, "", None)
         return 0
     except KeyboardInterrupt:
         return _end(display, _stopped(arguments), 1)
     except InputError as error:
-        return _end(display, str(error), 2)
+        return _end(display, str(error), 2, error)
     except LvbaError as error:
-        return _end(display, str(error), 1)
+        return _end(display, str(error), 1, error)
     except MemoryError:
         return _end(display, "out of memory: finished stages are kept; free memory or use fewer frames", 1)
     except BrokenPipeError:
@@ -46,7 +59,8 @@ def _run(arguments: argparse.Namespace, display: Display) -> int:
         if error.errno not in _USERS_TO_MEND:
             raise
         where = error.filename or getattr(arguments, "out", None) or "output"
-        return _end(display, str(files.input_error(where, error)), 2)
+        mended = files.input_error(where, error)
+        return _end(display, str(mended), 2, mended)
 
 
 def _command(name: str) -> Callable[[argparse.Namespace, Display], None]:
@@ -82,10 +96,11 @@ def _stopped(arguments: argparse.Namespace) -> str:
     return "stopped"
 
 
-def _end(display: Display, message: str, code: int) -> int:
+def _end(display: Display, message: str, code: int, error: LvbaError | None = None) -> int:
     display.clear()
     one_line = " ".join(message.split())
     sys.stderr.write(f"lvba: {one_line}\n")
+    display.end(code, one_line, error)
     return code
 
 

@@ -3,7 +3,7 @@
 import shutil
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TextIO
 
 _BAR = 24
@@ -35,8 +35,11 @@ class Display:
         self._began = self._what_began = self._shown = clock()
         self._width = 0
 
-    def stage(self, name: str, index: int, total: int) -> None:
-        """A stage begins: its name, its index and how many there are."""
+    def stages(self, names: Sequence[str]) -> None:
+        """The names of all stages, in order, before the first of them."""
+
+    def stage(self, name: str, index: int, total: int, reused: bool | None = None) -> None:
+        """A stage begins: its name, its index, how many there are, and whether it is there already (None: not known)."""
         self._check()
         self.clear()
         if self._quiet:
@@ -66,6 +69,12 @@ class Display:
             self._draw(f"{text} {bar(done, total)}")
         else:
             self._line(text)
+
+    def record(self, name: str, seconds: float, peak_memory_mb: float, reused: bool) -> None:
+        """How a stage went, told when all have ended."""
+
+    def end(self, code: int, message: str, error: BaseException | None) -> None:
+        """The command has ended: its exit code and last words."""
 
     def note(self, text: str) -> None:
         """A line that stays."""

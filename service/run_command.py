@@ -7,6 +7,7 @@ import time
 
 from lvba import pipeline, result
 from lvba.dataset import Dataset
+from lvba.errors import InputError
 from lvba.io import result_folder
 from lvba.io.dataset import open_dataset
 from lvba.io.reference import read_reference
@@ -65,13 +66,34 @@ def _refine(
     store = open_store(_place(arguments.store or str(out / "stages")))
     with store.lock(out):
         store.tidy(work.version)
+        if arguments.redo:
+            _forget(work, store, arguments.redo)
+        display.stages(["input", *(step.name for step in work.steps.values()), "write"])
         records = _execute(arguments, work, store, display)
         display.stage("write", len(records), len(records) + 1)
         refined = result.collect(dataset, config, work, store)
         refined = result.with_run(refined, [opened, *records], versions.versions())
         refined.write(out)
+    for record in [opened, *records]:
+        display.record(record.name, record.seconds, record.peak_memory_mb, record.reused)
     display.clear()
     return refined
+
+
+def _forget(work: Plan, store: ZarrStore, name: str) -> None:
+    """Remove what a stage made, and all that depends on it.
+
+    Raises InputError: there is no such stage.
+    """
+    names = [step.name for step in work.steps.values()]
+    if name not in names:
+        raise InputError(f"--redo {name}", "there is no such stage", f"one of these: {', '.join(names)}")
+    doomed: set[str] = set()
+    for key, step in work.steps.items():
+        if step.name == name or doomed.intersection(step.needs):
+            doomed.add(key)
+            if key in store:
+                del store[key]
 
 
 def _place(store: str) -> str:
@@ -85,9 +107,11 @@ def _execute(
     """A record per step, after running the plan in this process or on a cluster."""
 
     def announce(step: Step, index: int, total: int) -> None:
-        display.stage(step.name, index, total)
+        # on a cluster, only what is not there is announced
+        display.stage(step.name, index, total, step.key in store if in_process else False)
 
-    if arguments.workers is None and arguments.scheduler is None:
+    in_process = arguments.workers is None and arguments.scheduler is None
+    if in_process:
         return local.run(work, store, display.progress, announce)
     with clusters.scheduler(arguments) as scheduler:
         # Dask takes a moment to import, and is not needed by who runs in one process

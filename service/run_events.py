@@ -1,0 +1,79 @@
+"""`--events FILE`: what a run does, for programs. One JSON object a line, added to the file as it happens.
+
+    {"event": "stages", "names": [...]}                                  all stages in order, before the first
+    {"event": "stage", "name", "index", "total", "reused": bool|null}    one begins
+    {"event": "progress", "stage", "what", "done", "total"}              at most a few a second
+    {"event": "record", "name", "seconds", "peak_memory_mb", "reused"}   how each went, at the end
+    {"event": "end", "code", "message", "where", "problem", "mend"}      the last; what is not known is empty
+
+Every line has `time`, seconds since 1970.
+"""
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TextIO
+
+from lvba.errors import InputError
+from service.progress import Display
+
+_WAIT = 0.25
+"""Seconds between two progress lines of one count."""
+
+
+class TellingDisplay(Display):
+    """A display that also writes events."""
+
+    def __init__(
+        self,
+        events: Path,
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        quiet: bool = False,
+        check: Callable[[], None] = lambda: None,
+    ) -> None:
+        super().__init__(clock=clock, quiet=quiet, check=check)
+        self._tell_clock = clock
+        self._file: TextIO = _open(events)
+        self._told_stage = self._told_what = ""
+        self._told_at = float("-inf")
+
+    def stages(self, names: Sequence[str]) -> None:
+        self._tell("stages", names=list(names))
+
+    def stage(self, name: str, index: int, total: int, reused: bool | None = None) -> None:
+        self._told_stage, self._told_what = name, ""
+        self._tell("stage", name=name, index=index, total=total, reused=reused)
+        super().stage(name, index, total, reused)
+
+    def progress(self, what: str, done: int, total: int) -> None:
+        super().progress(what, done, total)
+        now = self._tell_clock()
+        if what == self._told_what and now - self._told_at < _WAIT:
+            return
+        self._told_what, self._told_at = what, now
+        self._tell("progress", stage=self._told_stage, what=what, done=done, total=total)
+
+    def record(self, name: str, seconds: float, peak_memory_mb: float, reused: bool) -> None:
+        self._tell("record", name=name, seconds=seconds, peak_memory_mb=peak_memory_mb, reused=reused)
+
+    def end(self, code: int, message: str, error: BaseException | None) -> None:
+        named = {"where": "", "problem": "", "mend": ""}
+        if isinstance(error, InputError):
+            named = {"where": error.where, "problem": error.problem, "mend": error.mend}
+        self._tell("end", code=code, message=message, **named)
+
+    def _tell(self, event: str, **facts: Any) -> None:
+        # one write a line: whoever reads along sees whole lines, but for the last
+        self._file.write(json.dumps({"event": event, "time": time.time(), **facts}) + "\n")
+        self._file.flush()
+
+
+def _open(events: Path) -> TextIO:
+    try:
+        return events.open("a", encoding="utf-8")
+    except OSError as error:
+        raise InputError(
+            events, f"cannot be written ({error.strerror})", "give --events another file"
+        ) from None
