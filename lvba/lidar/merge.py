@@ -1,11 +1,14 @@
 """Parts that were solved on their own, put together: a pose graph over all scans, tied in the overlaps and by loops."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from lvba import geometry, trajectory
+from lvba.lidar import pose_graph
 from lvba.lidar.loops import Loop
-from lvba.lidar.pose_graph import PoseGraphConfig
+from lvba.lidar.pose_graph import Edges, PoseGraph, PoseGraphConfig
 
 
 @dataclass(frozen=True)
@@ -91,13 +94,114 @@ class MergedScans:
 
 
 def merge(
-    parts: tuple[PartPoses, ...],
-    loops: tuple[Loop, ...] = (),
-    *,
-    config: PoseGraphConfig | None = None,
+    parts: tuple[PartPoses, ...], loops: tuple[Loop, ...] = (), *, config: PoseGraphConfig | None = None
 ) -> MergedScans:
     """All scans in one world frame.
 
     Raises DegenerateProblemError: the parts do not overlap.
     """
-    raise NotImplementedError
+    count = 1 + max(int(part.scans[-1]) for part in parts)
+    steps = pose_graph.concatenate([_steps(part) for part in parts])
+    found = [loop for loop in loops if loop.accepted]
+    edges = pose_graph.concatenate([steps, _closings(found)])
+    start = pose_graph.propagate(count, steps, int(parts[0].scans[0]), parts[0].world_from_scan[0])
+    graph = pose_graph.solve(start, edges, fixed=int(parts[0].scans[0]), config=config or PoseGraphConfig())
+    return MergedScans(
+        graph.world_from_node,
+        np.bincount(np.concatenate([part.scans for part in parts]), minlength=count),
+        tuple(_seams(parts, graph.world_from_node)),
+        tuple(_rows(loops, graph, len(steps))),
+        graph.cost_before,
+        graph.cost_after,
+        graph.converged,
+    )
+
+
+def _steps(part: PartPoses) -> Edges:
+    """From each scan of a part to its next."""
+    poses = part.world_from_scan
+    measured = geometry.inverse(poses[:-1]) @ poses[1:]
+    information = _inverse(part.step_covariance)
+    return Edges(part.scans[:-1], part.scans[1:], measured, information, np.zeros(len(measured), bool))
+
+
+def _inverse(covariance: np.ndarray) -> np.ndarray:
+    """Inverses (n, 6, 6) that are symmetric to the last bit."""
+    inverse = np.linalg.inv(covariance)
+    return np.asarray(0.5 * (inverse + np.swapaxes(inverse, -1, -2)))
+
+
+def _closings(loops: list[Loop]) -> Edges:
+    return Edges(
+        np.array([loop.first_scan for loop in loops], np.int64),
+        np.array([loop.second_scan for loop in loops], np.int64),
+        np.array([loop.first_from_second for loop in loops]).reshape(-1, 4, 4),
+        np.array([loop.information for loop in loops]).reshape(-1, 6, 6),
+        np.ones(len(loops), bool),
+    )
+
+
+def _seams(parts: tuple[PartPoses, ...], merged: np.ndarray) -> Iterator[Seam]:
+    """Of all pairs of parts that share scans."""
+    for second, part in enumerate(parts):
+        for first, earlier in enumerate(parts[:second]):
+            shared, mine, other = np.intersect1d(earlier.scans, part.scans, return_indices=True)
+            if len(shared):
+                poses = earlier.world_from_scan[mine], part.world_from_scan[other]
+                yield _seam(first, second, *poses, merged[shared])
+
+
+def _seam(first: int, second: int, earlier: np.ndarray, later: np.ndarray, merged: np.ndarray) -> Seam:
+    """earlier, later, merged: (n, 4, 4), poses of the shared scans in either part and after merging."""
+    earlier_from_later = trajectory.align(later, earlier)
+    middle = later[:, :3, 3].mean(0)
+    jump = geometry.transform_points(earlier_from_later, middle[None])[0] - middle
+    apart = geometry.inverse(earlier) @ (earlier_from_later @ later)
+    left = [_step_differences(poses, merged) for poses in (earlier, later)]
+    return Seam(
+        first,
+        second,
+        len(merged),
+        float(np.linalg.norm(np.diff(merged[:, :3, 3], axis=0), axis=1).sum()),
+        float(np.linalg.norm(jump)),
+        float(geometry.rotation_angle_deg(earlier_from_later)),
+        float(np.sqrt(np.mean(np.sum(apart[:, :3, 3] ** 2, axis=1)))),
+        float(np.sqrt(np.mean(geometry.rotation_angle_deg(apart) ** 2))),
+        max(meters for meters, _ in left),
+        max(degrees for _, degrees in left),
+    )
+
+
+def _step_differences(poses: np.ndarray, merged: np.ndarray) -> tuple[float, float]:
+    """Largest difference (m, degrees) of the steps between neighbors (n, 4, 4) in two trajectories."""
+    steps, others = (geometry.inverse(p[:-1]) @ p[1:] for p in (poses, merged))
+    difference = geometry.inverse(steps) @ others
+    meters = np.linalg.norm(difference[:, :3, 3], axis=1).max(initial=0.0)
+    return float(meters), float(geometry.rotation_angle_deg(difference).max(initial=0.0))
+
+
+def _rows(loops: tuple[Loop, ...], graph: PoseGraph, steps: int) -> Iterator[LoopRow]:
+    """One for each loop; graph: its edges after the first `steps` are the accepted ones, in order."""
+    edge = steps
+    for loop in loops:
+        missed, reason, used = np.full((2, 6), np.nan), loop.reason, False
+        if loop.accepted:
+            missed = np.stack([graph.residual_before[edge], graph.residual_after[edge]])
+            reason, used = graph.loop_reason[edge], bool(graph.loop_weight[edge])
+            edge += 1
+        meters = np.linalg.norm(missed[:, 3:], axis=1).tolist()
+        degrees = np.degrees(np.linalg.norm(missed[:, :3], axis=1)).tolist()
+        yield LoopRow(
+            loop.first,
+            loop.second,
+            loop.first_scan,
+            loop.second_scan,
+            used,
+            reason,
+            meters[0],
+            degrees[0],
+            meters[1],
+            degrees[1],
+            loop.overlap,
+            loop.residual,
+        )

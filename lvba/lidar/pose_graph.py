@@ -207,7 +207,9 @@ def propagate(count: int, edges: Edges, root: int, world_from_root: np.ndarray) 
             else second_from_first[edge_of[node, near]]
         )
         poses[node] = poses[near] @ step
-    return geometry.orthonormalize(poses)
+    poses = geometry.orthonormalize(poses)
+    poses[root] = world_from_root  # to the last bit
+    return poses
 
 
 def _adjacency(count: int, edges: Edges) -> coo_matrix:
