@@ -27,8 +27,8 @@ def parts_of(truth, ranges, seed=0):
     return tuple(parts)
 
 
-def loop_between(truth, first, second, off=np.zeros(6), accepted=True):
-    measured = geometry.inverse(truth[first]) @ truth[second] @ geometry.exp(off)
+def loop_between(truth, first, second, off=0.0, accepted=True):
+    measured = geometry.inverse(truth[first]) @ truth[second] @ geometry.exp(off + np.zeros(6))
     information = np.diag(np.array([5e-4] * 3 + [3e-3] * 3) ** -2)
     return Loop(
         0, 4, first, second, measured, information, 0.8, 0.01, 0, accepted, "" if accepted else "too dark"
@@ -47,7 +47,9 @@ def test_parts_come_into_one_frame_and_the_first_pose_stays(truth):
     parts = parts_of(truth, RANGES)
     merged = merge(parts)
     np.testing.assert_array_equal(merged.world_from_scan[0], parts[0].world_from_scan[0])
-    assert position_error(merged.world_from_scan, truth) < 0.15
+    # what the noise of 100 steps, in turns too, comes to; the parts themselves are half a meter off and more
+    assert position_error(merged.world_from_scan, truth) < 0.3
+    assert min(seam.jump_m for seam in merged.seams) > 0.3
     np.testing.assert_array_equal(merged.parts_of_scan[18:28], [1, 1, 2, 2, 2, 2, 2, 1, 1, 1])
     assert merged.converged
 
