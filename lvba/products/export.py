@@ -1,6 +1,7 @@
-"""A result folder in other formats: LAS and LAZ, COLMAP models, nerfstudio datasets."""
+"""A result folder in other formats: LAS and LAZ, COLMAP models, nerfstudio datasets, octrees with levels of detail."""
 
 import json
+import logging
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,12 +12,15 @@ from lvba.dataset import Dataset
 from lvba.errors import InputError
 from lvba.io import colmap, files, images, laz, nerfstudio, ply, tum
 from lvba.io import dataset as recordings
+from lvba.products import lod, viewer
 from lvba.products.cloud import thin
 from lvba.products.parallel import in_order
 from lvba.products.tracks import visible
 from lvba.products.views import Views
 from lvba.progress import Progress, silent
 from lvba.visual.image import Undistorter
+
+logger = logging.getLogger(__name__)
 
 MAX_POINTS = 200_000
 """Points of a COLMAP or nerfstudio model: enough to start a trainer from, few enough for its loader."""
@@ -74,12 +78,23 @@ def _nerfstudio(result: Path, out: Path, progress: Progress) -> None:
     scene.write_offset(out)
 
 
+def _lod(result: Path, out: Path, progress: Progress) -> None:
+    lod.write(result / "map.ply", out / "cloud", progress=progress)
+    try:
+        dataset = _recording(result)
+    except InputError as error:
+        logger.warning("the octree goes without cameras and pictures: %s", error)
+        return
+    viewer.write(result, dataset, out, progress)
+
+
 FORMATS: dict[str, tuple[str, Callable[[Path, Path, Progress], None]]] = {
     "ply": ("export.ply", _ply),
     "las": ("map.las", _las),
     "laz": ("map.laz", _las),
     "colmap": ("colmap", _colmap),
     "nerfstudio": ("nerfstudio", _nerfstudio),
+    "lod": (".", _lod),
 }
 """Name of the format, name of what it writes by default, and who writes it."""
 

@@ -44,6 +44,7 @@ class PointMap:
     points_world: (K, 3) float32, m; rgb: (K, 3) uint8; views: (K,) uint8, images that colored the point;
     spread: (K,) float32, gray values 0..255, weighted RMS difference between those images
     voxel_m: the voxel edge it was thinned to
+    scan: (K,) int32, the scan that measured it, or None where nobody kept that
     """
 
     points_world: np.ndarray
@@ -51,6 +52,7 @@ class PointMap:
     views: np.ndarray
     spread: np.ndarray
     voxel_m: float
+    scan: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.points_world)
@@ -77,7 +79,11 @@ def build(
     rgb[number == 0] = UNCOLORED
     wanted = slice(None) if config.keep_uncolored or not len(views) else number > 0
     logger.info("map: %d of %d points kept at %.4f m", len(kept), len(cloud), voxel)
-    return PointMap(points[wanted], rgb[wanted], number[wanted], spread[wanted] * np.float32(gain), voxel)
+    scan = np.searchsorted(cloud.scan_offsets, kept, side="right").astype(np.int32) - 1
+    gray_spread = spread * np.float32(gain)
+    return PointMap(
+        points[wanted], rgb[wanted], number[wanted], gray_spread[wanted], voxel, scan[wanted].astype(np.int32)
+    )
 
 
 def pixel_footprint(cloud: Cloud, views: Views) -> float:
@@ -105,4 +111,9 @@ def columns(point_map: PointMap, origin: np.ndarray) -> dict[str, np.ndarray]:
     far = len(xyz) and np.abs(xyz).max() > 2000.0
     names = dict(zip("xyz", (xyz if far else xyz.astype(np.float32)).T, strict=True))
     names |= dict(zip(("red", "green", "blue"), point_map.rgb.T, strict=True))
-    return names | {"views": point_map.views, "spread": point_map.spread}
+    names |= {"views": point_map.views, "spread": point_map.spread}
+    if point_map.scan is not None:
+        names["scan"] = point_map.scan.astype(
+            np.uint16 if point_map.scan.max(initial=0) < 1 << 16 else np.uint32
+        )
+    return names

@@ -92,6 +92,11 @@ def _shown(cloud: ColoredCloud, state: State, image: int, config: RenderConfig |
     return _Shown(plain.color[OTHERS], filled.color[OTHERS], plain.covered[OTHERS])
 
 
+def leave_one_out(cloud: ColoredCloud, state: State, image: int) -> np.ndarray:
+    """An image as the points of the other images show it, (H, W, 3) uint8, black where there are none."""
+    return np.rint(_shown(cloud, state, image, None).filled).astype(np.uint8)
+
+
 def _most_changed(
     raw: np.ndarray, shown: list[_Shown], valid: np.ndarray
 ) -> tuple[float, tuple[slice, slice]] | None:
