@@ -33,6 +33,26 @@ def morton(x: Any, y: Any, z: Any) -> Any:
     return np.int64(_spread(x) | (_spread(y) << np.uint64(1)) | (_spread(z) << np.uint64(2)))
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _gather(x: Any) -> Any:
+    x = np.uint64(x) & np.uint64(0x249249249249)
+    x = (x | (x >> np.uint64(2))) & np.uint64(0x0C30C30C30C3)
+    x = (x | (x >> np.uint64(4))) & np.uint64(0x00F00F00F00F)
+    x = (x | (x >> np.uint64(8))) & np.uint64(0x0000FF0000FF)
+    x = (x | (x >> np.uint64(16))) & np.uint64(0xFFFF)
+    return x
+
+
+@njit(cache=True, nogil=True)
+def cell_of(keys: np.ndarray) -> np.ndarray:
+    """The cell numbers (N, 3) int64 of Morton codes (N,) int64."""
+    cells = np.empty((len(keys), 3), np.int64)
+    for n in range(len(keys)):
+        for axis in range(3):
+            cells[n, axis] = np.int64(_gather(np.uint64(keys[n]) >> np.uint64(axis)))
+    return cells
+
+
 @njit(cache=True, nogil=True)
 def _find(table_key: np.ndarray, key: Any) -> Any:
     """Where the key is, or the free place where it belongs, in an open-addressing table of 2^k places."""

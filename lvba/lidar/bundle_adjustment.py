@@ -32,7 +32,7 @@ __all__ = ["LidarConfig", "LidarResult", "Round", "StageConfig", "balm2", "find_
 
 _log = logging.getLogger(__name__)
 
-_OBLIQUE = geometry.exp(np.array([0.31, 0.47, 0.58, 0.0, 0.0, 0.0]))
+OBLIQUE = geometry.exp(np.array([0.31, 0.47, 0.58, 0.0, 0.0, 0.0]))
 """grid_from_world: any rotation far from all symmetries of a cube."""
 
 
@@ -64,6 +64,8 @@ class LidarResult:
         (what is left after aligning it with the truth)
     conditional_covariance: (S, 6, 6) float64, the same of each pose if all others were known: how far it may be off the
         map around it
+    step_covariance: (S - 1, 6, 6) float64, the same of the motion from each scan to the next, in the later one's tangent
+    excess: how many times the planes' information promised too much; the covariances are wider by it
     cost_initial, cost_final: squared errors over their variances per point, of the last association's planes at the
         rough poses and at the refined ones
     weak_directions: motions of all scans together that the planes leave open: held at the odometry
@@ -73,6 +75,8 @@ class LidarResult:
     world_from_scan: np.ndarray
     covariance: np.ndarray
     conditional_covariance: np.ndarray
+    step_covariance: np.ndarray
+    excess: float
     planes: Planes
     plane_points: PlanePoints
     history: tuple[Round, ...]
@@ -133,6 +137,8 @@ def refine(
         poses,
         covariance.marginal,
         covariance.conditional,
+        covariance.step,
+        covariance.excess,
         planes,
         plane_points,
         tuple(history),
@@ -180,7 +186,7 @@ def _stale(grid: VoxelMap, poses: np.ndarray, stage: StageConfig) -> bool:
 
 
 def _grid(points: Scans, poses: np.ndarray, config: LidarConfig, stage: StageConfig) -> VoxelMap:
-    return voxel_map.build(points, poses, stage.sizes, _OBLIQUE if config.oblique_grid else None)
+    return voxel_map.build(points, poses, stage.sizes, OBLIQUE if config.oblique_grid else None)
 
 
 def _planes(grid: VoxelMap, poses: np.ndarray, sensor: np.ndarray, stage: StageConfig) -> Association:

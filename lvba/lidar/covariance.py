@@ -7,7 +7,7 @@ than the noise that they should have, and the covariance is scaled by as much. T
 at the solution are smaller than those at the truth, and on simulated scenes it is too narrow by a half.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.linalg
@@ -27,10 +27,14 @@ class Covariance:
         positions as close to the truth as it can. So the first pose has one too, and no pose is worse for being far from
         the first.
     conditional: (S, 6, 6), of each pose if all others were known: how far it may be off the map around it
+    step: (S - 1, 6, 6), of the motion from each scan to the next, in the later one's tangent
+    excess: how many times the information promises too much, at least 1
     """
 
     marginal: np.ndarray
     conditional: np.ndarray
+    step: np.ndarray = field(default_factory=lambda: np.zeros((0, 6, 6)))
+    excess: float = 1.0
 
 
 def estimate(problem: Problem, world_from_scan: np.ndarray) -> Covariance:
@@ -42,12 +46,27 @@ def estimate(problem: Problem, world_from_scan: np.ndarray) -> Covariance:
     excess = _excess(problem, world_from_scan, inverse)
     covariance = np.zeros((6 * scans, 6 * scans))
     covariance[6:, 6:] = inverse * excess
+    step = _of_steps(covariance.reshape(scans, 6, scans, 6), world_from_scan)
     free = _alignment(world_from_scan)
     covariance = free @ covariance @ free.T
     marginal = covariance.reshape(scans, 6, scans, 6)[here, :, here]
     own = information.reshape(scans, 6, scans, 6)[here, :, here]
     conditional = np.stack([excess * _inverse(block) for block in own])
-    return Covariance(_local(marginal, world_from_scan), _local(conditional, world_from_scan))
+    return Covariance(_local(marginal, world_from_scan), _local(conditional, world_from_scan), step, excess)
+
+
+def _of_steps(covariance: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray:
+    """(S - 1, 6, 6), of the motion from each scan to the next, from the covariance (S, 6, S, 6) of all."""
+    here = np.arange(len(world_from_scan) - 1)
+    relative = geometry.inverse(world_from_scan[1:]) @ world_from_scan[:-1]
+    turn = np.zeros((len(world_from_scan), 6, 6))
+    turn[:, :3, :3] = turn[:, 3:, 3:] = np.swapaxes(world_from_scan[:, :3, :3], -1, -2)
+    by_both = np.concatenate([-geometry.adjoint(relative) @ turn[:-1], turn[1:]], axis=2)
+    pairs = np.empty((len(here), 12, 12))
+    for row, i in enumerate((here, here + 1)):
+        for column, j in enumerate((here, here + 1)):
+            pairs[:, 6 * row : 6 * row + 6, 6 * column : 6 * column + 6] = covariance[i, :, j]
+    return np.asarray(by_both @ pairs @ np.swapaxes(by_both, -1, -2))
 
 
 def _local(blocks: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray:

@@ -123,7 +123,7 @@ def build(
         )
     turned = world_from_scan if grid_from_world is None else grid_from_world @ world_from_scan
     grid_rotation, grid_translation = split(turned)
-    origin = _origin(grid_translation, sizes[0])
+    origin = grid_origin(grid_translation, sizes[0])
     local, keys, cells = kernel.assign(
         scans.points, scans.offsets, grid_rotation, grid_translation - origin, sizes[0]
     )
@@ -146,7 +146,7 @@ def _coarser(finer: Level, scans: int) -> Level:
     return Level(2.0 * finer.size, parent[first], starts, scan, PointClusters(*sums), entry_of)
 
 
-def _origin(positions: np.ndarray, finest: float) -> np.ndarray:
+def grid_origin(positions: np.ndarray, finest: float) -> np.ndarray:
     """Lowest corner of the grid, on a multiple of the largest cells so that cells do not depend on window and levels."""
     largest = finest * 2.0 ** np.floor(np.log2(_LARGEST / finest) + 1e-6)
     middle = np.round(0.5 * (positions.min(0) + positions.max(0)) / largest) * largest

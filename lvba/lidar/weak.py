@@ -53,10 +53,16 @@ def find(
     prior_sigmas: np.ndarray,
 ) -> Weakness:
     """The weak directions at poses (S, 4, 4); prior_sigmas: (6,), rad and m, of the odometry from scan to scan."""
-    told, feigned = _information(features, fits, world_from_scan)
-    scale = np.outer(prior_sigmas, prior_sigmas) / sigma**2
+    told, feigned = information(features, fits, world_from_scan)
+    return judge(told / sigma**2, feigned / sigma**2, prior_sigmas)
+
+
+def judge(told: np.ndarray, feigned: np.ndarray, prior_sigmas: np.ndarray) -> Weakness:
+    """The weak directions of what planes say about each scan (S, 6, 6) and what of it noise feigns (S, 6, 6), both over
+    the variance of a point; prior_sigmas: as in `find`."""
+    scale = np.outer(prior_sigmas, prior_sigmas)
     told, noise = told * scale, SIGNAL_TO_NOISE * feigned * scale + np.eye(6)
-    scans = len(world_from_scan)
+    scans = len(told)
     projector = np.broadcast_to(np.eye(6), (scans, 6, 6)).copy()
     count = np.zeros(scans, np.int64)
     for index in range(scans):
@@ -76,9 +82,11 @@ def find(
     return Weakness(projector, count, common)
 
 
-def _information(
+def information(
     features: PlaneFeatures, fits: PlaneFits, world_from_scan: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
+    """What the planes say about each scan (S, 6, 6) and what of it noise feigns (S, 6, 6), both times the variance of a
+    point; see `kernels.lidar.information`."""
     clusters = features.clusters.weighted(features.weight)
     by_scan = np.argsort(features.scan, kind="stable")
     starts = np.searchsorted(features.scan[by_scan], np.arange(len(world_from_scan) + 1))

@@ -131,7 +131,25 @@ def solve(
     config: ExposureConfig = ExposureConfig(),
     depth: DepthBuffers | None = None,
 ) -> Exposures:
-    """The relative exposures of all images at given poses.
+    """The relative exposures of all images at given poses; arguments as of `ratios_at`."""
+    ratios = ratios_at(
+        pyramid, world_from_camera, image_times, planes, plane_points, scan_times, seen, config, depth
+    )
+    return solve_ratios(ratios, len(world_from_camera), config)
+
+
+def ratios_at(
+    pyramid: Pyramid,
+    world_from_camera: np.ndarray,
+    image_times: np.ndarray,
+    planes: Planes,
+    plane_points: PlanePoints,
+    scan_times: np.ndarray,
+    seen: VisibilityMap | None,
+    config: ExposureConfig = ExposureConfig(),
+    depth: DepthBuffers | None = None,
+) -> Ratios:
+    """The log ratios of all patches at given poses; `first` is the image that a patch was laid out in.
 
     world_from_camera: (I, 4, 4); image_times: (I,) s; scan_times: (S,) s of the scans in `plane_points`
     seen: the global visibility map, which ties images that are far apart in time; None: neighbours only
@@ -151,8 +169,7 @@ def solve(
     points = place(
         levels[config.level], camera, world_from_camera, image_times, planes, plane_points, scan_times, config
     )
-    ratios = measure(levels, camera, world_from_camera, points, seen, depth, config)
-    return solve_ratios(ratios, len(world_from_camera), config)
+    return measure(levels, camera, world_from_camera, points, seen, depth, config)
 
 
 def place(
@@ -234,26 +251,61 @@ def surface_blocks(position_world: np.ndarray, size: float = 1.0) -> np.ndarray:
     return np.asarray((voxel @ np.array([1, 3, 5])) % BLOCKS)
 
 
+@dataclass(frozen=True)
+class Edges:
+    """What all patches together say about each pair of images; two parts of the patches may each have an edge of a pair.
+
+    first, second: (E,) int64, images; mean, sigma: (E,) of log(brightness in `second` / in `first`)
+    changes: (E, BLOCKS) of the mean when one block of the surface is left out
+    pairs: number of patch comparisons; spread: their robust standard deviation about the edges' means
+    """
+
+    first: np.ndarray
+    second: np.ndarray
+    mean: np.ndarray
+    sigma: np.ndarray
+    changes: np.ndarray
+    pairs: int
+    spread: float
+
+
 def solve_ratios(ratios: Ratios, images: int, config: ExposureConfig = ExposureConfig()) -> Exposures:
     """The exposures that explain the log ratios best: robust per pair of images, then robust over the graph."""
+    return solve_edges(edges_of(ratios, images, config), images)
+
+
+def edges_of(ratios: Ratios, images: int, config: ExposureConfig = ExposureConfig()) -> Edges:
+    """The ratios summed up robustly per pair of images."""
     low, high = np.minimum(ratios.first, ratios.second), np.maximum(ratios.first, ratios.second)
     value = np.where(ratios.first == low, ratios.value, -ratios.value)
     codes, edge = np.unique(low.astype(np.int64) * images + high, return_inverse=True)
-    first, second = codes // images, codes % images
     mean, sigma, weight = edge_means(edge, value, ratios.sigma, len(codes))
     count = np.bincount(edge, minlength=len(codes))
     sigma = np.sqrt(sigma**2 + config.edge_floor**2 + (config.few_patches / np.maximum(count, 1)) ** 2)
-    links = sparse.coo_matrix((np.ones(len(codes)), (first, second)), shape=(images, images))
-    component = _by_first_image(connected_components(links, directed=False)[1])
-    graph = _Graph(first, second, component)
-    log_exposure, edge_weight = graph.solve_robustly(mean, sigma)
     left_out = leave_out_blocks(edge, value, weight, ratios.block, mean)
+    return Edges(
+        codes // images,
+        codes % images,
+        mean,
+        sigma,
+        left_out - mean[:, None],
+        len(value),
+        _robust_std(value - mean[edge]),
+    )
+
+
+def solve_edges(edges: Edges, images: int) -> Exposures:
+    """The exposures of all images that explain the edges best."""
+    links = sparse.coo_matrix((np.ones(len(edges.mean)), (edges.first, edges.second)), shape=(images, images))
+    component = _by_first_image(connected_components(links, directed=False)[1])
+    graph = _Graph(edges.first, edges.second, component)
+    log_exposure, edge_weight = graph.solve_robustly(edges.mean, edges.sigma)
     return Exposures(
         log_exposure=_joined(log_exposure, component),
-        sigma=graph.sigma(edge_weight, left_out - mean[:, None]),
+        sigma=graph.sigma(edge_weight, edges.changes),
         component=component,
-        pairs=len(value),
-        spread=_robust_std(value - mean[edge]),
+        pairs=edges.pairs,
+        spread=edges.spread,
     )
 
 

@@ -30,11 +30,15 @@ __all__ = [
     "Coarser",
     "Inputs",
     "LevelReport",
+    "Scene",
     "VisualConfig",
     "VisualResult",
+    "finest",
+    "one_patch_size",
     "refine",
     "refine_finest",
     "refine_level",
+    "scene_of",
 ]
 
 logger = logging.getLogger(__name__)
@@ -128,7 +132,7 @@ def refine_level(
     progress: Progress = silent,
 ) -> Coarser:
     """One level more than `coarser`; None: none yet. Raises DegenerateProblemError as `refine` does."""
-    return _solved(_scene(given, config), coarser, config, progress)[0]
+    return _solved(scene_of(given, config), coarser, config, progress)[0]
 
 
 def refine_finest(
@@ -138,7 +142,17 @@ def refine_finest(
     progress: Progress = silent,
 ) -> VisualResult:
     """The result, from the finest level. Raises DegenerateProblemError as `refine` does."""
-    scene = _scene(given, config)
+    return finest(given, coarser, config, progress)[0]
+
+
+def finest(
+    given: Inputs,
+    coarser: Coarser | None,
+    config: VisualConfig = VisualConfig(),
+    progress: Progress = silent,
+) -> tuple[VisualResult, LevelSolution]:
+    """The result with the solution of the finest level behind it. Raises DegenerateProblemError as `refine` does."""
+    scene = scene_of(given, config)
     found, last, directions = _solved(scene, coarser, config, progress)
     state, sigma = found.state, np.zeros(len(scene.image_times))
     if config.exposures == "means":
@@ -147,7 +161,7 @@ def refine_finest(
     result = results.collect(
         found.reports, last, state, directions, sigma, start, scene.prior, given.keyframes, given.images.times
     )
-    return replace(result, covariance=result.covariance + _of_map(given, result.world_from_camera))
+    return replace(result, covariance=result.covariance + _of_map(given, result.world_from_camera)), last
 
 
 def _of_map(given: Inputs, world_from_camera: np.ndarray) -> np.ndarray:
@@ -159,7 +173,7 @@ def _of_map(given: Inputs, world_from_camera: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class _Scene:
+class Scene:
     """What all levels share.
 
     start: carried rough poses, all equally exposed; prior: of all images
@@ -177,7 +191,8 @@ class _Scene:
     """Which cameras are near a scan: that does not change by centimetres, so the rough poses will do."""
 
 
-def _scene(given: Inputs, config: VisualConfig) -> _Scene:
+def scene_of(given: Inputs, config: VisualConfig) -> Scene:
+    """What all levels share, from the inputs."""
     times, scans = given.images.times[given.keyframes], given.scans
     off_map = None if given.scan_covariance is None else given.scan_covariance.conditional
     prior = priors.build(
@@ -186,8 +201,8 @@ def _scene(given: Inputs, config: VisualConfig) -> _Scene:
     carried = trajectory.interpolate_corrections(scans, given.refined_scans, times)
     start = carried @ given.images.world_from_sensor[given.keyframes]
     sensors = (given.refined_scans @ np.append(given.sensor_position_scan, 1.0))[:, :3]
-    visible = _one_patch_size(config).visibility
-    return _Scene(
+    visible = one_patch_size(config).visibility
+    return Scene(
         pyramid=given.pyramid,
         image_times=times,
         scan_times=scans.times,
@@ -201,10 +216,10 @@ def _scene(given: Inputs, config: VisualConfig) -> _Scene:
 
 
 def _solved(
-    scene: _Scene, coarser: Coarser | None, config: VisualConfig, progress: Progress
+    scene: Scene, coarser: Coarser | None, config: VisualConfig, progress: Progress
 ) -> tuple[Coarser, LevelSolution, WeakDirections]:
     """The next level: what it leaves, its solution, and the directions that no image holds."""
-    config = _one_patch_size(config)
+    config = one_patch_size(config)
     if coarser is None:
         held = priors.take(scene.prior, scene.keyframes) if config.prior.enabled else None
         coarser = Coarser(scene.start, held, _FIRST_INFLATION, ())
@@ -220,7 +235,8 @@ def _solved(
     return left, solution, directions
 
 
-def _one_patch_size(config: VisualConfig) -> VisualConfig:
+def one_patch_size(config: VisualConfig) -> VisualConfig:
+    """The settings with `patch` and `exposures` passed on to all that follow them."""
     adjustment = replace(
         config.adjustment,
         photometric=replace(config.adjustment.photometric, patch=config.patch),
@@ -253,7 +269,7 @@ def _visibility_map(
 
 
 def _exposed(
-    scene: _Scene,
+    scene: Scene,
     level: int,
     state: VisualState,
     config: VisualConfig,
@@ -273,7 +289,7 @@ def _exposed(
 
 
 def _solve_level(
-    scene: _Scene, level: int, coarser: Coarser, config: VisualConfig, progress: Progress
+    scene: Scene, level: int, coarser: Coarser, config: VisualConfig, progress: Progress
 ) -> LevelSolution:
     """Scene points, visibility and exposures anew at the present poses, then the solve."""
     images, camera = scene.pyramid.levels[level], scene.pyramid.camera.at_level(level)

@@ -122,7 +122,7 @@ def test_every_level_holds_the_clusters_of_its_cells_and_scans():
                 np.testing.assert_allclose(value, wanted, atol=1e-9)
         # cells in Morton order, scans in order within
         corner = np.array([cell[entry == e][0] for e in range(len(level.scan))])
-        corner -= np.floor(voxel_map._origin(poses[:, :3, 3], 0.5) / level.size).astype(int)
+        corner -= np.floor(voxel_map.grid_origin(poses[:, :3, 3], 0.5) / level.size).astype(int)
         keys = [voxel.morton(*c) for c in corner]
         assert list(level.key[level.cell]) == keys
         assert (np.diff(level.scan)[np.diff(level.cell) == 0] > 0).all()

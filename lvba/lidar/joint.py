@@ -1,0 +1,253 @@
+"""One LiDAR bundle adjustment over all parts of a recording: their shares add up, one sparse solve moves all scans.
+
+The shares' normal equations are those of the whole recording, so this is its solution, not an approximation by parts; the
+memory of a share is that of its region, and no dense system is ever made.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.sparse.linalg import splu
+
+from lvba import geometry, solver
+from lvba.lidar import share, weak
+from lvba.lidar.config import LidarConfig, StageConfig
+from lvba.lidar.normal_equations import retract
+from lvba.lidar.prior import OdometryPrior, odometry_prior, reestimated
+from lvba.lidar.share import ShareEquations
+from lvba.lidar.weak import Weakness
+from lvba.solver import NormalEquations
+
+_RISE = 0.01
+"""Rise of the cost per point at which a step is taken back: new planes alone change it by less."""
+_FIRST_DAMPING = 1.0
+_MOST_COVARIANCES = 250
+"""Scans whose covariance is solved for; the others have that of the nearest one."""
+
+
+@dataclass(frozen=True)
+class JointRound:
+    """One association over all shares and the step that followed it.
+
+    cost: squared errors over their variances per point; moved: m, the furthest that a scan moved; taken_back: whether
+    this round undid the step before it
+    """
+
+    stage: int
+    planes: int
+    observations: int
+    cost: float
+    sigma: float
+    moved: float
+    weak_scans: int
+    taken_back: bool
+
+
+@dataclass(frozen=True)
+class JointState:
+    """Where all scans are, and what the next round needs.
+
+    world_from_scan: (S, 4, 4); before: the same before the last step
+    prior: odometry; damping: of the next step; cost: per point, before the last step
+    settled: the last stage whose poses stand still, -1: none
+    held: (S,) bool, scans without weak direction
+    """
+
+    world_from_scan: np.ndarray
+    before: np.ndarray
+    prior: OdometryPrior
+    damping: float = 0.0
+    cost: float = float("inf")
+    settled: int = -1
+    held: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+    history: tuple[JointRound, ...] = ()
+
+
+def begin(rough: np.ndarray, world_from_scan: np.ndarray, config: LidarConfig) -> JointState:
+    """The state of merged poses (S, 4, 4); odometry from the rough ones (S, 4, 4)."""
+    prior = odometry_prior(rough, config.prior_rotation, config.prior_translation)
+    everything = np.ones(len(rough), bool)
+    prior = reestimated(prior, world_from_scan, everything, config.prior_sigmas)
+    return JointState(world_from_scan, world_from_scan, prior, held=everything)
+
+
+def step(
+    state: JointState, found: Sequence[ShareEquations], number: int, stage: StageConfig, config: LidarConfig
+) -> JointState:
+    """The state after one round: the sum of all shares, solved.
+
+    number: of the stage. A state that stands still in this stage comes back as it is.
+    """
+    if state.settled >= number:
+        return state
+    scans = len(state.world_from_scan)
+    equations, weakness = assemble(state, found, config)
+    points = max(sum(each.points for each in found), 1.0)
+    cost = sum(each.equations.cost for each in found) / points
+    facts = (
+        number,
+        sum(each.planes for each in found),
+        sum(each.observations for each in found),
+        cost,
+        _typical_sigma(found),
+    )
+    weak_scans = int(np.count_nonzero(weakness.count))
+    same_stage = bool(state.history) and state.history[-1].stage == number
+    if same_stage and cost > state.cost * (1 + _RISE) and not state.history[-1].taken_back:
+        entry = JointRound(*facts, _moved(state.world_from_scan, state.before), weak_scans, True)
+        damping = max(10.0 * state.damping, _FIRST_DAMPING)
+        return replace(
+            state, world_from_scan=state.before, damping=damping, history=(*state.history, entry)
+        )
+    change = _solve(equations, state.damping, config)
+    moved = retract(state.world_from_scan, change)
+    distance = _moved(moved, state.world_from_scan)
+    gain = 0.5 * abs(float(np.sum(equations.gradient * change))) / (6 * scans)
+    still = distance < stage.settled or gain < stage.least_gain
+    held = weakness.count == 0
+    prior = reestimated(state.prior, moved, held, config.prior_sigmas) if still else state.prior
+    return JointState(
+        moved,
+        state.world_from_scan,
+        prior,
+        state.damping / 100,
+        cost,
+        number if still else state.settled,
+        held,
+        (*state.history, JointRound(*facts, distance, weak_scans, False)),
+    )
+
+
+def assemble(
+    state: JointState, found: Sequence[ShareEquations], config: LidarConfig
+) -> tuple[NormalEquations, Weakness]:
+    """The equations of all shares and the prior, weak directions held at the odometry."""
+    scans = len(state.world_from_scan)
+    told, feigned = np.zeros((scans, 6, 6)), np.zeros((scans, 6, 6))
+    for each in found:
+        told[each.scans] += each.told
+        feigned[each.scans] += each.feigned
+    weakness = weak.judge(told, feigned, config.prior_sigmas)
+    planes = _projected(share.total(list(found), scans), weakness.projector)
+    return planes + _of_prior(state.prior, state.world_from_scan), weakness
+
+
+def _typical_sigma(found: Sequence[ShareEquations]) -> float:
+    points = sum(each.points for each in found)
+    return sum(each.sigma * each.points for each in found) / max(points, 1.0)
+
+
+def _moved(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.linalg.norm(a[:, :3, 3] - b[:, :3, 3], axis=1).max())
+
+
+def _projected(equations: NormalEquations, projector: np.ndarray) -> NormalEquations:
+    """The equations with what they say about weak directions taken out."""
+    if not np.any(projector - np.eye(6)):
+        return equations
+    left = np.swapaxes(projector, -1, -2)
+    return replace(
+        equations,
+        blocks=left[equations.rows] @ equations.blocks @ projector[equations.columns],
+        gradient=np.einsum("nij,nj->ni", left, equations.gradient),
+    )
+
+
+def _of_prior(prior: OdometryPrior, world_from_scan: np.ndarray) -> NormalEquations:
+    gradient, diagonal, upper = prior.linearize(world_from_scan)
+    here = np.arange(len(world_from_scan))
+    return solver.from_blocks(
+        np.concatenate([here, here[:-1]]),
+        np.concatenate([here, here[1:]]),
+        np.concatenate([diagonal, upper]),
+        gradient,
+        prior.cost(world_from_scan),
+    )
+
+
+def _solve(equations: NormalEquations, damping: float, config: LidarConfig) -> np.ndarray:
+    """The step (S, 6); the first scan stays. More damping where the equations are not positive."""
+    scans = len(equations.gradient)
+    free = np.ones((scans, 6), bool)
+    free[0] = False
+    here = np.arange(scans)
+    for _ in range(8):
+        metric = np.broadcast_to(np.diag(2.0 / config.prior_sigmas**2) * damping, (scans, 6, 6))
+        damped = solver.from_blocks(here, here, metric, np.zeros((scans, 6)), 0.0)
+        found = solver.solve_step(equations + damped, 0.0, free)
+        if found is not None:
+            return found
+        damping = max(10.0 * damping, _FIRST_DAMPING)
+    return np.zeros((scans, 6))
+
+
+@dataclass(frozen=True)
+class JointCovariance:
+    """How certain the poses are, as in `covariance.Covariance`, and what the planes leave open."""
+
+    marginal: np.ndarray
+    conditional: np.ndarray
+    weakness: Weakness
+
+
+def covariance(
+    state: JointState, found: Sequence[ShareEquations], config: LidarConfig, excess: float
+) -> JointCovariance:
+    """Of all poses, from the equations at them; excess: by what the parts found their information to promise too much."""
+    equations, weakness = assemble(state, found, config)
+    poses = state.world_from_scan
+    scans = len(poses)
+    own = equations.rows == equations.columns
+    diagonal = np.zeros((scans, 6, 6))
+    diagonal[equations.rows[own]] = equations.blocks[own]
+    conditional = 2.0 * excess * np.linalg.inv(diagonal + 1e-9 * np.eye(6) * diagonal.max())
+    factor = splu(equations.sparse()[6:, 6:].tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+
+    def columns(right: np.ndarray) -> np.ndarray:
+        """Covariance (6 S, 6 S) times (6 S, n)."""
+        return np.concatenate([np.zeros((6, right.shape[1])), 2.0 * excess * factor.solve(right[6:])])
+
+    chosen = np.unique(np.linspace(0, scans - 1, min(scans, _MOST_COVARIANCES)).astype(int))
+    motion, pick = alignment(poses)
+    gain = np.linalg.inv(pick.T @ motion)
+    through = columns(pick)
+    middle = pick.T @ through
+    blocks = []
+    for scan in chosen:
+        rows = slice(6 * scan, 6 * scan + 6)
+        unit = np.zeros((6 * scans, 6))
+        unit[rows] = np.eye(6)
+        lever = motion[rows] @ gain
+        cross = lever @ through[rows].T
+        blocks.append(columns(unit)[rows] - cross - cross.T + lever @ middle @ lever.T)
+    nearest = chosen[np.abs(np.arange(scans)[:, None] - chosen).argmin(1)] if scans < 2000 else None
+    index = (
+        np.searchsorted(chosen, nearest)
+        if nearest is not None
+        else np.clip(np.searchsorted(chosen, np.arange(scans)), 0, len(chosen) - 1)
+    )
+    return JointCovariance(
+        local(np.stack(blocks)[index], poses), local(conditional, poses), weakness
+    )
+
+
+def alignment(world_from_scan: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rigid motions (6 S, 6) of all poses, and what picks them out of a motion of all poses, (6 S, 6); see
+    `lvba.lidar.covariance`."""
+    arm = world_from_scan[:, :3, 3] - world_from_scan[:, :3, 3].mean(0)
+    rigid = np.zeros((len(arm), 6, 6))
+    rigid[:, :3, :3] = rigid[:, 3:, 3:] = np.eye(3)
+    rigid[:, 3:, :3] = -geometry.hat(arm)
+    seen = np.zeros_like(rigid)
+    seen[:, 3:] = rigid[:, 3:]
+    lever = max(1e-3 * float(np.sqrt((arm**2).sum(1).mean())), 1e-6)
+    seen[:, :3, :3] = lever**2 * np.eye(3)
+    return rigid.reshape(-1, 6), seen.reshape(-1, 6)
+
+
+def local(blocks: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray:
+    """Blocks (S, 6, 6) of world axes about each sensor, in the sensor's own axes."""
+    turn = np.zeros(blocks.shape)
+    turn[:, :3, :3] = turn[:, 3:, 3:] = np.swapaxes(world_from_scan[:, :3, :3], -1, -2)
+    return np.asarray(turn @ blocks @ np.swapaxes(turn, -1, -2))

@@ -1,0 +1,391 @@
+"""LiDAR stages of a recording in parts: each part by itself, merged, then one joint problem in rounds."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from lvba import gate, geometry
+from lvba.dataset import Dataset
+from lvba.errors import DegenerateProblemError
+from lvba.gate import GateConfig
+from lvba.io import dataset as recordings
+from lvba.lidar import bundle_adjustment as lidar_ba
+from lvba.lidar import joint, loops, merge, share, submap
+from lvba.lidar.bundle_adjustment import LidarConfig, LidarResult, Round
+from lvba.lidar.joint import JointState
+from lvba.lidar.loops import Candidate, Loop
+from lvba.lidar.merge import MergedScans, PartPoses
+from lvba.lidar.plane import PlanePoints, Planes
+from lvba.lidar.share import Regions, Share, ShareEquations
+from lvba.lidar.submap import Submap
+from lvba.parts.survey import Survey
+from lvba.products import map_quality
+from lvba.products.cloud import Cloud
+from lvba.products.map_quality import EntropyConfig
+from lvba.progress import Progress, silent
+from lvba.split import Part
+from lvba.stages import LidarStage, ScanPoses
+
+
+@dataclass(frozen=True)
+class MergeConfig:
+    """How parts become one."""
+
+    align: bool = True
+    """Tie the parts by a pose graph over their overlaps; False: every scan is where the part whose core it is in put
+    it, with steps at the seams (for comparison)."""
+    loops: bool = True
+    """Look for places that parts see again."""
+    coarse_rounds: int = 2
+    """Rounds of the joint LiDAR bundle adjustment with the middle cells, which forgive what merging leaves; 0 to 50."""
+    scan_rounds: int = 5
+    """Its rounds with the finest cells; rounds after it has settled cost nothing; 0 (no joint adjustment) to 50."""
+    image_rounds: int = 4
+    """Rounds of the joint visual bundle adjustment; 0 (none) to 50."""
+
+    def __post_init__(self) -> None:
+        for name in ("coarse_rounds", "scan_rounds", "image_rounds"):
+            if not 0 <= getattr(self, name) <= 50:
+                raise ValueError(f"merge.{name} is {getattr(self, name)}, must be within 0 to 50")
+
+
+@dataclass(frozen=True)
+class PartScans:
+    """What the LiDAR bundle adjustment of one part leaves; the input's poses where it could not be solved.
+
+    poses: with scan numbers of the whole; covariances of the odometry where it could not be solved
+    excess, iterations, history, converged, warnings: as in `LidarResult`
+    """
+
+    poses: PartPoses
+    surfaces: Submap | None
+    excess: float
+    history: tuple[Round, ...]
+    converged: bool
+    warnings: tuple[str, ...]
+    problem: str = ""
+
+
+def solve_part(
+    dataset: Dataset, part: Part, config: LidarConfig, enabled: bool = True, progress: Progress = silent
+) -> PartScans:
+    """The scan poses of one part. dataset: of the part's frames."""
+    if not enabled:
+        return _unsolved(dataset, part, config, "LiDAR bundle adjustment is switched off (refine_scans)")
+    try:
+        result = lidar_ba.refine(
+            recordings.load_scans(dataset),
+            dataset.scans.world_from_sensor,
+            sensor_position=dataset.sensor_position_scan,
+            config=config,
+            progress=progress,
+        )
+    except DegenerateProblemError as error:
+        return _unsolved(dataset, part, config, str(error))
+    surfaces = submap.build(
+        result.planes,
+        result.plane_points,
+        result.world_from_scan,
+        part.scan_numbers,
+        sensor_position=dataset.sensor_position_scan,
+    )
+    return PartScans(
+        PartPoses(part.scan_numbers, result.world_from_scan, result.step_covariance),
+        surfaces,
+        result.excess,
+        result.history,
+        result.converged,
+        result.warnings,
+    )
+
+
+def _unsolved(dataset: Dataset, part: Part, config: LidarConfig, problem: str) -> PartScans:
+    steps = np.diag([config.prior_rotation**2] * 3 + [config.prior_translation**2] * 3)
+    poses = PartPoses(
+        part.scan_numbers,
+        dataset.scans.world_from_sensor,
+        np.broadcast_to(steps, (len(dataset.scans) - 1, 6, 6)).copy(),
+    )
+    return PartScans(poses, None, 1.0, (), False, (), problem)
+
+
+def close_loop(first: PartScans, second: PartScans, candidate: Candidate) -> Loop | None:
+    """Whether two parts see the same place, and their relative pose; none where one of them was not solved."""
+    if first.surfaces is None or second.surfaces is None:
+        return None
+    return loops.register(first.surfaces, second.surfaces, candidate)
+
+
+@dataclass(frozen=True)
+class MergedStage:
+    """All scans in one world frame: where the joint adjustment begins, and how the parts fitted."""
+
+    merged: MergedScans
+    state: JointState
+
+
+def merge_parts(
+    dataset: Dataset,
+    cores: Sequence[Part],
+    found: Sequence[PartScans],
+    closed: Sequence[Loop | None],
+    survey: Survey,
+    config: MergeConfig,
+) -> MergedStage:
+    """The parts tied in their overlaps and by loops."""
+    merged = merge.merge(
+        tuple(part.poses for part in found), tuple(loop for loop in closed if loop is not None)
+    )
+    poses = merged.world_from_scan
+    if not config.align:
+        poses = _side_by_side(cores, found, dataset.scans.world_from_sensor)
+    state = joint.begin(dataset.scans.world_from_sensor, poses, survey.lidar)
+    if all(part.problem for part in found):
+        state = replace(state, settled=len(survey.lidar.stages))
+    return MergedStage(merged, state)
+
+
+def _side_by_side(cores: Sequence[Part], found: Sequence[PartScans], rough: np.ndarray) -> np.ndarray:
+    """(S, 4, 4): each core as its own part has it."""
+    poses = rough.copy()
+    for core, part in zip(cores, found, strict=True):
+        poses[slice(*core.core_scans)] = part.poses.world_from_scan[core.core_of_scans]
+    return poses
+
+
+def regions(dataset: Dataset, cores: Sequence[Part], world_from_scan: np.ndarray) -> Regions:
+    """Which part owns which piece of space, at scan poses (S, 4, 4)."""
+    sensors = (world_from_scan @ np.append(dataset.sensor_position_scan, 1.0))[:, :3]
+    owner = np.concatenate([np.full(core.core_scans[1] - core.core_scans[0], core.number) for core in cores])
+    return Regions(sensors, owner)
+
+
+@dataclass(frozen=True)
+class Around:
+    """The frames that a share needs: those of the recording that may have points in a region.
+
+    dataset: of these only; scans: (n,) int64, their numbers
+    """
+
+    dataset: Dataset
+    scans: np.ndarray
+
+
+def collect_share(
+    dataset: Dataset,
+    cores: Sequence[Part],
+    part: int,
+    state: JointState,
+    survey: Survey,
+    number: int,
+    progress: Progress = silent,
+) -> Share | None:
+    """The cells of a part's region at the poses so far; none where stage `number` has settled already."""
+    if state.settled >= number:
+        return None
+    owned = regions(dataset, cores, state.world_from_scan)
+    sizes = survey.lidar.stages[-1].sizes
+    return share.collect(
+        lambda scans: recordings.load_scans(dataset, scans),
+        share.candidates(owned, part, survey.reach_m),
+        state.world_from_scan,
+        owned,
+        part,
+        size=sizes[0],
+        largest=max(stage.sizes[-1] for stage in survey.lidar.stages[-2:]),
+        grid_from_world=lidar_ba.OBLIQUE if survey.lidar.oblique_grid else np.eye(4),
+        progress=progress,
+    )
+
+
+def linearize_share(
+    dataset: Dataset, cells: Share | None, state: JointState, survey: Survey, number: int, final: bool = False
+) -> ShareEquations | None:
+    """What the cells say about the scans in stage `number`; none where that has settled, but for the `final` account."""
+    if cells is None or (state.settled >= number and not final):
+        return None
+    return share.linearize(
+        cells,
+        state.world_from_scan,
+        dataset.sensor_position_scan,
+        survey.lidar.stages[number],
+        survey.lidar.weights,
+    )
+
+
+def step_scans(
+    state: JointState, found: Sequence[ShareEquations | None], survey: Survey, number: int
+) -> JointState:
+    """One round of the joint problem."""
+    known = [each for each in found if each is not None]
+    return joint.step(state, known, number, survey.lidar.stages[number], survey.lidar) if known else state
+
+
+@dataclass(frozen=True)
+class JointScans:
+    """The scans of the whole recording.
+
+    lidar: as of an undivided recording, but without planes, which stay with the parts
+    """
+
+    lidar: LidarStage
+    merged: MergedScans
+    rounds: tuple[joint.JointRound, ...]
+    parts: tuple[dict[str, float | int | str | bool], ...] = field(default=())
+
+
+def finish_scans(
+    merged: MergedStage,
+    state: JointState,
+    found: Sequence[ShareEquations | None],
+    parts: Sequence[PartScans],
+    survey: Survey,
+) -> JointScans:
+    """The result of all rounds; found: the shares' account at the final poses."""
+    known = [each for each in found if each is not None and each.planes]
+    problems = [part.problem for part in parts if part.problem]
+    if not known or len(problems) == len(parts):
+        return JointScans(LidarStage(None, problems[0] if problems else "no plane is seen by two scans"), merged.merged, ())
+    excess = float(np.median([part.excess for part in parts if not part.problem]))
+    uncertainty = joint.covariance(state, known, survey.lidar, excess)
+    final = known
+    history = tuple(
+        Round(r.planes, r.observations, r.cost, r.cost, r.sigma, r.moved, 1, r.weak_scans) for r in state.history
+    )
+    last = len(survey.lidar.stages) - 1
+    settled = state.settled >= last or not state.history
+    result = LidarResult(
+        world_from_scan=state.world_from_scan,
+        covariance=uncertainty.marginal,
+        conditional_covariance=uncertainty.conditional,
+        step_covariance=np.zeros((0, 6, 6)),
+        excess=excess,
+        planes=_no_planes(),
+        plane_points=PlanePoints(np.zeros((0, 3), np.float32), np.zeros(0, np.int32), np.zeros(1, np.int64)),
+        history=(*(entry for part in parts for entry in part.history[:1]), *history),
+        cost_initial=float(np.mean([part.history[0].cost_before for part in parts if part.history])),
+        cost_final=sum(each.equations.cost for each in final) / max(sum(each.points for each in final), 1.0),
+        iterations=len(state.history) + sum(len(part.history) for part in parts),
+        converged=settled,
+        weak_directions=uncertainty.weakness.common,
+        weak_scans=uncertainty.weakness.count,
+        warnings=_warnings(state, parts, settled, uncertainty.weakness.count),
+    )
+    return JointScans(LidarStage(result), merged.merged, state.history)
+
+
+def _no_planes() -> Planes:
+    none = np.zeros(0)
+    return Planes(
+        np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)),
+        none.astype(np.int64), none.astype(np.int32), none, none,
+    )  # fmt: skip
+
+
+def _warnings(
+    state: JointState, parts: Sequence[PartScans], settled: bool, weak_scans: np.ndarray
+) -> tuple[str, ...]:
+    told = [
+        f"part {number + 1} of {len(parts)} could not be solved by itself ({part.problem}); its scans began where the "
+        "odometry has them"
+        for number, part in enumerate(parts)
+        if part.problem
+    ]
+    open_scans = int(np.count_nonzero(weak_scans))
+    if open_scans:
+        told.append(
+            f"planes leave directions of {open_scans} of {len(weak_scans)} scans open: these stay at the odometry"
+        )
+    if not settled:
+        told.append(
+            f"scan poses still moved by {state.history[-1].moved * 1e3:.2f} mm in the last joint round; more rounds "
+            "(merge.scan_rounds) may help"
+        )
+    return tuple(told)
+
+
+@dataclass(frozen=True)
+class RegionEntropy:
+    """Sum and number of the entropies of map points in one region, nats, at the rough and at the refined poses."""
+
+    rough: tuple[float, int]
+    refined: tuple[float, int]
+
+
+def region_cloud(
+    dataset: Dataset,
+    cores: Sequence[Part],
+    part: int,
+    world_from_scan: np.ndarray,
+    reach: float,
+    progress: Progress = silent,
+) -> Cloud:
+    """The points (of any scan) that lie in a part's region, world frame, in scan order."""
+    owned = regions(dataset, cores, world_from_scan)
+    scans = share.candidates(owned, part, reach)
+    kept, counts = [], []
+    for done, scan in enumerate(scans):
+        progress("collecting points", done, len(scans))
+        points = recordings.load_scan(dataset, int(scan)).points
+        world = geometry.transform_points(world_from_scan[scan], points.astype(float)).astype(np.float32)
+        mine = world[_in_region(world, owned, part)]
+        kept.append(mine)
+        counts.append(len(mine))
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    points_world = np.concatenate([np.zeros((0, 3), np.float32), *kept])
+    return Cloud(points_world, offsets, dataset.scans.times[scans])
+
+
+_OWNED_CELL_M = 2.0
+
+
+def _in_region(points_world: np.ndarray, owned: Regions, part: int) -> np.ndarray:
+    """Which points (N,) lie in cells that the part owns."""
+    cell = np.floor(points_world / np.float32(_OWNED_CELL_M)).astype(np.int64)
+    key = (cell[:, 0] * (1 << 21) + cell[:, 1]) * (1 << 21) + cell[:, 2]
+    _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
+    mine = owned.of((cell[first] + 0.5) * _OWNED_CELL_M) == part
+    return np.asarray(mine[inverse.ravel()])
+
+
+def judge_region(
+    dataset: Dataset,
+    cores: Sequence[Part],
+    part: int,
+    scans: JointScans,
+    survey: Survey,
+    config: EntropyConfig,
+    progress: Progress = silent,
+) -> RegionEntropy:
+    """How crisp the map is in a part's region, before and after."""
+    rough = dataset.scans.world_from_sensor
+    before = _entropy(region_cloud(dataset, cores, part, rough, survey.reach_m, progress), config)
+    if scans.lidar.result is None:
+        return RegionEntropy(before, before)
+    refined = scans.lidar.result.world_from_scan
+    return RegionEntropy(
+        before, _entropy(region_cloud(dataset, cores, part, refined, survey.reach_m, progress), config)
+    )
+
+
+def _entropy(cloud: Cloud, config: EntropyConfig) -> tuple[float, int]:
+    centers = map_quality.voxel_means(cloud.points_world, config.voxel_m)
+    values = map_quality.point_entropies(centers, config.radius_m, config.min_neighbors)
+    finite = values[np.isfinite(values)]
+    return float(finite.sum()), len(finite)
+
+
+def judge_scans(
+    dataset: Dataset, scans: JointScans, found: Sequence[RegionEntropy], config: GateConfig
+) -> ScanPoses:
+    """The refined scan poses where they make a crisper map, else the input's."""
+    before, after = (
+        sum(pair[0] for pair in pairs) / max(sum(pair[1] for pair in pairs), 1)
+        for pairs in ([each.rough for each in found], [each.refined for each in found])
+    )
+    rough = dataset.scans.world_from_sensor
+    if scans.lidar.result is None:
+        return ScanPoses(rough, gate.Verdict(False, f"input poses kept: {scans.lidar.problem}"), before, before)
+    verdict = gate.judge_scans(before, after, config)
+    return ScanPoses(scans.lidar.result.world_from_scan if verdict.accepted else rough, verdict, before, after)

@@ -1,0 +1,258 @@
+"""Cutting a long recording into overlapping parts, each small enough to be solved at once.
+
+Every scan and every image belongs to the core of exactly one part; a part also holds its neighbors' frames on both
+sides, as far as the overlap reaches. Source: Li et al., section III (subsequences); method and limits are ours.
+"""
+
+import dataclasses
+import hashlib
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from lvba.dataset import Dataset
+from lvba.errors import InputError
+from lvba.trajectory import Trajectory
+
+FEWEST_SCANS = 10
+"""A core of fewer scans than this is no part: too few share a plane."""
+LEAST_OVERLAP = 3
+"""Scans that neighboring parts must share at least: from fewer no relative pose can be trusted."""
+
+
+@dataclass(frozen=True)
+class SplitConfig:
+    """How a long recording is cut into parts."""
+
+    by: Literal["memory", "length", "time", "count", "none"] = "memory"
+    """"memory": as many parts as keep one within `memory_gb`, one where all fits; "length": parts of `size` meters of
+    path; "time": of `size` seconds; "count": of `size` scans; "none": never split."""
+    size: float = 0.0
+    """How long the core of a part is, in m, s or scans, for "length", "time" and "count"; above 0."""
+    overlap: float = 0.0
+    """How far a part reaches over its core on each side, in the unit of `size` (scans for "memory"); 0: a quarter of
+    the core, and at least 10 scans."""
+    memory_gb: float = 4.0
+    """Memory that one part may take, GB, for "memory"; 0.5 to 1000."""
+    starts: tuple[float, ...] = ()
+    """Your own cuts: where the second and later parts begin, s after the first scan, ascending; used instead of `by`."""
+
+    def __post_init__(self) -> None:
+        if self.by not in ("memory", "length", "time", "count", "none"):
+            raise ValueError(f'split.by is {self.by!r}, must be "memory", "length", "time", "count" or "none"')
+        if self.by in ("length", "time", "count") and not self.starts and not 0 < self.size < np.inf:
+            raise ValueError(f"split.size is {self.size}, must be above 0 with split.by {self.by}")
+        if not 0 <= self.overlap < np.inf:
+            raise ValueError(f"split.overlap is {self.overlap}, must be 0 or more")
+        if not 0.5 <= self.memory_gb <= 1000:
+            raise ValueError(f"split.memory_gb is {self.memory_gb}, must be within 0.5 to 1000")
+        if any(b <= a for a, b in zip((0.0, *self.starts), self.starts, strict=False)):
+            raise ValueError(f"split.starts are {self.starts}, must be ascending and above 0")
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part: half-open ranges of scan and image numbers.
+
+    core_*: what belongs to no other part; scans, images: with what is shared
+    """
+
+    number: int
+    scans: tuple[int, int]
+    core_scans: tuple[int, int]
+    images: tuple[int, int]
+    core_images: tuple[int, int]
+
+    @property
+    def scan_numbers(self) -> np.ndarray:
+        """All scans of the part, int64."""
+        return np.arange(*self.scans)
+
+    @property
+    def image_numbers(self) -> np.ndarray:
+        """All images of the part, int64."""
+        return np.arange(*self.images)
+
+    @property
+    def core_of_scans(self) -> slice:
+        """The core among the part's scans."""
+        return slice(self.core_scans[0] - self.scans[0], self.core_scans[1] - self.scans[0])
+
+    @property
+    def core_of_images(self) -> slice:
+        """The core among the part's images."""
+        return slice(self.core_images[0] - self.images[0], self.core_images[1] - self.images[0])
+
+
+@dataclass(frozen=True)
+class Load:
+    """What a recording asks of memory.
+
+    points_per_scan: mean number of points; pixels_per_image: width times height
+    """
+
+    points_per_scan: float
+    pixels_per_image: float
+
+
+BASE_BYTES = 350e6
+"""What a process holds before any data: libraries and compiled kernels."""
+BYTES_PER_POINT = 130.0
+"""Peak of LiDAR bundle adjustment and scene points, measured on 3 million points (docs/benchmarks.md)."""
+BYTES_PER_PIXEL = 14.0
+"""Three channels over all pyramid levels, decoded and undistorted, with scores of a few images."""
+BYTES_PER_PAIR_OF_SCANS = 3 * 36 * 8.0
+"""The dense Hessian of a part and the two copies that a solve makes."""
+
+
+def memory_bytes(load: Load, scans: float, images: float) -> float:
+    """Peak memory that a part of so many scans and images takes, bytes."""
+    return (
+        BASE_BYTES
+        + BYTES_PER_POINT * load.points_per_scan * scans
+        + BYTES_PER_PIXEL * load.pixels_per_image * images
+        + BYTES_PER_PAIR_OF_SCANS * scans**2
+    )
+
+
+def parts(dataset: Dataset, config: SplitConfig, load: Load) -> list[Part]:
+    """The parts in order; one that holds everything where nothing is to be split.
+
+    Raises InputError: parts too short, or with too little overlap.
+    """
+    scans = len(dataset.scans)
+    if config.by == "none" and not config.starts:
+        return [_whole(dataset)]
+    position = _position(dataset, config)
+    first = _cuts(dataset, config, load, position)
+    if len(first) == 1:
+        return [_whole(dataset)]
+    bounds = [*first, scans]
+    _check_cores(bounds)
+    found = []
+    for number, (begin, end) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
+        reach = config.overlap or _default_overlap(position, begin, end)
+        low = int(np.searchsorted(position, position[begin] - reach, side="left"))
+        high = int(np.searchsorted(position, position[end - 1] + reach, side="right"))
+        found.append(_part(dataset, number, (low, high), (begin, end)))
+    _check_overlaps(found, config)
+    return found
+
+
+def subset(dataset: Dataset, scans: np.ndarray, images: np.ndarray) -> Dataset:
+    """The recording with some of its scans and images only, by ascending number; its world frame stays.
+
+    Raises ValueError: no scans.
+    """
+    if len(scans) == 0:
+        raise ValueError("a recording needs scans")
+    named = ",".join(map(str, scans)) + ";" + ",".join(map(str, images))
+    return dataclasses.replace(
+        dataset,
+        scan_paths=tuple(dataset.scan_paths[i] for i in scans),
+        scans=Trajectory(dataset.scans.times[scans], dataset.scans.world_from_sensor[scans]),
+        image_paths=tuple(dataset.image_paths[i] for i in images),
+        images=Trajectory(dataset.images.times[images], dataset.images.world_from_sensor[images]),
+        warnings=(),
+        digest=hashlib.sha256(f"{dataset.digest} {named}".encode()).hexdigest() if dataset.digest else "",
+    )
+
+
+def path_length(dataset: Dataset) -> np.ndarray:
+    """Length of the path up to each scan, (S,) m."""
+    steps = np.linalg.norm(np.diff(dataset.scans.world_from_sensor[:, :3, 3], axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _position(dataset: Dataset, config: SplitConfig) -> np.ndarray:
+    """Where each scan is along what is cut, (S,): m, s or numbers."""
+    if config.starts or config.by == "time":
+        return dataset.scans.times - dataset.scans.times[0]
+    if config.by == "length":
+        return path_length(dataset)
+    return np.arange(len(dataset.scans), dtype=float)
+
+
+def _cuts(dataset: Dataset, config: SplitConfig, load: Load, position: np.ndarray) -> list[int]:
+    """The first scan of each core."""
+    if config.starts:
+        return [0, *(int(np.searchsorted(position, start)) for start in config.starts)]
+    scans = len(position)
+    if config.by == "memory":
+        return _equal(scans, _parts_for_memory(dataset, config, load))
+    total = scans if config.by == "count" else position[-1]
+    count = max(1, round(total / config.size))
+    return [int(np.searchsorted(position, total * k / count)) for k in range(count)]
+
+
+def _equal(scans: int, count: int) -> list[int]:
+    return [scans * k // count for k in range(count)]
+
+
+def _parts_for_memory(dataset: Dataset, config: SplitConfig, load: Load) -> int:
+    """The fewest parts of equal length that fit."""
+    scans, images = len(dataset.scans), len(dataset.image_paths)
+    budget = config.memory_gb * 1e9
+    for count in range(1, max(scans // FEWEST_SCANS, 1) + 1):
+        core = scans / count
+        held = scans if count == 1 else core + 2 * (config.overlap or max(core / 4, 10))
+        if memory_bytes(load, held, images * held / scans) <= budget:
+            return count
+    need = memory_bytes(load, 3 * FEWEST_SCANS, images * 3 * FEWEST_SCANS / scans) / 1e9
+    raise InputError(
+        "split.memory_gb",
+        f"{config.memory_gb:g} GB hold not even {3 * FEWEST_SCANS} scans with their images",
+        f"give at least {need:.1f} GB, or thin the scans",
+    )
+
+
+def _default_overlap(position: np.ndarray, begin: int, end: int) -> float:
+    """A quarter of the core, and at least 10 scans, along `position`."""
+    last = len(position) - 1
+    core = position[end - 1] - position[begin]
+    ten = max(
+        position[min(end - 1 + 10, last)] - position[end - 1],
+        position[begin] - position[max(begin - 10, 0)],
+    )
+    return float(max(core / 4, ten))
+
+
+def _check_cores(bounds: list[int]) -> None:
+    sizes = np.diff(bounds)
+    if sizes.min() < FEWEST_SCANS:
+        raise InputError(
+            "split",
+            f"part {int(sizes.argmin()) + 1} of {len(sizes)} would hold {int(sizes.min())} scans of its own; "
+            f"at least {FEWEST_SCANS} are needed",
+            "make the parts longer (split.size, split.starts, split.memory_gb)",
+        )
+
+
+def _check_overlaps(found: list[Part], config: SplitConfig) -> None:
+    for left, right in zip(found[:-1], found[1:], strict=True):
+        shared = left.scans[1] - right.scans[0]
+        if shared < LEAST_OVERLAP:
+            raise InputError(
+                "split.overlap",
+                f"parts {left.number + 1} and {right.number + 1} would share {max(shared, 0)} scans with an overlap of "
+                f"{config.overlap:g}; at least {LEAST_OVERLAP} are needed",
+                "make it larger, or leave it at 0 for a quarter of a part",
+            )
+
+
+def _whole(dataset: Dataset) -> Part:
+    scans, images = (0, len(dataset.scans)), (0, len(dataset.image_paths))
+    return Part(0, scans, scans, images, images)
+
+
+def _part(dataset: Dataset, number: int, scans: tuple[int, int], core: tuple[int, int]) -> Part:
+    return Part(number, scans, core, _images(dataset, scans), _images(dataset, core))
+
+
+def _images(dataset: Dataset, scans: tuple[int, int]) -> tuple[int, int]:
+    """The images whose nearest scan in time is among the scans."""
+    times, stamps = dataset.scans.times, dataset.images.times
+    middles = 0.5 * (times[1:] + times[:-1])
+    nearest = np.searchsorted(middles, stamps)
+    return int(np.searchsorted(nearest, scans[0])), int(np.searchsorted(nearest, scans[1]))
