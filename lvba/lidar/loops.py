@@ -1,10 +1,15 @@
 """Places that two parts both saw: which pairs may have, and where exactly one is in the other."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
-from lvba.lidar.submap import Submap
+from lvba import geometry
+from lvba.lidar import place_check, place_search, surfel_alignment
+from lvba.lidar.place_check import Evidence
+from lvba.lidar.submap import Patch, Submap, around, index_of
+from lvba.lidar.surfel_alignment import Certainty, Target
 
 
 @dataclass(frozen=True)
@@ -17,8 +22,54 @@ class CandidateConfig:
     """Error of the rough position, as a fraction of the path between; 0 to 0.5."""
     drift_deg: float = 0.5
     """Error of the rough heading, degrees for 100 m of path; 0 to 90."""
+    least_m: float = 0.3
+    """m, added to the error of the rough position: an odometry that starts anew jumps; 0 to 100."""
+    least_deg: float = 1.0
+    """The same of the rough heading, degrees; 0 to 45."""
     pairs_per_part: int = 4
     """Most pairs that a part is in as the later one; 0 to 1000."""
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("reach", 1, 500),
+            ("drift", 0, 0.5),
+            ("drift_deg", 0, 90),
+            ("least_m", 0, 100),
+            ("least_deg", 0, 45),
+            ("pairs_per_part", 0, 1000),
+        ):
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"loops.{name} = {getattr(self, name)}; allowed: {low} to {high}")
+
+
+@dataclass(frozen=True)
+class RegisterConfig:
+    """How two submaps are aligned, and when the result is believed."""
+
+    radius: float = 20.0
+    """m, surfaces around the two scans that are compared; 2 to 200."""
+    starts: int = 48
+    """Rough alignments that are tried; 1 to 1000."""
+    tolerance: float = 0.1
+    """m, furthest that a surface may be from one that it agrees with; 0.01 to 1."""
+    min_surfels: int = 150
+    """Fewest surfels that agree; 10 to 100000."""
+    min_overlap: float = 0.1
+    """Least part of the surfels of either submap that agree; 0.01 to 1."""
+    min_share: float = 0.97
+    """Least part that agrees of the surfels that agree or contradict (are seen through); 0.5 to 1."""
+    excess: float = 2.0
+    """Furthest that surfaces may lie apart, in standard deviations of their points; 0.1 to 100."""
+    rival: float = 0.7
+    """Refuse when another alignment gathers more than this part of what the best one does; 0 to 1."""
+    weak_sigma: float = 0.05
+    """m, a direction that is known worse (rotations times the size of the place) counts as open; 0.001 to 10."""
+    most_open: int = 2
+    """Most directions that may be left open; 0 to 5."""
+    floor_m: float = 0.001
+    """m, no loop is taken to be known better; 0 to 1."""
+    floor_deg: float = 0.005
+    """The same of its rotation, degrees; 0 to 10."""
 
 
 @dataclass(frozen=True)
@@ -69,15 +120,267 @@ class Loop:
 
 
 def candidates(
-    world_from_scan: np.ndarray, parts: tuple[np.ndarray, ...], config: CandidateConfig = CandidateConfig()
+    world_from_scan: np.ndarray, parts: tuple[np.ndarray, ...], config: CandidateConfig | None = None
 ) -> tuple[Candidate, ...]:
     """Pairs of parts that may see the same place though they share no scans, from rough poses alone.
 
     world_from_scan: (S, 4, 4), rough; parts: indices (n,) of the scans of each
+    The later part of a pair keeps those that are expected to be closest.
     """
-    raise NotImplementedError
+    config = config or CandidateConfig()
+    position = world_from_scan[:, :3, 3]
+    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))])
+    widest = float(np.linalg.norm(np.ptp(position, axis=0)))
+    kept: list[Candidate] = []
+    for second, later in enumerate(parts):
+        near = []
+        for first, earlier in enumerate(parts[:second]):
+            if len(np.intersect1d(earlier, later)) == 0:
+                pair = _closest(world_from_scan, path, widest, earlier, later, config)
+                near.append(replace(pair, first=first, second=second))
+        near = [pair for pair in near if pair.distance < config.reach + _SIGMAS * pair.sigma_m]
+        near.sort(key=lambda pair: pair.distance / (config.reach + pair.sigma_m))
+        kept.extend(sorted(near[: config.pairs_per_part], key=lambda pair: pair.first))
+    return tuple(kept)
 
 
-def register(a: Submap, b: Submap, candidate: Candidate) -> Loop:
-    """Whether two parts see the same place, and their relative pose: looked for where the candidate says it may be."""
-    raise NotImplementedError
+_SIGMAS = 3.0
+"""How many standard deviations a rough pose may be off."""
+
+
+def _closest(
+    world_from_scan: np.ndarray,
+    path: np.ndarray,
+    widest: float,
+    earlier: np.ndarray,
+    later: np.ndarray,
+    config: CandidateConfig,
+) -> Candidate:
+    """The two scans that come closest for what the odometry may be off between them."""
+    apart = cdist(world_from_scan[earlier, :3, 3], world_from_scan[later, :3, 3])
+    traveled = np.abs(path[later][None] - path[earlier][:, None])
+    turned = np.radians(config.drift_deg) * traveled / 100.0
+    sigma = config.drift * traveled + turned * np.minimum(0.5 * traveled, widest) + config.least_m
+    i, j = np.unravel_index(np.argmin(apart / (config.reach + sigma)), apart.shape)
+    one, other = int(earlier[i]), int(later[j])
+    relative = geometry.inverse(world_from_scan[one]) @ world_from_scan[other]
+    sigma_deg = float(np.degrees(turned[i, j])) + config.least_deg
+    return Candidate(
+        0, 0, one, other, relative, float(apart[i, j]), float(traveled[i, j]), float(sigma[i, j]), sigma_deg
+    )
+
+
+def register(a: Submap, b: Submap, candidate: Candidate, config: RegisterConfig | None = None) -> Loop:
+    """Whether two parts see the same place, and their relative pose: looked for where the candidate says it may be.
+
+    a, b: submaps of the candidate's first and second part
+    """
+    config = config or RegisterConfig()
+    reach = _SIGMAS * candidate.sigma_m
+    patches = (
+        around(a, candidate.first_scan, config.radius + reach),
+        around(b, candidate.second_scan, config.radius),
+    )
+    if min(len(patch) for patch in patches) < config.min_surfels:
+        return _refused(candidate, "too few surfaces are known around it")
+    target, source = Target.of(patches[0]), Target.of(patches[1])
+    ways = _alignments(target, source, candidate, config)
+    if not ways:
+        return _refused(candidate, "no alignment within what the odometry may be off")
+    best = _best(ways, target, source, config)
+    found = surfel_alignment.match(target, source.patch, best.a_from_b, _MATCH_M, _MATCH_DEG)
+    floor = np.array([np.radians(config.floor_deg)] * 3 + [config.floor_m] * 3)
+    known = surfel_alignment.certainty(target, source.patch, best.a_from_b, found, floor, config.weak_sigma)
+    reason = _doubt(best, known, target, source, config) or _rival(best, ways, known, target, source, config)
+    loop = replace(
+        _refused(candidate, reason),
+        first_from_second=best.a_from_b,
+        overlap=best.overlap,
+        residual=known.sigma,
+        weak=len(known.open),
+    )
+    if reason:
+        return loop
+    information = _with_scans(known.information, a, b, candidate, best.a_from_b)
+    weak = f"; {len(known.open)} of 6 directions open" if len(known.open) else ""
+    reason = f"{best.overlap:.0%} of the surfaces agree within {known.sigma * 1e3:.0f} mm{weak}"
+    return replace(loop, information=information, accepted=True, reason=reason)
+
+
+_MATCH_M, _MATCH_DEG = 0.5, 20.0
+
+
+@dataclass(frozen=True)
+class _Way:
+    """One alignment, and what speaks for it.
+
+    overlap: part of the surfels that agree, in the patch where it is smaller
+    """
+
+    a_from_b: np.ndarray
+    evidence: Evidence
+    overlap: float
+
+    @property
+    def score(self) -> float:
+        """Surfels that agree, less what contradicts."""
+        told = self.evidence
+        agree = np.count_nonzero(told.agrees_a) + np.count_nonzero(told.agrees_b)
+        return float(agree - _AGAINST * (np.count_nonzero(told.against_a) + np.count_nonzero(told.against_b)))
+
+
+_AGAINST = 3.0
+"""How many surfels that agree one that contradicts outweighs."""
+
+
+def _alignments(target: Target, source: Target, candidate: Candidate, config: RegisterConfig) -> list[_Way]:
+    """Different alignments that surfels fall into, within what the odometry may be off; best first."""
+    reach_m, reach_deg = _SIGMAS * candidate.sigma_m, _SIGMAS * candidate.sigma_deg
+    guess = candidate.first_from_second
+    cell = 2 * source.patch.cell
+    starts = place_search.search(target.patch, source.patch, guess, reach_m, reach_deg, cell, config.starts)
+    sigma = np.array([np.radians(candidate.sigma_deg)] * 3 + [candidate.sigma_m] * 3)
+    prior = np.diag(sigma**-2)
+    step = -(-len(source.patch) // _COARSE_SURFELS)
+    thinned = source.patch.take(np.arange(0, len(source.patch), step))
+    coarse = [
+        surfel_alignment.align(target, thinned, pose, surfel_alignment.COARSE, prior)
+        for pose in (guess, *starts.a_from_b)
+    ]
+    fine = [
+        surfel_alignment.align(target, source.patch, pose, surfel_alignment.FINE, prior)
+        for pose in _different(coarse, _NEAR_M)
+    ]
+    inside = [pose for pose in _different(fine, _NEAR_M / 2) if _within(guess, pose, reach_m, reach_deg)]
+    ways = [_way(target, source, pose, config) for pose in inside]
+    return sorted(ways, key=lambda way: -way.score)
+
+
+_COARSE_SURFELS = 800
+_NEAR_M, _NEAR_DEG = 0.2, 2.0
+"""Alignments that differ by less are the same."""
+
+
+def _different(poses: list[np.ndarray], near: float) -> list[np.ndarray]:
+    """The poses without those that are near (m) an earlier one."""
+    kept: list[np.ndarray] = []
+    for pose in poses:
+        if not any(_within(other, pose, near, _NEAR_DEG) for other in kept):
+            kept.append(pose)
+    return kept
+
+
+def _within(one: np.ndarray, other: np.ndarray, meters: float, degrees: float) -> bool:
+    off = geometry.inverse(one) @ other
+    return bool(np.linalg.norm(off[:3, 3]) <= meters and geometry.rotation_angle_deg(off) <= degrees)
+
+
+def _way(target: Target, source: Target, pose: np.ndarray, config: RegisterConfig) -> _Way:
+    told = place_check.evidence(target, source, pose, config.tolerance)
+    return _Way(pose, told, float(min(told.agrees_a.mean(), told.agrees_b.mean())))
+
+
+def _best(ways: list[_Way], target: Target, source: Target, config: RegisterConfig) -> _Way:
+    """The alignment that surfels prefer which can tell it from the others."""
+    best = ways[0]
+    for way in ways[1:]:
+        here, there = _told_apart(best, way, target, source, config)
+        if there > here:
+            best = way
+    return best
+
+
+def _told_apart(
+    one: _Way, other: _Way, target: Target, source: Target, config: RegisterConfig
+) -> tuple[float, float]:
+    """Score of two alignments among the surfels that would notice the difference.
+
+    Ground does not notice a shift along it, facades not one along the street: however many of them agree, they say
+    nothing.
+    """
+    scores = np.zeros(2)
+    for patch, way_from_other, against, agrees in (
+        (source.patch, geometry.inverse(one.a_from_b) @ other.a_from_b, "against_b", "agrees_b"),
+        (target.patch, one.a_from_b @ geometry.inverse(other.a_from_b), "against_a", "agrees_a"),
+    ):
+        moved = geometry.transform_points(way_from_other, patch.center) - patch.center
+        notices = np.abs(np.einsum("ki,ki->k", patch.normal, moved)) > 2 * config.tolerance
+        for k, way in enumerate((one, other)):
+            agree, contradict = (getattr(way.evidence, name) for name in (agrees, against))
+            scores[k] += np.count_nonzero(notices & agree) - _AGAINST * np.count_nonzero(notices & contradict)
+    return float(scores[0]), float(scores[1])
+
+
+def _doubt(best: _Way, known: Certainty, target: Target, source: Target, config: RegisterConfig) -> str:
+    """Why an alignment is not believed; empty if it is."""
+    agree = int(min(best.evidence.agrees_a.sum(), best.evidence.agrees_b.sum()))
+    noise = float(np.median(np.concatenate([target.patch.thickness, source.patch.thickness])))
+    if agree < config.min_surfels or best.overlap < config.min_overlap:
+        return f"only {best.overlap:.0%} of the surfaces agree, {config.min_overlap:.0%} are needed"
+    if best.evidence.share < config.min_share:
+        return (
+            f"{1 - best.evidence.share:.1%} of the surfaces contradict: one place is seen through the other"
+        )
+    if known.sigma > config.excess * noise:
+        return f"surfaces are {known.sigma * 1e3:.0f} mm apart, their noise is {noise * 1e3:.0f} mm"
+    if len(known.open) > config.most_open:
+        return f"{len(known.open)} of 6 directions are left open"
+    return ""
+
+
+def _rival(
+    best: _Way,
+    ways: list[_Way],
+    known: Certainty,
+    target: Target,
+    source: Target,
+    config: RegisterConfig,
+) -> str:
+    """Which other alignment could be true as well; empty if none."""
+    for way in ways:
+        off = geometry.log(geometry.inverse(best.a_from_b) @ way.a_from_b)
+        if way is best or _along(off, known.open, source.patch):
+            continue
+        here, there = _told_apart(best, way, target, source, config)
+        if there > config.rival * here:
+            away = f"{np.linalg.norm(off[3:]):.1f} m and {np.degrees(np.linalg.norm(off[:3])):.1f} degrees"
+            return f"another alignment, {away} away, fits as well: the place looks like others"
+    return ""
+
+
+def _along(off: np.ndarray, directions: np.ndarray, patch: Patch) -> bool:
+    """Whether a motion (6,) is one along open directions (W, 6), but for little."""
+    lever = float(np.sqrt(np.mean(np.sum((patch.center - patch.center.mean(0)) ** 2, axis=1))))
+    scale = np.array([lever] * 3 + [1.0] * 3)
+    basis = np.linalg.qr((directions * scale).T)[0]
+    left = off * scale - basis @ (basis.T @ (off * scale))
+    return bool(np.linalg.norm(left) < _NEAR_M)
+
+
+def _with_scans(
+    information: np.ndarray, a: Submap, b: Submap, candidate: Candidate, a_from_b: np.ndarray
+) -> np.ndarray:
+    """Information (6, 6) of the relative pose of two scans, which are themselves a little off their maps."""
+    second_from_first = geometry.adjoint(geometry.inverse(a_from_b))
+    one = a.covariance[index_of(a, candidate.first_scan)]
+    other = b.covariance[index_of(b, candidate.second_scan)]
+    noise = second_from_first @ one @ second_from_first.T + other
+    # (information^-1 + noise)^-1, for information of any rank
+    total = information @ np.linalg.inv(np.eye(6) + noise @ information)
+    return np.asarray(0.5 * (total + total.T))
+
+
+def _refused(candidate: Candidate, reason: str) -> Loop:
+    return Loop(
+        candidate.first,
+        candidate.second,
+        candidate.first_scan,
+        candidate.second_scan,
+        candidate.first_from_second,
+        np.zeros((6, 6)),
+        0.0,
+        float("nan"),
+        0,
+        False,
+        reason,
+    )

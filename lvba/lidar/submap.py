@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lvba import geometry
 from lvba.lidar.plane import PlanePoints, Planes
 
 
@@ -25,6 +26,7 @@ class Submap:
         deviation of points about the plane; weight: (K,) float32, points
     seen_from: (K,) int32, a scan (index in the part) that saw the surfel, the nearest one
     world_from_scan: (n, 4, 4) float64, the part's poses; sensor: (n, 3) float64, m, where the LiDAR was
+    covariance: (n, 6, 6) float64, of each pose against the map around it, local tangent [rotation | translation], rad, m
     scans: (n,) int64, indices of the scans in the whole
     cell: m
     """
@@ -36,6 +38,7 @@ class Submap:
     seen_from: np.ndarray
     world_from_scan: np.ndarray
     sensor: np.ndarray
+    covariance: np.ndarray
     scans: np.ndarray
     cell: float
 
@@ -49,11 +52,122 @@ def build(
     world_from_scan: np.ndarray,
     scans: np.ndarray,
     *,
+    covariance: np.ndarray | None = None,
     sensor_position: np.ndarray | None = None,
-    config: SubmapConfig = SubmapConfig(),
+    config: SubmapConfig | None = None,
 ) -> Submap:
     """The surfels of a part.
 
-    world_from_scan: (n, 4, 4), refined; scans: (n,) int64, indices in the whole; sensor_position: (3,), m, scan frame
+    world_from_scan: (n, 4, 4), refined; scans: (n,) int64, indices in the whole
+    covariance: (n, 6, 6), of each pose against the map around it; None: they are exact
+    sensor_position: (3,), m, scan frame
     """
-    raise NotImplementedError
+    config = config or SubmapConfig()
+    offset = np.zeros(3) if sensor_position is None else np.asarray(sensor_position, float)
+    sensor = world_from_scan[:, :3, :3] @ offset + world_from_scan[:, :3, 3]
+    scan = np.repeat(np.arange(len(scans)), np.diff(points.scan_offsets))
+    on_plane = np.flatnonzero(points.plane >= 0)
+    order, starts = _runs(_cell_keys(points.points_world[on_plane], points.plane[on_plane], config.cell))
+    count = np.diff(starts, append=len(order))
+    kept = count >= config.min_points
+    order = on_plane[order]
+    xyz = points.points_world[order].astype(float)
+    center = np.add.reduceat(xyz, starts)[kept] / count[kept, None] if len(order) else np.zeros((0, 3))
+    plane = points.plane[order[starts[kept]]]
+    nearest = _nearest(np.linalg.norm(xyz - sensor[scan[order]], axis=1), scan[order], starts)
+    return Submap(
+        center.astype(np.float32),
+        planes.normal[plane].astype(np.float32),
+        np.sqrt(np.maximum(planes.eigenvalues[plane, 0], 0.0)).astype(np.float32),
+        count[kept].astype(np.float32),
+        nearest[kept],
+        np.asarray(world_from_scan, float),
+        sensor,
+        np.zeros((len(scans), 6, 6)) if covariance is None else np.asarray(covariance, float),
+        np.asarray(scans, np.int64),
+        config.cell,
+    )
+
+
+def _cell_keys(xyz: np.ndarray, plane: np.ndarray, size: float) -> np.ndarray:
+    """(M,) int64, equal for points in the same cell and on the same plane."""
+    if len(xyz) == 0:
+        return np.zeros(0, np.int64)
+    cell = np.floor(xyz / size).astype(np.int64)
+    cell -= cell.min(0)
+    extent = cell.max(0) + 1
+    flat = (cell[:, 0] * extent[1] + cell[:, 1]) * extent[2] + cell[:, 2]
+    return np.asarray(flat * (int(plane.max()) + 1) + plane)
+
+
+def _runs(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """An order (M,) that brings equal keys together, and where in it each new one begins."""
+    order = np.argsort(keys, kind="stable")
+    ordered = keys[order]
+    new = np.concatenate([np.ones(min(len(keys), 1), bool), ordered[1:] != ordered[:-1]])
+    return order, np.flatnonzero(new)
+
+
+def _nearest(distance: np.ndarray, scan: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """The scan of the nearest point of each run, int32: distances to the millimeter, then scans."""
+    if len(starts) == 0:
+        return np.zeros(0, np.int32)
+    packed = (np.round(distance * 1000).astype(np.int64) << 32) | scan
+    return np.asarray(np.minimum.reduceat(packed, starts) & 0xFFFFFFFF, np.int32)
+
+
+@dataclass(frozen=True)
+class Patch:
+    """The surfels of a submap around one of its scans, in the frame of that scan.
+
+    center, normal: (K, 3) float64; seen_from: (K, 3) float64, m, where the sensor was; thickness: (K,) float64, m
+    cell: m
+    """
+
+    center: np.ndarray
+    normal: np.ndarray
+    seen_from: np.ndarray
+    thickness: np.ndarray
+    cell: float
+
+    def __len__(self) -> int:
+        return len(self.center)
+
+    def take(self, index: np.ndarray) -> "Patch":
+        """The surfels at `index` (any numpy index)."""
+        return Patch(
+            self.center[index], self.normal[index], self.seen_from[index], self.thickness[index], self.cell
+        )
+
+    def moved(self, a_from_b: np.ndarray) -> "Patch":
+        """The same surfels in frame a, given in b."""
+        center, seen_from = (geometry.transform_points(a_from_b, p) for p in (self.center, self.seen_from))
+        return Patch(center, self.normal @ a_from_b[:3, :3].T, seen_from, self.thickness, self.cell)
+
+
+def around(submap: Submap, scan: int, radius: float) -> Patch:
+    """What a submap holds within radius (m) of the sensor at one of its scans (index in the whole).
+
+    Raises KeyError: the part does not hold that scan.
+    """
+    here = index_of(submap, scan)
+    near = np.linalg.norm(submap.center - submap.sensor[here], axis=1) <= radius
+    world = Patch(
+        submap.center[near].astype(float),
+        submap.normal[near].astype(float),
+        submap.sensor[submap.seen_from[near]],
+        submap.thickness[near].astype(float),
+        submap.cell,
+    )
+    return world.moved(geometry.inverse(submap.world_from_scan[here]))
+
+
+def index_of(submap: Submap, scan: int) -> int:
+    """Which of a part's scans has that index in the whole.
+
+    Raises KeyError: none.
+    """
+    found = np.flatnonzero(submap.scans == scan)
+    if len(found) == 0:
+        raise KeyError(f"the part does not hold scan {scan}")
+    return int(found[0])
