@@ -66,7 +66,9 @@ def of_lidar(lidar: LidarStage, scans: ScanPoses, accepted: Accepted) -> dict[st
         "entropy_refined": scans.entropy_refined,
     }
     if lidar.result is not None:
-        facts |= _fields(lidar.result, but=("world_from_scan", "covariance", "step_covariance", "planes", "plane_points"))
+        facts |= _fields(
+            lidar.result, but=("world_from_scan", "covariance", "step_covariance", "planes", "plane_points")
+        )
         facts["planes"] = len(lidar.result.planes)
     return facts
 

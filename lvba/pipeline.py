@@ -7,9 +7,13 @@ from lvba.dataset import Dataset
 from lvba.gate import GateConfig
 from lvba.io.reference import Reference
 from lvba.lidar.bundle_adjustment import LidarConfig
+from lvba.parts import plan as parts_plan
+from lvba.parts import survey
+from lvba.parts.lidar import MergeConfig
 from lvba.plan import Plan, Ref
 from lvba.products.evaluate import EvaluateConfig
 from lvba.products.map_file import MapConfig
+from lvba.split import SplitConfig, parts
 from lvba.stages import VisualLevel
 from lvba.visual.refine import VisualConfig
 
@@ -22,6 +26,10 @@ class Config:
     """False: no LiDAR bundle adjustment, scan poses stay as they are (for ablations)."""
     refine_cameras: bool = True
     """False: no visual bundle adjustment, cameras only move along with the scans (for ablations)."""
+    split: SplitConfig = field(default_factory=SplitConfig)
+    """How a long recording is cut into parts."""
+    merge: MergeConfig = field(default_factory=MergeConfig)
+    """How parts become one."""
     lidar: LidarConfig = field(default_factory=LidarConfig)
     """LiDAR bundle adjustment."""
     visual: VisualConfig = field(default_factory=VisualConfig)
@@ -44,6 +52,9 @@ def refine(
     """
     config = config or Config()
     plan = Plan(version)
+    cores = parts(dataset, config.split, survey.load_of(dataset))
+    if len(cores) > 1:
+        return parts_plan.refine(plan, dataset, cores, config, reference)
     lidar = plan.add("lidar", stages.solve_lidar, dataset, config.lidar, config.refine_scans)
     scans = plan.add("lidar-gate", stages.judge_lidar, dataset, lidar, config.evaluate.entropy, config.gate)
     coarser: Ref | VisualLevel = VisualLevel(None)

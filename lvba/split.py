@@ -7,6 +7,7 @@ sides, as far as the overlap reaches. Source: Li et al., section III (subsequenc
 import dataclasses
 import hashlib
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -40,7 +41,9 @@ class SplitConfig:
 
     def __post_init__(self) -> None:
         if self.by not in ("memory", "length", "time", "count", "none"):
-            raise ValueError(f'split.by is {self.by!r}, must be "memory", "length", "time", "count" or "none"')
+            raise ValueError(
+                f'split.by is {self.by!r}, must be "memory", "length", "time", "count" or "none"'
+            )
         if self.by in ("length", "time", "count") and not self.starts and not 0 < self.size < np.inf:
             raise ValueError(f"split.size is {self.size}, must be above 0 with split.by {self.by}")
         if not 0 <= self.overlap < np.inf:
@@ -131,7 +134,7 @@ def parts(dataset: Dataset, config: SplitConfig, load: Load) -> list[Part]:
     bounds = [*first, scans]
     _check_cores(bounds)
     found = []
-    for number, (begin, end) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
+    for number, (begin, end) in enumerate(pairwise(bounds)):
         reach = config.overlap or _default_overlap(position, begin, end)
         low = int(np.searchsorted(position, position[begin] - reach, side="left"))
         high = int(np.searchsorted(position, position[end - 1] + reach, side="right"))
@@ -230,7 +233,7 @@ def _check_cores(bounds: list[int]) -> None:
 
 
 def _check_overlaps(found: list[Part], config: SplitConfig) -> None:
-    for left, right in zip(found[:-1], found[1:], strict=True):
+    for left, right in pairwise(found):
         shared = left.scans[1] - right.scans[0]
         if shared < LEAST_OVERLAP:
             raise InputError(

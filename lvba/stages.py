@@ -280,19 +280,7 @@ def evaluate(
     """
     if not dataset.image_paths:
         return {}
-    clouds = {ROUGH: cloud_of(dataset, dataset.scans.world_from_sensor, progress)}
-    clouds[CARRIED] = (
-        cloud_of(dataset, scans.world_from_scan, progress) if scans.verdict.accepted else clouds[ROUGH]
-    )
-    cameras = camera_states(dataset, scans, visual)
-    base = views_of(dataset)
-    states = {
-        name: State(
-            clouds[ROUGH if name == ROUGH else CARRIED],
-            dataclasses.replace(base, world_from_camera=poses, log_exposure=log_exposure),
-        )
-        for name, (poses, log_exposure) in cameras.items()
-    }
+    states = judged_states(dataset, scans, visual, progress)
     entropies = {ROUGH: scans.entropy_rough}
     if scans.verdict.accepted:
         entropies[CARRIED] = scans.entropy_refined
@@ -301,6 +289,24 @@ def evaluate(
     if choose(scores, visual, gates)[0] in between:
         scores = evaluation.evaluate(states, config, entropies=entropies, progress=progress)
     return scores
+
+
+def judged_states(
+    dataset: Dataset, scans: ScanPoses, visual: VisualStage, progress: Progress = silent
+) -> dict[str, State]:
+    """Cloud and views of each state that is judged, by name."""
+    clouds = {ROUGH: cloud_of(dataset, dataset.scans.world_from_sensor, progress)}
+    clouds[CARRIED] = (
+        cloud_of(dataset, scans.world_from_scan, progress) if scans.verdict.accepted else clouds[ROUGH]
+    )
+    base = views_of(dataset)
+    return {
+        name: State(
+            clouds[ROUGH if name == ROUGH else CARRIED],
+            dataclasses.replace(base, world_from_camera=poses, log_exposure=log_exposure),
+        )
+        for name, (poses, log_exposure) in camera_states(dataset, scans, visual).items()
+    }
 
 
 def camera_states(
@@ -343,16 +349,23 @@ def decide(
 
 
 def color_map(
-    dataset: Dataset, accepted: Accepted, config: MapConfig, progress: Progress = silent
+    dataset: Dataset,
+    accepted: Accepted,
+    config: MapConfig,
+    progress: Progress = silent,
+    gain: float | None = None,
 ) -> PointMap:
-    """The map that users keep, in the dataset's world frame; without images it shows intensity."""
+    """The map that users keep, in the dataset's world frame; without images it shows intensity.
+
+    gain: the exposure it is shown at; None: the typical one
+    """
     cloud = cloud_of(dataset, accepted.world_from_scan, progress)
     if not dataset.image_paths:
         return _map_of_intensity(dataset, cloud, config)
     views = dataclasses.replace(
         views_of(dataset), world_from_camera=accepted.world_from_camera, log_exposure=accepted.log_exposure
     )
-    return map_file.build(cloud, views, config, progress)
+    return map_file.build(cloud, views, config, progress, gain)
 
 
 def _map_of_intensity(dataset: Dataset, cloud: Cloud, config: MapConfig) -> PointMap:

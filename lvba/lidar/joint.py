@@ -97,9 +97,7 @@ def step(
     if same_stage and cost > state.cost * (1 + _RISE) and not state.history[-1].taken_back:
         entry = JointRound(*facts, _moved(state.world_from_scan, state.before), weak_scans, True)
         damping = max(10.0 * state.damping, _FIRST_DAMPING)
-        return replace(
-            state, world_from_scan=state.before, damping=damping, history=(*state.history, entry)
-        )
+        return replace(state, world_from_scan=state.before, damping=damping, history=(*state.history, entry))
     change = _solve(equations, state.damping, config)
     moved = retract(state.world_from_scan, change)
     distance = _moved(moved, state.world_from_scan)
@@ -202,7 +200,9 @@ def covariance(
     diagonal = np.zeros((scans, 6, 6))
     diagonal[equations.rows[own]] = equations.blocks[own]
     conditional = 2.0 * excess * np.linalg.inv(diagonal + 1e-9 * np.eye(6) * diagonal.max())
-    factor = splu(equations.sparse()[6:, 6:].tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    factor = splu(
+        equations.sparse()[6:, 6:].tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}
+    )
 
     def columns(right: np.ndarray) -> np.ndarray:
         """Covariance (6 S, 6 S) times (6 S, n)."""
@@ -227,9 +227,7 @@ def covariance(
         if nearest is not None
         else np.clip(np.searchsorted(chosen, np.arange(scans)), 0, len(chosen) - 1)
     )
-    return JointCovariance(
-        local(np.stack(blocks)[index], poses), local(conditional, poses), weakness
-    )
+    return JointCovariance(local(np.stack(blocks)[index], poses), local(conditional, poses), weakness)
 
 
 def alignment(world_from_scan: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -62,9 +62,7 @@ class Share:
 
     def grid(self, world_from_scan: np.ndarray, largest: float) -> VoxelMap:
         """All levels up to cells of edge `largest`, for the poses (L, 4, 4) of `scans`."""
-        level = Level(
-            self.size, self.key, self.starts, self.entry_scan, self.clusters, np.zeros(0, np.int64)
-        )
+        level = Level(self.size, self.key, self.starts, self.entry_scan, self.clusters, np.zeros(0, np.int64))
         none = np.zeros(len(self.scans) + 1, np.int64)
         return VoxelMap((level,), world_from_scan, np.zeros(0, np.int32), none).up_to(largest)
 
@@ -137,9 +135,7 @@ def collect(
     return _share(found, scans, size, grid_from_world)
 
 
-def _chunks(
-    load: Callable[[list[int]], list[np.ndarray]], scans: np.ndarray
-) -> Iterator[tuple[int, Scans]]:
+def _chunks(load: Callable[[list[int]], list[np.ndarray]], scans: np.ndarray) -> Iterator[tuple[int, Scans]]:
     for begin in range(0, len(scans), _CHUNK):
         yield begin, gather(load([int(scan) for scan in scans[begin : begin + _CHUNK]]))
 
@@ -204,9 +200,7 @@ def linearize(
     poses = np.ascontiguousarray(world_from_scan[share.scans])
     count = len(share.scans)
     features = (
-        voxel_map.find_planes(
-            share.grid(poses, stage.sizes[-1]), poses, sensor, stage.plane_test
-        ).features
+        voxel_map.find_planes(share.grid(poses, stage.sizes[-1]), poses, sensor, stage.plane_test).features
         if count
         else None
     )

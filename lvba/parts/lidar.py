@@ -1,7 +1,7 @@
 """LiDAR stages of a recording in parts: each part by itself, merged, then one joint problem in rounds."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -146,6 +146,11 @@ def merge_parts(
     return MergedStage(merged, state)
 
 
+def start(stage: MergedStage) -> JointState:
+    """Where the joint adjustment begins."""
+    return stage.state
+
+
 def _side_by_side(cores: Sequence[Part], found: Sequence[PartScans], rough: np.ndarray) -> np.ndarray:
     """(S, 4, 4): each core as its own part has it."""
     poses = rough.copy()
@@ -159,17 +164,6 @@ def regions(dataset: Dataset, cores: Sequence[Part], world_from_scan: np.ndarray
     sensors = (world_from_scan @ np.append(dataset.sensor_position_scan, 1.0))[:, :3]
     owner = np.concatenate([np.full(core.core_scans[1] - core.core_scans[0], core.number) for core in cores])
     return Regions(sensors, owner)
-
-
-@dataclass(frozen=True)
-class Around:
-    """The frames that a share needs: those of the recording that may have points in a region.
-
-    dataset: of these only; scans: (n,) int64, their numbers
-    """
-
-    dataset: Dataset
-    scans: np.ndarray
 
 
 def collect_share(
@@ -232,7 +226,11 @@ class JointScans:
     lidar: LidarStage
     merged: MergedScans
     rounds: tuple[joint.JointRound, ...]
-    parts: tuple[dict[str, float | int | str | bool], ...] = field(default=())
+
+
+def stage_of(found: JointScans) -> LidarStage:
+    """What was found about the scans, as of an undivided recording."""
+    return found.lidar
 
 
 def finish_scans(
@@ -246,12 +244,15 @@ def finish_scans(
     known = [each for each in found if each is not None and each.planes]
     problems = [part.problem for part in parts if part.problem]
     if not known or len(problems) == len(parts):
-        return JointScans(LidarStage(None, problems[0] if problems else "no plane is seen by two scans"), merged.merged, ())
+        return JointScans(
+            LidarStage(None, problems[0] if problems else "no plane is seen by two scans"), merged.merged, ()
+        )
     excess = float(np.median([part.excess for part in parts if not part.problem]))
     uncertainty = joint.covariance(state, known, survey.lidar, excess)
     final = known
     history = tuple(
-        Round(r.planes, r.observations, r.cost, r.cost, r.sigma, r.moved, 1, r.weak_scans) for r in state.history
+        Round(r.planes, r.observations, r.cost, r.cost, r.sigma, r.moved, 1, r.weak_scans)
+        for r in state.history
     )
     last = len(survey.lidar.stages) - 1
     settled = state.settled >= last or not state.history
@@ -329,7 +330,7 @@ def region_cloud(
         progress("collecting points", done, len(scans))
         points = recordings.load_scan(dataset, int(scan)).points
         world = geometry.transform_points(world_from_scan[scan], points.astype(float)).astype(np.float32)
-        mine = world[_in_region(world, owned, part)]
+        mine = world[in_region(world, owned, part)]
         kept.append(mine)
         counts.append(len(mine))
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
@@ -340,8 +341,8 @@ def region_cloud(
 _OWNED_CELL_M = 2.0
 
 
-def _in_region(points_world: np.ndarray, owned: Regions, part: int) -> np.ndarray:
-    """Which points (N,) lie in cells that the part owns."""
+def in_region(points_world: np.ndarray, owned: Regions, part: int) -> np.ndarray:
+    """Which points (N, 3) lie in cells that the part owns, (N,) bool."""
     cell = np.floor(points_world / np.float32(_OWNED_CELL_M)).astype(np.int64)
     key = (cell[:, 0] * (1 << 21) + cell[:, 1]) * (1 << 21) + cell[:, 2]
     _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
@@ -386,6 +387,10 @@ def judge_scans(
     )
     rough = dataset.scans.world_from_sensor
     if scans.lidar.result is None:
-        return ScanPoses(rough, gate.Verdict(False, f"input poses kept: {scans.lidar.problem}"), before, before)
+        return ScanPoses(
+            rough, gate.Verdict(False, f"input poses kept: {scans.lidar.problem}"), before, before
+        )
     verdict = gate.judge_scans(before, after, config)
-    return ScanPoses(scans.lidar.result.world_from_scan if verdict.accepted else rough, verdict, before, after)
+    return ScanPoses(
+        scans.lidar.result.world_from_scan if verdict.accepted else rough, verdict, before, after
+    )

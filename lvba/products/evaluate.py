@@ -3,7 +3,7 @@
 The authors' tool is not published; this module defines the protocol and docs/evaluation.md explains it.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -113,6 +113,7 @@ def evaluate(
     held_out: np.ndarray | None = None,
     entropies: Mapping[str, float] | None = None,
     brief: Collection[str] = (),
+    images: np.ndarray | None = None,
     progress: Progress = silent,
 ) -> dict[str, Scores]:
     """The scores of each state, all judged on the same images.
@@ -122,13 +123,15 @@ def evaluate(
     held_out: indices of images that color nothing and are judged apart.
     entropies: mean map entropies by state that are known already.
     brief: states of which only the leave-one-out PSNR and coverage are wanted; the rest of their figures is NaN.
+    images: (J,) int32, those to judge; None: chosen evenly.
     """
     config = config or EvaluateConfig()
     out_of_color = np.unique(np.asarray([] if held_out is None else held_out, np.int32))
     geometries = _geometries(states, config)
     clouds = [_colored(states[names[0]], config, out_of_color, progress) for names in geometries]
     first = next(iter(states.values())).views
-    images = judged_images(len(first), out_of_color, config.max_images)
+    if images is None:
+        images = judged_images(len(first), out_of_color, config.max_images)
 
     def judge_image(image: int) -> dict[str, dict[str, float]]:
         entries = [
@@ -152,6 +155,15 @@ def evaluate(
         name: _scores(rows[name], images, out_of_color, entropy[name], config.render.splat_px)
         for name in states
     }
+
+
+def together(parts: Sequence[Scores], entropy: float) -> Scores:
+    """The scores of all parts' images as one; entropy: mean map entropy of the whole."""
+    names = parts[0].per_image
+    per_image = {name: np.concatenate([part.per_image[name] for part in parts]) for name in names}
+    images = np.concatenate([part.images for part in parts])
+    rows = [{name: float(values[k]) for name, values in per_image.items()} for k in range(len(images))]
+    return _scores(rows, images, np.zeros(0, np.int32), entropy, parts[0].splat_px)
 
 
 def _geometries(states: Mapping[str, State], config: EvaluateConfig) -> list[list[str]]:

@@ -1,6 +1,7 @@
 """The map that users keep: points, colors and how sure they are, as columns of a PLY or LAZ file."""
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -59,14 +60,21 @@ class PointMap:
 
 
 def build(
-    cloud: Cloud, views: Views, config: MapConfig | None = None, progress: Progress = silent
+    cloud: Cloud,
+    views: Views,
+    config: MapConfig | None = None,
+    progress: Progress = silent,
+    gain: float | None = None,
 ) -> PointMap:
-    """The map of a cloud, thinned, colored by the views, shown at their typical (median) exposure."""
+    """The map of a cloud, thinned, colored by the views, shown at their typical (median) exposure.
+
+    gain: the exposure to show it at; None: that typical one
+    """
     config = config or MapConfig()
     voxel = 2 * pixel_footprint(cloud, views) if config.voxel_m < 0 else config.voxel_m
     kept = thin(cloud.points_world, voxel)
     points = cloud.points_world[kept]
-    gain = colorize.display_gain(views.log_exposure)
+    gain = colorize.display_gain(views.log_exposure) if gain is None else gain
     if config.colors == "paper":
         one = colorize.paper(cloud, views, progress=progress)
         radiance = one.radiance(views.log_exposure)[kept]
@@ -83,6 +91,18 @@ def build(
     gray_spread = spread * np.float32(gain)
     return PointMap(
         points[wanted], rgb[wanted], number[wanted], gray_spread[wanted], voxel, scan[wanted].astype(np.int32)
+    )
+
+
+def together(parts: Sequence[PointMap]) -> PointMap:
+    """The maps of all parts, which lie side by side, as one."""
+    columns = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in ("points_world", "rgb", "views", "spread")
+    }
+    scans = [part.scan for part in parts if part.scan is not None]
+    return PointMap(
+        **columns, voxel_m=parts[0].voxel_m, scan=np.concatenate(scans) if len(scans) == len(parts) else None
     )
 
 

@@ -1,5 +1,6 @@
 """Pictures for the report: whole renderings and the crops that changed most, before and after."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +31,22 @@ class Pictures:
     crops: tuple[Picture, ...]
 
 
+@dataclass(frozen=True)
+class Choice:
+    """Which images are shown. whole: in full, in this order; crops: those that details are looked for in."""
+
+    whole: tuple[int, ...]
+    crops: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What some of the chosen images show. whole: by image; crops: with the absolute change of the squared error."""
+
+    whole: dict[int, Picture]
+    crops: tuple[tuple[float, Picture], ...]
+
+
 def make(
     rough: State,
     refined: State,
@@ -39,30 +56,57 @@ def make(
 ) -> Pictures:
     """Pictures of the images that tell most, rendered from the points of other images (leave-one-out).
 
-    scores: of `rough` and `refined`, as evaluate.evaluate gives them. Chosen: the image that gained most, the median one
-    and the one that gained least, so that the report does not only show its best side; the crops come from these
-    and from evenly spread ones.
+    scores: of `rough` and `refined`, as evaluate.evaluate gives them.
     """
+    choice = choose(scores, views)
+    return collect(choice, [show(rough, refined, choice, config)])
+
+
+def choose(scores: dict[str, Scores], views: int = 3) -> Choice:
+    """The image that gained most, the median one and the one that gained least, so that the report does not only show its
+    best side; the crops come from these and from evenly spread ones."""
     before, after = (scores[name].per_image["psnr_common"] for name in ("rough", "refined"))
     chosen = _telling(after - before, views)
     if not len(chosen):
-        return Pictures((), ())
+        return Choice((), ())
     spread = np.unique(np.linspace(0, len(before) - 1, 5).astype(int))
-    rows = np.unique([*chosen, *spread])
-    images = scores["rough"].images[rows]
+    images = scores["rough"].images
+    return Choice(
+        tuple(int(images[row]) for row in chosen),
+        tuple(int(images[row]) for row in np.unique([*chosen, *spread])),
+    )
+
+
+def show(
+    rough: State, refined: State, choice: Choice, config: RenderConfig | None = None, first: int = 0
+) -> Shown:
+    """The chosen images that the states hold; first: number in the whole of their first image."""
+    images = [image for image in choice.crops if first <= image < first + len(rough.views)]
+    if not images:
+        return Shown({}, ())
     clouds = [(state, color_by_paper(state)) for state in (rough, refined)]
     whole: dict[int, Picture] = {}
     crops: list[tuple[float, Picture]] = []
-    for row, image in zip(rows, images, strict=True):
-        shown = [_shown(cloud, state, int(image), config) for state, cloud in clouds]
-        raw, title, mask = rough.views.load(int(image)), f"image {image}", rough.views.mask
-        if row in chosen:
-            whole[int(row)] = _picture(title, raw, shown, (slice(None), slice(None)), mask)
+    for image in images:
+        own = image - first
+        shown = [_shown(cloud, state, own, config) for state, cloud in clouds]
+        raw, title, mask = rough.views.load(own), f"image {image}", rough.views.mask
+        if image in choice.whole:
+            whole[image] = _picture(title, raw, shown, (slice(None), slice(None)), mask)
         crop = _most_changed(raw, shown, mask)
         if crop is not None:
             crops.append((crop[0], _picture(title, raw, shown, crop[1], mask)))
-    crops.sort(key=lambda item: -item[0])
-    return Pictures(tuple(whole[int(row)] for row in chosen), tuple(picture for _, picture in crops[:4]))
+    return Shown(whole, tuple(crops))
+
+
+def collect(choice: Choice, found: Sequence[Shown]) -> Pictures:
+    """The pictures of all chosen images, in order; of the crops those that changed most."""
+    whole = {image: picture for each in found for image, picture in each.whole.items()}
+    crops = sorted((crop for each in found for crop in each.crops), key=lambda item: -item[0])
+    return Pictures(
+        tuple(whole[image] for image in choice.whole if image in whole),
+        tuple(picture for _, picture in crops[:4]),
+    )
 
 
 def _telling(gain: np.ndarray, count: int) -> np.ndarray:

@@ -1,0 +1,223 @@
+"""The chain for a recording in parts: the only place that says what follows what there."""
+
+from typing import Any, Protocol
+
+from lvba import facts, split, stages
+from lvba.dataset import Dataset
+from lvba.gate import GateConfig
+from lvba.io.reference import Reference
+from lvba.lidar import loops
+from lvba.lidar.config import LidarConfig
+from lvba.parts import lidar, products, report, survey, visual
+from lvba.parts.lidar import MergeConfig
+from lvba.plan import Plan, Ref
+from lvba.products.evaluate import EvaluateConfig
+from lvba.products.map_file import MapConfig
+from lvba.split import Part
+from lvba.stages import VisualLevel
+from lvba.visual.refine import VisualConfig
+
+
+class Settings(Protocol):
+    """What of `lvba.pipeline.Config` is used here."""
+
+    @property
+    def refine_scans(self) -> bool: ...
+    @property
+    def refine_cameras(self) -> bool: ...
+    @property
+    def merge(self) -> MergeConfig: ...
+    @property
+    def lidar(self) -> LidarConfig: ...
+    @property
+    def visual(self) -> VisualConfig: ...
+    @property
+    def gate(self) -> GateConfig: ...
+    @property
+    def map(self) -> MapConfig: ...
+    @property
+    def evaluate(self) -> EvaluateConfig: ...
+
+
+def refine(
+    plan: Plan, dataset: Dataset, cores: list[Part], config: Settings, reference: Reference | None
+) -> Plan:
+    """The plan with all steps added, under the names that an undivided recording has for what all parts give together."""
+    chain = _Chain(plan, dataset, cores, config)
+    found, scans = chain.scans()
+    cameras, tied = chain.cameras(found, scans)
+    scores, accepted = chain.judge(scans, cameras)
+    chain.products(accepted, scores)
+    told = plan.add(
+        "facts-of-whole", facts.collect, dataset, found["lidar"], scans, cameras, scores, accepted, reference
+    )
+    plan.add("facts", report.collect, told, dataset, cores, found["merged"], found["joint"], tied, accepted)
+    return plan
+
+
+class _Chain:
+    """Adds the steps of one recording to a plan."""
+
+    def __init__(self, plan: Plan, dataset: Dataset, cores: list[Part], config: Settings) -> None:
+        self._plan, self._dataset, self._cores, self._config = plan, dataset, cores, config
+        self._subsets = [split.subset(dataset, part.scan_numbers, part.image_numbers) for part in cores]
+        self._survey = plan.add("survey", survey.survey, dataset, config.lidar, config.visual.keyframes)
+
+    def scans(self) -> tuple[dict[str, Ref], Ref]:
+        """The scans of the whole recording, as they were found and as they are used."""
+        add, config = self._plan.add, self._config
+        solved = [
+            add(f"lidar-part-{n}", lidar.solve_part, frames, part, config.lidar, config.refine_scans)
+            for n, (frames, part) in enumerate(zip(self._subsets, self._cores, strict=True))
+        ]
+        merged = add(
+            "lidar-merge", lidar.merge_parts,
+            *(self._dataset, self._cores, solved, self._loops(solved), self._survey, config.merge),
+        )  # fmt: skip
+        state, cells = add("lidar-start", lidar.start, merged), []
+        last = len(config.lidar.stages) - 1
+        for stage, rounds in ((last - 1, config.merge.coarse_rounds), (last, config.merge.scan_rounds)):
+            if stage < 0 or (rounds == 0 and stage < last):
+                continue
+            cells = self._cells(state, stage, rounds)
+            for turn in range(rounds):
+                state = self._round(cells, state, stage, turn)
+        account = [
+            add(
+                f"lidar-account-{n}",
+                lidar.linearize_share,
+                self._dataset,
+                own,
+                state,
+                self._survey,
+                last,
+                final=True,
+            )
+            for n, own in enumerate(cells)
+        ]
+        joint = add("lidar-joint", lidar.finish_scans, merged, state, account, solved, self._survey)
+        entropies = [
+            add(
+                f"lidar-entropy-{part.number}", lidar.judge_region,
+                *(self._dataset, self._cores, part.number, joint, self._survey, config.evaluate.entropy),
+            )
+            for part in self._cores
+        ]  # fmt: skip
+        scans = add("lidar-gate", lidar.judge_scans, self._dataset, joint, entropies, config.gate)
+        whole = add("lidar", lidar.stage_of, joint)
+        return {"merged": merged, "joint": joint, "lidar": whole}, scans
+
+    def _loops(self, solved: list[Ref]) -> list[Ref]:
+        if not (self._config.merge.loops and self._config.refine_scans):
+            return []
+        found = loops.candidates(
+            self._dataset.scans.world_from_sensor, tuple(part.scan_numbers for part in self._cores)
+        )
+        return [
+            self._plan.add(
+                f"lidar-loop-{each.first}-{each.second}-{number}",
+                lidar.close_loop, solved[each.first], solved[each.second], each,
+            )
+            for number, each in enumerate(found)
+        ]  # fmt: skip
+
+    def _cells(self, state: Ref, stage: int, rounds: int) -> list[Ref]:
+        return [
+            self._plan.add(
+                f"lidar-cells-{stage}-{part.number}", lidar.collect_share,
+                *(self._dataset, self._cores, part.number, state, self._survey, stage if rounds else stage + 1),
+            )
+            for part in self._cores
+        ]  # fmt: skip
+
+    def _round(self, cells: list[Ref], state: Ref, stage: int, turn: int) -> Ref:
+        name = f"{stage}-{turn}"
+        found = [
+            self._plan.add(
+                f"lidar-share-{name}-{n}",
+                lidar.linearize_share,
+                self._dataset,
+                own,
+                state,
+                self._survey,
+                stage,
+            )
+            for n, own in enumerate(cells)
+        ]
+        return self._plan.add(f"lidar-step-{name}", lidar.step_scans, state, found, self._survey, stage)
+
+    def cameras(self, found: dict[str, Ref], scans: Ref) -> tuple[Ref, Ref]:
+        """The cameras of the whole recording, and how the parts fitted."""
+        add, config = self._plan.add, self._config
+        below, solved = [], []
+        for frames, part in zip(self._subsets, self._cores, strict=True):
+            ground = add(
+                f"ground-{part.number}", visual.ground, frames, part, found["joint"], scans, self._survey
+            )
+            below.append(ground)
+            solved.append(self._part_cameras(frames, part, ground))
+        merged = add(
+            "visual-merge", visual.merge_cameras,
+            *(self._dataset, self._cores, solved, found["joint"], scans, self._survey, config.visual, config.merge),
+        )  # fmt: skip
+        for turn in range(config.merge.image_rounds):
+            shares = [
+                add(
+                    f"visual-share-{turn}-{part.number}", visual.linearize_cameras,
+                    *(frames, part, ground, own, merged, self._survey, config.visual, turn == 0),
+                )
+                for frames, part, ground, own in zip(self._subsets, self._cores, below, solved, strict=True)
+            ]  # fmt: skip
+            merged = add(f"visual-step-{turn}", visual.step_cameras, merged, shares, config.visual)
+        whole = add(
+            "visual", visual.finish_cameras,
+            *(self._dataset, self._cores, solved, merged, found["joint"], scans, self._survey, config.visual),
+        )  # fmt: skip
+        return whole, merged
+
+    def _part_cameras(self, frames: Dataset, part: Part, ground: Ref) -> Ref:
+        config = self._config
+        coarser: Ref | VisualLevel = VisualLevel(None)
+        for level in range(stages.visual_levels(frames, config.visual) - 1, 0, -1):
+            coarser = self._plan.add(
+                f"visual-level-{level}-part-{part.number}", visual.solve_level,
+                *(frames, ground, coarser, config.visual, config.refine_cameras),
+            )  # fmt: skip
+        return self._plan.add(
+            f"visual-part-{part.number}", visual.solve_part,
+            *(frames, ground, coarser, config.visual, config.refine_cameras),
+        )  # fmt: skip
+
+    def judge(self, scans: Ref, cameras: Ref) -> tuple[Ref, Ref]:
+        """The scores over all images, and the state that is the result."""
+        add, config = self._plan.add, self._config
+        images = len(self._dataset.image_paths)
+        scores = [
+            add(
+                f"evaluate-{part.number}", products.evaluate_part,
+                frames, part, images, scans, cameras, config.evaluate,
+            )
+            for frames, part in zip(self._subsets, self._cores, strict=True)
+        ]  # fmt: skip
+        whole = add("evaluate", products.merge_scores, scores, scans)
+        return whole, add("visual-gate", stages.decide, self._dataset, scans, cameras, whole, config.gate)
+
+    def products(self, accepted: Ref, scores: Ref) -> None:
+        """The map and the pictures."""
+        add, config = self._plan.add, self._config
+        maps = [
+            add(
+                f"map-{part.number}", products.color_part,
+                *(frames, part, self._dataset, self._cores, accepted, self._survey, config.map),
+            )
+            for frames, part in zip(self._subsets, self._cores, strict=True)
+        ]  # fmt: skip
+        add("map", products.collect_map, maps)
+        choice = add("pictures-choice", products.choose_pictures, scores, accepted)
+        shown: list[Any] = [
+            add(
+                f"pictures-{part.number}", products.show_part, frames, part, accepted, choice, config.evaluate
+            )
+            for frames, part in zip(self._subsets, self._cores, strict=True)
+        ]
+        add("pictures", products.collect_pictures, choice, shown)

@@ -1,0 +1,157 @@
+"""Scores, map and pictures of a recording in parts: each part makes its own, and they are put together."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lvba import stages
+from lvba.dataset import Dataset
+from lvba.gate import ROUGH
+from lvba.parts.lidar import in_region, regions
+from lvba.parts.survey import Survey
+from lvba.products import colorize, evaluate, map_file, pictures
+from lvba.products.evaluate import EvaluateConfig, Scores, State
+from lvba.products.map_file import MapConfig, PointMap
+from lvba.products.pictures import Choice, Pictures, Shown
+from lvba.progress import Progress, silent
+from lvba.recorded_images import views_of
+from lvba.split import Part
+from lvba.stages import Accepted, ScanPoses, VisualStage
+
+
+def of_part(scans: ScanPoses, visual: VisualStage, part: Part) -> tuple[ScanPoses, VisualStage]:
+    """What was found, for the frames of one part only."""
+    mine = slice(*part.images)
+    if visual.result is not None:
+        visual = VisualStage(
+            replace(
+                visual.result,
+                world_from_camera=visual.result.world_from_camera[mine],
+                log_exposure=visual.result.log_exposure[mine],
+            )
+        )
+    return replace(scans, world_from_scan=scans.world_from_scan[slice(*part.scans)]), visual
+
+
+def evaluate_part(
+    dataset: Dataset,
+    part: Part,
+    images: int,
+    scans: ScanPoses,
+    visual: VisualStage,
+    config: EvaluateConfig,
+    progress: Progress = silent,
+) -> dict[str, Scores]:
+    """The scores over the images in the part's core, numbered as in the whole; empty where none is judged.
+
+    dataset: of the part's frames; images: of the whole
+    """
+    judged = evaluate.judged_images(images, np.zeros(0, np.int32), config.max_images) if images else None
+    if judged is None:
+        return {}
+    core = judged[(judged >= part.core_images[0]) & (judged < part.core_images[1])]
+    if not len(core):
+        return {}
+    mine, cameras = of_part(scans, visual, part)
+    states = stages.judged_states(dataset, mine, cameras, progress)
+    unknown = dict.fromkeys(states, float("nan"))
+    found = evaluate.evaluate(
+        states, config, entropies=unknown, images=core - part.images[0], progress=progress
+    )
+    return {
+        name: replace(scores, images=scores.images + np.int32(part.images[0]))
+        for name, scores in found.items()
+    }
+
+
+def merge_scores(found: Sequence[Mapping[str, Scores]], scans: ScanPoses) -> dict[str, Scores]:
+    """The scores over all images."""
+    known = [scores for scores in found if scores]
+    if not known:
+        return {}
+    refined = scans.entropy_refined if scans.verdict.accepted else scans.entropy_rough
+    return {
+        name: evaluate.together(
+            [scores[name] for scores in known], scans.entropy_rough if name == ROUGH else refined
+        )
+        for name in known[0]
+    }
+
+
+def color_part(
+    dataset: Dataset,
+    part: Part,
+    whole: Dataset,
+    cores: Sequence[Part],
+    accepted: Accepted,
+    survey: Survey,
+    config: MapConfig,
+    progress: Progress = silent,
+) -> PointMap:
+    """The part's piece of the map: its region of space, as its own scans and images show it.
+
+    dataset: of the part's frames; whole: the recording
+    """
+    mine = slice(*part.images)
+    state = replace(
+        accepted,
+        world_from_scan=accepted.world_from_scan[slice(*part.scans)],
+        world_from_camera=accepted.world_from_camera[mine],
+        log_exposure=accepted.log_exposure[mine],
+    )
+    voxel = config.voxel_m
+    if voxel < 0:
+        voxel = 2 * survey.range_m / max(whole.camera.fx, whole.camera.fy) if whole.image_paths else 0.0
+    gain = colorize.display_gain(accepted.log_exposure)
+    found = stages.color_map(dataset, state, replace(config, voxel_m=voxel), progress, gain)
+    owned = regions(whole, cores, accepted.world_from_scan)
+    kept = in_region(found.points_world, owned, part.number)
+    scan = None if found.scan is None else found.scan[kept] + np.int32(part.scans[0])
+    return PointMap(
+        found.points_world[kept], found.rgb[kept], found.views[kept], found.spread[kept], found.voxel_m, scan
+    )
+
+
+def collect_map(found: Sequence[PointMap]) -> PointMap:
+    """The map of all parts."""
+    return map_file.together(found)
+
+
+def choose_pictures(scores: dict[str, Scores], accepted: Accepted) -> Choice | None:
+    """Which images the report shows; none where there are no images."""
+    if not scores:
+        return None
+    return pictures.choose({"rough": scores[ROUGH], "refined": scores[accepted.state]})
+
+
+def show_part(
+    dataset: Dataset, part: Part, accepted: Accepted, choice: Choice | None, config: EvaluateConfig
+) -> Shown | None:
+    """The chosen images in the part's core, from its map before and after; dataset: of the part's frames."""
+    if choice is None:
+        return None
+    low, high = part.core_images
+    mine = Choice(choice.whole, tuple(image for image in choice.crops if low <= image < high))
+    if not mine.crops:
+        return None
+    views = views_of(dataset)
+    images = slice(*part.images)
+    final = replace(
+        views,
+        world_from_camera=accepted.world_from_camera[images],
+        log_exposure=accepted.log_exposure[images],
+    )
+    refined = accepted.world_from_scan[slice(*part.scans)]
+    return pictures.show(
+        State(stages.cloud_of(dataset, dataset.scans.world_from_sensor), views),
+        State(stages.cloud_of(dataset, refined), final),
+        mine,
+        config.render,
+        part.images[0],
+    )
+
+
+def collect_pictures(choice: Choice | None, found: Sequence[Shown | None]) -> Pictures | None:
+    """The pictures of all parts."""
+    return None if choice is None else pictures.collect(choice, [each for each in found if each is not None])

@@ -1,0 +1,146 @@
+"""A share of one large visual bundle adjustment: the scene points of some images, and all images that see them.
+
+The photometric cost is a sum over scene points, and a scene point belongs to its reference image: the normal equations of
+all shares add up to those of the whole recording.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lvba.solver import NormalEquations
+from lvba.visual import bundle_adjustment, exposure, photometric, scene_points, visibility
+from lvba.visual.bundle_adjustment import LevelSolution
+from lvba.visual.exposure import Edges
+from lvba.visual.photometric import PhotometricState
+from lvba.visual.refine import Inputs, VisualConfig, one_patch_size, scene_of
+from lvba.visual.scene_points import Observations, ScenePoints
+from lvba.visual.states import VisualState
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """What the solve of one part found about noise, kept by the shares.
+
+    sigma: of a residual, of 255; inflation: how many times the pixels' information overstates itself
+    offset_scale: how many times further than the LiDAR says planes are off
+    sigma_rotation, sigma_position: (sources, k) of each source of the prior, rad and m; memory: (sources, 2)
+    """
+
+    sigma: float
+    inflation: float
+    offset_scale: float
+    sigma_rotation: np.ndarray
+    sigma_position: np.ndarray
+    memory: np.ndarray
+
+
+@dataclass(frozen=True)
+class CameraShare:
+    """What one share says about its images.
+
+    images: (n,) int64, keyframes of the whole; equations: over these, 7 unknowns each
+    edges: brightness of pairs of images, numbered as in the whole; None where not asked for
+    points, observations: how many
+    """
+
+    images: np.ndarray
+    equations: NormalEquations
+    edges: Edges | None
+    points: int
+    observations: int
+
+
+def tuning(solution: LevelSolution, config: VisualConfig) -> Tuning:
+    """The tuning that a level was solved with last."""
+    problem, sources = solution.problem, () if solution.prior is None else solution.prior.sources
+    scale = 1.0
+    if problem.offset_sigma is not None and len(problem.points):
+        first = bundle_adjustment.offset_sigma(problem.points, config.adjustment.plane_floor_m)
+        scale = float(problem.offset_sigma[0] / first[0])
+    return Tuning(
+        problem.sigma,
+        problem.inflation,
+        scale,
+        np.array([source.sigma_rotation for source in sources]),
+        np.array([source.sigma_position for source in sources]),
+        np.array([source.memory for source in sources]),
+    )
+
+
+def linearize(
+    given: Inputs,
+    state: VisualState,
+    images: np.ndarray,
+    core: np.ndarray,
+    known: Tuning,
+    config: VisualConfig,
+    *,
+    with_exposures: bool,
+) -> CameraShare:
+    """The photometric normal equations of the scene points whose reference is in the core, at the finest level.
+
+    state: of the keyframes of `given`; images: (k,) int64, their numbers in the whole; core: (k,) bool
+    with_exposures: measure the brightness of pairs of images, too
+    """
+    config = one_patch_size(config)
+    scene = scene_of(given, config)
+    levels, camera = scene.pyramid.levels, scene.pyramid.camera
+    noise, poses = float(scene.pyramid.noise[0]), state.cameras.world_from_camera
+    points = scene_points.select(
+        levels[0], camera, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, noise,
+        config.points,
+    )  # fmt: skip
+    depth = visibility.depth_buffers(
+        camera, poses, scene.image_times, scene.plane_points, scene.scan_times, config.points.time_window_s
+    )
+    points, observations = visibility.find(
+        levels[0], camera, poses, points, scene.seen, noise, config.visibility, depth
+    )
+    sigma = None
+    if config.adjustment.plane_offsets:
+        sigma = bundle_adjustment.offset_sigma(points, config.adjustment.plane_floor_m) * known.offset_scale
+    mine = core[points.reference]
+    points, observations = _of_points(points, observations, mine)
+    problem = photometric.prepare(
+        levels[0], camera, points, observations, config.adjustment.photometric,
+        offset_sigma=None if sigma is None else sigma[mine], sigma=known.sigma, inflation=known.inflation,
+    )  # fmt: skip
+    at = PhotometricState(state.cameras, np.zeros(len(points)))
+    found = photometric.linearize(problem, at)
+    if sigma is not None:
+        # the planes' offsets at these poses first: the equations hold about them
+        at = photometric.retract(problem, at, found, np.zeros((len(images), 7)))
+        found = photometric.linearize(problem, at)
+    edges = None
+    if with_exposures:
+        ratios = exposure.ratios_at(
+            scene.pyramid, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, scene.seen,
+            config.exposure, depth,
+        )  # fmt: skip
+        edges = _of_whole(exposure.edges_of(_of_core(ratios, core), len(images), config.exposure), images)
+    return CameraShare(images, found.equations, edges, len(points), len(observations))
+
+
+def _of_points(
+    points: ScenePoints, observations: Observations, mine: np.ndarray
+) -> tuple[ScenePoints, Observations]:
+    kept = mine[observations.point]
+    number = np.cumsum(mine) - 1
+    return scene_points.take(points, mine), Observations(
+        number[observations.point[kept]].astype(np.int32),
+        observations.target[kept],
+        observations.is_global[kept],
+    )
+
+
+def _of_core(ratios: exposure.Ratios, core: np.ndarray) -> exposure.Ratios:
+    """The ratios of patches that were laid out in core images."""
+    mine = core[ratios.first]
+    return exposure.Ratios(
+        ratios.first[mine], ratios.second[mine], ratios.value[mine], ratios.sigma[mine], ratios.block[mine]
+    )
+
+
+def _of_whole(edges: Edges, images: np.ndarray) -> Edges:
+    return replace(edges, first=images[edges.first], second=images[edges.second])
