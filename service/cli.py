@@ -1,4 +1,4 @@
-"""The command line: `lvba run | batch | worker | evaluate | simulate | export`.
+"""The command line: `lvba run | batch | worker | evaluate | simulate | export`; with a server, `server_cli`.
 
 Nothing heavy is imported before a command runs, so that `lvba --help` answers at once.
 """
@@ -11,7 +11,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import NoReturn
 
-from service import stopping
+from service import server_cli, stopping
 
 _EPILOG = """\
 examples:
@@ -130,6 +130,7 @@ def parser() -> argparse.ArgumentParser:
     _add_evaluate(commands)
     _add_simulate(commands)
     _add_export(commands)
+    server_cli.add(commands, _command)
     return top
 
 

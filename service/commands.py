@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 from lvba.errors import InputError, LvbaError
 from lvba.io import files
-from service import stopping
+from service import server_cli, stopping
 from service.progress import Display
 
 _USERS_TO_MEND = {errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS, errno.EFBIG}
@@ -85,6 +85,18 @@ def _command(name: str) -> Callable[[argparse.Namespace, Display], None]:
         from service import simulate_command
 
         return simulate_command.simulate
+    if name == "serve":
+        from service import serve_command
+
+        return serve_command.serve
+    if name == "admin":
+        from service import admin_command
+
+        return admin_command.admin
+    if server_cli.is_asked(name):
+        from service import client_commands
+
+        return client_commands.ask
     from service import export_command
 
     return export_command.export

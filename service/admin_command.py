@@ -1,0 +1,54 @@
+"""`lvba admin`: keys, tables and retention of a server, on its machine."""
+
+import argparse
+import sys
+from datetime import UTC, datetime
+
+from service.progress import Display
+from service.server import keys
+from service.server.database import Database
+from service.server.places import Places
+from service.server.retention import Retention
+from service.server.settings import Settings, load
+from service.server.tables import Key
+from service.server_cli import settings_given
+
+
+def admin(arguments: argparse.Namespace, display: Display) -> None:
+    """Do what the command line says; what comes of it goes to stdout."""
+    from service.server.serving import open_database
+
+    settings = load(settings_given(arguments))
+    places = Places(settings.data.absolute())
+    database = open_database(settings, places)
+    try:
+        _do(arguments, settings, database, places)
+    finally:
+        database.close()
+
+
+def _do(arguments: argparse.Namespace, settings: Settings, database: Database, places: Places) -> None:
+    if arguments.action == "migrate":
+        sys.stdout.write("the tables are as this version needs them\n")
+    elif arguments.action == "sweep":
+        removed = Retention(database, places, settings).sweep(sure_s=0.0)
+        sys.stdout.write(f"{removed} removed\n")
+    elif arguments.deed == "create":
+        scopes = tuple(scope.strip() for scope in arguments.scopes.split(",") if scope.strip())
+        key = keys.create(database, arguments.owner, scopes, arguments.note, arguments.days)
+        sys.stdout.write(key + "\n")
+    elif arguments.deed == "revoke":
+        keys.revoke(database, arguments.key)
+    else:
+        for found in keys.every(database):
+            sys.stdout.write(_line(found) + "\n")
+
+
+def _line(key: Key) -> str:
+    state = "revoked" if key.revoked else f"expires {_date(key.expires)}" if key.expires else "good"
+    scopes = ",".join(key.scopes)
+    return f"{key.id}  {_date(key.created)}  {state:<19}  {scopes:<20}  {key.owner}  {key.note}".rstrip()
+
+
+def _date(seconds: float) -> str:
+    return datetime.fromtimestamp(seconds, UTC).date().isoformat()

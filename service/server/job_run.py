@@ -1,0 +1,237 @@
+"""One job that runs: its process, what it tells, and how it ends."""
+
+import json
+import logging
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from lvba import config
+from lvba.io import files
+from lvba.pipeline import Config
+from service.server import journal, leases, timeline, webhooks, words
+from service.server.child import Child
+from service.server.database import Database
+from service.server.leases import Lease
+from service.server.lifeline import BUSY, STRANDED
+from service.server.places import Places, now, size_of
+from service.server.settings import Settings
+from service.server.tables import CANCELED, CANCELING, DONE, FAILED, QUEUED, RUNNING, Dataset, Job
+
+_log = logging.getLogger(__name__)
+_TELL_S = 1.0
+"""Seconds between two events of progress of a job."""
+_HISTORY = 20
+
+
+class JobRun:
+    """A job under a lease of this service."""
+
+    def __init__(self, database: Database, places: Places, settings: Settings, job: Job, owner: str) -> None:
+        self._database, self._places, self._settings = database, places, settings
+        self.lease = Lease(Job, job.id, owner, job.attempt)
+        self._events = places.events(job.id, job.attempt)
+        self._log = places.log(job.id)
+        self._read = 0
+        self._told = 0.0
+        self._log_bytes = -1
+        self._progress: timeline.Told | None = None
+        self._pending: list[timeline.Told] = []
+        """Events that are not in the journal yet."""
+        self._stopping = False
+        with database.read() as session:
+            dataset = session.get_one(Dataset, job.dataset_id)
+            history = _history(session)
+        self._timeline = timeline.Timeline(
+            timeline.shares(history), job.estimate.get("seconds") or 0.0, time.monotonic()
+        )
+        self._recording = Path(dataset.folder) if dataset.folder else places.files(dataset.id)
+        self.child = self._start(job)
+
+    def _start(self, job: Job) -> Child:
+        folder = self._places.job(job.id)
+        folder.mkdir(parents=True, exist_ok=True)
+        wanted = config.from_mapping(Config, job.config)
+        files.write_text(folder / "config.yaml", config.to_yaml(wanted))
+        with self._log.open("a") as log:
+            log.write(f"--- attempt {job.attempt}\n")
+        return Child(
+            "service.server.job_process",
+            [str(folder / ".lock"), *self._command(job, folder)],
+            self._log,
+            self._settings.lease_s * 0.7,
+        )
+
+    def _command(self, job: Job, folder: Path) -> list[str]:
+        found = ["run", str(self._recording), f"--out={self._places.out(job.id)}"]
+        found += [f"--config={folder / 'config.yaml'}", f"--events={self._events}"]
+        options = {
+            "reference": self._recording / "reference" if job.reference else None,
+            "redo": job.redo,
+            "threads": self._settings.threads,
+            "workers": self._settings.workers,
+            "scheduler": self._settings.scheduler,
+            "tls-ca": self._settings.tls_ca,
+            "tls-cert": self._settings.tls_cert,
+            "tls-key": self._settings.tls_key,
+        }
+        return found + [f"--{name}={value}" for name, value in options.items() if value is not None]
+
+    def stop(self, *, for_good: bool) -> None:
+        """Have it stop; for_good: because it is canceled, not because the service ends."""
+        self._stopping = not for_good
+        self.child.stop()
+
+    def follow(self) -> bool:
+        """Write down what it told since the last call; False: it has ended, or the lease is lost."""
+        code = self.child.ended()
+        self._take_lines()
+        if code is not None:
+            self._tell(last=True)
+            self._end(code)
+            return False
+        if not self._tell(last=False):
+            self.child.end()
+            return False
+        return True
+
+    def _take_lines(self) -> None:
+        for line in self._new_lines():
+            for event in self._timeline.take(line, time.monotonic()):
+                if event[0] == journal.PROGRESS:
+                    self._progress = event
+                else:
+                    self._pending.append(event)
+
+    def _new_lines(self) -> list[dict[str, Any]]:
+        if not self._events.exists():
+            return []
+        with self._events.open("rb") as stream:
+            stream.seek(self._read)
+            data = stream.read()
+        whole = data[: data.rfind(b"\n") + 1]
+        self._read += len(whole)
+        return [json.loads(line) for line in whole.splitlines()]
+
+    def _tell(self, *, last: bool) -> bool:
+        """Add events to the journal; False: the lease is lost."""
+        size = self._log.stat().st_size
+        if last or time.monotonic() > self._told + _TELL_S:
+            if self._progress is not None:
+                self._pending.append(self._progress)
+                self._progress = None
+            if size != self._log_bytes:
+                self._log_bytes = size
+                self._pending.append((journal.LOG, {"bytes": size}))
+        if not self._pending:
+            return True
+        with self._database.write() as session:
+            job = self.lease.row(session)
+            if job is None:
+                return False
+            self._show_progress(job)
+            self._database.order_events(session)
+            for kind, data in self._pending:
+                journal.add(session, job, kind, data)
+                if kind == journal.STAGES:
+                    job.redo = None  # done by now: an attempt after this one goes on
+        self._pending, self._told = [], time.monotonic()
+        return True
+
+    def _show_progress(self, job: Job) -> None:
+        job.stages = [dict(stage) for stage in self._timeline.stages]
+        job.progress = round(self._timeline.fraction(), 4)
+        job.eta_s = self._timeline.eta_s(time.monotonic())
+
+    def _end(self, code: int) -> None:
+        """What becomes of the job, after its process has ended."""
+        end = self._timeline.end
+        told_to_stop = end is not None and end["message"].startswith("stopped")
+        if code == BUSY:
+            leases.lose(self._database, self.lease, "the attempt before was still at it", counts=False)
+        elif code == STRANDED or self._stopping:
+            why = "the service was stopped" if self._stopping else "the service lost its lease"
+            leases.lose(self._database, self.lease, why, counts=code == STRANDED)
+        elif end is None or told_to_stop:
+            self._settle(code, crashed=True)
+        else:
+            self._settle(code, crashed=False)
+
+    def _settle(self, code: int, *, crashed: bool) -> None:
+        size = size_of(self._places.job(self.lease.id))
+        summary = _summary(self._places.out(self.lease.id)) if code == 0 and not crashed else None
+        with self._database.write() as session:
+            job = self.lease.row(session)
+            if job is None:
+                return
+            job.lease_owner, job.bytes, job.eta_s = None, size, None
+            outcome, message = self._show_end(job, code, crashed, summary)
+            leases.close_attempt(session, job, outcome, message)
+            self._database.order_events(session)
+            journal.state(session, job)
+            if job.state in (DONE, FAILED, CANCELED):
+                webhooks.enqueue(session, job)
+        _log.info("%s: %s", job.id, job.state)
+
+    def _show_end(
+        self, job: Job, code: int, crashed: bool, summary: dict[str, Any] | None
+    ) -> tuple[str, str]:
+        """Outcome and message of the attempt, after the job's fields are set."""
+        message = self._hidden(words.of_exit(code) if crashed else (self._timeline.end or {})["message"])
+        if job.state == CANCELING:
+            job.state, outcome = CANCELED, CANCELED
+        elif crashed:
+            job.crashes += 1
+            job.state = FAILED if job.crashes >= self._settings.limits.attempts else QUEUED
+            job.error = self._crash(job, code) if job.state == FAILED else None
+            outcome = "crashed"
+        elif code == 0:
+            job.state, job.summary, job.progress, outcome = DONE, summary, 1.0, DONE
+        else:
+            job.state, job.error, outcome = FAILED, self._failure(message), FAILED
+        job.finished = None if job.state in (QUEUED, RUNNING) else now()
+        job.stages = [dict(stage) for stage in self._timeline.stages]
+        return outcome, message
+
+    def _failure(self, message: str) -> dict[str, Any]:
+        end = self._timeline.end or {}
+        failed = next((s["name"] for s in self._timeline.stages if s["state"] == timeline.FAILED), None)
+        if end.get("mend"):
+            cause = self._hidden(f"{end['where']}: {end['problem']}")
+            return {"code": "input", "stage": failed, "cause": cause, "hint": self._hidden(end["mend"])}
+        if message.startswith("out of memory"):
+            hint = "use a machine with more memory, or fewer frames; then restart the job: finished stages are kept"
+            return {"code": "out-of-memory", "stage": failed, "cause": "out of memory", "hint": hint}
+        return {"code": "failed", "stage": failed, "cause": message, "hint": "the log may say more"}
+
+    def _crash(self, job: Job, code: int) -> dict[str, Any]:
+        hint = "the log may say more; finished stages are kept: restart the job once it is mended"
+        if code == -signal.SIGKILL:
+            hint = "the system does this when memory runs out: use a machine with more of it, or fewer frames"
+        cause = f"{words.of_exit(code)}, {job.crashes} times"
+        return {"code": "crashed", "stage": self._timeline.current(), "cause": cause, "hint": hint}
+
+    def _hidden(self, text: str) -> str:
+        return words.without_paths(text, self._places, self.lease.id, self._recording)
+
+
+def _history(session: Session) -> list[list[dict[str, Any]]]:
+    done = select(Job.stages).where(Job.state == DONE).order_by(Job.updated.desc()).limit(_HISTORY)
+    return list(session.scalars(done))
+
+
+def _summary(out: Path) -> dict[str, Any]:
+    report = json.loads(files.read_text(out / "report.json"))
+    rough, refined = (report["evaluation"].get(state) or {} for state in ("rough", "refined"))
+    return {
+        "psnr_before": rough.get("psnr_leave_one_out"),
+        "psnr_after": refined.get("psnr_leave_one_out"),
+        "entropy_before": rough.get("map_entropy"),
+        "entropy_after": refined.get("map_entropy"),
+        "accepted_scans": (report.get("lidar") or {}).get("accepted"),
+        "accepted_cameras": (report.get("visual") or {}).get("accepted"),
+    }

@@ -1,0 +1,128 @@
+"""Every error of the API as problem JSON (RFC 9457): status, code, cause and hint."""
+
+import logging
+from collections.abc import Mapping
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from sqlalchemy.exc import DBAPIError
+from starlette.exceptions import HTTPException
+
+from lvba.errors import InputError
+
+_log = logging.getLogger(__name__)
+
+KINDS: dict[str, tuple[int, str, str]] = {
+    "unauthorized": (
+        401,
+        "A key is needed",
+        "send Authorization: Bearer KEY; keys are made by lvba admin key create",
+    ),
+    "forbidden": (403, "The key may not do this", "use a key with the scope that is named"),
+    "not-found": (
+        404,
+        "There is no such thing",
+        "check the path and the id; what belongs to others is not shown",
+    ),
+    "method-not-allowed": (405, "This path has no such method", "see /docs"),
+    "conflict": (409, "Not in this state", "look at its state first"),
+    "offset-mismatch": (409, "The bytes do not begin where the server's end", "go on from Upload-Offset"),
+    "not-ready": (409, "There is no result yet", "wait for the state done"),
+    "length-required": (411, "The length is needed", "send Content-Length"),
+    "too-large": (413, "Too large", "send less, or ask who runs the server for more"),
+    "unsupported": (415, "Not this kind of body", "send JSON, or raw bytes for an upload"),
+    "invalid": (422, "The request does not fit", "mend what is named; see /docs and /v1/options"),
+    "digest-mismatch": (422, "The bytes are not those of the digest", "send them again"),
+    "locked": (423, "An older request is still at it", "try again after a second"),
+    "quota": (429, "Your quota is used up", "wait for jobs to end, or remove what is not needed"),
+    "too-many-requests": (429, "Too many requests", "wait as long as Retry-After says"),
+    "internal": (500, "The server failed", "try again; if it stays, tell who runs the server"),
+    "unavailable": (503, "Not now", "try again after a few seconds"),
+    "disk-full": (507, "The disk cannot hold it", "remove what is not needed, or ask who runs the server"),
+}
+"""Status, title and hint of each code."""
+_BY_STATUS = {400: "invalid", 401: "unauthorized", 403: "forbidden", 404: "not-found"}
+_BY_STATUS |= {405: "method-not-allowed", 413: "too-large", 415: "unsupported"}
+
+
+class Problem(Exception):  # noqa: N818  # the word of RFC 9457
+    """What a request is answered with instead."""
+
+    def __init__(
+        self,
+        code: str,
+        detail: str,
+        hint: str | None = None,
+        headers: Mapping[str, str] | None = None,
+        **more: Any,
+    ) -> None:
+        super().__init__(detail)
+        self.status, self.title, usual = KINDS[code]
+        self.code, self.detail, self.hint = code, detail, hint or usual
+        self.headers, self.more = dict(headers or {}), more
+
+    def body(self, instance: str) -> dict[str, Any]:
+        """The JSON object."""
+        return {
+            "type": f"/problems/{self.code}",
+            "title": self.title,
+            "status": self.status,
+            "code": self.code,
+            "detail": self.detail,
+            "hint": self.hint,
+            "instance": instance,
+            **self.more,
+        }
+
+    def response(self, instance: str) -> JSONResponse:
+        """The answer."""
+        return JSONResponse(
+            self.body(instance), self.status, self.headers, media_type="application/problem+json"
+        )
+
+
+def of_input(error: InputError) -> Problem:
+    """What is wrong with what a user gave."""
+    detail = f"{error.where}: {error.problem}"
+    return Problem("invalid", detail, error.mend, errors=[{"where": error.where, "message": error.problem}])
+
+
+def install(app: FastAPI) -> None:
+    """Have every exception answered as a problem."""
+
+    @app.exception_handler(Problem)
+    async def _problem(request: Request, error: Problem) -> JSONResponse:
+        return error.response(request.url.path)
+
+    @app.exception_handler(InputError)
+    async def _input(request: Request, error: InputError) -> JSONResponse:
+        return of_input(error).response(request.url.path)
+
+    @app.exception_handler(RequestValidationError)
+    async def _invalid(request: Request, error: RequestValidationError) -> JSONResponse:
+        errors = [
+            {"where": ".".join(str(part) for part in found["loc"]), "message": found["msg"]}
+            for found in error.errors()
+        ]
+        detail = "; ".join(f"{found['where']}: {found['message']}" for found in errors[:3])
+        return Problem("invalid", detail, errors=errors).response(request.url.path)
+
+    @app.exception_handler(HTTPException)
+    async def _http(request: Request, error: HTTPException) -> JSONResponse:
+        code = _BY_STATUS.get(error.status_code, "internal" if error.status_code >= 500 else "invalid")
+        problem = Problem(code, str(error.detail), headers=error.headers)
+        problem.status = error.status_code
+        return problem.response(request.url.path)
+
+    @app.exception_handler(DBAPIError)
+    async def _database(request: Request, error: DBAPIError) -> JSONResponse:
+        _log.warning("the database refused: %s", str(error).splitlines()[0])
+        problem = Problem("unavailable", "the database cannot be reached", headers={"Retry-After": "2"})
+        return problem.response(request.url.path)
+
+    @app.exception_handler(Exception)
+    async def _unexpected(request: Request, error: Exception) -> JSONResponse:
+        _log.error("%s %s failed", request.method, request.url.path, exc_info=error)
+        return Problem("internal", "an error that is not the request's").response(request.url.path)

@@ -1,0 +1,111 @@
+"""What requests may hold. Unknown fields are refused: a misspelled one would be silently without effect."""
+
+import math
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+_DEEPEST = 8
+
+
+def _clean(text: str) -> str:
+    """Without what a database or a terminal cannot take."""
+    if any(ord(letter) < 32 or 0xD800 <= ord(letter) < 0xE000 or letter == "\x7f" for letter in text):
+        raise ValueError("holds control characters")
+    return text
+
+
+def _plain(value: dict[str, Any]) -> dict[str, Any]:
+    _check_plain(value, 0)
+    return value
+
+
+def _check_plain(value: Any, depth: int) -> None:
+    if depth > _DEEPEST:
+        raise ValueError("is nested too deeply")
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            _clean(name)
+            _check_plain(inner, depth + 1)
+    elif isinstance(value, list):
+        for inner in value:
+            _check_plain(inner, depth + 1)
+    elif isinstance(value, str):
+        _clean(value)
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise ValueError("holds a number that is not finite")
+    elif isinstance(value, int) and abs(value) > 1 << 53:
+        raise ValueError("holds a number that is too large")
+
+
+Text = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_clean)]
+Settings = Annotated[dict[str, Any], AfterValidator(_plain)]
+Days = Annotated[float, Field(gt=0, le=36500, allow_inf_nan=False)]
+Priority = Annotated[int, Field(ge=-10, le=10)]
+DatasetId = Annotated[str, Field(pattern=r"^ds_[0-9a-f]{1,40}$")]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class NewDataset(_Strict):
+    """A dataset to be made."""
+
+    name: Text
+    folder: Annotated[str, Field(min_length=1, max_length=1000), AfterValidator(_clean)] | None = None
+    """Of a recording on the server, absolute; None: it is uploaded."""
+
+
+class Webhook(_Strict):
+    """Who is told at the end."""
+
+    url: Annotated[str, Field(max_length=1000), AfterValidator(_clean)]
+    secret: Annotated[str, Field(min_length=16, max_length=200), AfterValidator(_clean)]
+
+
+class NewJob(_Strict):
+    """A run that is asked for."""
+
+    dataset: DatasetId
+    name: Text | None = None
+    config: Settings = Field(default_factory=dict)
+    priority: Priority = 0
+    reference: bool = False
+    keep_days: Days | None = None
+    webhook: Webhook | None = None
+
+
+class ChangedJob(_Strict):
+    """What of a job may be changed at any time."""
+
+    name: Text | None = None
+    priority: Priority | None = None
+    keep_days: Days | None = None
+
+
+class Restart(_Strict):
+    """How an ended job is begun anew."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, populate_by_name=True)
+    from_stage: Text | None = Field(default=None, alias="from")
+    config: Settings | None = None
+
+
+class NewBatch(_Strict):
+    """Jobs that belong together."""
+
+    name: Text
+    jobs: Annotated[list[NewJob], Field(min_length=1, max_length=1000)]
+
+
+class TicketFor(_Strict):
+    """What a ticket is to be good for."""
+
+    path: Annotated[str, Field(max_length=800, pattern=r"^/v1/(jobs|datasets)/"), AfterValidator(_clean)]
+
+
+class Execution(BaseModel):
+    """An OGC execute request; what is not ours is ignored."""
+
+    inputs: Settings = Field(default_factory=dict)

@@ -1,0 +1,112 @@
+"""Rows as the API shows them."""
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from service.server import retention
+from service.server.places import Places, now
+from service.server.settings import Settings
+from service.server.tables import DONE, ENDED, QUEUED, READY, UPLOADING, Attempt, Dataset, Job, Upload
+
+_DAY_S = 86400.0
+
+
+def time(seconds: float | None) -> str | None:
+    """RFC 3339, UTC."""
+    if seconds is None:
+        return None
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def dataset(session: Session, row: Dataset, settings: Settings) -> dict[str, Any]:
+    """A dataset."""
+    size, files = row.bytes, row.files
+    if row.state != READY and row.folder is None:
+        arrived = select(func.coalesce(func.sum(Upload.length), 0), func.count()).where(
+            Upload.dataset_id == row.id
+        )
+        size, files = session.execute(arrived).one()
+    keep = settings.keep_uploads_days * _DAY_S if row.state == UPLOADING else 0.0
+    return {
+        "id": row.id,
+        "name": row.name,
+        "state": row.state,
+        "source": "upload" if row.folder is None else "folder",
+        "created": time(row.created),
+        "bytes": int(size),
+        "files": files,
+        "error": row.error,
+        "facts": row.facts,
+        "expires": time(row.updated + keep) if keep else None,
+    }
+
+
+def jobs(session: Session, rows: Sequence[Job], places: Places, settings: Settings) -> list[dict[str, Any]]:
+    """Jobs as in a list."""
+    positions = _positions(session) if any(row.state == QUEUED for row in rows) else {}
+    return [_job(row, positions, places, settings) for row in rows]
+
+
+def job(session: Session, row: Job, places: Places, settings: Settings) -> dict[str, Any]:
+    """A job with its stages and attempts."""
+    [found] = jobs(session, [row], places, settings)
+    attempts = select(Attempt).where(Attempt.job_id == row.id).order_by(Attempt.number)
+    return {
+        **found,
+        "stages": row.stages,
+        "attempts": [_attempt(attempt) for attempt in session.scalars(attempts)],
+    }
+
+
+def _job(row: Job, positions: dict[str, int], places: Places, settings: Settings) -> dict[str, Any]:
+    links = {name: f"/v1/jobs/{row.id}/{name}" for name in ("events", "logs", "results", "archive", "frames")}
+    log = places.log(row.id)
+    found = {
+        **{name: getattr(row, name) for name in ("id", "name")},
+        "dataset": row.dataset_id,
+        "batch": row.batch_id,
+        **{name: getattr(row, name) for name in ("config", "priority", "reference", "state")},
+        **{name: time(getattr(row, name)) for name in ("created", "started", "finished", "updated")},
+        "expires": time(retention.expiry(row, settings)),
+        "progress": row.progress,
+        "eta_s": row.eta_s if row.state not in ENDED else None,
+        "elapsed_s": _elapsed(row),
+        "error": row.error,
+        "estimate": {name: value for name, value in row.estimate.items() if name != "plain"},
+        "summary": row.summary if row.state == DONE else None,
+        "log_bytes": log.stat().st_size if log.exists() else 0,
+        "links": {"self": f"/v1/jobs/{row.id}", **links},
+    }
+    if row.state == QUEUED:
+        found["position"] = positions.get(row.id, 0)
+    return found
+
+
+def _elapsed(row: Job) -> float:
+    if row.started is None:
+        return 0.0
+    end = row.finished if row.finished is not None else now()
+    return round(max(end - row.started, 0.0), 1)
+
+
+def _positions(session: Session) -> dict[str, int]:
+    waiting = (
+        select(Job.id)
+        .where(Job.state == QUEUED, Job.deleted.is_(False))
+        .order_by(Job.priority.desc(), Job.created)
+    )
+    return {job_id: index for index, job_id in enumerate(session.scalars(waiting))}
+
+
+def _attempt(row: Attempt) -> dict[str, Any]:
+    return {
+        "number": row.number,
+        "started": time(row.started),
+        "finished": time(row.finished),
+        "outcome": row.outcome,
+        "message": row.message,
+    }

@@ -1,0 +1,129 @@
+"""Jobs: checked, estimated and queued, once for each idempotency key."""
+
+import hashlib
+import json
+import shutil
+from typing import Any
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from lvba import config
+from lvba.errors import InputError
+from lvba.pipeline import Config
+from service.server import estimates, finding, journal, webhooks
+from service.server.context import Server
+from service.server.keys import Principal
+from service.server.places import new_id, now
+from service.server.problems import Problem, of_input
+from service.server.schemas import NewJob
+from service.server.tables import ENDED, QUEUED, READY, Batch, Dataset, Job
+
+
+def estimate(server: Server, session: Session, principal: Principal, wanted: NewJob) -> dict[str, Any]:
+    """What a job would take.
+
+    Raises Problem: it could not be queued as it is.
+    """
+    dataset = _check(server, session, principal, wanted)
+    return estimates.estimate(session, dataset, server.settings.threads)
+
+
+def queue(
+    server: Server,
+    session: Session,
+    principal: Principal,
+    wanted: NewJob,
+    *,
+    batch: Batch | None = None,
+    key: str | None = None,
+) -> Job:
+    """A new job that waits for its turn.
+
+    Raises Problem: it cannot be run as it is, a quota, no room.
+    """
+    dataset = _check(server, session, principal, wanted)
+    found = estimates.estimate(session, dataset, server.settings.threads)
+    _check_room(server, session, principal, found)
+    job = Job(
+        id=new_id("job"),
+        owner=principal.owner,
+        name=wanted.name or dataset.name,
+        dataset_id=dataset.id,
+        batch_id=batch.id if batch else None,
+        config=wanted.config,
+        reference=wanted.reference,
+        priority=wanted.priority,
+        keep_days=wanted.keep_days,
+        webhook=wanted.webhook.model_dump() if wanted.webhook else None,
+        idempotency_key=key,
+        request_digest=digest(wanted.model_dump()),
+        created=now(),
+        updated=now(),
+        estimate=found,
+    )
+    session.add(job)
+    session.flush()
+    server.database.order_events(session)
+    journal.state(session, job)
+    return job
+
+
+def digest(request: dict[str, Any]) -> str:
+    """Equal for equal requests."""
+    return hashlib.sha256(json.dumps(request, sort_keys=True).encode()).hexdigest()
+
+
+def check_config(values: dict[str, Any]) -> None:
+    """Raises Problem: settings that do not exist or have wrong values."""
+    try:
+        config.from_mapping(Config, values)
+    except InputError as error:
+        raise of_input(error) from None
+    except (TypeError, ValueError, OverflowError) as error:
+        raise Problem("invalid", f"config: {error}") from None
+
+
+def _check(server: Server, session: Session, principal: Principal, wanted: NewJob) -> Dataset:
+    dataset = finding.one(session, Dataset, wanted.dataset, principal)
+    if dataset.state != READY:
+        raise Problem("not-ready", f"the dataset is {dataset.state}", "jobs need one that is ready")
+    check_config(wanted.config)
+    if wanted.reference and not (dataset.facts or {}).get("has_reference"):
+        raise Problem("invalid", "the dataset has no folder reference/", "leave `reference` out")
+    if wanted.webhook is not None:
+        _check_webhook(server, wanted.webhook.url)
+    return dataset
+
+
+def _check_webhook(server: Server, url: str) -> None:
+    if not server.settings.webhooks:
+        raise Problem("invalid", "this server tells no addresses", "leave `webhook` out")
+    try:
+        webhooks.check_url(url, server.settings.webhook_allow)
+    except InputError as error:
+        raise of_input(error) from None
+
+
+def _check_room(server: Server, session: Session, principal: Principal, found: dict[str, Any]) -> None:
+    limits = server.settings.limits
+    waiting = select(func.count()).where(Job.owner == principal.owner, Job.state == QUEUED)
+    if (session.scalar(waiting) or 0) >= limits.queued_jobs:
+        raise Problem(
+            "quota", f"{limits.queued_jobs} jobs of this owner wait already", headers={"Retry-After": "60"}
+        )
+    free = shutil.disk_usage(server.places.root).free
+    needed = int(found.get("disk_bytes", 0)) + limits.disk_reserve_bytes + _promised(session)
+    if needed > free:
+        raise Problem(
+            "disk-full",
+            f"the job and those before it need about {needed} bytes, the disk has {free}",
+            needed_bytes=needed,
+            free_bytes=free,
+        )
+
+
+def _promised(session: Session) -> int:
+    """What the jobs that have not ended may still take."""
+    pending = session.scalars(select(Job.estimate).where(Job.state.not_in(ENDED), Job.deleted.is_(False)))
+    return sum(int(found.get("disk_bytes", 0)) for found in pending)

@@ -1,0 +1,158 @@
+"""The thread that works the queue: takes up jobs and datasets, follows their processes, answers for them, ends them."""
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+
+from sqlalchemy.exc import SQLAlchemyError
+
+from service.server import leases, retention
+from service.server.checking import DatasetCheck
+from service.server.database import Database
+from service.server.instance import Instance, Watch
+from service.server.job_run import JobRun
+from service.server.leases import Lease
+from service.server.places import Places
+from service.server.settings import Settings
+from service.server.tables import CANCELING
+
+_log = logging.getLogger(__name__)
+_ROUND_S = 0.2
+_LOOK_S = 1.0
+"""Seconds between looks at what others did: cancellations, services that died."""
+_BACK_OFF_S = 2.0
+"""Seconds until a job is tried again by the instance that could not go on with it."""
+_CHECKS = 2
+"""Datasets that are checked at a time."""
+_STOP_S = 15.0
+
+
+class Supervisor(threading.Thread):
+    """Runs until `stop`. Everything that it knows it could learn again from the database."""
+
+    def __init__(self, database: Database, places: Places, settings: Settings) -> None:
+        super().__init__(name="supervisor", daemon=True)
+        self._database, self._places, self._settings = database, places, settings
+        self._instance = Instance(places.instances)
+        self._watch = Watch(settings.lease_s)
+        self._wake = threading.Event()
+        self._ending = False
+        self._works: list[JobRun | DatasetCheck] = []
+        self._avoid: dict[str, float] = {}
+        self._due: dict[str, float] = {}
+        self._retention = retention.Retention(database, places, settings)
+        self._renewed = time.monotonic()
+        self.healthy = True
+        """False: the last round could not reach the database."""
+
+    def wake(self) -> None:
+        """There may be something to do."""
+        self._wake.set()
+
+    def stop(self) -> None:
+        """Give back all work and end; waits for it."""
+        self._ending = True
+        self.wake()
+        self.join(_STOP_S)
+
+    def run(self) -> None:
+        while not self._ending:
+            self._round()
+            self._wake.wait(_ROUND_S)
+            self._wake.clear()
+        self._give_back()
+        self._instance.close()
+
+    def _round(self) -> None:
+        steps = (
+            lambda: self._every("renew", self._settings.lease_s / 5, self._renew),
+            self._follow,
+            lambda: self._every("look", _LOOK_S, self._look),
+            self._claim,
+            lambda: self._every("retention", 60.0, self._retention.sweep),
+        )
+        for step in steps:
+            try:
+                step()
+                self.healthy = True
+            except SQLAlchemyError as error:
+                self.healthy = False
+                _log.warning("the database cannot be reached: %s", str(error).splitlines()[0])
+                time.sleep(_ROUND_S)
+            except Exception:
+                # whatever goes wrong with one piece of work must not leave all others without a supervisor
+                _log.exception("a round of the supervisor failed")
+
+    def _every(self, name: str, seconds: float, step: Callable[[], object]) -> None:
+        if time.monotonic() >= self._due.get(name, 0.0):
+            step()
+            self._due[name] = time.monotonic() + seconds
+
+    def _renew(self) -> None:
+        if not self._works:
+            return
+        began = time.monotonic()
+        leases.renew(self._database, self._instance.name)
+        for work in self._works:
+            work.child.answer_for(began + self._settings.lease_s * 0.7 - time.monotonic())
+
+    def _follow(self) -> None:
+        for work in list(self._works):
+            if not work.follow():
+                self._works.remove(work)
+                self._avoid[work.lease.id] = time.monotonic() + _BACK_OFF_S
+
+    def _look(self) -> None:
+        held = leases.held(self._database, self._instance.name)
+        for work in self._works:
+            state = held.get((work.lease.id, work.lease.attempt))
+            if state is None:
+                work.child.end()
+            elif state == CANCELING:
+                work.stop(for_good=True)
+        self._give_up_strays(held)
+        leases.take_over(self._database, self._instance, self._watch)
+
+    def _give_up_strays(self, held: dict[tuple[str, int], str]) -> None:
+        """What this service holds on paper, but could not begin or end for want of the database."""
+        known = {(work.lease.id, work.lease.attempt) for work in self._works}
+        for stray in set(held) - known:
+            for kind in leases.KINDS:
+                lease = Lease(kind, stray[0], self._instance.name, stray[1])
+                leases.lose(self._database, lease, "it could not be begun")
+
+    def _claim(self) -> None:
+        now = time.monotonic()
+        self._avoid = {job: until for job, until in self._avoid.items() if until > now}
+        while self._count(DatasetCheck) < _CHECKS:
+            dataset = leases.claim_dataset(self._database, self._instance.name)
+            if dataset is None:
+                break
+            self._works.append(
+                DatasetCheck(self._database, self._places, self._settings, dataset, self._instance.name)
+            )
+        while self._count(JobRun) < self._settings.jobs:
+            limit = self._settings.limits.running_jobs
+            job = leases.claim_job(self._database, self._instance.name, limit, self._avoid)
+            if job is None:
+                break
+            self._works.append(JobRun(self._database, self._places, self._settings, job, self._instance.name))
+
+    def _count(self, kind: type) -> int:
+        return sum(isinstance(work, kind) for work in self._works)
+
+    def _give_back(self) -> None:
+        deadline = time.monotonic() + _STOP_S * 0.8
+        while self._works:
+            for work in self._works:
+                if time.monotonic() > deadline:
+                    work.child.end()
+                else:
+                    work.stop(for_good=False)
+            try:
+                self._follow()
+            except SQLAlchemyError as error:
+                _log.warning("work could not be given back: %s", str(error).splitlines()[0])
+                return
+            time.sleep(0.05)
