@@ -17,9 +17,10 @@ _KEPT: dict[int, dict[str, Any]] = {}
 
 
 def _kept(dataset: Dataset) -> dict[str, Any]:
-    """What is in memory about a recording. It goes when the recording goes."""
+    """What is in memory about a recording, until it goes or another one (or part) is looked at."""
     key = id(dataset)
     if key not in _KEPT:
+        _KEPT.clear()
         _KEPT[key] = {}
         weakref.finalize(dataset, _KEPT.pop, key, None)
     return _KEPT[key]

@@ -160,20 +160,36 @@ class _Chain:
             "visual-merge", visual.merge_cameras,
             *(self._dataset, self._cores, solved, found["joint"], scans, self._survey, config.visual, config.merge),
         )  # fmt: skip
-        for turn in range(config.merge.image_rounds):
-            shares = [
-                add(
-                    f"visual-share-{turn}-{part.number}", visual.linearize_cameras,
-                    *(frames, part, ground, own, merged, self._survey, config.visual, turn == 0),
-                )
-                for frames, part, ground, own in zip(self._subsets, self._cores, below, solved, strict=True)
-            ]  # fmt: skip
-            merged = add(f"visual-step-{turn}", visual.step_cameras, merged, shares, config.visual)
+        merged = self._joint_cameras(below, solved, merged)
         whole = add(
             "visual", visual.finish_cameras,
             *(self._dataset, self._cores, solved, merged, found["joint"], scans, self._survey, config.visual),
         )  # fmt: skip
         return whole, merged
+
+    def _joint_cameras(self, below: list[Ref], solved: list[Ref], merged: Ref) -> Ref:
+        add, config = self._plan.add, self._config
+        if config.merge.image_rounds == 0:
+            return merged
+        both = list(zip(self._subsets, self._cores, below, solved, strict=True))
+        laid = [
+            add(
+                f"visual-points-{part.number}", visual.lay_out,
+                *(frames, part, ground, own, merged, self._survey, config.visual),
+            )
+            for frames, part, ground, own in both
+        ]  # fmt: skip
+        merged = add("visual-exposures", visual.tie_exposures, merged, laid)
+        for turn in range(config.merge.image_rounds):
+            shares = [
+                add(
+                    f"visual-share-{turn}-{part.number}", visual.linearize_cameras,
+                    *(frames, ground, own, points, merged, config.visual),
+                )
+                for (frames, part, ground, own), points in zip(both, laid, strict=True)
+            ]  # fmt: skip
+            merged = add(f"visual-step-{turn}", visual.step_cameras, merged, shares, config.visual)
+        return merged
 
     def _part_cameras(self, frames: Dataset, part: Part, ground: Ref) -> Ref:
         config = self._config

@@ -25,7 +25,7 @@ from lvba.visual.joint import JointCameras
 from lvba.visual.prior import Prior
 from lvba.visual.refine import Inputs, VisualConfig, VisualResult
 from lvba.visual.result import LevelReport
-from lvba.visual.share import CameraShare, Tuning
+from lvba.visual.share import CameraPoints, CameraShare, Tuning
 from lvba.visual.states import CameraStates, Mount, VisualState
 
 
@@ -305,7 +305,7 @@ def _prior(
     return replace(prior, sources=tuple(sources))
 
 
-def linearize_cameras(
+def lay_out(
     dataset: Dataset,
     part: Part,
     below: Ground,
@@ -313,31 +313,49 @@ def linearize_cameras(
     merged: MergedCameras,
     survey: Survey,
     config: VisualConfig,
-    first: bool = False,
     progress: Progress = silent,
-) -> CameraShare | None:
-    """A part's share at the state so far; none where that has settled, or the part has nothing to say.
-
-    first: measure the brightness of pairs of images, too
-    """
+) -> CameraPoints | None:
+    """The scene points of a part's core at the merged poses; none where the part has nothing to say."""
     now = merged.cameras
-    if now is None or found.tuning is None or below.problem or now.settled:
+    if now is None or found.tuning is None or below.problem:
         return None
     images = np.searchsorted(survey.keyframes, below.keyframes + part.images[0])
     core = (below.keyframes >= part.core_of_images.start) & (below.keyframes < part.core_of_images.stop)
-    cameras = CameraStates(
-        now.state.cameras.world_from_camera[images], now.state.cameras.log_exposure[images]
-    )
     given = inputs(dataset, below, config, progress)
-    return share.linearize(
-        given,
-        VisualState(cameras, now.state.mount),
-        images,
-        core,
-        found.tuning,
-        config,
-        with_exposures=first and config.exposures == "means",
+    return share.lay_out(given, _state_of(now, images), images, core, found.tuning, config)
+
+
+def _state_of(now: JointCameras, images: np.ndarray) -> VisualState:
+    cameras = now.state.cameras
+    return VisualState(
+        CameraStates(cameras.world_from_camera[images], cameras.log_exposure[images]), now.state.mount
     )
+
+
+def tie_exposures(merged: MergedCameras, laid: Sequence[CameraPoints | None]) -> MergedCameras:
+    """Exposures of all keyframes at once, from the brightness that all parts measured."""
+    edges = [each.edges for each in laid if each is not None and each.edges is not None]
+    if merged.cameras is None:
+        return merged
+    return replace(merged, cameras=joint.with_exposures(merged.cameras, edges))
+
+
+def linearize_cameras(
+    dataset: Dataset,
+    below: Ground,
+    found: PartCameras,
+    laid: CameraPoints | None,
+    merged: MergedCameras,
+    config: VisualConfig,
+    progress: Progress = silent,
+) -> CameraShare | None:
+    """A part's share at the state so far; none where that has settled, or the part has nothing to say."""
+    now = merged.cameras
+    if now is None or laid is None or found.tuning is None or now.settled:
+        return None
+    pyramid = recorded_images.pyramid(dataset, below.keyframes, 1, config.images, progress)
+    state = _state_of(now, laid.images)
+    return share.linearize(pyramid.levels[0], pyramid.camera, laid, state, found.tuning, config)
 
 
 def step_cameras(

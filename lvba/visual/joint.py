@@ -51,7 +51,7 @@ class JointCameras:
 
 
 def step(now: JointCameras, found: Sequence[CameraShare], *, solve_exposures: bool) -> JointCameras:
-    """After one round: shares and prior added up and solved; exposures from the brightness of pairs, if measured."""
+    """After one round: shares and prior added up and solved."""
     if now.settled or not found:
         return now
     count = len(now.state.cameras)
@@ -72,18 +72,17 @@ def step(now: JointCameras, found: Sequence[CameraShare], *, solve_exposures: bo
         return replace(now, damping=max(100 * now.damping, 1.0))
     cameras = photometric.moved(now.state.cameras, change[:-1])
     state = VisualState(cameras, priors.retract(now.state.mount, change[-1]))
-    sigma = now.exposure_sigma
-    exposures = tie([each.edges for each in found if each.edges is not None], count)
-    if exposures is not None:
-        state = replace(state, cameras=replace(cameras, log_exposure=exposures.log_exposure))
-        sigma = exposures.sigma
     meters, degrees = _moved(now.state, state)
     still = meters < _SETTLED_M and degrees < _SETTLED_DEG
     entry = JointCameraRound(*facts, meters, degrees, False)
-    # new exposures are another cost
-    cost = cost if exposures is None else float("inf")
-    return JointCameras(
-        state, now.state, now.prior, sigma, max(now.damping / 10, 1e-9), cost, still, (*now.history, entry)
+    return replace(
+        now,
+        state=state,
+        before=now.state,
+        damping=max(now.damping / 10, 1e-9),
+        cost=cost,
+        settled=still,
+        history=(*now.history, entry),
     )
 
 
@@ -99,6 +98,15 @@ def total(found: Sequence[CameraShare], count: int) -> NormalEquations:
         gradient,
         float(sum(each.equations.cost for each in found)),
     )
+
+
+def with_exposures(now: JointCameras, edges: Sequence[Edges]) -> JointCameras:
+    """The same cameras with exposures from the edges of all shares, where there are any."""
+    exposures = tie(edges, len(now.state.cameras))
+    if exposures is None:
+        return now
+    cameras = replace(now.state.cameras, log_exposure=exposures.log_exposure)
+    return replace(now, state=replace(now.state, cameras=cameras), exposure_sigma=exposures.sigma)
 
 
 def tie(edges: Sequence[Edges], images: int) -> Exposures | None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lvba.camera import Camera
 from lvba.solver import NormalEquations
 from lvba.visual import bundle_adjustment, exposure, photometric, scene_points, visibility
 from lvba.visual.bundle_adjustment import LevelSolution
@@ -36,17 +37,31 @@ class Tuning:
 
 
 @dataclass(frozen=True)
+class CameraPoints:
+    """The scene points of one share, fixed for all rounds.
+
+    images: (n,) int64, keyframes of the whole; points and observations number their images as in `images`
+    offset_sigma: (P,) m, how far the plane at each point may be off; None: planes are exact
+    edges: brightness of pairs of images, numbered as in the whole; None where not asked for
+    """
+
+    images: np.ndarray
+    points: ScenePoints
+    observations: Observations
+    offset_sigma: np.ndarray | None
+    edges: Edges | None
+
+
+@dataclass(frozen=True)
 class CameraShare:
     """What one share says about its images.
 
     images: (n,) int64, keyframes of the whole; equations: over these, 7 unknowns each
-    edges: brightness of pairs of images, numbered as in the whole; None where not asked for
     points, observations: how many
     """
 
     images: np.ndarray
     equations: NormalEquations
-    edges: Edges | None
     points: int
     observations: int
 
@@ -68,20 +83,17 @@ def tuning(solution: LevelSolution, config: VisualConfig) -> Tuning:
     )
 
 
-def linearize(
+def lay_out(
     given: Inputs,
     state: VisualState,
     images: np.ndarray,
     core: np.ndarray,
     known: Tuning,
     config: VisualConfig,
-    *,
-    with_exposures: bool,
-) -> CameraShare:
-    """The photometric normal equations of the scene points whose reference is in the core, at the finest level.
+) -> CameraPoints:
+    """The scene points whose reference is in the core, who sees them, and how bright they are, at the finest level.
 
     state: of the keyframes of `given`; images: (k,) int64, their numbers in the whole; core: (k,) bool
-    with_exposures: measure the brightness of pairs of images, too
     """
     config = one_patch_size(config)
     scene = scene_of(given, config)
@@ -97,29 +109,45 @@ def linearize(
     points, observations = visibility.find(
         levels[0], camera, poses, points, scene.seen, noise, config.visibility, depth
     )
-    sigma = None
+    mine, sigma = core[points.reference], None
     if config.adjustment.plane_offsets:
-        sigma = bundle_adjustment.offset_sigma(points, config.adjustment.plane_floor_m) * known.offset_scale
-    mine = core[points.reference]
-    points, observations = _of_points(points, observations, mine)
-    problem = photometric.prepare(
-        levels[0], camera, points, observations, config.adjustment.photometric,
-        offset_sigma=None if sigma is None else sigma[mine], sigma=known.sigma, inflation=known.inflation,
-    )  # fmt: skip
-    at = PhotometricState(state.cameras, np.zeros(len(points)))
-    found = photometric.linearize(problem, at)
-    if sigma is not None:
-        # the planes' offsets at these poses first: the equations hold about them
-        at = photometric.retract(problem, at, found, np.zeros((len(images), 7)))
-        found = photometric.linearize(problem, at)
+        sigma = bundle_adjustment.offset_sigma(points, config.adjustment.plane_floor_m)
+        sigma = (sigma * known.offset_scale)[mine]
     edges = None
-    if with_exposures:
+    if config.exposures == "means":
         ratios = exposure.ratios_at(
             scene.pyramid, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, scene.seen,
             config.exposure, depth,
         )  # fmt: skip
-        edges = _of_whole(exposure.edges_of(_of_core(ratios, core), len(images), config.exposure), images)
-    return CameraShare(images, found.equations, edges, len(points), len(observations))
+        edges = exposure.edges_of(_of_core(ratios, core), len(images), config.exposure)
+        edges = replace(edges, first=images[edges.first], second=images[edges.second])
+    return CameraPoints(images, *_of_points(points, observations, mine), sigma, edges)
+
+
+def linearize(
+    images: np.ndarray,
+    camera: Camera,
+    laid: CameraPoints,
+    state: VisualState,
+    known: Tuning,
+    config: VisualConfig,
+) -> CameraShare:
+    """The photometric normal equations of the laid out points.
+
+    images: (n, H, W, C) uint8, the share's keyframes at full size; camera: theirs; state: of these keyframes
+    """
+    config = one_patch_size(config)
+    problem = photometric.prepare(
+        images, camera, laid.points, laid.observations, config.adjustment.photometric,
+        offset_sigma=laid.offset_sigma, sigma=known.sigma, inflation=known.inflation,
+    )  # fmt: skip
+    at = PhotometricState(state.cameras, np.zeros(len(laid.points)))
+    found = photometric.linearize(problem, at)
+    if laid.offset_sigma is not None:
+        # the planes' offsets at these poses first: the equations hold about them
+        at = photometric.retract(problem, at, found, np.zeros((len(images), 7)))
+        found = photometric.linearize(problem, at)
+    return CameraShare(laid.images, found.equations, len(laid.points), len(laid.observations))
 
 
 def _of_points(
@@ -140,7 +168,3 @@ def _of_core(ratios: exposure.Ratios, core: np.ndarray) -> exposure.Ratios:
     return exposure.Ratios(
         ratios.first[mine], ratios.second[mine], ratios.value[mine], ratios.sigma[mine], ratios.block[mine]
     )
-
-
-def _of_whole(edges: Edges, images: np.ndarray) -> Edges:
-    return replace(edges, first=images[edges.first], second=images[edges.second])
