@@ -1,0 +1,185 @@
+// A form made from the JSON Schema of the settings; only what differs from the defaults is sent.
+
+import { useMemo, useState } from "preact/hooks";
+
+import type { Options, Schema } from "../types";
+
+export type Changes = Record<string, unknown>;
+
+interface Field {
+  name: string;
+  schema: Schema;
+  fallback: unknown;
+}
+
+/** Every setting with its full name, in the order of the schema. */
+export function fieldsOf(options: Options): Field[] {
+  const found: Field[] = [];
+  const walk = (schema: Schema, defaults: unknown, above: string): void => {
+    for (const [key, raw] of Object.entries(schema.properties ?? {})) {
+      const child = resolved(raw, options.schema);
+      const name = above === "" ? key : `${above}.${key}`;
+      const fallback = (defaults as Record<string, unknown> | null | undefined)?.[key] ?? child.default ?? null;
+      if (child.properties !== undefined) walk(child, fallback, name);
+      else found.push({ name, schema: { ...child, ...without(raw) }, fallback });
+    }
+  };
+  walk(options.schema, options.defaults, "");
+  return found;
+}
+
+function without(schema: Schema): Schema {
+  const rest = { ...schema };
+  delete rest.$ref;
+  return rest;
+}
+
+function resolved(schema: Schema, root: Schema): Schema {
+  const name = schema.$ref?.split("/").pop();
+  return name === undefined ? schema : (root.$defs?.[name] ?? schema);
+}
+
+/** The changes as the nested object that the server takes. */
+export function nested(changes: Changes): Record<string, unknown> {
+  const out: Record<string, unknown> = {};
+  for (const [name, value] of Object.entries(changes)) {
+    const parts = name.split(".");
+    let at = out;
+    for (const part of parts.slice(0, -1)) at = (at[part] ??= {}) as Record<string, unknown>;
+    at[parts.at(-1) ?? ""] = value;
+  }
+  return out;
+}
+
+/** The other way round, for the settings of an earlier job. */
+export function flat(config: unknown, fields: Field[]): Changes {
+  const out: Changes = {};
+  for (const { name } of fields) {
+    const value = name.split(".").reduce<unknown>((at, part) => (at as Record<string, unknown> | null | undefined)?.[part], config);
+    if (value !== undefined) out[name] = value;
+  }
+  return out;
+}
+
+export function OptionsForm(props: { options: Options; changes: Changes; set: (changes: Changes) => void; errors: Record<string, string> }) {
+  const { options, changes, set, errors } = props;
+  const [words, setWords] = useState("");
+  const fields = useMemo(() => fieldsOf(options), [options]);
+  const wanted = words.toLowerCase().split(/\s+/).filter((word) => word !== "");
+  const shown = fields.filter(({ name, schema }) => {
+    const text = `${name} ${schema.description ?? ""}`.toLowerCase();
+    return wanted.every((word) => text.includes(word));
+  });
+  const groups = new Map<string, Field[]>();
+  for (const field of shown) {
+    const group = field.name.includes(".") ? field.name.slice(0, field.name.lastIndexOf(".")) : "general";
+    groups.set(group, [...(groups.get(group) ?? []), field]);
+  }
+  const change = (name: string, value: unknown): void => {
+    const next = { ...changes };
+    if (value === undefined) Reflect.deleteProperty(next, name);
+    else next[name] = value;
+    set(next);
+  };
+  return (
+    <div class="options">
+      <div class="toolbar">
+        <input type="search" aria-label="Search settings" placeholder="Search settings, e.g. voxel" value={words} onInput={(event) => { setWords(event.currentTarget.value); }} />
+        <span class="quiet" role="status">{Object.keys(changes).length === 0 ? "All as by default" : `${String(Object.keys(changes).length)} changed`}</span>
+      </div>
+      {[...groups].map(([group, members]) => (
+        <details key={group} open={wanted.length > 0 || members.some((field) => field.name in changes || field.name in errors)}>
+          <summary><span class="group-name">{group}</span><span class="quiet small">{members.length}</span></summary>
+          {members.map((field) => (
+            <Row key={field.name} field={field} value={field.name in changes ? changes[field.name] : field.fallback}
+              changed={field.name in changes} error={errors[field.name] ?? ""} change={change} />
+          ))}
+        </details>
+      ))}
+      {shown.length === 0 && <p class="quiet">No setting matches.</p>}
+    </div>
+  );
+}
+
+interface RowProps {
+  field: Field;
+  value: unknown;
+  changed: boolean;
+  error: string;
+  change: (name: string, value: unknown) => void;
+}
+
+function Row({ field, value, changed, error, change }: RowProps) {
+  const id = `option-${field.name.replaceAll(".", "-")}`;
+  const last = field.name.split(".").at(-1) ?? field.name;
+  return (
+    <div class={`option${changed ? " option-changed" : ""}`}>
+      <label for={id}>{last.replaceAll("_", " ")}</label>
+      <div class="option-input">
+        <Input id={id} field={field} value={value} change={(next) => { change(field.name, next); }} />
+        {changed && <button type="button" class="link" aria-label={`Default for ${field.name}`} onClick={() => { change(field.name, undefined); }}>default</button>}
+      </div>
+      <p id={`${id}-help`} class="quiet small">
+        {field.schema.description ?? ""} <span class="default">Default: {text(field.fallback)}</span>
+      </p>
+      {error !== "" && <p id={`${id}-error`} class="field-problem" role="alert">{error}</p>}
+    </div>
+  );
+}
+
+function text(value: unknown): string {
+  return typeof value === "string" ? value : JSON.stringify(value);
+}
+
+function Input({ id, field, value, change }: { id: string; field: Field; value: unknown; change: (value: unknown) => void }) {
+  const { schema } = field;
+  const kinds = [schema, ...(schema.anyOf ?? [])];
+  const described = { "aria-describedby": `${id}-help` };
+  const choices = kinds.find((kind) => kind.enum !== undefined)?.enum;
+  const is = (type: string): boolean => kinds.some((kind) => kind.type === type || (Array.isArray(kind.type) && kind.type.includes(type)));
+  if (choices !== undefined) {
+    return (
+      <select id={id} {...described} value={JSON.stringify(value)} onChange={(event) => { change(JSON.parse(event.currentTarget.value)); }}>
+        {choices.map((one) => <option key={JSON.stringify(one)} value={JSON.stringify(one)}>{text(one)}</option>)}
+      </select>
+    );
+  }
+  if (is("boolean")) {
+    return <input id={id} type="checkbox" {...described} checked={value === true} onChange={(event) => { change(event.currentTarget.checked); }} />;
+  }
+  if (is("array") || is("object")) return <JsonInput id={id} value={value} change={change} />;
+  if (is("number") || is("integer")) {
+    const [nullable, whole] = [is("null"), !is("number")];
+    return (
+      <input
+        id={id} type="number" step={whole ? 1 : "any"} {...described} value={value === null ? "" : String(value)}
+        placeholder={nullable ? "none" : ""} min={schema.minimum} max={schema.maximum}
+        onChange={(event) => {
+          const typed = event.currentTarget.value;
+          change(typed === "" ? (nullable ? null : undefined) : Number(typed));
+        }}
+      />
+    );
+  }
+  return <input id={id} type="text" {...described} value={value === null ? "" : String(value)} onChange={(event) => { change(event.currentTarget.value); }} />;
+}
+
+function JsonInput({ id, value, change }: { id: string; value: unknown; change: (value: unknown) => void }) {
+  const [problem, setProblem] = useState("");
+  return (
+    <>
+      <textarea
+        id={id} rows={3} spellcheck={false} aria-describedby={`${id}-help`} aria-invalid={problem !== ""} defaultValue={JSON.stringify(value)}
+        onChange={(event) => {
+          try {
+            change(JSON.parse(event.currentTarget.value));
+            setProblem("");
+          } catch {
+            setProblem("This is not JSON.");
+          }
+        }}
+      />
+      {problem !== "" && <p class="field-problem" role="alert">{problem}</p>}
+    </>
+  );
+}

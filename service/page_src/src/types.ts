@@ -1,0 +1,196 @@
+// What the server says, as docs/rest.md has it. Unknown fields are ignored.
+
+export type JobState = "queued" | "running" | "canceling" | "done" | "failed" | "canceled";
+export type StageState = "waiting" | "running" | "done" | "failed";
+
+export interface Stage {
+  name: string;
+  state: StageState;
+  reused: boolean;
+  what: string | null;
+  done: number | null;
+  total: number | null;
+  seconds: number | null;
+  eta_s: number | null;
+  peak_memory_mb: number | null;
+}
+
+export interface Attempt {
+  number: number;
+  started: string;
+  finished: string | null;
+  outcome: string | null;
+  message: string | null;
+}
+
+export interface JobError {
+  code: string;
+  stage?: string | null;
+  cause: string;
+  hint: string;
+}
+
+export interface Estimate {
+  seconds: number | null;
+  memory_bytes: number | null;
+  disk_bytes: number | null;
+  basis?: string;
+  warnings?: string[];
+}
+
+export interface Summary {
+  psnr_before: number | null;
+  psnr_after: number | null;
+  entropy_before: number | null;
+  entropy_after: number | null;
+  accepted_scans: boolean | null;
+  accepted_cameras: boolean | null;
+}
+
+export interface Job {
+  id: string;
+  name: string;
+  dataset: string;
+  batch: string | null;
+  config: Record<string, unknown> | null;
+  priority: number;
+  reference: boolean;
+  state: JobState;
+  created: string;
+  started: string | null;
+  finished: string | null;
+  position?: number | null;
+  progress: number;
+  eta_s: number | null;
+  elapsed_s: number | null;
+  stages?: Stage[];
+  attempts?: Attempt[];
+  error: JobError | null;
+  estimate?: Estimate | null;
+  summary?: Summary | null;
+  log_bytes?: number;
+}
+
+export interface Dataset {
+  id: string;
+  name: string;
+  state: "uploading" | "validating" | "ready" | "invalid";
+  source: "upload" | "folder";
+  created: string;
+  bytes: number;
+  files: number;
+  error: JobError | null;
+  facts: {
+    scans: number;
+    images: number;
+    width?: number | null;
+    height?: number | null;
+    duration_s: number;
+    warnings?: string[];
+    has_reference?: boolean;
+  } | null;
+}
+
+export interface UploadedFile {
+  path: string;
+  length: number | null;
+  received: number;
+  complete: boolean;
+}
+
+export interface Batch {
+  id: string;
+  name: string;
+  created: string;
+  counts: Partial<Record<JobState, number>>;
+  progress: number;
+  jobs?: Job[];
+}
+
+export interface Page<T> {
+  items: T[];
+  next: string | null;
+}
+
+export interface Artifact {
+  name: string;
+  bytes: number;
+  media_type: string;
+  modified: string;
+  url: string;
+}
+
+export interface Frame {
+  index: number;
+  time: number;
+  raw: string | null;
+  before: string | null;
+  after: string | null;
+}
+
+export interface LogPiece {
+  from: number;
+  next: number;
+  size: number;
+  text: string;
+  ended: boolean;
+}
+
+export interface Me {
+  owner: string;
+  scopes: string[];
+  auth: boolean;
+  quota?: { bytes: number | null; bytes_used: number } | null;
+}
+
+export interface Info {
+  version: string;
+  disk_free_bytes: number;
+  queued: number;
+  running: number;
+  roots?: string[];
+  limits?: Record<string, number | null>;
+}
+
+/** A part of a JSON Schema, as far as the options form reads it. */
+export interface Schema {
+  type?: string | string[];
+  title?: string;
+  description?: string;
+  default?: unknown;
+  enum?: unknown[];
+  anyOf?: Schema[];
+  properties?: Record<string, Schema>;
+  minimum?: number;
+  maximum?: number;
+  $ref?: string;
+  $defs?: Record<string, Schema>;
+}
+
+export interface Options {
+  schema: Schema;
+  defaults: Record<string, unknown>;
+}
+
+interface ScoresFacts {
+  psnr_leave_one_out?: number | null;
+  ssim_leave_one_out?: number | null;
+  map_entropy?: number | null;
+  images?: number[];
+  per_image?: Record<string, (number | null)[]>;
+}
+
+/** report.json, as far as the page reads it. */
+export interface Report {
+  dataset?: { scans?: number; images?: number; path_length_m?: number; duration_s?: number };
+  lidar?: { accepted?: boolean | null; reason?: string };
+  visual?: { accepted?: boolean | null; reason?: string; exposures_accepted?: boolean | null };
+  exposure?: { times?: number[]; relative?: (number | null)[]; reference?: (number | null)[] };
+  evaluation?: { rough?: ScoresFacts; refined?: ScoresFacts };
+  reference?: {
+    lidar?: { ate_m?: number | null };
+    camera?: { ate_m?: number | null };
+    rough?: { lidar?: { ate_m?: number | null }; camera?: { ate_m?: number | null } };
+  };
+  warnings?: string[];
+}

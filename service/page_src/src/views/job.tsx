@@ -1,0 +1,169 @@
+// One job: how far it is, what it does, what it says.
+
+import { useEffect, useRef, useState } from "preact/hooks";
+
+import { send, told } from "../api";
+import type { ServerEvent } from "../events";
+import { bytes, duration, moment, percent } from "../format";
+import { go, useEvents, useEvery, useFetched, useThrottled } from "../hooks";
+import { Badge, Bar, Card, Facts, Trouble } from "../parts/basic";
+import { Log } from "../parts/log";
+import { grouped, Timeline } from "../parts/stages";
+import type { Job, Stage } from "../types";
+
+const ENDED = new Set(["done", "failed", "canceled"]);
+
+export function JobView({ id }: { id: string }) {
+  const fetched = useFetched<Job>(`/v1/jobs/${id}`);
+  const [live, setLive] = useState<LiveJob>({});
+  const [round, setRound] = useState(0);
+  const [trouble, setTrouble] = useState<{ cause: string; hint: string } | null>(null);
+  const refresh = useThrottled(fetched.again, 250);
+  const ended = fetched.data !== null && ENDED.has(fetched.data.state);
+  const up = useEvents(fetched.data === null ? null : `/v1/jobs/${id}/events?after=0&round=${String(round)}`, (event) => {
+    if (event.event === "progress" || event.event === "log") setLive((old) => ({ ...old, ...patch(event) }));
+    else refresh();
+  });
+  useEffect(() => { setLive((old) => (old.log_bytes === undefined ? {} : { log_bytes: old.log_bytes })); }, [fetched.data]);
+  useEvery(ended ? null : up ? 5000 : 2000, fetched.again);
+  if (fetched.data === null) return <Trouble trouble={fetched.trouble} />;
+  const job: Job = { ...fetched.data, ...live, stages: fetched.data.stages ?? [] };
+  const act = (method: string, path: string, body?: unknown): void => {
+    send(method, `/v1/jobs/${id}${path}`, body).then(
+      () => {
+        setTrouble(null);
+        if (method === "DELETE") go("jobs");
+        else { fetched.again(); setRound((n) => n + 1); }
+      },
+      (error: unknown) => { setTrouble(told(error)); },
+    );
+  };
+  return (
+    <>
+      <div class="page-head">
+        <div>
+          <p class="crumb"><a href="#/jobs">Jobs</a></p>
+          <h1>{job.name === "" ? job.id : job.name} <Badge state={job.state} /></h1>
+        </div>
+        <Actions job={job} act={act} />
+      </div>
+      <Trouble trouble={trouble} />
+      {job.error !== null && <Trouble trouble={job.error} />}
+      <Head job={job} up={up} />
+      <div class="columns job-columns">
+        <Card title="Stages" id="stages">
+          {(job.stages ?? []).length === 0 ? <p class="quiet">{job.state === "queued" ? "The job waits for its turn." : "Told by the run when it begins."}</p> : <Timeline stages={withLive(job.stages ?? [], live)} />}
+        </Card>
+        <div>
+          <Card title="Log" id="log"><Log key={String(job.attempts?.length ?? 0)} job={id} size={job.log_bytes ?? 0} /></Card>
+          <Card title="About" id="about"><About job={job} /></Card>
+        </div>
+      </div>
+    </>
+  );
+}
+
+interface LiveJob extends Partial<Job> {
+  now?: { stage: string; what: string; done: number; total: number };
+}
+
+function patch(event: ServerEvent): LiveJob {
+  const { data } = event;
+  const number = (name: string): number | null => (typeof data[name] === "number" ? data[name] : null);
+  if (event.event === "log") return { log_bytes: number("bytes") ?? 0 };
+  return {
+    progress: number("fraction") ?? 0,
+    eta_s: number("eta_s"),
+    now: { stage: String(data["stage"]), what: String(data["what"]), done: number("done") ?? 0, total: number("total") ?? 0 },
+  };
+}
+
+function withLive(stages: Stage[], live: LiveJob): Stage[] {
+  const { now } = live;
+  if (now === undefined) return stages;
+  return stages.map((stage) => (stage.name === now.stage && stage.state !== "done" ? { ...stage, state: "running", what: now.what, done: now.done, total: now.total } : stage));
+}
+
+function Head({ job, up }: { job: Job; up: boolean }) {
+  const active = !ENDED.has(job.state);
+  const told10 = Math.floor(job.progress * 10) * 10;
+  return (
+    <section class="card job-now" aria-label="Progress">
+      {active && <Bar fraction={job.state === "queued" ? 0 : job.progress} label="Progress of the job" />}
+      <div class="big-facts">
+        {active && <Big name="Done" value={percent(job.progress)} />}
+        {active && <Big name="Left" value={duration(job.eta_s)} />}
+        <Big name={active ? "Running for" : "Took"} value={duration(job.elapsed_s)} />
+        {job.state === "queued" && <Big name="Before it" value={String(job.position ?? 0)} />}
+        {job.summary && <Gains job={job} />}
+        {job.state === "done" && <a class="button primary large" href={`#/jobs/${job.id}/result`}>See the result</a>}
+      </div>
+      {!up && active && <p class="quiet small">The live connection is down; asking every few seconds instead.</p>}
+      <p class="visually-hidden" role="status">{active ? `${job.state}, ${String(told10)} percent` : `The job is ${job.state}`}</p>
+    </section>
+  );
+}
+
+function Gains({ job }: { job: Job }) {
+  const { psnr_before: before = null, psnr_after: after = null } = job.summary ?? {};
+  if (before === null || after === null) return null;
+  return <Big name="PSNR of images left out" value={`${before.toFixed(1)} → ${after.toFixed(1)} dB`} />;
+}
+
+function Big({ name, value }: { name: string; value: string }) {
+  return <div class="big"><span class="big-value">{value}</span><span class="quiet small">{name}</span></div>;
+}
+
+function Actions({ job, act }: { job: Job; act: (method: string, path: string, body?: unknown) => void }) {
+  const dialog = useRef<HTMLDialogElement>(null);
+  const [from, setFrom] = useState("");
+  const ended = ENDED.has(job.state);
+  const names = grouped(job.stages ?? []).map((group) => group.whole?.name ?? group.parts[0]?.name ?? group.name);
+  return (
+    <div class="actions">
+      {!ended && <button type="button" disabled={job.state === "canceling"} onClick={() => { act("POST", "/cancel"); }}>Cancel</button>}
+      {ended && (
+        <form class="restart" onSubmit={(event) => { event.preventDefault(); act("POST", "/restart", from === "" ? {} : { from }); }}>
+          <label for="restart-from" class="visually-hidden">Restart from</label>
+          <select id="restart-from" value={from} onChange={(event) => { setFrom(event.currentTarget.value); }}>
+            <option value="">what is missing</option>
+            {names.map((name) => <option key={name} value={name}>from {name}</option>)}
+          </select>
+          <button type="submit">Restart</button>
+        </form>
+      )}
+      {ended && <button type="button" class="danger" onClick={() => { dialog.current?.showModal(); }}>Delete</button>}
+      <dialog ref={dialog} aria-labelledby="delete-title">
+        <h2 id="delete-title">Delete {job.name}?</h2>
+        <p>Its result and everything its stages made will be gone. The recording stays.</p>
+        <div class="actions">
+          <button type="button" onClick={() => { dialog.current?.close(); }}>Keep it</button>
+          <button type="button" class="danger" onClick={() => { act("DELETE", ""); }}>Delete</button>
+        </div>
+      </dialog>
+    </div>
+  );
+}
+
+function About({ job }: { job: Job }) {
+  const { estimate } = job;
+  const changed = job.config !== null && Object.keys(job.config).length > 0;
+  return (
+    <>
+      <Facts
+        rows={[
+          ["Recording", <a href={`#/new/${job.dataset}`} title="New job with it">{job.dataset}</a>],
+          ["Created", moment(job.created)], ["Started", moment(job.started)], ["Ended", moment(job.finished)],
+          ...(estimate ? [["Estimated", `${duration(estimate.seconds)}, ${bytes(estimate.memory_bytes)} memory`] as [string, string]] : []),
+        ]}
+      />
+      {changed && <details class="more"><summary>Settings that were changed</summary><pre class="small">{JSON.stringify(job.config, null, 1)}</pre></details>}
+      {(job.attempts ?? []).length > 1 && (
+        <details class="more">
+          <summary>{job.attempts?.length} attempts</summary>
+          <ol>{job.attempts?.map((attempt) => <li key={attempt.number}>{moment(attempt.started)}: {attempt.outcome ?? "running"} {attempt.message}</li>)}</ol>
+        </details>
+      )}
+    </>
+  );
+}

@@ -1,0 +1,170 @@
+// A new job: which recording, which settings, what it will take.
+
+import type { ComponentChildren } from "preact";
+import { useEffect, useMemo, useState } from "preact/hooks";
+
+import { all, Problem, send, told } from "../api";
+import { ago, bytes, duration, plural } from "../format";
+import { go, useFetched } from "../hooks";
+import { Card, Facts, Trouble } from "../parts/basic";
+import { type Changes, nested, OptionsForm } from "../parts/options";
+import { Uploader } from "../parts/uploader";
+import type { Dataset, Estimate, Info, Job, Options } from "../types";
+
+export function Submit({ dataset: wanted }: { dataset: string | null }) {
+  const datasets = useFetched<Dataset[]>("/v1/datasets", (path) => all<Dataset>(path));
+  const info = useFetched<Info>("/v1/info");
+  const [chosen, setChosen] = useState<string | null>(wanted);
+  const [unfinished, setUnfinished] = useState<Dataset | null>(null);
+  const ready = (datasets.data ?? []).filter((dataset) => dataset.state === "ready");
+  const open = (datasets.data ?? []).filter((dataset) => dataset.state === "uploading" || dataset.state === "invalid");
+  const dataset = ready.find((one) => one.id === chosen) ?? null;
+  return (
+    <>
+      <div class="page-head"><h1>New job</h1></div>
+      <JobForm dataset={dataset}>
+          <Card title="1. Recording" id="recording">
+            <Trouble trouble={datasets.trouble} />
+            {ready.length > 0 && (
+              <fieldset class="choices">
+                <legend>On the server</legend>
+                {ready.map((one) => <Choice key={one.id} dataset={one} checked={one.id === chosen} choose={() => { setChosen(one.id); }} />)}
+              </fieldset>
+            )}
+            <details open={ready.length === 0 || unfinished !== null} key={unfinished?.id ?? "new"} class="more">
+              <summary>{ready.length === 0 ? "Upload" : "Upload another"}</summary>
+              <Uploader key={unfinished?.id ?? "new"} unfinished={unfinished} ready={(one) => { setUnfinished(null); setChosen(one.id); datasets.again(); }} />
+            </details>
+            {(info.data?.roots ?? []).length > 0 && <Register roots={info.data?.roots ?? []} done={datasets.again} />}
+            {open.length > 0 && (
+              <ul class="unfinished" aria-label="Unfinished uploads">
+                {open.map((one) => (
+                  <li key={one.id}>
+                    {one.name}: {one.state === "invalid" ? (one.error?.cause ?? "invalid") : `${bytes(one.bytes)} there`} <button type="button" class="link" onClick={() => { setUnfinished(one); }}>go on</button>
+                  </li>
+                ))}
+              </ul>
+            )}
+          </Card>
+      </JobForm>
+    </>
+  );
+}
+
+function Choice({ dataset, checked, choose }: { dataset: Dataset; checked: boolean; choose: () => void }) {
+  const { facts } = dataset;
+  return (
+    <label class={`choice${checked ? " choice-on" : ""}`}>
+      <input type="radio" name="dataset" checked={checked} onChange={choose} />
+      <span>
+        <strong>{dataset.name}</strong>
+        <span class="quiet small">
+          {facts === null ? "" : `${plural(facts.scans, "scan")}, ${plural(facts.images, "image")}, ${duration(facts.duration_s)} · `}{bytes(dataset.bytes)} · {ago(dataset.created)}
+        </span>
+      </span>
+    </label>
+  );
+}
+
+function Register({ roots, done }: { roots: string[]; done: () => void }) {
+  const [folder, setFolder] = useState("");
+  const [trouble, setTrouble] = useState<{ cause: string; hint: string } | null>(null);
+  return (
+    <details class="more">
+      <summary>A folder on the server</summary>
+      <label for="folder">Folder below {roots.join(" or ")}</label>
+      <input id="folder" value={folder} placeholder={`${roots[0] ?? ""}/recording`} onInput={(event) => { setFolder(event.currentTarget.value); }} />
+      <button
+        type="button"
+        onClick={() => {
+          const name = folder.replace(/\/+$/, "").split("/").pop() ?? folder;
+          send("POST", "/v1/datasets", { name, folder }).then(() => { setTrouble(null); done(); setTimeout(done, 3000); }, (error: unknown) => { setTrouble(told(error)); });
+        }}
+      >
+        Add
+      </button>
+      <Trouble trouble={trouble} />
+    </details>
+  );
+}
+
+function JobForm({ dataset, children }: { dataset: Dataset | null; children: ComponentChildren }) {
+  const options = useFetched<Options>("/v1/options");
+  const [name, setName] = useState("");
+  const [changes, setChanges] = useState<Changes>({});
+  const [reference, setReference] = useState(false);
+  const [priority, setPriority] = useState(0);
+  const [trouble, setTrouble] = useState<{ cause: string; hint: string } | null>(null);
+  const [errors, setErrors] = useState<Record<string, string>>({});
+  const [sending, setSending] = useState(false);
+  const [mark, setMark] = useState(() => crypto.getRandomValues(new Uint32Array(4)).join("-"));
+  useEffect(() => {
+    if (dataset !== null) setName(dataset.name);
+    setReference(dataset?.facts?.has_reference === true);
+  }, [dataset?.id]);
+  const body = useMemo(() => ({ dataset: dataset?.id ?? "", name, config: nested(changes), priority, reference }), [dataset, name, changes, priority, reference]);
+  const submit = async (): Promise<void> => {
+    setSending(true);
+    setTrouble(null);
+    setErrors({});
+    try {
+      const job = await send<Job>("POST", "/v1/jobs", body, { "Idempotency-Key": mark });
+      go("jobs", job.id);
+    } catch (error) {
+      setMark(crypto.getRandomValues(new Uint32Array(4)).join("-"));
+      setTrouble(told(error));
+      if (error instanceof Problem) setErrors(Object.fromEntries(error.errors.map((one) => [one.where.replace(/^(body\.)?config\./, ""), one.message])));
+      setSending(false);
+    }
+  };
+  return (
+    <div class="columns">
+      <div>
+        {children}
+      <Card title="2. Start" id="start">
+        <div class="field"><label for="job-name">Name of the job</label><input id="job-name" value={name} onInput={(event) => { setName(event.currentTarget.value); }} /></div>
+        <div class="field">
+          <label for="priority">Priority</label>
+          <select id="priority" value={String(priority)} onChange={(event) => { setPriority(Number(event.currentTarget.value)); }}>
+            <option value="5">high</option><option value="0">normal</option><option value="-5">low</option>
+          </select>
+        </div>
+        {dataset?.facts?.has_reference === true && (
+          <label class="check"><input type="checkbox" checked={reference} onChange={(event) => { setReference(event.currentTarget.checked); }} /> Compare with the reference in the recording</label>
+        )}
+        {dataset !== null && <Cost body={body} />}
+        <Trouble trouble={trouble} />
+        <button type="button" class="primary large" disabled={dataset === null || sending} onClick={() => { void submit(); }}>
+          {dataset === null ? "Choose a recording first" : "Start"}
+        </button>
+      </Card>
+      </div>
+      <Card title="Settings (optional)" id="settings">
+        <Trouble trouble={options.trouble} />
+        {options.data !== null && <OptionsForm options={options.data} changes={changes} set={setChanges} errors={errors} />}
+      </Card>
+    </div>
+  );
+}
+
+/** What the job will take, as the server estimates. */
+function Cost({ body }: { body: object }) {
+  const [estimate, setEstimate] = useState<Estimate | null>(null);
+  useEffect(() => {
+    let current = true;
+    const timer = setTimeout(() => {
+      send<Estimate>("POST", "/v1/estimates", body).then(
+        (found) => { if (current) setEstimate(found); },
+        () => { if (current) setEstimate(null); },
+      );
+    }, 400);
+    return () => { current = false; clearTimeout(timer); };
+  }, [body]);
+  if (estimate === null) return null;
+  return (
+    <>
+      <Facts rows={[["Takes about", duration(estimate.seconds)], ["Memory", bytes(estimate.memory_bytes)], ["Disk", bytes(estimate.disk_bytes)]]} />
+      {(estimate.warnings ?? []).map((warning) => <p key={warning} class="field-problem">{warning}</p>)}
+    </>
+  );
+}
