@@ -19,8 +19,9 @@ from lvba.lidar.share import ShareEquations
 from lvba.lidar.weak import Weakness
 from lvba.solver import NormalEquations
 
-_RISE = 0.01
-"""Rise of the cost per point at which a step is taken back: new planes alone change it by less."""
+_GROWTH = 2.0
+"""A step that is this many times longer than the one before it is refused: steps of a solve that converges shrink. Costs
+do not tell, for each round has planes and weights of its own."""
 _FIRST_DAMPING = 1.0
 _MOST_COVARIANCES = 250
 """Scans whose covariance is solved for; the others have that of the nearest one."""
@@ -30,8 +31,8 @@ _MOST_COVARIANCES = 250
 class JointRound:
     """One association over all shares and the step that followed it.
 
-    cost: squared errors over their variances per point; moved: m, the furthest that a scan moved; taken_back: whether
-    this round undid the step before it
+    cost: squared errors over their variances per point; moved: m, the furthest that a scan moved; refused: that it was to
+    move, but did not
     """
 
     stage: int
@@ -41,24 +42,21 @@ class JointRound:
     sigma: float
     moved: float
     weak_scans: int
-    taken_back: bool
+    refused: bool
 
 
 @dataclass(frozen=True)
 class JointState:
     """Where all scans are, and what the next round needs.
 
-    world_from_scan: (S, 4, 4); before: the same before the last step
-    prior: odometry; damping: of the next step; cost: per point, before the last step
+    world_from_scan: (S, 4, 4); prior: odometry; damping: of the next step
     settled: the last stage whose poses stand still, -1: none
     held: (S,) bool, scans without weak direction
     """
 
     world_from_scan: np.ndarray
-    before: np.ndarray
     prior: OdometryPrior
     damping: float = 0.0
-    cost: float = float("inf")
     settled: int = -1
     held: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
     history: tuple[JointRound, ...] = ()
@@ -69,7 +67,7 @@ def begin(rough: np.ndarray, world_from_scan: np.ndarray, config: LidarConfig) -
     prior = odometry_prior(rough, config.prior_rotation, config.prior_translation)
     everything = np.ones(len(rough), bool)
     prior = reestimated(prior, world_from_scan, everything, config.prior_sigmas)
-    return JointState(world_from_scan, world_from_scan, prior, held=everything)
+    return JointState(world_from_scan, prior, held=everything)
 
 
 def step(
@@ -93,28 +91,32 @@ def step(
         _typical_sigma(found),
     )
     weak_scans = int(np.count_nonzero(weakness.count))
-    same_stage = bool(state.history) and state.history[-1].stage == number
-    if same_stage and cost > state.cost * (1 + _RISE) and not state.history[-1].taken_back:
-        entry = JointRound(*facts, _moved(state.world_from_scan, state.before), weak_scans, True)
-        damping = max(10.0 * state.damping, _FIRST_DAMPING)
-        return replace(state, world_from_scan=state.before, damping=damping, history=(*state.history, entry))
     change = _solve(equations, state.damping, config)
     moved = retract(state.world_from_scan, change)
     distance = _moved(moved, state.world_from_scan)
+    if _grows(state, distance, number, stage):
+        entry = JointRound(*facts, distance, weak_scans, True)
+        damping = max(10.0 * state.damping, _FIRST_DAMPING)
+        return replace(state, damping=damping, history=(*state.history, entry))
     gain = 0.5 * abs(float(np.sum(equations.gradient * change))) / (6 * scans)
     still = distance < stage.settled or gain < stage.least_gain
     held = weakness.count == 0
     prior = reestimated(state.prior, moved, held, config.prior_sigmas) if still else state.prior
     return JointState(
         moved,
-        state.world_from_scan,
         prior,
         state.damping / 100,
-        cost,
         number if still else state.settled,
         held,
         (*state.history, JointRound(*facts, distance, weak_scans, False)),
     )
+
+
+def _grows(state: JointState, distance: float, number: int, stage: StageConfig) -> bool:
+    """Whether a step of this length (m) is much longer than the last one of the same stage."""
+    if not state.history or state.history[-1].stage != number or distance < 10 * stage.settled:
+        return False
+    return distance > _GROWTH * state.history[-1].moved
 
 
 def assemble(

@@ -22,7 +22,7 @@ _SETTLED_DEG = 1e-3
 
 @dataclass(frozen=True)
 class JointCameraRound:
-    """One round. cost: per observation; moved_m, moved_deg: of the camera that moved furthest."""
+    """One round. cost: of images and prior, per observation; moved_m, moved_deg: of the camera that moved furthest."""
 
     points: int
     observations: int
@@ -57,16 +57,16 @@ def step(now: JointCameras, found: Sequence[CameraShare], *, solve_exposures: bo
     count = len(now.state.cameras)
     equations = total(found, count)
     observations = sum(each.observations for each in found)
-    cost = equations.cost / max(observations, 1)
+    joint = equations.padded(count + 1)
+    if now.prior is not None:
+        joint = joint + priors.linearize(now.prior, now.state)
+    cost = joint.cost / max(observations, 1)
     facts = (sum(each.points for each in found), observations, cost)
     if cost > now.cost * (1 + _RISE) and not now.history[-1].taken_back:
         entry = JointCameraRound(*facts, *_moved(now.before, now.state), True)
         return replace(
             now, state=now.before, damping=max(100 * now.damping, 1.0), history=(*now.history, entry)
         )
-    joint = equations.padded(count + 1)
-    if now.prior is not None:
-        joint = joint + priors.linearize(now.prior, now.state)
     change = solver.solve_step(joint, now.damping, _free(equations, now.prior is not None, solve_exposures))
     if change is None:
         return replace(now, damping=max(100 * now.damping, 1.0))
