@@ -56,9 +56,9 @@ class RegisterConfig:
     """Fewest surfels that agree; 10 to 100000."""
     min_overlap: float = 0.1
     """Least part of the surfels of either submap that agree; 0.01 to 1."""
-    min_share: float = 0.97
+    min_share: float = 0.975
     """Least part that agrees of the surfels that agree or contradict (are seen through); 0.5 to 1."""
-    excess: float = 2.0
+    excess: float = 3.0
     """Furthest that surfaces may lie apart, in standard deviations of their points; 0.1 to 100."""
     rival: float = 0.7
     """Refuse when another alignment gathers more than this part of what the best one does; 0 to 1."""
@@ -66,9 +66,12 @@ class RegisterConfig:
     """m, a direction that is known worse (rotations times the size of the place) counts as open; 0.001 to 10."""
     most_open: int = 2
     """Most directions that may be left open; 0 to 5."""
-    floor_m: float = 0.001
-    """m, no loop is taken to be known better; 0 to 1."""
-    floor_deg: float = 0.005
+    blind_m: float = 3.0
+    """m: a place that leaves directions open is measured but not recognized, as one corridor is like the next. It is not
+    believed where the odometry may be off by more; 0 to 100."""
+    floor_m: float = 0.005
+    """m, no loop is taken to be known better: the parts' maps bend a little; 0 to 1."""
+    floor_deg: float = 0.03
     """The same of its rotation, degrees; 0 to 10."""
 
 
@@ -144,7 +147,7 @@ def candidates(
     return tuple(kept)
 
 
-_SIGMAS = 3.0
+_SIGMAS = 2.0
 """How many standard deviations a rough pose may be off."""
 
 
@@ -191,11 +194,15 @@ def register(a: Submap, b: Submap, candidate: Candidate, config: RegisterConfig 
     found = surfel_alignment.match(target, source.patch, best.a_from_b, _MATCH_M, _MATCH_DEG)
     floor = np.array([np.radians(config.floor_deg)] * 3 + [config.floor_m] * 3)
     known = surfel_alignment.certainty(target, source.patch, best.a_from_b, found, floor, config.weak_sigma)
-    reason = _doubt(best, known, target, source, config) or _rival(best, ways, known, target, source, config)
+    reason = (
+        _doubt(best, known, target, source, config)
+        or _blind(known, candidate, config)
+        or _rival(best, ways, known, target, source, config)
+    )
     loop = replace(
         _refused(candidate, reason),
         first_from_second=best.a_from_b,
-        overlap=best.overlap,
+        overlap=best.evidence.overlap,
         residual=known.sigma,
         weak=len(known.open),
     )
@@ -203,7 +210,7 @@ def register(a: Submap, b: Submap, candidate: Candidate, config: RegisterConfig 
         return loop
     information = _with_scans(known.information, a, b, candidate, best.a_from_b)
     weak = f"; {len(known.open)} of 6 directions open" if len(known.open) else ""
-    reason = f"{best.overlap:.0%} of the surfaces agree within {known.sigma * 1e3:.0f} mm{weak}"
+    reason = f"{best.evidence.overlap:.0%} of the surfaces agree within {known.sigma * 1e3:.0f} mm{weak}"
     return replace(loop, information=information, accepted=True, reason=reason)
 
 
@@ -212,47 +219,44 @@ _MATCH_M, _MATCH_DEG = 0.5, 20.0
 
 @dataclass(frozen=True)
 class _Way:
-    """One alignment, and what speaks for it.
-
-    overlap: part of the surfels that agree, in the patch where it is smaller
-    """
+    """One alignment, and what speaks for it and against it."""
 
     a_from_b: np.ndarray
     evidence: Evidence
-    overlap: float
 
     @property
     def score(self) -> float:
-        """Surfels that agree, less what contradicts."""
+        """What agrees, less what contradicts."""
         told = self.evidence
-        agree = np.count_nonzero(told.agrees_a) + np.count_nonzero(told.agrees_b)
-        return float(agree - _AGAINST * (np.count_nonzero(told.against_a) + np.count_nonzero(told.against_b)))
+        return float(
+            (told.for_a - _AGAINST * told.against_a).sum() + (told.for_b - _AGAINST * told.against_b).sum()
+        )
 
 
 _AGAINST = 3.0
-"""How many surfels that agree one that contradicts outweighs."""
+"""How much more a surfel counts that contradicts than one that agrees."""
 
 
 def _alignments(target: Target, source: Target, candidate: Candidate, config: RegisterConfig) -> list[_Way]:
     """Different alignments that surfels fall into, within what the odometry may be off; best first."""
     reach_m, reach_deg = _SIGMAS * candidate.sigma_m, _SIGMAS * candidate.sigma_deg
     guess = candidate.first_from_second
-    cell = 2 * source.patch.cell
+    cell = 2 * max(target.patch.cell, source.patch.cell)
     starts = place_search.search(target.patch, source.patch, guess, reach_m, reach_deg, cell, config.starts)
     sigma = np.array([np.radians(candidate.sigma_deg)] * 3 + [candidate.sigma_m] * 3)
     prior = np.diag(sigma**-2)
     step = -(-len(source.patch) // _COARSE_SURFELS)
     thinned = source.patch.take(np.arange(0, len(source.patch), step))
     coarse = [
-        surfel_alignment.align(target, thinned, pose, surfel_alignment.COARSE, prior)
+        surfel_alignment.align(target, thinned, pose, surfel_alignment.COARSE, guess, prior)
         for pose in (guess, *starts.a_from_b)
     ]
     fine = [
-        surfel_alignment.align(target, source.patch, pose, surfel_alignment.FINE, prior)
+        surfel_alignment.align(target, source.patch, pose, surfel_alignment.FINE, guess, prior)
         for pose in _different(coarse, _NEAR_M)
     ]
     inside = [pose for pose in _different(fine, _NEAR_M / 2) if _within(guess, pose, reach_m, reach_deg)]
-    ways = [_way(target, source, pose, config) for pose in inside]
+    ways = [_Way(pose, place_check.evidence(target, source, pose, config.tolerance)) for pose in inside]
     return sorted(ways, key=lambda way: -way.score)
 
 
@@ -275,11 +279,6 @@ def _within(one: np.ndarray, other: np.ndarray, meters: float, degrees: float) -
     return bool(np.linalg.norm(off[:3, 3]) <= meters and geometry.rotation_angle_deg(off) <= degrees)
 
 
-def _way(target: Target, source: Target, pose: np.ndarray, config: RegisterConfig) -> _Way:
-    told = place_check.evidence(target, source, pose, config.tolerance)
-    return _Way(pose, told, float(min(told.agrees_a.mean(), told.agrees_b.mean())))
-
-
 def _best(ways: list[_Way], target: Target, source: Target, config: RegisterConfig) -> _Way:
     """The alignment that surfels prefer which can tell it from the others."""
     best = ways[0]
@@ -299,33 +298,46 @@ def _told_apart(
     nothing.
     """
     scores = np.zeros(2)
-    for patch, way_from_other, against, agrees in (
-        (source.patch, geometry.inverse(one.a_from_b) @ other.a_from_b, "against_b", "agrees_b"),
-        (target.patch, one.a_from_b @ geometry.inverse(other.a_from_b), "against_a", "agrees_a"),
+    for patch, moved_by, side in (
+        (source.patch, geometry.inverse(one.a_from_b) @ other.a_from_b, "b"),
+        (target.patch, one.a_from_b @ geometry.inverse(other.a_from_b), "a"),
     ):
-        moved = geometry.transform_points(way_from_other, patch.center) - patch.center
+        moved = geometry.transform_points(moved_by, patch.center) - patch.center
         notices = np.abs(np.einsum("ki,ki->k", patch.normal, moved)) > 2 * config.tolerance
         for k, way in enumerate((one, other)):
-            agree, contradict = (getattr(way.evidence, name) for name in (agrees, against))
-            scores[k] += np.count_nonzero(notices & agree) - _AGAINST * np.count_nonzero(notices & contradict)
+            agree, against = (
+                getattr(way.evidence, f"{what}_{side}")[notices].sum() for what in ("for", "against")
+            )
+            scores[k] += agree - _AGAINST * against
     return float(scores[0]), float(scores[1])
 
 
 def _doubt(best: _Way, known: Certainty, target: Target, source: Target, config: RegisterConfig) -> str:
     """Why an alignment is not believed; empty if it is."""
-    agree = int(min(best.evidence.agrees_a.sum(), best.evidence.agrees_b.sum()))
+    told = best.evidence
     noise = float(np.median(np.concatenate([target.patch.thickness, source.patch.thickness])))
-    if agree < config.min_surfels or best.overlap < config.min_overlap:
-        return f"only {best.overlap:.0%} of the surfaces agree, {config.min_overlap:.0%} are needed"
-    if best.evidence.share < config.min_share:
-        return (
-            f"{1 - best.evidence.share:.1%} of the surfaces contradict: one place is seen through the other"
-        )
+    if told.surfels < config.min_surfels:
+        return f"only {told.surfels} surfels agree, {config.min_surfels} are needed"
+    if told.overlap < config.min_overlap:
+        return f"only {told.overlap:.0%} of the surfaces agree, {config.min_overlap:.0%} are needed"
+    if told.share < config.min_share:
+        return f"{1 - told.share:.1%} of the surfaces contradict: one place is seen through the other"
     if known.sigma > config.excess * noise:
         return f"surfaces are {known.sigma * 1e3:.0f} mm apart, their noise is {noise * 1e3:.0f} mm"
     if len(known.open) > config.most_open:
         return f"{len(known.open)} of 6 directions are left open"
     return ""
+
+
+def _blind(known: Certainty, candidate: Candidate, config: RegisterConfig) -> str:
+    """Why a place that leaves directions open is not recognized; empty if it need not be."""
+    reach = _SIGMAS * candidate.sigma_m
+    if len(known.open) == 0 or reach <= config.blind_m:
+        return ""
+    return (
+        f"{len(known.open)} of 6 directions are left open: it may be another place that looks alike, "
+        f"and the odometry may be off by {reach:.1f} m"
+    )
 
 
 def _rival(

@@ -6,7 +6,7 @@ import numpy as np
 
 from lvba import geometry
 from lvba.kernels import see_through as kernel
-from lvba.lidar import surfel_alignment
+from lvba.lidar import place_search, surfel_alignment
 from lvba.lidar.submap import Patch
 from lvba.lidar.surfel_alignment import Target
 
@@ -20,24 +20,39 @@ _ANGLE_DEG = 20.0
 
 @dataclass(frozen=True)
 class Evidence:
-    """What surfels of b say about an alignment, and those of a.
+    """What surfels of two patches say about an alignment, each as loud as its direction is rare.
 
-    agrees_a, agrees_b: (K,) bool, lies on a surface of the other, seen from the same side
-    against_a, against_b: (K,) bool, lies behind a surface of the other, which it was seen through
-    share: part of the surfels that say anything which agree
+    Ground and long facades fit in many places; what faces another way tells more (`rarity`).
+    for_a, for_b: (K,) float64, of surfels that lie on a surface of the other, seen from the same side; else 0
+    against_a, against_b: (K,) float64, of those behind a surface of the other, which they were seen through; else 0
     """
 
-    agrees_a: np.ndarray
-    agrees_b: np.ndarray
+    for_a: np.ndarray
+    for_b: np.ndarray
     against_a: np.ndarray
     against_b: np.ndarray
 
     @property
     def share(self) -> float:
-        """0 to 1; 0 where nothing is said."""
-        agree = np.count_nonzero(self.agrees_a) + np.count_nonzero(self.agrees_b)
-        against = np.count_nonzero(self.against_a) + np.count_nonzero(self.against_b)
-        return agree / (agree + against) if agree else 0.0
+        """Part of what is said that agrees, 0 to 1; 0 where nothing is said."""
+        agree, against = self.for_a.sum() + self.for_b.sum(), self.against_a.sum() + self.against_b.sum()
+        return float(agree / (agree + against)) if agree else 0.0
+
+    @property
+    def surfels(self) -> int:
+        """How many agree, of the patch where these are fewer."""
+        return int(min(np.count_nonzero(self.for_a), np.count_nonzero(self.for_b)))
+
+    @property
+    def overlap(self) -> float:
+        """Part of the surfels that agree, of the patch where it is smaller."""
+        return float(min(np.mean(self.for_a > 0), np.mean(self.for_b > 0)))
+
+
+def rarity(normal: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How much surfels count by their normals (K, 3) and (L, 3), in one frame: (K,) and (L,), 3 on average."""
+    whitening = place_search.whitening(np.concatenate([normal, others]))
+    return np.sum((normal @ whitening) ** 2, axis=1), np.sum((others @ whitening) ** 2, axis=1)
 
 
 def evidence(a: Target, b: Target, a_from_b: np.ndarray, tolerance: float) -> Evidence:
@@ -49,7 +64,8 @@ def evidence(a: Target, b: Target, a_from_b: np.ndarray, tolerance: float) -> Ev
     agrees_a = agreeing(b, a.patch, geometry.inverse(a_from_b), tolerance)
     against_b = _hidden(a.patch, b.patch.moved(a_from_b)) & ~agrees_b
     against_a = _hidden(b.patch, a.patch.moved(geometry.inverse(a_from_b))) & ~agrees_a
-    return Evidence(agrees_a, agrees_b, against_a, against_b)
+    rare_a, rare_b = rarity(a.patch.normal, b.patch.normal @ a_from_b[:3, :3].T)
+    return Evidence(rare_a * agrees_a, rare_b * agrees_b, rare_a * against_a, rare_b * against_b)
 
 
 def agreeing(target: Target, source: Patch, a_from_b: np.ndarray, tolerance: float) -> np.ndarray:

@@ -36,13 +36,13 @@ def search(
     Surfels count by direction: what many of them share, such as the ground's normal, tells little (whitening).
     """
     shifts, turns = _grid(a, b, a_from_b, reach_m, cell), _turns(reach_deg)
-    whitening = _whitening(np.concatenate([a.normal, b.normal @ a_from_b[:3, :3].T]))
-    spectrum = np.conj(fft.rfftn(shifts.fill(a.center, a.normal @ whitening), axes=(1, 2, 3)))
+    white = whitening(np.concatenate([a.normal, b.normal @ a_from_b[:3, :3].T]))
+    spectrum = np.conj(fft.rfftn(shifts.fill(a.center, a.normal @ white), axes=(1, 2, 3)))
     found: list[tuple[float, np.ndarray, np.ndarray]] = []
     for turn in turns:
         pose = a_from_b @ geometry.exp(np.concatenate([turn, np.zeros(3)]))
         moved = b.moved(pose)
-        other = fft.rfftn(shifts.fill(moved.center, moved.normal @ whitening), axes=(1, 2, 3))
+        other = fft.rfftn(shifts.fill(moved.center, moved.normal @ white), axes=(1, 2, 3))
         correlation = fft.irfftn((spectrum * other).sum(0), s=shifts.shape)
         for shift, score in shifts.peaks(correlation, reach_m, count):
             found.append((score, shift, shifts.undone(shift) @ pose))
@@ -123,7 +123,7 @@ def _turns(reach_deg: float) -> np.ndarray:
         step *= 1.1
 
 
-def _whitening(normal: np.ndarray) -> np.ndarray:
+def whitening(normal: np.ndarray) -> np.ndarray:
     """(3, 3), symmetric: normals times it have the same spread in all directions."""
     values, vectors = np.linalg.eigh(normal.T @ normal / max(len(normal), 1))
     scale = 1 / np.sqrt(np.maximum(values, 0.02 * values[-1]))

@@ -14,8 +14,25 @@ class SubmapConfig:
 
     cell: float = 0.4
     """m, edge of the cells that hold one surfel of each plane in them; 0.05 to 5."""
+    least_cell: float = 0.1
+    """m: cells are halved down to this where they are few and full, as in small rooms; 0.02 to 5."""
+    enough: int = 2500
+    """Surfels that are not few; 0 to 1000000."""
+    full: int = 64
+    """Points of a surfel, in the median, that are enough for smaller ones; 4 to 100000."""
     min_points: int = 4
     """Fewest points of a surfel; 1 to 1000."""
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("cell", 0.05, 5),
+            ("least_cell", 0.02, 5),
+            ("enough", 0, 1_000_000),
+            ("full", 4, 100_000),
+            ("min_points", 1, 1000),
+        ):
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"submap.{name} = {getattr(self, name)}; allowed: {low} to {high}")
 
 
 @dataclass(frozen=True)
@@ -66,27 +83,70 @@ def build(
     offset = np.zeros(3) if sensor_position is None else np.asarray(sensor_position, float)
     sensor = world_from_scan[:, :3, :3] @ offset + world_from_scan[:, :3, 3]
     scan = np.repeat(np.arange(len(scans)), np.diff(points.scan_offsets))
-    on_plane = np.flatnonzero(points.plane >= 0)
-    order, starts = _runs(_cell_keys(points.points_world[on_plane], points.plane[on_plane], config.cell))
-    count = np.diff(starts, append=len(order))
-    kept = count >= config.min_points
-    order = on_plane[order]
-    xyz = points.points_world[order].astype(float)
-    center = np.add.reduceat(xyz, starts)[kept] / count[kept, None] if len(order) else np.zeros((0, 3))
-    plane = points.plane[order[starts[kept]]]
-    nearest = _nearest(np.linalg.norm(xyz - sensor[scan[order]], axis=1), scan[order], starts)
+    size = config.cell
+    kept = _surfels(points, size, config.min_points)
+    while len(kept.starts) < config.enough and kept.typical >= config.full and size >= 2 * config.least_cell:
+        size *= 0.5
+        kept = _surfels(points, size, config.min_points)
+    center, count, plane = kept.means(points)
+    distance = np.linalg.norm(points.points_world[kept.order] - sensor[scan[kept.order]], axis=1)
     return Submap(
         center.astype(np.float32),
         planes.normal[plane].astype(np.float32),
         np.sqrt(np.maximum(planes.eigenvalues[plane, 0], 0.0)).astype(np.float32),
-        count[kept].astype(np.float32),
-        nearest[kept],
+        count.astype(np.float32),
+        kept.nearest(distance, scan),
         np.asarray(world_from_scan, float),
         sensor,
         np.zeros((len(scans), 6, 6)) if covariance is None else np.asarray(covariance, float),
         np.asarray(scans, np.int64),
-        config.cell,
+        size,
     )
+
+
+@dataclass(frozen=True)
+class _Surfels:
+    """Points (N,) in the order of their surfels, and where in it each surfel begins."""
+
+    order: np.ndarray
+    starts: np.ndarray
+
+    @property
+    def typical(self) -> float:
+        """Points of a surfel, the median."""
+        return float(np.median(np.diff(self.starts, append=len(self.order)))) if len(self.starts) else 0.0
+
+    def means(self, points: PlanePoints) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Centers (K, 3), numbers of points (K,) and planes (K,)."""
+        count = np.diff(self.starts, append=len(self.order))
+        if len(count) == 0:
+            return np.zeros((0, 3)), count, np.zeros(0, np.int64)
+        total = np.add.reduceat(points.points_world[self.order].astype(float), self.starts)
+        return total / count[:, None], count, points.plane[self.order[self.starts]]
+
+    def nearest(self, distance: np.ndarray, scan: np.ndarray) -> np.ndarray:
+        """The scan of the nearest point of each, (K,) int32.
+
+        distance: (N,) m, in the order of the surfels; scan: of all points
+        """
+        if len(self.starts) == 0:
+            return np.zeros(0, np.int32)
+        # to the millimeter, then the first scan
+        packed = (np.round(distance * 1000).astype(np.int64) << 32) | scan[self.order]
+        return np.asarray(np.minimum.reduceat(packed, self.starts) & 0xFFFFFFFF, np.int32)
+
+
+def _surfels(points: PlanePoints, size: float, min_points: int) -> _Surfels:
+    """Points on the same plane in the same cell, where there are enough of them."""
+    on_plane = np.flatnonzero(points.plane >= 0)
+    keys = _cell_keys(points.points_world[on_plane], points.plane[on_plane], size)
+    order = np.argsort(keys, kind="stable")
+    ordered = keys[order]
+    first = np.concatenate([np.ones(min(len(keys), 1), bool), ordered[1:] != ordered[:-1]])
+    count = np.diff(np.flatnonzero(first), append=len(order))
+    enough = count >= min_points
+    kept = on_plane[order[np.repeat(enough, count)]]
+    return _Surfels(kept, np.concatenate([[0], np.cumsum(count[enough])])[:-1].astype(np.int64))
 
 
 def _cell_keys(xyz: np.ndarray, plane: np.ndarray, size: float) -> np.ndarray:
@@ -98,22 +158,6 @@ def _cell_keys(xyz: np.ndarray, plane: np.ndarray, size: float) -> np.ndarray:
     extent = cell.max(0) + 1
     flat = (cell[:, 0] * extent[1] + cell[:, 1]) * extent[2] + cell[:, 2]
     return np.asarray(flat * (int(plane.max()) + 1) + plane)
-
-
-def _runs(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """An order (M,) that brings equal keys together, and where in it each new one begins."""
-    order = np.argsort(keys, kind="stable")
-    ordered = keys[order]
-    new = np.concatenate([np.ones(min(len(keys), 1), bool), ordered[1:] != ordered[:-1]])
-    return order, np.flatnonzero(new)
-
-
-def _nearest(distance: np.ndarray, scan: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """The scan of the nearest point of each run, int32: distances to the millimeter, then scans."""
-    if len(starts) == 0:
-        return np.zeros(0, np.int32)
-    packed = (np.round(distance * 1000).astype(np.int64) << 32) | scan
-    return np.asarray(np.minimum.reduceat(packed, starts) & 0xFFFFFFFF, np.int32)
 
 
 @dataclass(frozen=True)

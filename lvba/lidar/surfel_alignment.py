@@ -11,9 +11,9 @@ from lvba.lidar.submap import Patch
 _NEIGHBORS = 6
 _STEP_M, _STEP_RAD = 1e-5, 1e-6
 """An alignment stands still below."""
-_WEAK_SHARE = 0.004
-"""A direction is open when surfels tell less about it than this part of what they tell together: normals scatter by a few
-degrees about a common one, and that is no information."""
+_WEAK_SHARE = 0.0015
+"""A direction is open when surfels tell less about it than this part of what they tell together: normals scatter by a
+degree or two about a common one, and that is no information."""
 
 
 @dataclass(frozen=True)
@@ -73,13 +73,19 @@ def match(target: Target, source: Patch, a_from_b: np.ndarray, reach: float, ang
 
 
 def align(
-    target: Target, source: Patch, a_from_b: np.ndarray, stages: tuple[Stage, ...], prior: np.ndarray
+    target: Target,
+    source: Patch,
+    a_from_b: np.ndarray,
+    stages: tuple[Stage, ...],
+    expected: np.ndarray,
+    prior: np.ndarray,
 ) -> np.ndarray:
     """`a_from_b` (4, 4) that brings the source's surfels onto the target's planes; Cauchy kernel.
 
-    prior: (6, 6), information of the a_from_b given: decides what surfaces leave open, and no more
+    a_from_b: where to begin; expected: (4, 4), where the odometry has it, with information `prior` (6, 6), local tangent:
+        decides what surfaces leave open, and no more
     """
-    given, pose = a_from_b, a_from_b
+    pose = a_from_b
     for stage in stages:
         for _ in range(stage.steps):
             found = match(target, source, pose, stage.reach, stage.angle_deg)
@@ -87,7 +93,7 @@ def align(
                 return pose
             jacobian = jacobians(target, source, pose, found)
             weight = 1 / (1 + (found.distance / stage.robust) ** 2) / stage.robust**2
-            behind = geometry.log(geometry.inverse(given) @ pose)
+            behind = geometry.log(geometry.inverse(expected) @ pose)
             hessian = jacobian.T @ (weight[:, None] * jacobian) + prior
             step = -np.linalg.solve(hessian, jacobian.T @ (weight * found.distance) + prior @ behind)
             pose = geometry.retract(pose, step)
@@ -126,11 +132,13 @@ def certainty(
     floor: (6,), rad and m, no direction is known better: maps bend a little
     weak_sigma: m, a direction known worse than this (rotation times the lever of the surfels) is open, too
     """
+    if len(found.source) == 0:
+        return Certainty(np.zeros((6, 6)), np.eye(6), float("inf"))
     sigma = max(1.4826 * float(np.median(np.abs(found.distance))), 1e-4)
     near = np.abs(found.distance) < 3 * sigma
     jacobian, distance = jacobians(target, source, a_from_b, found)[near], found.distance[near]
     center = source.center[found.source[near]]
-    lever = float(np.sqrt(np.mean(np.sum((center - center.mean(0)) ** 2, axis=1)))) if len(center) else 1.0
+    lever = max(float(np.sqrt(np.mean(np.sum((center - center.mean(0)) ** 2, axis=1)))), 1e-3)
     scale = np.array([1 / lever] * 3 + [1.0] * 3)
     scaled = jacobian * scale
     hessian = scaled.T @ scaled
@@ -141,11 +149,11 @@ def certainty(
     spread = float(np.einsum("gi,ij,gj->", gradient, trust @ vectors.T, gradient)) / 6
     variance = max(sigma**2, spread)
     known = (values > _WEAK_SHARE * values.sum()) & (values > variance / weak_sigma**2)
-    covariance = variance * (vectors[:, known] / values[known]) @ vectors[:, known].T
-    covariance += vectors[:, known] @ vectors[:, known].T @ np.diag((floor / scale) ** 2)
-    covariance = 0.5 * (covariance + covariance.T)
-    information = np.linalg.pinv(covariance, rcond=1e-9, hermitian=True)
-    return Certainty(information / np.outer(scale, scale), (vectors[:, ~known] * scale[:, None]).T, sigma)
+    basis, tells = vectors[:, known], values[known]
+    covariance = np.diag(variance / tells) + basis.T @ np.diag((floor / scale) ** 2) @ basis
+    information = basis @ np.linalg.inv(covariance) @ basis.T
+    information = 0.5 * (information + information.T) / np.outer(scale, scale)
+    return Certainty(information, (vectors[:, ~known] * scale[:, None]).T, sigma)
 
 
 _GROUP_M = 3.0
