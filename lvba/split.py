@@ -11,6 +11,7 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from lvba.dataset import Dataset
 from lvba.errors import InputError
@@ -55,6 +56,15 @@ class SplitConfig:
 
 
 @dataclass(frozen=True)
+class Frames:
+    """Some frames of a recording. scans (n,), images (m,): int64, ascending numbers; core_images: as in `Part`."""
+
+    scans: np.ndarray
+    images: np.ndarray
+    core_images: tuple[int, int]
+
+
+@dataclass(frozen=True)
 class Part:
     """One part: half-open ranges of scan and image numbers.
 
@@ -76,6 +86,11 @@ class Part:
     def image_numbers(self) -> np.ndarray:
         """All images of the part, int64."""
         return np.arange(*self.images)
+
+    @property
+    def frames(self) -> Frames:
+        """All frames of the part."""
+        return Frames(self.scan_numbers, self.image_numbers, self.core_images)
 
     @property
     def core_of_scans(self) -> slice:
@@ -141,6 +156,29 @@ def parts(dataset: Dataset, config: SplitConfig, load: Load) -> list[Part]:
         found.append(_part(dataset, number, (low, high), (begin, end)))
     _check_overlaps(found, config)
     return found
+
+
+def with_near(dataset: Dataset, part: Part, reach: float) -> Frames:
+    """The part's frames and those that other parts took at the same place, within `reach` m of its core by rough poses.
+
+    At most half as many as the part has itself, spread evenly, so that a place seen often does not grow without bound.
+    """
+    own = part.frames
+    core = cKDTree(dataset.scans.world_from_sensor[slice(*part.core_scans), :3, 3])
+    return Frames(
+        _and_near(own.scans, dataset.scans.world_from_sensor, core, reach),
+        _and_near(own.images, dataset.images.world_from_sensor, core, reach),
+        own.core_images,
+    )
+
+
+def _and_near(own: np.ndarray, poses: np.ndarray, core: cKDTree, reach: float) -> np.ndarray:
+    near = np.flatnonzero(np.isfinite(core.query(poses[:, :3, 3], distance_upper_bound=reach)[0]))
+    near = np.setdiff1d(near, own)
+    most = len(own) // 2
+    if len(near) > most:
+        near = near[np.linspace(0, len(near) - 1, most).astype(int)]
+    return np.union1d(own, near).astype(np.int64)
 
 
 def subset(dataset: Dataset, scans: np.ndarray, images: np.ndarray) -> Dataset:

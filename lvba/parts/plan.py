@@ -1,5 +1,6 @@
 """The chain for a recording in parts: the only place that says what follows what there."""
 
+from itertools import pairwise
 from typing import Any, Protocol
 
 from lvba import facts, split, stages
@@ -13,7 +14,7 @@ from lvba.parts.lidar import MergeConfig
 from lvba.plan import Plan, Ref
 from lvba.products.evaluate import EvaluateConfig
 from lvba.products.map_file import MapConfig
-from lvba.split import Part
+from lvba.split import Frames, Part
 from lvba.stages import VisualLevel
 from lvba.visual.refine import VisualConfig
 
@@ -51,7 +52,10 @@ def refine(
     told = plan.add(
         "facts-of-whole", facts.collect, dataset, found["lidar"], scans, cameras, scores, accepted, reference
     )
-    plan.add("facts", report.collect, told, dataset, cores, found["merged"], found["joint"], tied, accepted)
+    walls = chain.seams(accepted)
+    plan.add(
+        "facts", report.collect, told, dataset, cores, found["merged"], found["joint"], tied, walls, accepted
+    )
     return plan
 
 
@@ -152,7 +156,13 @@ class _Chain:
         below, solved = [], []
         for frames, part in zip(self._subsets, self._cores, strict=True):
             ground = add(
-                f"ground-{part.number}", visual.ground, frames, part, found["joint"], scans, self._survey
+                f"ground-{part.number}",
+                visual.ground,
+                frames,
+                part.frames,
+                found["joint"],
+                scans,
+                self._survey,
             )
             below.append(ground)
             solved.append(self._part_cameras(frames, part, ground))
@@ -160,36 +170,52 @@ class _Chain:
             "visual-merge", visual.merge_cameras,
             *(self._dataset, self._cores, solved, found["joint"], scans, self._survey, config.visual, config.merge),
         )  # fmt: skip
-        merged = self._joint_cameras(below, solved, merged)
+        merged = self._joint_cameras(below, solved, merged, found["joint"], scans)
         whole = add(
             "visual", visual.finish_cameras,
             *(self._dataset, self._cores, solved, merged, found["joint"], scans, self._survey, config.visual),
         )  # fmt: skip
         return whole, merged
 
-    def _joint_cameras(self, below: list[Ref], solved: list[Ref], merged: Ref) -> Ref:
+    def _joint_cameras(self, below: list[Ref], solved: list[Ref], merged: Ref, joint: Ref, scans: Ref) -> Ref:
         add, config = self._plan.add, self._config
         if config.merge.image_rounds == 0:
             return merged
-        both = list(zip(self._subsets, self._cores, below, solved, strict=True))
+        both = [
+            (*self._with_near(part, ground, joint, scans), own)
+            for part, ground, own in zip(self._cores, below, solved, strict=True)
+        ]
         laid = [
             add(
-                f"visual-points-{part.number}", visual.lay_out,
-                *(frames, part, ground, own, merged, self._survey, config.visual),
+                f"visual-points-{number}", visual.lay_out,
+                *(dataset, frames, ground, own, merged, self._survey, config.visual),
             )
-            for frames, part, ground, own in both
+            for number, (dataset, frames, ground, own) in enumerate(both)
         ]  # fmt: skip
         merged = add("visual-exposures", visual.tie_exposures, merged, laid)
         for turn in range(config.merge.image_rounds):
             shares = [
                 add(
-                    f"visual-share-{turn}-{part.number}", visual.linearize_cameras,
-                    *(frames, ground, own, points, merged, config.visual),
+                    f"visual-share-{turn}-{number}", visual.linearize_cameras,
+                    *(dataset, ground, own, points, merged, config.visual),
                 )
-                for (frames, part, ground, own), points in zip(both, laid, strict=True)
+                for number, ((dataset, _, ground, own), points) in enumerate(zip(both, laid, strict=True))
             ]  # fmt: skip
             merged = add(f"visual-step-{turn}", visual.step_cameras, merged, shares, config.visual)
         return merged
+
+    def _with_near(self, part: Part, ground: Ref, joint: Ref, scans: Ref) -> tuple[Dataset, Frames, Ref]:
+        """A part's frames with those that others took at the same place, and the planes of all of them."""
+        frames = split.with_near(self._dataset, part, self._config.merge.near_m)
+        if len(frames.images) == len(part.image_numbers):
+            return self._subsets[part.number], part.frames, ground
+        dataset = split.subset(self._dataset, frames.scans, frames.images)
+        name = f"ground-with-near-{part.number}"
+        return (
+            dataset,
+            frames,
+            self._plan.add(name, visual.ground, dataset, frames, joint, scans, self._survey),
+        )
 
     def _part_cameras(self, frames: Dataset, part: Part, ground: Ref) -> Ref:
         config = self._config
@@ -217,6 +243,16 @@ class _Chain:
         ]  # fmt: skip
         whole = add("evaluate", products.merge_scores, scores, scans)
         return whole, add("visual-gate", stages.decide, self._dataset, scans, cameras, whole, config.gate)
+
+    def seams(self, accepted: Ref) -> list[Ref]:
+        """How thick walls are across each seam."""
+        return [
+            self._plan.add(
+                f"seam-{left.number}-{right.number}", products.measure_seam,
+                products.seam_frames(self._dataset, left, right), left, right, accepted,
+            )
+            for left, right in pairwise(self._cores)
+        ]  # fmt: skip
 
     def products(self, accepted: Ref, scores: Ref) -> None:
         """The map and the pictures."""

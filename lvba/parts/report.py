@@ -9,6 +9,7 @@ import numpy as np
 from lvba import facts
 from lvba.dataset import Dataset
 from lvba.parts.lidar import JointScans, MergedStage
+from lvba.parts.products import SeamWalls
 from lvba.parts.visual import MergedCameras
 from lvba.split import Part
 from lvba.stages import Accepted
@@ -21,6 +22,7 @@ def collect(
     merged: MergedStage,
     joint: JointScans,
     cameras: MergedCameras,
+    walls: Sequence[SeamWalls],
     accepted: Accepted,
 ) -> dict[str, Any]:
     """The facts of the whole recording, with those of its parts under "merge"."""
@@ -29,7 +31,7 @@ def collect(
         "merge": facts.plain(
             {
                 "parts": [_part(dataset, part) for part in cores],
-                "seams": _seams(merged, cameras),
+                "seams": _seams(merged, cameras, walls),
                 "loops": [dataclasses.asdict(loop) for loop in merged.merged.loops],
                 "scan_rounds": [dataclasses.asdict(entry) for entry in joint.rounds],
                 "image_rounds": [dataclasses.asdict(entry) for entry in history],
@@ -51,9 +53,10 @@ def _part(dataset: Dataset, part: Part) -> dict[str, Any]:
     }
 
 
-def _seams(merged: MergedStage, cameras: MergedCameras) -> list[dict[str, Any]]:
+def _seams(merged: MergedStage, cameras: MergedCameras, walls: Sequence[SeamWalls]) -> list[dict[str, Any]]:
     """One row for each two parts that share frames."""
     images = {(seam.first, seam.second): seam for seam in cameras.seams}
+    across = {(wall.first, wall.second): wall for wall in walls}
     rows = []
     for seam in merged.merged.seams:
         row = dataclasses.asdict(seam)
@@ -66,6 +69,9 @@ def _seams(merged: MergedStage, cameras: MergedCameras) -> list[dict[str, Any]]:
                 "exposure_ratio": other.exposure_ratio,
                 "exposure_spread_percent": other.spread_percent,
             }
+        wall = across.get((seam.first, seam.second))
+        if wall is not None:
+            row |= {"wall_rough_m": wall.rough, "wall_m": wall.refined, "wall_one_side_m": wall.single}
         rows.append(row)
     return rows
 

@@ -9,7 +9,7 @@ from lvba.io import dataset as recordings
 from lvba.lidar import density
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.scan import gather
-from lvba.split import Load, Part
+from lvba.split import Frames, Load
 from lvba.visual import keyframes
 from lvba.visual.keyframes import KeyframeConfig
 
@@ -61,7 +61,6 @@ def sampled(dataset: Dataset) -> list[int]:
     return [int(scan) for scan in np.unique(np.linspace(0, last, _SAMPLED_SCANS).astype(int))]
 
 
-def part_keyframes(found: Survey, part: Part) -> np.ndarray:
-    """The keyframes among a part's images, as indices into these, (k,) int64."""
-    inside = (found.keyframes >= part.images[0]) & (found.keyframes < part.images[1])
-    return found.keyframes[inside] - part.images[0]
+def keyframes_of(found: Survey, frames: Frames) -> np.ndarray:
+    """The keyframes among some images, as indices into these, (k,) int64."""
+    return np.flatnonzero(np.isin(frames.images, found.keyframes))

@@ -13,10 +13,10 @@ from lvba.lidar import bundle_adjustment as lidar_ba
 from lvba.lidar.covariance import Covariance
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.parts.lidar import JointScans, MergeConfig
-from lvba.parts.survey import Survey, part_keyframes
+from lvba.parts.survey import Survey, keyframes_of
 from lvba.products.views import nearest_in_time
 from lvba.progress import Progress, silent
-from lvba.split import Part
+from lvba.split import Frames, Part
 from lvba.stages import ScanPoses, VisualLevel, VisualStage
 from lvba.trajectory import Trajectory
 from lvba.visual import covariance, joint, refine, share
@@ -54,10 +54,9 @@ class PartCameras:
     problem: str = ""
 
 
-def ground(dataset: Dataset, part: Part, found: JointScans, scans: ScanPoses, survey: Survey) -> Ground:
-    """The planes of one part. dataset: of the part's frames."""
-    poses = scans.world_from_scan[slice(*part.scans)]
-    keyframes = part_keyframes(survey, part)
+def ground(dataset: Dataset, frames: Frames, found: JointScans, scans: ScanPoses, survey: Survey) -> Ground:
+    """The planes of some frames. dataset: of these only."""
+    poses, keyframes = scans.world_from_scan[frames.scans], keyframes_of(survey, frames)
     try:
         planes, points = lidar_ba.find_planes(
             recordings.load_scans(dataset),
@@ -69,9 +68,9 @@ def ground(dataset: Dataset, part: Part, found: JointScans, scans: ScanPoses, su
         return Ground(poses, keyframes, None, None, None, str(error))
     uncertainty = None
     if found.lidar.result is not None and scans.verdict.accepted:
-        mine = slice(*part.scans)
         uncertainty = Covariance(
-            found.lidar.result.covariance[mine], found.lidar.result.conditional_covariance[mine]
+            found.lidar.result.covariance[frames.scans],
+            found.lidar.result.conditional_covariance[frames.scans],
         )
     return Ground(poses, keyframes, planes, points, uncertainty)
 
@@ -292,7 +291,7 @@ def _prior(
         for core, part in zip(cores, found, strict=True):
             if part.tuning is None or number >= len(part.tuning.memory):
                 continue
-            local = part_keyframes(survey, core) + core.images[0]
+            local = core.image_numbers[keyframes_of(survey, core.frames)]
             inside = (local >= core.core_images[0]) & (local < core.core_images[1])
             mine = np.searchsorted(survey.keyframes, local[inside])
             rotation[mine] = part.tuning.sigma_rotation[number][inside]
@@ -307,7 +306,7 @@ def _prior(
 
 def lay_out(
     dataset: Dataset,
-    part: Part,
+    frames: Frames,
     below: Ground,
     found: PartCameras,
     merged: MergedCameras,
@@ -315,12 +314,16 @@ def lay_out(
     config: VisualConfig,
     progress: Progress = silent,
 ) -> CameraPoints | None:
-    """The scene points of a part's core at the merged poses; none where the part has nothing to say."""
+    """The scene points of a part's core at the merged poses; none where the part has nothing to say.
+
+    dataset, frames, below: of the part with what others took at the same place; found: of the part
+    """
     now = merged.cameras
     if now is None or found.tuning is None or below.problem:
         return None
-    images = np.searchsorted(survey.keyframes, below.keyframes + part.images[0])
-    core = (below.keyframes >= part.core_of_images.start) & (below.keyframes < part.core_of_images.stop)
+    numbers = frames.images[below.keyframes]
+    images = np.searchsorted(survey.keyframes, numbers)
+    core = (numbers >= frames.core_images[0]) & (numbers < frames.core_images[1])
     given = inputs(dataset, below, config, progress)
     return share.lay_out(given, _state_of(now, images), images, core, found.tuning, config)
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from lvba.products.pictures import Picture, Pictures
-from lvba.products.report import figures, words
+from lvba.products.report import figures, parts, words
 from lvba.products.report.html import details, jpeg, section, table, text
 
 Facts = Mapping[str, Any]
@@ -19,7 +19,7 @@ def title(facts: Facts) -> str:
 def body(facts: Facts, pictures: Pictures | None) -> str:
     """Everything between the page's head and its script."""
     shown = pictures or Pictures((), ())
-    parts = [
+    shown_in_order = [
         _tiles(facts),
         section("notes", "Worth knowing", _notes(facts)),
         section("look", "Photo and map", _sliders(shown), _LOOK),
@@ -27,11 +27,12 @@ def body(facts: Facts, pictures: Pictures | None) -> str:
         section("paths", "Path and exposure", figures.paths(facts), _PATHS),
         section("quality", "Quality", figures.per_image(facts) + _scores(facts), _QUALITY),
         section("truth", "Against the reference", _reference(facts), _REFERENCE),
+        section("parts", "Parts and seams", parts.section(facts), parts.LEAD),
         section("work", "How it got there", figures.costs(facts) + _stages(facts)),
         section("run", "Time and memory", _times(facts)),
         section("more", "Details", _explanations() + _settings(facts)),
     ]
-    return f"{_header(facts)}<main>{''.join(parts)}</main>{_footer(facts)}"
+    return f"{_header(facts)}<main>{''.join(shown_in_order)}</main>{_footer(facts)}"
 
 
 _LOOK = (
