@@ -10,10 +10,10 @@ from lvba.lidar.bundle_adjustment import find_planes
 from lvba.lidar.loops import Candidate
 
 
-def part(world, poses, first, points=6000, seed=0, moved_by=np.zeros(6), covariance=1e-10):
+def part(world, poses, first, points=6000, seed=0, moved_by=0.0, covariance=1e-10):
     """The submap of scans at true poses, numbered from `first`, in a world frame of its own."""
     scans = plane_world.scan_all(world, poses, points, 0.02, "spinning", seed)
-    own = geometry.exp(np.asarray(moved_by, float)) @ poses
+    own = geometry.exp(moved_by + np.zeros(6)) @ poses
     planes, on_planes = find_planes(scans, own)
     numbers = np.arange(first, first + len(poses))
     return submap.build(
@@ -21,9 +21,9 @@ def part(world, poses, first, points=6000, seed=0, moved_by=np.zeros(6), covaria
     )
 
 
-def candidate(poses, others, one, other, off=np.zeros(6), sigma_m=1.0, sigma_deg=1.5):
+def candidate(poses, others, one, other, off=0.0, sigma_m=1.0, sigma_deg=1.5):
     """Scans of two parts by their number in each, with a rough relative pose that is off by a tangent."""
-    rough = geometry.inverse(poses[one]) @ others[other] @ geometry.exp(np.asarray(off, float))
+    rough = geometry.inverse(poses[one]) @ others[other] @ geometry.exp(off + np.zeros(6))
     return Candidate(0, 1, one, 1000 + other, rough, 0.0, 100.0, sigma_m, sigma_deg)
 
 
