@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -13,6 +13,8 @@ from lvba.progress import Progress, silent
 
 SATURATED = 250
 """Grey value (of 255) from which a pixel counts as clipped."""
+_WIDER = 0.95
+"""Focal length of undistorted images over that of the raw ones."""
 _NOISE_BLOCK = 16
 _NOISE_QUANTILE = 0.05
 _NOISE_BIAS = 0.866
@@ -73,16 +75,19 @@ def memory_bytes(count: int, camera: Camera, levels: int, channels: int = 1) -> 
 
 
 class Undistorter:
-    """Resamples images of one camera to the pinhole camera `camera.undistorted()`; zero where there is no image."""
+    """Resamples images of one camera to a pinhole camera of the same size; zero where there is no image.
 
-    def __init__(self, camera: Camera) -> None:
+    pinhole: None: `camera.undistorted()`
+    """
+
+    def __init__(self, camera: Camera, pinhole: Camera | None = None) -> None:
         self.camera = camera
         self.identity = not any(camera.distortion)
         if self.identity:
             return
-        size = (camera.width, camera.height)
+        size, matrix = (camera.width, camera.height), (pinhole or camera).matrix
         self._map_x, self._map_y = cv2.initUndistortRectifyMap(
-            camera.matrix, np.array(camera.distortion), None, camera.matrix, size, cv2.CV_32FC1
+            camera.matrix, np.array(camera.distortion), None, matrix, size, cv2.CV_32FC1
         )
         inside_x = (self._map_x >= 0) & (self._map_x <= camera.width - 1)
         self._outside = ~(inside_x & (self._map_y >= 0) & (self._map_y <= camera.height - 1))
@@ -102,6 +107,20 @@ class Undistorter:
             resampled[mixed > 0] = 255
         resampled[self._outside] = 0
         return resampled
+
+
+def measuring_camera(camera: Camera) -> Camera:
+    """The pinhole camera whose images the poses are measured in: of a slightly wider view where there is distortion.
+
+    Resampling does not put details near the limit of resolution quite where they belong: it draws them to the pixels of
+    the raw image. With the same focal length the nearest one lies to the same side over large parts of the picture, in
+    all images: rings that seem too wide or too narrow, and set the cameras some millimeters too far forward. With another
+    focal length it lies to every side within a few patches, and the errors cancel.
+    """
+    pinhole = camera.undistorted()
+    if not any(camera.distortion):
+        return pinhole
+    return replace(pinhole, fx=_WIDER * pinhole.fx, fy=_WIDER * pinhole.fy)
 
 
 def undistort(rgb: np.ndarray, camera: Camera) -> np.ndarray:
@@ -130,7 +149,8 @@ def load_images(
     camera: of the raw images, with distortion
     """
     full = np.empty((count, camera.height, camera.width, config.channels), np.uint8)
-    undistorter = Undistorter(camera)
+    pinhole = measuring_camera(camera)
+    undistorter = Undistorter(camera, pinhole)
 
     def load(index: int) -> None:
         raw = read(index)
@@ -140,7 +160,7 @@ def load_images(
     with ThreadPoolExecutor(config.threads) as pool:
         for done, _ in enumerate(pool.map(load, range(count))):
             progress("images", done + 1, count)
-    return build_pyramid(full, camera.undistorted(), levels)
+    return build_pyramid(full, pinhole, levels)
 
 
 def build_pyramid(full: np.ndarray, camera: Camera, levels: int) -> Pyramid:

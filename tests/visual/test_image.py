@@ -5,6 +5,7 @@ from naive_points import halve as naive_halve
 
 from lvba.camera import Camera
 from lvba.kernels.patches_pyramid import blank_masked, halve
+from lvba.simulate import camera as simulated
 from lvba.visual import image
 from lvba.visual.image import ImageConfig
 
@@ -46,6 +47,55 @@ def test_pixels_without_image_are_black_and_clipped_ones_stay_clipped():
     values = np.unique(result)
     assert set(values) <= {0, 130, 255}, "no mixture of clipped and good pixels"
     assert (result == 255).any()
+
+
+def _fine_texture(rng, x, y, focal):
+    """Waves of 2.6 to 4 pixels in all directions over normalized coordinates."""
+    total = np.zeros(x.shape)
+    for _ in range(80):
+        angle, phase = rng.uniform(0, 2 * np.pi, 2)
+        wave = focal * rng.uniform(1.6, 2.4)
+        total += np.cos(wave * (np.cos(angle) * x + np.sin(angle) * y) + phase)
+    return 128 + 6 * total
+
+
+def _pulled_outwards(found, meant, x, y):
+    """By how many pixels details lie further from the middle than they should, least squares over a ring."""
+    down, across = np.gradient(meant)
+    radius = np.hypot(x, y)
+    outwards = (across * x + down * y) / np.maximum(radius, 1e-9)
+    ring = (radius > 0.1) & (radius < 0.2)
+    return -float((outwards * (found - meant))[ring].sum() / np.square(outwards[ring]).sum())
+
+
+def test_fine_details_are_not_pulled_to_one_side_where_poses_are_measured():
+    camera = Camera(480, 400, 500.0, 500.0, 239.5, 199.5, (-0.08, 0.0, 0.0, 0.0))
+    wider = image.measuring_camera(camera)
+    row, column = np.mgrid[:400, :480].astype(float)
+    pulled = {camera.undistorted(): [], wider: []}
+    for seed in range(6):
+        raw_x, raw_y = simulated.undistort((column - 239.5) / 500, (row - 199.5) / 500, camera.distortion)
+        raw = np.round(_fine_texture(np.random.default_rng(seed), raw_x, raw_y, 500)).astype(np.uint8)
+        for pinhole, errors in pulled.items():
+            x, y = (column - pinhole.cx) / pinhole.fx, (row - pinhole.cy) / pinhole.fy
+            meant = _fine_texture(np.random.default_rng(seed), x, y, 500)
+            errors.append(_pulled_outwards(image.Undistorter(camera, pinhole)(raw), meant, x, y))
+    usual, ours = (abs(np.mean(errors)) for errors in pulled.values())
+    assert usual > 0.02, "there is something to avoid"
+    assert ours < 0.003
+
+
+def test_poses_are_measured_in_images_that_show_all_that_the_usual_ones_show():
+    wider = image.measuring_camera(DISTORTED)
+    assert (wider.cx, wider.cy, wider.width, wider.height) == (81.0, 58.0, 160, 120)
+    assert wider.fx < DISTORTED.fx
+    assert not any(wider.distortion)
+    plain = DISTORTED.undistorted()
+    assert image.measuring_camera(plain) == plain, "nothing is resampled without need"
+    raw = np.full((120, 160, 3), 120, np.uint8)
+    pyramid = image.load_images(lambda _: raw, 2, DISTORTED, 2)
+    assert pyramid.camera == wider
+    assert (pyramid.levels[0][0, 50:70, 70:90] == 120).all()
 
 
 def test_no_distortion_leaves_the_image_alone():
