@@ -1,16 +1,17 @@
-# make demo | test | check | bench | install       PYTHON=/path/to/python3 to choose the interpreter (3.11 or newer)
+# make demo | test | check | bench | page | install       PYTHON=/path/to/python3 to choose the interpreter (3.11 or newer)
 
 PYTHON ?= python3
 BIN := .venv/bin
 DEMO := demo
 
-.PHONY: help install demo test check bench clean
+.PHONY: help install demo test check bench page clean
 
 help:
 	@echo "make demo     simulate a small recording, refine it, and compare with the truth (minutes)"
 	@echo "make test     all tests"
 	@echo "make check    lint, formatting, types, layering"
 	@echo "make bench    speed and memory, into docs/benchmarks.md"
+	@echo "make page     the page of the job service anew, into service/page, after a change in service/page_src"
 	@echo "make install  lvba in .venv, and nothing else"
 
 install: .venv/.installed-simulate,laz
@@ -33,6 +34,9 @@ check: .venv/.installed-dev
 
 bench: .venv/.installed-dev
 	$(BIN)/python benchmarks/bench.py $(BENCH)
+
+page: .venv/.installed-page
+	$(BIN)/python service/page_src/build.py
 
 clean:
 	rm -rf .venv $(DEMO) build *.egg-info

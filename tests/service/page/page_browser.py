@@ -1,0 +1,132 @@
+"""A real browser in front of a real service, and what must hold whenever a page is looked at."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+PATIENCE_MS = 120_000
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+# WebGL by a renderer in software: test machines have no graphics card
+OPTIONS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+
+
+def browser_or_skip(playwright):
+    """The browser of the system; skips where there is none."""
+    program = next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    if program is None:
+        pytest.skip("no browser on the path: apt-get install chromium")
+    return playwright.chromium.launch(
+        executable_path=program, args=[*OPTIONS, "--disable-dev-shm-usage"], timeout=60_000
+    )
+
+
+class Served:
+    """`lvba serve` over a data folder, on a port of its own that it keeps."""
+
+    def __init__(self, data, *options):
+        self.data, self.options, self.port = data, options, 0
+        self.log = data.with_suffix(".log")
+        self.environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        self.start()
+
+    def start(self):
+        words = [
+            sys.executable,
+            "-m",
+            "service.cli",
+            "serve",
+            "--data",
+            self.data,
+            "--port",
+            self.port,
+            *self.options,
+        ]
+        self.log.write_text("")
+        with self.log.open("ab") as log:
+            self.process = subprocess.Popen(
+                list(map(str, words)), stdout=log, stderr=log, env=self.environment
+            )
+        end = time.monotonic() + 120
+        while (found := re.search(r"serving (http://[^ ]+:(\d+))", self.log.read_text())) is None:
+            assert self.process.poll() is None, self.log.read_text()
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        self.url, self.port = found[1], int(found[2])
+
+    def stop(self):
+        self.process.terminate()
+        self.process.wait(60)
+
+    def key(self, owner):
+        """A new key, made by the command line."""
+        words = ["-m", "service.cli", "admin", "key", "create", owner, "--data", str(self.data)]
+        done = subprocess.run(
+            [sys.executable, *words], capture_output=True, text=True, env=self.environment, check=True
+        )
+        return done.stdout.strip()
+
+
+class Watched:
+    """A page of a browser; `check` fails if anything went wrong that nobody would see."""
+
+    def __init__(self, browser, url, **options):
+        self.context = browser.new_context(
+            viewport={"width": 1280, "height": 860}, accept_downloads=True, **options
+        )
+        self.context.set_default_timeout(PATIENCE_MS)
+        self.page = self.context.new_page()
+        self.url, self.problems, self.allowed = url, [], []
+        self.page.on("console", self._said)
+        self.page.on("pageerror", lambda error: self.problems.append(f"error: {error}"))
+        self.context.on("request", self._asked)
+        self.page.on("response", self._answered)
+
+    def _said(self, message):
+        if message.type in ("error", "warning"):
+            self.problems.append(f"console: {message.text}")
+
+    def _asked(self, request):
+        if not request.url.startswith((self.url, "data:", "blob:")):
+            self.problems.append(f"asked elsewhere: {request.url}")
+
+    def _answered(self, response):
+        if response.status >= 400:
+            self.problems.append(f"status {response.status}: {response.url}")
+
+    def go(self, place):
+        self.page.goto(f"{self.url}/#/{place}")
+        self.page.get_by_role("heading", level=1).first.wait_for()
+
+    def check(self):
+        strange = [one for one in self.problems if not any(re.search(known, one) for known in self.allowed)]
+        assert strange == []
+
+    def accessible(self):
+        """No violation that axe finds (WCAG 2.2 A and AA, and its best practices)."""
+        import axe_playwright_python
+
+        source = (Path(axe_playwright_python.__file__).parent / "axe.min.js").read_text()
+        self.page.evaluate(source)
+        found = self.page.evaluate("axe.run(document, {resultTypes: ['violations']})")
+        told = [
+            {"rule": one["id"], "where": [node["target"] for node in one["nodes"]][:4], "help": one["help"]}
+            for one in found["violations"]
+        ]
+        assert told == [], json.dumps(told, indent=1)
+
+
+def colors_of(png):
+    """How many different colors a picture has."""
+    import cv2
+    import numpy as np
+
+    pixels = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    return len(np.unique(pixels.reshape(-1, 3), axis=0))

@@ -1,0 +1,294 @@
+"""The page in a real browser before a real service: from an upload to the map on the screen and the files at home."""
+
+import hashlib
+
+import pytest
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
+
+from page_browser import Served, Watched, browser_or_skip, colors_of  # noqa: E402
+
+from lvba import simulate  # noqa: E402
+
+NAME = "small yard"
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recordings") / NAME
+    simulate.simulate(
+        "courtyard", folder, frames=8, scans=8, seed=3, width=160, height=120, points_per_scan=6000
+    )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with sync_api.sync_playwright() as playwright:
+        browser = browser_or_skip(playwright)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory, browser):
+    served = Served(tmp_path_factory.mktemp("served") / "data")
+    yield served
+    served.stop()
+
+
+@pytest.fixture
+def watched(browser, served):
+    watched = Watched(browser, served.url)
+    yield watched
+    watched.context.close()
+
+
+@pytest.fixture(scope="module")
+def job(browser, served, recording):
+    """Id of a job that went through the page from the upload to its end."""
+    watched = Watched(browser, served.url)
+    page = watched.page
+    watched.go("jobs")
+    page.get_by_text("No jobs yet").wait_for()
+    watched.accessible()
+    page.get_by_role("link", name="New job").first.click()
+    choose_folder(page, recording)
+    page.get_by_role("button", name="Upload", exact=True).click()
+    page.get_by_role("progressbar", name="Upload").or_(
+        page.get_by_text("checking the recording")
+    ).first.wait_for()
+    page.get_by_role("radio", name=NAME).wait_for()
+    assert page.get_by_role("radio", name=NAME).is_checked()
+    page.get_by_role("searchbox", name="Search settings").fill("pyramid levels")
+    page.get_by_label("levels", exact=True).fill("2")
+    page.get_by_label("levels", exact=True).blur()
+    page.get_by_text("1 changed").wait_for()
+    watched.accessible()
+    page.get_by_role("button", name="Start").click()
+    page.get_by_role("progressbar", name="Progress of the job").wait_for()
+    page.locator(".timeline .step").first.wait_for()
+    watched.accessible()
+    page.get_by_role("link", name="See the result").wait_for()
+    assert page.locator(".timeline .step").count() == page.locator(".timeline .step-done").count()
+    page.get_by_role("log").get_by_text("report:").wait_for()
+    page.get_by_text("Settings that were changed").click()
+    page.get_by_text('"levels": 2').wait_for()
+    watched.accessible()
+    job = page.url.rsplit("/", 1)[-1]
+    watched.check()
+    watched.context.close()
+    return job
+
+
+def choose_folder(page, folder):
+    page.get_by_label("Choose folder").set_input_files(folder)
+
+
+def show_map(watched, job):
+    """Opens the result and waits until the map is there; the canvas."""
+    watched.go(f"jobs/{job}/result")
+    watched.page.wait_for_function(
+        "() => /^[1-9]/.test(document.querySelector('.cloud-status')?.textContent ?? '')", timeout=60_000
+    )
+    return watched.page.get_by_role("application", name="Map in 3D")
+
+
+def hide_lines(page):
+    page.get_by_label("Cameras").uncheck()
+    page.get_by_label("Paths").uncheck()
+
+
+def test_the_map_is_on_the_screen_and_turns_by_keys(watched, job):
+    canvas = show_map(watched, job)
+    hide_lines(watched.page)
+    first = canvas.screenshot()
+    assert colors_of(first) > 1000
+    canvas.focus()
+    for _ in range(4):
+        watched.page.keyboard.press("ArrowRight")
+    watched.page.wait_for_timeout(500)
+    assert canvas.screenshot() != first
+    watched.check()
+
+
+def test_rough_poses_move_the_map_and_colors_change_by_choice(watched, job):
+    canvas = show_map(watched, job)
+    hide_lines(watched.page)
+    pictures = [canvas.screenshot()]
+    watched.page.get_by_role("button", name="Rough").click()
+    watched.page.wait_for_timeout(1500)
+    pictures.append(canvas.screenshot())
+    watched.page.get_by_role("button", name="Refined").click()
+    for way in ("height", "views", "scan"):
+        watched.page.get_by_label("Color by").select_option(way)
+        watched.page.wait_for_timeout(1500)
+        pictures.append(canvas.screenshot())
+    assert len(set(pictures)) == len(pictures)
+    assert min(map(colors_of, pictures)) > 30
+    watched.check()
+
+
+def test_the_slider_goes_between_the_pictures_and_figures_are_shown(watched, job):
+    show_map(watched, job)
+    page = watched.page
+    page.get_by_role("button", name="Compare photographs").click()
+    slider = page.get_by_role("slider", name="Map before")
+    pictures = page.locator(".slider img")
+    page.wait_for_function(
+        "() => [...document.querySelectorAll('.slider img')].every((one) => one.naturalWidth > 0)"
+    )
+    assert pictures.count() == 2
+    slider.focus()
+    shown = page.locator(".slider-left")
+    first = shown.evaluate("(picture) => getComputedStyle(picture).clipPath")
+    for _ in range(30):
+        page.keyboard.press("ArrowRight")
+    assert shown.evaluate("(picture) => getComputedStyle(picture).clipPath") != first
+    page.get_by_label("Left side").select_option("photo")
+    page.get_by_role("slider", name="Photograph").wait_for()
+    page.get_by_role("button", name="Next image").click()
+    assert page.get_by_label("Image", exact=True).input_value() == "1"
+    page.get_by_role("button", name="View from here").click()
+    assert page.get_by_role("img", name="PSNR").count() == 1
+    assert page.get_by_role("img", name="Relative exposure").count() == 1
+    watched.accessible()
+    watched.check()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_result_is_accessible_in_light_and_dark(browser, served, job, scheme):
+    watched = Watched(browser, served.url, color_scheme=scheme)
+    show_map(watched, job)
+    watched.accessible()
+    watched.go("jobs")
+    watched.page.get_by_role("link", name=NAME).wait_for()
+    watched.accessible()
+    watched.check()
+    watched.context.close()
+
+
+def test_files_come_home_as_they_are_on_the_server(watched, served, job, tmp_path):
+    show_map(watched, job)
+    with watched.page.expect_download() as download:
+        watched.page.get_by_role("link", name="map.ply").click()
+    download.value.save_as(tmp_path / "map.ply")
+    there = served.data / "jobs" / job / "out" / "map.ply"
+    assert digest(tmp_path / "map.ply") == digest(there)
+    with watched.page.expect_download() as download:
+        watched.page.get_by_role("link", name="Download all").click()
+    assert download.value.suggested_filename.endswith(".zip")
+    watched.check()
+
+
+def digest(path):
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_an_upload_goes_on_after_lost_connections_and_a_reload(watched, recording, job):
+    """A third of the pieces never arrive, then the page is closed: what is there is not sent again."""
+    page, sent, tries = watched.page, [], {}
+    # 404: the page asks how much of a lost file arrived, which is nothing
+    watched.allowed = [r"net::ERR_", r"Failed to load resource", r"status 404: .*/files/"]
+
+    def lose_some(route):
+        if route.request.method != "PUT":
+            return route.continue_()
+        path = route.request.url.split("/files/")[1]
+        tries[path] = tries.get(path, 0) + 1
+        if tries[path] == 1 and len(tries) % 3 == 0:
+            return route.abort()
+        if len(sent) >= stop_after:
+            return None  # hangs, as long as the page is open
+        sent.append(path)
+        return route.continue_()
+
+    stop_after = 10
+    page.route("**/v1/datasets/*/files/**", lose_some)
+    watched.go("new")
+    page.get_by_text("Upload another").click()
+    choose_folder(page, recording)
+    page.get_by_label("Name", exact=True).fill("cut off")
+    page.get_by_role("button", name="Upload", exact=True).click()
+    page.get_by_text("10 of").wait_for()
+    page.on("dialog", lambda dialog: dialog.accept())
+    first, stop_after = list(sent), 10_000
+    sent.clear()
+    page.reload()
+    page.get_by_role("list", name="Unfinished uploads").get_by_role("button", name="go on").click()
+    choose_folder(page, recording)
+    page.get_by_role("button", name="Upload", exact=True).click()
+    page.get_by_role("radio", name="cut off").wait_for()
+    assert set(first).isdisjoint(sent)
+    files = [path for path in recording.rglob("*") if path.is_file()]
+    assert len({*first, *sent}) == len(files)
+    watched.check()
+
+
+def test_what_the_server_refuses_is_told_beside_the_setting(watched, job):
+    watched.allowed = ["422"]
+    page = watched.page
+    watched.go("new")
+    page.get_by_role("radio", name=NAME).check()
+    page.get_by_role("searchbox", name="Search settings").fill("pyramid levels")
+    page.get_by_label("levels", exact=True).fill("77")
+    page.get_by_label("levels", exact=True).blur()
+    page.get_by_role("button", name="Start").click()
+    page.locator(".trouble").filter(has_text="levels").wait_for()
+    watched.check()
+
+
+def test_a_restart_of_the_service_is_survived_by_the_page(watched, served, job):
+    """The live connection breaks and comes back by itself; what happens after it is shown."""
+    watched.allowed = [r"net::ERR_", "Failed to load resource"]
+    page = watched.page
+    watched.go("jobs")
+    page.get_by_role("link", name=NAME).first.wait_for()
+    served.stop()
+    served.start()
+    page.evaluate(
+        """async (job) => {
+            const { dataset } = await (await fetch(`/v1/jobs/${job}`)).json();
+            const body = JSON.stringify({ dataset, name: "after the restart" });
+            await fetch("/v1/jobs", { method: "POST", body, headers: { "Content-Type": "application/json" } });
+        }""",
+        job,
+    )
+    page.get_by_role("link", name="after the restart").click()
+    page.get_by_role("button", name="Cancel").click()
+    page.get_by_text("canceled").first.wait_for()
+    page.get_by_role("button", name="Delete").first.click()
+    page.get_by_role("dialog").get_by_role("button", name="Delete").click()
+    page.get_by_role("heading", name="Jobs").wait_for()
+    watched.check()
+
+
+def test_a_key_is_asked_for_and_opens_maps_and_files(browser, served, job, tmp_path_factory):
+    served.stop()
+    locked = Served(served.data, "--auth")
+    try:
+        watched = Watched(browser, locked.url)
+        watched.allowed = ["401"]
+        page = watched.page
+        watched.go(f"jobs/{job}/result")
+        watched.accessible()
+        page.get_by_label("API key").fill("lvba_0_wrong")
+        page.get_by_role("button", name="Sign in").click()
+        page.locator(".field-problem").filter(has_text="key").wait_for()
+        page.get_by_label("API key").fill(locked.key("local"))
+        page.get_by_role("button", name="Sign in").click()
+        page.wait_for_function(
+            "() => /^[1-9]/.test(document.querySelector('.cloud-status')?.textContent ?? '')"
+        )
+        page.get_by_role("button", name="Compare photographs").click()
+        page.wait_for_function(
+            "() => [...document.querySelectorAll('.slider img')].some((one) => one.naturalWidth > 0)"
+        )
+        with page.expect_download() as download:
+            page.get_by_role("link", name="exposures.csv").click()
+        assert download.value.path().read_text().startswith("timestamp")
+        watched.check()
+        watched.context.close()
+    finally:
+        locked.stop()
+        served.start()
