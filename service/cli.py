@@ -81,7 +81,8 @@ _SIMULATE_EXAMPLES = """\
 examples:
   lvba simulate courtyard --out yard
   lvba simulate rooms --out rooms --frames 60 --seed 3 --difficulty hard --lidar non_repetitive
-  lvba simulate street --out street --length 400 --frames 400 --motion-blur"""
+  lvba simulate street --out street --length 400 --frames 400 --motion-blur
+  lvba simulate block --out block --length 400 --frames 200 --closing 1 2"""
 
 _EXPORT = """\
 Write the map or the poses of a result in another format."""
@@ -183,7 +184,9 @@ def _add_simulate(commands: "argparse._SubParsersAction[Parser]") -> None:
     simulate = _command(
         commands, "simulate", "make a recording with known truth", _SIMULATE, _SIMULATE_EXAMPLES
     )
-    simulate.add_argument("scene", metavar="SCENE", help="courtyard, rooms, corridor, street, plane")
+    simulate.add_argument(
+        "scene", metavar="SCENE", help="courtyard, rooms, corridor, street, plane, block, terrace"
+    )
     simulate.add_argument("--out", type=Path, required=True, metavar="DATASET", help="folder to write")
     simulate.add_argument("--frames", type=int, metavar="N", help="images (default: the scene's)")
     simulate.add_argument("--seed", type=int, default=0, metavar="S", help="of all randomness (default: 0)")
@@ -202,7 +205,14 @@ def _add_simulate(commands: "argparse._SubParsersAction[Parser]") -> None:
         "--height", type=int, default=480, metavar="PX", help="of the images (default: 480)"
     )
     simulate.add_argument(
-        "--length", type=float, metavar="M", help="of a street, a corridor or the flight over the plane, m"
+        "--length", type=float, metavar="M", help="of a street, a corridor, a flight or a way around, m"
+    )
+    simulate.add_argument(
+        "--closing",
+        type=float,
+        nargs=2,
+        metavar=("M", "DEG"),
+        help="by how much the rough ends of a loop miss each other, beside the difficulty",
     )
     simulate.add_argument("--vignetting", action="store_true", help="images darker towards their corners")
     simulate.add_argument("--motion-blur", action="store_true", help="the shutter is open for a while")

@@ -25,5 +25,6 @@ def simulate(arguments: argparse.Namespace, display: Display) -> None:
         points_per_scan=arguments.points,
         scans=arguments.scans,
         length=arguments.length,
+        closing=arguments.closing,
         progress=display.progress,
     )

@@ -87,6 +87,42 @@ def rough_scans(
 
 
 @dataclass(frozen=True)
+class Closing:
+    """Drift beside all other, which grows evenly to this size: by how much the ends of a loop miss each other."""
+
+    size_m: float
+    size_deg: float
+
+    def __post_init__(self) -> None:
+        """Raises: InputError if it is out of range."""
+        if not (0 <= self.size_m <= 50 and 0 <= self.size_deg <= 45):
+            raise InputError(
+                "closing",
+                f"{self.size_m} m and {self.size_deg} degrees",
+                "take 0 to 50 m and 0 to 45 degrees",
+            )
+
+    def motion(self, rng: np.random.Generator) -> np.ndarray:
+        """(6,) tangent of that size, mostly turned about the vertical."""
+        turn, shift = rng.normal(size=3) * [0.2, 0.2, 1.0], rng.normal(size=3)
+        turn *= np.radians(self.size_deg) / np.linalg.norm(turn)
+        shift *= self.size_m / np.linalg.norm(shift)
+        return np.concatenate([turn, shift])
+
+
+def leaving(motion: np.ndarray, part: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """drifted_from_world, (N, 4, 4): what poses are moved by.
+
+    motion: (6,) tangent, what those at the end are moved by; part: (N,), 0 at the start of the recording to 1 at its end
+    last: (3,) m, where it ends
+    """
+    there = geometry.from_rotation_translation(np.eye(3), last)
+    return np.asarray(
+        there @ geometry.exp(np.clip(part, 0.0, 1.0)[:, None] * motion) @ geometry.inverse(there)
+    )
+
+
+@dataclass(frozen=True)
 class CameraError:
     """What is wrong with the rough cameras beside the drift: one tangent for all, and one each."""
 

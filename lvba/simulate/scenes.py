@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba.errors import InputError
-from lvba.simulate import indoor, outdoor
+from lvba.simulate import blocks, indoor, outdoor
 from lvba.simulate.trajectories import Motion
 from lvba.simulate.world import World
 
@@ -25,13 +25,15 @@ SCENES: dict[str, Callable[[np.random.Generator, int, float | None], tuple[World
     "street": outdoor.street,
     "corridor": indoor.corridor,
     "plane": outdoor.plane,
+    "block": blocks.block,
+    "terrace": blocks.terrace,
 }
 
 
 def build(name: str, rng: np.random.Generator, frames: int, length: float | None) -> Scene:
     """The scene of that name, different for every state of `rng`.
 
-    frames: how many will be taken: longer recordings go further; length: m, of a street, corridor or flight
+    frames: how many will be taken: longer recordings go further; length: m, of a street, corridor, flight or way around
     Raises: InputError if there is no such scene.
     """
     if name not in SCENES:

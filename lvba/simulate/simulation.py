@@ -67,6 +67,7 @@ def simulate(
     points_per_scan: int = 30_000,
     scans: int | None = None,
     length: float | None = None,
+    closing: tuple[float, float] | None = None,
     progress: Progress = silent,
 ) -> None:
     """Writes a dataset folder of a simulated recording, with the truth in its folder `reference`.
@@ -74,7 +75,9 @@ def simulate(
     scene: courtyard, rooms, street, corridor or plane; frames: images (100); scans: as many as images by default
     seed: of everything: geometry, textures, path, noise; the same seed writes the same bytes
     difficulty: easy, medium or hard, of the rough poses; lidar: spinning or non_repetitive
-    points_per_scan: beams; some come back without echo; length: m, of a street, corridor or flight over the plane
+    points_per_scan: beams; some come back without echo
+    length: m, of a street, corridor, flight over the plane, or way around a block or through a terrace
+    closing: m and degrees, drift on top of the difficulty: by how much the rough ends of a loop miss each other
     Raises: InputError on an unknown name, a number out of range, a folder that holds another recording, or if Open3D
         is not installed.
     """
@@ -82,12 +85,12 @@ def simulate(
     scans = frames if scans is None else scans
     counts = {"frames": frames, "scans": scans, "width": width, "height": height, "points": points_per_scan}
     _check(counts, lidar, seed, length)
-    level = drift.difficulty(difficulty)
+    level, on_top = drift.difficulty(difficulty), None if closing is None else drift.Closing(*closing)
     layout, mounting, moves, optics, paint = _streams(scene, seed)
     built = scenes.build(scene, layout, frames, length)
     caster = RayCaster(built.world)
     rig = truths.random_rig(scene, mounting)
-    truth = truths.build(built, rig, level, scans, frames, moves)
+    truth = truths.build(built, rig, level, scans, frames, moves, on_top)
     camera, exposure = cameras.random_camera(width, height, optics), cameras.exposures(frames, optics)
     sensor = Sensor(
         gain=_MEAN_GREY / 0.45 / float(np.exp(np.median(np.log(exposure)))),
@@ -98,7 +101,10 @@ def simulate(
     simulation = _Simulation(
         seed, lidar, points_per_scan, motion_blur, built, rig, truth, caster, view, sensor, exposure
     )
-    facts = {"scene": scene, "difficulty": difficulty, "length_m": length, **counts, **_facts(simulation)}
+    asked: dict[str, Any] = {"scene": scene, "difficulty": difficulty, "length_m": length}
+    if closing is not None:
+        asked["closing_m_deg"] = list(closing)
+    facts = {**asked, **counts, **_facts(simulation)}
     root = recording.make_folders(out, facts)
     recording.write_texts(root, truth, rig, camera, exposure)
     with warnings.catch_warnings():

@@ -52,12 +52,12 @@ class Texture:
 
 
 def build(world: World, rng: np.random.Generator) -> Texture:
-    """The texture of a world: its own for every rectangle and every state of `rng`."""
+    """The texture of a world: its own for every rectangle that is no copy, and for every state of `rng`."""
     unit_u = world.edge_u / np.linalg.norm(world.edge_u, axis=1, keepdims=True)
     unit_v = np.cross(world.normal, unit_u)
     frames = np.ascontiguousarray(np.stack([world.corner, unit_u, unit_v, world.normal], axis=1))
     style = np.column_stack([world.color, world.contrast, world.patches])
-    phases = rng.uniform(0, _TILE, (len(world), _OCTAVES, 2))
+    phases = rng.uniform(0, _TILE, (int(world.texture.max()) + 1, _OCTAVES, 2))[world.texture]
     sky = 0.8 * np.array([0.9, 1.0, 1.15]) * rng.uniform(0.9, 1.1)
     return Texture(frames, style, phases, _octaves(rng), _tile(rng), sky)
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from lvba import geometry
 from lvba.simulate import drift as drifts
-from lvba.simulate.drift import Difficulty
+from lvba.simulate.drift import Closing, Difficulty
 from lvba.simulate.scenes import Scene
 from lvba.trajectory import Trajectory
 
@@ -53,9 +53,18 @@ def random_rig(scene: str, rng: np.random.Generator) -> Rig:
 
 
 def build(
-    scene: Scene, rig: Rig, level: Difficulty, scan_count: int, image_count: int, rng: np.random.Generator
+    scene: Scene,
+    rig: Rig,
+    level: Difficulty,
+    scan_count: int,
+    image_count: int,
+    rng: np.random.Generator,
+    closing: Closing | None = None,
 ) -> Truth:
-    """True poses at two clocks of their own, and rough ones as wrong as `level` says, in a world frame of their own."""
+    """True poses at two clocks of their own, and rough ones as wrong as `level` says, in a world frame of their own.
+
+    closing: drift that comes on top
+    """
     motion, duration = scene.motion, scene.motion.duration
     last = duration - _MARGIN_S
     scan_times = _clock(_MARGIN_S, last, scan_count, rng)
@@ -75,6 +84,10 @@ def build(
     rough_body_from_camera = body_from_camera @ geometry.exp(error.extrinsic)
     rough_images = carriers @ rough_body_from_camera @ geometry.exp(error.noise)
     start = _START_S + float(rng.integers(0, 10_000_000))
+    if closing is not None:
+        missed, last = closing.motion(rng), true_scans[-1, :3, 3]
+        rough_scans = drifts.leaving(missed, scan_times / scan_times[-1], last) @ rough_scans
+        rough_images = drifts.leaving(missed, image_times / scan_times[-1], last) @ rough_images
     scan_stamps, image_stamps = np.round(start + scan_times, 6), np.round(start + image_times, 6)
     return Truth(
         Trajectory(scan_stamps, true_scans),

@@ -14,6 +14,7 @@ class World:
 
     corner, edge_u, edge_v: (Q, 3) float64, m; color: (Q, 3) float64, mean radiance
     contrast: (Q,) float64, 0 flat to 1; patches: (Q,) float64, part of the 0.7 m cells that hold a flat patch
+    texture: (Q,) int64, number of its texture: copies of a rectangle have the same
     """
 
     corner: np.ndarray
@@ -22,6 +23,7 @@ class World:
     color: np.ndarray
     contrast: np.ndarray
     patches: np.ndarray
+    texture: np.ndarray
 
     def __len__(self) -> int:
         return len(self.corner)
@@ -42,6 +44,10 @@ class Builder:
         self._bare = bare
         self._edges: list[np.ndarray] = []
         self._styles: list[np.ndarray] = []
+        self._twins: list[int] = []
+
+    def __len__(self) -> int:
+        return len(self._edges)
 
     def rectangle(
         self,
@@ -53,6 +59,7 @@ class Builder:
         """One parallelogram."""
         self._edges.append(np.array([corner, edge_u, edge_v], float))
         self._styles.append(self.style() if style is None else style)
+        self._twins.append(len(self._twins))
 
     def box(
         self,
@@ -72,6 +79,15 @@ class Builder:
             self.rectangle(corner, u, v, self._shaded(style))
             self.rectangle(corner + across, u, v, self._shaded(style))
 
+    def repeat(self, rectangles: slice, scene_from_here: np.ndarray) -> None:
+        """The same rectangles again, moved, with the same texture."""
+        for index in range(*rectangles.indices(len(self))):
+            edges = self._edges[index] @ scene_from_here[:3, :3].T
+            edges[0] += scene_from_here[:3, 3]
+            self._edges.append(edges)
+            self._styles.append(self._styles[index])
+            self._twins.append(self._twins[index])
+
     def style(self) -> np.ndarray:
         """(5,): mean radiance (red, green, blue), contrast, patch density."""
         level, tint = self.rng.uniform(0.25, 0.65), self.rng.uniform(-1, 1, 3)
@@ -82,9 +98,21 @@ class Builder:
 
     def build(self) -> World:
         """The world of all rectangles so far."""
-        edges, styles = np.array(self._edges), np.array(self._styles)
+        return self.without(slice(0, 0))
+
+    def without(self, rectangles: slice) -> World:
+        """The world of all rectangles but these, which may have been copied."""
+        kept = np.delete(np.arange(len(self)), rectangles)
+        edges, styles = np.array(self._edges)[kept], np.array(self._styles)[kept]
+        _, texture = np.unique(np.array(self._twins)[kept], return_inverse=True)
         return World(
-            edges[:, 0], edges[:, 1], edges[:, 2], styles[:, :3], styles[:, 3].copy(), styles[:, 4].copy()
+            edges[:, 0],
+            edges[:, 1],
+            edges[:, 2],
+            styles[:, :3],
+            styles[:, 3].copy(),
+            styles[:, 4].copy(),
+            texture.astype(np.int64),
         )
 
     def _shaded(self, style: np.ndarray) -> np.ndarray:

@@ -12,9 +12,9 @@ from lvba import geometry
 from lvba.errors import InputError
 from lvba.io import reference
 from lvba.io.dataset import load_image, load_scan, open_dataset
+from lvba.simulate import blocks, scenes, simulate, truth
 from lvba.simulate import camera as cameras
-from lvba.simulate import scenes, simulate, truth
-from lvba.simulate.drift import difficulty
+from lvba.simulate.drift import Closing, difficulty
 from lvba.simulate.world import RayCaster
 from lvba.trajectory import pose_error
 
@@ -113,6 +113,7 @@ def test_the_same_simulation_may_be_written_again_but_no_other(tmp_path):
         ({"frames": 1}, "frames"),
         ({"seed": -1}, "seed"),
         ({"length": 1.0}, "length"),
+        ({"closing": (-1.0, 0.0)}, "closing"),
     ],
 )
 def test_what_cannot_be_simulated_is_one_clear_line(tmp_path, wrong, message):
@@ -162,6 +163,59 @@ def test_a_courtyard_comes_back_to_its_start():
     ends = motion.position([0, motion.duration])
     assert np.linalg.norm(ends[1] - ends[0]) < 3
     assert np.ptp(motion.position(np.linspace(0, motion.duration, 50))[:, 0]) > 8
+
+
+def test_a_drive_around_the_block_comes_back_past_its_start():
+    motion = scenes.build("block", np.random.default_rng(0), 60, 200.0).motion
+    line = motion.position(np.linspace(0, motion.duration, 400))[:, :2]
+    assert np.sum(np.linalg.norm(np.diff(line, axis=0), axis=1)) == pytest.approx(208, rel=0.05)
+    assert np.linalg.norm(line[20:-40] - line[0], axis=1).min() > 5
+    assert np.linalg.norm(line[-40:] - line[0], axis=1).min() < 0.5
+    assert np.all(np.ptp(line, axis=0) > 35)
+
+
+def test_all_of_a_terrace_looks_alike_and_its_end_is_a_lane_beside_its_start():
+    scene = scenes.build("terrace", np.random.default_rng(0), 60, 120.0)
+    ends = scene.motion.position([0, scene.motion.duration])
+    np.testing.assert_allclose(ends[1, :2] - ends[0, :2], [0, blocks.LANE_SPACING_M], atol=0.5)
+    caster, rng = RayCaster(scene.world), np.random.default_rng(1)
+    rays = rng.normal(size=(2000, 3))
+    rays[:, 2] = -0.3 * np.abs(rays[:, 2])
+    here = np.array([10.0, 0.3, 1.7])
+    ranges, quads = caster.cast(here, rays)
+    for shift in ([6.0, 0, 0], [0, blocks.LANE_SPACING_M, 0], [12.0, blocks.LANE_SPACING_M, 0]):
+        there, others = caster.cast(here + np.array(shift), rays)
+        alike = np.isclose(there, ranges, rtol=1e-3) & (
+            scene.world.texture[quads] == scene.world.texture[others]
+        )
+        assert alike.mean() > 0.97
+
+
+@pytest.mark.parametrize("name", ["block", "courtyard"])
+def test_the_ends_of_a_loop_miss_each_other_by_as_much_as_is_asked_for(name):
+    rig_rng = np.random.default_rng(3)
+    rig = truth.random_rig(name, rig_rng)
+
+    def missed(closing):
+        rng = np.random.default_rng(2)
+        scene = scenes.build(name, rng, 60, None)
+        found = truth.build(scene, rig, difficulty("easy"), 60, 80, rng, closing)
+        ends = []
+        for rough, true in ((found.rough_scans, found.scans), (found.rough_images, found.images)):
+            off = rough.world_from_sensor @ geometry.inverse(true.world_from_sensor)
+            apart = geometry.inverse(off[0]) @ off[-1]
+            at_end = geometry.transform_points(apart, true.world_from_sensor[-1:, :3, 3])
+            ends += [
+                np.linalg.norm(at_end - true.world_from_sensor[-1, :3, 3]),
+                float(geometry.rotation_angle_deg(apart)),
+            ]
+        return np.array(ends)
+
+    without, little = missed(None), missed(Closing(0.0, 0.0))
+    np.testing.assert_allclose(without, little, atol=1e-9)
+    np.testing.assert_allclose(missed(Closing(1.0, 2.0)), [1.0, 2.0, 1.0, 2.0], atol=0.2)
+    with pytest.raises(InputError, match="50 m"):
+        Closing(-1.0, 2.0)
 
 
 def test_rough_cameras_follow_the_drift_of_the_scans():
