@@ -22,9 +22,9 @@ class CandidateConfig:
     """Error of the rough position, as a fraction of the path between; 0 to 0.5."""
     drift_deg: float = 0.5
     """Error of the rough heading, degrees for 100 m of path; 0 to 90."""
-    least_m: float = 0.3
+    least_m: float = 0.5
     """m, added to the error of the rough position: an odometry that starts anew jumps; 0 to 100."""
-    least_deg: float = 1.0
+    least_deg: float = 1.5
     """The same of the rough heading, degrees; 0 to 45."""
     pairs_per_part: int = 4
     """Most pairs that a part is in as the later one; 0 to 1000."""

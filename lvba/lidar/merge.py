@@ -78,7 +78,7 @@ class LoopRow:
 class MergedScans:
     """One trajectory of all parts.
 
-    world_from_scan: (S, 4, 4) float64, world frame of the first part, first pose unchanged
+    world_from_scan: (S, 4, 4) float64, world frame of the part with the first scan, whose pose is unchanged
     parts_of_scan: (S,) int64, how many parts hold each scan
     seams, loops: one row each
     cost_before, cost_after: squared errors over variances of the edges that are used
@@ -104,8 +104,10 @@ def merge(
     steps = pose_graph.concatenate([_steps(part) for part in parts])
     found = [loop for loop in loops if loop.accepted]
     edges = pose_graph.concatenate([steps, _closings(found)])
-    start = pose_graph.propagate(count, steps, int(parts[0].scans[0]), parts[0].world_from_scan[0])
-    graph = pose_graph.solve(start, edges, fixed=int(parts[0].scans[0]), config=config or PoseGraphConfig())
+    first = min(parts, key=lambda part: int(part.scans[0]))
+    root = int(first.scans[0])
+    start = pose_graph.propagate(count, steps, root, first.world_from_scan[0])
+    graph = pose_graph.solve(start, edges, fixed=root, config=config or PoseGraphConfig())
     return MergedScans(
         graph.world_from_node,
         np.bincount(np.concatenate([part.scans for part in parts]), minlength=count),
