@@ -6,7 +6,7 @@ the nodes that they need out of octree.bin by byte ranges.
 
 import json
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -65,10 +65,11 @@ class Nodes:
         return len(self.level)
 
 
-def row_type(columns: np.dtype) -> np.dtype:
-    """How a point is stored: position, rgb, then every other column by its own name and type."""
+def row_type(columns: np.dtype, more: Mapping[str, str] | None = None) -> np.dtype:
+    """How a point is stored: position, rgb, then every other column by its own name and type, then those of `more`."""
     others = [(name, columns[name].newbyteorder("<")) for name in columns.names or () if name not in _OWN]
-    return np.dtype([("position", "<i4", 3), ("rgb", "<u2", 3), *others])
+    added = [(name, kind) for name, kind in (more or {}).items() if name not in (columns.names or ())]
+    return np.dtype([("position", "<i4", 3), ("rgb", "<u2", 3), *others, *added])
 
 
 _OWN = ("x", "y", "z", "red", "green", "blue")

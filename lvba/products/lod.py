@@ -18,10 +18,15 @@ import numpy as np
 
 from lvba.io import files, ply, potree
 from lvba.io.potree import Frame, Nodes, Scratch
+from lvba.kernels import flatness
 from lvba.kernels import octree as kernels
 from lvba.progress import Progress, silent
 
 _STEP_M = 0.0001
+ERROR = "plane_error"
+"""An attribute of points: distance, m, from the plane through the points round it; NaN where there is none."""
+_PLANE_M = 0.5
+"""Largest edge of the cells that planes are fitted in."""
 _CHUNK_LEVEL = kernels.GRID_LEVELS
 """Points are counted in cubes of this level; deeper ones would cut through cells of the root's grid."""
 
@@ -56,7 +61,8 @@ def write(map_file: Path, folder: Path, config: LodConfig | None = None, progres
     nodes: list[Nodes] = []
     with contextlib.closing(Scratch(folder, survey.rows)) as points:
         chunks = _sort_by_chunk(map_file, points, survey, config)
-        potree.write_points(folder, _pieces(points, chunks, survey.frame, config, nodes, progress))
+        pieces = _pieces(points, chunks, survey.frame, config, nodes, progress)
+        potree.write_points(folder, _measured(pieces, survey.ranges))
     whole = _merged(nodes)
     potree.write_hierarchy(folder, whole, survey.rows)
     spacing = survey.frame.edge / (1 << kernels.GRID_LEVELS)
@@ -78,8 +84,8 @@ def _survey(map_file: Path) -> _Survey:
     high: dict[str, np.ndarray] = {}
     count = 0
     for piece in ply.read_ply_chunks(map_file):
-        rows = potree.row_type(piece.dtype)
-        others = {name: piece[name] for name in rows.names or () if name not in ("position", "rgb")}
+        rows = potree.row_type(piece.dtype, {ERROR: "<f4"})
+        others = {name: piece[name] for name in (rows.names or ())[2:] if name != ERROR}
         count += len(piece)
         for name, values in {"position": _xyz(piece), "rgb": _rgb(piece), **others}.items():
             if len(values):
@@ -113,7 +119,7 @@ def _stored(piece: np.ndarray, survey: _Survey) -> np.ndarray:
     out["position"] = np.clip(steps, 0, (1 << frame.bits) - 1)
     out["rgb"] = _rgb(piece)
     for name in (survey.rows.names or ())[2:]:
-        out[name] = piece[name]
+        out[name] = piece[name] if name in (piece.dtype.names or ()) else np.nan
     return out
 
 
@@ -195,16 +201,38 @@ def _pieces(
         yield points[order]
 
 
+def _measured(
+    pieces: Iterator[np.ndarray], ranges: dict[str, tuple[np.ndarray, np.ndarray]]
+) -> Iterator[np.ndarray]:
+    """The pieces as they are; the range of their plane errors goes into `ranges`."""
+    for piece in pieces:
+        known = piece[ERROR][np.isfinite(piece[ERROR])]
+        if len(known):
+            low, high = ranges[ERROR]
+            ranges[ERROR] = (np.minimum(low.max(), known.min()), np.maximum(high.max(), known.max()))
+        yield piece
+
+
 def _by_node(
     points: np.ndarray, frame: Frame, first: int, leaf_points: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Levels, keys and rows of a chunk's points, those of a node together."""
     key = _cubes(points, frame)[0]
     order = np.argsort(key, kind="stable")
-    level = kernels.levels(key[order], first, leaf_points)
+    key, points = key[order], points[order]
+    if np.isnan(points[ERROR]).all():
+        points[ERROR] = _plane_errors(key, points, frame, first)
+    level = kernels.levels(key, first, leaf_points)
     by_level = np.argsort(level, kind="stable")
-    order = order[by_level]
-    return level[by_level].astype(np.int64), key[order], points[order]
+    return level[by_level].astype(np.int64), key[by_level], points[by_level]
+
+
+def _plane_errors(key: np.ndarray, points: np.ndarray, frame: Frame, first: int) -> np.ndarray:
+    """(N,) float32, m, of a chunk's points in the order of their keys."""
+    level = min(max(first, math.ceil(math.log2(frame.edge / _PLANE_M))), kernels.KEY_LEVELS)
+    cell = key >> np.uint64(3 * (kernels.KEY_LEVELS - level))
+    starts = np.flatnonzero(np.concatenate([[True], cell[1:] != cell[:-1], [True]]))
+    return flatness.plane_error(np.ascontiguousarray(points["position"]), starts, frame.scale)
 
 
 def _nodes(level: np.ndarray, key: np.ndarray, first: int) -> Nodes:

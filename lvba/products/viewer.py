@@ -46,6 +46,7 @@ def write(result: Path, dataset: Dataset, out: Path, progress: Progress = silent
         "schema": 1,
         "octree": "metadata.json",
         "camera": _camera(dataset),
+        "parts": _parts(result),
         "scans": _poses(dataset.scans, scans, dataset.origin),
         "images": None
         if cameras is None
@@ -68,6 +69,15 @@ def _refined(path: Path, rough: Trajectory, dataset: Dataset) -> np.ndarray:
     poses = found.world_from_sensor.copy()
     poses[:, :3, 3] -= dataset.origin
     return poses
+
+
+def _parts(result: Path) -> list[list[int]]:
+    """First scan, and one after the last, of what each part of the recording owns; one part where it was not cut."""
+    try:
+        merge = json.loads(files.read_text(result / "report.json")).get("merge") or {}
+    except (json.JSONDecodeError, AttributeError) as error:
+        raise InputError(result / "report.json", "is not a report", "run again") from error
+    return [part["core_scans"] for part in merge.get("parts", [])]
 
 
 def _camera(dataset: Dataset) -> dict[str, Any] | None:

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lvba.io import ply, potree
+from lvba.kernels import flatness
 from lvba.kernels import octree as kernels
 from lvba.products import lod
 from lvba.products.lod import LodConfig
@@ -131,3 +132,43 @@ def test_maps_of_no_size_are_written(tmp_path, points):
     write_map(tmp_path / "map.ply", points)
     lod.write(tmp_path / "map.ply", tmp_path / "cloud", SMALL)
     assert sum(len(rows) for _, rows in potree.read_nodes(tmp_path / "cloud")) == len(points)
+
+
+def test_plane_errors_are_distances_from_the_plane_of_the_cell():
+    """Against the plain twin: per cell a plane by singular values."""
+    rng = np.random.default_rng(0)
+    flat = np.concatenate([rng.uniform(-1, 1, (60, 2)), rng.normal(0, 0.02, (60, 1))], axis=1)
+    tilted = flat @ np.linalg.qr(rng.normal(size=(3, 3)))[0] + [3, 0, 0]
+    ball, line = rng.normal(size=(40, 3)), np.outer(np.linspace(-1, 1, 30), [1.0, 2.0, 3.0])
+    few = flat[:5]
+    cells = [flat, ball, tilted, line, few]
+    position = np.rint(np.concatenate(cells) * 10_000 + 1_000_000).astype(np.int32)
+    starts = np.concatenate([[0], np.cumsum([len(cell) for cell in cells])])
+    found = flatness.plane_error(position, starts, 1e-4)
+    for c, is_plane in enumerate([True, False, True, False, False]):
+        here = slice(starts[c], starts[c + 1])
+        if not is_plane:
+            assert np.isnan(found[here]).all()
+            continue
+        centered = position[here] - position[here].mean(0)
+        normal = np.linalg.svd(centered)[2][2]
+        normal *= np.sign(normal[np.abs(normal).argmax()])
+        np.testing.assert_allclose(found[here], centered @ normal * 1e-4, atol=1e-7)
+
+
+def test_maps_without_plane_errors_get_them(tmp_path):
+    rng = np.random.default_rng(0)
+    floor = np.concatenate([rng.uniform(0, 4, (5000, 2)), rng.normal(0, 0.01, (5000, 1))], axis=1)
+    columns = dict(zip("xyz", floor.astype(np.float32).T))
+    columns |= {name: np.zeros(5000, np.uint8) for name in ("red", "green", "blue")}
+    ply.write_ply(tmp_path / "map.ply", columns)
+    lod.write(tmp_path / "map.ply", tmp_path / "cloud", SMALL)
+    rows = np.concatenate([rows for _, rows in potree.read_nodes(tmp_path / "cloud")])
+    metadata = json.loads((tmp_path / "cloud" / "metadata.json").read_text())
+    height = rows["position"][:, 2] * metadata["scale"][2] + metadata["offset"][2]
+    known = np.isfinite(rows["plane_error"])
+    assert known.mean() > 0.9
+    assert np.corrcoef(height[known], rows["plane_error"][known])[0, 1] > 0.9
+    assert rows["plane_error"][known].std() == pytest.approx(0.01, rel=0.1)
+    (told,) = [a for a in metadata["attributes"] if a["name"] == "plane_error"]
+    assert told["max"] == [pytest.approx(rows["plane_error"][known].max())]

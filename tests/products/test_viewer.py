@@ -43,7 +43,9 @@ def result(tmp_path_factory):
     point_map = map_file.build(world.cloud(), world.views(), map_file.MapConfig(voxel_m=0.05))
     ply.write_ply(out / "map.ply", map_file.columns(point_map, ORIGIN))
     exposures.write_exposures(out / "exposures.csv", exposures.Exposures(times, np.exp(world.log_exposure)))
-    (out / "report.json").write_text(json.dumps({"dataset": {"path": str(recording)}}))
+    parts = [{"core_scans": [0, 2]}, {"core_scans": [2, 4]}]
+    report = {"dataset": {"path": str(recording)}, "merge": {"parts": parts}}
+    (out / "report.json").write_text(json.dumps(report))
     return out
 
 
@@ -65,6 +67,7 @@ def test_rough_and_refined_poses_are_in_the_frame_of_the_recording(result, tmp_p
             refined[..., :3] @ refined[..., :3].swapaxes(1, 2), np.tile(np.eye(3), (4, 1, 1)), atol=1e-6
         )
     assert facts["camera"]["fx"] == box_world.CAMERA.fx
+    assert facts["parts"] == [[0, 2], [2, 4]]
     assert facts["images"]["names"][0] == "100.000000.png"
 
 

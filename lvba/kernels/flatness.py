@@ -1,0 +1,56 @@
+"""How far points lie from the plane through their neighbors."""
+
+import numpy as np
+from numba import prange
+
+from lvba.kernels.parallel import parallel
+from lvba.kernels.point_cluster import eigen3
+
+FEWEST = 12
+"""Points that a plane is read off."""
+FLAT = 0.15
+"""Largest ratio of the least to the middle eigenvalue of a plane."""
+WIDE = 0.02
+"""Least ratio of the middle to the greatest: points along a line have no plane."""
+
+
+@parallel
+def plane_error(position: np.ndarray, starts: np.ndarray, scale: float) -> np.ndarray:
+    """Signed distance (N,) float32, m, of each point from the plane that fits its cell; NaN where that is no plane.
+
+    position: (N, 3) int32, steps of `scale` m, cell c owns position[starts[c]:starts[c + 1]]; starts: (C + 1,) int64.
+    The normal points along its largest component.
+    """
+    out = np.full(len(position), np.nan, np.float32)
+    for c in prange(len(starts) - 1):
+        first, end = starts[c], starts[c + 1]
+        if end - first < FEWEST:
+            continue
+        mean, sums, values, vectors = np.zeros(3), np.zeros(6), np.empty(3), np.empty((3, 3))
+        for i in range(first, end):
+            for a in range(3):
+                mean[a] += np.float64(position[i, a] - position[first, a])
+        for a in range(3):
+            mean[a] = mean[a] / (end - first) + position[first, a]
+        for i in range(first, end):
+            x, y, z = position[i, 0] - mean[0], position[i, 1] - mean[1], position[i, 2] - mean[2]
+            sums[0] += x * x
+            sums[1] += x * y
+            sums[2] += x * z
+            sums[3] += y * y
+            sums[4] += y * z
+            sums[5] += z * z
+        eigen3(sums, values, vectors)
+        if values[0] > FLAT * values[1] or values[1] < WIDE * values[2] or values[1] <= 0.0:
+            continue
+        n, largest = vectors[0], 0
+        for a in range(1, 3):
+            if abs(n[a]) > abs(n[largest]):
+                largest = a
+        sign = scale if n[largest] > 0.0 else -scale
+        for i in range(first, end):
+            away = 0.0
+            for a in range(3):
+                away += n[a] * (position[i, a] - mean[a])
+            out[i] = sign * away
+    return out
