@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from service.progress import Display
 from service.server import keys
 from service.server.database import Database
+from service.server.opening import open_database
 from service.server.places import Places
 from service.server.retention import Retention
 from service.server.settings import Settings, load
@@ -16,8 +17,6 @@ from service.server_cli import settings_given
 
 def admin(arguments: argparse.Namespace, display: Display) -> None:
     """Do what the command line says; what comes of it goes to stdout."""
-    from service.server.serving import open_database
-
     settings = load(settings_given(arguments))
     places = Places(settings.data.absolute())
     database = open_database(settings, places)

@@ -59,6 +59,48 @@ def undisturbed(recording, lvba, tmp_path_factory):
     return out, done
 
 
+@pytest.fixture(scope="session")
+def tiny_recording(tmp_path_factory):
+    """A recording whose run takes seconds."""
+    from real_server import make_recording
+
+    return make_recording(tmp_path_factory.mktemp("tiny") / "tiny")
+
+
+@pytest.fixture(scope="session")
+def tiny_result(tiny_recording, lvba, tmp_path_factory):
+    """The result folder of `lvba run` on the tiny recording."""
+    out = tmp_path_factory.mktemp("tiny-run") / "out"
+    lvba("run", tiny_recording, "--out", out, "--threads", 2)
+    return out
+
+
+@pytest.fixture(scope="session")
+def service(tmp_path_factory):
+    """A job service that several tests ask, each for things of its own."""
+    from real_server import Service
+
+    running = Service(tmp_path_factory.mktemp("service") / "data")
+    yield running
+    running.stop()
+
+
+@pytest.fixture(scope="session")
+def ready_dataset(service, tiny_recording):
+    """Id of the tiny recording on the shared service."""
+    from real_server import upload
+
+    return upload(service.http, tiny_recording)
+
+
+@pytest.fixture(scope="session")
+def done_job(service, ready_dataset):
+    """A job on the shared service that has ended well."""
+    from real_server import ended, submit
+
+    return ended(service.http, submit(service.http, ready_dataset, name="first")["id"])
+
+
 def run_lvba(*arguments, code=0, program=("-m", "service.cli"), **options):
     """The finished process of `lvba ARGUMENTS`, after checking its exit code."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}

@@ -9,12 +9,11 @@ from types import FrameType
 from typing import Any
 
 import uvicorn
-from sqlalchemy.exc import SQLAlchemyError
 
-from lvba.errors import InputError, LvbaError
+from lvba.errors import InputError
 from service.server import app, context
 from service.server.broadcast import Broadcaster
-from service.server.database import Database
+from service.server.opening import open_database
 from service.server.places import Places
 from service.server.settings import Settings
 from service.server.supervisor import Supervisor
@@ -28,9 +27,17 @@ _OPEN_S = 5
 class _Uvicorn(uvicorn.Server):
     """Ends on the first signal, after its streams; and does not send itself the signal again."""
 
-    def __init__(self, config: uvicorn.Config, broadcaster: Broadcaster) -> None:
+    def __init__(self, config: uvicorn.Config, broadcaster: Broadcaster, words: str) -> None:
         super().__init__(config)
-        self._broadcaster = broadcaster
+        self._broadcaster, self._words = broadcaster, words
+
+    async def startup(self, sockets: list[Any] | None = None) -> None:
+        await super().startup(sockets)
+        for socket in sockets or []:
+            host, port = socket.getsockname()[:2]
+            shown = f"[{host}]" if ":" in host else host
+            sys.stderr.write(f"lvba: serving http://{shown}:{port} {self._words}\n")
+        sys.stderr.flush()
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -59,7 +66,9 @@ def serve(settings: Settings) -> None:
     broadcaster = Broadcaster(database)
     secret = context.load_secret(places.root / "secret")
     server = context.Server(database, places, settings, supervisor, broadcaster, secret)
-    web = _Uvicorn(_configuration(app.create(server), settings), broadcaster)
+    keys = "with keys" if settings.asks_for_keys else "without keys: for this machine only"
+    words = f"({keys}); data in {settings.data}"
+    web = _Uvicorn(_configuration(app.create(server), settings), broadcaster, words)
     messenger = Messenger(database, settings) if settings.webhooks else None
     with _listening(web, settings) as sockets:
         supervisor.start()
@@ -72,26 +81,6 @@ def serve(settings: Settings) -> None:
             if messenger is not None:
                 messenger.stop()
             database.close()
-
-
-def open_database(settings: Settings, places: Places) -> Database:
-    """The database with its tables as this version needs them.
-
-    Raises LvbaError: it cannot be reached or written.
-    """
-    try:
-        places.make()
-    except OSError as error:
-        raise InputError(
-            settings.data, f"cannot be used ({error.strerror})", "give --data another folder"
-        ) from None
-    database = Database(settings.database_url)
-    try:
-        database.migrate()
-    except SQLAlchemyError as error:
-        said = str(error).splitlines()[0]
-        raise LvbaError(f"database: cannot be used ({said}); check --database") from None
-    return database
 
 
 def _configuration(application: Any, settings: Settings) -> uvicorn.Config:
@@ -118,11 +107,6 @@ def _listening(web: uvicorn.Server, settings: Settings) -> Iterator[list[Any]]:
         raise InputError(
             f"{settings.host}:{settings.port}", "cannot be listened on", "give another --port"
         ) from None
-    host, port = socket.getsockname()[:2]
-    shown = f"[{host}]" if ":" in host else host
-    keys = "with keys" if settings.asks_for_keys else "without keys: for this machine only"
-    sys.stderr.write(f"lvba: serving http://{shown}:{port} ({keys}); data in {settings.data}\n")
-    sys.stderr.flush()
     try:
         yield [socket]
     finally:

@@ -2,6 +2,7 @@
 
 import zipfile
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Query, Response
@@ -68,21 +69,29 @@ def logs(
     limit: Annotated[int, Query(ge=1, le=1 << 20)] = 1 << 16,
 ) -> dict[str, Any]:
     """Whole lines of the log from a position on."""
-    job = _job(server, principal, job_id)
+    ended = _job(server, principal, job_id).state in ENDED
     log = server.places.log(job_id)
     size = log.stat().st_size if log.exists() else 0
     begin = max(size + start, 0) if start < 0 else min(start, size)
-    data = b""
-    if size:
-        with log.open("rb") as stream:
-            stream.seek(begin)
-            data = stream.read(limit)
-    ended = job.state in ENDED
-    whole = data if ended or len(data) == limit else data[: data.rfind(b"\n") + 1]
-    cut = whole.rfind(b"\n") + 1
-    whole = whole[:cut] if cut and not (ended and begin + len(whole) == size) else whole
+    data = _read(log, begin, limit) if size else b""
+    if start < 0 and begin:
+        # the end of a line of which the beginning is not asked for
+        begin, data = begin + data.find(b"\n") + 1, data[data.find(b"\n") + 1 :]
+    whole = _whole_lines(data, all_there=ended and begin + len(data) >= size, full=len(data) == limit)
     text = words.without_paths(whole.decode("utf-8", "replace"), server.places, job_id, None)
     return {"from": begin, "next": begin + len(whole), "size": size, "text": text, "ended": ended}
+
+
+def _read(log: Path, begin: int, limit: int) -> bytes:
+    with log.open("rb") as stream:
+        stream.seek(begin)
+        return stream.read(limit)
+
+
+def _whole_lines(data: bytes, *, all_there: bool, full: bool) -> bytes:
+    """Without the beginning of a line that is not all there yet; of one longer than can be asked for, what there is."""
+    cut = data.rfind(b"\n") + 1
+    return data if all_there or (full and not cut) else data[:cut]
 
 
 @router.get("/jobs/{job_id}/results")
