@@ -1,0 +1,145 @@
+"""Memory and time against the length of a recording that is solved in parts, and what a second worker brings.
+
+Streets of 60, 120, 240 and 480 scans and images, solved in parts of 20 by two worker processes of one thread each: peak
+memory of the largest worker, and seconds of work in all tasks together. Then the third one by one worker and in one process
+without Dask. Last, what a task costs that does nothing: store, scheduler and all. Images are small and scans thin, to be
+done in minutes; docs/images/length.svg shows the first table.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+PICTURE = ROOT / "docs" / "images" / "length.svg"
+SHORTEST, PART = 60, 20
+JOINT = ("lidar-merge", "lidar-start", "lidar-step", "lidar-joint", "lidar-gate", "visual-merge", "visual-exposures",
+         "visual-step", "evaluate", "visual-gate", "map", "pictures", "facts", "survey", "pictures-choice")  # fmt: skip
+"""Steps of which there is one for all parts; names with a number at their end aside."""
+
+
+def run(lengths: tuple[int, ...] = (1, 2, 4, 8)) -> dict[str, Any]:
+    """A row per length, and the figures of the other two questions."""
+    with tempfile.TemporaryDirectory() as folder:
+        work = Path(folder)
+        for times in lengths:
+            _simulate(work / f"street{times}", SHORTEST * times)
+        _run(work, lengths[0], "warm", [])  # kernels are compiled once
+        rows = [_row(times, _run(work, times, "two", ["--workers", "2"])) for times in lengths]
+        middle = lengths[-2]
+        two = next(row for row, times in zip(rows, lengths, strict=True) if times == middle)
+        one = _row(middle, _run(work, middle, "one", ["--workers", "1"]))
+        alone = _row(middle, _run(work, middle, "alone", ["--threads", "1"]))
+        per_task = _seconds_per_task(work)
+    draw(rows)
+    return {
+        "name": "length",
+        "wall_seconds_without_dask": alone["wall s"],
+        "wall_seconds_of_one_worker": one["wall s"],
+        "wall_seconds_of_two_workers": two["wall s"],
+        "faster_by_a_second_worker": one["wall s"] / two["wall s"],
+        "faster_on_the_stages_of_parts": (one["wall s"] - one["joint s"]) / (two["wall s"] - two["joint s"]),
+        "milliseconds_per_empty_task": 1e3 * per_task,
+        "tasks": two["tasks"],
+        "rows": rows,
+    }
+
+
+def _simulate(dataset: Path, frames: int) -> None:
+    sizes = ["--points", "6000", "--width", "320", "--height", "240"]
+    _lvba(["simulate", "street", "--out", str(dataset), "--seed", "1", "--frames", str(frames), "--scans", str(frames),
+           "--length", str(frames), *sizes])  # fmt: skip
+
+
+def _run(work: Path, times: int, name: str, options: list[str]) -> dict[str, Any]:
+    out = work / f"{name}{times}"
+    cut = ["--set", "split.by=count", "--set", f"split.size={PART}"]
+    started = time.perf_counter()
+    _lvba(["run", str(work / f"street{times}"), "--out", str(out), "--quiet", *cut, *options])
+    seconds = time.perf_counter() - started
+    return {**json.loads((out / "report.json").read_text()), "wall": seconds}
+
+
+def _row(times: int, report: dict[str, Any]) -> dict[str, Any]:
+    stages = report["stages"]
+    joint = [stage for stage in stages if _base(stage["name"]) in JOINT]
+    return {
+        "scans": SHORTEST * times,
+        "parts": len(report["merge"]["parts"]),
+        "tasks": len(stages),
+        "peak MB": max(stage["peak_memory_mb"] for stage in stages),
+        "work s": sum(stage["seconds"] for stage in stages),
+        "joint s": sum(stage["seconds"] for stage in joint),
+        "wall s": report["wall"],
+    }
+
+
+def _base(name: str) -> str:
+    """A joint step's name without stage and round; others keep their part's number."""
+    if name.startswith(("lidar-step-", "visual-step-")):
+        return "-".join(name.split("-")[:2])
+    return name
+
+
+def _seconds_per_task(work: Path, tasks: int = 300) -> float:
+    """Of tasks that return a text each, through store and scheduler, by one worker that is there already."""
+    from lvba import plan
+    from workers import cluster, connection, versions
+
+    def seconds(count: int, scheduler: connection.Scheduler) -> float:
+        empty = plan.Plan(versions.key_version())
+        for number in range(count):
+            empty.add(f"empty-{number}", plan.digest, number)
+        started = time.perf_counter()
+        cluster.run(empty, str(work / f"store{count}"), scheduler)
+        return time.perf_counter() - started
+
+    with connection.local(1, 1) as scheduler:
+        first = seconds(10, scheduler)
+        return (seconds(tasks, scheduler) - first) / (tasks - 10)
+
+
+def draw(rows: list[dict[str, Any]]) -> None:
+    """docs/images/length.svg: peak memory and work against the number of scans."""
+    panels = [
+        _panel(rows, "peak MB", "peak memory of a worker, MB", 0),
+        _panel(rows, "work s", "work of all tasks, s", 330),
+    ]
+    PICTURE.write_text(
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 660 240" font-family="sans-serif" font-size="12">'
+        f'<rect width="660" height="240" fill="white"/>{"".join(panels)}</svg>\n'
+    )
+
+
+def _panel(rows: list[dict[str, Any]], name: str, title: str, left: int) -> str:
+    high = 1.15 * max(row[name] for row in rows)
+    last = rows[-1]["scans"]
+    spots = [(left + 50 + 250 * row["scans"] / last, 200 - 160 * row[name] / high) for row in rows]
+    line = " ".join(f"{x:.1f},{y:.1f}" for x, y in spots)
+    marks = "".join(
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="#0b6e99"/>'
+        f'<text x="{x:.1f}" y="{y - 8:.1f}" text-anchor="middle">{row[name]:,.0f}</text>'
+        f'<text x="{x:.1f}" y="216" text-anchor="middle">{row["scans"]}</text>'
+        for (x, y), row in zip(spots, rows, strict=True)
+    )
+    return (
+        f'<text x="{left + 50}" y="20" font-weight="bold">{title}</text>'
+        f'<path d="M{left + 50} 30V200H{left + 310}" fill="none" stroke="#888"/>'
+        f'<polyline points="{line}" fill="none" stroke="#0b6e99" stroke-width="2"/>{marks}'
+        f'<text x="{left + 180}" y="234" text-anchor="middle">scans (and images)</text>'
+    )
+
+
+def _lvba(arguments: list[str]) -> None:
+    command = [sys.executable, "-m", "service.cli", *arguments]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    subprocess.run(command, check=True, capture_output=True, env=environment, cwd=ROOT)
+
+
+if __name__ == "__main__":
+    print(json.dumps(run(), indent=1))
