@@ -114,7 +114,7 @@ def local(workers: int, threads: int | None) -> Iterator[Scheduler]:
         threads_per_worker=1,
         host="127.0.0.1",
         security=security,
-        dashboard_address=None,
+        dashboard_address="127.0.0.1:0",
         memory_limit=limits.memory_share(workers),
         env={"NUMBA_NUM_THREADS": str(max(1, (threads or CPU_COUNT) // workers))},
         plugins=[limits.Limits()],
