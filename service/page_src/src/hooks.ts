@@ -88,6 +88,13 @@ export function useEvery(ms: number | null, act: () => void): void {
   }, [ms]);
 }
 
+/** What the tab of the browser is called. */
+export function useTitle(words: string): void {
+  useEffect(() => {
+    document.title = `${words} · lvba`;
+  }, [words]);
+}
+
 /** The place in the page, as parts of the address after #/. */
 export function useRoute(): string[] {
   const [hash, setHash] = useState(location.hash);

@@ -22,6 +22,7 @@ uniform float pixelsPerRadian;
 uniform float sizeFactor;
 uniform float toRough;
 uniform int hasScans;
+uniform int onlyColored;      // in rgb mode, where value is the number of views
 uniform int colorBy;           // 0: rgb, 1: height, 2: value, 3: value as a name
 uniform vec2 range;
 out vec3 shade;
@@ -64,12 +65,15 @@ void main() {
   vec4 view = modelViewMatrix * vec4(place, 1.0);
   gl_Position = projectionMatrix * view;
   float spacing = spacingHere(position);
-  gl_PointSize = clamp(1.2 * sizeFactor * spacing * pixelsPerRadian / max(-view.z, 0.01), 1.5, 40.0);
-  if (colorBy == 0) shade = rgb;
+  gl_PointSize = clamp(1.5 * sizeFactor * spacing * pixelsPerRadian / max(-view.z, 0.01), 1.5, 40.0);
+  if (colorBy == 0) {
+    shade = rgb;
+    if (onlyColored == 1 && value < 0.5) gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+  }
   else {
     float t = colorBy == 1 ? refined.z : value;
     float x = colorBy == 3 ? mod(value, 256.0) : 255.0 * clamp((t - range.x) / max(range.y - range.x, 1e-9), 0.0, 1.0);
-    shade = texture(palette, vec2((x + 0.5) / 256.0, 0.5)).rgb;
+    shade = t > 1e29 ? vec3(0.5) : texture(palette, vec2((x + 0.5) / 256.0, 0.5)).rgb;
   }
 }`;
 
@@ -92,7 +96,7 @@ export function pointMaterial(): ShaderMaterial {
       nodes: { value: null }, rough: { value: null }, palette: { value: null },
       nodePlace: { value: 0 }, nodeEdge: { value: 1 }, nodeLow: { value: [0, 0, 0] },
       pixelsPerRadian: { value: 1 }, sizeFactor: { value: 1 },
-      toRough: { value: 0 }, hasScans: { value: 0 }, colorBy: { value: 0 }, range: { value: new Vector2(0, 1) },
+      toRough: { value: 0 }, hasScans: { value: 0 }, onlyColored: { value: 0 }, colorBy: { value: 0 }, range: { value: new Vector2(0, 1) },
     },
   });
 }

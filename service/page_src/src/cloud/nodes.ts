@@ -90,11 +90,9 @@ export class Nodes {
 
   private color(node: OctreeNode, entry: Loaded, by: ColorBy): void {
     if (entry.colored === by) return;
-    const plain = by === "rgb" || by === "height";
-    const values = plain ? new Float32Array(node.points) : this.octree.values(node, entry.data, by);
-    if (!plain || !entry.points.geometry.hasAttribute("value")) {
-      entry.points.geometry.setAttribute("value", new BufferAttribute(values, 1));
-    }
+    const name = by === "rgb" ? "views" : by; // color needs no value: it tells there whether there is one
+    const values = this.octree.values(node, entry.data, name);
+    entry.points.geometry.setAttribute("value", new BufferAttribute(values, 1));
     entry.colored = by;
   }
 

@@ -35,9 +35,13 @@ export interface OctreeNode {
 }
 
 const NODE_BYTES = 22;
+/** Stands for no value: the shader shows it gray. */
+const NONE = 1e30;
 
 export class Octree {
   readonly stride: number;
+  /** First scan and one after the last of each part of the recording, in order; empty where it was not cut. */
+  parts: [number, number][] = [];
   private readonly places = new Map<string, { at: number; attribute: Attribute }>();
 
   private constructor(
@@ -65,6 +69,7 @@ export class Octree {
 
   /** Least and greatest value of an attribute, or null where the map has none. */
   range(name: string): [number, number] | null {
+    if (this.isByScan(name)) return [0, this.parts.length - 1];
     const place = this.places.get(name);
     return place === undefined ? null : [place.attribute.min[0] ?? 0, place.attribute.max[0] ?? 0];
   }
@@ -111,13 +116,24 @@ export class Octree {
     return out;
   }
 
+  /** Whether the part of a point follows from its scan. */
+  private isByScan(name: string): boolean {
+    return name === "part" && !this.places.has("part") && this.places.has("scan") && this.parts.length > 1;
+  }
+
   /** One number per point; zeros where the map has no such attribute. */
   values(node: OctreeNode, data: DataView, name: string): Float32Array {
+    if (this.isByScan(name)) {
+      return this.values(node, data, "scan").map((scan) => this.parts.findIndex(([, end]) => scan < end));
+    }
     const out = new Float32Array(node.points);
     const place = this.places.get(name);
     if (place === undefined) return out;
     const read = reader(data, place.attribute.type);
-    for (let i = 0; i < node.points; i++) out[i] = read(i * this.stride + place.at);
+    for (let i = 0; i < node.points; i++) {
+      const value = read(i * this.stride + place.at);
+      out[i] = Number.isNaN(value) ? NONE : value;
+    }
     return out;
   }
 }

@@ -2,6 +2,8 @@
 
 import { Matrix4, Vector3 } from "three";
 
+import type { Octree } from "./octree";
+
 /** Upper three rows of a 4 x 4 transform, row by row. */
 export type Pose = number[];
 
@@ -15,6 +17,7 @@ export interface CloudFacts {
   schema: number;
   octree: string;
   camera: { width: number; height: number; fx: number; fy: number; cx: number; cy: number } | null;
+  parts?: [number, number][];
   scans: PosePairs;
   images: (PosePairs & { names: string[]; pictures: number[] }) | null;
 }
@@ -57,4 +60,22 @@ export function frustumLines(camera: NonNullable<CloudFacts["camera"]>, depth: n
   });
   const top = (x: number, y: number): Vector3 => corner(camera.width * x, camera.height * y);
   return [...lines, top(0.35, -0.02), top(0.5, -0.2), top(0.5, -0.2), top(0.65, -0.02)]; // which side is up
+}
+
+/** What is worth looking at first: the map round the path of the scanner, for a few far points may make the map much larger. */
+export function region(octree: Octree, facts: CloudFacts | null, origin: Vector3): { center: Vector3; radius: number; along: Vector3 } {
+  const bounds = octree.bounds();
+  const [low, high] = [new Vector3(...bounds.low), new Vector3(...bounds.high)];
+  const span = high.clone().sub(low);
+  const whole = Math.max(0.5, Math.hypot(span.x, span.y) / 2);
+  const path = (facts?.scans.refined ?? []).map((pose) => new Vector3().setFromMatrixPosition(local(pose, origin)));
+  if (path.length < 2) {
+    return { center: low.add(high).multiplyScalar(0.5), radius: whole, along: span.x > span.y ? new Vector3(1, 0, 0) : new Vector3(0, 1, 0) };
+  }
+  const center = path.reduce((sum, one) => sum.add(one), new Vector3()).divideScalar(path.length);
+  const away = path.map((one) => one.clone().sub(center));
+  const reach = Math.max(...away.map((one) => Math.hypot(one.x, one.y)));
+  const moment = (f: (one: Vector3) => number): number => away.reduce((sum, one) => sum + f(one), 0);
+  const angle = 0.5 * Math.atan2(2 * moment((one) => one.x * one.y), moment((one) => one.x ** 2 - one.y ** 2));
+  return { center, radius: Math.min(whole, 1.15 * reach + 0.25 * whole), along: new Vector3(Math.cos(angle), Math.sin(angle), 0) };
 }

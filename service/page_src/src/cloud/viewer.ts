@@ -11,11 +11,12 @@ import { nodesTexture, paletteTexture, pointMaterial, SCANS_WIDTH, scansTexture,
 import { Nodes, table } from "./nodes";
 import type { Octree } from "./octree";
 import { CATEGORIES, type ColorBy, ramp, SIGNED } from "./palette";
-import { type CloudFacts, local, roughFromRefined } from "./poses";
+import { type CloudFacts, local, region, roughFromRefined } from "./poses";
 
 export interface Looks {
   colorBy: ColorBy;
   rough: boolean;
+  onlyColored: boolean;
   cameras: boolean;
   trajectories: boolean;
   size: number;
@@ -102,6 +103,7 @@ export class Viewer {
     (this.material.uniforms["palette"]?.value as Texture | null)?.dispose();
     this.uniform("palette", paletteTexture(ramp(looks.colorBy)));
     this.uniform("sizeFactor", looks.size);
+    this.uniform("onlyColored", looks.onlyColored && this.octree.range("views") !== null ? 1 : 0);
     if (this.frustums !== null) this.frustums.object.visible = looks.cameras;
     for (const path of this.paths) path.visible = looks.trajectories;
     this.redraw();
@@ -127,18 +129,15 @@ export class Viewer {
     this.redraw();
   }
 
-  /** The whole map in view, from above its longer side. */
+  /** The map in view, from above, across the way that was walked or driven. */
   fit(): void {
-    const { low, high } = this.octree.bounds();
-    const center = new Vector3(...low).add(new Vector3(...high)).multiplyScalar(0.5);
-    const span = new Vector3(...high).sub(new Vector3(...low));
-    const radius = Math.max(0.5, Math.hypot(span.x, span.y) / 2);
-    const side = span.x > span.y ? new Vector3(0.35, -1, 0) : new Vector3(-1, 0.35, 0);
+    const { center, radius, along } = region(this.octree, this.facts, this.origin);
+    const side = new Vector3(-along.y, along.x, 0).addScaledVector(along, 0.3).normalize();
     this.controls.target.copy(center);
-    this.camera.position.copy(center).addScaledVector(side.normalize(), radius * 1.1);
-    this.camera.position.z += radius * 1.15;
+    this.camera.position.copy(center).addScaledVector(side, -radius * 0.95);
+    this.camera.position.z += radius * 0.95;
     this.camera.near = Math.max(0.02, radius / 2000);
-    this.camera.far = radius * 40 + 100;
+    this.camera.far = radius * 100 + 200;
     this.controls.update();
     this.redraw();
   }

@@ -13,15 +13,17 @@ import { Segments } from "./basic";
 interface Props {
   /** Address of a file of the cloud/ folder. */
   url: (name: string) => string;
+  /** Whether there is a cloud.json with cameras and trajectories. */
+  cameras: boolean;
   chosen: number | null;
   choose: (image: number) => void;
   control: (viewer: Viewer | null) => void;
 }
 
-const FIRST: Looks = { colorBy: "rgb", rough: false, cameras: true, trajectories: true, size: 1, budget: 1_500_000 };
+const FIRST: Looks = { colorBy: "rgb", rough: false, onlyColored: false, cameras: true, trajectories: true, size: 1, budget: 1_500_000 };
 const ALL: ColorBy[] = ["rgb", "height", "views", "spread", "part", "scan", "plane_error"];
 
-export function CloudView({ url, chosen, choose, control }: Props) {
+export function CloudView({ url, cameras, chosen, choose, control }: Props) {
   const canvas = useRef<HTMLCanvasElement>(null);
   const frame = useRef<HTMLDivElement>(null);
   const [viewer, setViewer] = useState<Viewer | null>(null);
@@ -33,7 +35,7 @@ export function CloudView({ url, chosen, choose, control }: Props) {
   useEffect(() => {
     let made: Viewer | null = null;
     let current = true;
-    void open(url).then(
+    void open(url, cameras).then(
       ({ facts, tree }) => {
         if (!current || canvas.current === null) return;
         made = new Viewer(canvas.current, tree, facts, FIRST, setStatus);
@@ -84,9 +86,10 @@ function Icon({ path }: { path: string }) {
   return <svg class="icon" viewBox="0 0 24 24" aria-hidden="true"><path d={path} /></svg>;
 }
 
-async function open(url: (name: string) => string): Promise<{ facts: CloudFacts | null; tree: Octree }> {
+async function open(url: (name: string) => string, cameras: boolean): Promise<{ facts: CloudFacts | null; tree: Octree }> {
   const tree = await Octree.open(url);
-  const facts = await request(url("cloud.json")).then((response) => response.json() as Promise<CloudFacts>, () => null);
+  const facts = cameras ? ((await (await request(url("cloud.json"))).json()) as CloudFacts) : null;
+  tree.parts = facts?.parts ?? [];
   return { facts, tree };
 }
 
@@ -113,7 +116,7 @@ function keys(viewer: Viewer, event: KeyboardEvent): boolean {
 function Panel({ looks, set, viewer, octree }: { looks: Looks; set: (some: Partial<Looks>) => void; viewer: Viewer; octree: Octree }) {
   const usable = ALL.filter((by) => by === "rgb" || by === "height" || octree.range(by) !== null);
   return (
-    <details class="cloud-panel" open>
+    <details class="cloud-panel" open={matchMedia("(min-width: 821px)").matches}>
       <summary>View</summary>
       {viewer.hasRough && (
         <Segments label="Poses" value={looks.rough ? "rough" : "refined"} options={[["rough", "Rough"], ["refined", "Refined"]]} choose={(value) => { set({ rough: value === "rough" }); }} />
@@ -123,6 +126,9 @@ function Panel({ looks, set, viewer, octree }: { looks: Looks; set: (some: Parti
           {usable.map((by) => <option key={by} value={by}>{LABELS[by]}</option>)}
         </select>
       </label>
+      {looks.colorBy === "rgb" && octree.range("views") !== null && (
+        <label class="check"><input type="checkbox" checked={looks.onlyColored} onChange={(event) => { set({ onlyColored: event.currentTarget.checked }); }} /> Only what images saw</label>
+      )}
       <label class="check"><input type="checkbox" checked={looks.cameras} onChange={(event) => { set({ cameras: event.currentTarget.checked }); }} /> Cameras</label>
       <label class="check"><input type="checkbox" checked={looks.trajectories} onChange={(event) => { set({ trajectories: event.currentTarget.checked }); }} /> <span>Paths <span class="path-before">before</span>, <span class="path-after">after</span></span></label>
       <label class="field">Point size

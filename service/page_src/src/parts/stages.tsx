@@ -10,15 +10,27 @@ interface Group {
   parts: Stage[];
 }
 
-/** Stages in order; those called `name/number` are parts of `name`. */
+/** `name-1-0` as `name` and `1-0`. */
+function cut(name: string): [string, string] {
+  const found = /^(.+?)((?:[-/]\d+)+)$/.exec(name);
+  return found === null ? [name, ""] : [found[1] ?? name, found[2]?.slice(1) ?? ""];
+}
+
+/** Stages in order; those that share a name but for numbers that count from 0 are parts of one. */
 export function grouped(stages: Stage[]): Group[] {
+  const counted = new Set<string>();
+  for (const { name } of stages) {
+    const [base, numbers] = cut(name);
+    if (numbers.split(/[-/]/).includes("0")) counted.add(base);
+  }
   const groups = new Map<string, Group>();
   for (const stage of stages) {
-    const cut = /^(.+)\/(\d+)$/.exec(stage.name);
-    const name = cut?.[1] ?? stage.name;
+    const [base, numbers] = cut(stage.name);
+    const part = numbers !== "" && counted.has(base);
+    const name = part ? base : stage.name;
     const group = groups.get(name) ?? { name, whole: null, parts: [] };
-    if (cut === null) group.whole = stage;
-    else group.parts.push(stage);
+    if (part) group.parts.push(stage);
+    else group.whole = stage;
     groups.set(name, group);
   }
   return [...groups.values()];
@@ -87,7 +99,7 @@ function Parts({ parts }: { parts: Stage[] }) {
   return (
     <ul class="parts" aria-label="Parts">
       {parts.map((part) => {
-        const number = part.name.split("/").at(-1) ?? "";
+        const number = cut(part.name)[1];
         const said = `Part ${number}: ${part.reused ? "reused" : part.state}${part.seconds === null ? "" : `, ${duration(part.seconds)}`}`;
         return <li key={part.name} class={`part part-${part.state}${part.reused ? " part-reused" : ""}`} title={said}><span aria-hidden="true">{number}</span><span class="visually-hidden">{said}</span></li>;
       })}

@@ -4,7 +4,7 @@ import { useState } from "preact/hooks";
 
 import { all, send, told } from "../api";
 import { ago, moment, percent } from "../format";
-import { useEvents, useFetched, useThrottled } from "../hooks";
+import { useEvents, useFetched, useThrottled, useTitle } from "../hooks";
 import { Bar, Badge, Empty, Trouble } from "../parts/basic";
 import type { Batch } from "../types";
 import { Table } from "./dashboard";
@@ -16,6 +16,7 @@ export function Batches({ id }: { id: string | null }) {
 function List() {
   const batches = useFetched<Batch[]>("/v1/batches", (path) => all<Batch>(path));
   useEvents("/v1/events", useThrottled(batches.again, 1500));
+  useTitle("Batches");
   return (
     <>
       <div class="page-head"><h1>Batches</h1></div>
@@ -46,6 +47,7 @@ function One({ id }: { id: string }) {
   const batch = useFetched<Batch>(`/v1/batches/${id}`);
   const [trouble, setTrouble] = useState<{ cause: string; hint: string } | null>(null);
   useEvents("/v1/events", useThrottled(batch.again, 1000));
+  useTitle(batch.data?.name ?? "Batch");
   const { data } = batch;
   if (data === null) return <Trouble trouble={batch.trouble} />;
   const open = (data.counts.queued ?? 0) + (data.counts.running ?? 0) > 0;

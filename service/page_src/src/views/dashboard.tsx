@@ -3,11 +3,10 @@
 import { useMemo, useState } from "preact/hooks";
 
 import { all } from "../api";
-import { ago, duration, moment, percent } from "../format";
-import { useEvents, useEvery, useFetched, useThrottled } from "../hooks";
+import { ago, bytes, duration, moment, percent } from "../format";
+import { useEvents, useEvery, useFetched, useThrottled, useTitle } from "../hooks";
 import { Badge, Bar, Empty, Segments, Trouble } from "../parts/basic";
-import type { Info, Job, JobState } from "../types";
-import { bytes } from "../format";
+import type { Dataset, Info, Job, JobState } from "../types";
 
 type Filter = "all" | "active" | "done" | "failed";
 const MATCHES: Record<Filter, (state: JobState) => boolean> = {
@@ -22,6 +21,7 @@ export function Dashboard() {
   const info = useFetched<Info>("/v1/info");
   const [filter, setFilter] = useState<Filter>("all");
   const [words, setWords] = useState("");
+  useTitle("Jobs");
   const refresh = useThrottled(jobs.again, 700);
   const up = useEvents("/v1/events", refresh);
   useEvery(up ? 20_000 : 4000, jobs.again);
@@ -70,27 +70,29 @@ function matches(job: Job, words: string): boolean {
 }
 
 export function Table({ jobs }: { jobs: Job[] }) {
+  const datasets = useFetched<Dataset[]>("/v1/datasets", (path) => all<Dataset>(path));
+  const names = new Map((datasets.data ?? []).map((dataset) => [dataset.id, dataset.name]));
   return (
     <div class="table-frame">
       <table class="jobs">
         <thead>
-          <tr><th scope="col">Job</th><th scope="col">State</th><th scope="col">Progress</th><th scope="col">Better by</th><th scope="col">Created</th></tr>
+          <tr><th scope="col">Job</th><th scope="col">State</th><th scope="col">Progress</th><th scope="col">Better by</th><th scope="col">Created</th><td /></tr>
         </thead>
         <tbody>
-          {jobs.map((job) => <Row key={job.id} job={job} />)}
+          {jobs.map((job) => <Row key={job.id} job={job} dataset={names.get(job.dataset) ?? job.dataset} />)}
         </tbody>
       </table>
     </div>
   );
 }
 
-function Row({ job }: { job: Job }) {
+function Row({ job, dataset }: { job: Job; dataset: string }) {
   const active = MATCHES.active(job.state);
   return (
     <tr>
       <th scope="row">
         <a class="row-link" href={`#/jobs/${job.id}`}>{job.name === "" ? job.id : job.name}</a>
-        <span class="quiet small">{job.dataset}</span>
+        <span class="quiet small">{dataset}</span>
       </th>
       <td><Badge state={job.state} /></td>
       <td class="progress-cell">
@@ -99,12 +101,14 @@ function Row({ job }: { job: Job }) {
       </td>
       <td class="number">{gain(job)}</td>
       <td class="quiet" title={moment(job.created)}>{ago(job.created)}</td>
+      <td>{job.state === "done" && <a href={`#/jobs/${job.id}/result`} aria-label={`Result of ${job.name}`}>Result</a>}</td>
     </tr>
   );
 }
 
 function rest(job: Job): string {
   if (job.state === "queued") return job.position ? `${String(job.position)} before it` : "next";
+  if (job.state === "running" && job.progress >= 1) return "finishing";
   if (job.state === "running") return job.eta_s === null ? percent(job.progress) : `${percent(job.progress)}, ${duration(job.eta_s)} left`;
   if (job.state === "failed") return job.error?.cause ?? "";
   return job.elapsed_s === null ? "" : `took ${duration(job.elapsed_s)}`;

@@ -5,11 +5,11 @@ import { useEffect, useRef, useState } from "preact/hooks";
 import { send, told } from "../api";
 import type { ServerEvent } from "../events";
 import { bytes, duration, moment, percent } from "../format";
-import { go, useEvents, useEvery, useFetched, useThrottled } from "../hooks";
+import { go, useEvents, useEvery, useFetched, useThrottled, useTitle } from "../hooks";
 import { Badge, Bar, Card, Facts, Trouble } from "../parts/basic";
 import { Log } from "../parts/log";
 import { grouped, Timeline } from "../parts/stages";
-import type { Job, Stage } from "../types";
+import type { Dataset, Job, Stage } from "../types";
 
 const ENDED = new Set(["done", "failed", "canceled"]);
 
@@ -24,6 +24,9 @@ export function JobView({ id }: { id: string }) {
     if (event.event === "progress" || event.event === "log") setLive((old) => ({ ...old, ...patch(event) }));
     else refresh();
   });
+  const { state = "", name: called = "Job" } = fetched.data ?? {};
+  useTitle(state === "running" ? `${percent(live.progress ?? fetched.data?.progress ?? 0)} ${called}` : `${called}: ${state}`);
+  const dataset = useFetched<Dataset>(fetched.data === null ? null : `/v1/datasets/${fetched.data.dataset}`);
   useEffect(() => { setLive((old) => (old.log_bytes === undefined ? {} : { log_bytes: old.log_bytes })); }, [fetched.data]);
   useEvery(ended ? null : up ? 5000 : 2000, fetched.again);
   if (fetched.data === null) return <Trouble trouble={fetched.trouble} />;
@@ -56,7 +59,7 @@ export function JobView({ id }: { id: string }) {
         </Card>
         <div>
           <Card title="Log" id="log"><Log key={String(job.attempts?.length ?? 0)} job={id} size={job.log_bytes ?? 0} /></Card>
-          <Card title="About" id="about"><About job={job} /></Card>
+          <Card title="About" id="about"><About job={job} dataset={dataset.data?.name ?? job.dataset} /></Card>
         </div>
       </div>
     </>
@@ -145,14 +148,14 @@ function Actions({ job, act }: { job: Job; act: (method: string, path: string, b
   );
 }
 
-function About({ job }: { job: Job }) {
+function About({ job, dataset }: { job: Job; dataset: string }) {
   const { estimate } = job;
   const changed = job.config !== null && Object.keys(job.config).length > 0;
   return (
     <>
       <Facts
         rows={[
-          ["Recording", <a href={`#/new/${job.dataset}`} title="New job with it">{job.dataset}</a>],
+          ["Recording", <a href={`#/new/${job.dataset}`} title="New job with it">{dataset}</a>],
           ["Created", moment(job.created)], ["Started", moment(job.started)], ["Ended", moment(job.finished)],
           ...(estimate ? [["Estimated", `${duration(estimate.seconds)}, ${bytes(estimate.memory_bytes)} memory`] as [string, string]] : []),
         ]}

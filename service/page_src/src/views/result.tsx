@@ -5,7 +5,7 @@ import { useEffect, useRef, useState } from "preact/hooks";
 import type { Viewer } from "../cloud/viewer";
 import { get, ticket, withQuery } from "../api";
 import { bytes, length, plural } from "../format";
-import { useEvery, useFetched } from "../hooks";
+import { useEvery, useFetched, useTitle } from "../hooks";
 import { Card, Trouble } from "../parts/basic";
 import { Chart, type Series } from "../parts/chart";
 import { CloudView } from "../parts/cloud";
@@ -18,6 +18,7 @@ export default function Result({ id }: { id: string }) {
   const report = useFetched<Report>(`${base}report.json`);
   const artifacts = useFetched<Artifact[]>(`/v1/jobs/${id}/results`, async (path) => (await get<Page<Artifact>>(path)).items);
   const frames = useFetched<Frame[]>(`/v1/jobs/${id}/frames`, async (path) => (await get<Page<Frame>>(path)).items);
+  useTitle(`${job.data?.name ?? "Result"}: result`);
   const query = useTicket(`/v1/jobs/${id}/`);
   const viewer = useRef<Viewer | null>(null);
   const [image, setImage] = useState<number | null>(null);
@@ -47,7 +48,7 @@ export default function Result({ id }: { id: string }) {
       <Trouble trouble={job.trouble ?? artifacts.trouble} />
       {report.data !== null && <Headline report={report.data} />}
       <div class={`stage${image === null ? "" : " stage-split"}`}>
-        {has3d && <CloudView url={(name) => `${base}cloud/${name}`} chosen={image} choose={choose} control={(made) => { viewer.current = made; }} />}
+        {has3d && <CloudView url={(name) => `${base}cloud/${name}`} cameras={names.has("cloud/cloud.json")} chosen={image} choose={choose} control={(made) => { viewer.current = made; }} />}
         {!has3d && artifacts.data !== null && <div class="cloud cloud-problem"><p>This result has no map for the browser; map.ply is below.</p></div>}
         {image !== null && query !== null && (
           <Compare

@@ -5,7 +5,7 @@ import { useEffect, useMemo, useState } from "preact/hooks";
 
 import { all, Problem, send, told } from "../api";
 import { ago, bytes, duration, plural } from "../format";
-import { go, useFetched } from "../hooks";
+import { go, useFetched, useTitle } from "../hooks";
 import { Card, Facts, Trouble } from "../parts/basic";
 import { type Changes, nested, OptionsForm } from "../parts/options";
 import { Uploader } from "../parts/uploader";
@@ -14,6 +14,7 @@ import type { Dataset, Estimate, Info, Job, Options } from "../types";
 export function Submit({ dataset: wanted }: { dataset: string | null }) {
   const datasets = useFetched<Dataset[]>("/v1/datasets", (path) => all<Dataset>(path));
   const info = useFetched<Info>("/v1/info");
+  useTitle("New job");
   const [chosen, setChosen] = useState<string | null>(wanted);
   const [unfinished, setUnfinished] = useState<Dataset | null>(null);
   const ready = (datasets.data ?? []).filter((dataset) => dataset.state === "ready");
