@@ -32,16 +32,24 @@ def batch(arguments: argparse.Namespace, display: Display) -> None:
     out = result_folder.prepare(arguments.out)
     rows = {entry.name: Row(entry.name, str(entry.dataset)) for entry in entries}
     display.stage("batch", 0, 1)
-    queue = Queue(arguments, batch_manifest.in_turns(entries), rows, out, display)
-    try:
-        queue.run()
-    finally:
-        queue.stop()
+    if arguments.server is not None:
+        from service import batch_server
+
+        batch_server.run(arguments, batch_manifest.in_turns(entries), rows, out, display)
+    else:
+        _run_here(Queue(arguments, batch_manifest.in_turns(entries), rows, out, display))
     display.clear()
     sys.stdout.write(batch_summary.table(list(rows.values())) + "\n")
     failed = sum(row.state == FAILED for row in rows.values())
     if failed:
         raise LvbaError(f"{failed} of {len(rows)} failed; see {out / 'summary.json'}")
+
+
+def _run_here(queue: "Queue") -> None:
+    try:
+        queue.run()
+    finally:
+        queue.stop()
 
 
 @dataclass

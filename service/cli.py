@@ -48,6 +48,7 @@ _BATCH_EXAMPLES = """\
 examples:
   lvba batch recordings.yaml --out results
   lvba batch recordings.yaml --out results --jobs 4 --scheduler tcp://head:8786
+  lvba batch recordings.yaml --out results --server http://host:8080
 
 OUT/NAME is the result of a recording, OUT/NAME.log what it said; OUT/summary.json and OUT/summary.csv are the table.
 Exit code 1: some failed."""
@@ -158,6 +159,7 @@ def _add_batch(commands: "argparse._SubParsersAction[Parser]") -> None:
         "--jobs", type=_count, default=1, metavar="N", help="recordings at a time (default: 1)"
     )
     batch.add_argument("--store", metavar="URL", help="folder or URL for what stages make (default: in OUT)")
+    server_cli.add_server(batch, asked=False)
     _add_cluster(batch)
 
 

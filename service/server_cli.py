@@ -154,9 +154,10 @@ def _add_questions(commands: Any, command: Add) -> None:
             parser.add_argument("names", nargs="*", metavar="NAME", help="only these, such as map.ply")
 
 
-def add_server(parser: Any) -> None:
-    """Add --server and --key-file."""
-    parser.add_argument("--server", metavar="URL", help="default: LVBA_SERVER, or http://127.0.0.1:8080")
+def add_server(parser: Any, *, asked: bool = True) -> None:
+    """Add --server and --key-file; asked: a server is asked also where none is named."""
+    default = "default: LVBA_SERVER, or http://127.0.0.1:8080" if asked else "have this server do the work"
+    parser.add_argument("--server", metavar="URL", help=default)
     parser.add_argument("--key-file", type=Path, metavar="FILE", help="holds the API key (default: LVBA_KEY)")
 
 

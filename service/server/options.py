@@ -18,15 +18,16 @@ _PLAIN = {int: "integer", float: "number", bool: "boolean", str: "string", type(
 @functools.cache
 def describe() -> dict[str, Any]:
     """What `GET /v1/options` answers."""
+    defaults = config.to_dict(Config())
     return {
-        "schema": {"$schema": "https://json-schema.org/draft/2020-12/schema", **_group(Config)},
-        "defaults": config.to_dict(Config()),
-        "options": _flat(Config, ""),
+        "schema": {"$schema": "https://json-schema.org/draft/2020-12/schema", **_group(Config, defaults)},
+        "defaults": defaults,
+        "options": _flat(Config, "", defaults),
     }
 
 
-def _group(kind: Any) -> dict[str, Any]:
-    defaults = config.to_dict(kind())
+def _group(kind: Any, defaults: dict[str, Any]) -> dict[str, Any]:
+    """defaults: of the group in its place, which may be others than the class has alone"""
     return {
         "type": "object",
         "title": kind.__name__,
@@ -40,14 +41,14 @@ def _group(kind: Any) -> dict[str, Any]:
 
 def _described(hint: Any, help_text: str, default: Any) -> dict[str, Any]:
     if dataclasses.is_dataclass(hint):
-        return {**_group(hint), "description": help_text}
+        return {**_group(hint, default), "description": help_text}
     return {**_type(hint), "default": default, "description": help_text}
 
 
 def _type(hint: Any) -> dict[str, Any]:
     origin, inner = get_origin(hint), get_args(hint)
-    if dataclasses.is_dataclass(hint):
-        return _group(hint)
+    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+        return _group(hint, config.to_dict(hint()))
     if origin is Literal:
         return {"enum": list(inner)}
     if origin in (Union, types.UnionType):
@@ -59,12 +60,11 @@ def _type(hint: Any) -> dict[str, Any]:
     return {"type": _PLAIN[hint]} if hint in _PLAIN else {}
 
 
-def _flat(kind: Any, prefix: str) -> list[dict[str, Any]]:
-    defaults = config.to_dict(kind())
+def _flat(kind: Any, prefix: str, defaults: dict[str, Any]) -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = []
     for name, hint, help_text in _fields(kind):
         if dataclasses.is_dataclass(hint):
-            found += _flat(hint, f"{prefix}{name}.")
+            found += _flat(hint, f"{prefix}{name}.", defaults[name])
             continue
         described = _type(hint)
         option = {"name": prefix + name, "group": prefix.rstrip("."), "default": defaults[name]}

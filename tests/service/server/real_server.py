@@ -136,7 +136,7 @@ class Postgres:
         self.user = "nobody" if os.getuid() == 0 else None
         if self.user:
             shutil.chown(self.folder, self.user)
-        self.programs = Path(shutil.which("initdb") or "").resolve().parent
+        self.programs = _programs()
         self._run("initdb", "-D", self.folder / "data", "-U", "lvba", "--auth=trust", "--no-sync")
         self.count = 0
         self.start()
@@ -173,6 +173,13 @@ class Postgres:
         return f"postgresql://lvba@/{name}?host={self.folder}"
 
 
+def _programs():
+    """Folder of PostgreSQL's programs; Debian does not have it on the path."""
+    on_path = [Path(found)] if (found := shutil.which("initdb")) else []
+    candidates = [*on_path, *sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"), reverse=True)]
+    return next((found.resolve().parent for found in candidates), None)
+
+
 def _alive(pid):
     try:
         os.kill(pid, 0)
@@ -183,6 +190,8 @@ def _alive(pid):
 
 def postgres_or_skip():
     """A running cluster; skips where PostgreSQL is not installed."""
-    if shutil.which("initdb") is None:
-        pytest.skip("PostgreSQL is not installed: initdb is not on the path")
+    if _programs() is None:
+        pytest.skip(
+            "PostgreSQL is not installed: there is no initdb on the path or below /usr/lib/postgresql"
+        )
     return Postgres()

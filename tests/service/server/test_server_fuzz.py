@@ -1,0 +1,45 @@
+"""The whole API under requests that a machine makes up from its description: no server error, problems as promised."""
+
+import hypothesis
+import pytest
+import schemathesis
+
+from service.server.problems import KINDS
+
+
+@pytest.fixture(scope="module")
+def operations(service):
+    schema = schemathesis.openapi.from_url(f"{service.url}/openapi.json")
+    return {
+        f"{found.ok().method.upper()} {found.ok().path}": found.ok() for found in schema.get_all_operations()
+    }
+
+
+def test_no_request_brings_the_server_down(operations):
+    assert len(operations) > 40
+    streams = {"GET /v1/events"}  # without an end by design
+    for name in operations.keys() - streams:
+
+        @hypothesis.given(case=operations[name].as_strategy())
+        @hypothesis.settings(
+            max_examples=5,
+            deadline=None,
+            derandomize=True,
+            database=None,
+            suppress_health_check=list(hypothesis.HealthCheck),
+        )
+        def ask(case):
+            check(case, case.call(timeout=30))
+
+        ask()
+
+
+def check(case, answer):
+    assert answer.status_code < 500, (case, answer.text)
+    if answer.status_code >= 400 and case.method != "HEAD":
+        assert answer.headers["content-type"][0] == "application/problem+json", answer.text
+        problem = answer.json()
+        assert problem["status"] == answer.status_code
+        assert problem["code"] in KINDS
+        assert problem["detail"]
+        assert problem["hint"]

@@ -1,0 +1,119 @@
+"""Stages, progress and time left, from what a run tells; options from its dataclasses; rates."""
+
+import dataclasses
+
+import pytest
+
+from lvba import config
+from lvba.pipeline import Config
+from service.server import options, rates
+from service.server.problems import Problem
+from service.server.timeline import Timeline, shares
+
+
+def run_of(*lines, weights=None, estimate=100.0):
+    """A timeline after (second, line) pairs, and the events that came of them."""
+    timeline, told = Timeline(weights or {}, estimate, 0.0), []
+    for now, line in lines:
+        told += timeline.take(line, now)
+    return timeline, told
+
+
+NAMES = {"event": "stages", "names": ["input", "lidar", "map", "write"]}
+
+
+def begin(name, reused=False):
+    return {"event": "stage", "name": name, "index": 0, "total": 4, "reused": reused}
+
+
+def count(stage, done, total, what="points"):
+    return {"event": "progress", "stage": stage, "what": what, "done": done, "total": total}
+
+
+def test_stages_are_those_that_the_run_names():
+    timeline, told = run_of((1.0, NAMES), (1.0, begin("lidar")), (4.0, begin("map")))
+    assert [(stage["name"], stage["state"]) for stage in timeline.stages] == [
+        ("input", "done"), ("lidar", "done"), ("map", "running"), ("write", "waiting"),
+    ]  # fmt: skip
+    assert timeline.stages[1]["seconds"] == 3.0
+    assert [(kind, data.get("name"), data.get("state")) for kind, data in told] == [
+        ("stages", None, None), ("stage", "lidar", "running"), ("stage", "lidar", "done"),
+        ("stage", "map", "running"),
+    ]  # fmt: skip
+
+
+def test_progress_never_goes_back_and_ends_at_one():
+    lines = [NAMES, begin("lidar"), count("lidar", 1, 4), count("lidar", 4, 4), count("lidar", 0, 9, "more"),
+             begin("map"), begin("write"), {"event": "end", "code": 0, "message": ""}]  # fmt: skip
+    timeline, seen = Timeline({}, 0.0, 0.0), []
+    for now, line in enumerate(lines):
+        timeline.take(line, float(now))
+        seen.append(timeline.fraction())
+    assert seen == sorted(seen)
+    assert seen[-1] == 1.0
+
+
+def test_time_left_comes_from_the_shares_of_earlier_runs():
+    weights = shares([[{"name": "lidar", "seconds": 30.0}, {"name": "map", "seconds": 10.0}]] * 2) | {
+        "input": 0.0,
+        "write": 0.0,
+    }
+    timeline, _ = run_of((0.0, NAMES), (0.0, begin("lidar")), (30.0, begin("map")), weights=weights)
+    assert timeline.eta_s(30.0) == pytest.approx(10.0)
+
+
+def test_before_anything_is_known_time_left_is_the_estimate():
+    timeline, _ = run_of(estimate=100.0)
+    assert timeline.eta_s(40.0) == 60.0
+    assert Timeline({}, 0.0, 0.0).eta_s(1.0) is None
+
+
+def test_reused_stages_do_not_make_the_rest_look_short():
+    timeline, _ = run_of(
+        (0.0, NAMES), (0.0, begin("lidar", reused=True)), (0.1, begin("map")), (10.1, count("map", 1, 2))
+    )
+    assert timeline.eta_s(10.1) > 5.0
+
+
+def test_stage_that_runs_at_a_failure_has_failed():
+    timeline, told = run_of(
+        (0.0, NAMES), (0.0, begin("lidar")), (2.0, {"event": "end", "code": 1, "message": "x"})
+    )
+    assert timeline.stages[1]["state"] == "failed"
+    assert told[-1][1]["state"] == "failed"
+    assert timeline.end["message"] == "x"
+
+
+def test_options_have_every_setting_with_default_and_help():
+    described = options.describe()
+    flat = {option["name"]: option for option in described["options"]}
+    assert list(flat) == config.names(Config)
+    assert all(option["help"] for option in flat.values())
+    plain = config.to_dict(Config())
+    for name, option in flat.items():
+        value = plain
+        for part in name.split("."):
+            value = value[part]
+        assert option["default"] == value
+    assert described["defaults"] == plain
+
+
+def test_schema_takes_what_the_dataclasses_take():
+    jsonschema = pytest.importorskip("jsonschema")
+    described = options.describe()
+    validator = jsonschema.Draft202012Validator(described["schema"])
+    jsonschema.Draft202012Validator.check_schema(described["schema"])
+    validator.validate(described["defaults"])
+    assert not validator.is_valid({"visual": {"levls": 2}})
+    assert not validator.is_valid({"refine_scans": "yes"})
+    assert {item.name for item in dataclasses.fields(Config)} == set(described["schema"]["properties"])
+
+
+def test_bucket_is_emptied_by_requests_and_fills_again():
+    bucket = rates.Rates()
+    for _ in range(5):
+        bucket.take("key", 0.001, 5)
+    with pytest.raises(Problem) as refused:
+        bucket.take("key", 0.001, 5)
+    assert (refused.value.code, refused.value.headers["Retry-After"]) == ("too-many-requests", "1000")
+    bucket.take("other", 0.001, 5)

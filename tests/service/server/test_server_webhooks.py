@@ -1,0 +1,176 @@
+"""Webhooks: signed, tried again, and never to where they could do harm."""
+
+import json
+import socket
+import threading
+from http.server import BaseHTTPRequestHandler, HTTPServer
+
+import pytest
+
+from lvba.errors import InputError
+from service.server import webhooks
+from service.server.database import Database
+from service.server.places import now
+from service.server.settings import Settings
+from service.server.tables import Dataset, Delivery, Job
+
+SECRET = "a secret of many letters"
+
+
+class Stub(HTTPServer):
+    """Takes what it is told; answers what it is to answer."""
+
+    def __init__(self):
+        super().__init__(("127.0.0.1", 0), _Handler)
+        self.told, self.answers = [], [200]
+        self.origin = f"http://127.0.0.1:{self.server_port}"
+        threading.Thread(target=self.serve_forever, daemon=True).start()
+
+
+class _Handler(BaseHTTPRequestHandler):
+    def do_POST(self):
+        body = self.rfile.read(int(self.headers["Content-Length"])).decode()
+        self.server.told.append((self.path, dict(self.headers), body))
+        answers = self.server.answers
+        self.send_response(answers.pop(0) if len(answers) > 1 else answers[0])
+        self.send_header("Location", "http://127.0.0.1:1/elsewhere")
+        self.end_headers()
+
+    def log_message(self, *words):
+        pass
+
+
+@pytest.fixture
+def stub():
+    server = Stub()
+    yield server
+    server.shutdown()
+    server.server_close()
+
+
+@pytest.fixture
+def database(tmp_path):
+    database = Database(f"sqlite:///{tmp_path / 'lvba.sqlite'}")
+    database.migrate()
+    yield database
+    database.close()
+
+
+def end_job(database, url):
+    """A job that has ended and wants that told."""
+    with database.write() as session:
+        session.add(Dataset(id="ds_1", owner="x", name="x", state="ready", created=0, updated=0))
+        session.flush()
+        job = Job(
+            id="job_1", owner="x", name="yard", dataset_id="ds_1", config={}, state="done", created=0, updated=0,
+            webhook={"url": url, "secret": SECRET},
+        )  # fmt: skip
+        session.add(job)
+        session.flush()
+        webhooks.enqueue(session, job)
+
+
+def delivery(database):
+    with database.read() as session:
+        return session.query(Delivery).one()
+
+
+def make_due(database):
+    with database.write() as session:
+        session.query(Delivery).one().next_try = now()
+
+
+def test_end_of_a_job_is_told_once_and_signed(database, stub):
+    end_job(database, f"{stub.origin}/hook?a=1")
+    settings = Settings(webhooks=True, webhook_allow=(stub.origin,))
+    for _ in range(2):
+        webhooks.deliver_due(database, settings)
+    [(path, headers, body)] = stub.told
+    assert path == "/hook?a=1"
+    said = json.loads(body)
+    assert (said["job"], said["state"], said["name"]) == ("job_1", "done", "yard")
+    expected = webhooks.signature(SECRET, said["delivery"], headers["Webhook-Timestamp"], body)
+    assert headers["Webhook-Signature"] == expected
+    assert headers["Webhook-Id"] == said["delivery"]
+    assert delivery(database).status == "delivered"
+
+
+def test_failed_delivery_is_tried_again_and_given_up_at_last(database, stub):
+    stub.answers = [500, 302, 404, 500, 500]
+    end_job(database, f"{stub.origin}/hook")
+    settings = Settings(webhooks=True, webhook_allow=(stub.origin,))
+    for number in range(webhooks.TRIES):
+        webhooks.deliver_due(database, settings)
+        assert len(stub.told) == number + 1, "it waits for its time"
+        assert delivery(database).status == ("retrying" if number < webhooks.TRIES - 1 else "given up")
+        if number < webhooks.TRIES - 1:
+            assert delivery(database).next_try > now()
+            make_due(database)
+    assert delivery(database).message == "answered 500"
+    assert {path for path, _, _ in stub.told} == {"/hook"}, "redirects are not followed"
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "http://example.org/", "ftp://example.org/", "https://user:pass@example.org/", "https://", "example.org",
+        "https://[::1", "https://example.org:0/", "https://example.org:99999/", "file:///etc/passwd",
+    ],
+)  # fmt: skip
+def test_addresses_of_other_kinds_are_refused(url):
+    with pytest.raises(InputError):
+        webhooks.check_url(url, ())
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "127.0.0.1", "10.0.0.1", "172.16.3.4", "192.168.1.1", "169.254.169.254", "0.0.0.0", "100.64.0.1",
+        "224.0.0.1", "255.255.255.255", "::1", "fe80::1", "fc00::1", "::ffff:127.0.0.1", "::ffff:10.1.2.3",
+    ],
+)  # fmt: skip
+def test_address_that_is_not_public_is_never_connected_to(address, database, monkeypatch):
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    monkeypatch.setattr(
+        socket, "getaddrinfo", lambda *_, **__: [(family, socket.SOCK_STREAM, 6, "", (address, 443))]
+    )
+    connected = []
+    monkeypatch.setattr(socket, "create_connection", lambda *words, **_: connected.append(words))
+    end_job(database, "https://innocent.example/hook")
+    webhooks.deliver_due(database, Settings(webhooks=True))
+    assert connected == []
+    assert delivery(database).status == "retrying"
+    assert delivery(database).message == "its host is not public"
+
+
+def test_connection_goes_to_the_address_that_was_checked(database, monkeypatch):
+    answers = iter(["93.184.216.34", "127.0.0.1"])
+    monkeypatch.setattr(
+        socket,
+        "getaddrinfo",
+        lambda *_, **__: [(socket.AF_INET, socket.SOCK_STREAM, 6, "", (next(answers), 443))],
+    )
+    connected = []
+
+    def connect(address, *_):
+        connected.append(address)
+        raise OSError
+
+    monkeypatch.setattr(socket, "create_connection", connect)
+    end_job(database, "https://turncoat.example/hook")
+    webhooks.deliver_due(database, Settings(webhooks=True))
+    assert connected == [("93.184.216.34", 443)]
+
+
+def test_one_address_among_several_that_is_not_public_is_enough(monkeypatch):
+    found = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", (a, 443)) for a in ("93.184.216.34", "10.0.0.1")]
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
+    with pytest.raises(InputError):
+        webhooks.public_address("two.example", 443)
+
+
+def test_server_without_webhooks_refuses_them(service, ready_dataset):
+    hook = {"url": "https://example.org/", "secret": SECRET}
+    answer = service.http.post("/v1/jobs", json={"dataset": ready_dataset, "webhook": hook})
+    assert answer.status_code == 422
+    assert "tells no addresses" in answer.json()["detail"]
