@@ -54,6 +54,7 @@ class Plan:
 
     version: str = ""
     steps: dict[str, Step] = field(default_factory=dict)
+    _names: set[str] = field(default_factory=set, repr=False)
 
     def add(
         self, name: str, function: Callable[..., Any], *args: Any, version: int = 1, **kwargs: Any
@@ -63,7 +64,7 @@ class Plan:
         version: of this stage; raise it when the function gives other results for the same arguments
         Raises ValueError: two steps of one name, or an input that no earlier step makes.
         """
-        if any(step.name == name for step in self.steps.values()):
+        if name in self._names:
             raise ValueError(f"two steps are named {name!r}")
         for ref in _refs([*args, *kwargs.values()]):
             if ref.key not in self.steps:
@@ -71,6 +72,7 @@ class Plan:
         material = [self.version, name, version, [identity(a) for a in args], identity(kwargs)]
         key = f"{name}-{digest(material)[:20]}"
         self.steps[key] = Step(name, key, function, args, kwargs)
+        self._names.add(name)
         return Ref(key)
 
     def last_uses(self) -> dict[str, str]:

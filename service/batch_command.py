@@ -133,6 +133,7 @@ def command(arguments: argparse.Namespace, entry: Entry, out: Path) -> list[str]
         "store": f"{arguments.store.rstrip('/')}/{entry.name}" if arguments.store else None,
         "threads": arguments.threads,
         "workers": arguments.workers,
+        "memory-limit": arguments.memory_limit,
         "scheduler": arguments.scheduler,
         "tls-ca": arguments.tls_ca,
         "tls-cert": arguments.tls_cert,

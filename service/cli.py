@@ -166,7 +166,7 @@ def _add_batch(commands: "argparse._SubParsersAction[Parser]") -> None:
 def _add_worker(commands: "argparse._SubParsersAction[Parser]") -> None:
     worker = _command(commands, "worker", "work for a cluster's scheduler", _WORKER, _WORKER_EXAMPLES)
     worker.add_argument("address", metavar="ADDRESS", help="scheduler: tcp://HOST:PORT or tls://HOST:PORT")
-    worker.add_argument("--memory-limit", metavar="BYTES", help="for example 8GB (default: all there is)")
+    worker.add_argument("--memory-limit", metavar="GB", help="for example 8GB (default: all there is)")
     _add_tls(worker)
 
 
@@ -264,6 +264,9 @@ def _add_cluster(command: Parser) -> None:
     cluster.add_argument("--workers", type=_count, metavar="N", help="run in N worker processes")
     cluster.add_argument(
         "--scheduler", metavar="ADDRESS", help="run on a Dask cluster: tcp://HOST:PORT or tls://HOST:PORT"
+    )
+    command.add_argument(
+        "--memory-limit", metavar="GB", help="of each of the --workers (default: an even share)"
     )
     _add_tls(command)
 

@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from workers.connection import Scheduler, Tls
 
 
+_LEAST_MEMORY_BYTES = 100_000_000
+"""Less than this does not even hold the libraries."""
+
+
 def check(arguments: argparse.Namespace) -> None:
     """That what the command line says of a cluster can be meant.
 
@@ -24,6 +28,8 @@ def check(arguments: argparse.Namespace) -> None:
         connections()
     if arguments.scheduler is None and _tls_files(arguments) != [None, None, None]:
         raise InputError("--tls-ca", "means nothing without --scheduler", "give --scheduler tls://HOST:PORT")
+    if memory_bytes(arguments) is not None and arguments.workers is None:
+        raise InputError("--memory-limit", "means nothing without --workers", "give --workers N")
 
 
 @contextmanager
@@ -36,8 +42,29 @@ def scheduler(arguments: argparse.Namespace) -> "Iterator[Scheduler]":
     if arguments.scheduler is not None:
         yield connection.at(arguments.scheduler, tls(arguments))
         return
-    with connection.local(arguments.workers, arguments.threads) as own:
+    with connection.local(arguments.workers, arguments.threads, memory_bytes(arguments)) as own:
         yield own
+
+
+def memory_bytes(arguments: argparse.Namespace) -> int | None:
+    """What --memory-limit says, bytes; a number alone means GB. None: it is not given.
+
+    Raises InputError: not an amount of memory.
+    """
+    text: str | None = getattr(arguments, "memory_limit", None)
+    if text is None:
+        return None
+    from dask.utils import parse_bytes
+
+    try:
+        found = int(parse_bytes(f"{text} GB" if text.replace(".", "", 1).isdigit() else text))
+    except ValueError:
+        found = 0
+    if found < _LEAST_MEMORY_BYTES:
+        raise InputError(
+            f"--memory-limit {text}", "is not an amount of memory to work with", "write for example 8GB"
+        )
+    return found
 
 
 def tls(arguments: argparse.Namespace) -> "Tls | None":

@@ -14,7 +14,7 @@ from lvba.io.reference import read_reference
 from lvba.pipeline import Config
 from lvba.plan import Plan, Step
 from lvba.result import Result
-from service import clusters, outcome, settings_files, stopping
+from service import clusters, memory, outcome, settings_files, stopping
 from service.checks import check_out
 from service.progress import Display
 from workers import local, versions
@@ -32,6 +32,7 @@ def run(arguments: argparse.Namespace, display: Display) -> None:
     display.stage("input", 0, 1)
     dataset = open_dataset(arguments.dataset)
     reference = read_reference(arguments.reference) if arguments.reference else None
+    memory.announce(arguments, dataset, config, display)
     work = pipeline.refine(_for_workers(dataset), config, reference, versions.key_version())
     opened = StageRecord(
         "input", round(time.perf_counter() - started, 3), round(local.peak_memory_mb(), 1), 1, False

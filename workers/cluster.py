@@ -9,6 +9,7 @@ import time
 import uuid
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -20,7 +21,9 @@ from lvba.plan import Plan, Step
 from lvba.progress import Progress, silent
 from workers import sending, task
 from workers.connection import ClusterError, Scheduler
+from workers.frontier import Frontier
 from workers.local import StageRecord
+from workers.sending import Sender
 from workers.url_store import open_store
 
 _log = logging.getLogger(__name__)
@@ -31,6 +34,8 @@ FIRST_CONTACT_SECONDS = 10.0
 """How long a scheduler may take to answer at first ..."""
 RECONNECT_SECONDS = 600.0
 """... and to come back after it was lost."""
+LIVE = 500
+"""How many steps are handed to the scheduler at a time; the others wait here."""
 _WAIT_SECONDS = 0.05
 _LONELY_SECONDS = 5.0
 
@@ -51,8 +56,8 @@ def run(
     Raises what a step raises, after everything that does not need this step is made. ClusterError: a step that lost its
     worker too often, or no scheduler.
     """
-    sent = sending.send(work, open_store(place))
-    execution = Execution(work, place, sent, scheduler, progress, on_step, check)
+    sender = sending.Sender(work, open_store(place))
+    execution = Execution(work, place, sender, scheduler, progress, on_step, check)
     try:
         return execution.run()
     finally:
@@ -79,17 +84,19 @@ class Execution:
         self,
         work: Plan,
         place: str,
-        sent: str,
+        sender: Sender,
         scheduler: Scheduler,
         progress: Progress,
         on_step: Callable[[Step, int, int], None] | None,
         check: Callable[[], None],
     ) -> None:
-        self._work, self._place, self._sent, self._scheduler = work, place, sent, scheduler
+        self._work, self._place, self._sender, self._scheduler = work, place, sender, scheduler
         self._progress, self._on_step, self._check = progress, on_step, check
         self._numbers = {key: number for number, key in enumerate(work.steps)}
         self._id = uuid.uuid4().hex[:12]
-        self._events: SimpleQueue[dict[str, Any]] = SimpleQueue()
+        self._frontier = Frontier(work)
+        self._news: SimpleQueue[dict[str, Any] | None] = SimpleQueue()
+        """What workers tell of steps; None: one is done."""
         self._records: dict[str, StageRecord] = {}
         self._running: dict[str, Future] = {}
         self._failures: dict[str, Exception] = {}
@@ -105,9 +112,8 @@ class Execution:
             if not self._running:
                 break
             self._check()
-            self._tell_progress()
+            self._take_news()
             self._settle_what_is_done()
-            time.sleep(_WAIT_SECONDS)
         for key in self._work.steps:
             if key in self._failures:
                 raise self._failures[key]
@@ -122,11 +128,8 @@ class Execution:
     # the frontier
 
     def _submit_what_is_ready(self) -> None:
-        for key, step in self._work.steps.items():
-            if not (key in self._records or key in self._running or key in self._failures) and all(
-                needed in self._records for needed in step.needs
-            ):
-                self._submit(step)
+        while len(self._running) < LIVE and (key := self._frontier.take()) is not None:
+            self._submit(self._work.steps[key])
 
     def _submit(self, step: Step) -> None:
         self._attempts[step.key] += 1
@@ -135,43 +138,66 @@ class Execution:
                 f"{step.name}: lost {ATTEMPTS} times; see the workers' logs"
             )
             return
-        self._running[step.key] = self._client.submit(
+        future = self._client.submit(
             task.make,
             self._place,
-            self._sent,
+            self._sender.plan,
             step.key,
+            self._sender.outline(step),
             step.function,
             topic(self._place),
+            self._work.version,
             key=f"{step.key}-{self._id}-{self._attempts[step.key]}",
             pure=False,
-            priority=-self._numbers[step.key],
+            priority=self._frontier.priority(step.key),
         )
+        self._running[step.key] = future
+        future.add_done_callback(lambda _: self._news.put(None))
+
+    def _take_news(self) -> None:
+        """What was told since the last call, or within a moment from now; a step that is done ends the wait."""
+        with suppress(Empty):
+            self._tell(self._news.get(timeout=_WAIT_SECONDS))
+            while True:
+                self._tell(self._news.get_nowait())
+        self._say_if_lonely()
 
     def _settle_what_is_done(self) -> None:
-        if any(future.cancelled() for future in self._running.values()) or self._client.status != "running":
+        # looked at, and not left to callbacks: one that is lost would leave a run waiting for ever
+        done = [key for key, future in self._running.items() if future.done()]
+        if self._client.status != "running" or any(self._running[key].cancelled() for key in done):
             self._start_over()
-        for key in [key for key, future in self._running.items() if future.done()]:
+            return
+        for key in done:
             future = self._running.pop(key)
             if future.status == "finished":
                 self._accept(key, future.result())
-            else:
+            elif future.status == "error":
                 self._fail(key, future.exception())
+            else:  # done, and its worker gone before it could be told of
+                self._frontier.again(key)
 
     def _accept(self, key: str, outcome: dict[str, Any]) -> None:
         if "record" in outcome:
             self._records[key] = StageRecord(**outcome["record"])
+            self._frontier.made(key)
             return
         for missing in outcome["missing"]:
             _log.warning("%s is gone; it is made again", missing)
-            self._records.pop(missing, None)
+            self._sender.forget(missing)
+        self._frontier.lost(missing for missing in outcome["missing"] if missing in self._work.steps)
+        self._frontier.again(key)
 
     def _fail(self, key: str, error: Exception) -> None:
         name = self._work.steps[key].name
         if isinstance(error, KilledWorker):
-            reason = "most often for lack of memory: give the workers more, or the recording in parts"
-            self._failures[key] = ClusterError(f"{name}: its worker process died again and again, {reason}")
+            self._failures[key] = ClusterError(
+                f"{name}: its worker process died {ATTEMPTS} times, most often for lack of memory; give each worker more "
+                "(--memory-limit), or cut the recording into smaller parts (--set split.memory_gb=GB)"
+            )
         elif self._may_pass(error) and self._attempts[key] < ATTEMPTS:
             _log.warning("%s is tried again (%s)", name, error)
+            self._frontier.again(key)
         else:
             self._failures[key] = error
 
@@ -183,30 +209,31 @@ class Execution:
 
     def _connect(self, seconds: float) -> Client:
         client = self._scheduler.connect(seconds, self._check)
-        client.subscribe_topic(topic(self._place), lambda event: self._events.put(event[1]))
+        client.subscribe_topic(topic(self._place), lambda event: self._news.put(event[1]))
         return client
 
     def _start_over(self) -> None:
         """The scheduler is gone, and with it everything that it knew."""
         _log.warning("lost the scheduler at %s; waiting for it to come back", self._scheduler.address)
-        self._running.clear()
+        waiting, self._running = list(self._running), {}
         self._client.close(timeout=1)
         self._client = self._connect(RECONNECT_SECONDS)
         self._heard = time.monotonic()
+        for key in waiting:
+            if key not in self._begun:
+                self._attempts[key] -= 1  # it was only waiting for its turn
+            self._frontier.again(key)
 
     # what people see
 
-    def _tell_progress(self) -> None:
-        try:
-            while True:
-                self._tell(self._events.get_nowait())
-        except Empty:
-            self._say_if_lonely()
-
-    def _tell(self, event: dict[str, Any]) -> None:
+    def _tell(self, event: dict[str, Any] | None) -> None:
+        if event is None:
+            return
         self._heard = time.monotonic()
         key = event["step"]
-        step = self._work.steps[key]
+        step = self._work.steps.get(key)
+        if step is None:
+            return  # of a run before this one, over the same store
         if not event["what"]:
             self._begin(step, event["process"])
         elif key in self._running:

@@ -101,10 +101,11 @@ def at(address: str, tls: Tls | None) -> Scheduler:
 
 
 @contextmanager
-def local(workers: int, threads: int | None) -> Iterator[Scheduler]:
+def local(workers: int, threads: int | None, memory_bytes: int | None = None) -> Iterator[Scheduler]:
     """A scheduler in this process with worker processes beside it, all ended with the block, or with this process.
 
     threads: of all workers together; None: as many as there are cores
+    memory_bytes: of each worker; above it the process is ended and begins anew; None: its share of what there is
     Nobody else on the machine can talk to them: connections need a certificate that is in memory only.
     """
     limits.configure()
@@ -115,7 +116,7 @@ def local(workers: int, threads: int | None) -> Iterator[Scheduler]:
         host="127.0.0.1",
         security=security,
         dashboard_address="127.0.0.1:0",
-        memory_limit=limits.memory_share(workers),
+        memory_limit=memory_bytes or limits.memory_share(workers),
         env={"NUMBA_NUM_THREADS": str(max(1, (threads or CPU_COUNT) // workers))},
         plugins=[limits.Limits()],
         silence_logs=logging.CRITICAL,

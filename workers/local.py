@@ -37,14 +37,16 @@ def run(
     on_step: called before each step with the step, its index and the number of steps
     """
     records = []
-    last_uses = work.last_uses()
+    done_with: dict[str, list[str]] = {key: [] for key in work.steps}
+    for key, user in work.last_uses().items():
+        done_with[user].append(key)
     for index, step in enumerate(work.steps.values()):
         if on_step is not None:
             on_step(step, index, len(work.steps))
         records.append(
             recorded(step, store) if step.key in store else make(step, store, progress, work.version)
         )
-        for key in [key for key, user in last_uses.items() if user == step.key]:
+        for key in done_with[step.key]:
             store.release(key)
     return records
 

@@ -19,7 +19,10 @@ from workers.url_store import open_store
 _ALONE = threading.Lock()
 """numba's simplest threading layer ends the process when two threads enter it: one step at a time in each process."""
 _kept: dict[str, Any] = {}
-"""The plan that this process works for, and its recording: images are kept in memory as long as that lives."""
+"""Arguments of the last step, and the last recording (or part of one) that a step needed: images are kept in memory as
+long as that lives, and those of one part at a time."""
+_seen: dict[str, str] = {}
+"""The store that this process worked on last, and the plan that it found there."""
 _TELL_SECONDS = _LOOK_SECONDS = 0.25
 _PATIENCE_SECONDS = 1.25
 
@@ -28,46 +31,47 @@ class UnwantedError(Exception):
     """Nobody waits for this step any more: it was canceled, or its driver is gone."""
 
 
-def make(place: str, sent: str, key: str, function: Callable[..., Any], topic: str) -> dict[str, Any]:
+def make(
+    place: str, sent: str, key: str, outline: str, function: Callable[..., Any], topic: str, version: str
+) -> dict[str, Any]:
     """Make one artifact, unless it is there already.
 
-    place, sent: the store, and the key there of the plan (see `sending`)
-    topic: where progress is told
+    place, sent: the store, and the key there of the plan; outline: of the step (see `sending`)
+    topic: where progress is told; version: of the plan
     Returns a few hundred bytes: {"record": fields of a StageRecord}, or {"missing": keys} of inputs that are not there
     (any more).
     """
     report = Reporter(topic, key)
     with _ALONE, _ended_where_unwanted(report):
-        store = _open(place, sent)
-        try:
-            step, version = sending.receive(store, sent, key, function)
-        except KeyError:
-            raise _unseen(place) from None
-        _keep(sent, step, store)
         _check_version(version)
+        store = open_store(place)
+        _check_seen(place, sent, store)
+        step = sending.receive(outline, key, function)
+        _recall(step, store)
         report("", 0, 0)
         if key in store:
             return {"record": asdict(local.recorded(step, store))}
-        missing = [needed for needed in step.needs if needed not in store]
+        missing = [needed for needed in dict.fromkeys(step.needs) if needed not in store]
         if missing:
             return {"missing": missing}
+        _keep(step, store)
         return {"record": asdict(local.make(step, store, report, version))}
 
 
-def _open(place: str, sent: str) -> ZarrStore:
-    """The store, with what this process knows of the plan."""
-    if sent not in _kept:
-        _kept.clear()
-    store = open_store(place)
-    for key, value in _kept.items():
-        store.know(key, value)
-    return store
+def _recall(step: Step, store: ZarrStore) -> None:
+    """Give the store what this process still has of the step's inputs, and forget what would be too much to hold."""
+    inputs = set(filter(sending.is_input, step.needs))
+    other = any(map(sending.is_recording, inputs))
+    for key in list(_kept):
+        if key in inputs:
+            store.know(key, _kept[key])
+        elif other or not sending.is_recording(key):
+            del _kept[key]
 
 
-def _keep(sent: str, step: Step, store: ZarrStore) -> None:
-    for key in [sent, *filter(sending.is_input, step.needs)]:
-        if key in store:
-            _kept[key] = store[key]
+def _keep(step: Step, store: ZarrStore) -> None:
+    for key in filter(sending.is_input, step.needs):
+        _kept[key] = store[key]
 
 
 class Reporter:
@@ -119,11 +123,16 @@ def _ended_where_unwanted(report: Reporter) -> Iterator[None]:
         done.set()
 
 
-def _unseen(place: str) -> InputError:
-    where = f"{place}, seen from {get_worker().address}"
-    return InputError(
-        where, "does not hold the plan", "choose a folder that all machines share, or a URL, with --store"
-    )
+def _check_seen(place: str, sent: str, store: ZarrStore) -> None:
+    """That this is the store of the driver, and not a folder of the same name on another machine."""
+    if _seen.get(place) == sent:
+        return
+    if sent not in store:
+        where = f"{place}, seen from {get_worker().address}"
+        mend = "choose a folder that all machines share, or a URL, with --store"
+        raise InputError(where, "does not hold the plan", mend)
+    _seen.clear()
+    _seen[place] = sent
 
 
 def _check_version(version: str) -> None:

@@ -7,7 +7,18 @@ import subprocess
 import sys
 from pathlib import Path
 
+from distributed.security import Security
+
 ROOT = Path(__file__).resolve().parents[2]
+
+
+def tls_files(folder):
+    """PEM files of an authority, a certificate and its key."""
+    made = Security.temporary()
+    texts = {"ca": made.tls_ca_file, "cert": made.tls_client_cert, "key": made.tls_client_key}
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+    return [folder / name for name in texts]
 
 
 class Cluster:
@@ -40,6 +51,17 @@ class Cluster:
     def kill_scheduler(self):
         self.scheduler.send_signal(signal.SIGKILL)
         self.scheduler.wait()
+
+    def on(self):
+        """The options by which `lvba run` finds it."""
+        return ["--scheduler", self.address, *self.tls_options]
+
+    def kill_all(self):
+        """SIGKILL of the scheduler and all workers at the same moment."""
+        for process in self.processes:
+            process.kill()
+        for process in self.processes:
+            process.wait()
 
     def _start(self, *words):
         environment = {**os.environ, "PYTHONPATH": f"{ROOT}:{Path(__file__).parent}"}

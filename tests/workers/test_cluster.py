@@ -7,6 +7,7 @@ import sys
 import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
 import toy_steps
 from real_cluster import Cluster
@@ -225,7 +226,7 @@ def test_artifact_damaged_while_the_run_goes_on(toy_cluster, expected, tmp_path)
     [
         ("input", InputError, "scan.pcd: is cut short", 1),
         ("disk", OSError, "Input/output error", 4),
-        ("memory", connection.ClusterError, "fail: its worker process died", 4),
+        ("memory", connection.ClusterError, "fail: .* died 4 times, .*--memory-limit.*split.memory_gb", 4),
     ],
 )
 def test_step_that_always_fails_is_given_up_and_the_others_are_finished(
@@ -239,6 +240,16 @@ def test_step_that_always_fails_is_given_up_and_the_others_are_finished(
         run(toy_cluster, tmp_path, work)
     assert len(said(tmp_path, "began fail")) == tries
     assert said(tmp_path, "ended") == ["ended a"]
+
+
+def test_own_worker_that_runs_out_of_memory_is_restarted_and_its_step_tried_again(tmp_path):
+    work = Plan(versions.key_version())
+    work.add("hungry", toy_steps.hungry, str(tmp_path), 2)
+    with connection.local(1, 1, memory_bytes=700_000_000) as scheduler:
+        cluster.run(work, str(tmp_path / "store"), scheduler)
+    processes = [line.split()[2] for line in said(tmp_path, "began hungry")]
+    assert len(set(processes)) == len(processes) == 3
+    assert ZarrStore(tmp_path / "store")[next(iter(work.steps))].tobytes() == np.arange(1000.0).tobytes()
 
 
 def test_worker_of_another_version_is_refused(toy_cluster, tmp_path):

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import boto3
 import pytest
-from distributed.security import Security
 from moto.server import ThreadedMotoServer
-from real_cluster import ROOT, Cluster
+from real_cluster import ROOT, Cluster, tls_files
 
 from workers import connection
 
+SENT = ("plan", "input", "recording", ".lock", ".lock.json")
 PRODUCTS = ["lidar_poses.txt", "image_poses.txt", "exposures.csv", "map.ply", "config.yaml"]
 
 
@@ -30,22 +30,13 @@ def stages_of(out):
 def artifacts(folder):
     """Every file of the stages' artifacts but the manifests, which hold times."""
     paths = [p.relative_to(folder) for p in folder.rglob("*") if p.is_file()]
-    kept = [p for p in paths if p.parts[0].split("-")[0] not in ("plan", "input", ".lock", ".lock.json")]
+    kept = [p for p in paths if p.parts[0].split("-")[0] not in SENT]
     return {p.as_posix(): (folder / p).read_bytes() for p in kept if p.name != "manifest.json"}
 
 
 @pytest.fixture(scope="module")
 def tls(tmp_path_factory):
-    """PEM files of an authority, a certificate and its key."""
-    folder = tmp_path_factory.mktemp("tls")
-    made = Security.temporary()
-    for name, text in (
-        ("ca", made.tls_ca_file),
-        ("cert", made.tls_client_cert),
-        ("key", made.tls_client_key),
-    ):
-        (folder / name).write_text(text)
-    return [folder / "ca", folder / "cert", folder / "key"]
+    return tls_files(tmp_path_factory.mktemp("tls"))
 
 
 @pytest.fixture(scope="module")
@@ -57,10 +48,6 @@ def tls_cluster(tls, tmp_path_factory):
     started.end()
 
 
-def on(cluster):
-    return ["--scheduler", cluster.address, *cluster.tls_options]
-
-
 def test_without_a_certificate_nobody_is_let_in(tls_cluster):
     scheduler = connection.at(tls_cluster.address.replace("tls", "tcp"), None)
     with pytest.raises(connection.ClusterError, match="no scheduler answers"):
@@ -70,7 +57,7 @@ def test_without_a_certificate_nobody_is_let_in(tls_cluster):
 def test_over_tls_with_a_worker_killed_in_every_stage(undisturbed, recording, tls_cluster, tmp_path):
     words = ["run", recording, "--out", tmp_path, "--reference", recording / "reference", "--verbose"]
     process = subprocess.Popen(
-        [sys.executable, "-m", "service.cli", *map(str, [*words, *on(tls_cluster)])],
+        [sys.executable, "-m", "service.cli", *map(str, [*words, *tls_cluster.on()])],
         stderr=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         text=True,

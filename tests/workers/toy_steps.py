@@ -61,6 +61,15 @@ def fail(folder, kind):
         hungry.append(np.ones(20_000_000))
 
 
+def hungry(folder, times):
+    """Takes more memory than there is, so many times."""
+    say(folder, f"began hungry {os.getpid()}")
+    taken = []
+    while len(said(folder, "began hungry")) <= times:
+        taken.append(np.ones(20_000_000))
+    return np.arange(1000.0)
+
+
 def stay(folder):
     """Reports nothing while `folder/hold-stay` exists."""
     say(folder, f"began stay {os.getpid()}")
