@@ -2,7 +2,7 @@
 
 Streets of 60, 120, 240 and 480 scans and images, solved in parts of 20 by two worker processes of one thread each: peak
 memory of the largest worker, and seconds of work in all tasks together. Then the third one by one worker, and in one
-process without Dask. Last, what a task costs that does nothing: store, scheduler and all. Images are small and scans thin,
+process without Dask. Last, what a task costs that does nothing: store, scheduler and all. Images are small, scans thin,
 to be done in minutes; docs/images/length.svg shows the first table.
 """
 
