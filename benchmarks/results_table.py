@@ -27,13 +27,13 @@ Rough -> refined. Scans after alignment; cameras in the frame of the aligned LiD
 """,
     "parts": """## Recordings in parts
 
-One street, undivided and in overlapping parts: against the undivided solution (largest difference of any scan, camera and
-exposure, after the scans are aligned), against the truth, and walls across seams relative to walls that one side saw alone.
+One street, undivided and in overlapping parts: against the undivided solution (largest difference of any scan, camera
+and exposure, after the scans are aligned), against the truth, and walls across seams relative to those of one side alone.
 """,
     "loops": """## Loops
 
-In five parts of 32 scans. Ends that miss each other by 1 m and 2 degrees in the rough poses, beside the same place with easy drift;
-and lanes whose facades repeat, where a closing that is tempting would be false.
+In five parts of 32 scans. Ends that miss each other by 1 m and 2 degrees in the rough poses, beside the same place with
+easy drift; and lanes whose facades repeat, where a closing that is tempting would be false.
 """,
     "ablations": """## Ablations
 

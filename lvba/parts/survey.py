@@ -20,7 +20,7 @@ _SAMPLED_SCANS = 16
 class Survey:
     """Found once, from some scans and the rough poses.
 
-    range_m: median distance of points from the LiDAR; reach_m: the furthest
+    range_m: median distance of points from the LiDAR; reach_m: further than that is one in a thousand
     keyframes: (K,) int64, images that the visual part solves for
     lidar: settings with cells as fine as the scans allow
     """
@@ -39,7 +39,9 @@ def survey(dataset: Dataset, lidar: LidarConfig, frames: KeyframeConfig) -> Surv
         [np.linalg.norm(points - dataset.sensor_position_scan, axis=1) for points in scans]
     )
     distance = distance[np.isfinite(distance)]
-    middle, furthest = (float(np.median(distance)), float(distance.max())) if len(distance) else (1.0, 1.0)
+    middle, furthest = (
+        (float(q) for q in np.quantile(distance, [0.5, 0.999])) if len(distance) else (1.0, 1.0)
+    )
     return Survey(
         middle,
         furthest,
