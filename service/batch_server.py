@@ -14,7 +14,8 @@ from service import batch_summary, stopping
 from service.batch_manifest import Entry
 from service.batch_summary import DONE, FAILED, RUNNING, WAITING, Row
 from service.client import Client, connected
-from service.client_commands import BUSY, changed, get_results, send
+from service.client_commands import BUSY, get_results, send
+from service.client_settings import changed
 from service.progress import Display
 
 _STATES = {"queued": WAITING, "running": RUNNING, "canceling": RUNNING}

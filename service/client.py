@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 import httpx
 
@@ -39,13 +39,10 @@ class Client:
     def __init__(
         self, url: str, key: str = "", check: Callable[[], None] = lambda: None, *, transport: Any = None
     ) -> None:
+        if not url.startswith(("http://", "https://")) or not _host(url):
+            raise InputError(f"--server {url}", "is no URL", "give one such as http://host:8080")
         headers = {"Authorization": f"Bearer {key}"} if key else {}
-        try:
-            self._http = httpx.Client(base_url=url, headers=headers, timeout=_TIMEOUT, transport=transport)
-        except httpx.InvalidURL as error:
-            raise InputError(
-                f"--server {url}", f"is no URL ({error})", "give one such as http://host:8080"
-            ) from None
+        self._http = httpx.Client(base_url=url, headers=headers, timeout=_TIMEOUT, transport=transport)
         self._url, self._check = url, check
 
     def close(self) -> None:
@@ -235,6 +232,13 @@ def _raise_for(answer: httpx.Response, url: str) -> httpx.Response:
     except (ValueError, KeyError, TypeError):
         said = f"answered {answer.status_code}"
     raise ServerError(f"{url}: {said}")
+
+
+def _host(url: str) -> str:
+    try:
+        return urlsplit(url).hostname or ""
+    except ValueError:
+        return ""
 
 
 def _why(error: Exception) -> str:

@@ -8,10 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from lvba import config
 from lvba.errors import InputError, LvbaError
-from lvba.pipeline import Config
-from service import settings_files, stopping
+from service import stopping
 from service.client import Client, connected
 from service.progress import Display, clock_text
 
@@ -37,7 +35,10 @@ def ask(arguments: argparse.Namespace, display: Display) -> None:
 
 def submit(arguments: argparse.Namespace, client: Client, display: Display) -> None:
     """Upload a recording, unless it is there, and queue a job."""
-    wanted = changed(settings_files.load(arguments))
+    # knows all settings, and with them the whole method: what the other commands need not wait for
+    from service import client_settings
+
+    wanted = client_settings.of(arguments)
     name = arguments.name or Path(arguments.recording).resolve().name
     dataset = arguments.recording
     if not dataset.startswith("ds_") or Path(dataset).exists():
@@ -93,20 +94,6 @@ def _files(recording: Path) -> list[tuple[Path, str | None]]:
     if not plain:
         raise InputError(recording, "holds no files", "give the folder of a recording")
     return [(path, name) for path, name in plain]
-
-
-def changed(wanted: Config) -> dict[str, Any]:
-    """What of the settings is not as by default."""
-    return _difference(config.to_dict(wanted), config.to_dict(Config()))
-
-
-def _difference(values: dict[str, Any], defaults: dict[str, Any]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for name, value in values.items():
-        inner = _difference(value, defaults[name]) if isinstance(value, dict) else value
-        if inner != defaults[name] and inner != {}:
-            found[name] = inner
-    return found
 
 
 def watch(client: Client, job_id: str, display: Display) -> dict[str, Any]:
