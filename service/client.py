@@ -44,6 +44,8 @@ class Client:
         headers = {"Authorization": f"Bearer {key}"} if key else {}
         self._http = httpx.Client(base_url=url, headers=headers, timeout=_TIMEOUT, transport=transport)
         self._url, self._check = url, check
+        self._met = False
+        """Whether it has answered before: then it is worth waiting for."""
 
     def close(self) -> None:
         """Give back the connections."""
@@ -171,11 +173,12 @@ class Client:
             try:
                 answer = self._http.request(method, path, **more)
             except httpx.TransportError as error:
-                if attempt == tries - 1:
+                if attempt == tries - 1 or (attempt and not self._met):
                     raise ServerError(
                         f"{self._url}: cannot be reached ({_why(error)}); check --server"
                     ) from None
             else:
+                self._met = True
                 if answer.status_code not in _PASSING or attempt == tries - 1:
                     return _raise_for(answer, self._url)
             self._wait(attempt)

@@ -215,3 +215,27 @@ def test_tables_are_those_that_the_migrations_make(database):
     with database.engine.connect() as connection:
         assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
     database.migrate()  # once more does no harm
+
+
+def test_upgrade_keeps_what_is_there(database):
+    from sqlalchemy import text
+
+    with database.engine.execution_options(immediate=True).connect() as connection, connection.begin():
+        # back to an empty database, which the fixture has brought to this version already
+        for table in ("deliveries", "events", "attempts", "jobs", "uploads", "datasets", "batches", "keys"):
+            connection.execute(text(f"DROP TABLE {table}"))
+        connection.execute(text("DROP TABLE alembic_version"))
+    database.migrate("0001")
+    old = "INSERT INTO {} VALUES ({})"
+    columns = "id, owner, name, state, created, updated, bytes, files, deleted, heartbeat, attempt"
+    with database.engine.execution_options(immediate=True).connect() as connection, connection.begin():
+        values = "'ds_1', 'ann', 'yard', 'ready', 1, 2, 3, 4, false, 0, 1"
+        connection.execute(text(old.format(f"datasets ({columns})", values)))
+        columns = "id, owner, name, dataset_id, config, reference, priority, request_digest, state, created, updated"
+        columns += ", crashes, losses, stages, progress, estimate, hidden, deleted, bytes, heartbeat, attempt"
+        values = "'job_1', 'ann', 'yard', 'ds_1', '{}', false, 0, '', 'queued', 1, 2, 0, 0, '[]', 0, '{}'"
+        connection.exec_driver_sql(old.format(f"jobs ({columns})", values + ", false, false, 0, 0, 0"))
+    database.migrate()
+    assert claim(database) == "job_1"
+    with database.read() as session:
+        assert session.get_one(Job, "job_1").webhook is None
