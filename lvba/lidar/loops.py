@@ -9,7 +9,7 @@ from scipy.spatial.distance import cdist
 from lvba import geometry
 from lvba.lidar import place_check, place_search, surfel_alignment
 from lvba.lidar.place_check import Evidence
-from lvba.lidar.submap import Patch, Submap, around, index_of
+from lvba.lidar.submap import Patch, Submap, around, doubt
 from lvba.lidar.surfel_alignment import Certainty, Target
 
 
@@ -57,15 +57,15 @@ class RegisterConfig:
     """m, surfaces around the two scans that are compared; 2 to 200."""
     starts: int = 48
     """Rough alignments that are tried; 1 to 1000."""
-    tolerance: float = 0.1
+    tolerance: float = 0.06
     """m, furthest that a surface may be from one that it agrees with; 0.01 to 1."""
     min_surfels: int = 150
     """Fewest surfels that agree; 10 to 100000."""
-    min_overlap: float = 0.1
+    min_overlap: float = 0.12
     """Least part of the surfels of either submap that agree; 0.01 to 1."""
     min_share: float = 0.975
     """Least part that agrees of the surfels that agree or contradict (are seen through); 0.5 to 1."""
-    excess: float = 3.0
+    excess: float = 2.5
     """Furthest that surfaces may lie apart, in standard deviations of their points; 0.1 to 100."""
     rival: float = 0.7
     """Refuse when another alignment gathers more than this part of what the best one does; 0 to 1."""
@@ -237,7 +237,8 @@ def register(a: Submap, b: Submap, candidate: Candidate, config: RegisterConfig 
     )
     if reason:
         return loop
-    information = _with_scans(known.information, a, b, candidate, best.a_from_b)
+    doubts = (doubt(a, candidate.first_scan, config.radius), doubt(b, candidate.second_scan, config.radius))
+    information = _with_scans(known.information, *doubts, best.a_from_b)
     weak = f"; {len(known.open)} of 6 directions open" if len(known.open) else ""
     reason = f"{best.evidence.overlap:.0%} of the surfaces agree within {known.sigma * 1e3:.0f} mm{weak}"
     return replace(loop, information=information, accepted=True, reason=reason)
@@ -399,12 +400,13 @@ def _along(off: np.ndarray, directions: np.ndarray, patch: Patch) -> bool:
 
 
 def _with_scans(
-    information: np.ndarray, a: Submap, b: Submap, candidate: Candidate, a_from_b: np.ndarray
+    information: np.ndarray, one: np.ndarray, other: np.ndarray, a_from_b: np.ndarray
 ) -> np.ndarray:
-    """Information (6, 6) of the relative pose of two scans, which are themselves a little off their maps."""
+    """Information (6, 6) of the relative pose of two scans, which are themselves a little off their maps.
+
+    one, other: (6, 6), covariances of the two against the surfaces that were aligned
+    """
     second_from_first = geometry.adjoint(geometry.inverse(a_from_b))
-    one = a.covariance[index_of(a, candidate.first_scan)]
-    other = b.covariance[index_of(b, candidate.second_scan)]
     noise = second_from_first @ one @ second_from_first.T + other
     # (information^-1 + noise)^-1, for information of any rank
     total = information @ np.linalg.inv(np.eye(6) + noise @ information)

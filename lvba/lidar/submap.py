@@ -215,3 +215,19 @@ def index_of(submap: Submap, scan: int) -> int:
     if len(found) == 0:
         raise KeyError(f"the part does not hold scan {scan}")
     return int(found[0])
+
+
+def doubt(submap: Submap, scan: int, radius: float) -> np.ndarray:
+    """Covariance (6, 6) of a scan against the surfaces within radius (m) of it, local tangent [rotation | translation].
+
+    Surfaces are where the scans that saw them have put them: the scan's own doubt, and those of the scans on the way to
+    them, each as often as a surface lies beyond.
+    """
+    here = index_of(submap, scan)
+    near = np.linalg.norm(submap.center - submap.sensor[here], axis=1) <= radius
+    count = np.bincount(submap.seen_from[near], minlength=len(submap.scans)) / max(int(near.sum()), 1)
+    after, before = np.cumsum(count[::-1])[::-1], np.cumsum(count)
+    beyond = np.where(np.arange(len(count)) > here, after, before)
+    beyond[here] = 1.0
+    carried = geometry.adjoint(geometry.inverse(submap.world_from_scan[here]) @ submap.world_from_scan)
+    return np.asarray(np.einsum("n,nij,njk,nlk->il", beyond, carried, submap.covariance, carried))

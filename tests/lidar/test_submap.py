@@ -194,3 +194,18 @@ def test_certainty_knows_the_number_of_surfels_and_open_directions():
     assert 0.8 * 0.01 / 20 < height < 3 * 0.01 / 20
     for motion in known.open:
         assert abs(motion @ known.information @ motion) < 1e-6 * known.information[5, 5]
+
+
+def test_doubt_of_a_scan_grows_on_the_way_to_the_scans_that_saw_the_surfaces(yard):
+    planes, points, poses = yard
+    rng = np.random.default_rng(3)
+    each = rng.normal(size=(6, 6, 6)) * 1e-3
+    each = each @ np.swapaxes(each, 1, 2)
+    built = submap.build(planes, points, poses, np.arange(10, 16), covariance=each)
+    near = np.linalg.norm(built.center - poses[2, :3, 3], axis=1) <= 12.0
+    plain = np.zeros((6, 6))
+    for seen in built.seen_from[near]:
+        for scan in range(min(2, seen), max(2, seen) + 1):
+            carried = geometry.adjoint(geometry.inverse(poses[2]) @ poses[scan])
+            plain += carried @ each[scan] @ carried.T / np.count_nonzero(near)
+    np.testing.assert_allclose(submap.doubt(built, 12, 12.0), plain, rtol=1e-6, atol=1e-12)
