@@ -86,7 +86,8 @@ examples:
   lvba simulate block --out block --length 400 --frames 200 --closing 1 2"""
 
 _EXPORT = """\
-Write the map or the poses of a result in another format."""
+Write the map or the poses of a result in another format; lod: the map with levels of detail, and what a viewer shows
+beside it, into cloud/ and frames/ of RESULT."""
 
 _EXPORT_EXAMPLES = """\
 examples:
@@ -224,7 +225,7 @@ def _add_simulate(commands: "argparse._SubParsersAction[Parser]") -> None:
 def _add_export(commands: "argparse._SubParsersAction[Parser]") -> None:
     export = _command(commands, "export", "write a result in another format", _EXPORT, _EXPORT_EXAMPLES)
     export.add_argument("result", type=Path, metavar="RESULT", help="the OUT folder of a run")
-    export.add_argument("format", metavar="FORMAT", help="ply, las, laz, colmap, nerfstudio")
+    export.add_argument("format", metavar="FORMAT", help="ply, las, laz, colmap, nerfstudio, lod")
     export.add_argument(
         "--out", type=Path, metavar="PATH", help="file or folder to write (default: in RESULT)"
     )

@@ -61,8 +61,8 @@ def job(browser, served, recording):
     page.get_by_role("radio", name=NAME).wait_for()
     assert page.get_by_role("radio", name=NAME).is_checked()
     page.get_by_role("searchbox", name="Search settings").fill("pyramid levels")
-    page.get_by_label("levels", exact=True).fill("2")
-    page.get_by_label("levels", exact=True).blur()
+    page.get_by_label("visual levels", exact=True).fill("2")
+    page.get_by_label("visual levels", exact=True).blur()
     page.get_by_text("1 changed").wait_for()
     watched.accessible()
     page.get_by_role("button", name="Start").click()
@@ -162,7 +162,7 @@ def test_the_result_is_accessible_in_light_and_dark(browser, served, job, scheme
     show_map(watched, job)
     watched.accessible()
     watched.go("jobs")
-    watched.page.get_by_role("link", name=NAME).wait_for()
+    watched.page.get_by_role("link", name=NAME, exact=True).wait_for()
     watched.accessible()
     watched.check()
     watched.context.close()
@@ -231,8 +231,8 @@ def test_what_the_server_refuses_is_told_beside_the_setting(watched, job):
     watched.go("new")
     page.get_by_role("radio", name=NAME).check()
     page.get_by_role("searchbox", name="Search settings").fill("pyramid levels")
-    page.get_by_label("levels", exact=True).fill("77")
-    page.get_by_label("levels", exact=True).blur()
+    page.get_by_label("visual levels", exact=True).fill("77")
+    page.get_by_label("visual levels", exact=True).blur()
     page.get_by_role("button", name="Start").click()
     page.locator(".trouble").filter(has_text="levels").wait_for()
     watched.check()
@@ -243,7 +243,7 @@ def test_a_restart_of_the_service_is_survived_by_the_page(watched, served, job):
     watched.allowed = [r"net::ERR_", "Failed to load resource"]
     page = watched.page
     watched.go("jobs")
-    page.get_by_role("link", name=NAME).first.wait_for()
+    page.get_by_role("link", name=NAME, exact=True).wait_for()
     served.stop()
     served.start()
     page.evaluate(
@@ -254,7 +254,7 @@ def test_a_restart_of_the_service_is_survived_by_the_page(watched, served, job):
         }""",
         job,
     )
-    page.get_by_role("link", name="after the restart").click()
+    page.get_by_role("link", name="after the restart", exact=True).click()
     page.get_by_role("button", name="Cancel").click()
     page.get_by_text("canceled").first.wait_for()
     page.get_by_role("button", name="Delete").first.click()
@@ -292,3 +292,25 @@ def test_a_key_is_asked_for_and_opens_maps_and_files(browser, served, job, tmp_p
     finally:
         locked.stop()
         served.start()
+
+
+def test_a_restart_with_another_setting_shows_what_was_reused(watched, job):
+    page = watched.page
+    watched.go(f"jobs/{job}")
+    page.get_by_role("button", name="Restart…").click()
+    dialog = page.get_by_role("dialog", name="Restart")
+    dialog.get_by_text("Settings", exact=True).click()
+    assert dialog.get_by_label("visual levels", exact=True).input_value() == "2"  # the job's own
+    dialog.get_by_role("searchbox", name="Search settings").fill("map colors")
+    dialog.get_by_label("map colors", exact=True).select_option(label="paper")
+    watched.accessible()
+    dialog.get_by_role("button", name="Restart").click()
+    page.get_by_role("link", name="See the result").wait_for(state="detached")
+    page.get_by_role("link", name="See the result").wait_for()
+    lidar = page.locator(".step").filter(has=page.get_by_text("lidar", exact=True))
+    assert lidar.get_by_text("reused").count() == 1
+    of_map = page.locator(".step").filter(has=page.get_by_text("map", exact=True))
+    assert of_map.get_by_text("reused").count() == 0
+    page.get_by_text("Settings that were changed").click()
+    page.get_by_text('"paper"').wait_for()
+    watched.check()

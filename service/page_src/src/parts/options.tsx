@@ -114,7 +114,7 @@ function Row({ field, value, changed, error, change }: RowProps) {
   const last = field.name.split(".").at(-1) ?? field.name;
   return (
     <div class={`option${changed ? " option-changed" : ""}`}>
-      <label for={id}>{last.replaceAll("_", " ")}</label>
+      <label for={id}><span class="visually-hidden">{field.name.slice(0, -last.length).replaceAll(".", " ")}</span>{last.replaceAll("_", " ")}</label>
       <div class="option-input">
         <Input id={id} field={field} value={value} change={(next) => { change(field.name, next); }} />
         {changed && <button type="button" class="link" aria-label={`Default for ${field.name}`} onClick={() => { change(field.name, undefined); }}>default</button>}

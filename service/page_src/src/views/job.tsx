@@ -8,7 +8,8 @@ import { bytes, duration, moment, percent } from "../format";
 import { go, useEvents, useEvery, useFetched, useThrottled, useTitle } from "../hooks";
 import { Badge, Bar, Card, Facts, Trouble } from "../parts/basic";
 import { Log } from "../parts/log";
-import { grouped, Timeline } from "../parts/stages";
+import { Restart } from "../parts/restart";
+import { Timeline } from "../parts/stages";
 import type { Dataset, Job, Stage } from "../types";
 
 const ENDED = new Set(["done", "failed", "canceled"]);
@@ -31,12 +32,16 @@ export function JobView({ id }: { id: string }) {
   useEvery(ended ? null : up ? 5000 : 2000, fetched.again);
   if (fetched.data === null) return <Trouble trouble={fetched.trouble} />;
   const job: Job = { ...fetched.data, ...live, stages: fetched.data.stages ?? [] };
-  const act = (method: string, path: string, body?: unknown): void => {
-    send(method, `/v1/jobs/${id}${path}`, body).then(
+  const again = (): void => {
+    setTrouble(null);
+    fetched.again();
+    setRound((n) => n + 1);
+  };
+  const act = (method: string, path: string): void => {
+    send(method, `/v1/jobs/${id}${path}`).then(
       () => {
-        setTrouble(null);
         if (method === "DELETE") go("jobs");
-        else { fetched.again(); setRound((n) => n + 1); }
+        else again();
       },
       (error: unknown) => { setTrouble(told(error)); },
     );
@@ -48,7 +53,7 @@ export function JobView({ id }: { id: string }) {
           <p class="crumb"><a href="#/jobs">Jobs</a></p>
           <h1>{job.name === "" ? job.id : job.name} <Badge state={job.state} /></h1>
         </div>
-        <Actions job={job} act={act} />
+        <Actions job={job} act={act} restarted={again} />
       </div>
       <Trouble trouble={trouble} />
       {job.error !== null && <Trouble trouble={job.error} />}
@@ -117,24 +122,13 @@ function Big({ name, value }: { name: string; value: string }) {
   return <div class="big"><span class="big-value">{value}</span><span class="quiet small">{name}</span></div>;
 }
 
-function Actions({ job, act }: { job: Job; act: (method: string, path: string, body?: unknown) => void }) {
+function Actions({ job, act, restarted }: { job: Job; act: (method: string, path: string) => void; restarted: () => void }) {
   const dialog = useRef<HTMLDialogElement>(null);
-  const [from, setFrom] = useState("");
   const ended = ENDED.has(job.state);
-  const names = grouped(job.stages ?? []).map((group) => group.whole?.name ?? group.parts[0]?.name ?? group.name);
   return (
     <div class="actions">
       {!ended && <button type="button" disabled={job.state === "canceling"} onClick={() => { act("POST", "/cancel"); }}>Cancel</button>}
-      {ended && (
-        <form class="restart" onSubmit={(event) => { event.preventDefault(); act("POST", "/restart", from === "" ? {} : { from }); }}>
-          <label for="restart-from" class="visually-hidden">Restart from</label>
-          <select id="restart-from" value={from} onChange={(event) => { setFrom(event.currentTarget.value); }}>
-            <option value="">what is missing</option>
-            {names.map((name) => <option key={name} value={name}>from {name}</option>)}
-          </select>
-          <button type="submit">Restart</button>
-        </form>
-      )}
+      {ended && <Restart job={job} done={restarted} />}
       {ended && <button type="button" class="danger" onClick={() => { dialog.current?.showModal(); }}>Delete</button>}
       <dialog ref={dialog} aria-labelledby="delete-title">
         <h2 id="delete-title">Delete {job.name}?</h2>

@@ -60,7 +60,7 @@ function Choice({ dataset, checked, choose }: { dataset: Dataset; checked: boole
       <span>
         <strong>{dataset.name}</strong>
         <span class="quiet small">
-          {facts === null ? "" : `${plural(facts.scans, "scan")}, ${plural(facts.images, "image")}, ${duration(facts.duration_s)} · `}{bytes(dataset.bytes)} · {ago(dataset.created)}
+          {facts === null ? "" : `${plural(facts.scans, "scan")}, ${plural(facts.images, "image")}, ${duration(facts.duration_s)} · `}{dataset.source === "folder" ? "a folder on the server" : bytes(dataset.bytes)} · {ago(dataset.created)}
         </span>
       </span>
     </label>
