@@ -10,6 +10,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import bsr_matrix, csc_matrix, diags
 from scipy.sparse.linalg import splu
 
+from lvba import banded
 from lvba.kernels.plane_offsets import add_blocks
 
 logger = logging.getLogger(__name__)
@@ -120,7 +121,7 @@ class SolverConfig:
     step_tolerance: float = 1e-7
     """Stop when no unknown moves by more than this, in the unknowns' units (rad, m); 0 to 1e-2."""
     dense_limit: int = 2500
-    """Up to this many unknowns the equations are solved by dense Cholesky, beyond by sparse LU; 0 to 20000."""
+    """Up to this many unknowns the equations are solved by dense Cholesky, beyond as a band; 0 to 20000."""
 
     def __post_init__(self) -> None:
         _check("max_iterations", self.max_iterations, 1, 1000)
@@ -181,15 +182,48 @@ def solve_step(
         except np.linalg.LinAlgError:
             return None
     else:
-        matrix = equations.sparse()[index][:, index]
-        matrix = (matrix + diags(damping * _damped(matrix.diagonal()))).tocsc()
-        try:
-            step[index] = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(
-                -gradient[index]
-            )
-        except RuntimeError:
+        solve = factorize(equations, damping, free)
+        if solve is None:
             return None
+        step = -solve(gradient[:, None])[:, 0]
     return step.reshape(equations.gradient.shape) if np.all(np.isfinite(step)) else None
+
+
+def factorize(
+    equations: NormalEquations, damping: float, free: np.ndarray | None = None
+) -> banded.Solve | None:
+    """A function that solves `(H + damping diag(H)) x = r` for (B b, n) right sides; None where H is not positive.
+
+    free: (B, b) bool; unknowns that are not free are zero. None: all are. By a band where there is one, else sparse LU.
+    """
+    count, size = equations.gradient.shape
+    free = np.ones((count, size), bool) if free is None else free
+    own = equations.rows == equations.columns
+    diagonal = np.zeros((count, size))
+    diagonal[equations.rows[own]] = np.diagonal(equations.blocks[own], axis1=1, axis2=2)
+    index = np.flatnonzero(free)
+    added = np.zeros(count * size)
+    added[index] = damping * _damped(diagonal.ravel()[index])
+    added = added.reshape(count, size)
+    try:
+        return banded.factor(equations.rows, equations.columns, equations.blocks, added, free)
+    except MemoryError:
+        return _sparse_lu(equations, added, index)
+
+
+def _sparse_lu(equations: NormalEquations, added: np.ndarray, index: np.ndarray) -> banded.Solve | None:
+    matrix = (equations.sparse() + diags(added.ravel()))[index][:, index].tocsc()
+    try:
+        factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    except RuntimeError:
+        return None
+
+    def solve(right: np.ndarray) -> np.ndarray:
+        found = np.zeros_like(right)
+        found[index] = factor.solve(right[index])
+        return found
+
+    return solve
 
 
 def _damped(diagonal: np.ndarray) -> np.ndarray:
@@ -275,14 +309,17 @@ def inverse_columns(
         hessian[np.diag_indices_from(hessian)] += 1e-10 * _damped(np.diag(hessian))
         whole = cho_solve(cho_factor(hessian, lower=True, overwrite_a=True), np.eye(index.size))
         return lambda columns: whole[:, columns]
-    matrix = equations.sparse()[index][:, index]
-    matrix = (matrix + diags(1e-10 * _damped(matrix.diagonal()))).tocsc()
-    factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+    count, size = equations.gradient.shape
+    free = np.zeros(count * size, bool)
+    free[index] = True
+    factor = factorize(equations, 1e-10, free.reshape(count, size))
 
     def solve(columns: np.ndarray) -> np.ndarray:
-        unit = np.zeros((index.size, len(columns)))
-        unit[columns, np.arange(len(columns))] = 1.0
-        return factor.solve(unit)
+        if factor is None:
+            raise np.linalg.LinAlgError("the normal equations are not positive")
+        unit = np.zeros((count * size, len(columns)))
+        unit[index[columns], np.arange(len(columns))] = 1.0
+        return np.asarray(factor(unit)[index])
 
     return solve
 

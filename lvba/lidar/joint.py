@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.sparse.linalg import splu
 
 from lvba import geometry, solver
+from lvba.errors import DegenerateProblemError
 from lvba.lidar import share, weak
 from lvba.lidar.config import LidarConfig, StageConfig
 from lvba.lidar.normal_equations import retract
@@ -23,7 +23,7 @@ _GROWTH = 2.0
 """A step that is this many times longer than the one before it is refused: steps of a solve that converges shrink. Costs
 do not tell, for each round has planes and weights of its own."""
 _FIRST_DAMPING = 1.0
-_MOST_COVARIANCES = 250
+_MOST_COVARIANCES = 150
 """Scans whose covariance is solved for; the others have that of the nearest one."""
 
 
@@ -202,13 +202,15 @@ def covariance(
     diagonal = np.zeros((scans, 6, 6))
     diagonal[equations.rows[own]] = equations.blocks[own]
     conditional = 2.0 * excess * np.linalg.inv(diagonal + 1e-9 * np.eye(6) * diagonal.max())
-    factor = splu(
-        equations.sparse()[6:, 6:].tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}
-    )
+    free = np.ones((scans, 6), bool)
+    free[0] = False
+    factor = solver.factorize(equations, 1e-12, free)
+    if factor is None:
+        raise DegenerateProblemError("the planes and the odometry do not determine the scans")
 
     def columns(right: np.ndarray) -> np.ndarray:
         """Covariance (6 S, 6 S) times (6 S, n)."""
-        return np.concatenate([np.zeros((6, right.shape[1])), 2.0 * excess * factor.solve(right[6:])])
+        return 2.0 * excess * factor(right)
 
     chosen = np.unique(np.linspace(0, scans - 1, min(scans, _MOST_COVARIANCES)).astype(int))
     motion, pick = alignment(poses)
