@@ -1,8 +1,8 @@
 """Cholesky of block-sparse normal equations of a path: frames are coupled to those near them, and a few unknowns to all.
 
 In the order of reverse Cuthill-McKee such a Hessian is a band, wider where the path closes a loop, and a border of the
-unknowns that all frames share. A band needs no search for an order, and LAPACK works on it in dense tiles: for 1,000 frames
-that are each coupled to 300 it takes a seventh of the time of sparse LU.
+unknowns that all frames share. A band needs no search for an order, and LAPACK works on it in dense tiles: for 1,000
+frames that are each coupled to 300 it takes a seventh of the time of sparse LU.
 """
 
 from collections.abc import Callable
