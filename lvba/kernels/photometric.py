@@ -368,3 +368,45 @@ def assemble(
                 for c in range(14):
                     hessian[m, k, c] += jx * weighted[0, c] + jy * weighted[1, c] + jq * weighted[2, c]
     return hessian, gradient, single, coupling
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def shared_information(
+    sums: np.ndarray,
+    weights: np.ndarray,
+    share: np.ndarray,
+    shares: int,
+    reference: np.ndarray,
+    target: np.ndarray,
+    point: np.ndarray,
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    intrinsics: np.ndarray,
+    position: np.ndarray,
+    normal: np.ndarray,
+    pixel: np.ndarray,
+) -> np.ndarray:
+    """(shares, 6, 6): what the observations of each share tell of an image's pose, over fixed planes.
+
+    share: (O, 2) int64, which share an observation belongs to with its reference, and with its target
+    reference, target: (O,) int32, images; the rest as in `assemble`
+    """
+    found = np.zeros((shares, 6, 6))
+    relative, offset, jacobian = np.empty((3, 3)), np.empty(3), np.empty((3, 15))
+    for o in range(len(point)):
+        if sums[o, 10] == 0.0:
+            continue
+        p, r = point[o], reference[o]
+        relative_pose(rotation, translation, r, target[o], relative, offset)
+        _observation_jacobian(
+            rotation, translation, intrinsics, position[p], normal[p], pixel[p], r, relative, offset, jacobian
+        )
+        xx, xy, yy = weights[o] * sums[o, 0], weights[o] * sums[o, 1], weights[o] * sums[o, 2]
+        for end in range(2):
+            block = found[share[o, end]]
+            for i in range(6):
+                x, y = jacobian[0, 7 * end + i], jacobian[1, 7 * end + i]
+                to_x, to_y = xx * x + xy * y, xy * x + yy * y
+                for j in range(6):
+                    block[i, j] += to_x * jacobian[0, 7 * end + j] + to_y * jacobian[1, 7 * end + j]
+    return found

@@ -210,5 +210,6 @@ def covariance_of(solution: LevelSolution) -> np.ndarray:
     """(I + 1, 7, 7) covariance blocks of the images' unknowns, then of mount and time offset."""
     total = joint(solution.linearization.equations, solution.prior, solution.state)
     held = None if solution.prior is None else priors.linearize(solution.prior, solution.state)
-    clusters = covariance.cluster_gradients(solution.problem, solution.linearization, jackknife=True)
+    at = PhotometricState(solution.state.cameras, solution.offset)
+    clusters = covariance.left_out_gradients(solution.problem, solution.linearization, at, total)
     return covariance.camera_covariance(total, clusters, held, solution.free)

@@ -6,13 +6,16 @@ composite likelihood (White 1982; Varin et al. 2011), where M sums the outer pro
 and a cluster is all that hangs on one piece of wall.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.sparse import csr_matrix
 
 from lvba import geometry, solver
 from lvba.solver import NormalEquations
 from lvba.trajectory import Trajectory
-from lvba.visual.photometric import Linearization, Problem
+from lvba.visual import photometric
+from lvba.visual.photometric import Linearization, PhotometricState, Problem
 from lvba.visual.scene_points import ScenePoints
 
 _GREATEST_LEVERAGE = 0.8
@@ -22,24 +25,60 @@ _MAP_SCANS = 11
 """So many scans about an image make the part of the map that it is held by."""
 
 
-def cluster_gradients(
-    problem: Problem, linearization: Linearization, *, jackknife: bool = False
-) -> csr_matrix:
-    """Gradients of the photometric cost summed per piece of wall, (clusters, 7 I) sparse.
+def cluster_gradients(problem: Problem, linearization: Linearization) -> csr_matrix:
+    """Gradients of the photometric cost summed per piece of wall, (clusters, 7 I) sparse."""
+    shares = shares_of(problem)
+    return _by_wall(shares, _summed(shares, linearization), len(problem.images))
 
-    jackknife: each divided by 1 - leverage, the wall's share of what its image knows. A wall that alone holds an
-        image bends it to itself and leaves no gradient, however wrong it is (MacKinnon and White 1985, HC3).
+
+def left_out_gradients(
+    problem: Problem, linearization: Linearization, state: PhotometricState, known: NormalEquations
+) -> csr_matrix:
+    """The same, each as it would be if its image had been solved without that wall.
+
+    A wall that holds an image in some direction bends it to itself there and leaves no gradient, however wrong it is
+    (the jackknife, CR3: Bell and McCaffrey 2002). known: all that is known, the images' blocks first
     """
+    shares = shares_of(problem)
+    gradients = _summed(shares, linearization)
+    told = information(problem, linearization, state, shares)
+    gradients[:, :6] = without(told, gradients[:, :6], shares.image, known)
+    return _by_wall(shares, gradients, len(problem.images))
+
+
+@dataclass(frozen=True)
+class Shares:
+    """What pieces of wall have to do with images.
+
+    wall, image: (S,) int64; of: (O, 2) int64, the share of each observation with its reference, and with its target
+    """
+
+    wall: np.ndarray
+    image: np.ndarray
+    of: np.ndarray
+
+
+def shares_of(problem: Problem) -> Shares:
+    """Which pieces of wall are seen in which images."""
     points, observations = problem.points, problem.observations
-    cluster = _walls(points)[observations.point]
     images = np.stack([points.reference[observations.point], observations.target], axis=1)
-    gradients = linearization.single[:, :14]
-    if jackknife:
-        gradients = gradients * np.repeat(_jackknife(problem, linearization, cluster, images), 7, axis=1)
-    columns = (7 * images[:, :, None] + np.arange(7)).reshape(len(gradients), 14)
-    shape = (int(cluster.max(initial=-1)) + 1, 7 * len(problem.images))
-    rows = np.repeat(cluster, 14)
-    return csr_matrix((gradients.ravel(), (rows, columns.ravel())), shape=shape)
+    keys = _walls(points)[observations.point][:, None].astype(np.int64) * len(problem.images) + images
+    found, where = np.unique(keys, return_inverse=True)
+    return Shares(*np.divmod(found, len(problem.images)), where.reshape(keys.shape))
+
+
+def _summed(shares: Shares, linearization: Linearization) -> np.ndarray:
+    """(S, 7): the gradient of each share's cost by its image's unknowns."""
+    sums = np.zeros((len(shares.wall), 7))
+    for end in range(2):
+        np.add.at(sums, shares.of[:, end], linearization.single[:, 7 * end : 7 * end + 7])
+    return sums
+
+
+def _by_wall(shares: Shares, gradients: np.ndarray, images: int) -> csr_matrix:
+    columns = 7 * shares.image[:, None] + np.arange(7)
+    shape = (int(shares.wall.max(initial=-1)) + 1, 7 * images)
+    return csr_matrix((gradients.ravel(), (np.repeat(shares.wall, 7), columns.ravel())), shape=shape)
 
 
 def _walls(points: ScenePoints) -> np.ndarray:
@@ -50,22 +89,39 @@ def _walls(points: ScenePoints) -> np.ndarray:
     return np.unique(np.column_stack([cell, side]), axis=0, return_inverse=True)[1].reshape(-1)
 
 
-def _jackknife(
-    problem: Problem, linearization: Linearization, cluster: np.ndarray, images: np.ndarray
+def information(
+    problem: Problem, linearization: Linearization, state: PhotometricState, shares: Shares
 ) -> np.ndarray:
-    """(O, 2): 1 / (1 - leverage) of each observation's plane in its reference and in its target."""
-    known = linearization.sums[:, 0] + linearization.sums[:, 2]
-    if problem.offset_sigma is not None:
-        # what an uncertain plane tells is bounded, however much texture is on it
-        points = problem.observations.point
-        known = known / (linearization.offset_hessian * problem.offset_sigma**2)[points]
-    count = len(problem.images)
-    keys = cluster[:, None] * np.int64(count) + images
-    share, where = np.unique(keys, return_inverse=True)
-    of_plane = np.bincount(where.ravel(), np.repeat(known, 2), len(share))
-    of_image = np.bincount((share % count).astype(np.int64), of_plane, count)
-    leverage = of_plane / np.maximum(of_image[share % count], 1e-300)
-    return np.asarray(1 / (1 - np.minimum(leverage, _GREATEST_LEVERAGE)))[where].reshape(images.shape)
+    """(S, 6, 6): what each share tells of its image's pose, the plane offsets eliminated."""
+    found = photometric.shared_information(problem, state, linearization.sums, shares.of, len(shares.wall))
+    if problem.offset_sigma is None:
+        return found
+    point, points = problem.observations.point, len(problem.points)
+    as_reference = np.zeros(points, np.int64)
+    as_reference[point] = shares.of[:, 0]
+    at = np.concatenate([as_reference, shares.of[:, 1]])
+    hessian = linearization.offset_hessian[np.concatenate([np.arange(points), point])]
+    entry = linearization.entry[:, :6] / np.sqrt(hessian)[:, None]
+    np.subtract.at(found, at, entry[:, :, None] * entry[:, None, :])
+    return found
+
+
+def without(told: np.ndarray, gradients: np.ndarray, image: np.ndarray, known: NormalEquations) -> np.ndarray:
+    """(S, 6): `(1 - I H^-1)^-1 g`, H (6, 6) all that is known of the share's image when the other images stay.
+
+    told: (S, 6, 6), I; gradients: (S, 6), g; image: (S,)
+    """
+    diagonal = known.rows == known.columns
+    blocks = np.zeros((len(known.gradient), 6, 6))
+    blocks[known.rows[diagonal]] = known.blocks[diagonal][:, :6, :6]
+    # a part more on the diagonal: without a prior, some motion of an image may be free
+    blocks *= 1 + 1e-9 * np.eye(6)
+    lower = np.linalg.cholesky(blocks[image])
+    half = np.linalg.solve(lower, told)
+    leverage, axes = np.linalg.eigh(np.linalg.solve(lower, np.swapaxes(half, -1, -2)))
+    along = np.einsum("ski,sk->si", axes, np.linalg.solve(lower, gradients[..., None])[..., 0])
+    along /= 1 - np.clip(leverage, 0.0, _GREATEST_LEVERAGE)
+    return np.asarray(np.einsum("sij,sjk,sk->si", lower, axes, along))
 
 
 def offset_scale(problem: Problem, offset: np.ndarray, hessian: np.ndarray) -> float:

@@ -322,6 +322,30 @@ def _assembled(
     return kernels.assemble(*arguments, points.pixel)
 
 
+def shared_information(
+    problem: Problem, state: PhotometricState, observation_sums: np.ndarray, share: np.ndarray, shares: int
+) -> np.ndarray:
+    """(shares, 6, 6): what the observations of each share tell of an image's pose, over fixed planes.
+
+    share: (O, 2), which share an observation belongs to with its reference, and which with its target
+    """
+    points, observations = problem.points, problem.observations
+    return kernels.shared_information(
+        observation_sums,
+        problem.weights * (1 / (problem.sigma**2 * problem.inflation)),
+        share,
+        shares,
+        points.reference[observations.point],
+        observations.target,
+        observations.point,
+        *_poses(state.cameras),
+        problem.intrinsics,
+        _positions(problem, state),
+        points.normal_world,
+        points.pixel,
+    )
+
+
 def cost(problem: Problem, observation_sums: np.ndarray) -> float:
     """Half the robust squared residuals over sigma^2 and inflation; a lost sample costs what noise alone does."""
     lost = 0.5 * problem.sigma**2 * (problem.samples - observation_sums[:, COUNT])

@@ -6,8 +6,10 @@ import textured_planes
 
 from lvba import geometry, trajectory
 from lvba.camera import Camera
-from lvba.visual import bundle_adjustment, prior
+from lvba.solver import NormalEquations
+from lvba.visual import bundle_adjustment, covariance, prior
 from lvba.visual.bundle_adjustment import BundleAdjustmentConfig
+from lvba.visual.photometric import PhotometricState
 from lvba.visual.prior import Prior, PriorConfig, Source
 from lvba.visual.states import CameraStates, Mount, VisualState
 
@@ -105,3 +107,45 @@ def test_every_component_of_the_graph_keeps_one_exposure():
     assert component[0] == component[1] == component[2]
     assert component[3] == component[4]
     assert len(set(component)) == 3
+
+
+def test_what_walls_tell_of_an_image_adds_up_to_what_the_equations_say(scene):
+    images, points, observations, poses, _ = scene
+    found = bundle_adjustment.solve(images, CAMERA, points, observations, start(poses), still(poses))
+    at = PhotometricState(found.state.cameras, found.offset)
+    shares = covariance.shares_of(found.problem)
+    told = covariance.information(found.problem, found.linearization, at, shares)
+    total = np.zeros((COUNT, 6, 6))
+    np.add.at(total, shares.image, told)
+    equations = found.linearization.equations
+    own = equations.rows == equations.columns
+    assert total == pytest.approx(equations.blocks[own][:, :6, :6], rel=1e-7, abs=1e-3)
+    plain = covariance.cluster_gradients(found.problem, found.linearization)
+    wanted = np.zeros((COUNT, 7))
+    for n, (point, target) in enumerate(
+        zip(found.problem.observations.point, found.problem.observations.target)
+    ):
+        wanted[points.reference[point]] += found.linearization.single[n, :7]
+        wanted[target] += found.linearization.single[n, 7:14]
+    assert np.asarray(plain.sum(axis=0)).reshape(COUNT, 7) == pytest.approx(wanted)
+
+
+def test_a_wall_that_alone_holds_an_image_counts_for_as_much_as_it_may_be_wrong():
+    # three walls, one to each axis of a position; the equations of the image are their sum and a weak prior
+    walls = np.zeros((3, 6, 6))
+    walls[0, 3, 3], walls[1, 4, 4], walls[2, 5, 5] = 100.0, 100.0, 100.0
+    also = walls[0].copy()
+    also[3, 3] = 300.0
+    prior_block = np.diag([1.0, 1, 1, 25, 25, 25])
+    hessian = np.zeros((1, 7, 7))
+    hessian[0, :6, :6] = walls.sum(0) + also + prior_block
+    known = NormalEquations(np.zeros(1, np.int32), np.zeros(1, np.int32), hessian, np.zeros((1, 7)), 0.0)
+    every = np.concatenate([walls, also[None]])
+    gradients = np.zeros((4, 6))
+    gradients[:, 3:] = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0]]
+    found = covariance.without(every, gradients, np.zeros(4, np.int64), known)
+    # along the first axis two walls and the prior, 425 in all; along the others a wall and the prior, 125
+    assert found[0, 3] == pytest.approx(425 / 325)
+    assert found[3, 3] == pytest.approx(-425 / 125)
+    assert found[1, 4] == pytest.approx(125 / 25)
+    assert found[2, 5] == pytest.approx(5.0)
