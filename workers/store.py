@@ -169,8 +169,10 @@ def write(folder: Path, key: str, value: Any, facts: Mapping[str, Any]) -> None:
         (partial / MANIFEST).write_text(json.dumps(manifest, indent=1, sort_keys=True) + "\n")
         _sync(partial)
         _move_into_place(partial, folder / key)
-    except BaseException:
+    except BaseException as error:
         shutil.rmtree(partial, ignore_errors=True)
+        if isinstance(error, OSError) and error.filename is None:
+            error.filename = str(folder)  # which disk is full
         raise
 
 
