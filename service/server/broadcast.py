@@ -6,7 +6,7 @@ import logging
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.concurrency import run_in_threadpool
@@ -18,18 +18,28 @@ from service.server.tables import Event
 _log = logging.getLogger(__name__)
 _LOOK_S = 0.25
 _COMMENT_S = 15.0
-_BEHIND = 2000
-"""Events that wait for a listener before it is dropped; it may come back and go on where it was."""
+_BEHIND = 100
+"""Rounds of events that wait for a listener; one that is slower finds in the journal what it missed."""
 _PAGE = 500
+
+
+class _Sent(NamedTuple):
+    """An event as it is sent, made once for all who hear it."""
+
+    id: int
+    kind: str
+    job_id: str
+    owner: str
+    data: bytes
 
 
 @dataclass(eq=False)
 class _Listener:
     job_id: str | None
     owner: str | None
-    queue: "asyncio.Queue[Event | None]" = field(default_factory=lambda: asyncio.Queue(_BEHIND))
+    queue: "asyncio.Queue[list[_Sent] | None]" = field(default_factory=lambda: asyncio.Queue(_BEHIND))
 
-    def wants(self, event: Event) -> bool:
+    def wants(self, event: _Sent) -> bool:
         return self.job_id in (None, event.job_id) and self.owner in (None, event.owner)
 
 
@@ -70,10 +80,11 @@ class Broadcaster:
         except SQLAlchemyError as error:
             _log.warning("events cannot be read: %s", str(error).splitlines()[0])
             return
-        for event in events:
-            self._cursor = event.id
-            for listener in [each for each in self._listeners if each.wants(event)]:
-                _put(listener, event)
+        for listener in self._listeners if events else ():
+            heard = [event for event in events if listener.wants(event)]
+            if heard:
+                _put(listener, heard)
+        self._cursor = events[-1].id if events else self._cursor
 
     async def stream(self, after: int | None, job_id: str | None, owner: str | None) -> AsyncIterator[bytes]:
         """Events after a cursor as server-sent events, then those that come; None: from now on.
@@ -89,51 +100,47 @@ class Broadcaster:
                 self._cursor = latest
             cursor = latest if after is None else after
             yield b": lvba\n\n"
-            last: Event | None = None
+            over = False
             while events := await run_in_threadpool(self._read, cursor, job_id, owner):
-                for event in events:
-                    cursor, last = event.id, event
-                    yield encoded(event)
-            over = job_id is not None and last is not None and last.kind == journal.END
+                cursor, over = events[-1].id, _is_over(events, job_id)
+                yield b"".join(event.data for event in events)
             while not over and not self._closed:
-                waiting = await self._next(listener)
-                if waiting is None and self._closed:
-                    break
-                # between what was read and what was heard nothing may be missing, and nothing twice
-                missed = (
-                    await run_in_threadpool(self._read, cursor, job_id, owner)
-                    if waiting is None
-                    else [waiting]
-                )
-                for event in missed:
-                    if event.id > cursor:
-                        cursor = event.id
-                        yield encoded(event)
-                        over = job_id is not None and event.kind == journal.END
-                if not missed:
-                    yield b": \n\n"
+                heard = await self._next(listener)
+                if heard is None and not self._closed:
+                    heard = await run_in_threadpool(self._read, cursor, job_id, owner)
+                # what was read before is not to be heard again
+                fresh = [event for event in heard or () if event.id > cursor]
+                yield b"".join(event.data for event in fresh) or b": \n\n"
+                if fresh:
+                    cursor, over = fresh[-1].id, _is_over(fresh, job_id)
         finally:
             self._listeners.discard(listener)
 
-    async def _next(self, listener: _Listener) -> Event | None:
-        """The next event; None: nothing for a while, or the end."""
+    async def _next(self, listener: _Listener) -> list[_Sent] | None:
+        """The next events; None: nothing for a while, or something was missed, or the end."""
         try:
             return await asyncio.wait_for(listener.queue.get(), _COMMENT_S)
         except TimeoutError:
             return None
 
-    def _read(self, cursor: int, job_id: str | None, owner: str | None) -> list[Event]:
+    def _read(self, cursor: int, job_id: str | None, owner: str | None) -> list[_Sent]:
         with self._database.read() as session:
-            return list(journal.after(session, cursor, job_id=job_id, owner=owner, limit=_PAGE))
+            events = journal.after(session, cursor, job_id=job_id, owner=owner, limit=_PAGE)
+            return [_Sent(each.id, each.kind, each.job_id, each.owner, encoded(each)) for each in events]
 
     def _latest(self) -> int:
         with self._database.read() as session:
             return journal.latest(session)
 
 
-def _put(listener: _Listener, event: Event | None) -> None:
+def _is_over(events: list[_Sent], job_id: str | None) -> bool:
+    """Whether nothing follows, as after the end of the one job that is listened to."""
+    return job_id is not None and events[-1].kind == journal.END
+
+
+def _put(listener: _Listener, heard: list[_Sent] | None) -> None:
     try:
-        listener.queue.put_nowait(event)
+        listener.queue.put_nowait(heard)
     except asyncio.QueueFull:
         # it reads too slowly: what it missed it finds in the journal
         while not listener.queue.empty():

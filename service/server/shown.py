@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import func, select
+from sqlalchemy import and_, func, or_, select
 from sqlalchemy.orm import Session
 
 from service.server import retention
@@ -47,7 +47,7 @@ def dataset(session: Session, row: Dataset, settings: Settings) -> dict[str, Any
 
 def jobs(session: Session, rows: Sequence[Job], places: Places, settings: Settings) -> list[dict[str, Any]]:
     """Jobs as in a list."""
-    positions = _positions(session) if any(row.state == QUEUED for row in rows) else {}
+    positions = _positions(session, [row for row in rows if row.state == QUEUED])
     return [_job(row, positions, places, settings) for row in rows]
 
 
@@ -93,13 +93,19 @@ def _elapsed(row: Job) -> float:
     return round(max(end - row.started, 0.0), 1)
 
 
-def _positions(session: Session) -> dict[str, int]:
-    waiting = (
-        select(Job.id)
-        .where(Job.state == QUEUED, Job.deleted.is_(False))
-        .order_by(Job.priority.desc(), Job.created)
-    )
-    return {job_id: index for index, job_id in enumerate(session.scalars(waiting))}
+def _positions(session: Session, waiting: Sequence[Job]) -> dict[str, int]:
+    """How many are before each, by priority and age."""
+    everybody = (Job.state == QUEUED, Job.deleted.is_(False))
+    if len(waiting) == 1:
+        [one] = waiting
+        earlier = or_(
+            Job.priority > one.priority, and_(Job.priority == one.priority, Job.created < one.created)
+        )
+        return {one.id: session.scalar(select(func.count()).where(*everybody, earlier)) or 0}
+    if not waiting:
+        return {}
+    ordered = select(Job.id).where(*everybody).order_by(Job.priority.desc(), Job.created)
+    return {job_id: index for index, job_id in enumerate(session.scalars(ordered))}
 
 
 def _attempt(row: Attempt) -> dict[str, Any]:
