@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
-PATIENCE_MS = 120_000
+PATIENCE_MS = 400_000  # the first run on a machine compiles the kernels
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 # WebGL by a renderer in software: test machines have no graphics card
 OPTIONS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]

@@ -89,7 +89,7 @@ def show_map(watched, job):
     """Opens the result and waits until the map is there; the canvas."""
     watched.go(f"jobs/{job}/result")
     watched.page.wait_for_function(
-        "() => /^[1-9]/.test(document.querySelector('.cloud-status')?.textContent ?? '')", timeout=60_000
+        "() => /^[1-9]/.test(document.querySelector('.cloud-status')?.textContent ?? '')"
     )
     return watched.page.get_by_role("application", name="Map in 3D")
 
