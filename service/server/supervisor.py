@@ -1,6 +1,7 @@
 """The thread that works the queue: takes up jobs and datasets, follows their processes, answers for them, ends them."""
 
 import logging
+import shutil
 import threading
 import time
 from collections.abc import Callable
@@ -26,6 +27,8 @@ _BACK_OFF_S = 2.0
 _CHECKS = 2
 """Datasets that are checked at a time."""
 _STOP_S = 15.0
+_LEAST_FREE = 64 << 20
+"""Bytes of disk without which nothing is begun."""
 
 
 class Supervisor(threading.Thread):
@@ -123,6 +126,8 @@ class Supervisor(threading.Thread):
                 leases.lose(self._database, lease, "it could not be begun")
 
     def _claim(self) -> None:
+        if shutil.disk_usage(self._places.root).free < _LEAST_FREE:
+            return  # what is begun on a full disk only fails
         now = time.monotonic()
         self._avoid = {job: until for job, until in self._avoid.items() if until > now}
         while self._count(DatasetCheck) < _CHECKS:
