@@ -7,7 +7,8 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from lvba import geometry
-from lvba.lidar import place_check, place_search, surfel_alignment
+from lvba.lidar import place_alignments, surfel_alignment
+from lvba.lidar.place_alignments import SIGMAS, Expected
 from lvba.lidar.place_check import Evidence
 from lvba.lidar.submap import Patch, Submap, around, doubt
 from lvba.lidar.surfel_alignment import Certainty, Target
@@ -81,6 +82,25 @@ class RegisterConfig:
     floor_deg: float = 0.03
     """The same of its rotation, degrees; 0 to 10."""
 
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("radius", 2, 200),
+            ("starts", 1, 1000),
+            ("tolerance", 0.01, 1),
+            ("min_surfels", 10, 100_000),
+            ("min_overlap", 0.01, 1),
+            ("min_share", 0.5, 1),
+            ("excess", 0.1, 100),
+            ("rival", 0, 1),
+            ("weak_sigma", 0.001, 10),
+            ("most_open", 0, 5),
+            ("blind_m", 0, 100),
+            ("floor_m", 0, 1),
+            ("floor_deg", 0, 10),
+        ):
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"loops.{name} = {getattr(self, name)}; allowed: {low} to {high}")
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -142,14 +162,10 @@ def candidates(
     kept: list[Candidate] = []
     for second, first in odometry.in_reach(parts):
         near = [replace(odometry.closest(parts[k], parts[second]), first=k, second=second) for k in first]
-        near = [pair for pair in near if pair.distance < config.reach + _SIGMAS * pair.sigma_m]
+        near = [pair for pair in near if pair.distance < config.reach + SIGMAS * pair.sigma_m]
         near.sort(key=lambda pair: pair.distance / (config.reach + pair.sigma_m))
         kept.extend(sorted(near[: config.pairs_per_part], key=lambda pair: pair.first))
     return tuple(kept)
-
-
-_SIGMAS = 2.0
-"""How many standard deviations a rough pose may be off."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +203,7 @@ class _Odometry:
         for second, later in enumerate(parts):
             longest = np.maximum(high[second] - low[:second], high[:second] - low[second])
             away = np.linalg.norm(center[:second] - center[second], axis=1) - radius[:second] - radius[second]
-            near = np.flatnonzero(away < self.config.reach + _SIGMAS * self.sigmas(longest)[0]).tolist()
+            near = np.flatnonzero(away < self.config.reach + SIGMAS * self.sigmas(longest)[0]).tolist()
             yield second, [k for k in near if len(np.intersect1d(parts[k], later)) == 0]
 
     def closest(self, earlier: np.ndarray, later: np.ndarray) -> Candidate:
@@ -208,29 +224,28 @@ def register(a: Submap, b: Submap, candidate: Candidate, config: RegisterConfig 
     a, b: submaps of the candidate's first and second part
     """
     config = config or RegisterConfig()
-    reach = _SIGMAS * candidate.sigma_m
+    expected = Expected(candidate.first_from_second, candidate.sigma_m, candidate.sigma_deg)
     patches = (
-        around(a, candidate.first_scan, config.radius + reach),
+        around(a, candidate.first_scan, config.radius + expected.reach_m),
         around(b, candidate.second_scan, config.radius),
     )
     if min(len(patch) for patch in patches) < config.min_surfels:
         return _refused(candidate, "too few surfaces are known around it")
     target, source = Target.of(patches[0]), Target.of(patches[1])
-    ways = _alignments(target, source, candidate, config)
+    tolerance = config.tolerance
+    ways = place_alignments.find(target, source, expected, tolerance=tolerance, starts=config.starts)
     if not ways:
         return _refused(candidate, "no alignment within what the odometry may be off")
-    best = _best(ways, target, source, config)
-    found = surfel_alignment.match(target, source.patch, best.a_from_b, _MATCH_M, _MATCH_DEG)
-    floor = np.array([np.radians(config.floor_deg)] * 3 + [config.floor_m] * 3)
-    known = surfel_alignment.certainty(target, source.patch, best.a_from_b, found, floor, config.weak_sigma)
-    reason = (
-        _doubt(best, known, target, source, config)
-        or _blind(known, candidate, config)
-        or _rival(best, ways, known, target, source, config)
-    )
+    best = place_alignments.best_of(ways, target, source, tolerance)
+    pose = place_alignments.polished(target, source.patch, best.a_from_b, expected)
+    known = _known(target, source.patch, pose, config)
+    reason = _doubt(best.evidence, known, target, source, config) or _blind(known, expected, config)
+    if not reason:
+        others = place_alignments.rivals(best, ways, known.open, target, source, tolerance)
+        reason = _look_alike(others, config)
     loop = replace(
         _refused(candidate, reason),
-        first_from_second=best.a_from_b,
+        first_from_second=pose,
         overlap=best.evidence.overlap,
         residual=known.sigma,
         weak=len(known.open),
@@ -238,7 +253,7 @@ def register(a: Submap, b: Submap, candidate: Candidate, config: RegisterConfig 
     if reason:
         return loop
     doubts = (doubt(a, candidate.first_scan, config.radius), doubt(b, candidate.second_scan, config.radius))
-    information = _with_scans(known.information, *doubts, best.a_from_b)
+    information = _with_scans(known.information, *doubts, pose)
     weak = f"; {len(known.open)} of 6 directions open" if len(known.open) else ""
     reason = f"{best.evidence.overlap:.0%} of the surfaces agree within {known.sigma * 1e3:.0f} mm{weak}"
     return replace(loop, information=information, accepted=True, reason=reason)
@@ -247,104 +262,14 @@ def register(a: Submap, b: Submap, candidate: Candidate, config: RegisterConfig 
 _MATCH_M, _MATCH_DEG = 0.5, 20.0
 
 
-@dataclass(frozen=True)
-class _Way:
-    """One alignment, and what speaks for it and against it."""
-
-    a_from_b: np.ndarray
-    evidence: Evidence
-
-    @property
-    def score(self) -> float:
-        """What agrees, less what contradicts."""
-        told = self.evidence
-        return float(
-            (told.for_a - _AGAINST * told.against_a).sum() + (told.for_b - _AGAINST * told.against_b).sum()
-        )
+def _known(target: Target, patch: Patch, pose: np.ndarray, config: RegisterConfig) -> Certainty:
+    found = surfel_alignment.match(target, patch, pose, _MATCH_M, _MATCH_DEG)
+    floor = np.repeat([np.radians(config.floor_deg), config.floor_m], 3)
+    return surfel_alignment.certainty(target, patch, pose, found, floor, config.weak_sigma)
 
 
-_AGAINST = 3.0
-"""How much more a surfel counts that contradicts than one that agrees."""
-
-
-def _alignments(target: Target, source: Target, candidate: Candidate, config: RegisterConfig) -> list[_Way]:
-    """Different alignments that surfels fall into, within what the odometry may be off; best first."""
-    reach_m, reach_deg = _SIGMAS * candidate.sigma_m, _SIGMAS * candidate.sigma_deg
-    guess = candidate.first_from_second
-    cell = 2 * max(target.patch.cell, source.patch.cell)
-    starts = place_search.search(target.patch, source.patch, guess, reach_m, reach_deg, cell, config.starts)
-    sigma = np.array([np.radians(candidate.sigma_deg)] * 3 + [candidate.sigma_m] * 3)
-    prior = np.diag(sigma**-2)
-    step = -(-len(source.patch) // _COARSE_SURFELS)
-    thinned = source.patch.take(np.arange(0, len(source.patch), step))
-    coarse = [
-        surfel_alignment.align(target, thinned, pose, surfel_alignment.COARSE, guess, prior)
-        for pose in (guess, *starts.a_from_b)
-    ]
-    fine = [
-        surfel_alignment.align(target, source.patch, pose, surfel_alignment.FINE, guess, prior)
-        for pose in _different(coarse, _NEAR_M)
-    ]
-    inside = [pose for pose in _different(fine, _NEAR_M / 2) if _within(guess, pose, reach_m, reach_deg)]
-    ways = [_Way(pose, place_check.evidence(target, source, pose, config.tolerance)) for pose in inside]
-    return sorted(ways, key=lambda way: -way.score)
-
-
-_COARSE_SURFELS = 800
-_NEAR_M, _NEAR_DEG = 0.2, 2.0
-"""Alignments that differ by less are the same."""
-
-
-def _different(poses: list[np.ndarray], near: float) -> list[np.ndarray]:
-    """The poses without those that are near (m) an earlier one."""
-    kept: list[np.ndarray] = []
-    for pose in poses:
-        if not any(_within(other, pose, near, _NEAR_DEG) for other in kept):
-            kept.append(pose)
-    return kept
-
-
-def _within(one: np.ndarray, other: np.ndarray, meters: float, degrees: float) -> bool:
-    off = geometry.inverse(one) @ other
-    return bool(np.linalg.norm(off[:3, 3]) <= meters and geometry.rotation_angle_deg(off) <= degrees)
-
-
-def _best(ways: list[_Way], target: Target, source: Target, config: RegisterConfig) -> _Way:
-    """The alignment that surfels prefer which can tell it from the others."""
-    best = ways[0]
-    for way in ways[1:]:
-        here, there = _told_apart(best, way, target, source, config)
-        if there > here:
-            best = way
-    return best
-
-
-def _told_apart(
-    one: _Way, other: _Way, target: Target, source: Target, config: RegisterConfig
-) -> tuple[float, float]:
-    """Score of two alignments among the surfels that would notice the difference.
-
-    Ground does not notice a shift along it, facades not one along the street: however many of them agree, they say
-    nothing.
-    """
-    scores = np.zeros(2)
-    for patch, moved_by, side in (
-        (source.patch, geometry.inverse(one.a_from_b) @ other.a_from_b, "b"),
-        (target.patch, one.a_from_b @ geometry.inverse(other.a_from_b), "a"),
-    ):
-        moved = geometry.transform_points(moved_by, patch.center) - patch.center
-        notices = np.abs(np.einsum("ki,ki->k", patch.normal, moved)) > 2 * config.tolerance
-        for k, way in enumerate((one, other)):
-            agree, against = (
-                getattr(way.evidence, f"{what}_{side}")[notices].sum() for what in ("for", "against")
-            )
-            scores[k] += agree - _AGAINST * against
-    return float(scores[0]), float(scores[1])
-
-
-def _doubt(best: _Way, known: Certainty, target: Target, source: Target, config: RegisterConfig) -> str:
+def _doubt(told: Evidence, known: Certainty, target: Target, source: Target, config: RegisterConfig) -> str:
     """Why an alignment is not believed; empty if it is."""
-    told = best.evidence
     noise = float(np.median(np.concatenate([target.patch.thickness, source.patch.thickness])))
     if told.surfels < config.min_surfels:
         return f"only {told.surfels} surfels agree, {config.min_surfels} are needed"
@@ -359,44 +284,23 @@ def _doubt(best: _Way, known: Certainty, target: Target, source: Target, config:
     return ""
 
 
-def _blind(known: Certainty, candidate: Candidate, config: RegisterConfig) -> str:
+def _blind(known: Certainty, expected: Expected, config: RegisterConfig) -> str:
     """Why a place that leaves directions open is not recognized; empty if it need not be."""
-    reach = _SIGMAS * candidate.sigma_m
-    if len(known.open) == 0 or reach <= config.blind_m:
+    if len(known.open) == 0 or expected.reach_m <= config.blind_m:
         return ""
     return (
         f"{len(known.open)} of 6 directions are left open: it may be another place that looks alike, "
-        f"and the odometry may be off by {reach:.1f} m"
+        f"and the odometry may be off by {expected.reach_m:.1f} m"
     )
 
 
-def _rival(
-    best: _Way,
-    ways: list[_Way],
-    known: Certainty,
-    target: Target,
-    source: Target,
-    config: RegisterConfig,
-) -> str:
+def _look_alike(others: list[tuple[float, np.ndarray]], config: RegisterConfig) -> str:
     """Which other alignment could be true as well; empty if none."""
-    for way in ways:
-        off = geometry.log(geometry.inverse(best.a_from_b) @ way.a_from_b)
-        if way is best or _along(off, known.open, source.patch):
-            continue
-        here, there = _told_apart(best, way, target, source, config)
-        if there > config.rival * here:
+    for part, off in others:
+        if part > config.rival:
             away = f"{np.linalg.norm(off[3:]):.1f} m and {np.degrees(np.linalg.norm(off[:3])):.1f} degrees"
             return f"another alignment, {away} away, fits as well: the place looks like others"
     return ""
-
-
-def _along(off: np.ndarray, directions: np.ndarray, patch: Patch) -> bool:
-    """Whether a motion (6,) is one along open directions (W, 6), but for little."""
-    lever = float(np.sqrt(np.mean(np.sum((patch.center - patch.center.mean(0)) ** 2, axis=1))))
-    scale = np.array([lever] * 3 + [1.0] * 3)
-    basis = np.linalg.qr((directions * scale).T)[0]
-    left = off * scale - basis @ (basis.T @ (off * scale))
-    return bool(np.linalg.norm(left) < _NEAR_M)
 
 
 def _with_scans(
