@@ -33,6 +33,7 @@ KINDS: dict[str, tuple[int, str, str]] = {
     "length-required": (411, "The length is needed", "send Content-Length"),
     "too-large": (413, "Too large", "send less, or ask who runs the server for more"),
     "unsupported": (415, "Not this kind of body", "send JSON, or raw bytes for an upload"),
+    "range": (416, "There is no such part", "ask for bytes that the file has"),
     "invalid": (422, "The request does not fit", "mend what is named; see /docs and /v1/options"),
     "digest-mismatch": (422, "The bytes are not those of the digest", "send them again"),
     "locked": (423, "An older request is still at it", "try again after a second"),

@@ -9,9 +9,10 @@ from urllib.parse import quote
 
 from starlette.datastructures import Headers
 from starlette.responses import FileResponse
-from starlette.types import Receive, Scope, Send
+from starlette.types import Message, Receive, Scope, Send
 
 from service.server import shown
+from service.server.problems import Problem
 
 _TYPES = {
     ".ply": "application/octet-stream",
@@ -79,7 +80,19 @@ class FileOf(FileResponse):
             await send({"type": "http.response.start", "status": 304, "headers": raw})
             await send({"type": "http.response.body", "body": b""})
             return
-        await super().__call__(scope, receive, send)
+        problem: Problem | None = None
+
+        async def answer(message: Message) -> None:
+            nonlocal problem
+            if message["type"] == "http.response.start" and message["status"] >= 400:
+                size = f"bytes */{self.headers['content-length']}"
+                problem = Problem("range", "the file has no such part", headers={"Content-Range": size})
+            if problem is None:
+                await send(message)
+
+        await super().__call__(scope, receive, answer)
+        if problem is not None:
+            await problem.response(scope["path"])(scope, receive, send)
 
 
 def result_names(out: Path) -> Iterator[str]:

@@ -92,7 +92,7 @@ def _configuration(application: Any, settings: Settings) -> uvicorn.Config:
         access_log=False,
         server_header=False,
         date_header=True,
-        proxy_headers=False,
+        proxy_headers=True,  # of a proxy on this machine only: uvicorn trusts no other
         timeout_keep_alive=30,
         timeout_graceful_shutdown=_OPEN_S,
         lifespan="on",

@@ -74,7 +74,10 @@ def test_results_are_listed_and_come_whole_or_in_parts(service, done_job, tiny_r
     other = service.http.get(item["url"], headers={"Range": "bytes=0-9", "If-Range": '"other"'})
     assert (other.status_code, other.content) == (200, whole)
     assert service.http.get(item["url"], headers={"If-None-Match": item["etag"]}).status_code == 304
-    assert service.http.get(item["url"], headers={"Range": "bytes=999999999-"}).status_code == 416
+    for wrong in ("bytes=999999999-", "bytes=9-1", "pages=1-2,x"):
+        beyond = service.http.get(item["url"], headers={"Range": wrong})
+        assert (beyond.status_code, beyond.json()["code"]) == (416, "range")
+        assert beyond.headers["content-range"] == f"bytes */{len(whole)}"
 
 
 def test_archive_holds_all_results(service, done_job, tiny_result):
