@@ -314,3 +314,17 @@ def test_a_restart_with_another_setting_shows_what_was_reused(watched, job):
     page.get_by_text("Settings that were changed").click()
     page.get_by_text('"paper"').wait_for()
     watched.check()
+
+
+def test_without_webgl_the_rest_of_the_result_is_there(browser, served, job):
+    watched = Watched(browser, served.url)
+    watched.page.add_init_script(
+        "const old = HTMLCanvasElement.prototype.getContext;"
+        "HTMLCanvasElement.prototype.getContext = function (kind, ...more) {"
+        " return kind === 'webgl2' ? null : old.call(this, kind, ...more); }"
+    )
+    watched.go(f"jobs/{job}/result")
+    watched.page.get_by_text("has no WebGL 2").wait_for()
+    watched.page.get_by_role("link", name="map.ply").wait_for()
+    watched.check()
+    watched.context.close()

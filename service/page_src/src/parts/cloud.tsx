@@ -38,6 +38,10 @@ export function CloudView({ url, cameras, chosen, choose, control }: Props) {
     void open(url, cameras).then(
       ({ facts, tree }) => {
         if (!current || canvas.current === null) return;
+        if (document.createElement("canvas").getContext("webgl2") === null) {
+          setProblem("this browser has no WebGL 2, or it is switched off.");
+          return;
+        }
         made = new Viewer(canvas.current, tree, facts, FIRST, setStatus);
         setOctree(tree);
         setViewer(made);
