@@ -9,7 +9,7 @@ from lvba.io.reference import Reference
 from lvba.lidar.bundle_adjustment import LidarConfig
 from lvba.parts import plan as parts_plan
 from lvba.parts import survey
-from lvba.parts.lidar import MergeConfig
+from lvba.parts.config import MergeConfig
 from lvba.plan import Plan, Ref
 from lvba.products.evaluate import EvaluateConfig
 from lvba.products.map_file import MapConfig

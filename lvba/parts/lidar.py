@@ -5,10 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lvba import gate, geometry
 from lvba.dataset import Dataset
 from lvba.errors import DegenerateProblemError
-from lvba.gate import GateConfig
 from lvba.io import dataset as recordings
 from lvba.lidar import bundle_adjustment as lidar_ba
 from lvba.lidar import joint, loops, merge, share, submap
@@ -17,40 +15,14 @@ from lvba.lidar.joint import JointState
 from lvba.lidar.loops import Candidate, Loop
 from lvba.lidar.merge import MergedScans, PartPoses
 from lvba.lidar.plane import PlanePoints, Planes
-from lvba.lidar.share import Regions, Share, ShareEquations
+from lvba.lidar.share import Share, ShareEquations
 from lvba.lidar.submap import Submap
+from lvba.parts.config import MergeConfig
+from lvba.parts.regions import regions
 from lvba.parts.survey import Survey
-from lvba.products import map_quality
-from lvba.products.cloud import Cloud
-from lvba.products.map_quality import EntropyConfig
 from lvba.progress import Progress, silent
 from lvba.split import Part
-from lvba.stages import LidarStage, ScanPoses
-
-
-@dataclass(frozen=True)
-class MergeConfig:
-    """How parts become one."""
-
-    align: bool = True
-    """Tie the parts by a pose graph over their overlaps; False: every scan is where the part whose core it is in put
-    it, with steps at the seams (for comparison)."""
-    loops: bool = True
-    """Look for places that parts see again."""
-    coarse_rounds: int = 2
-    """Rounds of the joint LiDAR bundle adjustment with the middle cells, which forgive what merging leaves; 0 to 50."""
-    scan_rounds: int = 5
-    """Its rounds with the finest cells; rounds after it has settled cost nothing; 0 (no joint adjustment) to 50."""
-    image_rounds: int = 5
-    """Rounds of the joint visual bundle adjustment; rounds after it has settled cost nothing; 0 (none) to 50."""
-    near_m: float = 8.0
-    """Frames that other parts took within this distance of a part's path, m, join its share of the joint visual bundle
-    adjustment, so that places seen again tie poses and exposures; 0 (none) to 100."""
-
-    def __post_init__(self) -> None:
-        for name, high in (("coarse_rounds", 50), ("scan_rounds", 50), ("image_rounds", 50), ("near_m", 100)):
-            if not 0 <= getattr(self, name) <= high:
-                raise ValueError(f"merge.{name} is {getattr(self, name)}, must be within 0 to {high}")
+from lvba.stages import LidarStage
 
 
 @dataclass(frozen=True)
@@ -92,6 +64,7 @@ def solve_part(
         result.world_from_scan,
         part.scan_numbers,
         sensor_position=dataset.sensor_position_scan,
+        covariance=result.conditional_covariance,
     )
     return PartScans(
         PartPoses(part.scan_numbers, result.world_from_scan, result.step_covariance),
@@ -160,13 +133,6 @@ def _side_by_side(cores: Sequence[Part], found: Sequence[PartScans], rough: np.n
     for core, part in zip(cores, found, strict=True):
         poses[slice(*core.core_scans)] = part.poses.world_from_scan[core.core_of_scans]
     return poses
-
-
-def regions(dataset: Dataset, cores: Sequence[Part], world_from_scan: np.ndarray) -> Regions:
-    """Which part owns which piece of space, at scan poses (S, 4, 4)."""
-    sensors = (world_from_scan @ np.append(dataset.sensor_position_scan, 1.0))[:, :3]
-    owner = np.concatenate([np.full(core.core_scans[1] - core.core_scans[0], core.number) for core in cores])
-    return Regions(sensors, owner)
 
 
 def collect_share(
@@ -307,93 +273,3 @@ def _warnings(
             "(merge.scan_rounds) may help"
         )
     return tuple(told)
-
-
-@dataclass(frozen=True)
-class RegionEntropy:
-    """Sum and number of the entropies of map points in one region, nats, at the rough and at the refined poses."""
-
-    rough: tuple[float, int]
-    refined: tuple[float, int]
-
-
-def region_cloud(
-    dataset: Dataset,
-    cores: Sequence[Part],
-    part: int,
-    world_from_scan: np.ndarray,
-    reach: float,
-    progress: Progress = silent,
-) -> Cloud:
-    """The points (of any scan) that lie in a part's region, world frame, in scan order."""
-    owned = regions(dataset, cores, world_from_scan)
-    scans = share.candidates(owned, part, reach)
-    kept, counts = [], []
-    for done, scan in enumerate(scans):
-        progress("collecting points", done, len(scans))
-        points = recordings.load_scan(dataset, int(scan)).points
-        world = geometry.transform_points(world_from_scan[scan], points.astype(float)).astype(np.float32)
-        mine = world[in_region(world, owned, part)]
-        kept.append(mine)
-        counts.append(len(mine))
-    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    points_world = np.concatenate([np.zeros((0, 3), np.float32), *kept])
-    return Cloud(points_world, offsets, dataset.scans.times[scans])
-
-
-_OWNED_CELL_M = 2.0
-
-
-def in_region(points_world: np.ndarray, owned: Regions, part: int) -> np.ndarray:
-    """Which points (N, 3) lie in cells that the part owns, (N,) bool."""
-    cell = np.floor(points_world / np.float32(_OWNED_CELL_M)).astype(np.int64)
-    key = (cell[:, 0] * (1 << 21) + cell[:, 1]) * (1 << 21) + cell[:, 2]
-    _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
-    mine = owned.of((cell[first] + 0.5) * _OWNED_CELL_M) == part
-    return np.asarray(mine[inverse.ravel()])
-
-
-def judge_region(
-    dataset: Dataset,
-    cores: Sequence[Part],
-    part: int,
-    scans: JointScans,
-    survey: Survey,
-    config: EntropyConfig,
-    progress: Progress = silent,
-) -> RegionEntropy:
-    """How crisp the map is in a part's region, before and after."""
-    rough = dataset.scans.world_from_sensor
-    before = _entropy(region_cloud(dataset, cores, part, rough, survey.reach_m, progress), config)
-    if scans.lidar.result is None:
-        return RegionEntropy(before, before)
-    refined = scans.lidar.result.world_from_scan
-    return RegionEntropy(
-        before, _entropy(region_cloud(dataset, cores, part, refined, survey.reach_m, progress), config)
-    )
-
-
-def _entropy(cloud: Cloud, config: EntropyConfig) -> tuple[float, int]:
-    centers = map_quality.voxel_means(cloud.points_world, config.voxel_m)
-    values = map_quality.point_entropies(centers, config.radius_m, config.min_neighbors)
-    finite = values[np.isfinite(values)]
-    return float(finite.sum()), len(finite)
-
-
-def judge_scans(
-    dataset: Dataset, scans: JointScans, found: Sequence[RegionEntropy], config: GateConfig
-) -> ScanPoses:
-    """The refined scan poses where they make a crisper map, else the input's."""
-    before, after = (
-        sum(pair[0] for pair in pairs) / max(sum(pair[1] for pair in pairs), 1)
-        for pairs in ([each.rough for each in found], [each.refined for each in found])
-    )
-    rough = dataset.scans.world_from_sensor
-    if scans.lidar.result is None:
-        return ScanPoses(
-            rough, gate.Verdict(False, f"input poses kept: {scans.lidar.problem}"), before, before
-        )
-    verdict = gate.judge_scans(before, after, config)
-    return ScanPoses(
-        scans.lidar.result.world_from_scan if verdict.accepted else rough, verdict, before, after
-    )

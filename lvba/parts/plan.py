@@ -9,8 +9,8 @@ from lvba.gate import GateConfig
 from lvba.io.reference import Reference
 from lvba.lidar import loops
 from lvba.lidar.config import LidarConfig
-from lvba.parts import lidar, products, report, survey, visual
-from lvba.parts.lidar import MergeConfig
+from lvba.parts import cameras, lidar, products, regions, report, survey, visual
+from lvba.parts.config import MergeConfig
 from lvba.plan import Plan, Ref
 from lvba.products.evaluate import EvaluateConfig
 from lvba.products.map_file import MapConfig
@@ -46,11 +46,11 @@ def refine(
     """The plan with all steps added, under the names that an undivided recording has for what all parts give together."""
     chain = _Chain(plan, dataset, cores, config)
     found, scans = chain.scans()
-    cameras, tied = chain.cameras(found, scans)
-    scores, accepted = chain.judge(scans, cameras)
+    images, tied = chain.cameras(found, scans)
+    scores, accepted = chain.judge(scans, images)
     chain.products(accepted, scores)
     told = plan.add(
-        "facts-of-whole", facts.collect, dataset, found["lidar"], scans, cameras, scores, accepted, reference
+        "facts-of-whole", facts.collect, dataset, found["lidar"], scans, images, scores, accepted, reference
     )
     walls = chain.seams(accepted)
     plan.add(
@@ -100,15 +100,15 @@ class _Chain:
             for n, own in enumerate(cells)
         ]
         joint = add("lidar-joint", lidar.finish_scans, merged, state, account, solved, self._survey)
+        whole = add("lidar", lidar.stage_of, joint)
         entropies = [
             add(
-                f"lidar-entropy-{part.number}", lidar.judge_region,
-                *(self._dataset, self._cores, part.number, joint, self._survey, config.evaluate.entropy),
+                f"lidar-entropy-{part.number}", regions.judge_region,
+                *(self._dataset, self._cores, part.number, whole, self._survey, config.evaluate.entropy),
             )
             for part in self._cores
         ]  # fmt: skip
-        scans = add("lidar-gate", lidar.judge_scans, self._dataset, joint, entropies, config.gate)
-        whole = add("lidar", lidar.stage_of, joint)
+        scans = add("lidar-gate", regions.judge_scans, self._dataset, whole, entropies, config.gate)
         return {"merged": merged, "joint": joint, "lidar": whole}, scans
 
     def _loops(self, solved: list[Ref]) -> list[Ref]:
@@ -167,12 +167,12 @@ class _Chain:
             below.append(ground)
             solved.append(self._part_cameras(frames, part, ground))
         merged = add(
-            "visual-merge", visual.merge_cameras,
+            "visual-merge", cameras.merge_cameras,
             *(self._dataset, self._cores, solved, found["joint"], scans, self._survey, config.visual, config.merge),
         )  # fmt: skip
         merged = self._joint_cameras(below, solved, merged, found["joint"], scans)
         whole = add(
-            "visual", visual.finish_cameras,
+            "visual", cameras.finish_cameras,
             *(self._dataset, self._cores, solved, merged, found["joint"], scans, self._survey, config.visual),
         )  # fmt: skip
         return whole, merged
@@ -187,21 +187,21 @@ class _Chain:
         ]
         laid = [
             add(
-                f"visual-points-{number}", visual.lay_out,
+                f"visual-points-{number}", cameras.lay_out,
                 *(dataset, frames, ground, own, merged, self._survey, config.visual),
             )
             for number, (dataset, frames, ground, own) in enumerate(both)
         ]  # fmt: skip
-        merged = add("visual-exposures", visual.tie_exposures, merged, laid)
+        merged = add("visual-exposures", cameras.tie_exposures, merged, laid)
         for turn in range(config.merge.image_rounds):
             shares = [
                 add(
-                    f"visual-share-{turn}-{number}", visual.linearize_cameras,
+                    f"visual-share-{turn}-{number}", cameras.linearize_cameras,
                     *(dataset, ground, own, points, merged, config.visual),
                 )
                 for number, ((dataset, _, ground, own), points) in enumerate(zip(both, laid, strict=True))
             ]  # fmt: skip
-            merged = add(f"visual-step-{turn}", visual.step_cameras, merged, shares, config.visual)
+            merged = add(f"visual-step-{turn}", cameras.step_cameras, merged, shares, config.visual)
         return merged
 
     def _with_near(self, part: Part, ground: Ref, joint: Ref, scans: Ref) -> tuple[Dataset, Frames, Ref]:
@@ -230,19 +230,18 @@ class _Chain:
             *(frames, ground, coarser, config.visual, config.refine_cameras),
         )  # fmt: skip
 
-    def judge(self, scans: Ref, cameras: Ref) -> tuple[Ref, Ref]:
+    def judge(self, scans: Ref, images: Ref) -> tuple[Ref, Ref]:
         """The scores over all images, and the state that is the result."""
         add, config = self._plan.add, self._config
-        images = len(self._dataset.image_paths)
         scores = [
             add(
                 f"evaluate-{part.number}", products.evaluate_part,
-                frames, part, images, scans, cameras, config.evaluate,
+                frames, part, len(self._dataset.image_paths), scans, images, config.evaluate,
             )
             for frames, part in zip(self._subsets, self._cores, strict=True)
         ]  # fmt: skip
         whole = add("evaluate", products.merge_scores, scores, scans)
-        return whole, add("visual-gate", stages.decide, self._dataset, scans, cameras, whole, config.gate)
+        return whole, add("visual-gate", stages.decide, self._dataset, scans, images, whole, config.gate)
 
     def seams(self, accepted: Ref) -> list[Ref]:
         """How thick walls are across each seam."""

@@ -8,7 +8,7 @@ import numpy as np
 from lvba import split, stages
 from lvba.dataset import Dataset
 from lvba.gate import ROUGH
-from lvba.parts.lidar import in_region, regions
+from lvba.parts.regions import in_region, regions
 from lvba.parts.survey import Survey
 from lvba.products import colorize, evaluate, map_file, map_quality, pictures
 from lvba.products.cloud import Cloud

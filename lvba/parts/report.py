@@ -8,9 +8,9 @@ import numpy as np
 
 from lvba import facts
 from lvba.dataset import Dataset
+from lvba.parts.cameras import MergedCameras
 from lvba.parts.lidar import JointScans, MergedStage
 from lvba.parts.products import SeamWalls
-from lvba.parts.visual import MergedCameras
 from lvba.split import Part
 from lvba.stages import Accepted
 
