@@ -31,7 +31,7 @@ def of_counts(facts: dict[str, Any], cores: int) -> Estimate:
     points_mb = facts["scan_bytes"] / 1e6
     work = 0.05 * facts["scans"] + 0.15 * images + 0.05 * points_mb
     memory = 500e6 + 3.5e6 * images + 8e6 * points_mb
-    disk = 5e6 + 2.5e6 * images + 2.5e6 * points_mb
+    disk = 10e6 + 1e6 * facts["scans"] + 3e6 * images + 3e6 * points_mb
     return Estimate(round(6.0 + work * _CORES / max(cores, 1), 1), int(memory), int(disk))
 
 

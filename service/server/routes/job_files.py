@@ -148,7 +148,7 @@ def frames(job_id: str, server: Context, principal: Reader) -> dict[str, Any]:
     base = f"/v1/jobs/{job_id}/results/"
     items = []
     for frame in frames_of(server, dataset):
-        made = {state: f"frames/{state}/{frame['index']:06}.jpg" for state in ("before", "after")}
+        made = {state: f"frames/{state}/{frame['index']:06}.jpg" for state in ("photo", "before", "after")}
         urls = {state: base + name if name in there else None for state, name in made.items()}
         items.append({"index": frame["index"], "time": frame["time"], "raw": frame["url"], **urls})
     return {"items": items}

@@ -111,7 +111,7 @@ def test_two_services_on_one_postgres_of_which_one_is_killed_and_then_the_databa
 
 
 def test_frozen_service_is_taken_over_and_its_process_stops_by_itself(tiny_recording, tiny_result, tmp_path):
-    one, two = (Service(tmp_path / "data", environment={"LVBA_LEASE_S": "2"}) for _ in range(2))
+    one, two = (Service(tmp_path / "data", environment={"LVBA_LEASE_S": "4"}) for _ in range(2))
     dataset = upload(one.http, tiny_recording)
     job_id = submit(one.http, dataset)["id"]
     until(one.http, f"/v1/jobs/{job_id}", runs("lidar"))
