@@ -254,3 +254,26 @@ def test_batch_is_all_or_nothing_and_is_canceled_as_one(service, ready_dataset):
     assert [job["name"] for job in batch["jobs"]] == ["n0", "n1", "n2"]
     service.http.post(f"/v1/batches/{batch['id']}/cancel")
     until(service.http, f"/v1/batches/{batch['id']}", lambda row: row["counts"]["canceled"] == 3)
+
+
+def test_backup_taken_while_it_serves_is_restored(service, done_job, tmp_path):
+    import shutil
+    import sqlite3
+
+    from real_server import Service
+
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    with (
+        sqlite3.connect(service.data / "lvba.sqlite") as here,
+        sqlite3.connect(copy / "lvba.sqlite") as there,
+    ):
+        here.backup(there)
+    left_out = shutil.ignore_patterns("lvba.sqlite*", "instances", "trash")
+    shutil.copytree(service.data, copy, ignore=left_out, dirs_exist_ok=True)
+    restored = Service(copy, "--jobs", "0")
+    job = restored.http.get(f"/v1/jobs/{done_job['id']}").json()
+    assert job["state"] == "done"
+    url = f"/v1/jobs/{done_job['id']}/results/map.ply"
+    assert restored.http.get(url).content == service.http.get(url).content
+    assert restored.stop() == 0
