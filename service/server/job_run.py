@@ -156,7 +156,8 @@ class JobRun:
         elif code == STRANDED or self._stopping:
             why = "the service was stopped" if self._stopping else "the service lost its lease"
             leases.lose(self._database, self.lease, why, counts=code == STRANDED)
-        elif end is None or told_to_stop:
+        elif (end is None and code < 0) or told_to_stop:
+            # somebody ended it, such as the system for want of memory; what fails by itself would fail again
             self._settle(code, crashed=True)
         else:
             self._settle(code, crashed=False)
@@ -181,7 +182,7 @@ class JobRun:
         self, job: Job, code: int, crashed: bool, summary: dict[str, Any] | None
     ) -> tuple[str, str]:
         """Outcome and message of the attempt, after the job's fields are set."""
-        message = self._hidden(words.of_exit(code) if crashed else (self._timeline.end or {})["message"])
+        message = self._hidden(words.of_exit(code) if crashed else self._last_words())
         if job.state == CANCELING:
             job.state, outcome = CANCELED, CANCELED
         elif crashed:
@@ -196,6 +197,13 @@ class JobRun:
         job.finished = None if job.state in (QUEUED, RUNNING) else now()
         job.stages = [dict(stage) for stage in self._timeline.stages]
         return outcome, message
+
+    def _last_words(self) -> str:
+        """What it said last: as an event, or where an error that nobody foresaw cut it short, in the log."""
+        if self._timeline.end is not None:
+            return str(self._timeline.end["message"])
+        lines = self._log.read_text("utf-8", "replace").splitlines()
+        return next((line for line in reversed(lines) if line.strip()), "it said nothing")
 
     def _failure(self, message: str) -> dict[str, Any]:
         end = self._timeline.end or {}

@@ -277,3 +277,20 @@ def test_backup_taken_while_it_serves_is_restored(service, done_job, tmp_path):
     url = f"/v1/jobs/{done_job['id']}/results/map.ply"
     assert restored.http.get(url).content == service.http.get(url).content
     assert restored.stop() == 0
+
+
+def test_run_that_fails_by_itself_is_not_tried_again(service, done_job):
+    # a folder where the run keeps its lock: an error that it has no words for
+    lock = service.data / "jobs" / done_job["id"] / "out" / "stages" / ".lock"
+    lock.unlink()
+    lock.mkdir()
+    before = len(service.http.get(f"/v1/jobs/{done_job['id']}").json()["attempts"])
+    service.http.post(f"/v1/jobs/{done_job['id']}/restart")
+    job = ended(service.http, done_job["id"])
+    lock.rmdir()
+    assert (job["state"], job["error"]["code"]) == ("failed", "failed")
+    assert job["error"]["cause"].startswith("IsADirectoryError")
+    assert str(service.data) not in job["error"]["cause"]
+    assert [attempt["outcome"] for attempt in job["attempts"]][before:] == ["failed"]
+    service.http.post(f"/v1/jobs/{done_job['id']}/restart")
+    assert ended(service.http, done_job["id"])["state"] == "done"
