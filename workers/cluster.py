@@ -4,6 +4,7 @@ Nothing that matters lives in Dask. What is finished is in the store; when worke
 what is not there is asked for again. Futures hold a few hundred bytes.
 """
 
+import itertools
 import logging
 import time
 import uuid
@@ -34,6 +35,8 @@ FIRST_CONTACT_SECONDS = 10.0
 """How long a scheduler may take to answer at first ..."""
 RECONNECT_SECONDS = 600.0
 """... and to come back after it was lost."""
+PARDONS = 25
+"""How often a step that had begun less often than that is given out again after Dask gave it up."""
 LIVE = 500
 """How many steps are handed to the scheduler at a time; the others wait here."""
 _WAIT_SECONDS = 0.05
@@ -100,8 +103,10 @@ class Execution:
         self._records: dict[str, StageRecord] = {}
         self._running: dict[str, Future] = {}
         self._failures: dict[str, Exception] = {}
+        self._serial = itertools.count()
         self._attempts: Counter[str] = Counter()
-        self._begun: set[str] = set()
+        self._begun: Counter[str] = Counter()
+        self._pardons: Counter[str] = Counter()
         self._client: Client = self._connect(FIRST_CONTACT_SECONDS)
         self._heard = time.monotonic()
 
@@ -147,7 +152,7 @@ class Execution:
             step.function,
             topic(self._place),
             self._work.version,
-            key=f"{step.key}-{self._id}-{self._attempts[step.key]}",
+            key=f"{step.key}-{self._id}-{next(self._serial)}",
             pure=False,
             priority=self._frontier.priority(step.key),
         )
@@ -190,9 +195,12 @@ class Execution:
 
     def _fail(self, key: str, error: Exception) -> None:
         name = self._work.steps[key].name
-        if isinstance(error, KilledWorker):
+        if isinstance(error, KilledWorker) and self._is_innocent(key):
+            self._attempts[key] -= 1
+            self._frontier.again(key)
+        elif isinstance(error, KilledWorker):
             self._failures[key] = ClusterError(
-                f"{name}: its worker process died {ATTEMPTS} times, most often for lack of memory; give each worker more "
+                f"{name}: its worker process died again and again, most often for lack of memory; give each worker more "
                 "(--memory-limit), or cut the recording into smaller parts (--set split.memory_gb=GB)"
             )
         elif self._may_pass(error) and self._attempts[key] < ATTEMPTS:
@@ -200,6 +208,11 @@ class Execution:
             self._frontier.again(key)
         else:
             self._failures[key] = error
+
+    def _is_innocent(self, key: str) -> bool:
+        """Whether workers died before this step's turn: Dask blames what waits on them just as what they were doing."""
+        self._pardons[key] += 1
+        return self._begun[key] < ATTEMPTS and self._pardons[key] < PARDONS
 
     def _may_pass(self, error: Exception) -> bool:
         """Whether trying again makes sense: never for what the user gave or what the method found."""
@@ -220,7 +233,7 @@ class Execution:
         self._client = self._connect(RECONNECT_SECONDS)
         self._heard = time.monotonic()
         for key in waiting:
-            if key not in self._begun:
+            if not self._begun[key]:
                 self._attempts[key] -= 1  # it was only waiting for its turn
             self._frontier.again(key)
 
@@ -241,9 +254,9 @@ class Execution:
             self._progress(what, event["done"], event["total"])
 
     def _begin(self, step: Step, process: int) -> None:
-        if step.key in self._begun:
+        if self._begun[step.key]:
             _log.warning("%s begins again", step.name)
-        self._begun.add(step.key)
+        self._begun[step.key] += 1
         _log.debug("%s begins in process %d", step.name, process)
         if self._on_step is not None:
             self._on_step(step, self._numbers[step.key], len(self._work.steps))

@@ -21,6 +21,8 @@ _CONFIG = {
     # compiled code may hold the interpreter for minutes
     "distributed.scheduler.worker-ttl": "30 minutes",
     "distributed.scheduler.allowed-failures": 3,
+    # on a busy machine a worker takes longer to begin anew than the 15 s after which its place would be given up for good
+    "distributed.deploy.lost-worker-timeout": "1 hour",
     # samples the stack of the step a hundred times a second, for a dashboard that is not shown
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.limit": "10 minutes",

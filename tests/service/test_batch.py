@@ -16,24 +16,24 @@ from conftest import ROOT
 from lvba.errors import InputError
 from service import batch_manifest
 
+GOOD = [f"good-{number:02}" for number in range(18)]
+
 
 @pytest.fixture
 def manifest(recording, tmp_path):
-    """Two recordings without images (so that they take little time), one that is not there, one that is damaged."""
-    for name in ("first", "second", "damaged"):
-        shutil.copytree(recording / "all_pcd_body", tmp_path / name / "all_pcd_body")
-        shutil.copy(recording / "config.yaml", tmp_path / name)
-        for poses in recording.rglob("lidar_poses.txt"):
-            if "reference" not in poses.parts:
-                shutil.copy(poses, tmp_path / name / poses.relative_to(recording))
+    """18 small recordings without images (so that they take little time), one that is not there, one that is damaged."""
+    shared = tmp_path / "shared"
+    shutil.copytree(recording / "all_pcd_body", shared / "all_pcd_body")
+    shutil.copy(recording / "config.yaml", shared)
+    for poses in recording.rglob("lidar_poses.txt"):
+        if "reference" not in poses.parts:
+            shutil.copy(poses, shared / poses.relative_to(recording))
+    for name in GOOD:
+        (tmp_path / name).symlink_to(shared)
+    shutil.copytree(shared, tmp_path / "damaged")
     next((tmp_path / "damaged").rglob("lidar_poses.txt")).write_text("not a pose\n")
-    names = (
-        "dataset: first",
-        "dataset: missing",
-        "dataset: damaged",
-        "{dataset: second, set: [map.voxel_m=0.2]}",
-    )
-    (tmp_path / "batch.yaml").write_text("".join(f"- {name}\n" for name in names))
+    names = [*GOOD[:5], "missing", *GOOD[5:9], "damaged", *GOOD[9:]]
+    (tmp_path / "batch.yaml").write_text("".join(f"- {{dataset: {name}, name: {name}}}\n" for name in names))
     return tmp_path / "batch.yaml"
 
 
@@ -41,43 +41,51 @@ def summary(out):
     return {row["name"]: row for row in json.loads((out / "summary.json").read_text())}
 
 
-def test_killed_and_given_again_good_ones_are_done_and_bad_ones_say_why(lvba, manifest, tmp_path):
+def test_killed_and_given_again_18_good_ones_are_done_and_2_bad_ones_say_why(lvba, manifest, tmp_path):
     out = tmp_path / "out"
-    kill_in_the_first(manifest, out)
-    kept = finished_stages(out / "first")
+    kill_when_two_are_done(manifest, out)
+    finished = manifests(out)
     done = lvba("batch", manifest, "--out", out, "--jobs", 2, code=1)
+    now = manifests(out)
+    assert [name for name in finished if now[name] != finished[name]] == []
     rows = summary(out)
-    assert {name: row["state"] for name, row in rows.items()} == {
-        "first": "done", "missing": "failed", "damaged": "failed", "second": "done",
-    }  # fmt: skip
+    expected = {name: "done" for name in GOOD} | {"missing": "failed", "damaged": "failed"}
+    assert {name: row["state"] for name, row in rows.items()} == expected
     assert "check the path" in rows["missing"]["message"]
     assert "lidar_poses.txt:1" in rows["damaged"]["message"]
-    assert rows["first"]["entropy_after"] < rows["first"]["entropy_before"]
-    assert (out / "second" / "map.ply").exists()
+    assert rows[GOOD[0]]["entropy_after"] < rows[GOOD[0]]["entropy_before"]
+    maps = {(out / name / "map.ply").read_bytes() for name in GOOD}
+    assert len(maps) == 1
     with (out / "summary.csv").open() as lines:
-        assert [row["state"] for row in csv.DictReader(lines)] == ["done", "failed", "failed", "done"]
-    assert [line.split()[:2] for line in done.stdout.splitlines()[1:]] == [
-        ["first", "done"], ["missing", "failed"], ["damaged", "failed"], ["second", "done"],
-    ]  # fmt: skip
-    assert done.stderr.splitlines()[-1].startswith("lvba: 2 of 4 failed; see ")
-    stages = json.loads((out / "first" / "report.json").read_text())["stages"]
-    assert {stage["name"] for stage in stages if stage["reused"]} == kept
+        assert {row["name"]: row["state"] for row in csv.DictReader(lines)} == expected
+    assert dict(line.split()[:2] for line in done.stdout.splitlines()[1:]) == expected
+    assert done.stderr.splitlines()[-1].startswith("lvba: 2 of 20 failed; see ")
 
 
-def kill_in_the_first(manifest, out):
-    """SIGKILL of the batch while its first recording is being refined, which then stops by itself."""
+def kill_when_two_are_done(manifest, out):
+    """SIGKILL of the batch, whose recordings that are being refined then stop by themselves."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "service.cli", "batch", str(manifest), "--out", str(out)],
+        [sys.executable, "-m", "service.cli", "batch", str(manifest), "--out", str(out), "--jobs", "2"],
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         stderr=subprocess.DEVNULL,
     )
-    wait_until(lambda: finished_stages(out / "first"))
+    wait_until(lambda: (out / GOOD[1] / "report.json").exists() and finished_stages(out / GOOD[2]))
     process.send_signal(signal.SIGKILL)
     process.wait()
-    assert summary(out)["first"]["state"] == "running"
-    wait_until(
-        lambda: "stopped" in (out / "first.log").read_text() or (out / "first" / "report.json").exists()
-    )
+    running = [name for name, row in summary(out).items() if row["state"] == "running"]
+    assert running
+    for name in running:
+        wait_until(lambda name=name: has_ended(out, name))
+
+
+def has_ended(out, name):
+    said = (out / f"{name}.log").read_text()
+    return "stopped" in said or (out / name / "report.json").exists()
+
+
+def manifests(out):
+    """Of all finished stages: they hold times, and are new where a stage was done again."""
+    return {path: path.read_bytes() for path in out.glob("*/stages/[!.]*/manifest.json")}
 
 
 def finished_stages(out):

@@ -149,7 +149,7 @@ def test_driver_killed_in_the_midst_of_a_step(toy_cluster, expected, tmp_path):
     (tmp_path / "hold-bb").touch()
     environment = {"PYTHONPATH": f"{Path(toy_steps.__file__).parent}:{Path(connection.__file__).parents[1]}"}
     driver = subprocess.Popen([sys.executable, "-c", DRIVER, tmp_path, toy_cluster.address], env=environment)
-    wait_for(lambda: said(tmp_path, "began bb") and said(tmp_path, "ended dddd"))
+    wait_for(lambda: said(tmp_path, "began bb") and list((tmp_path / "store").glob("dddd-*")))
     driver.send_signal(signal.SIGKILL)
     driver.wait()
     # nobody waits for the step any more, and its worker notices
@@ -226,7 +226,6 @@ def test_artifact_damaged_while_the_run_goes_on(toy_cluster, expected, tmp_path)
     [
         ("input", InputError, "scan.pcd: is cut short", 1),
         ("disk", OSError, "Input/output error", 4),
-        ("memory", connection.ClusterError, "fail: .* died 4 times, .*--memory-limit.*split.memory_gb", 4),
     ],
 )
 def test_step_that_always_fails_is_given_up_and_the_others_are_finished(
@@ -242,14 +241,20 @@ def test_step_that_always_fails_is_given_up_and_the_others_are_finished(
     assert said(tmp_path, "ended") == ["ended a"]
 
 
-def test_own_worker_that_runs_out_of_memory_is_restarted_and_its_step_tried_again(tmp_path):
+def test_worker_that_runs_out_of_memory_is_restarted_and_only_the_step_that_did_it_is_given_up(tmp_path):
     work = Plan(versions.key_version())
-    work.add("hungry", toy_steps.hungry, str(tmp_path), 2)
-    with connection.local(1, 1, memory_bytes=700_000_000) as scheduler:
+    work.add("fail", toy_steps.fail, str(tmp_path), "memory")
+    once = work.add("hungry", toy_steps.hungry, str(tmp_path), 1)
+    # these wait on the only worker while it dies, and are not to blame
+    others = [work.add(name, toy_steps.make, str(tmp_path), name) for name in ("a", "dddd")]
+    gives_up = pytest.raises(connection.ClusterError, match=r"fail: .*--memory-limit.*split\.memory_gb")
+    with gives_up, connection.local(1, 1, memory_bytes=700_000_000) as scheduler:
         cluster.run(work, str(tmp_path / "store"), scheduler)
-    processes = [line.split()[2] for line in said(tmp_path, "began hungry")]
-    assert len(set(processes)) == len(processes) == 3
-    assert ZarrStore(tmp_path / "store")[next(iter(work.steps))].tobytes() == np.arange(1000.0).tobytes()
+    assert 2 <= len(said(tmp_path, "began fail")) <= 7
+    assert len({line.split()[2] for line in said(tmp_path, "began hungry")}) == 2
+    made = ZarrStore(tmp_path / "store")
+    assert made[once.key].tobytes() == np.arange(1000.0).tobytes()
+    assert all(ref.key in made for ref in others)
 
 
 def test_worker_of_another_version_is_refused(toy_cluster, tmp_path):

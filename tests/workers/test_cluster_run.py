@@ -1,37 +1,14 @@
 """`lvba run` on clusters and over stores elsewhere: real stages, real processes, and always the same bytes."""
 
-import json
-import os
-import re
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import boto3
 import pytest
 from moto.server import ThreadedMotoServer
-from real_cluster import ROOT, Cluster, tls_files
+from real_cluster import Cluster, tls_files
+from split_street import artifacts, products
 
 from workers import connection
-
-SENT = ("plan", "input", "recording", ".lock", ".lock.json")
-PRODUCTS = ["lidar_poses.txt", "image_poses.txt", "exposures.csv", "map.ply", "config.yaml"]
-
-
-def bytes_of(out):
-    return {name: (out / name).read_bytes() for name in PRODUCTS}
-
-
-def stages_of(out):
-    return [stage["name"] for stage in json.loads((out / "report.json").read_text())["stages"]][1:]
-
-
-def artifacts(folder):
-    """Every file of the stages' artifacts but the manifests, which hold times."""
-    paths = [p.relative_to(folder) for p in folder.rglob("*") if p.is_file()]
-    kept = [p for p in paths if p.parts[0].split("-")[0] not in SENT]
-    return {p.as_posix(): (folder / p).read_bytes() for p in kept if p.name != "manifest.json"}
 
 
 @pytest.fixture(scope="module")
@@ -54,24 +31,9 @@ def test_without_a_certificate_nobody_is_let_in(tls_cluster):
         scheduler.connect(0.1, lambda: None)
 
 
-def test_over_tls_with_a_worker_killed_in_every_stage(undisturbed, recording, tls_cluster, tmp_path):
-    words = ["run", recording, "--out", tmp_path, "--reference", recording / "reference", "--verbose"]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "service.cli", *map(str, [*words, *tls_cluster.on()])],
-        stderr=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )
-    killed = []
-    for line in process.stderr:
-        begins = re.match(r"(\S+) begins in process (\d+)", line)
-        if begins and begins[1] not in killed:
-            os.kill(int(begins[2]), signal.SIGKILL)
-            killed.append(begins[1])
-    assert process.wait(60) == 0
-    assert sorted(killed) == sorted(stages_of(undisturbed[0]))
-    assert bytes_of(tmp_path) == bytes_of(undisturbed[0])
+def test_over_tls(undisturbed, recording, lvba, tls_cluster, tmp_path):
+    lvba("run", recording, "--out", tmp_path, "--reference", recording / "reference", *tls_cluster.on())
+    assert products(tmp_path) == products(undisturbed[0])
     assert artifacts(tmp_path / "stages") == artifacts(undisturbed[0] / "stages")
 
 
@@ -108,7 +70,7 @@ def download(bucket, prefix, folder):
 def test_own_workers_and_a_store_in_a_bucket(undisturbed, recording, lvba, bucket, tmp_path):
     run = ["run", recording, "--out", tmp_path / "out", "--reference", recording / "reference"]
     lvba(*run, "--store", "s3://maps/street", "--workers", 2)
-    assert bytes_of(tmp_path / "out") == bytes_of(undisturbed[0])
+    assert products(tmp_path / "out") == products(undisturbed[0])
     assert not (tmp_path / "out" / "stages").exists()
     stored = artifacts(download(bucket, "street", tmp_path / "bucket"))
     assert stored == artifacts(undisturbed[0] / "stages")

@@ -93,6 +93,25 @@ def test_own_workers_give_the_same_bytes_and_redo_only_what_is_damaged(street, a
     same(tmp_path, alone)
 
 
+def test_a_worker_killed_in_every_kind_of_stage(drive, alone, tls_cluster, tmp_path):
+    killed = {}
+
+    def kill(name, process):
+        if kind(name) not in killed:
+            killed[kind(name)] = name
+            os.kill(process, signal.SIGKILL)
+
+    driver = drive(tmp_path, *tls_cluster.on())
+    driver.at_every_beginning(kill)
+    driver.ended(0)
+    same(tmp_path, alone)
+    names = list(reused(tmp_path))
+    assert set(killed) == set(map(kind, names))
+    # a death costs the step it came in; one that was just finished may be asked for again, and is found
+    again = len(driver.begun()) - len(names)
+    assert 5 <= again <= 2 * len(killed)
+
+
 def test_scheduler_driver_and_everything_killed_in_turn(drive, street, alone, tls_cluster, lvba, tmp_path):
     driver = drive(tmp_path, *tls_cluster.on())
     driver.until("lidar-step")
