@@ -17,7 +17,15 @@ def street(tmp_path_factory):
     """30 images of 320 x 240 and as many scans, one a second; truth in reference/."""
     folder = tmp_path_factory.mktemp("parts") / "street"
     simulate.simulate(
-        "street", folder, frames=30, scans=30, length=24.0, seed=7, width=320, height=240, points_per_scan=6000
+        "street",
+        folder,
+        frames=30,
+        scans=30,
+        length=24.0,
+        seed=7,
+        width=320,
+        height=240,
+        points_per_scan=6000,
     )
     return folder
 
@@ -39,7 +47,9 @@ def runs(street, lvba, tmp_path_factory):
 
 
 def poses(out):
-    return [tum.read_trajectory(out / name).world_from_sensor for name in ("lidar_poses.txt", "image_poses.txt")]
+    return [
+        tum.read_trajectory(out / name).world_from_sensor for name in ("lidar_poses.txt", "image_poses.txt")
+    ]
 
 
 def exposures(out):
@@ -54,7 +64,9 @@ def differences(out, other):
     """Of all scans and of all cameras, in the frame of the aligned scans."""
     (scans, cameras), (scans_there, cameras_there) = poses(out), poses(other)
     aligned = align(scans, scans_there)
-    return pose_error(scans, scans_there, aligned=aligned), pose_error(cameras, cameras_there, aligned=aligned)
+    return pose_error(scans, scans_there, aligned=aligned), pose_error(
+        cameras, cameras_there, aligned=aligned
+    )
 
 
 def test_parts_end_where_the_undivided_recording_does(runs):
@@ -111,12 +123,16 @@ def test_the_map_of_parts_is_that_of_the_whole_without_doubles(runs):
 
 
 def test_a_second_run_makes_nothing_anew(street, runs, lvba):
-    before = {path.name: path.read_bytes() for path in (runs / "parts").iterdir() if path.suffix in (".txt", ".ply")}
+    before = {
+        path.name: path.read_bytes() for path in (runs / "parts").iterdir() if path.suffix in (".txt", ".ply")
+    }
     lvba("run", street, "--out", runs / "parts", "--reference", street / "reference", *PARTS)
     assert all(row["reused"] for row in report(runs / "parts")["stages"] if row["name"] != "input")
     assert before == {name: (runs / "parts" / name).read_bytes() for name in before}
 
 
 def test_parts_too_short_are_refused_with_the_numbers(street, lvba, tmp_path):
-    done = lvba("run", street, "--out", tmp_path / "out", "--set", "split.by=count", "--set", "split.size=4", code=2)
+    done = lvba(
+        "run", street, "--out", tmp_path / "out", "--set", "split.by=count", "--set", "split.size=4", code=2
+    )
     assert "scans of its own; at least 10" in done.stderr
