@@ -28,8 +28,7 @@ def announce(arguments: argparse.Namespace, dataset: Dataset, config: Config, di
         raise _too_little(needed, given, len(cores))
     what = "memory" if len(cores) == 1 else f"memory for each of {len(cores)} parts"
     limit = _limit(arguments, given)
-    if not arguments.quiet:
-        display.note(f"{what}: about {needed / 1e9:.1f} GB{limit}")
+    display.tell(f"{what}: about {needed / 1e9:.1f} GB{limit}")
 
 
 def _limit(arguments: argparse.Namespace, given: int | None) -> str:

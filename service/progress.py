@@ -81,6 +81,11 @@ class Display:
         self.clear()
         self._line(text)
 
+    def tell(self, text: str) -> None:
+        """A line about the stage that runs; not when quiet."""
+        if not self._quiet:
+            self.note(f"{self._stage}: {text}" if self._stage else text)
+
     def clear(self) -> None:
         """Take the moving line away."""
         if self._width:

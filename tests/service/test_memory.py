@@ -30,7 +30,8 @@ def dataset(recording):
 def said(dataset, parts=None, **options):
     stream = io.StringIO()
     config = Config() if parts is None else replace(Config(), split=parts)
-    memory.announce(asked(**options), dataset, config, Display(stream))
+    display = Display(stream, quiet=options.get("quiet", False))
+    memory.announce(asked(**options), dataset, config, display)
     return stream.getvalue()
 
 

@@ -121,6 +121,8 @@ def test_scheduler_driver_and_everything_killed_in_turn(drive, street, alone, tl
     finished = manifests(tmp_path / "stages")
     tls_cluster.start_scheduler()
 
+    # it may have been further than that already when the scheduler died: something must follow
+    wait_for(lambda: len(manifests(tmp_path / "stages")) > len(finished), 500)
     driver.until("visual-part")
     driver.kill()
     driver.ended(-signal.SIGKILL)
