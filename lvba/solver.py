@@ -1,7 +1,7 @@
 """Block-sparse normal equations that add up, and Levenberg-Marquardt over anything that can linearize itself."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
@@ -103,6 +103,23 @@ def from_blocks(
         summed,
         gradient,
         cost,
+    )
+
+
+def scattered(parts: Sequence[tuple[np.ndarray, NormalEquations]], count: int) -> NormalEquations:
+    """The sum, in this order, of equations over some of `count` blocks of unknowns each.
+
+    parts: (n,) which blocks, and the equations over these n
+    """
+    gradient = np.zeros((count, parts[0][1].gradient.shape[1]))
+    for index, equations in parts:
+        gradient[index] += equations.gradient
+    return from_blocks(
+        np.concatenate([index[equations.rows] for index, equations in parts]),
+        np.concatenate([index[equations.columns] for index, equations in parts]),
+        np.concatenate([equations.blocks for _, equations in parts]),
+        gradient,
+        float(sum(equations.cost for _, equations in parts)),
     )
 
 

@@ -52,7 +52,7 @@ def estimate(problem: Problem, world_from_scan: np.ndarray) -> Covariance:
     marginal = covariance.reshape(scans, 6, scans, 6)[here, :, here]
     own = information.reshape(scans, 6, scans, 6)[here, :, here]
     conditional = np.stack([excess * _inverse(block) for block in own])
-    return Covariance(_local(marginal, world_from_scan), _local(conditional, world_from_scan), step, excess)
+    return Covariance(local(marginal, world_from_scan), local(conditional, world_from_scan), step, excess)
 
 
 def _of_steps(covariance: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray:
@@ -69,7 +69,7 @@ def _of_steps(covariance: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray
     return np.asarray(by_both @ pairs @ np.swapaxes(by_both, -1, -2))
 
 
-def _local(blocks: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray:
+def local(blocks: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray:
     """Blocks (S, 6, 6) of world axes about each sensor, in the sensor's own axes."""
     turn = np.zeros(blocks.shape)
     turn[:, :3, :3] = turn[:, 3:, 3:] = np.swapaxes(world_from_scan[:, :3, :3], -1, -2)
@@ -138,16 +138,19 @@ def _prior_information(problem: Problem, world_from_scan: np.ndarray) -> np.ndar
 
 def _alignment(world_from_scan: np.ndarray) -> np.ndarray:
     """(6 S, 6 S), takes out of a motion of all poses the rigid part that brings positions closest to where they were."""
-    scans = len(world_from_scan)
+    motion, pick = alignment(world_from_scan)
+    return np.eye(len(motion)) - motion @ np.linalg.solve(pick.T @ motion, pick.T)
+
+
+def alignment(world_from_scan: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rigid motions (6 S, 6) of all poses, and what picks them out of a motion of all poses, (6 S, 6)."""
     arm = world_from_scan[:, :3, 3] - world_from_scan[:, :3, 3].mean(0)
-    rigid = np.zeros((scans, 6, 6))
+    rigid = np.zeros((len(arm), 6, 6))
     rigid[:, :3, :3] = rigid[:, 3:, 3:] = np.eye(3)
     rigid[:, 3:, :3] = -geometry.hat(arm)
-    motion = rigid.reshape(6 * scans, 6)
-    seen = np.zeros((scans, 6, 6))
+    seen = np.zeros_like(rigid)
     seen[:, 3:] = rigid[:, 3:]
     # positions on a line leave the rotation about it open: the orientations decide, as in `trajectory.align`
     lever = max(1e-3 * float(np.sqrt((arm**2).sum(1).mean())), 1e-6)
     seen[:, :3, :3] = lever**2 * np.eye(3)
-    pick = seen.reshape(6 * scans, 6)
-    return np.eye(6 * scans) - motion @ np.linalg.solve(pick.T @ motion, pick.T)
+    return rigid.reshape(-1, 6), seen.reshape(-1, 6)

@@ -5,14 +5,15 @@ memory of a share is that of its region, and no dense system is ever made.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lvba import geometry, solver
+from lvba import solver
 from lvba.errors import DegenerateProblemError
 from lvba.lidar import share, weak
 from lvba.lidar.config import LidarConfig, StageConfig
+from lvba.lidar.covariance import alignment, local
 from lvba.lidar.normal_equations import retract
 from lvba.lidar.prior import OdometryPrior, odometry_prior, reestimated
 from lvba.lidar.share import ShareEquations
@@ -51,14 +52,12 @@ class JointState:
 
     world_from_scan: (S, 4, 4); prior: odometry; damping: of the next step
     settled: the last stage whose poses stand still, -1: none
-    held: (S,) bool, scans without weak direction
     """
 
     world_from_scan: np.ndarray
     prior: OdometryPrior
     damping: float = 0.0
     settled: int = -1
-    held: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
     history: tuple[JointRound, ...] = ()
 
 
@@ -67,7 +66,7 @@ def begin(rough: np.ndarray, world_from_scan: np.ndarray, config: LidarConfig) -
     prior = odometry_prior(rough, config.prior_rotation, config.prior_translation)
     everything = np.ones(len(rough), bool)
     prior = reestimated(prior, world_from_scan, everything, config.prior_sigmas)
-    return JointState(world_from_scan, prior, held=everything)
+    return JointState(world_from_scan, prior)
 
 
 def step(
@@ -107,7 +106,6 @@ def step(
         prior,
         state.damping / 100,
         number if still else state.settled,
-        held,
         (*state.history, JointRound(*facts, distance, weak_scans, False)),
     )
 
@@ -232,24 +230,3 @@ def covariance(
         else np.clip(np.searchsorted(chosen, np.arange(scans)), 0, len(chosen) - 1)
     )
     return JointCovariance(local(np.stack(blocks)[index], poses), local(conditional, poses), weakness)
-
-
-def alignment(world_from_scan: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rigid motions (6 S, 6) of all poses, and what picks them out of a motion of all poses, (6 S, 6); see
-    `lvba.lidar.covariance`."""
-    arm = world_from_scan[:, :3, 3] - world_from_scan[:, :3, 3].mean(0)
-    rigid = np.zeros((len(arm), 6, 6))
-    rigid[:, :3, :3] = rigid[:, 3:, 3:] = np.eye(3)
-    rigid[:, 3:, :3] = -geometry.hat(arm)
-    seen = np.zeros_like(rigid)
-    seen[:, 3:] = rigid[:, 3:]
-    lever = max(1e-3 * float(np.sqrt((arm**2).sum(1).mean())), 1e-6)
-    seen[:, :3, :3] = lever**2 * np.eye(3)
-    return rigid.reshape(-1, 6), seen.reshape(-1, 6)
-
-
-def local(blocks: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray:
-    """Blocks (S, 6, 6) of world axes about each sensor, in the sensor's own axes."""
-    turn = np.zeros(blocks.shape)
-    turn[:, :3, :3] = turn[:, 3:, 3:] = np.swapaxes(world_from_scan[:, :3, :3], -1, -2)
-    return np.asarray(turn @ blocks @ np.swapaxes(turn, -1, -2))

@@ -246,13 +246,4 @@ def _sparse(hessian: np.ndarray, gradient: np.ndarray, cost: float) -> NormalEqu
 
 def total(found: list[ShareEquations], count: int) -> NormalEquations:
     """The equations of all shares, in their order, over `count` scans."""
-    gradient = np.zeros((count, 6))
-    for each in found:
-        gradient[each.scans] += each.equations.gradient
-    return solver.from_blocks(
-        np.concatenate([each.scans[each.equations.rows] for each in found]),
-        np.concatenate([each.scans[each.equations.columns] for each in found]),
-        np.concatenate([each.equations.blocks for each in found]),
-        gradient,
-        float(sum(each.equations.cost for each in found)),
-    )
+    return solver.scattered([(each.scans, each.equations) for each in found], count)

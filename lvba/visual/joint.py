@@ -88,16 +88,7 @@ def step(now: JointCameras, found: Sequence[CameraShare], *, solve_exposures: bo
 
 def total(found: Sequence[CameraShare], count: int) -> NormalEquations:
     """The equations of all shares, in their order, over `count` keyframes."""
-    gradient = np.zeros((count, 7))
-    for each in found:
-        gradient[each.images] += each.equations.gradient
-    return solver.from_blocks(
-        np.concatenate([each.images[each.equations.rows] for each in found]),
-        np.concatenate([each.images[each.equations.columns] for each in found]),
-        np.concatenate([each.equations.blocks for each in found]),
-        gradient,
-        float(sum(each.equations.cost for each in found)),
-    )
+    return solver.scattered([(each.images, each.equations) for each in found], count)
 
 
 def with_exposures(now: JointCameras, edges: Sequence[Edges]) -> JointCameras:
