@@ -64,6 +64,13 @@ def _add_serve(commands: Any, command: Add) -> None:
         "--host-name", action="append", dest="hosts", metavar="NAME", help="requests may call it so; repeat"
     )
     serve.add_argument(
+        "--proxy",
+        action="append",
+        dest="proxies",
+        metavar="NET",
+        help="address or network of a reverse proxy that says who asks; repeat",
+    )
+    serve.add_argument(
         "--root",
         action="append",
         dest="roots",
@@ -72,6 +79,7 @@ def _add_serve(commands: Any, command: Add) -> None:
     )
     serve.add_argument("--jobs", type=int, metavar="N", help="jobs at a time (default: 1; 0: only answer)")
     serve.add_argument("--workers", type=int, metavar="N", help="worker processes of a job")
+    serve.add_argument("--memory-limit", metavar="GB", help="of each of the --workers, for example 8GB")
     serve.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler on which jobs run")
     for name in ("ca", "cert", "key"):
         serve.add_argument(f"--tls-{name}", type=Path, metavar="FILE", help="PEM, for the scheduler")
@@ -168,6 +176,6 @@ def is_asked(name: str) -> bool:
 
 def settings_given(arguments: argparse.Namespace) -> dict[str, Any]:
     """What of a server's settings the command line gives."""
-    names = "data database host port auth hosts roots jobs threads workers scheduler tls_ca tls_cert tls_key"
-    names += " keep_days webhooks webhook_allow"
+    names = "data database host port auth hosts proxies roots jobs threads workers memory_limit scheduler"
+    names += " tls_ca tls_cert tls_key keep_days webhooks webhook_allow"
     return {name: getattr(arguments, name, None) for name in names.split()}

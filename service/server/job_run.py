@@ -74,6 +74,7 @@ class JobRun:
             "redo": job.redo,
             "threads": self._settings.threads,
             "workers": self._settings.workers,
+            "memory-limit": self._settings.memory_limit,
             "scheduler": self._settings.scheduler,
             "tls-ca": self._settings.tls_ca,
             "tls-cert": self._settings.tls_cert,

@@ -92,7 +92,8 @@ def _configuration(application: Any, settings: Settings) -> uvicorn.Config:
         access_log=False,
         server_header=False,
         date_header=True,
-        proxy_headers=True,  # of a proxy on this machine only: uvicorn trusts no other
+        proxy_headers=True,
+        forwarded_allow_ips=["127.0.0.1", "::1", *settings.proxies],
         timeout_keep_alive=30,
         timeout_graceful_shutdown=_OPEN_S,
         lifespan="on",

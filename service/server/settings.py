@@ -1,6 +1,7 @@
 """What a server is started with. The only place that reads the environment for it."""
 
 import dataclasses
+import ipaddress
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -48,7 +49,10 @@ class Limits:
 
 @dataclass(frozen=True)
 class Settings:
-    """Of one server. Every field can come from the environment as LVBA_<FIELD>, of `limits` as LVBA_LIMITS_<FIELD>."""
+    """Of one server. Every field can come from the environment as LVBA_<FIELD>, of `limits` as LVBA_LIMITS_<FIELD>.
+
+    LVBA_<FIELD>_FILE names a file that holds the value, for what should not be in an environment.
+    """
 
     data: Path = Path("lvba-data")
     """Folder of the database, the uploads and the results."""
@@ -62,6 +66,8 @@ class Settings:
     """Ask for keys on a loopback address too; elsewhere they are always asked for."""
     hosts: tuple[str, ...] = ()
     """Names that requests may call this server by, beside loopback; empty: any, if keys are asked for."""
+    proxies: tuple[str, ...] = ()
+    """Addresses or networks of reverse proxies, beside loopback, whose word is taken for who asks (X-Forwarded-For)."""
     roots: tuple[Path, ...] = ()
     """Folders below which recordings may be registered in place."""
     jobs: int = 1
@@ -70,6 +76,8 @@ class Settings:
     """Threads of a job; None: all cores."""
     workers: int | None = None
     """Worker processes of a job; None: it runs in one process."""
+    memory_limit: str | None = None
+    """Memory of each of the `workers`, such as 8GB; None: an even share."""
     scheduler: str | None = None
     """Dask scheduler on which jobs run."""
     tls_ca: Path | None = None
@@ -123,7 +131,19 @@ def load(given: Mapping[str, Any], environment: Mapping[str, str] = os.environ) 
     values = _from_environment(Settings, PREFIX, environment)
     values |= {name: value for name, value in given.items() if value is not None}
     limits = _build(Limits, values.pop("limits", {}))
-    return dataclasses.replace(_build(Settings, values), limits=limits)
+    settings: Settings = dataclasses.replace(_build(Settings, values), limits=limits)
+    for proxy in settings.proxies:
+        _check_network(proxy)
+    return settings
+
+
+def _check_network(text: str) -> None:
+    try:
+        ipaddress.ip_network(text)
+    except ValueError as error:
+        raise InputError(
+            PREFIX + "PROXIES", str(error), "write addresses, or networks as 10.1.0.0/16"
+        ) from None
 
 
 def _from_environment(kind: Any, prefix: str, environment: Mapping[str, str]) -> dict[str, Any]:
@@ -134,7 +154,18 @@ def _from_environment(kind: Any, prefix: str, environment: Mapping[str, str]) ->
             found["limits"] = _from_environment(Limits, name + "_", environment)
         elif name in environment:
             found[item.name] = environment[name]
+        elif name + "_FILE" in environment:
+            found[item.name] = _content(name + "_FILE", Path(environment[name + "_FILE"]))
     return found
+
+
+def _content(name: str, file: Path) -> str:
+    try:
+        return file.read_text("utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            name, f"{file} cannot be read ({error})", "name a file that holds the value"
+        ) from None
 
 
 def _build(kind: Any, values: Mapping[str, Any]) -> Any:
