@@ -52,25 +52,40 @@ class ZarrStore(MutableMapping[str, Any]):
         """Whether the artifact is there and matches its manifest; one that does not is removed."""
         if key in self._known:
             return True
-        if not isinstance(key, str) or not (self.folder / key).exists():
+        if not isinstance(key, str) or not self._fetched(key):
             return False
         if key in self._verified:
             return True
         try:
             verify(self.folder / key)
         except ArtifactError as error:
-            _log.warning("%s; it is made again", error)
-            with suppress(KeyError):  # another worker saw it too, and was faster
-                del self[key]
+            self._give_up(key, error)
             return False
         self._verified.add(key)
         return True
 
+    def _fetched(self, key: str) -> bool:
+        """Whether there is something under this key in `folder`, unverified."""
+        return (self.folder / key).exists()
+
+    def _give_up(self, key: str, error: ArtifactError) -> None:
+        _log.warning("%s; it is made again", error)
+        with suppress(KeyError):  # another worker saw it too, and was faster
+            del self[key]
+
     def __getitem__(self, key: str) -> Any:
+        """Its files are checked after they were read: what is damaged in between is noticed too."""
         if key not in self._values:
-            if key not in self:
+            if not self._fetched(key):
                 raise KeyError(key)
-            self._values[key] = read(self.folder / key)
+            try:
+                value = read(self.folder / key)
+                verify(self.folder / key)
+            except ArtifactError as error:
+                self._give_up(key, error)
+                raise KeyError(key) from error
+            self._verified.add(key)
+            self._values[key] = value
         return self._values[key]
 
     def __setitem__(self, key: str, value: Any) -> None:

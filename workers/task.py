@@ -51,11 +51,20 @@ def make(
         report("", 0, 0)
         if key in store:
             return {"record": asdict(local.recorded(step, store))}
-        missing = [needed for needed in dict.fromkeys(step.needs) if needed not in store]
+        missing = [needed for needed in dict.fromkeys(step.needs) if not _is_readable(needed, store)]
         if missing:
             return {"missing": missing}
         _keep(step, store)
         return {"record": asdict(local.make(step, store, report, version))}
+
+
+def _is_readable(key: str, store: ZarrStore) -> bool:
+    """Read it at once, as the step needs it: what is damaged after a mere look would be an error in its midst."""
+    try:
+        store[key]
+    except KeyError:
+        return False
+    return True
 
 
 def _recall(step: Step, store: ZarrStore) -> None:

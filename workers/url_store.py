@@ -52,14 +52,13 @@ class UrlStore(ZarrStore):
         """What `open_store` finds this store by."""
         return self.url
 
-    def __contains__(self, key: object) -> bool:
-        """Whether the artifact is there and matches its manifest; one that does not is removed."""
-        if super().__contains__(key):
+    def _fetched(self, key: str) -> bool:
+        if super()._fetched(key):
             return True
-        if not isinstance(key, str) or not self._exists(key):
+        if not self._exists(key):
             return False
         self._fetch(key)
-        return super().__contains__(key)
+        return True
 
     def put(self, key: str, value: Any, facts: Mapping[str, Any]) -> None:
         """Store an artifact; the facts (seconds, memory, versions) go into its manifest."""

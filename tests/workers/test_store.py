@@ -74,6 +74,18 @@ def test_dataset_comes_back(tmp_path):
     assert_same(ZarrStore(tmp_path)["input-1"], dataset)
 
 
+def test_artifact_damaged_after_a_look_at_it_is_not_used(tmp_path):
+    ZarrStore(tmp_path)["a-1"] = np.ones(4000)
+    store = ZarrStore(tmp_path)
+    assert "a-1" in store
+    chunk = next((tmp_path / "a-1").rglob("c/0"))
+    chunk.write_bytes(b"\0" * chunk.stat().st_size)
+    with pytest.raises(KeyError):
+        store["a-1"]
+    assert "a-1" not in store
+    assert not (tmp_path / "a-1").exists()
+
+
 def test_large_array_is_few_files(tmp_path):
     ZarrStore(tmp_path)["a-1"] = np.ones((1_000_000, 3))
     assert len([p for p in (tmp_path / "a-1").rglob("*") if p.is_file()]) == 4

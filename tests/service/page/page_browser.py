@@ -10,8 +10,8 @@ import time
 from pathlib import Path
 
 import pytest
+from gates import Gates
 
-ROOT = Path(__file__).resolve().parents[3]
 PATIENCE_MS = 400_000  # the first run on a machine compiles the kernels
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 # WebGL by a renderer in software: test machines have no graphics card
@@ -34,7 +34,8 @@ class Served:
     def __init__(self, data, *options):
         self.data, self.options, self.port = data, options, 0
         self.log = data.with_suffix(".log")
-        self.environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        self.gates = Gates(data.with_name(f"{data.name}-gates"))
+        self.environment = {**os.environ, **self.gates.environment}
         self.start()
 
     def start(self):

@@ -54,10 +54,13 @@ def job(browser, served, recording):
     watched.accessible()
     page.get_by_role("link", name="New job").first.click()
     choose_folder(page, recording)
+    held = []
+    page.route("**/finish", lambda route: held.append(route))
     page.get_by_role("button", name="Upload", exact=True).click()
-    page.get_by_role("progressbar", name="Upload").or_(
-        page.get_by_text("checking the recording")
-    ).first.wait_for()
+    page.get_by_role("progressbar", name="Upload").wait_for()
+    page.unroute("**/finish")
+    for route in held:
+        route.continue_()
     page.get_by_role("radio", name=NAME).wait_for()
     assert page.get_by_role("radio", name=NAME).is_checked()
     page.get_by_role("searchbox", name="Search settings").fill("pyramid levels")
@@ -65,10 +68,11 @@ def job(browser, served, recording):
     page.get_by_label("visual levels", exact=True).blur()
     page.get_by_text("1 changed").wait_for()
     watched.accessible()
-    page.get_by_role("button", name="Start").click()
-    page.get_by_role("progressbar", name="Progress of the job").wait_for()
-    page.locator(".timeline .step").first.wait_for()
-    watched.accessible()
+    with served.gates.held("visual"):
+        page.get_by_role("button", name="Start").click()
+        page.get_by_role("progressbar", name="Progress of the job").wait_for()
+        page.locator(".timeline .step").first.wait_for()
+        watched.accessible()
     page.get_by_role("link", name="See the result").wait_for()
     assert page.locator(".timeline .step").count() == page.locator(".timeline .step-done").count()
     page.get_by_role("log").get_by_text("report:").wait_for()
@@ -246,17 +250,19 @@ def test_a_restart_of_the_service_is_survived_by_the_page(watched, served, job):
     page.get_by_role("link", name=NAME, exact=True).wait_for()
     served.stop()
     served.start()
-    page.evaluate(
-        """async (job) => {
-            const { dataset } = await (await fetch(`/v1/jobs/${job}`)).json();
-            const body = JSON.stringify({ dataset, name: "after the restart" });
-            await fetch("/v1/jobs", { method: "POST", body, headers: { "Content-Type": "application/json" } });
-        }""",
-        job,
-    )
-    page.get_by_role("link", name="after the restart", exact=True).click()
-    page.get_by_role("button", name="Cancel").click()
-    page.get_by_text("canceled").first.wait_for()
+    with served.gates.held("lidar"):
+        page.evaluate(
+            """async (job) => {
+                const { dataset } = await (await fetch(`/v1/jobs/${job}`)).json();
+                const body = JSON.stringify({ dataset, name: "after the restart" });
+                const headers = { "Content-Type": "application/json" };
+                await fetch("/v1/jobs", { method: "POST", body, headers });
+            }""",
+            job,
+        )
+        page.get_by_role("link", name="after the restart", exact=True).click()
+        page.get_by_role("button", name="Cancel").click()
+        page.get_by_text("canceled").first.wait_for()
     page.get_by_role("button", name="Delete").first.click()
     page.get_by_role("dialog").get_by_role("button", name="Delete").click()
     page.get_by_role("heading", name="Jobs").wait_for()
@@ -294,7 +300,7 @@ def test_a_key_is_asked_for_and_opens_maps_and_files(browser, served, job, tmp_p
         served.start()
 
 
-def test_a_restart_with_another_setting_shows_what_was_reused(watched, job):
+def test_a_restart_with_another_setting_shows_what_was_reused(watched, served, job):
     page = watched.page
     watched.go(f"jobs/{job}")
     page.get_by_role("button", name="Restart…").click()
@@ -304,8 +310,9 @@ def test_a_restart_with_another_setting_shows_what_was_reused(watched, job):
     dialog.get_by_role("searchbox", name="Search settings").fill("map colors")
     dialog.get_by_label("map colors", exact=True).select_option(label="paper")
     watched.accessible()
-    dialog.get_by_role("button", name="Restart").click()
-    page.get_by_role("link", name="See the result").wait_for(state="detached")
+    with served.gates.held("map"):
+        dialog.get_by_role("button", name="Restart").click()
+        page.get_by_role("link", name="See the result").wait_for(state="detached")
     page.get_by_role("link", name="See the result").wait_for()
     lidar = page.locator(".step").filter(has=page.get_by_text("lidar", exact=True))
     assert lidar.get_by_text("reused").count() == 1

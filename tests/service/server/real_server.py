@@ -12,12 +12,12 @@ from pathlib import Path
 
 import httpx
 import pytest
+from gates import Gates
 
 from lvba import simulate
 from service.server import keys
 from service.server.database import Database
 
-ROOT = Path(__file__).resolve().parents[3]
 PATIENCE = 120.0
 
 
@@ -26,7 +26,9 @@ class Service:
 
     def __init__(self, data, *options, environment=None):
         self.data, self.options = data, options
-        self.environment = {**os.environ, "PYTHONPATH": str(ROOT), **(environment or {})}
+        # services over the same folder share their gates
+        self.gates = Gates(data.with_name(f"{data.name}-gates"))
+        self.environment = {**os.environ, **self.gates.environment, **(environment or {})}
         self.log = data.with_name(f"{data.name}-{id(self):x}.log")
         self.process = None
         self.start()
@@ -49,6 +51,10 @@ class Service:
             assert self.process.poll() is None, self.log.read_text()
             time.sleep(0.05)
         raise AssertionError(self.log.read_text())
+
+    def held(self, stage):
+        """Jobs that come to this stage stay in it until the block ends."""
+        return self.gates.held(stage)
 
     def kill(self):
         """As if the power went."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import httpx
 import pytest
-from real_server import Service, ended, postgres_or_skip, submit, until, upload
+from real_server import PATIENCE, Service, ended, postgres_or_skip, submit, until, upload
 
 PRODUCTS = ["lidar_poses.txt", "image_poses.txt", "exposures.csv", "map.ply", "config.yaml"]
 
@@ -45,12 +45,13 @@ def assert_done_once_with_the_same_bytes(http, job, result):
 def test_killed_service_goes_on_from_the_finished_stages(tiny_recording, tiny_result, tmp_path):
     service = Service(tmp_path / "data")
     job_id = submit(service.http, upload(service.http, tiny_recording))["id"]
-    until(service.http, f"/v1/jobs/{job_id}", runs("visual"))
-    [child] = job_processes(service.data)
-    service.kill()
-    end = time.monotonic() + 5
-    while time.monotonic() < end and job_processes(service.data):
-        time.sleep(0.05)
+    with service.held("visual"):
+        until(service.http, f"/v1/jobs/{job_id}", runs("visual"))
+        [child] = job_processes(service.data)
+        service.kill()
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end and job_processes(service.data):
+            time.sleep(0.05)
     assert job_processes(service.data) == [], f"{child} lives on without a service"
     service.start()
     job = ended(service.http, job_id)
@@ -65,12 +66,13 @@ def test_stopped_service_gives_its_job_back_and_a_killed_process_is_tried_again(
 ):
     service = Service(tmp_path / "data")
     job_id = submit(service.http, upload(service.http, tiny_recording))["id"]
-    until(service.http, f"/v1/jobs/{job_id}", runs("lidar"))
-    assert service.stop() == 0
-    service.start()
-    until(service.http, f"/v1/jobs/{job_id}", runs("lidar-gate"))
-    [child] = job_processes(service.data)
-    os.kill(child, signal.SIGKILL)
+    with service.held("lidar"):
+        until(service.http, f"/v1/jobs/{job_id}", runs("lidar"))
+        assert service.stop() == 0
+        service.start()
+        until(service.http, f"/v1/jobs/{job_id}", runs("lidar"))
+        [child] = job_processes(service.data)
+        os.kill(child, signal.SIGKILL)
     job = ended(service.http, job_id)
     assert [attempt["outcome"] for attempt in job["attempts"]] == ["lost", "crashed", "done"]
     assert job["attempts"][1]["message"] == "the process was killed (SIGKILL)"
@@ -92,11 +94,12 @@ def test_two_services_on_one_postgres_of_which_one_is_killed_and_then_the_databa
     environment = {"LVBA_LEASE_S": "30"}
     one, two = (Service(tmp_path / "data", *options, environment=environment) for _ in range(2))
     dataset = upload(one.http, tiny_recording)
-    jobs = [submit(one.http, dataset, name=f"n{i}")["id"] for i in range(2)]
-    for job_id in jobs:
-        until(two.http, f"/v1/jobs/{job_id}", lambda job: job["state"] == "running")
-    assert len(job_processes(one.data)) == 2
-    one.kill()
+    with one.held("lidar"):
+        jobs = [submit(one.http, dataset, name=f"n{i}")["id"] for i in range(2)]
+        for job_id in jobs:
+            until(two.http, f"/v1/jobs/{job_id}", runs("lidar"))
+        assert len(job_processes(one.data)) == 2
+        one.kill()
     postgres.kill()
     with httpx.Client(base_url=two.url) as http:
         answer = http.get("/v1/jobs")
@@ -113,14 +116,15 @@ def test_two_services_on_one_postgres_of_which_one_is_killed_and_then_the_databa
 def test_frozen_service_is_taken_over_and_its_process_stops_by_itself(tiny_recording, tiny_result, tmp_path):
     one, two = (Service(tmp_path / "data", environment={"LVBA_LEASE_S": "4"}) for _ in range(2))
     dataset = upload(one.http, tiny_recording)
-    job_id = submit(one.http, dataset)["id"]
-    until(one.http, f"/v1/jobs/{job_id}", runs("lidar"))
-    [child] = job_processes(one.data)
-    parent = int(Path(f"/proc/{child}/stat").read_text().rsplit(")", 1)[1].split()[1])
-    holder, other = (one, two) if parent == one.process.pid else (two, one)
-    holder.process.send_signal(signal.SIGSTOP)
-    until(other.http, f"/v1/jobs/{job_id}", lambda job: len(job["attempts"]) > 1)
-    holder.process.send_signal(signal.SIGCONT)
+    with one.held("lidar"):
+        job_id = submit(one.http, dataset)["id"]
+        until(one.http, f"/v1/jobs/{job_id}", runs("lidar"))
+        [child] = job_processes(one.data)
+        parent = int(Path(f"/proc/{child}/stat").read_text().rsplit(")", 1)[1].split()[1])
+        holder, other = (one, two) if parent == one.process.pid else (two, one)
+        holder.process.send_signal(signal.SIGSTOP)
+        until(other.http, f"/v1/jobs/{job_id}", lambda job: len(job["attempts"]) > 1)
+        holder.process.send_signal(signal.SIGCONT)
     job = ended(other.http, job_id)
     assert job["attempts"][0]["outcome"] == "lost"
     assert_done_once_with_the_same_bytes(other.http, job, tiny_result)

@@ -179,16 +179,17 @@ def test_one_idempotency_key_many_times_at_once_makes_one_job(service, ready_dat
 
 
 def test_running_job_is_canceled_and_goes_on_later(service, ready_dataset):
-    job = submit(service.http, ready_dataset, config={"visual": {"levels": 1}})
-    until(
-        service.http,
-        f"/v1/jobs/{job['id']}",
-        lambda row: any(stage["state"] == "running" for stage in row["stages"]),
-    )
-    assert service.http.get(f"/v1/jobs/{job['id']}/results").status_code == 409
-    assert service.http.delete(f"/v1/jobs/{job['id']}").status_code == 409
-    assert service.http.post(f"/v1/jobs/{job['id']}/cancel").json()["state"] == "canceling"
-    stopped = ended(service.http, job["id"])
+    with service.held("visual"):
+        job = submit(service.http, ready_dataset, config={"visual": {"levels": 1}})
+        until(
+            service.http,
+            f"/v1/jobs/{job['id']}",
+            lambda row: any(stage["state"] == "running" for stage in row["stages"]),
+        )
+        assert service.http.get(f"/v1/jobs/{job['id']}/results").status_code == 409
+        assert service.http.delete(f"/v1/jobs/{job['id']}").status_code == 409
+        assert service.http.post(f"/v1/jobs/{job['id']}/cancel").json()["state"] == "canceling"
+        stopped = ended(service.http, job["id"])
     assert stopped["state"] == "canceled"
     assert stopped["attempts"][-1]["outcome"] == "canceled"
     told = [kind for _, kind, _ in events(service.http.get(f"/v1/jobs/{job['id']}/events").text)]
@@ -242,18 +243,16 @@ def test_batch_is_all_or_nothing_and_is_canceled_as_one(service, ready_dataset):
         "name": "good",
         "jobs": [{"dataset": ready_dataset, "priority": -9, "name": f"n{i}"} for i in range(3)],
     }
-    made = service.http.post("/v1/batches", json=good, headers={"Idempotency-Key": "b"})
-    assert made.status_code == 201
-    again = service.http.post("/v1/batches", json=good, headers={"Idempotency-Key": "b"})
-    assert (again.status_code, again.json()["id"]) == (200, made.json()["id"])
-    batch = until(
-        service.http,
-        f"/v1/batches/{made.json()['id']}",
-        lambda row: row["counts"]["queued"] + row["counts"]["running"] == 3,
-    )
-    assert [job["name"] for job in batch["jobs"]] == ["n0", "n1", "n2"]
-    service.http.post(f"/v1/batches/{batch['id']}/cancel")
-    until(service.http, f"/v1/batches/{batch['id']}", lambda row: row["counts"]["canceled"] == 3)
+    with service.held("lidar"):
+        made = service.http.post("/v1/batches", json=good, headers={"Idempotency-Key": "b"})
+        assert made.status_code == 201
+        again = service.http.post("/v1/batches", json=good, headers={"Idempotency-Key": "b"})
+        assert (again.status_code, again.json()["id"]) == (200, made.json()["id"])
+        batch = service.http.get(f"/v1/batches/{made.json()['id']}").json()
+        assert batch["counts"]["queued"] + batch["counts"]["running"] == 3
+        assert [job["name"] for job in batch["jobs"]] == ["n0", "n1", "n2"]
+        service.http.post(f"/v1/batches/{batch['id']}/cancel")
+        until(service.http, f"/v1/batches/{batch['id']}", lambda row: row["counts"]["canceled"] == 3)
 
 
 def test_backup_taken_while_it_serves_is_restored(service, done_job, tmp_path):
