@@ -11,9 +11,11 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 import yaml
 
+from lvba import plain_yaml
 from lvba.errors import InputError
 
 Config = TypeVar("Config")
+_MOST = 1 << 63
 
 
 def load(kind: type[Config], text: str, overrides: Sequence[str] = (), where: str = "config") -> Config:
@@ -31,15 +33,7 @@ def parse(text: str, where: str = "config") -> dict[str, Any]:
 
     Raises InputError: not YAML, or not a mapping.
     """
-    try:
-        values = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f"{where}:{mark.line + 1}" if mark else where
-        reason = getattr(error, "problem", None) or "cannot be parsed"
-        raise InputError(
-            place, f"not YAML ({reason})", "write `name: value` lines, indented by spaces"
-        ) from None
+    values = plain_yaml.load(text, where, "write `name: value` lines, indented by spaces")
     if values is None:
         return {}
     if not isinstance(values, dict):
@@ -55,8 +49,8 @@ def override(config: Config, options: Sequence[str], where: str = "--set") -> Co
         if not equals or not name.strip():
             raise InputError(f"{where} {option}", "not of the form name=value", "for example visual.levels=3")
         try:
-            value = yaml.safe_load(text)
-        except yaml.YAMLError:
+            value = plain_yaml.load(text, where)
+        except InputError:
             value = text
         _put(values, name.strip().split("."), value, f"{where} {option}")
     return from_mapping(type(config), values, where, base=config)
@@ -97,7 +91,7 @@ def _build(kind: Any, values: Any, where: str, path: str, base: Any) -> Any:
         example = f"{path.rstrip('.')}.{dataclasses.fields(kind)[0].name}"
         raise InputError(
             _at(where, path),
-            f"{values!r} is a single value, but this is a group",
+            f"{_quoted(values)} is a single value, but this is a group",
             f"set {example} or others in it",
         )
     hints = get_type_hints(kind)
@@ -128,10 +122,10 @@ def coerce(value: Any, hint: Any, where: str, path: str, base: Any = None) -> An
         )
     try:
         return _coerce(value, hint)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(
             _at(where, path),
-            f"{value!r} is not {_words(hint)}",
+            f"{_quoted(value)} is not {_words(hint)}",
             "see the default in config.yaml of any result",
         ) from None
 
@@ -165,9 +159,9 @@ def _is_list_of_groups(hint: Any) -> bool:
 
 def _whole(value: Any) -> int:
     if isinstance(value, int) and not isinstance(value, bool):
-        return value
+        return int(_require(abs(value) < _MOST, value))
     number = float(_require(isinstance(value, float | str), value))
-    return int(_require(number.is_integer(), number))
+    return int(_require(number.is_integer() and abs(number) < _MOST, number))
 
 
 def _first_that_fits(value: Any, hints: tuple[Any, ...]) -> Any:
@@ -175,9 +169,9 @@ def _first_that_fits(value: Any, hints: tuple[Any, ...]) -> Any:
     for hint in sorted(hints, key=lambda h: h is not type(None)):
         try:
             return _coerce(None if value == "None" and hint is type(None) else value, hint)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             continue
-    raise ValueError(value)
+    raise ValueError
 
 
 def _literal(value: Any, choices: tuple[Any, ...]) -> Any:
@@ -226,6 +220,13 @@ def _unknown(kind: Any, name: str, where: str, path: str, known: list[str]) -> I
 def _at(where: str, path: str) -> str:
     path = path.rstrip(".")
     return f"{where}: {path}" if path else where
+
+
+def _quoted(value: Any) -> str:
+    try:
+        return repr(value)
+    except ValueError:  # Python does not write out numbers of more than some thousand digits
+        return "a number of very many digits"
 
 
 def _words(hint: Any) -> str:

@@ -11,12 +11,21 @@ class LvbaError(Exception):
     """Base of all errors raised on purpose; str(error) is one line for the user."""
 
 
+_LONGEST = 600
+
+
+def _shortened(text: object) -> str:
+    """Its start and end: what is quoted of a file of strangers may be as long as the file."""
+    text = str(text)
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
+
+
 class InputError(LvbaError):
     """Bad input. The message names the file (and line), says what is wrong, and how to mend it."""
 
     def __init__(self, where: object, problem: str, mend: str) -> None:
-        self.where, self.problem, self.mend = str(where), problem, mend
-        line = " ".join(f"{where}: {problem}; {mend}".splitlines())
+        self.where, self.problem, self.mend = map(_shortened, (where, problem, mend))
+        line = " ".join(f"{self.where}: {self.problem}; {self.mend}".splitlines())
         super().__init__(
             line.encode("utf-8", "backslashreplace").decode()
         )  # names of files may hold any bytes

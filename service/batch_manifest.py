@@ -5,12 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from lvba import plain_yaml
 from lvba.errors import InputError
 from lvba.io import files
 
 _FIELDS = {"dataset", "name", "config", "set", "reference", "group"}
+MAX_BYTES = 4 * 1024**2
+"""Longest manifest read: some ten thousand recordings."""
 _MEND = "see lvba batch --help"
 
 
@@ -31,10 +32,7 @@ def read(manifest: Path) -> list[Entry]:
 
     Raises InputError: no list of recordings, an unknown field, two entries of one name.
     """
-    try:
-        found = yaml.safe_load(files.read_text(manifest))
-    except yaml.YAMLError as error:
-        raise InputError(manifest, f"is not YAML ({error})", "mend it") from None
+    found = plain_yaml.load(files.read_text(manifest, MAX_BYTES), manifest, "mend it")
     if not isinstance(found, list) or not found:
         raise InputError(manifest, "is not a list of recordings", _MEND)
     entries = [_entry(f"{manifest}, entry {i + 1}", manifest.parent, item) for i, item in enumerate(found)]

@@ -1,14 +1,18 @@
 """Unpacking archives of strangers: only plain files, only below the folder, only as much as is allowed."""
 
+import bz2
+import errno
+import gzip
+import io
+import lzma
 import stat
 import tarfile
 import zipfile
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from lzma import LZMAError
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from lvba.errors import InputError
 from service.server import names
@@ -20,12 +24,15 @@ _BROKEN = (
     zipfile.BadZipFile,
     tarfile.TarError,
     zlib.error,
-    LZMAError,
+    lzma.LZMAError,
+    OverflowError,
     EOFError,
     ValueError,
     NotImplementedError,
 )
 _PACK_AGAIN = "pack the files of the recording anew, as .zip or .tar.gz"
+_COMPRESSIONS: dict[bytes, Any] = {b"\x1f\x8b": gzip, b"BZh": bz2, b"\xfd7zXZ\0": lzma}
+_ZIP_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)
 _SMALL = 1 << 20
 """Bytes that anything may inflate to: what is small harms nobody, and text packs well."""
 
@@ -82,6 +89,11 @@ def unpack(archive: Path, folder: Path, limits: Limits) -> None:
         raise InputError("the archive", f"cannot be read ({type(error).__name__})", _PACK_AGAIN) from None
     except RecursionError:
         raise InputError("the archive", "cannot be read", _PACK_AGAIN) from None
+    except OSError as error:
+        # bz2 says so of damaged data, seek of a place that is none; a full disk has another number
+        if error.errno not in (None, errno.EINVAL):
+            raise
+        raise InputError("the archive", "is damaged", _PACK_AGAIN) from None
 
 
 def _unpack_zip(archive: Path, folder: Path, tally: _Tally) -> None:
@@ -95,6 +107,8 @@ def _unpack_zip(archive: Path, folder: Path, tally: _Tally) -> None:
                 raise InputError(repr(entry.orig_filename), "is a link or a device", _PACK_AGAIN)
             if entry.flag_bits & 1:
                 raise InputError(repr(entry.orig_filename), "is encrypted", "pack it without a password")
+            if entry.compress_type not in _ZIP_METHODS:  # LZMA takes as much memory as its header asks for
+                raise InputError(repr(entry.orig_filename), "is packed by a rare method", _PACK_AGAIN)
             name = _name(entry.orig_filename)
             if name is None or entry.is_dir():
                 continue
@@ -104,7 +118,10 @@ def _unpack_zip(archive: Path, folder: Path, tally: _Tally) -> None:
 
 
 def _unpack_tar(archive: Path, folder: Path, tally: _Tally) -> None:
-    with tarfile.open(archive, mode="r:*", errorlevel=2) as packed:
+    with (
+        _decompressed(archive) as stream,
+        tarfile.TarFile(fileobj=_ShortReads(stream), errorlevel=2) as packed,
+    ):
         for entry in packed:
             if not (entry.isreg() or entry.isdir()):
                 raise InputError(repr(entry.name), "is a link or a device", _PACK_AGAIN)
@@ -112,11 +129,29 @@ def _unpack_tar(archive: Path, folder: Path, tally: _Tally) -> None:
             if name is None or entry.isdir():
                 continue
             tally.add_file(name)
-            stream = packed.extractfile(entry)
-            if stream is not None:
-                with stream:
-                    _copy(stream, folder, name, tally)
+            content = packed.extractfile(entry)
+            if content is not None:
+                with content:
+                    _copy(content, folder, name, tally)
             packed.members = []  # type: ignore[attr-defined]  # it would keep them all in memory
+
+
+class _ShortReads(io.BufferedReader):
+    """A stream that no more than a piece is read from at a time: entries may announce names as long as a disk."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        if size is None or not 0 <= size <= _PIECE:
+            raise tarfile.ReadError("something that is read at once is too long")
+        return super().read(size)
+
+
+def _decompressed(archive: Path) -> Any:
+    with archive.open("rb") as file:
+        start = file.read(6)
+    for magic, module in _COMPRESSIONS.items():
+        if start.startswith(magic):
+            return module.open(archive, "rb")
+    return archive.open("rb")
 
 
 def _name(written: str) -> str | None:

@@ -103,12 +103,21 @@ def test_values_are_coerced_to_the_declared_type(option, value):
         ("pair=[1]", "pair: .1. is not a list of 2 values"),
         ("levels", "--set levels: not of the form name=value"),
         ("levels.a=3", "levels: .* is not a whole number or null"),
+        ("solver.tolerance=" + "9" * 400, "solver.tolerance: 9+ .*9+ is not a number"),
+        (
+            "solver.tolerance=0x" + "f" * 5000,
+            "solver.tolerance: a number of very many digits is not a number",
+        ),
+        ("solver.iterations=" + "9" * 40, "solver.iterations: 9+ is not a whole number"),
+        ("levels=2021-13-45", "levels: '2021-13-45' is not a whole number or null"),
+        ("levels=" + "[" * 3000, "levels: .* is not a whole number or null"),
     ],
 )
 def test_mistakes_are_one_line_that_names_the_setting(option, message):
     with pytest.raises(InputError, match=message) as caught:
         config.override(Settings(), [option])
     assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 2000
 
 
 @pytest.mark.parametrize(
@@ -116,6 +125,8 @@ def test_mistakes_are_one_line_that_names_the_setting(option, message):
     [
         ("levels: [", r"my.yaml:\d+: not YAML"),
         ("- 1\n", "my.yaml: holds a list, not settings"),
+        ("levels: 2021-13-45", "my.yaml: a value that is none"),
+        ("levels: " + "[" * 3000, "my.yaml: nested too deep"),
         ("solver:\n  iteratons: 3\n", "my.yaml: solver.iteratons: no such setting"),
     ],
 )

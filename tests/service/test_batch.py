@@ -122,6 +122,8 @@ def test_paths_are_relative_to_the_manifest(tmp_path):
         ("", "not a list"),
         ("dataset: a", "not a list"),
         ("- a: }", "not YAML"),
+        ("- &a [1]\n- *a", "aliases .* are not read"),
+        ("[" * 3000, "nested too deep"),
         ("- name: a", "entry 1: has no `dataset`"),
         ("- {dataset: a, threads: 3}", "unknown field 'threads'"),
         ("- dataset: x/a\n- dataset: y/a", "two entries are named 'a'"),

@@ -1,0 +1,52 @@
+"""YAML text as plain values: no code, no expansion, no surprise in size."""
+
+from typing import Any
+
+import yaml
+
+from lvba.errors import InputError
+
+
+class _Loader(yaml.SafeLoader):
+    """Plain values only: aliases are refused (they let a short text stand for a huge value)."""
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            event = self.peek_event()
+            raise yaml.composer.ComposerError(None, None, "aliases (*name) are not read", event.start_mark)
+        return super().compose_node(parent, index)
+
+
+def _opencv_matrix(loader: yaml.SafeLoader, node: yaml.Node) -> Any:
+    if not isinstance(node, yaml.MappingNode):
+        raise yaml.constructor.ConstructorError(None, None, "a matrix must be a mapping", node.start_mark)
+    return loader.construct_mapping(node, deep=True)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)
+
+
+def load(text: str, where: object, mend: str = "correct the YAML") -> Any:
+    """The value that the text holds; OpenCV's header (%YAML:1.0) and matrices are understood.
+
+    where, mend: for the error
+    Raises: InputError if it is no YAML, nested too deep or uses aliases.
+    """
+    if text.startswith("%YAML:"):  # OpenCV's own spelling; '#' keeps the line numbers
+        text = "#" + text
+    try:
+        return yaml.load(text, _Loader)
+    except yaml.MarkedYAMLError as error:
+        place = f"{where}:{error.problem_mark.line + 1}" if error.problem_mark else where
+        raise InputError(place, f"not YAML ({_shown(error.problem)})", mend) from error
+    except yaml.YAMLError as error:
+        raise InputError(where, f"not YAML ({_shown(error)})", mend) from error
+    except RecursionError as error:
+        raise InputError(where, "nested too deep", mend) from error
+    except (ValueError, ArithmeticError, TypeError, LookupError, AttributeError) as error:
+        # the constructors of values let these pass: a date of month 13
+        raise InputError(where, f"a value that is none: {_shown(error)}", mend) from error
+
+
+def _shown(problem: object) -> str:
+    return " ".join(str(problem).split())[:200]
