@@ -103,7 +103,7 @@ def test_values_are_coerced_to_the_declared_type(option, value):
         ("pair=[1]", "pair: .1. is not a list of 2 values"),
         ("levels", "--set levels: not of the form name=value"),
         ("levels.a=3", "levels: .* is not a whole number or null"),
-        ("solver.tolerance=" + "9" * 400, "solver.tolerance: 9+ .*9+ is not a number"),
+        ("solver.tolerance=" + "9" * 400, "solver.tolerance: 9+ is not a number"),
         (
             "solver.tolerance=0x" + "f" * 5000,
             "solver.tolerance: a number of very many digits is not a number",
