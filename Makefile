@@ -9,7 +9,7 @@ DEMO := demo
 help:
 	@echo "make demo     simulate a small recording, refine it, and compare with the truth (minutes)"
 	@echo "make test     all tests"
-	@echo "make check    lint, formatting, types, layering"
+	@echo "make check    lint, formatting, types, layering; lint of deploy/"
 	@echo "make bench    speed and memory, into docs/benchmarks.md"
 	@echo "make page     the page of the job service anew, into service/page, after a change in service/page_src"
 	@echo "make install  lvba in .venv, and nothing else"
@@ -31,6 +31,7 @@ check: .venv/.installed-dev
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	PATH="$(CURDIR)/$(BIN):$$PATH" sh deploy/check.sh
 
 bench: .venv/.installed-dev
 	$(BIN)/python benchmarks/bench.py $(BENCH)
