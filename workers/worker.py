@@ -61,10 +61,19 @@ async def _one_life(
         say(f"working for {address}, with at most {memory_bytes / 1e9:.1f} GB")
         await _first(asyncio.ensure_future(nanny.finished()), stop)
         say(f"{'stopped' if stop.done() else 'lost the scheduler'}")
-    except OSError as error:
+    except (OSError, RuntimeError) as error:
+        if not _is_about_connections(error):
+            raise
         _log.info("%s", error)
     finally:
         await _end(nanny)
+
+
+def _is_about_connections(error: BaseException | None) -> bool:
+    """A nanny that finds no scheduler for a while says only that it failed to start, and this is its reason."""
+    while error is not None and not isinstance(error, OSError):
+        error = error.__cause__
+    return error is not None
 
 
 def _nanny(address: str, security: Security, memory_bytes: int) -> Nanny:

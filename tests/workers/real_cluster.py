@@ -2,12 +2,13 @@
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 from pathlib import Path
 
 from distributed.security import Security
+from gates import Gates
+from ports import free_port
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -26,9 +27,8 @@ class Cluster:
 
     def __init__(self, folder, tls=()):
         self.folder, self.tls = folder, tls
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port = free.getsockname()[1]
+        self.gates = Gates(folder / "gates")
+        self.port = free_port()
         self.address = f"{'tls' if tls else 'tcp'}://127.0.0.1:{self.port}"
         self.processes = []
         self.start_scheduler()
@@ -64,7 +64,8 @@ class Cluster:
             process.wait()
 
     def _start(self, *words):
-        environment = {**os.environ, "PYTHONPATH": f"{ROOT}:{Path(__file__).parent}"}
+        environment = {**os.environ, **self.gates.environment}
+        environment["PYTHONPATH"] += f"{os.pathsep}{Path(__file__).parent}"
         with (self.folder / f"{len(self.processes)}.log").open("wb") as log:
             process = subprocess.Popen(
                 [sys.executable, *map(str, words)], stdout=log, stderr=log, env=environment

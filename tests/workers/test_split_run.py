@@ -123,17 +123,19 @@ def test_scheduler_driver_and_everything_killed_in_turn(drive, street, alone, tl
 
     # it may have been further than that already when the scheduler died: something must follow
     wait_for(lambda: len(manifests(tmp_path / "stages")) > len(finished), 500)
-    driver.until("visual-part")
-    driver.kill()
+    with tls_cluster.gates.held("visual-merge"):
+        driver.until("visual-part")
+        driver.kill()
     driver.ended(-signal.SIGKILL)
     finished = unchanged(finished, tmp_path)
     again = [line for line in driver.lines if line.endswith("begins again")]
     assert len(again) <= 2  # one for each worker
 
     driver = drive(tmp_path, *tls_cluster.on())
-    driver.until("evaluate")
-    driver.kill()
-    tls_cluster.kill_all()
+    with tls_cluster.gates.held("visual-gate"):
+        driver.until("evaluate")
+        driver.kill()
+        tls_cluster.kill_all()
     driver.ended(-signal.SIGKILL)
     finished = unchanged(finished, tmp_path)
 
@@ -189,13 +191,14 @@ def test_a_part_that_always_fails_is_tried_once_and_the_other_is_finished(
     drive, street, alone, tls_cluster, tmp_path
 ):
     """Images of the second part are cut short after the run has opened the recording."""
-    driver = drive(tmp_path, *tls_cluster.on())
-    driver.until("survey")
     images = sorted((street / "all_image").iterdir())[15:]
     whole = [path.read_bytes() for path in images]
     try:
-        for path, content in zip(images, whole, strict=True):
-            path.write_bytes(content[: len(content) // 2])
+        with tls_cluster.gates.held("survey"):
+            driver = drive(tmp_path, *tls_cluster.on())
+            driver.until("survey")
+            for path, content in zip(images, whole, strict=True):
+                path.write_bytes(content[: len(content) // 2])
         said = driver.ended(2)
     finally:
         for path, content in zip(images, whole, strict=True):

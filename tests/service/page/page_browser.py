@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from gates import Gates
+from ports import free_port
 
 PATIENCE_MS = 400_000  # the first run on a machine compiles the kernels
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -32,7 +33,7 @@ class Served:
     """`lvba serve` over a data folder, on a port of its own that it keeps."""
 
     def __init__(self, data, *options):
-        self.data, self.options, self.port = data, options, 0
+        self.data, self.options, self.port = data, options, free_port()
         self.log = data.with_suffix(".log")
         self.gates = Gates(data.with_name(f"{data.name}-gates"))
         self.environment = {**os.environ, **self.gates.environment}
