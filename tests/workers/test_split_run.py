@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import threading
+from pathlib import Path
 
 import pytest
 from real_cluster import Cluster, tls_files
@@ -91,6 +92,23 @@ def test_own_workers_give_the_same_bytes_and_redo_only_what_is_damaged(street, a
     after = manifests(tmp_path / "stages")
     assert {name_of(key) for key in after if after[key] != before[key]} == set(damaged)
     same(tmp_path, alone)
+
+
+def download(bucket, prefix, folder):
+    for page in bucket.get_paginator("list_objects_v2").paginate(Bucket="maps", Prefix=prefix):
+        for item in page["Contents"]:
+            path = folder / Path(item["Key"]).relative_to(prefix)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            bucket.download_file("maps", item["Key"], str(path))
+    return folder
+
+
+def test_a_store_in_a_bucket_holds_the_same_bytes(street, alone, lvba, bucket, tmp_path):
+    lvba("run", street, "--out", tmp_path / "out", *PARTS, "--store", "s3://maps/street", "--workers", 2)
+    assert products(tmp_path / "out") == products(alone)
+    assert not (tmp_path / "out" / "stages").exists()
+    stored = artifacts(download(bucket, "street", tmp_path / "bucket"))
+    assert stored == artifacts(alone / "stages")
 
 
 def test_a_worker_killed_in_every_kind_of_stage(drive, alone, tls_cluster, tmp_path):
