@@ -1,8 +1,8 @@
 #!/bin/sh
-# What must be there before the other containers of compose.yaml start. What is there stays.
+# What must be there before the containers of a deployment start. What is there stays.
 #   LVBA_TLS        certificates for LVBA_NAMES, by tls.sh
 #   LVBA_SECRETS    the password of the database, and its URL
-#   LVBA_DATA       the folders that workers are shown
+#   LVBA_DATA       the folders that workers are shown; may be left out
 set -eu
 umask 077
 
@@ -15,4 +15,6 @@ if [ ! -s "$LVBA_SECRETS/database_url" ]; then
     printf 'postgresql://lvba:%s@database/lvba\n' "$password" >"$LVBA_SECRETS/database_url"
 fi
 
-mkdir -p "$LVBA_DATA/datasets" "$LVBA_DATA/jobs"
+if [ -n "${LVBA_DATA:-}" ]; then
+    mkdir -p "$LVBA_DATA/datasets" "$LVBA_DATA/jobs"
+fi
