@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, cast
 
 from fastapi import Depends, Request
+from starlette.concurrency import run_in_threadpool
 
 from service.server import keys
 from service.server.broadcast import Broadcaster
@@ -40,7 +41,7 @@ class Server:
     rates: Rates = field(default_factory=Rates)
 
 
-def of(request: Request) -> Server:
+async def of(request: Request) -> Server:
     """The server that a request came to."""
     return cast(Server, request.app.state.server)
 
@@ -60,13 +61,16 @@ def load_secret(file: Path) -> bytes:
     return file.read_bytes()
 
 
-def who(request: Request, server: Context) -> Principal:
+async def who(request: Request, server: Context) -> Principal:
     """Whoever sent the request.
 
     Raises Problem: no key, or one that is worth nothing; too many requests.
     """
-    if not server.settings.asks_for_keys:
-        return keys.LOCAL
+    # only what may have to wait goes to another thread: going there takes as long as many a request
+    return await run_in_threadpool(_known, request, server) if server.settings.asks_for_keys else keys.LOCAL
+
+
+def _known(request: Request, server: Server) -> Principal:
     principal = _by_key(request, server) or _by_ticket(request, server)
     if principal is None:
         client = request.client.host if request.client else ""
@@ -112,7 +116,7 @@ def _mark(server: Server, text: str) -> str:
 def needs(scope: str) -> Any:
     """A dependency: whoever asks, if it has this scope."""
 
-    def check(principal: Annotated[Principal, Depends(who)]) -> Principal:
+    async def check(principal: Annotated[Principal, Depends(who)]) -> Principal:
         if not principal.may(scope):
             raise Problem("forbidden", f"the key has not the scope {scope!r}")
         return principal

@@ -11,6 +11,8 @@ from service.server.tables import ENDED, Event, Job
 
 STATE, STAGES, STAGE, PROGRESS, LOG, END = "state", "stages", "stage", "progress", "log", "end"
 KINDS = (STATE, STAGES, STAGE, PROGRESS, LOG, END)
+PASSING = (PROGRESS, LOG)
+"""What says nothing any more once a job has ended."""
 
 
 def add(session: Session, job: Job, kind: str, data: dict[str, Any]) -> None:
@@ -28,19 +30,27 @@ def state(session: Session, job: Job) -> None:
 
 
 def forget(session: Session, job_id: str) -> None:
-    """Remove the events that say nothing any more once a job has ended."""
-    session.execute(delete(Event).where(Event.job_id == job_id, Event.kind.in_((PROGRESS, LOG))))
+    """Remove the passing events of a job that has ended."""
+    session.execute(delete(Event).where(Event.job_id == job_id, Event.kind.in_(PASSING)))
 
 
 def after(
-    session: Session, cursor: int, *, job_id: str | None = None, owner: str | None = None, limit: int = 500
+    session: Session,
+    cursor: int,
+    *,
+    job_id: str | None = None,
+    owner: str | None = None,
+    upto: int | None = None,
+    limit: int = 500,
 ) -> Sequence[Event]:
-    """Events after the cursor, in order; of one job, of one owner, or all."""
+    """Events after the cursor, in order; of one job, of one owner, or all; up to one that is named, or the newest."""
     wanted = select(Event).where(Event.id > cursor).order_by(Event.id).limit(limit)
     if job_id is not None:
         wanted = wanted.where(Event.job_id == job_id)
     if owner is not None:
         wanted = wanted.where(Event.owner == owner)
+    if upto is not None:
+        wanted = wanted.where(Event.id <= upto)
     return session.scalars(wanted).all()
 
 

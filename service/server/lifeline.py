@@ -20,6 +20,8 @@ STRANDED, BUSY = 70, 75
 """Exit codes: nobody answers for the process any more; the folder is still held by another one."""
 _DIE_WITH_PARENT = 1
 """PR_SET_PDEATHSIG of Linux."""
+_NICE = 5
+"""Who computes for an hour can wait a moment for who answers somebody; not for longer: others use the machine too."""
 _LOCK_PATIENCE = 5.0
 """Seconds that the process before may take to let go."""
 
@@ -47,7 +49,8 @@ class _Line:
 
 
 def hold() -> None:
-    """From now on this process lives only as long as its service does."""
+    """From now on this process lives only as long as its service does, and lets that go first."""
+    os.nice(_NICE)
     if sys.platform == "linux":
         # sooner than the threads below, which wait their turn while compiled code holds the interpreter
         ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)

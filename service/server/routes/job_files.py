@@ -42,7 +42,7 @@ async def events(
 
 
 @router.get("/jobs/{job_id}/events", response_class=StreamingResponse)
-def job_events(
+async def job_events(
     job_id: str,
     server: Context,
     principal: Reader,
@@ -50,7 +50,7 @@ def job_events(
     after: After = None,
 ) -> StreamingResponse:
     """What happens to one job, as server-sent events until it has ended."""
-    _job(server, principal, job_id)
+    await server.broadcaster.ask(_job, server, principal, job_id)
     stream = server.broadcaster.stream(_cursor(last_event_id, after) or 0, job_id, principal.owner)
     return StreamingResponse(stream, media_type="text/event-stream", headers=_STREAM)
 
