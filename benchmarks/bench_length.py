@@ -1,7 +1,7 @@
 """Memory and time against the length of a recording that is solved in parts, and what a second worker brings.
 
-Streets of 60, 120, 240 and 480 scans and images, solved in parts of 20 by two worker processes of one thread each: peak
-memory of the largest worker, and seconds of work in all tasks together. Then the third one by one worker, and in one
+Streets of 200, 400, 800 and 1600 scans and images, solved in parts of 40 by two worker processes of one thread each: peak
+memory of the largest worker, and seconds of work in all tasks together. Then the second one by one worker, and in one
 process without Dask. Last, what a task costs that does nothing: store, scheduler and all. Images are small, scans thin,
 to be done in minutes; docs/images/length.svg shows the first table.
 """
@@ -17,7 +17,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 PICTURE = ROOT / "docs" / "images" / "length.svg"
-SHORTEST, PART = 60, 20
+SHORTEST, PART = 200, 40
 JOINT = ("lidar-merge", "lidar-start", "lidar-step", "lidar-joint", "lidar-gate", "visual-merge", "visual-exposures",
          "visual-step", "evaluate", "visual-gate", "map", "pictures", "facts", "survey", "pictures-choice")  # fmt: skip
 """Steps of which there is one for all parts; names with a number at their end aside."""
@@ -31,7 +31,7 @@ def run(lengths: tuple[int, ...] = (1, 2, 4, 8)) -> dict[str, Any]:
             _simulate(work / f"street{times}", SHORTEST * times)
         _run(work, lengths[0], "warm", [])  # kernels are compiled once
         rows = [_row(times, _run(work, times, "two", ["--workers", "2"])) for times in lengths]
-        middle = lengths[-2]
+        middle = lengths[1]
         two = next(row for row, times in zip(rows, lengths, strict=True) if times == middle)
         one = _row(middle, _run(work, middle, "one", ["--workers", "1"]))
         alone = _row(middle, _run(work, middle, "alone", ["--threads", "1"]))

@@ -17,6 +17,8 @@ import numpy as np
 
 from lvba.progress import Progress, silent
 
+_LONG = 32
+
 Store = MutableMapping[str, Any]
 """Where artifacts live, by step key. A dict is one; `workers.store.ZarrStore` is another."""
 
@@ -55,6 +57,8 @@ class Plan:
     version: str = ""
     steps: dict[str, Step] = field(default_factory=dict)
     _names: set[str] = field(default_factory=set, repr=False)
+    _long: dict[int, tuple[Any, str]] = field(default_factory=dict, repr=False)
+    """By id: long tuples and the digests of their identities."""
 
     def add(
         self, name: str, function: Callable[..., Any], *args: Any, version: int = 1, **kwargs: Any
@@ -69,11 +73,21 @@ class Plan:
         for ref in _refs([*args, *kwargs.values()]):
             if ref.key not in self.steps:
                 raise ValueError(f"step {name!r} needs {ref.key!r}, which no earlier step makes")
-        material = [self.version, name, version, [identity(a) for a in args], identity(kwargs)]
+        told = {name: self._identity(value) for name, value in kwargs.items()}
+        material = [self.version, name, version, [self._identity(a) for a in args], told]
         key = f"{name}-{digest(material)[:20]}"
         self.steps[key] = Step(name, key, function, args, kwargs)
         self._names.add(name)
         return Ref(key)
+
+    def _identity(self, value: Any) -> Any:
+        """What a value counts as; a long tuple is looked at once, for every part's step may be given the same one."""
+        if not isinstance(value, tuple) or len(value) < _LONG:
+            return identity(value)
+        if id(value) not in self._long:
+            # held, so that no other one can get its id
+            self._long[id(value)] = value, digest(identity(value))
+        return {"tuple": self._long[id(value)][1]}
 
     def last_uses(self) -> dict[str, str]:
         """For each artifact, the last step that needs it (itself where none does)."""

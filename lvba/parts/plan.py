@@ -1,5 +1,6 @@
 """The chain for a recording in parts: the only place that says what follows what there."""
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, Protocol
 
@@ -41,9 +42,10 @@ class Settings(Protocol):
 
 
 def refine(
-    plan: Plan, dataset: Dataset, cores: list[Part], config: Settings, reference: Reference | None
+    plan: Plan, dataset: Dataset, cores: Sequence[Part], config: Settings, reference: Reference | None
 ) -> Plan:
     """The plan with all steps added, under the names that an undivided recording has for what all parts give together."""
+    cores = tuple(cores)  # one and the same for all steps: it is looked at, and sent, once
     chain = _Chain(plan, dataset, cores, config)
     found, scans = chain.scans()
     images, tied = chain.cameras(found, scans)
@@ -62,7 +64,7 @@ def refine(
 class _Chain:
     """Adds the steps of one recording to a plan."""
 
-    def __init__(self, plan: Plan, dataset: Dataset, cores: list[Part], config: Settings) -> None:
+    def __init__(self, plan: Plan, dataset: Dataset, cores: Sequence[Part], config: Settings) -> None:
         self._plan, self._dataset, self._cores, self._config = plan, dataset, cores, config
         self._subsets = [split.subset(dataset, part.scan_numbers, part.image_numbers) for part in cores]
         self._survey = plan.add("survey", survey.survey, dataset, config.lidar, config.visual.keyframes)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lvba import plan
-from lvba.plan import Plan
+from lvba.plan import Plan, identity
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,21 @@ def test_keys_are_the_same_in_every_process():
     assert plan.digest(plan.identity({"b": [1, 2.5, None, True], "a": np.arange(3, dtype=np.int32)})) == (
         "2424f3797468218380cfa06e6b5dc0461bd6afb5da930d4bed686cad5198eb9a"
     )
+
+
+def test_long_tuple_counts_by_its_content_and_is_looked_at_once(monkeypatch):
+    looks = []
+    monkeypatch.setattr(plan, "identity", lambda value: looks.append(value) or identity(value))
+
+    def two(value):
+        work = Plan()
+        return [work.add(name, double, value).key for name in ("a", "b")]
+
+    long = tuple(range(100))
+    found = two(long)
+    assert looks.count(long) == 1
+    assert two((*range(50), *range(50, 100))) == found
+    assert not set(two(tuple(range(1, 101)))) & set(found)
 
 
 def test_dataset_counts_by_its_digest_wherever_it_lies():
