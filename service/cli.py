@@ -147,6 +147,7 @@ def _add_run(commands: "argparse._SubParsersAction[Parser]") -> None:
     )
     run.add_argument("--redo", metavar="STAGE", help="make this stage and all that depends on it again")
     run.add_argument("--events", type=Path, metavar="FILE", help="add what happens to FILE, as JSON lines")
+    run.add_argument("--viewer", action="store_true", help="at last what `lvba export OUT lod` writes")
     _add_cluster(run)
 
 

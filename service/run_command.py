@@ -2,8 +2,10 @@
 
 import argparse
 import dataclasses
+import logging
 import os
 import time
+from pathlib import Path
 
 from lvba import pipeline, result
 from lvba.dataset import Dataset
@@ -13,14 +15,18 @@ from lvba.io.dataset import open_dataset
 from lvba.io.reference import read_reference
 from lvba.pipeline import Config
 from lvba.plan import Plan, Step
+from lvba.products.export import export
 from lvba.result import Result
 from service import clusters, memory, outcome, settings_files, stopping
 from service.checks import check_out
 from service.progress import Display
+from service.run_events import VIEWER
 from workers import local, versions
 from workers.local import StageRecord
 from workers.store import ZarrStore
 from workers.url_store import open_store
+
+_log = logging.getLogger(__name__)
 
 
 def run(arguments: argparse.Namespace, display: Display) -> None:
@@ -37,8 +43,21 @@ def run(arguments: argparse.Namespace, display: Display) -> None:
     opened = StageRecord(
         "input", round(time.perf_counter() - started, 3), round(local.peak_memory_mb(), 1), 1, False
     )
-    refined = _refine(arguments, dataset, config, work, opened, display)
-    outcome.show(refined.report, arguments.out)
+    report = _refine(arguments, dataset, config, work, opened, display).report
+    if arguments.viewer:
+        _add_viewer(arguments.out, len(report["stages"]), display)
+    outcome.show(report, arguments.out)
+
+
+def _add_viewer(out: Path, index: int, display: Display) -> None:
+    """The map with levels of detail and its pictures. The result stands without them: errors are lines in the log."""
+    display.stage(VIEWER, index, index + 1)
+    try:
+        export(out, "lod", None, display.progress)
+    except Exception as error:
+        display.note(f"warning: there is nothing for a viewer: {error or type(error).__name__}")
+        _log.debug("export of lod", exc_info=True)
+    display.clear()
 
 
 def _for_workers(dataset: Dataset) -> Dataset:
@@ -69,9 +88,10 @@ def _refine(
         store.tidy(work.version)
         if arguments.redo:
             _forget(work, store, arguments.redo)
-        display.stages(["input", *(step.name for step in work.steps.values()), "write"])
+        last = ["write", VIEWER] if arguments.viewer else ["write"]
+        display.stages(["input", *(step.name for step in work.steps.values()), *last])
         records = _execute(arguments, work, store, display)
-        display.stage("write", len(records), len(records) + 1)
+        display.stage("write", len(records), len(records) + len(last))
         refined = result.collect(dataset, config, work, store)
         refined = result.with_run(refined, [opened, *records], versions.versions())
         refined.write(out)

@@ -18,6 +18,8 @@ from typing import Any, TextIO
 from lvba.errors import InputError
 from service.progress import Display
 
+VIEWER = "viewer"
+"""Name of the stage that comes last where it is asked for: the result is whole before it."""
 _WAIT = 0.25
 """Seconds between two progress lines of one count."""
 

@@ -13,6 +13,7 @@ from sqlalchemy.orm import Session
 from lvba import config
 from lvba.io import files
 from lvba.pipeline import Config
+from service.run_events import VIEWER
 from service.server import journal, leases, timeline, webhooks, words
 from service.server.child import Child
 from service.server.database import Database
@@ -68,7 +69,7 @@ class JobRun:
 
     def _command(self, job: Job, folder: Path) -> list[str]:
         found = ["run", str(self._recording), f"--out={self._places.out(job.id)}"]
-        found += [f"--config={folder / 'config.yaml'}", f"--events={self._events}"]
+        found += [f"--config={folder / 'config.yaml'}", f"--events={self._events}", "--viewer"]
         options = {
             "reference": self._recording / "reference" if job.reference else None,
             "redo": job.redo,
@@ -165,7 +166,9 @@ class JobRun:
 
     def _settle(self, code: int, *, crashed: bool) -> None:
         size = size_of(self._places.job(self.lease.id))
-        summary = _summary(self._places.out(self.lease.id)) if code == 0 and not crashed else None
+        # without what a viewer shows, the result is a result
+        whole = self._timeline.current() == VIEWER if crashed else code == 0
+        summary = _summary(self._places.out(self.lease.id)) if whole else None
         with self._database.write() as session:
             job = self.lease.row(session)
             if job is None:
@@ -186,12 +189,15 @@ class JobRun:
         message = self._hidden(words.of_exit(code) if crashed else self._last_words())
         if job.state == CANCELING:
             job.state, outcome = CANCELED, CANCELED
-        elif crashed:
+        elif crashed and (summary is None or job.crashes + 1 < self._settings.limits.attempts):
             job.crashes += 1
             job.state = FAILED if job.crashes >= self._settings.limits.attempts else QUEUED
             job.error = self._crash(job, code) if job.state == FAILED else None
             outcome = "crashed"
-        elif code == 0:
+        elif summary is not None:
+            if crashed:
+                message = f"nothing for the page: {message}"
+                self._timeline.give_up(time.monotonic())
             job.state, job.summary, job.progress, outcome = DONE, summary, 1.0, DONE
         else:
             job.state, job.error, outcome = FAILED, self._failure(message), FAILED

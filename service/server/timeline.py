@@ -46,6 +46,10 @@ class Timeline:
             return self._finish(line, now)
         return []
 
+    def give_up(self, now: float) -> None:
+        """The stage that runs has failed, and nobody is there any more to say so."""
+        self._end_running(FAILED, now)
+
     def fraction(self) -> float:
         """How much of the work is done, 0..1; never less than before."""
         done = sum(self._weight(stage) * _part(stage) for stage in self.stages)

@@ -1,7 +1,7 @@
 """Imported by every Python process that a test starts with this folder on its PYTHONPATH: stages wait at gates.
 
 While the file LVBA_TEST_GATES/<stage> exists, a run that comes to the stage stays in it, reporting progress, so that a
-test finds it there however fast the machine is (see gates.py).
+test finds it there however fast the machine is (see gates.py). LVBA_TEST_CLOCK names a file by which the clock is off.
 """
 
 import os
@@ -10,33 +10,62 @@ import time
 from importlib.machinery import PathFinder
 from pathlib import Path
 
-PLAN = "lvba.plan"
-
 
 class Finder:
-    """Puts gates into the module that computes stages, when that is imported; processes that do not, pay nothing."""
+    """Puts gates into the modules that compute, when they are imported; processes that do not, pay nothing."""
 
     @staticmethod
     def find_spec(name, path=None, target=None):
-        spec = PathFinder.find_spec(name, path, target) if name == PLAN else None
+        add = GATED.get(name)
+        spec = PathFinder.find_spec(name, path, target) if add else None
         if spec is not None:
             load = spec.loader.exec_module
-            spec.loader.exec_module = lambda module: (load(module), add_gates(module))
+            spec.loader.exec_module = lambda module: (load(module), add(module))
         return spec
+
+
+def wait_at(name, progress):
+    gate = Path(os.environ["LVBA_TEST_GATES"]) / name
+    while gate.exists():
+        progress("held by a test", 0, 0)
+        time.sleep(0.02)
 
 
 def add_gates(module):
     compute = module.compute
 
     def held(step, store, progress=module.silent):
-        gate = Path(os.environ["LVBA_TEST_GATES"]) / step.name
-        while gate.exists():
-            progress("held by a test", 0, 0)
-            time.sleep(0.02)
+        wait_at(step.name, progress)
         return compute(step, store, progress)
 
     module.compute = held
 
 
+def add_viewer_gate(module):
+    export = module.export
+
+    def held(result, form, out=None, progress=module.silent):
+        wait_at("viewer", progress)
+        return export(result, form, out, progress)
+
+    module.export = held
+
+
+def shift_clock(file):
+    """The clock of the wall, as Python asks it, is off by as many seconds as the file says."""
+    true = time.time
+
+    def shifted():
+        try:
+            return true() + float(Path(file).read_text())
+        except (OSError, ValueError):  # there is none, or it is being written
+            return true()
+
+    time.time = shifted
+
+
+GATED = {"lvba.plan": add_gates, "lvba.products.export": add_viewer_gate}
+if os.environ.get("LVBA_TEST_CLOCK"):
+    shift_clock(os.environ["LVBA_TEST_CLOCK"])
 if os.environ.get("LVBA_TEST_GATES"):
     sys.meta_path.insert(0, Finder)

@@ -6,6 +6,7 @@ from fastapi import APIRouter, Header, Query, Response
 from sqlalchemy import select
 from sqlalchemy.exc import IntegrityError
 
+from service.run_events import VIEWER
 from service.server import finding, journal, shown, submitting
 from service.server.context import Context, Reader, Server, Submitter
 from service.server.keys import Principal
@@ -171,8 +172,8 @@ def restart(
 
 
 def _check_stage(job: Job, stage: str | None) -> None:
-    # the first and the last are not kept: they are done anew each time anyway
-    known = [found["name"] for found in job.stages][1:-1]
+    # these are not kept: they are done anew each time anyway
+    known = [found["name"] for found in job.stages if found["name"] not in ("input", "write", VIEWER)]
     if stage is not None and stage not in known:
         raise Problem(
             "invalid", f"the job has no stage {stage!r}", f"one of these: {', '.join(known) or '(none yet)'}"

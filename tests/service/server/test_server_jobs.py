@@ -31,7 +31,7 @@ def test_result_has_the_bytes_of_the_command_line(service, done_job, tiny_result
 
 def test_ended_job_says_what_happened(done_job, tiny_result):
     stages = [stage["name"] for stage in json.loads((tiny_result / "report.json").read_text())["stages"]]
-    assert [stage["name"] for stage in done_job["stages"]] == [*stages, "write"]
+    assert [stage["name"] for stage in done_job["stages"]] == [*stages, "write", "viewer"]
     assert {stage["state"] for stage in done_job["stages"]} == {"done"}
     assert [attempt["outcome"] for attempt in done_job["attempts"]] == ["done"]
     assert done_job["progress"] == 1.0
