@@ -1,7 +1,9 @@
 """One job that runs: its process, what it tells, and how it ends."""
 
+import errno
 import json
 import logging
+import os
 import signal
 import time
 from pathlib import Path
@@ -19,7 +21,7 @@ from service.server.child import Child
 from service.server.database import Database
 from service.server.leases import Lease
 from service.server.lifeline import BUSY, STRANDED
-from service.server.places import Places, now, size_of
+from service.server.places import LEAST_FREE, Places, free_bytes, now, size_of
 from service.server.settings import Settings
 from service.server.tables import CANCELED, CANCELING, DONE, FAILED, QUEUED, RUNNING, Dataset, Job
 
@@ -27,6 +29,8 @@ _log = logging.getLogger(__name__)
 _TELL_S = 1.0
 """Seconds between two events of progress of a job."""
 _HISTORY = 20
+_DISK_FULL = [os.strerror(number).lower() for number in (errno.ENOSPC, errno.EDQUOT)]
+"""What a run says of it."""
 
 
 class JobRun:
@@ -44,6 +48,8 @@ class JobRun:
         self._pending: list[timeline.Told] = []
         """Events that are not in the journal yet."""
         self._stopping = False
+        self._disk_was_full: bool | None = None
+        """When its process ended; None: it has not."""
         with database.read() as session:
             dataset = session.get_one(Dataset, job.dataset_id)
             history = _history(session)
@@ -93,6 +99,8 @@ class JobRun:
         code = self.child.ended()
         self._take_lines()
         if code is not None:
+            if self._disk_was_full is None:  # now, not when the database can be told
+                self._disk_was_full = self._disk_is_full(code)
             self._tell(last=True)
             self._end(code)
             return False
@@ -117,7 +125,7 @@ class JobRun:
             data = stream.read()
         whole = data[: data.rfind(b"\n") + 1]
         self._read += len(whole)
-        return [json.loads(line) for line in whole.splitlines()]
+        return [found for line in whole.splitlines() if (found := _parsed(line)) is not None]
 
     def _tell(self, *, last: bool) -> bool:
         """Add events to the journal; False: the lease is lost."""
@@ -158,7 +166,7 @@ class JobRun:
         elif code == STRANDED or self._stopping:
             why = "the service was stopped" if self._stopping else "the service lost its lease"
             leases.lose(self._database, self.lease, why, counts=code == STRANDED)
-        elif (end is None and code < 0) or told_to_stop:
+        elif (end is None and code < 0) or told_to_stop or self._disk_was_full:
             # somebody ended it, such as the system for want of memory; what fails by itself would fail again
             self._settle(code, crashed=True)
         else:
@@ -186,13 +194,13 @@ class JobRun:
         self, job: Job, code: int, crashed: bool, summary: dict[str, Any] | None
     ) -> tuple[str, str]:
         """Outcome and message of the attempt, after the job's fields are set."""
-        message = self._hidden(words.of_exit(code) if crashed else self._last_words())
+        message = self._hidden(self._why_crashed(code) if crashed else self._last_words())
         if job.state == CANCELING:
             job.state, outcome = CANCELED, CANCELED
         elif crashed and (summary is None or job.crashes + 1 < self._settings.limits.attempts):
             job.crashes += 1
             job.state = FAILED if job.crashes >= self._settings.limits.attempts else QUEUED
-            job.error = self._crash(job, code) if job.state == FAILED else None
+            job.error = self._crash(job, code)
             outcome = "crashed"
         elif summary is not None:
             if crashed:
@@ -223,7 +231,28 @@ class JobRun:
             return {"code": "out-of-memory", "stage": failed, "cause": "out of memory", "hint": hint}
         return {"code": "failed", "stage": failed, "cause": message, "hint": "the log may say more"}
 
-    def _crash(self, job: Job, code: int) -> dict[str, Any]:
+    def _disk_is_full(self, code: int) -> bool:
+        """Whether that is what ended it."""
+        problem = (self._timeline.end or {}).get("problem")
+        silent = not problem and free_bytes(self._places.root) < LEAST_FREE
+        return code > 0 and (problem in _DISK_FULL or silent)
+
+    def _why_crashed(self, code: int) -> str:
+        return "the disk was full" if self._disk_was_full else words.of_exit(code)
+
+    def _crash(self, job: Job, code: int) -> dict[str, Any] | None:
+        """What is wrong with a job that failed so, or that waits for room; None: it is only tried again."""
+        if self._disk_was_full:
+            needed = int(job.estimate.get("disk_bytes", 0)) + LEAST_FREE
+            hint = (
+                f"it goes on when {needed} bytes are free"
+                if job.state == QUEUED
+                else "make room, then restart it"
+            )
+            found = {"code": "disk-full", "stage": self._timeline.current(), "cause": "the disk was full"}
+            return {**found, "hint": hint, "needed_bytes": needed}
+        if job.state == QUEUED:
+            return None
         hint = "the log may say more; finished stages are kept: restart the job once it is mended"
         if code == -signal.SIGKILL:
             hint = "the system does this when memory runs out: use a machine with more of it, or fewer frames"
@@ -232,6 +261,15 @@ class JobRun:
 
     def _hidden(self, text: str) -> str:
         return words.without_paths(text, self._places, self.lease.id, self._recording)
+
+
+def _parsed(line: bytes) -> dict[str, Any] | None:
+    """What a line of the run says; None: it was cut short, as on a full disk."""
+    try:
+        found = json.loads(line)
+    except ValueError:
+        return None
+    return found if isinstance(found, dict) else None
 
 
 def _history(session: Session) -> list[list[dict[str, Any]]]:

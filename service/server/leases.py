@@ -55,15 +55,22 @@ class Lease:
         return session.scalars(select(self.kind).where(self.condition).with_for_update()).one_or_none()
 
 
-def claim_job(database: Database, owner: str, running_jobs: int, but: Collection[str] = ()) -> Job | None:
+def claim_job(
+    database: Database,
+    owner: str,
+    running_jobs: int,
+    but: Collection[str] = (),
+    free_bytes: float = float("inf"),
+) -> Job | None:
     """The next job, taken up: highest priority first, then owners in turn, then the oldest. None: there is none.
 
     running_jobs: how many of one owner may run at once
     but: jobs to leave alone for now
+    free_bytes: of the disk: a job that it could not hold before waits until it can
     """
     with database.write() as session:
         database.order_claims(session)
-        chosen = _next_job(session, running_jobs, but)
+        chosen = _next_job(session, running_jobs, but, free_bytes)
         if chosen is None:
             return None
         # a job that another transaction holds, such as one that cancels it, is for the next round
@@ -80,16 +87,18 @@ def claim_job(database: Database, owner: str, running_jobs: int, but: Collection
         return job
 
 
-def _next_job(session: Session, running_jobs: int, but: Collection[str]) -> str | None:
+def _next_job(session: Session, running_jobs: int, but: Collection[str], free_bytes: float) -> str | None:
     busy = select(Job.owner, func.count()).where(Job.state.in_((RUNNING, CANCELING))).group_by(Job.owner)
     running = {owner: count for owner, count in session.execute(busy)}
-    waiting = select(Job.id, Job.owner, Job.priority, Job.created).where(
+    waiting = select(Job.id, Job.owner, Job.priority, Job.created, Job.error).where(
         Job.state == QUEUED, Job.deleted.is_(False)
     )
     eligible = [
         (-priority, running.get(owner, 0), created, job)
-        for job, owner, priority, created in session.execute(waiting)
-        if running.get(owner, 0) < running_jobs and job not in but
+        for job, owner, priority, created, error in session.execute(waiting)
+        if running.get(owner, 0) < running_jobs
+        and job not in but
+        and (error or {}).get("needed_bytes", 0) <= free_bytes
     ]
     return min(eligible)[-1] if eligible else None
 

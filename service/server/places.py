@@ -7,6 +7,9 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+LEAST_FREE = 64 << 20
+"""Bytes of disk without which nothing is begun."""
+
 
 def new_id(kind: str) -> str:
     """A name that nobody can guess, such as `job_3f...`."""
@@ -84,6 +87,11 @@ class Places:
         """Remove what an earlier removal left."""
         for folder in self.trash.iterdir():
             shutil.rmtree(folder, ignore_errors=True)
+
+
+def free_bytes(folder: Path) -> int:
+    """What the disk of a folder has left."""
+    return shutil.disk_usage(folder).free
 
 
 def size_of(folder: Path) -> int:

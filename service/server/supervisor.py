@@ -1,7 +1,6 @@
 """The thread that works the queue: takes up jobs and datasets, follows their processes, answers for them, ends them."""
 
 import logging
-import shutil
 import threading
 import time
 from collections.abc import Callable
@@ -14,7 +13,7 @@ from service.server.database import Database
 from service.server.instance import Instance, Watch
 from service.server.job_run import JobRun
 from service.server.leases import Lease
-from service.server.places import Places
+from service.server.places import LEAST_FREE, Places, free_bytes
 from service.server.settings import Settings
 from service.server.tables import CANCELING
 
@@ -27,8 +26,6 @@ _BACK_OFF_S = 2.0
 _CHECKS = 2
 """Datasets that are checked at a time."""
 _STOP_S = 15.0
-_LEAST_FREE = 64 << 20
-"""Bytes of disk without which nothing is begun."""
 
 
 class Supervisor(threading.Thread):
@@ -126,7 +123,8 @@ class Supervisor(threading.Thread):
                 leases.lose(self._database, lease, "it could not be begun")
 
     def _claim(self) -> None:
-        if shutil.disk_usage(self._places.root).free < _LEAST_FREE:
+        free = free_bytes(self._places.root)
+        if free < LEAST_FREE:
             return  # what is begun on a full disk only fails
         now = time.monotonic()
         self._avoid = {job: until for job, until in self._avoid.items() if until > now}
@@ -139,7 +137,7 @@ class Supervisor(threading.Thread):
             )
         while self._count(JobRun) < self._settings.jobs:
             limit = self._settings.limits.running_jobs
-            job = leases.claim_job(self._database, self._instance.name, limit, self._avoid)
+            job = leases.claim_job(self._database, self._instance.name, limit, self._avoid, free)
             if job is None:
                 break
             self._works.append(JobRun(self._database, self._places, self._settings, job, self._instance.name))

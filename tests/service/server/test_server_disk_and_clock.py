@@ -1,0 +1,121 @@
+"""A disk that fills up and a clock that jumps under a running job: it ends done, once, with the same bytes."""
+
+import os
+import shutil
+import subprocess
+import time
+
+import pytest
+from real_server import PATIENCE, Service, ended, postgres_or_skip, submit, until, upload
+from sqlalchemy import select
+from test_server_faults import assert_done_once_with_the_same_bytes, job_processes, runs
+
+from service.server.database import Database
+from service.server.tables import Job
+
+
+@pytest.fixture(scope="module")
+def postgres():
+    server = postgres_or_skip()
+    yield server
+    server.stop()
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    if os.geteuid() or shutil.which("mount") is None:
+        pytest.skip("only root can mount a small disk")
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=300m", "tmpfs", folder], check=False).returncode:
+        pytest.skip("no disk can be mounted here")
+    yield folder
+    subprocess.run(["umount", "-l", folder], check=True)
+
+
+def fill(folder):
+    """A file that takes all that is left; it."""
+    filler = folder / "filler"
+    with filler.open("wb", buffering=0) as file:
+        for size in (1 << 20, 1 << 12, 1):
+            try:
+                while True:
+                    file.write(bytes(size))
+            except OSError:
+                continue
+    return filler
+
+
+def until_no_job_runs(data):
+    end = time.monotonic() + PATIENCE
+    while job_processes(data):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize("kind", ["sqlite on the full disk", "postgres"])
+def test_full_disk_holds_up_a_job_until_there_is_room(kind, small_disk, tiny_recording, tiny_result, request):
+    options = ["--database", request.getfixturevalue("postgres").new_database()] if kind == "postgres" else []
+    environment = {"LVBA_LIMITS_DISK_RESERVE_BYTES": "0"}
+    service = Service(small_disk / "data", *options, environment=environment)
+    dataset = upload(service.http, tiny_recording)
+    with service.held("visual"):
+        job_id = submit(service.http, dataset)["id"]
+        until(service.http, f"/v1/jobs/{job_id}", runs("visual"))
+        filler = fill(small_disk)
+    until_no_job_runs(service.data)
+    if kind == "postgres":
+        waiting = until(service.http, f"/v1/jobs/{job_id}", lambda job: job["state"] == "queued")
+        assert waiting["error"]["code"] == "disk-full"
+        assert waiting["attempts"][0]["outcome"] == "crashed"
+        assert waiting["attempts"][0]["message"] == "the disk was full"
+    assert service.http.post("/v1/jobs", json={"dataset": dataset}).status_code in (503, 507)
+    filler.unlink()
+    job = ended(service.http, job_id)
+    assert job["error"] is None
+    assert len(job["attempts"]) == 2
+    assert_done_once_with_the_same_bytes(service.http, job, tiny_result)
+    assert service.stop() == 0
+
+
+def beats(url, job_id):
+    """How often the lease of a job was renewed."""
+    database = Database(url)
+    try:
+        with database.read() as session:
+            return session.scalars(select(Job.heartbeat).where(Job.id == job_id)).one()
+    finally:
+        database.close()
+
+
+def until_renewed(url, job_id, times):
+    first, end = beats(url, job_id), time.monotonic() + PATIENCE
+    while beats(url, job_id) < first + times:
+        assert time.monotonic() < end
+        time.sleep(0.1)
+
+
+def test_clock_that_jumps_by_an_hour_moves_no_job(tiny_recording, tiny_result, tmp_path):
+    clocks = [tmp_path / "clock-0", tmp_path / "clock-1"]
+    services = [Service(tmp_path / "data", environment={"LVBA_TEST_CLOCK": str(clock)}) for clock in clocks]
+    one, two = services
+    url = f"sqlite:///{one.data / 'lvba.sqlite'}"
+    dataset = upload(one.http, tiny_recording)
+    with one.held("lidar"):
+        jobs = [submit(one.http, dataset, name=f"n{number}")["id"] for number in range(2)]
+        for job_id in jobs:
+            until(one.http, f"/v1/jobs/{job_id}", runs("lidar"))
+        for offsets in (("3600", "-3600"), ("-7200", "0")):
+            for clock, offset in zip(clocks, offsets):
+                clock.write_text(offset)
+            for job_id in jobs:
+                until_renewed(url, job_id, 2)
+        assert len(job_processes(one.data)) == 2
+        jobs.append(submit(two.http, dataset, name="between")["id"])
+    found = [ended(two.http, job_id) for job_id in jobs]
+    for job in found:
+        assert len(job["attempts"]) == 1
+        assert job["state"] == "done"
+    assert_done_once_with_the_same_bytes(one.http, found[0], tiny_result)
+    for service in services:
+        assert service.stop() == 0
