@@ -1,0 +1,106 @@
+"""A service that is killed while a recording arrives, while its parts are merged, and while the result leaves."""
+
+import hashlib
+import io
+import socket
+import tarfile
+
+import httpx
+import pytest
+from real_server import Service, ended, submit, until
+from test_server_faults import assert_done_once_with_the_same_bytes, runs
+
+from lvba import simulate
+
+IN_PARTS = {"split": {"by": "count", "size": 12}}
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory):
+    """A recording that can be cut in two."""
+    folder = tmp_path_factory.mktemp("street") / "street"
+    sizes = {"width": 96, "height": 72, "points_per_scan": 1500}
+    simulate.simulate("street", folder, frames=24, scans=24, length=18.0, seed=5, **sizes)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def result(street, lvba, tmp_path_factory):
+    out = tmp_path_factory.mktemp("run") / "out"
+    split = [f"--set=split.{name}={value}" for name, value in IN_PARTS["split"].items()]
+    lvba("run", street, "--out", out, "--threads", 2, *split)
+    return out
+
+
+def packed(folder):
+    stream = io.BytesIO()
+    with tarfile.open(fileobj=stream, mode="w") as archive:
+        archive.add(folder, arcname=".")
+    return stream.getvalue()
+
+
+def put(http, dataset, data, offset, length):
+    headers = {"Upload-Offset": str(offset), "Upload-Length": str(length)}
+    return http.put(f"/v1/datasets/{dataset}/archive", content=data, headers=headers)
+
+
+def unfinished_put(service, dataset, data, offset, length):
+    """A connection on which half of the rest of an archive is on its way."""
+    url = httpx.URL(service.url)
+    connection = socket.create_connection((url.host, url.port))
+    head = f"PUT /v1/datasets/{dataset}/archive HTTP/1.1\r\nHost: {url.host}:{url.port}\r\nContent-Length: "
+    head += f"{length - offset}\r\nUpload-Offset: {offset}\r\nUpload-Length: {length}\r\n\r\n"
+    connection.sendall(head.encode() + data[offset : (offset + length) // 2])
+    return connection
+
+
+def test_killed_throughout_a_job_nothing_is_lost(street, result, tmp_path):
+    service = Service(tmp_path / "data")
+    dataset = _arrives(service, packed(street))
+    job_id = submit(service.http, dataset, config=IN_PARTS)["id"]
+    with service.held("lidar-merge"):
+        until(service.http, f"/v1/jobs/{job_id}", runs("lidar-merge"))
+        service.kill()
+        service.start()
+    job = ended(service.http, job_id)
+    assert [attempt["outcome"] for attempt in job["attempts"]] == ["lost", "done"]
+    assert {s["reused"] for s in job["stages"] if s["name"].startswith("lidar-part-")} == {True}
+    assert_done_once_with_the_same_bytes(service.http, job, result)
+    assert _leaves(service, f"/v1/jobs/{job_id}/results/map.ply") == (result / "map.ply").read_bytes()
+    assert service.stop() == 0
+
+
+def _arrives(service, data):
+    """Id of a ready dataset, whose upload a kill has cut."""
+    dataset = service.http.post("/v1/datasets", json={"name": "street"}).raise_for_status().json()["id"]
+    third = len(data) // 3
+    assert put(service.http, dataset, data[:third], 0, len(data)).status_code == 200
+    with unfinished_put(service, dataset, data, third, len(data)):
+        # one that does not fit is told whether another is being taken in, and changes nothing
+        asked = (
+            put(service.http, dataset, b"x", len(data) - 1, len(data)).status_code for _ in range(10_000)
+        )
+        assert 423 in asked
+        service.kill()
+    service.start()
+    offset = int(service.http.head(f"/v1/datasets/{dataset}/archive").headers["Upload-Offset"])
+    assert third <= offset < len(data)
+    answer = put(service.http, dataset, data[offset:], offset, len(data))
+    assert (answer.status_code, answer.json()["sha256"]) == (201, hashlib.sha256(data).hexdigest())
+    service.http.post(f"/v1/datasets/{dataset}/finish").raise_for_status()
+    path = f"/v1/datasets/{dataset}"
+    assert until(service.http, path, lambda row: row["state"] not in ("uploading", "validating"))["facts"]
+    return dataset
+
+
+def _leaves(service, path):
+    """A result whose download a kill has cut, and that was gone on with."""
+    with service.http.stream("GET", path) as answer:
+        etag, pieces = answer.headers["etag"], answer.iter_raw(1000)
+        begun = next(pieces)
+        service.kill()
+    service.start()
+    headers = {"Range": f"bytes={len(begun)}-", "If-Range": etag}
+    rest = service.http.get(path, headers=headers)
+    assert rest.status_code == 206
+    return begun + rest.content
