@@ -19,6 +19,11 @@ def pytest_addoption(parser):
     parser.addoption("--no-skips", action="store_true", help="fail when a test not marked `data` is skipped")
 
 
+def pytest_collection_modifyitems(items):
+    """Deployments last: what they run is compiled by then, for which a slow machine takes minutes."""
+    items.sort(key=lambda item: item.path.parent.name == "deploy")
+
+
 def pytest_sessionfinish(session, exitstatus):
     """With --no-skips, a skipped test fails the run unless it is marked `data`."""
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")

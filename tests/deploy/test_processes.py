@@ -36,8 +36,9 @@ class Deployment:
         workers = int(self.services["worker"]["deploy"]["replicas"])
         started = [self._start(name) for name in ["scheduler", "service", *["worker"] * workers]]
         self._start_proxy(folder)
-        for name, process, log in started:
-            wait_for(lambda name=name, log=log: self._healthy(name, log), process, log)
+        for one in started:
+            self._wait_for_health(*one)
+        self.scheduler, self.workers = started[0][1], [log for name, _, log in started if name == "worker"]
         self.web = f"https://{self.host.address('proxy')}:8443"
         self.ca = ssl.create_default_context(cafile=folder / "tls" / "web" / "ca.pem")
         self.http = self.client(self.key("survey", "read,submit"))
@@ -62,6 +63,16 @@ class Deployment:
 
     def _start(self, name):
         return name, *self.host.start(name, self.services[name]["command"], self.environment(name))
+
+    def _wait_for_health(self, name, process, log):
+        wait_for(lambda: self._healthy(name, log), process, log)
+
+    def start_scheduler_again(self):
+        """As after a power failure, by whatever supervises it."""
+        self.scheduler.kill()
+        self.scheduler.wait()
+        name, self.scheduler, log = self._start("scheduler")
+        self._wait_for_health(name, self.scheduler, log)
 
     def _healthy(self, name, log):
         check = self.services[name]["healthcheck"]
@@ -176,6 +187,12 @@ def greets(deployment, folder):
             return len(secure.recv(8)) == 8
     except (ssl.SSLError, ConnectionError):
         return False
+
+
+def test_workers_join_the_next_scheduler(deployment):
+    deployment.start_scheduler_again()
+    for log in deployment.workers:
+        wait_for(lambda log=log: log.read_text().count("working for") == 2)
 
 
 def test_what_workers_are_shown_is_enough_and_holds_no_keys(deployment):
