@@ -229,22 +229,26 @@ def main() -> int:
         return _replay(given.replay)
     with tempfile.TemporaryDirectory(dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as work:
         fuzzer = Fuzzer({name: TARGETS[name] for name in given.only}, given.found, Path(work), given.seed)
-        told = 0.0
-        while (spent := _processor_s()) < given.minutes * 60:
-            for name in given.only:
-                fuzzer.batch(name, given.cases or given.batch)
-            if given.cases:
-                break
-            if spent > told + 60:
-                told = spent
-                print(
-                    json.dumps(
-                        {"minutes": round(spent / 60, 1), **{n: t.cases for n, t in fuzzer.tallies.items()}}
-                    ),
-                    flush=True,
-                )
+        try:
+            _rounds(fuzzer, given.cases, given.batch, given.minutes * 60)
+        except KeyboardInterrupt:
+            pass  # what was found until now is what there is to say
         print(f"{_processor_s() / 60:.1f} minutes of processor time\n{summary(fuzzer.tallies)}")
         return int(any(tally.found for tally in fuzzer.tallies.values()))
+
+
+def _rounds(fuzzer: Fuzzer, cases: int | None, batch: int, seconds: float) -> None:
+    """A batch of each reader, once (cases) or until so much processor time is spent."""
+    told = 0.0
+    while (spent := _processor_s()) < seconds:
+        for name in fuzzer.targets:
+            fuzzer.batch(name, cases or batch)
+        if cases:
+            return
+        if spent > told + 60:
+            told = spent
+            counts = {name: tally.cases for name, tally in fuzzer.tallies.items()}
+            print(json.dumps({"minutes": round(spent / 60, 1), **counts}), flush=True)
 
 
 def _processor_s() -> float:

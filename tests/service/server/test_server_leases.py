@@ -79,6 +79,16 @@ def test_owner_at_its_limit_does_not_hold_up_others(database):
     assert state(database, x2) == "queued"
 
 
+def test_job_that_met_a_full_disk_waits_until_there_is_room_and_holds_up_nobody(database):
+    large, other = add_jobs(database, ("x", 5), ("x", 0))
+    with database.write() as session:
+        session.get_one(Job, large).error = {"code": "disk-full", "needed_bytes": 1000}
+    assert leases.claim_job(database, "a", 10, free_bytes=999).id == other
+    assert leases.claim_job(database, "a", 10, free_bytes=999) is None
+    again = leases.claim_job(database, "a", 10, free_bytes=1000)
+    assert (again.id, again.error) == (large, None)
+
+
 def test_many_at_once_get_each_job_once(database):
     ids = add_jobs(database, *[("x", 0)] * 12)
     got, lock = [], threading.Lock()
