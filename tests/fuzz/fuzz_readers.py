@@ -6,6 +6,7 @@ with its input, once for each place in the code. Inputs that are refused for a n
 """
 
 import argparse
+import contextlib
 import faulthandler
 import hashlib
 import json
@@ -229,10 +230,8 @@ def main() -> int:
         return _replay(given.replay)
     with tempfile.TemporaryDirectory(dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as work:
         fuzzer = Fuzzer({name: TARGETS[name] for name in given.only}, given.found, Path(work), given.seed)
-        try:
+        with contextlib.suppress(KeyboardInterrupt):  # what was found until then is what there is to say
             _rounds(fuzzer, given.cases, given.batch, given.minutes * 60)
-        except KeyboardInterrupt:
-            pass  # what was found until now is what there is to say
         print(f"{_processor_s() / 60:.1f} minutes of processor time\n{summary(fuzzer.tallies)}")
         return int(any(tally.found for tally in fuzzer.tallies.values()))
 
