@@ -111,6 +111,30 @@ def done_job(service, ready_dataset):
     return ended(service.http, submit(service.http, ready_dataset, name="first")["id"])
 
 
+@pytest.fixture(scope="module")
+def bucket():
+    """An S3 server on this machine, with an empty bucket."""
+    import boto3
+    from moto.server import ThreadedMotoServer
+
+    server = ThreadedMotoServer(port=0)
+    server.start()
+    host, port = server.get_host_and_port()
+    settings = {
+        "AWS_ENDPOINT_URL": f"http://{host}:{port}",
+        "AWS_ACCESS_KEY_ID": "any",
+        "AWS_SECRET_ACCESS_KEY": "any",
+        "AWS_DEFAULT_REGION": "us-east-1",
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in settings.items():
+            patch.setenv(name, value)
+        client = boto3.client("s3")
+        client.create_bucket(Bucket="maps")
+        yield client
+    server.stop()
+
+
 def run_lvba(*arguments, code=0, program=("-m", "service.cli"), **options):
     """The finished process of `lvba ARGUMENTS`, after checking its exit code."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
