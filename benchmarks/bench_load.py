@@ -43,6 +43,8 @@ SMALL = {
     "points_per_scan": 1500,
 }
 LIMITS = {"LVBA_LIMITS_QUEUED_JOBS": "100000", "LVBA_LIMITS_DISK_RESERVE_BYTES": "0"}
+_PATIENCE_S = 60.0
+"""Seconds after the last event in which one that is missing may still come."""
 BETWEEN_S = 0.02
 """Seconds between two status calls."""
 
@@ -241,48 +243,53 @@ class _Listening:
     """Listeners in a process of their own: the even ones hear all jobs, the odd ones one job each."""
 
     def __init__(self, url: str, jobs: list[str], count: int) -> None:
+        self._over = Path(tempfile.mkstemp(prefix="listening-")[1])
         self._pool = get_context("spawn").Pool(1)
-        self._missing = self._pool.apply_async(listen, (url, jobs, count))
+        self._missing = self._pool.apply_async(listen, (url, jobs, count, str(self._over)))
         time.sleep(0.005 * count)  # until all are there
 
     def lost(self) -> int:
-        """Ends that were not heard, a minute after the last of them."""
+        """Ends that were not heard, some time after the last of them."""
+        self._over.unlink()
         with self._pool:
             return int(self._missing.get())
 
 
-def listen(url: str, jobs: list[str], count: int) -> int:
-    """How many ends of jobs were not heard by those who should have."""
-    return asyncio.run(_listen(url, jobs, count))
+def listen(url: str, jobs: list[str], count: int, over: str) -> int:
+    """How many ends of jobs were not heard by those who should have. over: this file is there as long as jobs run"""
+    return asyncio.run(_listen(url, jobs, count, Path(over)))
 
 
-async def _listen(url: str, jobs: list[str], count: int) -> int:
+async def _listen(url: str, jobs: list[str], count: int, over: Path) -> int:
     wanted = [jobs if number % 2 == 0 else [jobs[number // 2 % len(jobs)]] for number in range(count)]
     async with asyncio.TaskGroup() as group:
         tasks = []
         for jobs_of_one in wanted:
-            tasks.append(group.create_task(_hear(url, jobs_of_one, every=len(jobs_of_one) > 1)))
+            tasks.append(group.create_task(_hear(url, jobs_of_one, over)))
             await asyncio.sleep(0.002)
     return sum(task.result() for task in tasks)
 
 
-async def _hear(url: str, jobs: list[str], *, every: bool) -> int:
+async def _hear(url: str, jobs: list[str], over: Path) -> int:
     """Ends that did not come, of those waited for."""
     place = urlsplit(url)
-    path = "/v1/events?after=0" if every else f"/v1/jobs/{jobs[0]}/events"
+    path = "/v1/events?after=0" if len(jobs) > 1 else f"/v1/jobs/{jobs[0]}/events"
     reader, writer = await asyncio.open_connection(place.hostname, place.port, limit=1 << 20)
     writer.write(f"GET {path} HTTP/1.1\r\nHost: {place.netloc}\r\nAccept: text/event-stream\r\n\r\n".encode())
-    missing = set(jobs)
-    try:
-        while missing and (line := await asyncio.wait_for(reader.readline(), 90.0)):
-            if line.startswith(b"event: end"):
-                data = json.loads((await reader.readline()).partition(b":")[2])
-                missing.discard(data["job"])
-    except (TimeoutError, OSError):
-        pass
-    finally:
-        writer.close()
+    missing, rest, heard = set(jobs), b"", time.monotonic()
+    while missing and (over.exists() or time.monotonic() < heard + _PATIENCE_S):
+        data = await reader.read(1 << 16)  # the server says something every 15 s
+        if not data:
+            break
+        *events, rest = (rest + data).split(b"\n\n")
+        heard = time.monotonic() if events and b"id: " in data else heard
+        missing -= {_job_of(event) for event in events if b"event: end" in event}
+    writer.close()
     return len(missing)
+
+
+def _job_of(event: bytes) -> str:
+    return str(json.loads(event.partition(b"data: ")[2])["job"])
 
 
 def _connection(url: str) -> http.client.HTTPConnection:
