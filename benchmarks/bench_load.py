@@ -61,20 +61,24 @@ class Load:
     workers: int = 2
 
 
-def run(load: Load = Load(), seconds: float = 30.0) -> dict[str, Any]:
-    """Figures of the whole, and a row for each kind of call in each phase, most of which last for so many seconds."""
+def run(load: Load = Load(), seconds: float = 30.0, *, first: bool = True) -> dict[str, Any]:
+    """Figures of the whole, and a row for each kind of call in each phase, most of which last for so many seconds.
+
+    first: go ahead of what others run on this machine, where that is possible
+    """
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         recording = _recording(work / "recording")
         server = _Server(work / "data", load.workers)
         try:
-            ahead = _prefer(server.process.pid)
-            threading.Thread(target=_prefer_jobs, args=(server.process,), daemon=True).start()
+            ahead = first and _prefer(server.process.pid)
+            if ahead:
+                threading.Thread(target=_prefer_jobs, args=(server.process,), daemon=True).start()
             return {
                 "name": "load",
                 **asdict(load),
                 "ahead of others": ahead,
-                **_measure(server, recording, load, seconds),
+                **_measure(server, recording, load, seconds, ahead),
             }
         finally:
             server.stop()
@@ -105,9 +109,9 @@ def _prefer_me() -> None:
     _prefer(os.getpid())
 
 
-def _measure(server: "_Server", recording: Path, load: Load, seconds: float) -> dict[str, Any]:
+def _measure(server: "_Server", recording: Path, load: Load, seconds: float, ahead: bool) -> dict[str, Any]:
     dataset = _upload_recording(server.url, recording)
-    calls, memory = _Calls(server.url), _Memory(server.process.pid)
+    calls, memory = _Calls(server.url, ahead), _Memory(server.process.pid)
     first = _submit(server.url, dataset, "first")
     _until_ended(server.url, [first])
     calls.phase("nothing else", [first], seconds / 5)
@@ -192,8 +196,8 @@ class _Memory:
 class _Calls:
     """Status calls, one after the other, timed in a process that does nothing else."""
 
-    def __init__(self, url: str) -> None:
-        self._url, self._pool = url, get_context("spawn").Pool(1, _prefer_me)
+    def __init__(self, url: str, ahead: bool) -> None:
+        self._url, self._pool = url, get_context("spawn").Pool(1, _prefer_me if ahead else None)
         self._seconds: dict[tuple[str, str], list[float]] = {}
 
     def phase(self, name: str, jobs: list[str], seconds: float) -> None:
