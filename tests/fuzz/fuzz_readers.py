@@ -172,7 +172,8 @@ def _limit() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     signal.signal(signal.SIGPROF, signal.SIG_DFL)
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_DFL)
     logging.disable()
     faulthandler.disable()
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
@@ -226,6 +227,7 @@ def main() -> int:
     given = parser.parse_args()
     cv2.setNumThreads(1)
     logging.disable()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     if given.replay:
         return _replay(given.replay)
     with tempfile.TemporaryDirectory(dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as work:
