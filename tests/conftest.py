@@ -135,6 +135,16 @@ def bucket():
     server.stop()
 
 
+@pytest.fixture(scope="module")
+def postgres():
+    """A PostgreSQL of its own; skips where it is not installed."""
+    from real_server import postgres_or_skip
+
+    server = postgres_or_skip()
+    yield server
+    server.stop()
+
+
 def run_lvba(*arguments, code=0, program=("-m", "service.cli"), **options):
     """The finished process of `lvba ARGUMENTS`, after checking its exit code."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}

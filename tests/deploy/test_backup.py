@@ -7,7 +7,7 @@ import sys
 
 import pytest
 from deployed import DEPLOY
-from real_server import Service, _programs, ended, postgres_or_skip, submit, until, upload
+from real_server import Service, _programs, ended, submit, until, upload
 
 from service.server import keys
 from service.server.database import Database
@@ -15,13 +15,6 @@ from service.server.places import Places
 from service.server.settings import Settings
 
 PRODUCTS = ["lidar_poses.txt", "image_poses.txt", "exposures.csv", "map.ply"]
-
-
-@pytest.fixture(scope="module")
-def postgres():
-    server = postgres_or_skip()
-    yield server
-    server.stop()
 
 
 @pytest.fixture(params=["sqlite", "postgres"])

@@ -6,19 +6,12 @@ import subprocess
 import time
 
 import pytest
-from real_server import PATIENCE, Service, ended, postgres_or_skip, submit, until, upload
+from real_server import PATIENCE, Service, ended, submit, until, upload
 from sqlalchemy import select
 from test_server_faults import assert_done_once_with_the_same_bytes, job_processes, runs
 
 from service.server.database import Database
 from service.server.tables import Job
-
-
-@pytest.fixture(scope="module")
-def postgres():
-    server = postgres_or_skip()
-    yield server
-    server.stop()
 
 
 @pytest.fixture

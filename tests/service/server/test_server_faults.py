@@ -6,8 +6,7 @@ import time
 from pathlib import Path
 
 import httpx
-import pytest
-from real_server import PATIENCE, Service, ended, postgres_or_skip, submit, until, upload
+from real_server import PATIENCE, Service, ended, submit, until, upload
 
 PRODUCTS = ["lidar_poses.txt", "image_poses.txt", "exposures.csv", "map.ply", "config.yaml"]
 
@@ -78,13 +77,6 @@ def test_stopped_service_gives_its_job_back_and_a_killed_process_is_tried_again(
     assert job["attempts"][1]["message"] == "the process was killed (SIGKILL)"
     assert_done_once_with_the_same_bytes(service.http, job, tiny_result)
     service.stop()
-
-
-@pytest.fixture(scope="module")
-def postgres():
-    server = postgres_or_skip()
-    yield server
-    server.stop()
 
 
 def test_two_services_on_one_postgres_of_which_one_is_killed_and_then_the_database(

@@ -4,7 +4,6 @@ import threading
 import time
 
 import pytest
-from real_server import postgres_or_skip
 from sqlalchemy import select
 
 from service.server import journal, leases
@@ -13,13 +12,6 @@ from service.server.instance import Instance, Watch
 from service.server.leases import Lease
 from service.server.places import new_id, now
 from service.server.tables import Attempt, Dataset, Event, Job
-
-
-@pytest.fixture(scope="module")
-def postgres():
-    server = postgres_or_skip()
-    yield server
-    server.stop()
 
 
 @pytest.fixture(params=["sqlite", "postgres"])
