@@ -39,9 +39,11 @@ def submit(arguments: argparse.Namespace, client: Client, display: Display) -> N
     from service import client_settings
 
     wanted = client_settings.of(arguments)
-    name = arguments.name or Path(arguments.recording).resolve().name
     dataset = arguments.recording
-    if not dataset.startswith("ds_") or Path(dataset).exists():
+    name = arguments.name or Path(dataset.rstrip("/")).resolve().name
+    if "://" in dataset:
+        dataset = register(client, dataset, name, display)
+    elif not dataset.startswith("ds_") or Path(dataset).exists():
         dataset = send(client, Path(dataset), name, display)
     body = {
         "dataset": dataset,
@@ -74,6 +76,19 @@ def send(client: Client, recording: Path, name: str, display: Display) -> str:
         client.upload(dataset["id"], file, path, display.progress)
     display.stage("check", 1, 2)
     client.post(f"/v1/datasets/{dataset['id']}/finish")
+    return _checked(client, dataset, recording)
+
+
+def register(client: Client, url: str, name: str, display: Display) -> str:
+    """The id of a dataset of what lies under a URL, once the server has fetched it and found it good.
+
+    Raises InputError: it may not be registered there, or the server finds it bad.
+    """
+    display.stage("fetch and check", 0, 1)
+    return _checked(client, client.post("/v1/datasets", {"name": name, "folder": url}), url)
+
+
+def _checked(client: Client, dataset: dict[str, Any], recording: object) -> str:
     found = client.wait_while(f"/v1/datasets/{dataset['id']}", ("validating",))
     if found["state"] != "ready":
         raise InputError(recording, found["error"]["cause"], found["error"]["hint"])

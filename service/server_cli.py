@@ -32,13 +32,14 @@ _SUBMIT = """\
 Send a recording to a server and have it run.
 
 RECORDING is a folder or an archive, which is uploaded (again: what has arrived is not sent twice), or the id of a dataset
-that is there. The job's id goes to stdout."""
+that is there, or a URL in an object store from which the server may fetch. The job's id goes to stdout."""
 
 _SUBMIT_EXAMPLES = """\
 examples:
   lvba submit recording --server http://127.0.0.1:8080
   lvba submit ds_3f... --set visual.levels=2 --wait
   lvba submit recording.tar.gz --name yard --priority 5
+  lvba submit s3://recordings/yard
 
 LVBA_SERVER and LVBA_KEY stand for --server and --key-file."""
 
@@ -74,8 +75,8 @@ def _add_serve(commands: Any, command: Add) -> None:
         "--root",
         action="append",
         dest="roots",
-        metavar="DIR",
-        help="recordings below may be registered; repeat",
+        metavar="PLACE",
+        help="recordings below may be registered; a folder, or s3://BUCKET/PATH; repeat",
     )
     serve.add_argument("--jobs", type=int, metavar="N", help="jobs at a time (default: 1; 0: only answer)")
     serve.add_argument("--workers", type=int, metavar="N", help="worker processes of a job")
@@ -124,7 +125,9 @@ def _add_admin(commands: Any, command: Add) -> None:
 
 def _add_submit(commands: Any, command: Add) -> None:
     submit = command(commands, "submit", "send a recording to a server", _SUBMIT, _SUBMIT_EXAMPLES)
-    submit.add_argument("recording", metavar="RECORDING", help="folder, archive, or id of a dataset")
+    submit.add_argument(
+        "recording", metavar="RECORDING", help="folder, archive, id of a dataset, or s3://BUCKET/PATH"
+    )
     submit.add_argument("--name", metavar="NAME", help="of dataset and job (default: the folder's)")
     submit.add_argument("--config", type=Path, metavar="FILE", help="settings, YAML")
     submit.add_argument(

@@ -13,18 +13,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from sqlalchemy import func, select
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers
 from starlette.requests import ClientDisconnect
 
-from service.server import finding
+from service.server import finding, quota
 from service.server.context import Server
 from service.server.keys import Principal
 from service.server.places import new_id, now
 from service.server.problems import Problem
-from service.server.tables import INVALID, READY, UPLOADING, Dataset, Job, Upload
+from service.server.tables import INVALID, UPLOADING, Dataset, Upload
 
 _PIECE = 1 << 20
 _SHA256 = re.compile(r"(?:^|,)\s*sha-256=:([A-Za-z0-9+/=]*):")
@@ -121,26 +121,11 @@ def find(session: Session, dataset_id: str, path: str) -> Upload | None:
 
 
 def _check_room(server: Server, session: Session, principal: Principal, more: int, wanted: Piece) -> None:
-    if more > 0 and used_bytes(session, principal.owner) + more > server.settings.limits.owner_bytes:
+    if more > 0 and quota.used_bytes(session, principal.owner) + more > server.settings.limits.owner_bytes:
         raise Problem("quota", "the datasets and results of this owner would be too large", "remove some")
     free = shutil.disk_usage(server.places.root).free
     if free - (wanted.length - wanted.offset) < server.settings.limits.disk_reserve_bytes:
         raise Problem("disk-full", f"the disk has {free} bytes left")
-
-
-def used_bytes(session: Session, owner: str) -> int:
-    """What an owner's datasets and results take."""
-    mine = select(Dataset.id).where(
-        Dataset.owner == owner, Dataset.deleted.is_(False), Dataset.state != READY
-    )
-    parts = (
-        select(func.sum(Dataset.bytes)).where(
-            Dataset.owner == owner, Dataset.deleted.is_(False), Dataset.state == READY
-        ),
-        select(func.sum(Upload.length)).where(Upload.dataset_id.in_(mine)),
-        select(func.sum(Job.bytes)).where(Job.owner == owner, Job.deleted.is_(False)),
-    )
-    return sum(int(session.scalar(part) or 0) for part in parts)
 
 
 async def receive(file: Path, wanted: Piece, body: AsyncIterator[bytes]) -> int:

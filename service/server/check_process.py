@@ -15,7 +15,7 @@ from typing import Any
 
 from lvba.errors import InputError
 from service.cli import limit_threads
-from service.server import archives, lifeline, names
+from service.server import archives, lifeline, names, object_store, store_urls
 from service.server.places import size_of
 from service.server.settings import Limits
 
@@ -49,11 +49,13 @@ def _limit(limits: Limits) -> None:
 
 def _answer(task: dict[str, Any], limits: Limits) -> dict[str, Any]:
     try:
-        root = Path(task["folder"]) if task["folder"] else _assemble(task, limits)
-        return _facts(root, own=not task["folder"])
+        root = _recording(task, limits)
+        return _facts(root, own=root == Path(task["files"]))
     except InputError as error:
         cause, mend = (_hidden(text, task) for text in (f"{error.where}: {error.problem}", error.mend))
         return _refused("input", cause, mend)
+    except object_store.TooLargeError:
+        return _refused("quota", "your datasets and results would be too large", "remove some")
     except MemoryError:
         return _refused(
             "too-much", "the check ran out of memory", "the files may be damaged: look at the largest"
@@ -74,6 +76,18 @@ def _hidden(text: str, task: dict[str, Any]) -> str:
 
 def _refused(code: str, cause: str, hint: str) -> dict[str, Any]:
     return {"error": {"code": code, "cause": cause, "hint": hint}}
+
+
+def _recording(task: dict[str, Any], limits: Limits) -> Path:
+    if not task["folder"]:
+        return _assemble(task, limits)
+    if not store_urls.is_url(task["folder"]):
+        return Path(task["folder"])
+    partial, files = Path(task["files"] + ".partial"), Path(task["files"])
+    object_store.fetch(task["folder"], partial, limits, task["room"])
+    shutil.rmtree(files, ignore_errors=True)
+    partial.rename(files)
+    return files
 
 
 def _assemble(task: dict[str, Any], limits: Limits) -> Path:

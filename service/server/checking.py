@@ -8,7 +8,7 @@ from typing import Any
 
 from sqlalchemy import select
 
-from service.server import leases, words
+from service.server import leases, quota, words
 from service.server.child import Child
 from service.server.database import Database
 from service.server.leases import Lease
@@ -41,6 +41,7 @@ class DatasetCheck:
 
     def _task(self, dataset: Dataset) -> dict[str, Any]:
         with self._database.read() as session:
+            room = self._settings.limits.owner_bytes - quota.used_bytes(session, dataset.owner)
             uploads = session.scalars(select(Upload).where(Upload.dataset_id == dataset.id)).all()
         return {
             "folder": dataset.folder,
@@ -51,6 +52,7 @@ class DatasetCheck:
             ],
             "lock": str(self._places.dataset(dataset.id) / ".lock"),
             "answer": str(self._answer),
+            "room": room,
             "limits": dataclasses.asdict(self._settings.limits),
         }
 

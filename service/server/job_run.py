@@ -56,7 +56,7 @@ class JobRun:
         self._timeline = timeline.Timeline(
             timeline.shares(history), job.estimate.get("seconds") or 0.0, time.monotonic()
         )
-        self._recording = Path(dataset.folder) if dataset.folder else places.files(dataset.id)
+        self._recording = places.recording(dataset.id, dataset.folder)
         self.child = self._start(job)
 
     def _start(self, job: Job) -> Child:

@@ -55,6 +55,10 @@ class Places:
         """The recording, once it is checked."""
         return self.dataset(dataset_id) / "files"
 
+    def recording(self, dataset_id: str, source: str | None) -> Path:
+        """Where the files of a dataset are; source: the folder or URL that was registered, None: uploaded."""
+        return Path(source) if source and "://" not in source else self.files(dataset_id)
+
     def frames(self, dataset_id: str) -> Path:
         """JSON: time and path of each image."""
         return self.dataset(dataset_id) / "frames.json"

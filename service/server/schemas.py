@@ -54,7 +54,7 @@ class NewDataset(_Strict):
 
     name: Text
     folder: Annotated[str, Field(min_length=1, max_length=1000), AfterValidator(_clean)] | None = None
-    """Of a recording on the server, absolute; None: it is uploaded."""
+    """Of a recording on the server, absolute, or a URL such as s3://bucket/recording; None: it is uploaded."""
 
 
 class Webhook(_Strict):

@@ -10,6 +10,7 @@ from typing import Any
 
 from lvba import config
 from lvba.errors import InputError
+from service.server import store_urls
 
 PREFIX = "LVBA_"
 GB = 1 << 30
@@ -68,8 +69,8 @@ class Settings:
     """Names that requests may call this server by, beside loopback; empty: any, if keys are asked for."""
     proxies: tuple[str, ...] = ()
     """Addresses or networks of reverse proxies, beside loopback, whose word is taken for who asks (X-Forwarded-For)."""
-    roots: tuple[Path, ...] = ()
-    """Folders below which recordings may be registered in place."""
+    roots: tuple[str, ...] = ()
+    """Folders below which recordings may be registered in place, and URLs of object stores (s3://BUCKET/PATH)."""
     jobs: int = 1
     """Jobs at a time; 0: this instance only answers, others work."""
     threads: int | None = None
@@ -132,6 +133,10 @@ def load(given: Mapping[str, Any], environment: Mapping[str, str] = os.environ) 
     values |= {name: value for name, value in given.items() if value is not None}
     limits = _build(Limits, values.pop("limits", {}))
     settings: Settings = dataclasses.replace(_build(Settings, values), limits=limits)
+    roots = tuple(
+        store_urls.checked_root(root) if store_urls.is_url(root) else root for root in settings.roots
+    )
+    settings = dataclasses.replace(settings, roots=roots)
     for proxy in settings.proxies:
         _check_network(proxy)
     return settings
@@ -177,9 +182,9 @@ def _build(kind: Any, values: Mapping[str, Any]) -> Any:
 
 
 def _value(name: str, value: Any, hint: Any) -> Any:
-    if hint == tuple[str, ...] or hint == tuple[Path, ...]:
+    if hint == tuple[str, ...]:
         items = value.split(",") if isinstance(value, str) else value
-        return tuple(Path(item) if hint == tuple[Path, ...] else str(item) for item in items if item)
+        return tuple(str(item) for item in items if item)
     if hint is Path or hint == (Path | None):
         return Path(value)
     if hint is bool and isinstance(value, str):

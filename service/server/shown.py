@@ -7,7 +7,7 @@ from typing import Any
 from sqlalchemy import and_, func, or_, select
 from sqlalchemy.orm import Session
 
-from service.server import retention
+from service.server import retention, store_urls
 from service.server.places import Places, now
 from service.server.settings import Settings
 from service.server.tables import DONE, ENDED, QUEUED, READY, UPLOADING, Attempt, Dataset, Job, Upload
@@ -35,7 +35,7 @@ def dataset(session: Session, row: Dataset, settings: Settings) -> dict[str, Any
         "id": row.id,
         "name": row.name,
         "state": row.state,
-        "source": "upload" if row.folder is None else "folder",
+        "source": "upload" if row.folder is None else "url" if store_urls.is_url(row.folder) else "folder",
         "created": time(row.created),
         "bytes": int(size),
         "files": files,

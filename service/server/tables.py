@@ -63,7 +63,7 @@ class Dataset(Leased, Base):
     name: Mapped[str]
     state: Mapped[str]
     folder: Mapped[str | None]
-    """Where a registered one lies; None: uploaded."""
+    """Where a registered one lies, a path or the URL of an object store; None: uploaded."""
     created: Mapped[float]
     updated: Mapped[float]
     bytes: Mapped[int] = mapped_column(_BIG, default=0)

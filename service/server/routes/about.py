@@ -10,7 +10,7 @@ from fastapi import APIRouter, Depends, Response
 from sqlalchemy import func, select, text
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.server import arriving, context, estimates, keys, metrics, options
+from service.server import context, estimates, keys, metrics, options, quota
 from service.server.context import Context, Reader, needs, who
 from service.server.keys import Principal
 from service.server.problems import Problem
@@ -26,7 +26,7 @@ def me(server: Context, principal: Annotated[Principal, Depends(who)]) -> dict[s
     mine = select(Job.state, func.count()).where(Job.owner == principal.owner, Job.deleted.is_(False))
     with server.database.read() as session:
         counts = {state: count for state, count in session.execute(mine.group_by(Job.state))}
-        used = arriving.used_bytes(session, principal.owner)
+        used = quota.used_bytes(session, principal.owner)
     limits = server.settings.limits
     return {
         "owner": principal.owner,

@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 from starlette.responses import FileResponse
 
 from lvba.errors import InputError
-from service.server import finding, names, served, shown
+from service.server import finding, names, served, shown, store_urls
 from service.server.context import Context, Reader, Server, Submitter
 from service.server.places import new_id, now
 from service.server.problems import Problem
@@ -25,8 +25,8 @@ Cursor = Annotated[str | None, Query(max_length=200, pattern=r"^[^\x00]*$")]
 
 @router.post("", status_code=201)
 def create(body: NewDataset, server: Context, principal: Submitter, response: Response) -> dict[str, Any]:
-    """Make a dataset: empty, to be uploaded to, or of a folder on the server."""
-    folder = None if body.folder is None else str(_registered(server, body.folder))
+    """Make a dataset: empty, to be uploaded to, or of a folder on the server or in an object store."""
+    folder = None if body.folder is None else _registered(server, body.folder)
     row = Dataset(
         id=new_id("ds"),
         owner=principal.owner,
@@ -45,17 +45,24 @@ def create(body: NewDataset, server: Context, principal: Submitter, response: Re
     return found
 
 
-def _registered(server: Server, folder: str) -> Path:
-    """The folder without links, if it may be registered."""
+def _registered(server: Server, folder: str) -> str:
+    """The folder without links, or the URL, if it may be registered."""
+    if store_urls.is_url(folder):
+        url = store_urls.below_roots(folder, server.settings.roots)
+        if url is None:
+            raise Problem(
+                "forbidden", "the URL is not below a root of this server", "see `roots` of /v1/info"
+            )
+        return url
     path = Path(folder)
-    roots = [root.resolve() for root in server.settings.roots]
+    roots = [Path(root).resolve() for root in server.settings.roots if not store_urls.is_url(root)]
     resolved = path.resolve()
     if not path.is_absolute() or not any(resolved.is_relative_to(root) for root in roots):
         # whether it exists is nobody's business outside the roots
         raise Problem("forbidden", "the folder is not below a root of this server", "see `roots` of /v1/info")
     if not resolved.is_dir():
         raise Problem("invalid", "there is no such folder", "name the folder of a recording")
-    return resolved
+    return str(resolved)
 
 
 @router.get("")
@@ -76,7 +83,7 @@ def read(dataset_id: str, server: Context, principal: Reader) -> dict[str, Any]:
 
 @router.delete("/{dataset_id}", status_code=204)
 def remove(dataset_id: str, server: Context, principal: Submitter) -> None:
-    """Remove a dataset. A registered folder itself stays."""
+    """Remove a dataset. What was registered stays where it lies."""
     with server.database.write() as session:
         row = finding.one(session, Dataset, dataset_id, principal, lock=True)
         if row.lease_owner is not None:
@@ -169,7 +176,7 @@ def file(dataset_id: str, path: str, server: Context, principal: Reader) -> File
         row = finding.one(session, Dataset, dataset_id, principal)
     if row.state != READY:
         raise Problem("not-ready", f"the dataset is {row.state}", "wait until it is ready")
-    root = Path(row.folder) if row.folder else server.places.files(row.id)
+    root = server.places.recording(row.id, row.folder)
     try:
         found = names.below(root, path)
     except InputError:
