@@ -1,9 +1,10 @@
 """Memory and time against the length of a recording that is solved in parts, and what a second worker brings.
 
-Streets of 200, 400, 800 and 1600 scans and images, solved in parts of 40 by two worker processes of one thread each: peak
-memory of the largest worker, and seconds of work in all tasks together. Then the second one by one worker, and in one
-process without Dask. Last, what a task costs that does nothing: store, scheduler and all. Images are small, scans thin,
-to be done in minutes; docs/images/length.svg shows the first table.
+Streets of 200, 400, 800 and 1600 scans and images, one every two meters, solved in parts of 40 by two worker processes of
+one thread each: peak memory of the largest worker, and seconds of work in all tasks together. Images are small, scans
+thin, to be done in minutes; docs/images/length.svg shows the table. Then a street of 160 scans of 30,000 points and
+images of 640 x 480 by two workers, by one, and in one process without Dask: what tasks bring and cost at usual sizes.
+Last, what a task costs that does nothing: store, scheduler and all.
 """
 
 import json
@@ -17,7 +18,8 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 PICTURE = ROOT / "docs" / "images" / "length.svg"
-SHORTEST, PART = 200, 40
+SHORTEST, PART, USUAL = 200, 40, 160
+_THIN = ("--points", "6000", "--width", "320", "--height", "240")
 JOINT = ("lidar-merge", "lidar-start", "lidar-step", "lidar-joint", "lidar-gate", "visual-merge", "visual-exposures",
          "visual-step", "evaluate", "visual-gate", "map", "pictures", "facts", "survey", "pictures-choice")  # fmt: skip
 """Steps of which there is one for all parts; names with a number at their end aside."""
@@ -28,48 +30,56 @@ def run(lengths: tuple[int, ...] = (1, 2, 4, 8)) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         for times in lengths:
-            _simulate(work / f"street{times}", SHORTEST * times)
-        _run(work, lengths[0], "warm", [])  # kernels are compiled once
-        rows = [_row(times, _run(work, times, "two", ["--workers", "2"])) for times in lengths]
-        middle = lengths[1]
-        two = next(row for row, times in zip(rows, lengths, strict=True) if times == middle)
-        one = _row(middle, _run(work, middle, "one", ["--workers", "1"]))
-        alone = _row(middle, _run(work, middle, "alone", ["--threads", "1"]))
+            _simulate(work / f"street{times}", SHORTEST * times, _THIN)
+        _simulate(work / "usual", USUAL, ())
+        _run(work, f"street{lengths[0]}", "warm", [])  # kernels are compiled once
+        rows = [
+            _row(SHORTEST * times, _run(work, f"street{times}", "two", ["--workers", "2"]))
+            for times in lengths
+        ]
+        two, one, alone = (
+            _row(USUAL, _run(work, "usual", name, options))
+            for name, options in (
+                ("two", ["--workers", "2"]),
+                ("one", ["--workers", "1"]),
+                ("alone", ["--threads", "1"]),
+            )
+        )
         per_task = _seconds_per_task(work)
     draw(rows)
     return {
         "name": "length",
-        "wall_seconds_without_dask": alone["wall s"],
-        "wall_seconds_of_one_worker": one["wall s"],
-        "wall_seconds_of_two_workers": two["wall s"],
+        "usual_wall_seconds_without_dask": alone["wall s"],
+        "usual_wall_seconds_of_one_worker": one["wall s"],
+        "usual_wall_seconds_of_two_workers": two["wall s"],
         "faster_by_a_second_worker": one["wall s"] / two["wall s"],
         "faster_on_the_stages_of_parts": (one["wall s"] - one["joint s"]) / (two["wall s"] - two["joint s"]),
         "milliseconds_per_empty_task": 1e3 * per_task,
-        "tasks": two["tasks"],
+        "usual_tasks": two["tasks"],
+        "usual_work_seconds_without_dask": alone["work s"],
         "rows": rows,
     }
 
 
-def _simulate(dataset: Path, frames: int) -> None:
-    sizes = ["--points", "6000", "--width", "320", "--height", "240"]
+def _simulate(dataset: Path, frames: int, sizes: tuple[str, ...]) -> None:
     _lvba(["simulate", "street", "--out", str(dataset), "--seed", "1", "--frames", str(frames), "--scans", str(frames),
-           "--length", str(frames), *sizes])  # fmt: skip
+           "--length", str(2 * frames), *sizes])  # fmt: skip
 
 
-def _run(work: Path, times: int, name: str, options: list[str]) -> dict[str, Any]:
-    out = work / f"{name}{times}"
+def _run(work: Path, street: str, name: str, options: list[str]) -> dict[str, Any]:
+    out = work / f"{street}-{name}"
     cut = ["--set", "split.by=count", "--set", f"split.size={PART}"]
     started = time.perf_counter()
-    _lvba(["run", str(work / f"street{times}"), "--out", str(out), "--quiet", *cut, *options])
+    _lvba(["run", str(work / street), "--out", str(out), "--quiet", *cut, *options])
     seconds = time.perf_counter() - started
     return {**json.loads((out / "report.json").read_text()), "wall": seconds}
 
 
-def _row(times: int, report: dict[str, Any]) -> dict[str, Any]:
+def _row(scans: int, report: dict[str, Any]) -> dict[str, Any]:
     stages = report["stages"]
     joint = [stage for stage in stages if _base(stage["name"]) in JOINT]
     return {
-        "scans": SHORTEST * times,
+        "scans": scans,
         "parts": len(report["merge"]["parts"]),
         "tasks": len(stages),
         "peak MB": max(stage["peak_memory_mb"] for stage in stages),

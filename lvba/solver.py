@@ -45,10 +45,8 @@ class NormalEquations:
         if np.array_equal(self.rows, other.rows) and np.array_equal(self.columns, other.columns):
             blocks = self.blocks + other.blocks
             return replace(self, blocks=blocks, gradient=gradient, cost=cost, eliminated=eliminated)
-        rows = np.concatenate([self.rows, other.rows])
-        columns = np.concatenate([self.columns, other.columns])
-        total = from_blocks(rows, columns, np.concatenate([self.blocks, other.blocks]), gradient, cost)
-        return replace(total, eliminated=eliminated)
+        both = [(each.rows, each.columns, each.blocks) for each in (self, other)]
+        return replace(_summed(both, gradient, cost), eliminated=eliminated)
 
     def scaled(self, factor: float) -> "NormalEquations":
         """The same equations for `factor` times the cost."""
@@ -91,18 +89,27 @@ def from_blocks(
     rows: np.ndarray, columns: np.ndarray, blocks: np.ndarray, gradient: np.ndarray, cost: float
 ) -> NormalEquations:
     """Normal equations of (M,) block indices in any order, repeated or below the diagonal, summed in that order."""
-    below = rows > columns
-    blocks = np.where(below[:, None, None], blocks.transpose(0, 2, 1), blocks)
-    keys = np.minimum(rows, columns).astype(np.int64) * len(gradient) + np.maximum(rows, columns)
-    unique, where = np.unique(keys, return_inverse=True)
-    summed = np.zeros((len(unique), *blocks.shape[1:]))
-    add_blocks(summed, where, blocks)
+    return _summed([(rows, columns, blocks)], gradient, cost)
+
+
+def _summed(
+    parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], gradient: np.ndarray, cost: float
+) -> NormalEquations:
+    """Normal equations of the blocks of all parts (rows, columns, blocks); never a copy of all blocks at once."""
+    count, size = len(gradient), gradient.shape[1]
+    keys = [
+        np.minimum(rows, columns).astype(np.int64) * count + np.maximum(rows, columns)
+        for rows, columns, _ in parts
+    ]
+    unique = np.unique(np.concatenate(keys))
+    summed = np.zeros((len(unique), size, size))
+    for key, (rows, columns, blocks) in zip(keys, parts, strict=True):
+        below = rows > columns
+        if below.any():
+            blocks = np.where(below[:, None, None], blocks.transpose(0, 2, 1), blocks)
+        add_blocks(summed, np.searchsorted(unique, key), blocks)
     return NormalEquations(
-        (unique // len(gradient)).astype(np.int32),
-        (unique % len(gradient)).astype(np.int32),
-        summed,
-        gradient,
-        cost,
+        (unique // count).astype(np.int32), (unique % count).astype(np.int32), summed, gradient, cost
     )
 
 
@@ -114,10 +121,8 @@ def scattered(parts: Sequence[tuple[np.ndarray, NormalEquations]], count: int) -
     gradient = np.zeros((count, parts[0][1].gradient.shape[1]))
     for index, equations in parts:
         gradient[index] += equations.gradient
-    return from_blocks(
-        np.concatenate([index[equations.rows] for index, equations in parts]),
-        np.concatenate([index[equations.columns] for index, equations in parts]),
-        np.concatenate([equations.blocks for _, equations in parts]),
+    return _summed(
+        [(index[equations.rows], index[equations.columns], equations.blocks) for index, equations in parts],
         gradient,
         float(sum(equations.cost for _, equations in parts)),
     )

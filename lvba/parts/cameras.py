@@ -18,6 +18,7 @@ from lvba.stages import ScanPoses, VisualStage
 from lvba.trajectory import Trajectory
 from lvba.visual import covariance, joint, share
 from lvba.visual import prior as priors
+from lvba.visual.exposure import Edges
 from lvba.visual.joint import JointCameras
 from lvba.visual.prior import Prior
 from lvba.visual.refine import VisualConfig, VisualResult
@@ -217,12 +218,18 @@ def _state_of(now: JointCameras, images: np.ndarray) -> VisualState:
     )
 
 
-def tie_exposures(merged: MergedCameras, laid: Sequence[CameraPoints | None]) -> MergedCameras:
+def brightness(laid: CameraPoints | None) -> Edges | None:
+    """What a part measured of the brightness of its images; None where it did not."""
+    return None if laid is None else laid.edges
+
+
+def tie_exposures(merged: MergedCameras, found: Sequence[Edges | None]) -> MergedCameras:
     """Exposures of all keyframes at once, from the brightness that all parts measured."""
-    edges = [each.edges for each in laid if each is not None and each.edges is not None]
     if merged.cameras is None:
         return merged
-    return replace(merged, cameras=joint.with_exposures(merged.cameras, edges))
+    return replace(
+        merged, cameras=joint.with_exposures(merged.cameras, [each for each in found if each is not None])
+    )
 
 
 def linearize_cameras(

@@ -194,7 +194,12 @@ class _Chain:
             )
             for number, (dataset, frames, ground, own) in enumerate(both)
         ]  # fmt: skip
-        merged = add("visual-exposures", cameras.tie_exposures, merged, laid)
+        # apart from the points: of those only one part's are in memory at a time
+        brightness = [
+            add(f"visual-brightness-{part.number}", cameras.brightness, points)
+            for part, points in zip(self._cores, laid, strict=True)
+        ]
+        merged = add("visual-exposures", cameras.tie_exposures, merged, brightness)
         for turn in range(config.merge.image_rounds):
             shares = [
                 add(

@@ -5,13 +5,12 @@ without looking at the images (choosing by contrast would prefer what is bright,
 by a window that fades out, and each view is read at the pyramid level whose pixels match the other's.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 from lvba.camera import Camera
 from lvba.kernels import patches_mean
@@ -360,6 +359,45 @@ def _by_first_image(label: np.ndarray) -> np.ndarray:
     return np.argsort(np.argsort(first))[inverse].astype(np.int32)
 
 
+_COLUMNS = 64
+"""Columns of an inverse that are in memory at a time."""
+
+
+@dataclass(frozen=True)
+class _Factor:
+    """The normal equations of edges between images, of which those in `free` may have any value and the others have 0.
+
+    component: (I,); free: (F,); weighted: (E, F), the edges' signs times their weights
+    """
+
+    component: np.ndarray
+    free: np.ndarray
+    weighted: sparse.csr_matrix
+    solver: SuperLU | None
+
+    def values(self, differences: np.ndarray) -> np.ndarray:
+        """Values of the images (I, K) that fit differences along the edges (E, K) best."""
+        values = np.zeros((len(self.component), *differences.shape[1:]))
+        if self.solver is not None:
+            values[self.free] = self.solver.solve(np.asarray(self.weighted.T @ differences))
+        return values
+
+    def variances(self) -> np.ndarray:
+        """Variance (I,) of each image's value about the mean of its component, were the edges' errors independent."""
+        own, with_all = np.zeros(len(self.component)), np.zeros(len(self.component))
+        if self.solver is not None:
+            free = len(self.free)
+            with_all[self.free] = self.solver.solve(np.ones(free))
+            for begin in range(0, free, _COLUMNS):
+                here = np.arange(begin, min(begin + _COLUMNS, free))
+                unit = np.zeros((free, len(here)))
+                unit[here, here - begin] = 1.0
+                own[self.free[here]] = self.solver.solve(unit)[here, here - begin]
+        count = np.bincount(self.component)
+        total = np.bincount(self.component, with_all) / count**2
+        return own - 2.0 * with_all / count[self.component] + total[self.component]
+
+
 @dataclass(frozen=True)
 class _Graph:
     """Images joined by edges; the first image of every component stays at 0."""
@@ -368,8 +406,8 @@ class _Graph:
     second: np.ndarray
     component: np.ndarray
 
-    def factor(self, weight: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-        """What turns differences along the edges, (E, K), into values of the images, (I, K)."""
+    def factor(self, weight: np.ndarray) -> "_Factor":
+        """The edges' normal equations, factorized."""
         images = len(self.component)
         free = np.setdiff1d(np.arange(images), np.unique(self.component, return_index=True)[1])
         rows = np.tile(np.arange(len(self.first)), 2)
@@ -379,20 +417,13 @@ class _Graph:
         )[:, free]
         weighted = incidence.multiply(weight[:, None]).tocsr()
         solver = splu((incidence.T @ weighted).tocsc()) if len(free) else None
-
-        def solve(differences: np.ndarray) -> np.ndarray:
-            values = np.zeros((images, *differences.shape[1:]))
-            if solver is not None:
-                values[free] = solver.solve(np.asarray(weighted.T @ differences))
-            return values
-
-        return solve
+        return _Factor(self.component, free, weighted, solver)
 
     def solve_robustly(self, value: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The images' values (I,) that fit the edges' (E,) with standard deviations (E,), and the edges' weights."""
         weight = 1 / sigma**2
         for _ in range(10):
-            solution = self.factor(weight)(value)
+            solution = self.factor(weight).values(value)
             residual = (value - solution[self.second] + solution[self.first]) / sigma
             scale = max(_robust_std(residual), 1e-3)
             weight = 1 / (sigma**2 * (1 + (residual / (2 * scale)) ** 2))
@@ -404,15 +435,14 @@ class _Graph:
         changes: (E, BLOCKS) of the edges' values when one block of the surface is left out. Edges that share patches
         err together, so the covariance of independent edges is too small; by how much is what the jackknife tells.
         """
-        solve = self.factor(weight)
-        unit = solve(np.diag(1 / np.sqrt(weight)))
-        independent = (self._centered(unit) ** 2).sum(axis=1)
-        jackknife = (BLOCKS - 1) / BLOCKS * (self._centered(solve(changes)) ** 2).sum(axis=1)
+        factor = self.factor(weight)
+        independent = factor.variances()
+        jackknife = (BLOCKS - 1) / BLOCKS * (self._centered(factor.values(changes)) ** 2).sum(axis=1)
         joined = np.bincount(self.component)[self.component] > 1
         if not joined.any():
             return np.full(len(self.component), np.inf)
-        factor = jackknife[joined].mean() / independent[joined].mean()
-        return np.where(joined, np.sqrt(independent * max(factor, 1.0)), np.inf)
+        excess = jackknife[joined].mean() / independent[joined].mean()
+        return np.where(joined, np.sqrt(independent * max(excess, 1.0)), np.inf)
 
     def _centered(self, values: np.ndarray) -> np.ndarray:
         """Values (I, K) less the mean of their component."""
