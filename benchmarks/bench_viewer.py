@@ -195,16 +195,19 @@ def _looked_at(browser: Any, address: str) -> dict[str, Any]:
     return found
 
 
-def _settled(page: Any) -> int:
-    """Points on the screen once nothing is loading any more."""
+_UNITS = {"": 1.0, "k": 1e3, "M": 1e6}
+
+
+def _settled(page: Any) -> float:
+    """Points on the screen once nothing is loading any more; to the digits that the page shows."""
     page.wait_for_function(
         "() => /^[1-9]/.test(document.querySelector('.cloud-status')?.textContent ?? '')", timeout=300_000
     )
-    before = -1
+    before = ""
     while True:
         text = page.locator(".cloud-status").inner_text()
-        shown = int(re.sub(r"\D", "", text.split(" of ")[0]))
-        if "Loading" not in text and shown == before:
-            return shown
-        before = shown
+        if text == before and "Loading" not in text:
+            number, _, unit = text.split(" of ")[0].partition(" ")
+            return float(number) * _UNITS[unit]
+        before = text
         page.wait_for_timeout(1500)

@@ -18,7 +18,7 @@ from lvba.stages import ScanPoses, VisualStage
 from lvba.trajectory import Trajectory
 from lvba.visual import covariance, joint, share
 from lvba.visual import prior as priors
-from lvba.visual.exposure import Edges
+from lvba.visual.exposure_graph import Edges
 from lvba.visual.joint import JointCameras
 from lvba.visual.prior import Prior
 from lvba.visual.refine import VisualConfig, VisualResult

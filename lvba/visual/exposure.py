@@ -8,15 +8,13 @@ by a window that fades out, and each view is read at the pyramid level whose pix
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import SuperLU, splu
 
 from lvba.camera import Camera
 from lvba.kernels import patches_mean
 from lvba.kernels.patches_pyramid import blank_masked, halve
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.visual import scene_points, visibility
+from lvba.visual.exposure_graph import BLOCKS, Edges, Exposures, robust_std, solve_edges
 from lvba.visual.image import SATURATED, Pyramid
 from lvba.visual.scene_points import PointsConfig, ScenePoints
 from lvba.visual.visibility import (
@@ -27,9 +25,6 @@ from lvba.visual.visibility import (
     local_pairs,
     view_scores,
 )
-
-BLOCKS = 8
-"""Parts of the surface that the jackknife leaves out in turn."""
 
 
 @dataclass(frozen=True)
@@ -83,25 +78,6 @@ class ExposureConfig:
         for name, (low, high) in ranges.items():
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"{name} = {getattr(self, name)}: must lie in {low} to {high}")
-
-
-@dataclass(frozen=True)
-class Exposures:
-    """Relative exposures of I images.
-
-    log_exposure: (I,) float64, natural log; the first image of the whole is 0. Where the images fall in several
-        components, each further one starts where the image before its first one ended: a guess, nothing measures it
-    sigma: (I,) float64: standard deviation about the component's mean; inf for an image that nothing compares
-    component: (I,) int32, connected component of the graph of compared images, by first image
-    pairs: number of patch comparisons used
-    spread: robust standard deviation of the log ratios of patches about the solution
-    """
-
-    log_exposure: np.ndarray
-    sigma: np.ndarray
-    component: np.ndarray
-    pairs: int
-    spread: float
 
 
 @dataclass(frozen=True)
@@ -250,24 +226,6 @@ def surface_blocks(position_world: np.ndarray, size: float = 1.0) -> np.ndarray:
     return np.asarray((voxel @ np.array([1, 3, 5])) % BLOCKS)
 
 
-@dataclass(frozen=True)
-class Edges:
-    """What all patches together say about each pair of images; two parts of the patches may each have an edge of a pair.
-
-    first, second: (E,) int64, images; mean, sigma: (E,) of log(brightness in `second` / in `first`)
-    changes: (E, BLOCKS) of the mean when one block of the surface is left out
-    pairs: number of patch comparisons; spread: their robust standard deviation about the edges' means
-    """
-
-    first: np.ndarray
-    second: np.ndarray
-    mean: np.ndarray
-    sigma: np.ndarray
-    changes: np.ndarray
-    pairs: int
-    spread: float
-
-
 def solve_ratios(ratios: Ratios, images: int, config: ExposureConfig = ExposureConfig()) -> Exposures:
     """The exposures that explain the log ratios best: robust per pair of images, then robust over the graph."""
     return solve_edges(edges_of(ratios, images, config), images)
@@ -289,22 +247,7 @@ def edges_of(ratios: Ratios, images: int, config: ExposureConfig = ExposureConfi
         sigma,
         left_out - mean[:, None],
         len(value),
-        _robust_std(value - mean[edge]),
-    )
-
-
-def solve_edges(edges: Edges, images: int) -> Exposures:
-    """The exposures of all images that explain the edges best."""
-    links = sparse.coo_matrix((np.ones(len(edges.mean)), (edges.first, edges.second)), shape=(images, images))
-    component = _by_first_image(connected_components(links, directed=False)[1])
-    graph = _Graph(edges.first, edges.second, component)
-    log_exposure, edge_weight = graph.solve_robustly(edges.mean, edges.sigma)
-    return Exposures(
-        log_exposure=_joined(log_exposure, component),
-        sigma=graph.sigma(edge_weight, edges.changes),
-        component=component,
-        pairs=edges.pairs,
-        spread=edges.spread,
+        robust_std(value - mean[edge]),
     )
 
 
@@ -320,7 +263,7 @@ def edge_means(
     many = np.bincount(edge, minlength=edges)[edge] >= 4  # of few values the residuals say nothing
     for _ in range(10):
         residual = (value - mean[edge]) / sigma
-        scale = max(_robust_std(residual[many]), 1e-3) if many.any() else 1.0
+        scale = max(robust_std(residual[many]), 1e-3) if many.any() else 1.0
         weight = 1 / (sigma**2 * (1 + (residual / (2 * scale)) ** 2))
         total = np.bincount(edge, weight, edges)
         mean = np.bincount(edge, weight * value, edges) / total
@@ -347,114 +290,3 @@ def _medians(group: np.ndarray, value: np.ndarray, groups: int) -> np.ndarray:
     ordered = np.append(value[order], 0.0)
     low, high = start + np.maximum(count - 1, 0) // 2, start + count // 2
     return np.asarray((ordered[low] + ordered[np.minimum(high, len(value))]) / 2)
-
-
-def _robust_std(values: np.ndarray) -> float:
-    return float(1.4826 * np.median(np.abs(values))) if len(values) else 0.0
-
-
-def _by_first_image(label: np.ndarray) -> np.ndarray:
-    """Component numbers in the order of their first images."""
-    _, first, inverse = np.unique(label, return_index=True, return_inverse=True)
-    return np.argsort(np.argsort(first))[inverse].astype(np.int32)
-
-
-_COLUMNS = 64
-"""Columns of an inverse that are in memory at a time."""
-
-
-@dataclass(frozen=True)
-class _Factor:
-    """The normal equations of edges between images, of which those in `free` may have any value and the others have 0.
-
-    component: (I,); free: (F,); weighted: (E, F), the edges' signs times their weights
-    """
-
-    component: np.ndarray
-    free: np.ndarray
-    weighted: sparse.csr_matrix
-    solver: SuperLU | None
-
-    def values(self, differences: np.ndarray) -> np.ndarray:
-        """Values of the images (I, K) that fit differences along the edges (E, K) best."""
-        values = np.zeros((len(self.component), *differences.shape[1:]))
-        if self.solver is not None:
-            values[self.free] = self.solver.solve(np.asarray(self.weighted.T @ differences))
-        return values
-
-    def variances(self) -> np.ndarray:
-        """Variance (I,) of each image's value about the mean of its component, were the edges' errors independent."""
-        own, with_all = np.zeros(len(self.component)), np.zeros(len(self.component))
-        if self.solver is not None:
-            free = len(self.free)
-            with_all[self.free] = self.solver.solve(np.ones(free))
-            for begin in range(0, free, _COLUMNS):
-                here = np.arange(begin, min(begin + _COLUMNS, free))
-                unit = np.zeros((free, len(here)))
-                unit[here, here - begin] = 1.0
-                own[self.free[here]] = self.solver.solve(unit)[here, here - begin]
-        count = np.bincount(self.component)
-        total = np.bincount(self.component, with_all) / count**2
-        return own - 2.0 * with_all / count[self.component] + total[self.component]
-
-
-@dataclass(frozen=True)
-class _Graph:
-    """Images joined by edges; the first image of every component stays at 0."""
-
-    first: np.ndarray
-    second: np.ndarray
-    component: np.ndarray
-
-    def factor(self, weight: np.ndarray) -> "_Factor":
-        """The edges' normal equations, factorized."""
-        images = len(self.component)
-        free = np.setdiff1d(np.arange(images), np.unique(self.component, return_index=True)[1])
-        rows = np.tile(np.arange(len(self.first)), 2)
-        signs = np.repeat([-1.0, 1.0], len(self.first))
-        incidence = sparse.csr_matrix(
-            (signs, (rows, np.concatenate([self.first, self.second]))), shape=(len(self.first), images)
-        )[:, free]
-        weighted = incidence.multiply(weight[:, None]).tocsr()
-        solver = splu((incidence.T @ weighted).tocsc()) if len(free) else None
-        return _Factor(self.component, free, weighted, solver)
-
-    def solve_robustly(self, value: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The images' values (I,) that fit the edges' (E,) with standard deviations (E,), and the edges' weights."""
-        weight = 1 / sigma**2
-        for _ in range(10):
-            solution = self.factor(weight).values(value)
-            residual = (value - solution[self.second] + solution[self.first]) / sigma
-            scale = max(_robust_std(residual), 1e-3)
-            weight = 1 / (sigma**2 * (1 + (residual / (2 * scale)) ** 2))
-        return solution, weight
-
-    def sigma(self, weight: np.ndarray, changes: np.ndarray) -> np.ndarray:
-        """Standard deviation (I,) of each image's value about the mean of its component; inf where it is alone.
-
-        changes: (E, BLOCKS) of the edges' values when one block of the surface is left out. Edges that share patches
-        err together, so the covariance of independent edges is too small; by how much is what the jackknife tells.
-        """
-        factor = self.factor(weight)
-        independent = factor.variances()
-        jackknife = (BLOCKS - 1) / BLOCKS * (self._centered(factor.values(changes)) ** 2).sum(axis=1)
-        joined = np.bincount(self.component)[self.component] > 1
-        if not joined.any():
-            return np.full(len(self.component), np.inf)
-        excess = jackknife[joined].mean() / independent[joined].mean()
-        return np.where(joined, np.sqrt(independent * max(excess, 1.0)), np.inf)
-
-    def _centered(self, values: np.ndarray) -> np.ndarray:
-        """Values (I, K) less the mean of their component."""
-        count = np.bincount(self.component)
-        members = sparse.csr_matrix((np.ones(len(values)), (self.component, np.arange(len(values)))))
-        return np.asarray(values - ((members @ values) / count[:, None])[self.component])
-
-
-def _joined(log_exposure: np.ndarray, component: np.ndarray) -> np.ndarray:
-    """Every further component shifted so that it goes on from the image before its first one."""
-    joined = log_exposure.copy()
-    for label in range(1, component.max(initial=-1) + 1):
-        members = np.flatnonzero(component == label)
-        joined[members] += joined[members[0] - 1]
-    return joined

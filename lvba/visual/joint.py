@@ -7,9 +7,9 @@ import numpy as np
 
 from lvba import geometry, solver
 from lvba.solver import NormalEquations
-from lvba.visual import exposure, photometric
+from lvba.visual import exposure_graph, photometric
 from lvba.visual import prior as priors
-from lvba.visual.exposure import Edges, Exposures
+from lvba.visual.exposure_graph import Edges, Exposures
 from lvba.visual.prior import Prior
 from lvba.visual.share import CameraShare
 from lvba.visual.states import VisualState
@@ -113,7 +113,7 @@ def tie(edges: Sequence[Edges], images: int) -> Exposures | None:
         pairs=sum(each.pairs for each in edges),
         spread=float(np.median([each.spread for each in edges if len(each.mean)])),
     )
-    return exposure.solve_edges(together, images)
+    return exposure_graph.solve_edges(together, images)
 
 
 def _free(equations: NormalEquations, with_prior: bool, solve_exposures: bool) -> np.ndarray:

@@ -12,7 +12,7 @@ from lvba.camera import Camera
 from lvba.solver import NormalEquations
 from lvba.visual import bundle_adjustment, exposure, photometric, scene_points, visibility
 from lvba.visual.bundle_adjustment import LevelSolution
-from lvba.visual.exposure import Edges
+from lvba.visual.exposure_graph import Edges
 from lvba.visual.photometric import PhotometricState
 from lvba.visual.refine import Inputs, VisualConfig, one_patch_size, scene_of
 from lvba.visual.scene_points import Observations, ScenePoints

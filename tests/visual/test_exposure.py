@@ -9,8 +9,9 @@ from naive_points import warp_by_plane
 from rectangle_world import CAMERA, look, plane_points, planes_of, rectangle, render, room_with_screen, scan
 
 from lvba.kernels import patches_mean
-from lvba.visual import exposure, image, visibility
+from lvba.visual import exposure, exposure_graph, image, visibility
 from lvba.visual.exposure import ExposureConfig, Ratios, solve_ratios
+from lvba.visual.exposure_graph import BLOCKS
 from lvba.visual.image import Pyramid
 
 
@@ -38,7 +39,7 @@ def _graph(rng, images=12, per_edge=20, sigma=0.01, skip=()):
     ).T
     first, second = np.repeat(first, per_edge), np.repeat(second, per_edge)
     value = truth[second] - truth[first] + sigma * rng.standard_normal(len(first))
-    block = rng.integers(0, exposure.BLOCKS, len(first))
+    block = rng.integers(0, BLOCKS, len(first))
     ratios = Ratios(first.astype(np.int32), second.astype(np.int32), value, np.full(len(first), sigma), block)
     return truth, ratios
 
@@ -67,7 +68,7 @@ def test_sigma_grows_where_patches_err_together():
     for _ in range(20):
         truth, ratios = _graph(rng, sigma=0.01)
         # each part of the surface looks brighter or darker to each image, to all pairs alike
-        shift = 0.01 * rng.standard_normal((len(truth), exposure.BLOCKS))
+        shift = 0.01 * rng.standard_normal((len(truth), BLOCKS))
         value = ratios.value + shift[ratios.second, ratios.block] - shift[ratios.first, ratios.block]
         found = solve_ratios(
             replace(ratios, value=value), len(truth), ExposureConfig(edge_floor=1e-6, few_patches=0)
@@ -122,13 +123,13 @@ def test_medians_match_numpy():
 
 def test_leaving_blocks_out_is_what_it_says():
     rng = np.random.default_rng(0)
-    edge, block = rng.integers(0, 3, 90), rng.integers(0, exposure.BLOCKS, 90)
+    edge, block = rng.integers(0, 3, 90), rng.integers(0, BLOCKS, 90)
     value, weight = rng.standard_normal(90), rng.uniform(0.5, 2, 90)
     edge[0], edge[1:][edge[1:] == 2] = 2, 1
     mean = np.array([np.average(value[edge == e], weights=weight[edge == e]) for e in range(3)])
     found = exposure.leave_out_blocks(edge, value, weight, block, mean)
     for e in range(2):
-        for b in range(exposure.BLOCKS):
+        for b in range(BLOCKS):
             rest = (edge == e) & (block != b)
             assert found[e, b] == pytest.approx(np.average(value[rest], weights=weight[rest]))
     assert (found[2] == mean[2]).all(), "an edge that lies in one block stays"
@@ -281,3 +282,15 @@ def test_pyramid_too_short_is_extended():
 def test_exposure_config_refuses(bad):
     with pytest.raises(ValueError, match=next(iter(bad))):
         ExposureConfig(**bad)
+
+
+def test_variances_are_those_of_the_dense_inverse(monkeypatch):
+    monkeypatch.setattr(exposure_graph, "_COLUMNS", 3)
+    first, second = np.array([0, 0, 1, 2, 5, 5, 6, 7]), np.array([1, 2, 3, 3, 6, 7, 8, 8])
+    component = np.array([0, 0, 0, 0, 1, 2, 2, 2, 2], np.int32)
+    weight = np.random.default_rng(2).uniform(1.0, 9.0, len(first))
+    graph = exposure_graph._Graph(first, second, component)
+    each = graph._centered(graph.factor(weight).values(np.diag(1 / np.sqrt(weight))))
+    variances = graph.factor(weight).variances()
+    np.testing.assert_allclose(variances, (each**2).sum(axis=1), rtol=1e-12, atol=1e-15)
+    assert variances[4] == 0.0
