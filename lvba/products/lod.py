@@ -189,7 +189,8 @@ def _pieces(
         level, key, points = _by_node(points, frame, chunk.level, config.leaf_points)
         own = int(np.searchsorted(level, chunk.level))
         if own:
-            above.append((level[:own], key[:own], points[:own]))
+            # copies: a view would keep the whole chunk
+            above.append((level[:own].copy(), key[:own].copy(), points[:own].copy()))
         nodes.append(_nodes(level[own:], key[own:], written))
         written += len(points) - own
         yield points[own:]

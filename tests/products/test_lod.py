@@ -1,6 +1,7 @@
 """The octree with levels of detail: its kernels against plain twins, and its files against what viewers rely on."""
 
 import json
+import weakref
 
 import naive_octree
 import numpy as np
@@ -116,6 +117,22 @@ def test_chunks_do_not_change_the_nodes(tmp_path):
         lod.write(tmp_path / "map.ply", tmp_path / name, LodConfig(leaf_points=50, chunk_points=chunk))
         found.append({node: rows.tobytes() for node, rows in potree.read_nodes(tmp_path / name)})
     assert found[0] == found[1]
+
+
+def test_chunks_are_forgotten_once_they_are_written(tmp_path, monkeypatch):
+    write_map(tmp_path / "map.ply", room(40_000))
+    by_node, kept, most = lod._by_node, [], []
+
+    def watched(*arguments):
+        found = by_node(*arguments)
+        most.append(sum(each() is not None for each in kept))
+        kept.append(weakref.ref(found[2]))
+        return found
+
+    monkeypatch.setattr(lod, "_by_node", watched)
+    lod.write(tmp_path / "map.ply", tmp_path / "cloud", LodConfig(leaf_points=500, chunk_points=2_000))
+    assert len(most) > 10
+    assert max(most) <= 1
 
 
 def test_the_same_map_gives_the_same_bytes(tmp_path):
