@@ -145,6 +145,14 @@ def postgres():
     server.stop()
 
 
+@pytest.fixture(params=["sqlite", "postgres"])
+def on_database(request):
+    """Options of a service: none, for an SQLite of its own, or an empty database on PostgreSQL."""
+    if request.param == "sqlite":
+        return ()
+    return ("--database", request.getfixturevalue("postgres").new_database())
+
+
 def run_lvba(*arguments, code=0, program=("-m", "service.cli"), **options):
     """The finished process of `lvba ARGUMENTS`, after checking its exit code."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}

@@ -68,6 +68,9 @@ def claim_job(
     but: jobs to leave alone for now
     free_bytes: of the disk: a job that it could not hold before waits until it can
     """
+    with database.read() as session:  # mostly nothing waits, and SQLite has one writer at a time
+        if _next_job(session, running_jobs, but, free_bytes) is None:
+            return None
     with database.write() as session:
         database.order_claims(session)
         chosen = _next_job(session, running_jobs, but, free_bytes)
@@ -105,16 +108,18 @@ def _next_job(session: Session, running_jobs: int, but: Collection[str], free_by
 
 def claim_dataset(database: Database, owner: str) -> Dataset | None:
     """The next dataset to be checked, taken up."""
+    wanted = (
+        select(Dataset)
+        .where(Dataset.state == VALIDATING, Dataset.lease_owner.is_(None), Dataset.deleted.is_(False))
+        .order_by(Dataset.updated)
+        .limit(1)
+    )
+    with database.read() as session:
+        if session.scalars(wanted).one_or_none() is None:
+            return None
     with database.write() as session:
         database.order_claims(session)
-        wanted = (
-            select(Dataset)
-            .where(Dataset.state == VALIDATING, Dataset.lease_owner.is_(None), Dataset.deleted.is_(False))
-            .order_by(Dataset.updated)
-            .limit(1)
-            .with_for_update(skip_locked=True)
-        )
-        dataset = session.scalars(wanted).one_or_none()
+        dataset = session.scalars(wanted.with_for_update(skip_locked=True)).one_or_none()
         if dataset is not None:
             _take(dataset, owner)
         return dataset

@@ -11,6 +11,7 @@ from sqlalchemy import select
 from test_server_faults import assert_done_once_with_the_same_bytes, job_processes, runs
 
 from service.server.database import Database
+from service.server.settings import Settings
 from service.server.tables import Job
 
 
@@ -46,18 +47,16 @@ def until_no_job_runs(data):
         time.sleep(0.05)
 
 
-@pytest.mark.parametrize("kind", ["sqlite on the full disk", "postgres"])
-def test_full_disk_holds_up_a_job_until_there_is_room(kind, small_disk, tiny_recording, tiny_result, request):
-    options = ["--database", request.getfixturevalue("postgres").new_database()] if kind == "postgres" else []
+def test_full_disk_holds_up_a_job_until_there_is_room(small_disk, tiny_recording, tiny_result, on_database):
     environment = {"LVBA_LIMITS_DISK_RESERVE_BYTES": "0"}
-    service = Service(small_disk / "data", *options, environment=environment)
+    service = Service(small_disk / "data", *on_database, environment=environment)  # SQLite is on the disk too
     dataset = upload(service.http, tiny_recording)
     with service.held("visual"):
         job_id = submit(service.http, dataset)["id"]
         until(service.http, f"/v1/jobs/{job_id}", runs("visual"))
         filler = fill(small_disk)
     until_no_job_runs(service.data)
-    if kind == "postgres":
+    if on_database:  # SQLite could not note it on a full disk
         waiting = until(service.http, f"/v1/jobs/{job_id}", lambda job: job["state"] == "queued")
         assert waiting["error"]["code"] == "disk-full"
         assert waiting["attempts"][0]["outcome"] == "crashed"
@@ -88,11 +87,14 @@ def until_renewed(url, job_id, times):
         time.sleep(0.1)
 
 
-def test_clock_that_jumps_by_an_hour_moves_no_job(tiny_recording, tiny_result, tmp_path):
+def test_clock_that_jumps_by_an_hour_moves_no_job(tiny_recording, tiny_result, tmp_path, on_database):
     clocks = [tmp_path / "clock-0", tmp_path / "clock-1"]
-    services = [Service(tmp_path / "data", environment={"LVBA_TEST_CLOCK": str(clock)}) for clock in clocks]
+    services = [
+        Service(tmp_path / "data", *on_database, environment={"LVBA_TEST_CLOCK": str(clock)})
+        for clock in clocks
+    ]
     one, two = services
-    url = f"sqlite:///{one.data / 'lvba.sqlite'}"
+    url = Settings(data=one.data, database="".join(on_database[1:])).database_url
     dataset = upload(one.http, tiny_recording)
     with one.held("lidar"):
         jobs = [submit(one.http, dataset, name=f"n{number}")["id"] for number in range(2)]

@@ -41,8 +41,8 @@ def assert_done_once_with_the_same_bytes(http, job, result):
         assert http.get(f"/v1/jobs/{job['id']}/results/{name}").content == (result / name).read_bytes(), name
 
 
-def test_killed_service_goes_on_from_the_finished_stages(tiny_recording, tiny_result, tmp_path):
-    service = Service(tmp_path / "data")
+def test_killed_service_goes_on_from_the_finished_stages(tiny_recording, tiny_result, tmp_path, on_database):
+    service = Service(tmp_path / "data", *on_database)
     job_id = submit(service.http, upload(service.http, tiny_recording))["id"]
     with service.held("visual"):
         until(service.http, f"/v1/jobs/{job_id}", runs("visual"))
