@@ -3,12 +3,13 @@
 Streets of 200, 400, 800 and 1600 scans and images, one every two meters, solved in parts of 40 by two worker processes of
 one thread each: peak memory of the largest worker, and seconds of work in all tasks together. Images are small, scans
 thin, to be done in minutes; docs/images/length.svg shows the table. Then a street of 160 scans of 30,000 points and
-images of 640 x 480 by two workers, by one, and in one process without Dask: what tasks bring and cost at usual sizes.
+images of 640 x 480 by two workers, by one with one thread, and in one process without Dask: what tasks bring and cost.
 Last, what a task costs that does nothing: store, scheduler and all.
 """
 
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -41,7 +42,7 @@ def run(lengths: tuple[int, ...] = (1, 2, 4, 8)) -> dict[str, Any]:
             _row(USUAL, _run(work, "usual", name, options))
             for name, options in (
                 ("two", ["--workers", "2"]),
-                ("one", ["--workers", "1"]),
+                ("one", ["--workers", "1", "--threads", "1"]),
                 ("alone", ["--threads", "1"]),
             )
         )
@@ -55,6 +56,8 @@ def run(lengths: tuple[int, ...] = (1, 2, 4, 8)) -> dict[str, Any]:
         "faster_by_a_second_worker": one["wall s"] / two["wall s"],
         "faster_on_the_stages_of_parts": (one["wall s"] - one["joint s"]) / (two["wall s"] - two["joint s"]),
         "milliseconds_per_empty_task": 1e3 * per_task,
+        "usual_processor_seconds_of_one_worker": one["processor s"],
+        "usual_processor_seconds_of_two_workers": two["processor s"],
         "usual_tasks": two["tasks"],
         "usual_work_seconds_without_dask": alone["work s"],
         "rows": rows,
@@ -69,10 +72,16 @@ def _simulate(dataset: Path, frames: int, sizes: tuple[str, ...]) -> None:
 def _run(work: Path, street: str, name: str, options: list[str]) -> dict[str, Any]:
     out = work / f"{street}-{name}"
     cut = ["--set", "split.by=count", "--set", f"split.size={PART}"]
-    started = time.perf_counter()
+    started, spent = time.perf_counter(), _processor_seconds()
     _lvba(["run", str(work / street), "--out", str(out), "--quiet", *cut, *options])
-    seconds = time.perf_counter() - started
-    return {**json.loads((out / "report.json").read_text()), "wall": seconds}
+    seconds, spent = time.perf_counter() - started, _processor_seconds() - spent
+    return {**json.loads((out / "report.json").read_text()), "wall": seconds, "processor": spent}
+
+
+def _processor_seconds() -> float:
+    """Of all processes that were begun from here and have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def _row(scans: int, report: dict[str, Any]) -> dict[str, Any]:
@@ -85,6 +94,7 @@ def _row(scans: int, report: dict[str, Any]) -> dict[str, Any]:
         "peak MB": max(stage["peak_memory_mb"] for stage in stages),
         "work s": sum(stage["seconds"] for stage in stages),
         "joint s": sum(stage["seconds"] for stage in joint),
+        "processor s": report["processor"],
         "wall s": report["wall"],
     }
 

@@ -1,7 +1,8 @@
 """What a run gives, and the folder it is written to."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,20 @@ from lvba.progress import Progress, silent
 
 
 @dataclass(frozen=True)
+class MapPieces:
+    """The map in pieces that lie side by side, read from where they are kept, one at a time."""
+
+    store: Store
+    keys: tuple[str, ...]
+
+    def __iter__(self) -> Iterator[PointMap]:
+        for key in self.keys:
+            yield self.store[key]
+            if hasattr(self.store, "release"):
+                self.store.release(key)
+
+
+@dataclass(frozen=True)
 class Result:
     """Refined poses and exposures, the colored map and the facts of the report.
 
@@ -34,9 +49,14 @@ class Result:
     world_from_scan: np.ndarray
     world_from_camera: np.ndarray
     relative_exposure: np.ndarray
-    map: PointMap
+    pieces: MapPieces
     pictures: Pictures | None
     report: dict[str, Any]
+
+    @cached_property
+    def map(self) -> PointMap:
+        """The colored map, whole: in memory from the first look on."""
+        return map_file.together(list(self.pieces))
 
     def write(self, out: str | Path) -> None:
         """Write the result folder; each file in it is the old one or the whole new one.
@@ -47,9 +67,15 @@ class Result:
         result_folder.write_poses(folder, self.dataset, self.world_from_scan, self.world_from_camera)
         if len(self.relative_exposure):
             result_folder.write_exposures(folder, self.dataset, self.relative_exposure)
-        ply.write_ply(folder / "map.ply", map_file.columns(self.map, self.dataset.origin))
+        self._write_map(folder / "map.ply")
         result_folder.write_config(folder, settings.to_dict(self.config))
         report.write(folder, self.report, self.pictures)
+
+    def _write_map(self, path: Path) -> None:
+        origin = self.dataset.origin
+        stored = map_file.layout(self.pieces, origin)
+        pieces = (map_file.columns(piece, origin, stored) for piece in self.pieces)
+        ply.write_ply_pieces(path, stored.count, pieces)
 
 
 def refine(
@@ -83,7 +109,9 @@ def collect(dataset: Dataset, config: Config, work: Plan, store: Store) -> Resul
         accepted.world_from_scan,
         accepted.world_from_camera,
         np.exp(accepted.log_exposure),
-        store[keys["map"]],
+        MapPieces(
+            store, tuple(key for name, key in keys.items() if name == "map" or name.startswith("map-"))
+        ),
         store[keys["pictures"]],
         facts,
     )

@@ -1,6 +1,6 @@
 """Point clouds as binary little-endian PLY, with as many fields per point as there are columns."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -39,18 +39,38 @@ def write_ply(path: str | Path, columns: Mapping[str, np.ndarray], comments: tup
     columns: name to (N,) array, for example x, y, z, red, green, blue, views, spread
     Raises: InputError if the file cannot be written; ValueError for a type that PLY does not have.
     """
-    table = _row_type(columns)
-    count = len(next(iter(columns.values())))
+    write_ply_pieces(path, len(next(iter(columns.values()))), [columns], comments)
+
+
+def write_ply_pieces(
+    path: str | Path, count: int, pieces: Iterable[Mapping[str, np.ndarray]], comments: tuple[str, ...] = ()
+) -> None:
+    """Writes the rows of all pieces, one after the other; as `write_ply`, but not all are in memory at a time.
+
+    count: rows of all pieces together, at least one piece; all have the columns of the first, of the same types
+    """
+    table = None
+    with stream.writer(path) as file:
+        for columns in pieces:
+            if table is None:
+                table = _row_type(columns)
+                file.write(_header(columns, count, comments))
+            here = len(next(iter(columns.values())))
+            for first in range(0, here, CHUNK):
+                rows = np.empty(min(CHUNK, here - first), table)
+                for name, values in columns.items():
+                    rows[name] = values[first : first + CHUNK]
+                file.write(rows.data)
+            count -= here
+        if count:
+            raise ValueError(f"{count} rows more were announced than there are")
+
+
+def _header(columns: Mapping[str, np.ndarray], count: int, comments: tuple[str, ...]) -> bytes:
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in comments)]
     lines += [f"element vertex {count}"]
     lines += [f"property {_NAMES[columns[name].dtype.str[1:]]} {name}" for name in columns]
-    with stream.writer(path) as file:
-        file.write(("\n".join([*lines, "end_header"]) + "\n").encode("ascii", "replace"))
-        for first in range(0, count, CHUNK):
-            rows = np.empty(min(CHUNK, count - first), table)
-            for name, values in columns.items():
-                rows[name] = values[first : first + CHUNK]
-            file.write(rows.data)
+    return ("\n".join([*lines, "end_header"]) + "\n").encode("ascii", "replace")
 
 
 def read_ply(path: str | Path) -> dict[str, np.ndarray]:

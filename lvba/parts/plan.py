@@ -261,16 +261,13 @@ class _Chain:
         ]  # fmt: skip
 
     def products(self, accepted: Ref, scores: Ref) -> None:
-        """The map and the pictures."""
+        """The map, whose pieces nobody needs to have together, and the pictures."""
         add, config = self._plan.add, self._config
-        maps = [
+        for frames, part in zip(self._subsets, self._cores, strict=True):
             add(
                 f"map-{part.number}", products.color_part,
                 *(frames, part, self._dataset, self._cores, accepted, self._survey, config.map),
-            )
-            for frames, part in zip(self._subsets, self._cores, strict=True)
-        ]  # fmt: skip
-        add("map", products.collect_map, maps)
+            )  # fmt: skip
         choice = add("pictures-choice", products.choose_pictures, scores, accepted)
         shown: list[Any] = [
             add(

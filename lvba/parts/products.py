@@ -10,7 +10,7 @@ from lvba.dataset import Dataset
 from lvba.gate import ROUGH
 from lvba.parts.regions import in_region, regions
 from lvba.parts.survey import Survey
-from lvba.products import colorize, evaluate, map_file, map_quality, pictures
+from lvba.products import colorize, evaluate, map_quality, pictures
 from lvba.products.cloud import Cloud
 from lvba.products.evaluate import EvaluateConfig, Scores, State
 from lvba.products.map_file import MapConfig, PointMap
@@ -112,11 +112,6 @@ def color_part(
     return PointMap(
         found.points_world[kept], found.rgb[kept], found.views[kept], found.spread[kept], found.voxel_m, scan
     )
-
-
-def collect_map(found: Sequence[PointMap]) -> PointMap:
-    """The map of all parts."""
-    return map_file.together(found)
 
 
 def choose_pictures(scores: dict[str, Scores], accepted: Accepted) -> Choice | None:

@@ -1,7 +1,7 @@
 """The map that users keep: points, colors and how sure they are, as columns of a PLY or LAZ file."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -121,19 +121,45 @@ def pixel_footprint(cloud: Cloud, views: Views) -> float:
     return float(np.median(distance)) / max(views.camera.fx, views.camera.fy)
 
 
-def columns(point_map: PointMap, origin: np.ndarray) -> dict[str, np.ndarray]:
-    """The map as columns of a file, in the input's world frame.
+@dataclass(frozen=True)
+class Layout:
+    """How the columns of all pieces of a map are stored, and how many points they have together.
 
-    origin: (3,) float64, m, added to the points. Coordinates are float32 as long as these hold a tenth of a millimeter
-    or so (within 2 km of zero), and float64 beyond.
+    coordinate: float32 as long as that holds a tenth of a millimeter or so (within 2 km of zero), and float64 beyond;
+    scan: None where the scan of some piece is not known
     """
-    xyz = point_map.points_world.astype(float) + origin
-    far = len(xyz) and np.abs(xyz).max() > 2000.0
-    names = dict(zip("xyz", (xyz if far else xyz.astype(np.float32)).T, strict=True))
+
+    count: int
+    coordinate: np.dtype
+    scan: np.dtype | None
+
+
+def layout(pieces: Iterable[PointMap], origin: np.ndarray) -> Layout:
+    """The layout of a map in pieces; origin: (3,) float64, m, added to the points."""
+    count, reach, last, known = 0, 0.0, 0, True
+    for piece in pieces:
+        count += len(piece)
+        if len(piece):
+            ends = np.stack([piece.points_world.min(0), piece.points_world.max(0)]).astype(float) + origin
+            reach = max(reach, float(np.abs(ends).max()))
+        if piece.scan is None:
+            known = False
+        else:
+            last = max(last, int(piece.scan.max(initial=0)))
+    scan = np.dtype(np.uint16 if last < 1 << 16 else np.uint32) if known else None
+    return Layout(count, np.dtype(np.float64 if reach > 2000.0 else np.float32), scan)
+
+
+def columns(point_map: PointMap, origin: np.ndarray, stored: Layout | None = None) -> dict[str, np.ndarray]:
+    """The map, or a piece of it, as columns of a file, in the input's world frame.
+
+    origin: (3,) float64, m, added to the points; stored: of all pieces, None: of this map alone
+    """
+    stored = stored or layout([point_map], origin)
+    xyz = (point_map.points_world.astype(float) + origin).astype(stored.coordinate)
+    names = dict(zip("xyz", xyz.T, strict=True))
     names |= dict(zip(("red", "green", "blue"), point_map.rgb.T, strict=True))
     names |= {"views": point_map.views, "spread": point_map.spread}
-    if point_map.scan is not None:
-        names["scan"] = point_map.scan.astype(
-            np.uint16 if point_map.scan.max(initial=0) < 1 << 16 else np.uint32
-        )
+    if stored.scan is not None and point_map.scan is not None:
+        names["scan"] = point_map.scan.astype(stored.scan)
     return names

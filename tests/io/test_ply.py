@@ -1,5 +1,7 @@
 """PLY files: what is written is read back; what is broken is named."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -91,3 +93,15 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
 def test_a_missing_folder_is_named(tmp_path):
     with pytest.raises(InputError, match="nowhere"):
         ply.write_ply(tmp_path / "nowhere" / "a.ply", columns())
+
+
+def test_pieces_make_the_file_of_the_whole(tmp_path):
+    whole = columns(1000)
+    ply.write_ply(tmp_path / "whole.ply", whole)
+    cuts = [0, 0, 300, 301, 1000]
+    pieces = [{name: values[a:b] for name, values in whole.items()} for a, b in pairwise(cuts)]
+    ply.write_ply_pieces(tmp_path / "pieces.ply", 1000, pieces)
+    assert (tmp_path / "pieces.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
+    with pytest.raises(InputError, match="1 rows more"):
+        ply.write_ply_pieces(tmp_path / "short.ply", 1001, pieces)
+    assert not (tmp_path / "short.ply").exists()

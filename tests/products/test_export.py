@@ -1,5 +1,6 @@
 """Exports of a small result folder."""
 
+import dataclasses
 import json
 
 import box_world
@@ -47,6 +48,28 @@ def result(tmp_path_factory):
     exposures.write_exposures(out / "exposures.csv", exposures.Exposures(times, np.exp(world.log_exposure)))
     (out / "report.json").write_text(json.dumps({"dataset": {"path": str(recording)}}))
     return out
+
+
+def test_pieces_of_a_map_are_stored_as_the_whole_is():
+    rng = np.random.default_rng(3)
+    near, far = (
+        map_file.PointMap(
+            rng.normal(size=(9, 3)).astype(np.float32) + np.float32(at),
+            np.zeros((9, 3), np.uint8), np.ones(9, np.uint8), np.ones(9, np.float32), 0.1,
+            np.arange(9, dtype=np.int32) + at,
+        )
+        for at in (0, 70_000)
+    )  # fmt: skip
+    whole = map_file.columns(map_file.together([near, far]), ORIGIN)
+    stored = map_file.layout([near, far], ORIGIN)
+    pieces = [map_file.columns(piece, ORIGIN, stored) for piece in (near, far)]
+    for name, values in whole.items():
+        together = np.concatenate([piece[name] for piece in pieces])
+        assert (together.dtype, together.tobytes()) == (values.dtype, values.tobytes()), name
+    assert (whole["x"].dtype, whole["scan"].dtype) == (np.float64, np.uint32)
+    assert map_file.columns(near, 0 * ORIGIN)["x"].dtype == np.float32
+    nameless = dataclasses.replace(near, scan=None)
+    assert "scan" not in map_file.columns(far, ORIGIN, map_file.layout([nameless, far], ORIGIN))
 
 
 def test_a_map_far_from_zero_is_written_in_double_precision(result):
