@@ -102,6 +102,6 @@ def test_pieces_make_the_file_of_the_whole(tmp_path):
     pieces = [{name: values[a:b] for name, values in whole.items()} for a, b in pairwise(cuts)]
     ply.write_ply_pieces(tmp_path / "pieces.ply", 1000, pieces)
     assert (tmp_path / "pieces.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
-    with pytest.raises(InputError, match="1 rows more"):
+    with pytest.raises(ValueError, match="1 rows more"):
         ply.write_ply_pieces(tmp_path / "short.ply", 1001, pieces)
     assert not (tmp_path / "short.ply").exists()
