@@ -36,7 +36,9 @@ from pathlib import Path
 from lvba.products import lod
 lod.write(Path(sys.argv[1]), Path(sys.argv[2]))
 use = resource.getrusage(resource.RUSAGE_SELF)
-print(json.dumps([use.ru_utime + use.ru_stime, use.ru_maxrss / 1024]))
+# not ru_maxrss, which begins with what the process had that began this one
+peak = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
+print(json.dumps([use.ru_utime + use.ru_stime, int(peak.split()[1]) / 1024]))
 """
 _FRAMES = """async () => {
   const canvas = document.querySelector('canvas[role=application]');
