@@ -31,14 +31,12 @@ _BLOCK = 40.0
 """m, edge of a block: a street with a house of half that edge."""
 _HOUSE, _HEIGHT = 20.0, 10.0
 _OCTREE = """
-import json, resource, sys, time
+import json, sys, time
 from pathlib import Path
 from lvba.products import lod
+from workers.local import peak_memory_mb
 lod.write(Path(sys.argv[1]), Path(sys.argv[2]))
-use = resource.getrusage(resource.RUSAGE_SELF)
-# not ru_maxrss, which begins with what the process had that began this one
-peak = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
-print(json.dumps([use.ru_utime + use.ru_stime, int(peak.split()[1]) / 1024]))
+json.dump([time.process_time(), peak_memory_mb()], sys.stdout)
 """
 _FRAMES = """async () => {
   const canvas = document.querySelector('canvas[role=application]');
@@ -94,7 +92,7 @@ def blocks(count: int, seed: int = 0) -> dict[str, np.ndarray]:
 
 
 def _octree(folder: Path, count: int) -> dict[str, Any]:
-    """Makes the map and its levels of detail in processes of their own; what it took."""
+    """Makes the map, and in a process of its own its levels of detail; what these took."""
     folder.mkdir()
     ply.write_ply(folder / "map.ply", blocks(count))
     words = [sys.executable, "-c", _OCTREE, str(folder / "map.ply"), str(folder / "cloud")]

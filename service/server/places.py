@@ -7,6 +7,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from service.server import store_urls
+
 LEAST_FREE = 64 << 20
 """Bytes of disk without which nothing is begun."""
 
@@ -57,7 +59,7 @@ class Places:
 
     def recording(self, dataset_id: str, source: str | None) -> Path:
         """Where the files of a dataset are; source: the folder or URL that was registered, None: uploaded."""
-        return Path(source) if source and "://" not in source else self.files(dataset_id)
+        return Path(source) if source and not store_urls.is_url(source) else self.files(dataset_id)
 
     def frames(self, dataset_id: str) -> Path:
         """JSON: time and path of each image."""

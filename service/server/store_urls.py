@@ -20,19 +20,22 @@ def checked_root(url: str) -> str:
 
     Raises InputError: no URL of an object store.
     """
-    found = _URL.fullmatch(url)
-    if found is None:
+    plain = _plain(url)
+    if plain is None:
         known = ", ".join(f"{scheme}://" for scheme in SCHEMES)
         raise InputError(
             "roots", f"{url!r} is no bucket or folder in one", f"write a folder, or {known}BUCKET/PATH"
         )
-    return f"{found[1]}://{found[2]}"
+    return plain
 
 
 def below_roots(url: str, roots: tuple[str, ...]) -> str | None:
     """The URL without a slash at its end, where it is one of the roots or below one; else None."""
+    plain = _plain(url)
+    below = plain is not None and any(plain == root or plain.startswith(root + "/") for root in roots)
+    return plain if below else None
+
+
+def _plain(url: str) -> str | None:
     found = _URL.fullmatch(url)
-    if found is None:
-        return None
-    plain = f"{found[1]}://{found[2]}"
-    return plain if any(plain == root or plain.startswith(root + "/") for root in roots) else None
+    return f"{found[1]}://{found[2]}" if found else None
