@@ -11,23 +11,23 @@ export interface Fetched<T> {
   again: () => void;
 }
 
-/** What the server says at `path`, fetched again by `again`; what was there stays until the new is. */
-export function useFetched<T>(path: string | null, load: (path: string) => Promise<T> = (p) => get<T>(p)): Fetched<T> {
+/** What the server says at `path`, fetched again by `again`; what was there stays until the new is, and when the path goes. */
+export function useFetched<T>(path: string | null, load: (path: string, signal: AbortSignal) => Promise<T> = (p, signal) => get<T>(p, signal)): Fetched<T> {
   const [state, setState] = useState<Omit<Fetched<T>, "again">>({ data: null, trouble: null });
   const [round, setRound] = useState(0);
   useEffect(() => {
     if (path === null) return;
-    let current = true;
-    load(path).then(
+    const stop = new AbortController();
+    load(path, stop.signal).then(
       (data) => {
-        if (current) setState({ data, trouble: null });
+        if (!stop.signal.aborted) setState({ data, trouble: null });
       },
       (error: unknown) => {
-        if (current) setState((old) => ({ data: old.data, trouble: told(error) }));
+        if (!stop.signal.aborted) setState((old) => ({ data: old.data, trouble: told(error) }));
       },
     );
     return () => {
-      current = false;
+      stop.abort();
     };
   }, [path, round]);
   const again = useCallback(() => {

@@ -109,7 +109,7 @@ class Watched:
 
     def check(self):
         strange = [one for one in self.problems if not any(re.search(known, one) for known in self.allowed)]
-        assert strange == []
+        assert strange == [], "\n".join(strange)
 
     def accessible(self):
         """No violation that axe finds (WCAG 2.2 A and AA, and its best practices)."""

@@ -12,30 +12,18 @@ const FIRST_BYTES = 100_000;
 export function Log({ job, size }: { job: string; size: number }) {
   const [text, setText] = useState("");
   const [follow, setFollow] = useState(true);
-  const next = useRef<number | null>(null);
-  const busy = useRef(false);
   const box = useRef<HTMLPreElement>(null);
+  const line = useRef({ next: -FIRST_BYTES, wanted: 0, busy: false, stop: new AbortController() });
   useEffect(() => {
-    let current = true;
-    const fetchMore = async (): Promise<void> => {
-      if (busy.current) return;
-      busy.current = true;
-      try {
-        for (let more = true; more && current;) {
-          const from = next.current ?? -FIRST_BYTES;
-          const piece = await get<LogPiece>(`/v1/jobs/${job}/logs?from=${String(from)}`);
-          next.current = piece.next;
-          if (piece.text !== "") setText((old) => (old + piece.text).slice(-KEPT_CHARACTERS));
-          more = piece.text !== "" && piece.next < piece.size;
-        }
-      } catch {
-        // the next change of the size tries again
-      } finally {
-        busy.current = false;
-      }
-    };
-    void fetchMore();
-    return () => { current = false; };
+    const stop = new AbortController();
+    line.current = { next: -FIRST_BYTES, wanted: 0, busy: false, stop };
+    return () => { stop.abort(); };
+  }, [job]);
+  useEffect(() => {
+    const { current } = line;
+    current.wanted = size;
+    // What fails is tried again when the log has grown.
+    if (!current.busy) fetchMore(job, current, (more) => { setText((old) => (old + more).slice(-KEPT_CHARACTERS)); }).catch(() => undefined);
   }, [job, size]);
   useEffect(() => {
     if (follow && box.current !== null) box.current.scrollTop = box.current.scrollHeight;
@@ -52,4 +40,27 @@ export function Log({ job, size }: { job: string; size: number }) {
       <label class="check small"><input type="checkbox" checked={follow} onChange={(event) => { setFollow(event.currentTarget.checked); }} /> Follow the end</label>
     </>
   );
+}
+
+interface Line {
+  /** Where to read on; negative: from the end. */
+  next: number;
+  wanted: number;
+  busy: boolean;
+  readonly stop: AbortController;
+}
+
+/** Reads on until what is wanted is there, also what became wanted meanwhile. */
+async function fetchMore(job: string, line: Line, take: (text: string) => void): Promise<void> {
+  line.busy = true;
+  try {
+    while (line.next < line.wanted) {
+      const piece = await get<LogPiece>(`/v1/jobs/${job}/logs?from=${String(line.next)}`, line.stop.signal);
+      if (line.stop.signal.aborted || piece.text === "") return;
+      line.next = piece.next;
+      take(piece.text);
+    }
+  } finally {
+    line.busy = false;
+  }
 }

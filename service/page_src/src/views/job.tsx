@@ -15,13 +15,14 @@ import type { Dataset, Job, Stage } from "../types";
 const ENDED = new Set(["done", "failed", "canceled"]);
 
 export function JobView({ id }: { id: string }) {
-  const fetched = useFetched<Job>(`/v1/jobs/${id}`);
+  const [leaving, setLeaving] = useState(false);
+  const fetched = useFetched<Job>(leaving ? null : `/v1/jobs/${id}`);
   const [live, setLive] = useState<LiveJob>({});
   const [round, setRound] = useState(0);
   const [trouble, setTrouble] = useState<{ cause: string; hint: string } | null>(null);
   const refresh = useThrottled(fetched.again, 250);
   const ended = fetched.data !== null && ENDED.has(fetched.data.state);
-  const up = useEvents(fetched.data === null ? null : `/v1/jobs/${id}/events?after=0&round=${String(round)}`, (event) => {
+  const up = useEvents(leaving || fetched.data === null ? null : `/v1/jobs/${id}/events?after=0&round=${String(round)}`, (event) => {
     if (event.event === "progress" || event.event === "log") setLive((old) => ({ ...old, ...patch(event) }));
     else refresh();
   });
@@ -29,6 +30,17 @@ export function JobView({ id }: { id: string }) {
   useTitle(state === "running" ? `${percent(live.progress ?? fetched.data?.progress ?? 0)} ${called}` : `${called}: ${state}`);
   const dataset = useFetched<Dataset>(fetched.data === null ? null : `/v1/datasets/${fetched.data.dataset}`);
   useEffect(() => { setLive((old) => (old.log_bytes === undefined ? {} : { log_bytes: old.log_bytes })); }, [fetched.data]);
+  // Asked for only after all that asks about the job has stopped: nobody asks for what is gone.
+  useEffect(() => {
+    if (!leaving) return;
+    send("DELETE", `/v1/jobs/${id}`).then(
+      () => { go("jobs"); },
+      (error: unknown) => {
+        setTrouble(told(error));
+        setLeaving(false);
+      },
+    );
+  }, [leaving, id]);
   useEvery(ended ? null : up ? 5000 : 2000, fetched.again);
   if (fetched.data === null) return <Trouble trouble={fetched.trouble} />;
   const job: Job = { ...fetched.data, ...live, stages: fetched.data.stages ?? [] };
@@ -37,15 +49,10 @@ export function JobView({ id }: { id: string }) {
     fetched.again();
     setRound((n) => n + 1);
   };
-  const act = (method: string, path: string): void => {
-    send(method, `/v1/jobs/${id}${path}`).then(
-      () => {
-        if (method === "DELETE") go("jobs");
-        else again();
-      },
-      (error: unknown) => { setTrouble(told(error)); },
-    );
+  const cancel = (): void => {
+    send("POST", `/v1/jobs/${id}/cancel`).then(again, (error: unknown) => { setTrouble(told(error)); });
   };
+  if (leaving) return <p class="quiet" role="status">Deleting {job.name}…</p>;
   return (
     <>
       <div class="page-head">
@@ -53,7 +60,7 @@ export function JobView({ id }: { id: string }) {
           <p class="crumb"><a href="#/jobs">Jobs</a></p>
           <h1>{job.name === "" ? job.id : job.name} <Badge state={job.state} /></h1>
         </div>
-        <Actions job={job} act={act} restarted={again} />
+        <Actions job={job} cancel={cancel} remove={() => { setLeaving(true); }} restarted={again} />
       </div>
       <Trouble trouble={trouble} />
       {job.error !== null && <Trouble trouble={job.error} />}
@@ -122,12 +129,12 @@ function Big({ name, value }: { name: string; value: string }) {
   return <div class="big"><span class="big-value">{value}</span><span class="quiet small">{name}</span></div>;
 }
 
-function Actions({ job, act, restarted }: { job: Job; act: (method: string, path: string) => void; restarted: () => void }) {
+function Actions({ job, cancel, remove, restarted }: { job: Job; cancel: () => void; remove: () => void; restarted: () => void }) {
   const dialog = useRef<HTMLDialogElement>(null);
   const ended = ENDED.has(job.state);
   return (
     <div class="actions">
-      {!ended && <button type="button" disabled={job.state === "canceling"} onClick={() => { act("POST", "/cancel"); }}>Cancel</button>}
+      {!ended && <button type="button" disabled={job.state === "canceling"} onClick={cancel}>Cancel</button>}
       {ended && <Restart job={job} done={restarted} />}
       {ended && <button type="button" class="danger" onClick={() => { dialog.current?.showModal(); }}>Delete</button>}
       <dialog ref={dialog} aria-labelledby="delete-title">
@@ -135,7 +142,7 @@ function Actions({ job, act, restarted }: { job: Job; act: (method: string, path
         <p>Its result and everything its stages made will be gone. The recording stays.</p>
         <div class="actions">
           <button type="button" onClick={() => { dialog.current?.close(); }}>Keep it</button>
-          <button type="button" class="danger" onClick={() => { act("DELETE", ""); }}>Delete</button>
+          <button type="button" class="danger" onClick={remove}>Delete</button>
         </div>
       </dialog>
     </div>
