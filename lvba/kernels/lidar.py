@@ -270,16 +270,14 @@ def information(
     count: np.ndarray,
     mean: np.ndarray,
     scatter: np.ndarray,
-    total: np.ndarray,
-    values: np.ndarray,
     vectors: np.ndarray,
-    trusted: float,
+    variance: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """What each scan's observations say about its pose, planes held fixed: (S, 6, 6), and what of it the planes' own
     uncertainty feigns, (S, 6, 6): a normal that is off by noise measures a motion along its plane that nothing tells.
 
-    trusted: points that a normal is never trusted beyond; its variance about eigenvector k is taken as
-    lam0 / (min(N, trusted) (lam_k - lam0)). World axes about each sensor; sums of weights, that is times sigma^2.
+    variance: (F, 2), rad^2, of each plane's normal towards its two tangents. World axes about each sensor; sums of
+    weights, that is times sigma^2.
     """
     scans = len(scan_starts) - 1
     told = np.zeros((scans, 6, 6))
@@ -299,12 +297,7 @@ def information(
             rotate_scatter(r, scatter[o], moved)
             for j in range(3):
                 u = vectors[f, j]
-                weight = 1.0
-                if j > 0:
-                    gap = values[f, j] - values[f, 0]
-                    if gap <= 0.0:
-                        continue
-                    weight = max(values[f, 0], 0.0) / (min(total[f], trusted) * gap)
+                weight = 1.0 if j == 0 else variance[f, j - 1]
                 cross[0, 1], cross[0, 2] = -u[2], u[1]
                 cross[1, 0], cross[1, 2] = u[2], -u[0]
                 cross[2, 0], cross[2, 1] = -u[1], u[0]

@@ -70,6 +70,8 @@ class LidarResult:
         rough poses and at the refined ones
     weak_directions: motions of all scans together that the planes leave open: held at the odometry
     weak_scans: (S,) int64, how many such directions each scan has
+    loose: (S - 1,) float64, how much of what the odometry leaves open of the motion to the next scan the planes leave
+        open too: 1 all of it; (0,) where not known, in parts and with more than some hundred scans
     """
 
     world_from_scan: np.ndarray
@@ -86,6 +88,7 @@ class LidarResult:
     converged: bool
     weak_directions: tuple[weak.WeakDirection, ...]
     weak_scans: np.ndarray
+    loose: np.ndarray
     warnings: tuple[str, ...]
 
 
@@ -148,7 +151,9 @@ def refine(
         settled,
         weakness.common,
         weakness.count,
-        _warnings(points, history[-1], config, settled, weakness, problem),
+        covariance.loose,
+        _warnings(points, history[-1], config, settled, problem)
+        + _of_loose_steps(covariance.loose, weakness, problem.prior),
     )
 
 
@@ -250,7 +255,6 @@ def _warnings(
     last: Round,
     config: LidarConfig,
     settled: bool,
-    weakness: weak.Weakness,
     problem: Problem,
 ) -> tuple[str, ...]:
     """What a user should know, one sentence each."""
@@ -268,3 +272,26 @@ def _warnings(
     if not settled and not single:
         told.append(f"scan poses still moved by {last.moved * 1e3:.2f} mm in the last round of association")
     return tuple(told)
+
+
+_LOOSE = 0.7
+"""Steps of which the planes leave more than this of the odometry's deviation are told: half of its variance."""
+_NAMED = 8
+
+
+def _of_loose_steps(
+    loose: np.ndarray, weakness: weak.Weakness, prior: OdometryPrior | None
+) -> tuple[str, ...]:
+    """What a user should know about groups of scans that hang together by the odometry only, though each is well held."""
+    if prior is None or not len(loose):
+        return ()
+    held = weakness.count == 0
+    steps = np.flatnonzero((loose > _LOOSE) & held[1:] & held[:-1])
+    if not len(steps):
+        return ()
+    named = ", ".join(map(str, steps[:_NAMED])) + (", ..." if len(steps) > _NAMED else "")
+    off = 1e3 * float(np.sqrt(np.linalg.inv(prior.information[steps])[:, [3, 4, 5], [3, 4, 5]].max()))
+    return (
+        f"{len(steps)} of {len(loose)} motions from scan to scan rest on the odometry, which is off by some {off:.0f} mm "
+        f"(after scan {named}): the planes seen from both sides of them say too little",
+    )

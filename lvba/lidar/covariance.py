@@ -14,7 +14,7 @@ import scipy.linalg
 
 from lvba import geometry
 from lvba.kernels import lidar as kernel
-from lvba.lidar import panels
+from lvba.lidar import doubt, panels
 from lvba.lidar.normal_equations import Problem, linearize
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
 
@@ -29,12 +29,19 @@ class Covariance:
     conditional: (S, 6, 6), of each pose if all others were known: how far it may be off the map around it
     step: (S - 1, 6, 6), of the motion from each scan to the next, in the later one's tangent
     excess: how many times the information promises too much, at least 1
+    loose: (S - 1,), of each step, by how much the planes narrow down what the odometry leaves open of its translation: 1
+        not at all, 0 to a point; none of more than MOST_DOUBTED scans
     """
 
     marginal: np.ndarray
     conditional: np.ndarray
     step: np.ndarray = field(default_factory=lambda: np.zeros((0, 6, 6)))
     excess: float = 1.0
+    loose: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+
+MOST_DOUBTED = 400
+"""Scans: what noise feigns about more of them together is not looked at, for it takes an eigenproblem of all."""
 
 
 def estimate(problem: Problem, world_from_scan: np.ndarray) -> Covariance:
@@ -47,12 +54,37 @@ def estimate(problem: Problem, world_from_scan: np.ndarray) -> Covariance:
     covariance = np.zeros((6 * scans, 6 * scans))
     covariance[6:, 6:] = inverse * excess
     step = _of_steps(covariance.reshape(scans, 6, scans, 6), world_from_scan)
+    loose = np.zeros(0)
+    if problem.prior is not None and scans <= MOST_DOUBTED:
+        covariance[6:, 6:] = _doubted(problem, world_from_scan, information[6:, 6:], excess)
+        doubted = _of_steps(covariance.reshape(scans, 6, scans, 6), world_from_scan)
+        loose = _narrowed(doubted, problem.prior.information)
     free = _alignment(world_from_scan)
     covariance = free @ covariance @ free.T
     marginal = covariance.reshape(scans, 6, scans, 6)[here, :, here]
     own = information.reshape(scans, 6, scans, 6)[here, :, here]
     conditional = np.stack([excess * _inverse(block) for block in own])
-    return Covariance(local(marginal, world_from_scan), local(conditional, world_from_scan), step, excess)
+    return Covariance(
+        local(marginal, world_from_scan), local(conditional, world_from_scan), step, excess, loose
+    )
+
+
+def _doubted(
+    problem: Problem, world_from_scan: np.ndarray, information: np.ndarray, excess: float
+) -> np.ndarray:
+    """The covariance of all poses but the first without what noise may have feigned, (6 S - 6, 6 S - 6)."""
+    odometry = _prior_information(problem, world_from_scan)
+    fits = fit(problem.features, world_from_scan)
+    feigned = doubt.feigned_information(problem.features, fits, world_from_scan, problem.sigma)[6:, 6:]
+    return _inverse(doubt.certain(information - odometry, feigned, odometry) / excess + odometry)
+
+
+def _narrowed(step: np.ndarray, odometry: np.ndarray) -> np.ndarray:
+    """(S - 1,), the largest ratio, over directions of translation, of the deviations of steps (S - 1, 6, 6) to those of
+    the odometry of this information (S - 1, 6, 6)."""
+    known = np.linalg.cholesky(np.linalg.inv(np.linalg.inv(odometry)[:, 3:, 3:]))
+    ratio = np.swapaxes(known, -1, -2) @ step[:, 3:, 3:] @ known
+    return np.sqrt(np.maximum(np.linalg.eigvalsh(ratio)[:, -1], 0.0))
 
 
 def _of_steps(covariance: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray:

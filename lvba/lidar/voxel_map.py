@@ -174,7 +174,7 @@ class PlaneTest:
     excess: float = 0.15
     """How much larger the sum of squared distances may be than that of the finer planes in the cell, as a fraction of the
     latter; 0.05 to 1, or infinity to trust coarse planes as BALM2 does."""
-    spread: float = 0.1
+    spread: float = 0.15
     """Smallest standard deviation of the points along the plane's shorter side, as a fraction of the cell; 0 to 0.25."""
     max_tilt: float = 0.02
     """rad, largest standard deviation of the normal, from the noise and number of its points; 0.001 to infinity."""

@@ -98,8 +98,16 @@ def information(
         clusters.count,
         clusters.mean,
         clusters.scatter,
-        fits.total,
-        fits.eigenvalues,
         fits.eigenvectors,
-        TRUSTED_POINTS,
+        normal_variance(fits),
     )
+
+
+def normal_variance(fits: PlaneFits) -> np.ndarray:
+    """Variance of each plane's normal towards its two tangents, (F, 2), rad^2: lam0 / (N (lam_k - lam0)), N as trusted;
+    0 towards a tangent that is none."""
+    smallest = np.maximum(fits.eigenvalues[:, :1], 0.0)
+    gap = np.minimum(fits.total, TRUSTED_POINTS)[:, None] * (
+        fits.eigenvalues[:, 1:] - fits.eigenvalues[:, :1]
+    )
+    return np.divide(smallest, gap, out=np.zeros_like(gap), where=gap > 0.0)

@@ -240,6 +240,7 @@ def finish_scans(
         converged=settled,
         weak_directions=uncertainty.weakness.common,
         weak_scans=uncertainty.weakness.count,
+        loose=np.zeros(0),
         warnings=_warnings(state, parts, settled, uncertainty.weakness.count),
     )
     return JointScans(LidarStage(result), merged.merged, state.history)

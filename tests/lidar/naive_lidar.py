@@ -79,3 +79,26 @@ def information(rotations, feature, scan, points, weight, eigenvalues, eigenvect
                 gap = eigenvalues[f, k] - eigenvalues[f, 0]
                 feigned[s] += w * eigenvalues[f, 0] / (min(total[f], trusted) * gap) * rows.T @ rows
     return told, feigned
+
+
+def feigned(poses, features, sigma, trusted):
+    """Of all poses together: each plane's points with a tangent for its normal, what planes could absorb taken out."""
+    total = np.zeros((6 * len(poses), 6 * len(poses)))
+    for feature in features:
+        moved = [points @ poses[scan, :3, :3].T + poses[scan, :3, 3] for scan, points, _ in feature]
+        weight = np.concatenate([np.full(len(points), w) for _, points, w in feature])
+        points, scan = np.concatenate(moved), np.concatenate([[s] * len(p) for s, p, _ in feature])
+        off = points - np.average(points, axis=0, weights=weight)
+        values, vectors = np.linalg.eigh((weight[:, None] * off).T @ off / weight.sum())
+        for k in (1, 2):
+            variance = values[0] / (min(weight.sum(), trusted) * (values[k] - values[0]))
+            rows = np.zeros((len(points), 6 * len(poses)))
+            for i, s in enumerate(scan):
+                lever = points[i] - poses[s, :3, 3]
+                rows[i, 6 * s : 6 * s + 6] = np.concatenate([np.cross(lever, vectors[:, k]), vectors[:, k]])
+            root = np.sqrt(weight)[:, None]
+            plane = root * np.column_stack([np.ones(len(points)), off @ vectors[:, 1], off @ vectors[:, 2]])
+            rows *= root
+            rows -= plane @ np.linalg.lstsq(plane, rows, rcond=None)[0]
+            total += variance * rows.T @ rows
+    return total / sigma**2

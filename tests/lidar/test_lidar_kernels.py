@@ -8,7 +8,7 @@ import pytest
 from lvba import geometry
 from lvba.kernels import lidar as kernel
 from lvba.kernels import point_cluster, voxel
-from lvba.lidar import covariance, normal_equations, panels, plane_feature, voxel_map
+from lvba.lidar import covariance, doubt, normal_equations, panels, plane_feature, voxel_map, weak
 from lvba.lidar.plane_feature import PlaneFeatures
 from lvba.lidar.point_cluster import PointClusters, split
 from lvba.lidar.scan import Scans, gather
@@ -321,7 +321,7 @@ def test_information_kernel_against_its_twin(problem):
     clusters = features.clusters.weighted(features.weight)
     args = (features.feature, clusters.count, clusters.mean, clusters.scatter)
     told, feigned = kernel.information(
-        split(poses)[0], starts, by_scan, *args, fits.total, fits.eigenvalues, fits.eigenvectors, 50.0
+        split(poses)[0], starts, by_scan, *args, fits.eigenvectors, weak.normal_variance(fits)
     )
     points = [points for feature in plain for _, points, _ in feature]
     expected = naive.information(
@@ -330,6 +330,13 @@ def test_information_kernel_against_its_twin(problem):
     )  # fmt: skip
     np.testing.assert_allclose(told, expected[0], rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(feigned, expected[1], rtol=1e-8, atol=1e-10)
+
+
+def test_what_noise_feigns_about_all_poses_against_its_twin(several_tiles):
+    poses, plain, features = several_tiles
+    got = doubt.feigned_information(features, plane_feature.fit(features, poses), poses, 0.02)
+    expected = naive.feigned(poses, plain, 0.02, weak.TRUSTED_POINTS)
+    np.testing.assert_allclose(got, expected, atol=1e-9 * np.abs(expected).max())
 
 
 def test_cost_does_not_depend_on_the_frame(problem):
