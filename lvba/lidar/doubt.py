@@ -1,7 +1,9 @@
 """What planes seem to say about all scans together although noise may have made it up.
 
-A group of scans may hold fast to each other and hang on the others by little: those that see the floor of one room, and
-of all other rooms only walls, can go up and down together. Each of them is well held, so `weak` does not see it. What little the planes say about such a motion is no more than what noise of their normals feigns, so it is not promised.
+A group of scans may hold fast to each other and hang on the others by little: those that see the floor of one room,
+and of all other rooms only walls, can go up and down together. Each of them is well held, so `weak` does not see it.
+What little the planes say about such a motion is no more than what noise of their normals feigns, so it is not
+promised.
 """
 
 import numpy as np
