@@ -24,10 +24,12 @@ _POLL_S = 1.0
 _TIMEOUT = httpx.Timeout(60.0, connect=10.0)
 _PASSING = (423, 429, 502, 503, 504)
 """Answers that may be others a moment later."""
+_ASKED_WRONGLY = (400, 401, 403, 404, 413, 415, 422)
+"""Answers to what the user should ask in another way: bad input, wherever it is found."""
 
 
 class ServerError(LvbaError):
-    """The server refused, or cannot be reached."""
+    """The server cannot do what was asked now, or cannot be reached."""
 
 
 class Client:
@@ -226,15 +228,20 @@ def connected(
 
 
 def _raise_for(answer: httpx.Response, url: str) -> httpx.Response:
-    """The answer, if it is none of an error."""
+    """The answer, if it is none of an error.
+
+    Raises InputError: another request would have been answered; ServerError: the same one might be at another time.
+    """
     if not answer.is_error:
         return answer
     try:
         problem = answer.json()
-        said = f"{problem['detail']}; {problem['hint']}"
+        detail, hint = str(problem["detail"]), str(problem["hint"])
     except (ValueError, KeyError, TypeError):
-        said = f"answered {answer.status_code}"
-    raise ServerError(f"{url}: {said}")
+        raise ServerError(f"{url}: answered {answer.status_code}") from None
+    if answer.status_code in _ASKED_WRONGLY:
+        raise InputError(url, detail, hint)
+    raise ServerError(f"{url}: {detail}; {hint}")
 
 
 def _host(url: str) -> str:

@@ -53,12 +53,7 @@ class _Tally:
             raise InputError(
                 "the archive", f"holds more than {self.limits.archive_entries} files", "split it"
             )
-        place = names.same_place(name)
-        if place in self.places:
-            raise InputError(
-                repr(name), "is in the archive twice, or differs in letter case only", _PACK_AGAIN
-            )
-        self.places.add(place)
+        names.take(name, self.places, _PACK_AGAIN)
 
     def add_bytes(self, count: int) -> None:
         self.bytes += count

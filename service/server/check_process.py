@@ -110,11 +110,7 @@ def _assemble(task: dict[str, Any], limits: Limits) -> Path:
 
 
 def _link(file: Path, folder: Path, path: str, places: set[str]) -> None:
-    place = names.same_place(path)
-    if place in places:
-        raise InputError(repr(path), "differs from another in letter case only", "give it another name")
-    places.add(place)
-    target = folder / names.checked(path)
+    target = folder / names.take(path, places)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         os.link(file, target)

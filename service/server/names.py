@@ -32,6 +32,18 @@ def same_place(path: str) -> str:
     return unicodedata.normalize("NFC", path).casefold()
 
 
+def take(path: str, taken: set[str], mend: str = "give it another name") -> str:
+    """The path as it is kept (see `checked`), its place now among those taken.
+
+    Raises InputError: also where some file system would put it in the place of another.
+    """
+    place = same_place(checked(path))
+    if place in taken:
+        raise InputError(_shown(path), "is there twice, or differs from another in letter case only", mend)
+    taken.add(place)
+    return path
+
+
 def below(folder: Path, path: str) -> Path:
     """The file of this name in the folder.
 

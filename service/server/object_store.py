@@ -100,11 +100,7 @@ def _listed(url: str, store: Any, root: str, limits: Limits) -> dict[str, _Objec
     for path, facts in sorted(found.items()):
         if path.endswith("/") or facts.get("type") == "directory" or path == root:
             continue
-        name = names.checked(path.removeprefix(root + "/"))
-        place = names.same_place(name)
-        if place in places:
-            raise InputError(repr(name), "differs from another in letter case only", "give it another name")
-        places.add(place)
+        name = names.take(path.removeprefix(root + "/"), places)
         objects[name] = _Object(path, int(facts.get("size") or 0), _version(facts))
         total += objects[name].size
         if len(objects) > limits.archive_entries or total > limits.archive_bytes:

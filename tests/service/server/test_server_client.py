@@ -45,9 +45,9 @@ def test_batch_on_a_server_ends_like_one_at_home(service, lvba, tiny_recording, 
     ("words", "code", "said"),
     [
         (["submit", "nowhere"], 2, "there is no such file or folder"),
-        (["status", "job_0"], 1, "there is no job 'job_0'"),
-        (["fetch", "job_0", "--out", "x"], 1, "there is no job 'job_0'"),
-        (["jobs", "--state", "odd"], 1, "state"),
+        (["status", "job_0"], 2, "there is no job 'job_0'"),
+        (["fetch", "job_0", "--out", "x"], 2, "there is no job 'job_0'"),
+        (["jobs", "--state", "odd"], 2, "state"),
         (["jobs", "--key-file", "/nowhere"], 2, "give --key-file a file"),
     ],
 )

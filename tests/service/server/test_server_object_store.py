@@ -54,7 +54,7 @@ def test_recording_in_a_bucket_is_the_one_in_a_folder(service, bucket, tiny_reco
     assert service.http.get("/v1/me").json()["quota"]["bytes_used"] == there["bytes"]
     job = lvba("submit", "s3://maps/recordings/street", "--server", service.url).stdout.strip()
     assert service.http.get(f"/v1/jobs/{job}").json()["name"] == "street"
-    refused = lvba("submit", "s3://maps/private", "--server", service.url, code=1)
+    refused = lvba("submit", "s3://maps/private", "--server", service.url, code=2)
     assert "not below a root" in refused.stderr
     service.http.delete(path)
     assert bucket.list_objects_v2(Bucket="maps", Prefix="recordings/street/")["KeyCount"] == len(files)
