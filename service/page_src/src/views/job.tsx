@@ -29,7 +29,7 @@ export function JobView({ id }: { id: string }) {
   const { state = "", name: called = "Job" } = fetched.data ?? {};
   useTitle(state === "running" ? `${percent(live.progress ?? fetched.data?.progress ?? 0)} ${called}` : `${called}: ${state}`);
   const dataset = useFetched<Dataset>(fetched.data === null ? null : `/v1/datasets/${fetched.data.dataset}`);
-  useEffect(() => { setLive((old) => (old.log_bytes === undefined ? {} : { log_bytes: old.log_bytes })); }, [fetched.data]);
+  useEffect(() => { setLive({}); }, [fetched.data]);
   // Asked for only after all that asks about the job has stopped: nobody asks for what is gone.
   useEffect(() => {
     if (!leaving) return;
@@ -43,7 +43,8 @@ export function JobView({ id }: { id: string }) {
   }, [leaving, id]);
   useEvery(ended ? null : up ? 5000 : 2000, fetched.again);
   if (fetched.data === null) return <Trouble trouble={fetched.trouble} />;
-  const job: Job = { ...fetched.data, ...live, stages: fetched.data.stages ?? [] };
+  const log_bytes = Math.max(fetched.data.log_bytes ?? 0, live.log_bytes ?? 0);
+  const job: Job = { ...fetched.data, ...live, log_bytes, stages: fetched.data.stages ?? [] };
   const again = (): void => {
     setTrouble(null);
     fetched.again();
