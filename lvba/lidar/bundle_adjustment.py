@@ -274,8 +274,11 @@ def _warnings(
     return tuple(told)
 
 
-_LOOSE = 0.7
-"""Steps of which the planes leave more than this of the odometry's deviation are told: half of its variance."""
+_LOOSE = 0.5
+"""Steps of which the planes leave more than this of the odometry's deviation are told. A group that hangs on the others by
+the odometry at both its ends has sqrt(1/2) at each."""
+_TORN = 3.0
+"""And more than this many times what they leave of most steps: an odometry as good as the planes tears no map."""
 _NAMED = 8
 
 
@@ -286,7 +289,8 @@ def _of_loose_steps(
     if prior is None or not len(loose):
         return ()
     held = weakness.count == 0
-    steps = np.flatnonzero((loose > _LOOSE) & held[1:] & held[:-1])
+    torn = (loose > _LOOSE) & (loose > _TORN * np.median(loose))
+    steps = np.flatnonzero(torn & held[1:] & held[:-1])
     if not len(steps):
         return ()
     named = ", ".join(map(str, steps[:_NAMED])) + (", ..." if len(steps) > _NAMED else "")
