@@ -275,8 +275,8 @@ def _warnings(
 
 
 _LOOSE = 0.5
-"""Steps of which the planes leave more than this of the odometry's deviation are told. A group that hangs on the others by
-the odometry at both its ends has sqrt(1/2) at each."""
+"""Steps of which the planes leave more than this of the odometry's deviation are told. A group that hangs on the others
+by the odometry at both its ends has sqrt(1/2) at each."""
 _TORN = 3.0
 """And more than this many times what they leave of most steps: an odometry as good as the planes tears no map."""
 _NAMED = 8
