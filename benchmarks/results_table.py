@@ -9,8 +9,8 @@ HEAD = """# Results
 
 Made by `benchmarks/results.py` from runs of the installed command with default settings; nothing here is typed by hand.
 Lengths in millimeters and angles in degrees are root mean squares over all frames. How the figures are defined:
-[evaluation.md](evaluation.md). Seconds are wall time on two cores that had much other work beside, two
-to fifteen times what a run takes by itself (the first rows compile, too): for that see [benchmarks.md](benchmarks.md).
+[evaluation.md](evaluation.md). Seconds are wall time on two cores that had some other work beside (and
+the first rows compile, too); for what a run takes by itself see [benchmarks.md](benchmarks.md).
 """
 
 NOTES = {
