@@ -17,6 +17,8 @@ from lvba.lidar.weak import normal_variance
 
 PROMISED = 8.0
 """Multiple of what noise feigns that is not promised: twice that which is not followed (`weak.SIGNAL_TO_NOISE`)."""
+_LEAST_VARIANCE = 1e-12
+"""rad^2, of a normal: planes of no thickness keep a weight, which the elimination of their parameters divides by."""
 
 
 def feigned_information(
@@ -34,7 +36,8 @@ def feigned_information(
     clusters = features.clusters.weighted(features.weight)
     by_scan = panels.by_scan(features, len(world_from_scan))
     variances = normal_variance(fits)
-    found = np.zeros(2 * (6 * len(world_from_scan),))
+    size = 6 * len(world_from_scan)
+    found = np.zeros((size, size))
     for tangent in (1, 2):
         variance = np.maximum(variances[:, tangent - 1], _LEAST_VARIANCE)
         each = variance[features.feature]
@@ -57,10 +60,6 @@ def feigned_information(
         )
         found += kernel.hessian(laid.starts, laid.feature, laid.seen, diagonal, columns)
     return found / (2.0 * sigma**2)
-
-
-_LEAST_VARIANCE = 1e-12
-"""rad^2, of a normal: planes of no thickness keep a weight, which the elimination of their parameters divides by."""
 
 
 def certain(told: np.ndarray, feigned: np.ndarray, odometry: np.ndarray) -> np.ndarray:

@@ -21,9 +21,8 @@ def patch(rng, axis, height, low, high, points):
 def two_floors(one_floor: bool):
     """(scans, truth, rough): walls that all see, and a floor of its own for each half, or one for all."""
     rng = np.random.default_rng(3)
-    turn = (
-        2 * np.pi * np.arange(2 * GROUP) / GROUP
-    )  # each group goes round once: no tilt of the whole is a step between them
+    # each group goes round once: no tilt of the whole looks like a step between them
+    turn = 2 * np.pi * np.arange(2 * GROUP) / GROUP
     truth = np.stack([look([2 * np.cos(a), 2 * np.sin(a), 1.5], 0.3 * a) for a in turn])
     scans = []
     for number, pose in enumerate(truth):
