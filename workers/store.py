@@ -92,7 +92,10 @@ class ZarrStore(MutableMapping[str, Any]):
         self.put(key, value, {})
 
     def put(self, key: str, value: Any, facts: Mapping[str, Any]) -> None:
-        """Store an artifact; the facts (seconds, memory, versions) go into its manifest."""
+        """Store an artifact; the facts (seconds, memory, versions) go into its manifest.
+
+        What is there under this key, and whole, stays as it is: the same key means the same bytes.
+        """
         write(self.folder, key, value, facts)
         self._values[key] = value
         self._verified.add(key)
@@ -284,18 +287,42 @@ def _sync(folder: Path) -> None:
 
 
 def _move_into_place(partial: Path, artifact: Path) -> None:
-    with suppress(FileNotFoundError):
-        artifact.rename(partial.with_name(f"{partial.name}-replaced"))
+    """What is whole under this name stays, manifest and all: others may have read it. What is damaged is replaced."""
+    try:
+        _rename_unless_taken(partial, artifact)
+    except FileExistsError:
+        if not _is_whole(artifact):
+            _replace(artifact, partial)
+        shutil.rmtree(partial, ignore_errors=True)
+    descriptor = os.open(artifact.parent, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _rename_unless_taken(partial: Path, artifact: Path) -> None:
     try:
         partial.rename(artifact)
     except OSError as error:
         if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
             raise
         # two workers made the same artifact, and the other one was faster: the same key means the same bytes
-        shutil.rmtree(partial)
-    shutil.rmtree(partial.with_name(f"{partial.name}-replaced"), ignore_errors=True)
-    descriptor = os.open(artifact.parent, os.O_RDONLY)
+        raise FileExistsError(errno.EEXIST, "is there already", str(artifact)) from None
+
+
+def _is_whole(artifact: Path) -> bool:
     try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+        verify(artifact)
+    except (ArtifactError, OSError):
+        return False
+    return True
+
+
+def _replace(artifact: Path, partial: Path) -> None:
+    aside = partial.with_name(f"{partial.name}-replaced")
+    with suppress(FileNotFoundError):
+        artifact.rename(aside)
+    with suppress(FileExistsError):
+        _rename_unless_taken(partial, artifact)
+    shutil.rmtree(aside, ignore_errors=True)

@@ -63,6 +63,8 @@ class UrlStore(ZarrStore):
     def put(self, key: str, value: Any, facts: Mapping[str, Any]) -> None:
         """Store an artifact; the facts (seconds, memory, versions) go into its manifest."""
         super().put(key, value, facts)
+        if self._exists(key):
+            return  # another worker made it too, and was faster: the same key means the same bytes
         self._remove(key)
         artifact = self.folder / key
         names = [p.relative_to(artifact).as_posix() for p in artifact.rglob("*") if p.is_file()]

@@ -193,6 +193,17 @@ def test_manifest_has_digests_and_facts(tmp_path):
     assert set(manifest["files"]) == set(every_file(tmp_path / "a-1")) - {"manifest.json"}
 
 
+def test_what_another_worker_made_meanwhile_stays_and_what_is_damaged_is_replaced(tmp_path):
+    for seconds in 1.5, 2.5:
+        ZarrStore(tmp_path).put("a-1", trajectory(100), {"seconds": seconds})
+        assert ZarrStore(tmp_path).facts("a-1")["seconds"] == 1.5
+    (tmp_path / "a-1" / "zarr.json").write_text("{")
+    ZarrStore(tmp_path).put("a-1", trajectory(100), {"seconds": 3.5})
+    assert ZarrStore(tmp_path).facts("a-1")["seconds"] == 3.5
+    assert_same(ZarrStore(tmp_path)["a-1"], trajectory(100))
+    assert [path.name for path in tmp_path.iterdir()] == ["a-1"]
+
+
 @pytest.mark.parametrize(
     "name", ["os:stat_result", "lvbax.camera:Camera", "lvba.camera:np", "lvba.camera:Gone"]
 )

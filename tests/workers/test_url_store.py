@@ -84,6 +84,14 @@ def test_artifact_without_manifest_does_not_count_and_is_tidied(url):
     assert {name.split("/")[0] for name in under(url)} == {"b-1"}
 
 
+def test_what_another_worker_made_meanwhile_stays(url):
+    for seconds in 1.5, 2.5:
+        open_store(url).put("a-1", VALUE, {"seconds": seconds})
+        store = open_store(url)
+        assert store["a-1"]["n"] == 3
+        assert store.facts("a-1")["seconds"] == 1.5
+
+
 def test_manifest_goes_up_last(url, monkeypatch):
     store = open_store(url)
 
