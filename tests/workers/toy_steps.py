@@ -23,7 +23,7 @@ def said(folder, start=""):
     return [line for line in (log.read_text().splitlines() if log.exists() else []) if line.startswith(start)]
 
 
-def wait_for(condition, seconds=30):
+def wait_for(condition, seconds=120):
     deadline = time.monotonic() + seconds
     while not (found := condition()):
         assert time.monotonic() < deadline, "waited in vain"

@@ -1,12 +1,13 @@
 """The page in a real browser before a real service: from an upload to the map on the screen and the files at home."""
 
 import hashlib
+import time
 
 import pytest
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
 
-from page_browser import Served, Watched, browser_or_skip, colors_of  # noqa: E402
+from page_browser import PATIENCE_MS, Served, Watched, browser_or_skip, colors_of  # noqa: E402
 
 from lvba import simulate  # noqa: E402
 
@@ -103,32 +104,45 @@ def hide_lines(page):
     page.get_by_label("Paths").uncheck()
 
 
+def at_rest(canvas):
+    """A picture of the map that is followed by the same one."""
+    picture, before = canvas.screenshot(), None
+    while picture != before:
+        canvas.page.wait_for_timeout(300)
+        picture, before = canvas.screenshot(), picture
+    return picture
+
+
+def new_picture(canvas, seen):
+    """Waits until the map looks like none of these."""
+    end = time.monotonic() + PATIENCE_MS / 1000
+    while (picture := at_rest(canvas)) in seen:
+        assert time.monotonic() < end, "the map looks as before"
+    return picture
+
+
 def test_the_map_is_on_the_screen_and_turns_by_keys(watched, job):
     canvas = show_map(watched, job)
     hide_lines(watched.page)
-    first = canvas.screenshot()
+    first = at_rest(canvas)
     assert colors_of(first) > 1000
     canvas.focus()
     for _ in range(4):
         watched.page.keyboard.press("ArrowRight")
-    watched.page.wait_for_timeout(500)
-    assert canvas.screenshot() != first
+    new_picture(canvas, [first])
     watched.check()
 
 
 def test_rough_poses_move_the_map_and_colors_change_by_choice(watched, job):
     canvas = show_map(watched, job)
     hide_lines(watched.page)
-    pictures = [canvas.screenshot()]
+    pictures = [at_rest(canvas)]
     watched.page.get_by_role("button", name="Rough").click()
-    watched.page.wait_for_timeout(1500)
-    pictures.append(canvas.screenshot())
+    pictures.append(new_picture(canvas, pictures))
     watched.page.get_by_role("button", name="Refined").click()
     for way in ("height", "views", "scan"):
         watched.page.get_by_label("Color by").select_option(way)
-        watched.page.wait_for_timeout(1500)
-        pictures.append(canvas.screenshot())
-    assert len(set(pictures)) == len(pictures)
+        pictures.append(new_picture(canvas, pictures))
     assert min(map(colors_of, pictures)) > 30
     watched.check()
 
