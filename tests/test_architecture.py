@@ -56,7 +56,7 @@ def test_functions_are_short():
 @pytest.mark.parametrize("word", ["numba"])
 def test_numba_is_in_the_kernels_only(word):
     outside = [p for p in FILES if p.parts[-2] != "kernels" and p.is_relative_to(ROOT / "lvba")]
-    allowed = {"lvba/products/parallel.py"}  # asks how many threads there are
+    allowed = {"lvba/parallel.py"}  # asks how many threads there are
     assert [name(p) for p in outside if word in set(imports(p)) and name(p) not in allowed] == []
 
 

@@ -5,20 +5,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lvba import geometry, recorded_images, stages
+from lvba import geometry, stages
 from lvba.dataset import Dataset
 from lvba.parts.config import MergeConfig
 from lvba.parts.lidar import JointScans
 from lvba.parts.survey import Survey, keyframes_of
 from lvba.parts.visual import Ground, PartCameras, inputs
 from lvba.products.views import nearest_in_time
-from lvba.progress import Progress, silent
 from lvba.split import Frames, Part
 from lvba.stages import ScanPoses, VisualStage
 from lvba.trajectory import Trajectory
 from lvba.visual import covariance, joint, share
 from lvba.visual import prior as priors
 from lvba.visual.exposure_graph import Edges
+from lvba.visual.image import measuring_camera
 from lvba.visual.joint import JointCameras
 from lvba.visual.prior import Prior
 from lvba.visual.refine import VisualConfig, VisualResult
@@ -190,16 +190,17 @@ def _prior(
 def lay_out(
     dataset: Dataset,
     frames: Frames,
+    pictures: np.ndarray,
     below: Ground,
     found: PartCameras,
     merged: MergedCameras,
     survey: Survey,
     config: VisualConfig,
-    progress: Progress = silent,
 ) -> CameraPoints | None:
     """The scene points of a part's core at the merged poses; none where the part has nothing to say.
 
-    dataset, frames, below: of the part with what others took at the same place; found: of the part
+    dataset, frames, pictures (`undistorted`), below: of the part with what others took at the same place; found: of the
+    part
     """
     now = merged.cameras
     if now is None or found.tuning is None or below.problem:
@@ -207,7 +208,7 @@ def lay_out(
     numbers = frames.images[below.keyframes]
     images = np.searchsorted(survey.keyframes, numbers)
     core = (numbers >= frames.core_images[0]) & (numbers < frames.core_images[1])
-    given = inputs(dataset, below, config, progress)
+    given = inputs(dataset, pictures, below, config)
     return share.lay_out(given, _state_of(now, images), images, core, found.tuning, config)
 
 
@@ -234,20 +235,19 @@ def tie_exposures(merged: MergedCameras, found: Sequence[Edges | None]) -> Merge
 
 def linearize_cameras(
     dataset: Dataset,
-    below: Ground,
+    pictures: np.ndarray,
     found: PartCameras,
     laid: CameraPoints | None,
     merged: MergedCameras,
     config: VisualConfig,
-    progress: Progress = silent,
 ) -> CameraShare | None:
     """A part's share at the state so far; none where that has settled, or the part has nothing to say."""
     now = merged.cameras
     if now is None or laid is None or found.tuning is None or now.settled:
         return None
-    pyramid = recorded_images.pyramid(dataset, below.keyframes, 1, config.images, progress)
     state = _state_of(now, laid.images)
-    return share.linearize(pyramid.levels[0], pyramid.camera, laid, state, found.tuning, config)
+    camera = measuring_camera(dataset.camera)
+    return share.linearize(pictures, camera, laid, state, found.tuning, config)
 
 
 def step_cameras(

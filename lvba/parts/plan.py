@@ -1,6 +1,7 @@
 """The chain for a recording in parts: the only place that says what follows what there."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Protocol
 
@@ -59,6 +60,16 @@ def refine(
         "facts", report.collect, told, dataset, cores, found["merged"], found["joint"], tied, walls, accepted
     )
     return plan
+
+
+@dataclass(frozen=True)
+class _Below:
+    """What visual steps over some frames stand on: the recording of these alone, its images, and the planes."""
+
+    dataset: Dataset
+    frames: Frames
+    images: Ref
+    ground: Ref
 
 
 class _Chain:
@@ -155,19 +166,11 @@ class _Chain:
     def cameras(self, found: dict[str, Ref], scans: Ref) -> tuple[Ref, Ref]:
         """The cameras of the whole recording, and how the parts fitted."""
         add, config = self._plan.add, self._config
-        below, solved = [], []
+        below: list[_Below] = []
+        solved = []
         for frames, part in zip(self._subsets, self._cores, strict=True):
-            ground = add(
-                f"ground-{part.number}",
-                visual.ground,
-                frames,
-                part.frames,
-                found["joint"],
-                scans,
-                self._survey,
-            )
-            below.append(ground)
-            solved.append(self._part_cameras(frames, part, ground))
+            below.append(self._below(str(part.number), frames, part.frames, found["joint"], scans))
+            solved.append(self._part_cameras(part, below[-1]))
         merged = add(
             "visual-merge", cameras.merge_cameras,
             *(self._dataset, self._cores, solved, found["joint"], scans, self._survey, config.visual, config.merge),
@@ -179,20 +182,31 @@ class _Chain:
         )  # fmt: skip
         return whole, merged
 
-    def _joint_cameras(self, below: list[Ref], solved: list[Ref], merged: Ref, joint: Ref, scans: Ref) -> Ref:
+    def _below(self, name: str, dataset: Dataset, frames: Frames, joint: Ref, scans: Ref) -> "_Below":
+        add, config = self._plan.add, self._config
+        images = add(
+            f"images-{name}", visual.undistorted,
+            *(dataset, frames, self._survey, config.visual.images, config.refine_cameras),
+        )  # fmt: skip
+        ground = add(f"ground-{name}", visual.ground, dataset, frames, joint, scans, self._survey)
+        return _Below(dataset, frames, images, ground)
+
+    def _joint_cameras(
+        self, below: "list[_Below]", solved: list[Ref], merged: Ref, joint: Ref, scans: Ref
+    ) -> Ref:
         add, config = self._plan.add, self._config
         if config.merge.image_rounds == 0:
             return merged
         both = [
-            (*self._with_near(part, ground, joint, scans), own)
-            for part, ground, own in zip(self._cores, below, solved, strict=True)
+            (self._with_near(part, own, joint, scans), found)
+            for part, own, found in zip(self._cores, below, solved, strict=True)
         ]
         laid = [
             add(
                 f"visual-points-{number}", cameras.lay_out,
-                *(dataset, frames, ground, own, merged, self._survey, config.visual),
+                *(near.dataset, near.frames, near.images, near.ground, found, merged, self._survey, config.visual),
             )
-            for number, (dataset, frames, ground, own) in enumerate(both)
+            for number, (near, found) in enumerate(both)
         ]  # fmt: skip
         # apart from the points: of those only one part's are in memory at a time
         brightness = [
@@ -204,37 +218,32 @@ class _Chain:
             shares = [
                 add(
                     f"visual-share-{turn}-{number}", cameras.linearize_cameras,
-                    *(dataset, ground, own, points, merged, config.visual),
+                    *(near.dataset, near.images, found, points, merged, config.visual),
                 )
-                for number, ((dataset, _, ground, own), points) in enumerate(zip(both, laid, strict=True))
+                for number, ((near, found), points) in enumerate(zip(both, laid, strict=True))
             ]  # fmt: skip
             merged = add(f"visual-step-{turn}", cameras.step_cameras, merged, shares, config.visual)
         return merged
 
-    def _with_near(self, part: Part, ground: Ref, joint: Ref, scans: Ref) -> tuple[Dataset, Frames, Ref]:
+    def _with_near(self, part: Part, own: "_Below", joint: Ref, scans: Ref) -> "_Below":
         """A part's frames with those that others took at the same place, and the planes of all of them."""
         frames = split.with_near(self._dataset, part, self._config.merge.near_m)
         if len(frames.images) == len(part.image_numbers):
-            return self._subsets[part.number], part.frames, ground
+            return own
         dataset = split.subset(self._dataset, frames.scans, frames.images)
-        name = f"ground-with-near-{part.number}"
-        return (
-            dataset,
-            frames,
-            self._plan.add(name, visual.ground, dataset, frames, joint, scans, self._survey),
-        )
+        return self._below(f"with-near-{part.number}", dataset, frames, joint, scans)
 
-    def _part_cameras(self, frames: Dataset, part: Part, ground: Ref) -> Ref:
-        config = self._config
+    def _part_cameras(self, part: Part, below: "_Below") -> Ref:
+        config, frames = self._config, below.dataset
         coarser: Ref | VisualLevel = VisualLevel(None)
         for level in range(stages.visual_levels(frames, config.visual) - 1, 0, -1):
             coarser = self._plan.add(
                 f"visual-level-{level}-part-{part.number}", visual.solve_level,
-                *(frames, ground, coarser, config.visual, config.refine_cameras),
+                *(frames, below.images, below.ground, coarser, config.visual, config.refine_cameras),
             )  # fmt: skip
         return self._plan.add(
             f"visual-part-{part.number}", visual.solve_part,
-            *(frames, ground, coarser, config.visual, config.refine_cameras),
+            *(frames, below.images, below.ground, coarser, config.visual, config.refine_cameras),
         )  # fmt: skip
 
     def judge(self, scans: Ref, images: Ref) -> tuple[Ref, Ref]:

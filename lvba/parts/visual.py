@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lvba import recorded_images, stages
+from lvba import stages
 from lvba.dataset import Dataset
 from lvba.errors import DegenerateProblemError
 from lvba.io import dataset as recordings
@@ -16,7 +16,8 @@ from lvba.parts.survey import Survey, keyframes_of
 from lvba.progress import Progress, silent
 from lvba.split import Frames
 from lvba.stages import ScanPoses, VisualLevel
-from lvba.visual import refine, share
+from lvba.visual import image, refine, share
+from lvba.visual.image import ImageConfig
 from lvba.visual.refine import Inputs, VisualConfig, VisualResult
 from lvba.visual.share import Tuning
 
@@ -67,20 +68,45 @@ def ground(dataset: Dataset, frames: Frames, found: JointScans, scans: ScanPoses
     return Ground(poses, keyframes, planes, points, uncertainty)
 
 
+def undistorted(
+    dataset: Dataset,
+    frames: Frames,
+    survey: Survey,
+    config: ImageConfig,
+    enabled: bool = True,
+    progress: Progress = silent,
+) -> np.ndarray:
+    """The keyframes among some frames as all visual steps read them, decoded once: (k, H, W, C) uint8, finest level.
+
+    dataset: of these frames only; enabled: whether there are visual steps
+    """
+    keyframes = keyframes_of(survey, frames)
+    if not enabled or len(keyframes) < 2:
+        return np.zeros((0, 1, 1, config.channels), np.uint8)
+    return image.load_undistorted(
+        lambda index: recordings.load_image(dataset, int(keyframes[index])),
+        len(keyframes),
+        dataset.camera,
+        config,
+        progress,
+    )
+
+
 def solve_level(
     dataset: Dataset,
+    images: np.ndarray,
     below: Ground,
     coarser: VisualLevel,
     config: VisualConfig,
     enabled: bool = True,
     progress: Progress = silent,
 ) -> VisualLevel:
-    """One pyramid level of one part."""
+    """One pyramid level of one part. images: of its keyframes, `undistorted`."""
     problem = _why_not(dataset, below, enabled) or coarser.problem
     if problem:
         return VisualLevel(None, problem)
     try:
-        given = inputs(dataset, below, config, progress, keep=True)
+        given = inputs(dataset, images, below, config)
         return VisualLevel(refine.refine_level(given, coarser.found, config, progress))
     except DegenerateProblemError as error:
         return VisualLevel(None, str(error))
@@ -88,18 +114,19 @@ def solve_level(
 
 def solve_part(
     dataset: Dataset,
+    images: np.ndarray,
     below: Ground,
     coarser: VisualLevel,
     config: VisualConfig,
     enabled: bool = True,
     progress: Progress = silent,
 ) -> PartCameras:
-    """The finest level of one part."""
+    """The finest level of one part. images: of its keyframes, `undistorted`."""
     problem = _why_not(dataset, below, enabled) or coarser.problem
     if problem:
         return PartCameras(None, None, problem)
     try:
-        given = inputs(dataset, below, config, progress)
+        given = inputs(dataset, images, below, config)
         result, last = refine.finest(given, coarser.found, config, progress)
     except DegenerateProblemError as error:
         return PartCameras(None, None, str(error))
@@ -114,16 +141,13 @@ def _why_not(dataset: Dataset, below: Ground, enabled: bool) -> str:
     return below.problem if enabled else "visual bundle adjustment is switched off (refine_cameras)"
 
 
-def inputs(
-    dataset: Dataset, below: Ground, config: VisualConfig, progress: Progress = silent, *, keep: bool = False
-) -> Inputs:
-    """What the visual part works on. keep: the images stay in memory for the next level."""
+def inputs(dataset: Dataset, images: np.ndarray, below: Ground, config: VisualConfig) -> Inputs:
+    """What the visual part works on. images: of the keyframes, `undistorted`."""
     assert below.planes is not None
     assert below.points is not None
-    levels = stages.visual_levels(dataset, config)
-    pyramid = recorded_images.pyramid(dataset, below.keyframes, levels, config.images, progress, keep=keep)
+    camera = image.measuring_camera(dataset.camera)
     return Inputs(
-        pyramid,
+        image.build_pyramid(images, camera, stages.visual_levels(dataset, config)),
         below.keyframes,
         dataset.images,
         dataset.scans,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba.kernels import cloud as kernels
-from lvba.products.parallel import in_order
+from lvba.parallel import in_order
 from lvba.progress import Progress, silent
 
 _MAX_BLOCKS = 1 << 20

@@ -10,8 +10,8 @@ import numpy as np
 
 from lvba.kernels import colorize as kernels
 from lvba.kernels import zbuffer
+from lvba.parallel import in_order
 from lvba.products.cloud import Blocks, Cloud, sort_into_blocks
-from lvba.products.parallel import in_order
 from lvba.products.views import Views, nearest_in_time
 from lvba.progress import Progress, silent
 

@@ -9,10 +9,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from lvba.parallel import in_order
 from lvba.products import colorize, map_quality, metrics, render
 from lvba.products.cloud import Cloud
 from lvba.products.colorize import ColorizeConfig
-from lvba.products.parallel import in_order
 from lvba.products.render import ALL, OTHERS, ColoredCloud, RenderConfig, Rendering
 from lvba.products.views import Views
 from lvba.progress import Progress, silent

@@ -12,9 +12,9 @@ from lvba.dataset import Dataset
 from lvba.errors import InputError
 from lvba.io import colmap, files, images, laz, nerfstudio, ply, tum
 from lvba.io import dataset as recordings
+from lvba.parallel import in_order
 from lvba.products import lod, viewer
 from lvba.products.cloud import thin
-from lvba.products.parallel import in_order
 from lvba.products.tracks import visible
 from lvba.products.views import Views
 from lvba.progress import Progress, silent

@@ -12,10 +12,10 @@ from lvba.dataset import Dataset
 from lvba.errors import InputError
 from lvba.io import dataset as recordings
 from lvba.io import exposures, files, images, tum
+from lvba.parallel import in_order
 from lvba.products import evaluate, pictures
 from lvba.products.cloud import Cloud, assemble
 from lvba.products.evaluate import State
-from lvba.products.parallel import in_order
 from lvba.products.views import Views
 from lvba.progress import Progress, silent
 from lvba.recorded_images import views_of

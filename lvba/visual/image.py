@@ -1,7 +1,6 @@
 """Images as the visual part wants them: undistorted, as a pyramid of contiguous arrays, with their noise."""
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import cv2
@@ -9,6 +8,7 @@ import numpy as np
 
 from lvba.camera import Camera
 from lvba.kernels.patches_pyramid import halve
+from lvba.parallel import in_order
 from lvba.progress import Progress, silent
 
 SATURATED = 250
@@ -31,14 +31,10 @@ class ImageConfig:
 
     channels: int = 1
     """1: grey (three times less memory and time, no loss of accuracy measured); 3: RGB."""
-    threads: int = 2
-    """Images decoded at a time, 1 to 64."""
 
     def __post_init__(self) -> None:
         if self.channels not in (1, 3):
             raise ValueError(f"channels = {self.channels}: must be 1 (grey) or 3 (RGB)")
-        if not 1 <= self.threads <= 64:
-            raise ValueError(f"threads = {self.threads}: must lie in 1 to 64")
 
 
 @dataclass(frozen=True)
@@ -148,19 +144,32 @@ def load_images(
     read: gives the raw (H, W, 3) uint8 RGB image of an index; called from several threads
     camera: of the raw images, with distortion
     """
+    full = load_undistorted(read, count, camera, config, progress)
+    return build_pyramid(full, measuring_camera(camera), levels)
+
+
+def load_undistorted(
+    read: Callable[[int], np.ndarray],
+    count: int,
+    camera: Camera,
+    config: ImageConfig = ImageConfig(),
+    progress: Progress = silent,
+) -> np.ndarray:
+    """What level 0 of the pyramid is made of, (I, H, W, C) uint8, as `measuring_camera` sees it.
+
+    read, camera: see `load_images`
+    """
     full = np.empty((count, camera.height, camera.width, config.channels), np.uint8)
-    pinhole = measuring_camera(camera)
-    undistorter = Undistorter(camera, pinhole)
+    undistorter = Undistorter(camera, measuring_camera(camera))
 
     def load(index: int) -> None:
         raw = read(index)
         plain = grey(raw) if config.channels == 1 else raw
         full[index] = undistorter(plain).reshape(full.shape[1:])
 
-    with ThreadPoolExecutor(config.threads) as pool:
-        for done, _ in enumerate(pool.map(load, range(count))):
-            progress("images", done + 1, count)
-    return build_pyramid(full, pinhole, levels)
+    for done, _ in enumerate(in_order(load, range(count))):
+        progress("images", done + 1, count)
+    return full
 
 
 def build_pyramid(full: np.ndarray, camera: Camera, levels: int) -> Pyramid:

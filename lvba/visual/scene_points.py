@@ -1,6 +1,5 @@
 """Scene points and who sees them: the data between point selection, visibility and the photometric solve."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -9,6 +8,7 @@ import numpy as np
 from lvba.camera import Camera
 from lvba.kernels import patches
 from lvba.lidar.plane import PlanePoints, Planes
+from lvba.parallel import in_order
 
 DOG_NOISE = 0.146
 """Standard deviation of the difference of Gaussians (sigma 1.0 and 1.6) of white noise of standard deviation 1."""
@@ -237,28 +237,27 @@ def _select_images(
     ranges = near_ranges(image_times, scan_times, plane_points.scan_offsets, window, config.max_points)
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     parts = []
-    with ThreadPoolExecutor(2) as pool:
-        for start in range(0, len(images), _CHUNK):
-            part = slice(start, start + _CHUNK)
-            if score is None:
-                scores = np.stack(list(pool.map(difference_of_gaussians, images[part])))
-            else:
-                scores = np.broadcast_to(score, (len(images[part]), *score.shape))
-            poses = np.ascontiguousarray(world_from_camera[part])
-            parts.append(
-                patches.select_points(
-                    plane_points.points_world,
-                    plane_points.plane,
-                    table,
-                    ranges[part],
-                    images[part],
-                    scores,
-                    poses,
-                    intrinsics,
-                    cell_size(camera, config),
-                    gates,
-                )
+    for start in range(0, len(images), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        if score is None:
+            scores = np.stack(list(in_order(difference_of_gaussians, images[part])))
+        else:
+            scores = np.broadcast_to(score, (len(images[part]), *score.shape))
+        poses = np.ascontiguousarray(world_from_camera[part])
+        parts.append(
+            patches.select_points(
+                plane_points.points_world,
+                plane_points.plane,
+                table,
+                ranges[part],
+                images[part],
+                scores,
+                poses,
+                intrinsics,
+                cell_size(camera, config),
+                gates,
             )
+        )
     return tuple(np.concatenate(arrays) for arrays in zip(*parts, strict=True))  # type: ignore[return-value]
 
 

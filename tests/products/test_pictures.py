@@ -1,7 +1,4 @@
-"""Pictures of the report, and work in threads that stays in order."""
-
-import threading
-import time
+"""Pictures of the report."""
 
 import box_world
 import numba
@@ -10,7 +7,7 @@ import pytest
 
 from lvba import geometry
 from lvba.kernels import zbuffer
-from lvba.products import evaluate, parallel, pictures
+from lvba.products import evaluate, pictures
 
 
 @pytest.fixture(scope="module")
@@ -55,39 +52,6 @@ def test_filling_closes_small_gaps_and_keeps_what_is_there():
     assert filled[0, 4, 5] == entries[0, 4, 6]
     assert filled[0, 2, 2] == entries[0, 4, 4]
     assert filled[0, 0, 0] == zbuffer.EMPTY
-
-
-def test_results_come_in_order_whatever_takes_longest():
-    def work(item):
-        time.sleep(0.01 * (5 - item % 5))
-        return item * item
-
-    assert list(parallel.in_order(work, range(12), threads=4)) == [k * k for k in range(12)]
-
-
-def test_only_a_few_items_are_taken_ahead():
-    taken = []
-
-    def items():
-        for k in range(100):
-            taken.append(k)
-            yield k
-
-    stream = parallel.in_order(lambda k: k, items(), threads=2)
-    assert next(stream) == 0
-    assert len(taken) <= 5
-    stream.close()
-    assert threading.active_count() < 50
-
-
-def test_an_error_reaches_the_caller():
-    def work(item):
-        if item == 3:
-            raise ValueError("three")
-        return item
-
-    with pytest.raises(ValueError, match="three"):
-        list(parallel.in_order(work, range(10)))
 
 
 def test_scores_do_not_depend_on_the_number_of_threads():

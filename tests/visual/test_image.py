@@ -164,7 +164,7 @@ def test_load_images_makes_grey_and_color_alike():
     raw[2, 50, 60] = (255, 30, 30)
     calls = []
     camera = DISTORTED.undistorted()
-    config = ImageConfig(channels=1, threads=3)
+    config = ImageConfig(channels=1)
     pyramid = image.load_images(raw.__getitem__, 5, camera, 2, config, lambda *a: calls.append(a))
     expected = raw @ [0.299, 0.587, 0.114]
     expected[2, 50, 60] = 255
@@ -181,7 +181,7 @@ def test_usable_levels_stop_before_images_get_tiny():
     assert image.usable_levels(Camera(200, 150, 100, 100, 99.5, 74.5), 3) == 1
 
 
-@pytest.mark.parametrize("bad", [{"channels": 2}, {"threads": 0}])
+@pytest.mark.parametrize("bad", [{"channels": 2}])
 def test_image_config_refuses(bad):
     with pytest.raises(ValueError, match=next(iter(bad))):
         ImageConfig(**bad)
