@@ -5,6 +5,7 @@ A step is named by what determines its result: the same key always means the sam
 """
 
 import dataclasses
+import functools
 import hashlib
 import inspect
 import json
@@ -31,6 +32,19 @@ class Ref:
 
 
 @dataclass(frozen=True)
+class Late(Ref):
+    """The same, for a function that does not always look at it: it is given a function that reads the artifact."""
+
+
+class MissingError(Exception):
+    """An artifact is gone that a step asked for late."""
+
+    def __init__(self, key: str) -> None:
+        super().__init__(f"{key} is gone")
+        self.key = key
+
+
+@dataclass(frozen=True)
 class Step:
     """One artifact to make: `function(*args, **kwargs)` with each Ref replaced by the artifact it stands for."""
 
@@ -44,7 +58,15 @@ class Step:
     @property
     def needs(self) -> list[str]:
         """Keys of the artifacts this step is made from."""
-        return [ref.key for ref in _refs([*self.args, *self.kwargs.values()])]
+        return [ref.key for ref in self._refs()]
+
+    @property
+    def needs_at_once(self) -> list[str]:
+        """Keys of those that are read before the step begins."""
+        return [ref.key for ref in self._refs() if not isinstance(ref, Late)]
+
+    def _refs(self) -> Iterator[Ref]:
+        return _refs([*self.args, *self.kwargs.values()])
 
 
 @dataclass
@@ -115,6 +137,8 @@ def compute(step: Step, store: Store, progress: Progress = silent) -> Any:
 
 def resolve(value: Any, store: Store) -> Any:
     """The value with each Ref, also inside lists, tuples and dicts, replaced by its artifact."""
+    if isinstance(value, Late):
+        return functools.partial(_read_late, store, value.key)
     if isinstance(value, Ref):
         return store[value.key]
     if isinstance(value, list | tuple):
@@ -122,6 +146,13 @@ def resolve(value: Any, store: Store) -> Any:
     if isinstance(value, dict):
         return {name: resolve(item, store) for name, item in value.items()}
     return value
+
+
+def _read_late(store: Store, key: str) -> Any:
+    try:
+        return store[key]
+    except KeyError:
+        raise MissingError(key) from None
 
 
 def normal(value: Any) -> Any:

@@ -11,7 +11,7 @@ from typing import Any
 from distributed import get_worker
 
 from lvba.errors import InputError
-from lvba.plan import Step
+from lvba.plan import MissingError, Step
 from workers import local, sending, versions
 from workers.store import ZarrStore
 from workers.url_store import open_store
@@ -51,11 +51,14 @@ def make(
         report("", 0, 0)
         if key in store:
             return {"record": asdict(local.recorded(step, store))}
-        missing = [needed for needed in dict.fromkeys(step.needs) if not _is_readable(needed, store)]
+        missing = [needed for needed in dict.fromkeys(step.needs_at_once) if not _is_readable(needed, store)]
         if missing:
             return {"missing": missing}
         _keep(step, store)
-        return {"record": asdict(local.make(step, store, report, version))}
+        try:
+            return {"record": asdict(local.make(step, store, report, version))}
+        except MissingError as gone:
+            return {"missing": [gone.key]}
 
 
 def _is_readable(key: str, store: ZarrStore) -> bool:

@@ -1,6 +1,6 @@
 """The cameras of all parts: merged, then one joint problem in rounds."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -235,19 +235,22 @@ def tie_exposures(merged: MergedCameras, found: Sequence[Edges | None]) -> Merge
 
 def linearize_cameras(
     dataset: Dataset,
-    pictures: np.ndarray,
+    read_pictures: Callable[[], np.ndarray],
     found: PartCameras,
-    laid: CameraPoints | None,
+    read_laid: Callable[[], CameraPoints | None],
     merged: MergedCameras,
     config: VisualConfig,
 ) -> CameraShare | None:
     """A part's share at the state so far; none where that has settled, or the part has nothing to say."""
     now = merged.cameras
-    if now is None or laid is None or found.tuning is None or now.settled:
+    if now is None or found.tuning is None or now.settled:
+        return None
+    laid = read_laid()
+    if laid is None:
         return None
     state = _state_of(now, laid.images)
     camera = measuring_camera(dataset.camera)
-    return share.linearize(pictures, camera, laid, state, found.tuning, config)
+    return share.linearize(read_pictures(), camera, laid, state, found.tuning, config)
 
 
 def step_cameras(

@@ -1,6 +1,6 @@
 """LiDAR stages of a recording in parts: each part by itself, merged, then one joint problem in rounds."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -163,10 +163,18 @@ def collect_share(
 
 
 def linearize_share(
-    dataset: Dataset, cells: Share | None, state: JointState, survey: Survey, number: int, final: bool = False
+    dataset: Dataset,
+    read_cells: Callable[[], Share | None],
+    state: JointState,
+    survey: Survey,
+    number: int,
+    final: bool = False,
 ) -> ShareEquations | None:
     """What the cells say about the scans in stage `number`; none where that has settled, but for the `final` account."""
-    if cells is None or (state.settled >= number and not final):
+    if state.settled >= number and not final:
+        return None
+    cells = read_cells()
+    if cells is None:
         return None
     return share.linearize(
         cells,

@@ -13,7 +13,7 @@ from lvba.lidar import loops
 from lvba.lidar.config import LidarConfig
 from lvba.parts import cameras, lidar, products, regions, report, survey, visual
 from lvba.parts.config import MergeConfig
-from lvba.plan import Plan, Ref
+from lvba.plan import Late, Plan, Ref
 from lvba.products.evaluate import EvaluateConfig
 from lvba.products.map_file import MapConfig
 from lvba.split import Frames, Part
@@ -104,7 +104,7 @@ class _Chain:
                 f"lidar-account-{n}",
                 lidar.linearize_share,
                 self._dataset,
-                own,
+                Late(own.key),
                 state,
                 self._survey,
                 last,
@@ -154,7 +154,7 @@ class _Chain:
                 f"lidar-share-{name}-{n}",
                 lidar.linearize_share,
                 self._dataset,
-                own,
+                Late(own.key),
                 state,
                 self._survey,
                 stage,
@@ -218,7 +218,7 @@ class _Chain:
             shares = [
                 add(
                     f"visual-share-{turn}-{number}", cameras.linearize_cameras,
-                    *(near.dataset, near.images, found, points, merged, config.visual),
+                    *(near.dataset, Late(near.images.key), found, Late(points.key), merged, config.visual),
                 )
                 for number, ((near, found), points) in enumerate(zip(both, laid, strict=True))
             ]  # fmt: skip

@@ -164,3 +164,40 @@ def test_last_uses():
         key["double"]: key["total"],
         key["total"]: key["total"],
     }
+
+
+class Counting(dict):
+    """A store that notes what is read."""
+
+    def __init__(self):
+        super().__init__()
+        self.reads = []
+
+    def __getitem__(self, key):
+        self.reads.append(key)
+        return super().__getitem__(key)
+
+
+def look(read, wanted):
+    return read().values.sum() if wanted else -1.0
+
+
+@pytest.mark.parametrize("wanted", [True, False])
+def test_what_is_asked_for_late_is_read_only_then(wanted):
+    work, store = Plan("1"), Counting()
+    first = work.add("count", count, 1)
+    looked = work.add("look", look, plan.Late(first.key), wanted)
+    plan.run(work, store)
+    assert store.reads == ([first.key] if wanted else [])
+    assert store[looked.key] == (10.0 if wanted else -1.0)
+    assert work.steps[looked.key].needs == [first.key]
+    assert work.steps[looked.key].needs_at_once == []
+
+
+def test_late_artifact_that_is_gone_is_named():
+    work, store = Plan("1"), {}
+    first = work.add("count", count, 1)
+    work.add("look", look, plan.Late(first.key), True)
+    with pytest.raises(plan.MissingError) as gone:
+        plan.compute(list(work.steps.values())[1], store)
+    assert gone.value.key == first.key

@@ -14,7 +14,7 @@ from real_cluster import Cluster
 from toy_steps import chain, said, wait_for
 
 from lvba.errors import InputError
-from lvba.plan import Plan, Ref
+from lvba.plan import Late, Plan, Ref
 from workers import cluster, connection, local, versions
 from workers.store import ZarrStore
 
@@ -219,6 +219,21 @@ def test_artifact_damaged_while_the_run_goes_on(toy_cluster, expected, tmp_path)
     assert len(records) == 6
     assert len(said(tmp_path, "began a ")) == 2
     assert contents(tmp_path / "store") == expected
+
+
+@pytest.mark.parametrize("wants", [True, False])
+def test_artifact_that_is_read_late_is_made_again_only_where_it_is_wanted(toy_cluster, tmp_path, wants):
+    work = Plan(versions.key_version())
+    a = work.add("a", toy_steps.make, str(tmp_path), "a")
+    spoiled = work.add("spoil", toy_steps.spoil, str(tmp_path), str(tmp_path / "store"), a)
+    asked = work.add("ask", toy_steps.ask, str(tmp_path), Late(a.key), wants, spoiled)
+    records = run(toy_cluster, tmp_path, work)
+    assert len(records) == 3
+    times = 2 if wants else 1
+    assert [len(said(tmp_path, what)) for what in ("began a ", "began ask")] == [times, times]
+    store = ZarrStore(tmp_path / "store")
+    assert (a.key in store) == wants
+    np.testing.assert_array_equal(store[asked.key], store[a.key] + 1 if wants else 0)
 
 
 @pytest.mark.parametrize(
