@@ -111,13 +111,6 @@ class Plan:
             self._long[id(value)] = value, digest(identity(value))
         return {"tuple": self._long[id(value)][1]}
 
-    def last_uses(self) -> dict[str, str]:
-        """For each artifact, the last step that needs it (itself where none does)."""
-        last = {key: key for key in self.steps}
-        for step in self.steps.values():
-            last.update(dict.fromkeys(step.needs, step.key))
-        return last
-
 
 def run(plan: Plan, store: Store, progress: Progress = silent) -> Store:
     """The store with the artifact of every step, made in this process, one after another."""

@@ -1,5 +1,6 @@
 """A plan in this process: steps in order, finished ones reused, time and memory of each recorded."""
 
+import bisect
 import contextlib
 import resource
 import time
@@ -12,6 +13,9 @@ from lvba import plan
 from lvba.plan import Plan, Step
 from lvba.progress import Progress, silent
 from workers.store import ZarrStore
+
+HELD_BYTES = 1 << 30
+"""Artifacts that later steps need are held in memory up to this size, so that memory does not grow with the recording."""
 
 
 @dataclass(frozen=True)
@@ -37,18 +41,43 @@ def run(
     on_step: called before each step with the step, its index and the number of steps
     """
     records = []
-    done_with: dict[str, list[str]] = {key: [] for key in work.steps}
-    for key, user in work.last_uses().items():
-        done_with[user].append(key)
+    uses = _uses(work)
     for index, step in enumerate(work.steps.values()):
         if on_step is not None:
             on_step(step, index, len(work.steps))
         records.append(
             recorded(step, store) if step.key in store else make(step, store, progress, work.version)
         )
-        for key in done_with[step.key]:
-            store.release(key)
+        later = {key: _next(uses[key], index) for key in store.held() if key in uses}
+        _release(store, later, index)
     return records
+
+
+def _uses(work: Plan) -> dict[str, list[int]]:
+    """For each artifact the numbers of the steps that need it, ascending."""
+    uses: dict[str, list[int]] = {key: [] for key in work.steps}
+    for number, step in enumerate(work.steps.values()):
+        for key in dict.fromkeys(step.needs):
+            uses[key].append(number)
+    return uses
+
+
+def _next(uses: list[int], index: int) -> int | None:
+    """The first step after `index` that needs an artifact."""
+    found = bisect.bisect_right(uses, index)
+    return uses[found] if found < len(uses) else None
+
+
+def _release(store: ZarrStore, later: dict[str, int | None], index: int) -> None:
+    """Forget what no step needs any more; and, beyond so many bytes, what is needed last: it will be read again.
+
+    later: for each artifact in memory, the next step that needs it
+    """
+    held = 0
+    for key, use in sorted(later.items(), key=lambda item: (item[1] is None, item[1])):
+        held += store.size(key) if use is not None else 0
+        if use is None or (held > HELD_BYTES and use > index + 1):
+            store.release(key)
 
 
 def make(step: Step, store: ZarrStore, progress: Progress, version: str) -> StageRecord:

@@ -42,6 +42,7 @@ class ZarrStore(MutableMapping[str, Any]):
         self._values: dict[str, Any] = {}
         self._verified: set[str] = set()
         self._known: set[str] = set()
+        self._sizes: dict[str, int] = {}
 
     @property
     def place(self) -> str:
@@ -128,6 +129,17 @@ class ZarrStore(MutableMapping[str, Any]):
         """Forget the value in memory; it stays on disk."""
         self._values.pop(key, None)
         self._known.discard(key)
+
+    def held(self) -> list[str]:
+        """Keys of the values that are in memory."""
+        return list(self._values)
+
+    def size(self, key: str) -> int:
+        """Bytes of the files of an artifact that is held."""
+        if key not in self._sizes:
+            files = (self.folder / key).rglob("*")
+            self._sizes[key] = sum(path.stat().st_size for path in files if path.is_file())
+        return self._sizes[key]
 
     def facts(self, key: str) -> dict[str, Any]:
         """The manifest of an artifact."""

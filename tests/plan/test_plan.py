@@ -156,16 +156,6 @@ def test_artifacts_have_the_memory_layout_they_would_have_from_a_store():
     assert made["b"].shape == ()
 
 
-def test_last_uses():
-    work = small_plan()
-    key = keys(work)
-    assert work.last_uses() == {
-        key["count"]: key["total"],
-        key["double"]: key["total"],
-        key["total"]: key["total"],
-    }
-
-
 class Counting(dict):
     """A store that notes what is read."""
 

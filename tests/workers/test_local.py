@@ -115,3 +115,24 @@ def test_peak_memory_is_that_of_the_step():
     del block
     local.reset_peak_memory()
     assert local.peak_memory_mb() - base < 100
+
+
+def add(first, *others):
+    return first + sum(others)
+
+
+def test_what_is_held_for_later_steps_is_bounded_and_the_result_the_same(tmp_path, monkeypatch):
+    """Ten large artifacts, each needed by a step of its own later, whose results and they are needed at the end."""
+    work = Plan()
+    large = [work.add(f"large{n}", np.full, (1000, 100), float(n)) for n in range(10)]
+    late = [work.add(f"late{n}", add, ref, 1.0) for n, ref in enumerate(large)]
+    work.add("all", add, *large, *late)
+    held = []
+    monkeypatch.setattr(local, "HELD_BYTES", 3_000_000)
+    store = ZarrStore(tmp_path / "little")
+    local.run(work, store, on_step=lambda *_: held.append(sum(store.size(key) for key in store.held())))
+    assert 2_000_000 < max(held) < 5_000_000  # of 16 million
+    assert store.held() == []
+    monkeypatch.undo()
+    local.run(work, ZarrStore(tmp_path / "much"))
+    assert contents(tmp_path / "little") == contents(tmp_path / "much")
