@@ -223,7 +223,7 @@ def test_a_part_that_always_fails_is_tried_once_and_the_other_is_finished(
             path.write_bytes(content)
     last = said.splitlines()[-1]
     assert any(path.name in last for path in images)
-    assert driver.begun().count("visual-part-1") == 1
+    assert driver.begun().count("images-1") == 1
     finished = manifests(tmp_path / "stages")
     names = set(map(name_of, finished))
     assert {"lidar-gate", "ground-1", "visual-part-0"} <= names
