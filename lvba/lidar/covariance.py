@@ -48,15 +48,21 @@ def estimate(problem: Problem, world_from_scan: np.ndarray) -> Covariance:
     """How certain poses (S, 4, 4) that solve a problem are."""
     scans = len(world_from_scan)
     here = np.arange(scans)
-    information = 0.5 * linearize(problem, world_from_scan, exact=False).hessian
+    fits = fit(problem.features, world_from_scan)
+    information = 0.5 * linearize(problem, world_from_scan, exact=False, fits=fits).hessian
+    odometry = _prior_information(problem, world_from_scan)
     inverse = _inverse(information[6:, 6:])
-    excess = _excess(problem, world_from_scan, inverse)
+    # the mean, over all motions, of what the robust covariance would be relative to the plain one
+    spread = _gradient_spread(problem, world_from_scan, fits)[6:, 6:] + odometry
+    excess = max(1.0, float(np.sum(inverse * spread)) / len(inverse))
     covariance = np.zeros((6 * scans, 6 * scans))
     covariance[6:, 6:] = inverse * excess
     step = _of_steps(covariance.reshape(scans, 6, scans, 6), world_from_scan)
     loose = np.zeros(0)
     if problem.prior is not None and scans <= MOST_DOUBTED:
-        covariance[6:, 6:] = _doubted(problem, world_from_scan, information[6:, 6:], excess)
+        feigned = doubt.feigned_information(problem.features, fits, world_from_scan, problem.sigma)[6:, 6:]
+        certain = doubt.certain(information[6:, 6:] - odometry, feigned, odometry)
+        covariance[6:, 6:] = _inverse(certain / excess + odometry)
         doubted = _of_steps(covariance.reshape(scans, 6, scans, 6), world_from_scan)
         loose = _narrowed(doubted, problem.prior.information)
     free = _alignment(world_from_scan)
@@ -67,16 +73,6 @@ def estimate(problem: Problem, world_from_scan: np.ndarray) -> Covariance:
     return Covariance(
         local(marginal, world_from_scan), local(conditional, world_from_scan), step, excess, loose
     )
-
-
-def _doubted(
-    problem: Problem, world_from_scan: np.ndarray, information: np.ndarray, excess: float
-) -> np.ndarray:
-    """The covariance of all poses but the first without what noise may have feigned, (6 S - 6, 6 S - 6)."""
-    odometry = _prior_information(problem, world_from_scan)
-    fits = fit(problem.features, world_from_scan)
-    feigned = doubt.feigned_information(problem.features, fits, world_from_scan, problem.sigma)[6:, 6:]
-    return _inverse(doubt.certain(information - odometry, feigned, odometry) / excess + odometry)
 
 
 def _narrowed(step: np.ndarray, odometry: np.ndarray) -> np.ndarray:
@@ -118,19 +114,9 @@ def _inverse(information: np.ndarray) -> np.ndarray:
         return np.asarray((vectors / np.maximum(values, 1e-9 * values[-1])) @ vectors.T)
 
 
-def _excess(problem: Problem, world_from_scan: np.ndarray, inverse: np.ndarray) -> float:
-    """How much wider the planes' gradients spread than noise alone would make them, at least 1.
-
-    The mean, over all motions, of what the robust covariance would be relative to the plain one.
-    """
-    spread = _gradient_spread(problem, world_from_scan)[6:, 6:] + _prior_information(problem, world_from_scan)
-    return max(1.0, float(np.sum(inverse * spread)) / len(inverse))
-
-
-def _gradient_spread(problem: Problem, world_from_scan: np.ndarray) -> np.ndarray:
+def _gradient_spread(problem: Problem, world_from_scan: np.ndarray, fits: PlaneFits) -> np.ndarray:
     """Sum over planes of the outer products of their gradients, (6 S, 6 S), world axes about each sensor."""
     features = problem.features
-    fits = fit(features, world_from_scan)
     gradient = observation_gradients(features, fits, world_from_scan) / problem.sigma**2
     if problem.projector is not None:
         gradient = np.einsum("oji,oj->oi", problem.projector[features.scan], gradient)

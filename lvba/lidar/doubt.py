@@ -6,13 +6,13 @@ What little the planes say about such a motion is no more than what noise of the
 promised.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import scipy.linalg
 
-from lvba.kernels import lidar as kernel
-from lvba.lidar import panels
+from lvba.lidar.normal_equations import linearize_planes
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits
-from lvba.lidar.point_cluster import split
 from lvba.lidar.weak import normal_variance
 
 PROMISED = 8.0
@@ -32,34 +32,16 @@ def feigned_information(
     counts for nothing, as in the true one.
     sigma: m, of a point.
     """
-    laid = panels.lay_out(features, len(world_from_scan))
-    clusters = features.clusters.weighted(features.weight)
-    by_scan = panels.by_scan(features, len(world_from_scan))
     variances = normal_variance(fits)
-    size = 6 * len(world_from_scan)
-    found = np.zeros((size, size))
+    found = np.zeros((6 * len(world_from_scan),) * 2)
     for tangent in (1, 2):
         variance = np.maximum(variances[:, tangent - 1], _LEAST_VARIANCE)
-        each = variance[features.feature]
+        weighed = replace(features, weight=features.weight * variance[features.feature])
         axes = fits.eigenvectors.copy()
         axes[:, 0] = fits.eigenvectors[:, tangent]
-        _, diagonal, columns = kernel.linearize(
-            *split(world_from_scan),
-            *by_scan,
-            features.feature,
-            clusters.count * each,
-            clusters.mean,
-            clusters.scatter * each[:, None],
-            fits.total * variance,
-            fits.center,
-            fits.eigenvalues,
-            axes,
-            laid.panel,
-            len(laid.feature),
-            False,
-        )
-        found += kernel.hessian(laid.starts, laid.feature, laid.seen, diagonal, columns)
-    return found / (2.0 * sigma**2)
+        turned = replace(fits, total=fits.total * variance, eigenvectors=axes)
+        found += linearize_planes(weighed, world_from_scan, sigma, turned, exact=False).hessian
+    return 0.5 * found
 
 
 def certain(told: np.ndarray, feigned: np.ndarray, odometry: np.ndarray) -> np.ndarray:

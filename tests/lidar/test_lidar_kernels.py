@@ -310,7 +310,8 @@ def test_spread_of_the_planes_gradients(several_tiles):
     dense = np.zeros((len(features), 6 * len(poses)))
     for gradient, feature, scan in zip(each, features.feature, features.scan, strict=True):
         dense[feature, 6 * scan : 6 * scan + 6] = gradient / 0.02**2
-    got = covariance._gradient_spread(normal_equations.Problem(features, 0.02, None), poses)
+    problem = normal_equations.Problem(features, 0.02, None)
+    got = covariance._gradient_spread(problem, poses, plane_feature.fit(features, poses))
     np.testing.assert_allclose(got, dense.T @ dense, atol=1e-11 * (dense**2).sum())
 
 
