@@ -13,7 +13,8 @@ from lvba.io.exposures import Exposures
 from lvba.io.reference import Reference
 from lvba.products import reference as references
 from lvba.products.evaluate import Scores
-from lvba.stages import Accepted, LidarStage, ScanPoses, VisualStage
+from lvba.result_stages import Accepted
+from lvba.stages import LidarStage, ScanPoses, VisualStage
 from lvba.trajectory import Trajectory, align
 
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from lvba import facts, stages
+from lvba import facts, result_stages, stages
 from lvba.dataset import Dataset
 from lvba.gate import GateConfig
 from lvba.io.reference import Reference
@@ -69,9 +69,11 @@ def refine(
         stages.solve_visual,
         *(dataset, lidar, scans, coarser, config.lidar, config.visual, config.refine_cameras),
     )
-    scores = plan.add("evaluate", stages.evaluate, dataset, scans, visual, config.evaluate, config.gate)
-    accepted = plan.add("visual-gate", stages.decide, dataset, scans, visual, scores, config.gate)
-    plan.add("map", stages.color_map, dataset, accepted, config.map)
-    plan.add("pictures", stages.make_pictures, dataset, accepted, scores, config.evaluate)
+    scores = plan.add(
+        "evaluate", result_stages.evaluate, dataset, scans, visual, config.evaluate, config.gate
+    )
+    accepted = plan.add("visual-gate", result_stages.decide, dataset, scans, visual, scores, config.gate)
+    plan.add("map", result_stages.color_map, dataset, accepted, config.map)
+    plan.add("pictures", result_stages.make_pictures, dataset, accepted, scores, config.evaluate)
     plan.add("facts", facts.collect, dataset, lidar, scans, visual, scores, accepted, reference)
     return plan

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Protocol
 
-from lvba import facts, split, stages
+from lvba import facts, result_stages, split, stages
 from lvba.dataset import Dataset
 from lvba.gate import GateConfig
 from lvba.io.reference import Reference
@@ -257,7 +257,9 @@ class _Chain:
             for frames, part in zip(self._subsets, self._cores, strict=True)
         ]  # fmt: skip
         whole = add("evaluate", products.merge_scores, scores, scans)
-        return whole, add("visual-gate", stages.decide, self._dataset, scans, images, whole, config.gate)
+        return whole, add(
+            "visual-gate", result_stages.decide, self._dataset, scans, images, whole, config.gate
+        )
 
     def seams(self, accepted: Ref) -> list[Ref]:
         """How thick walls are across each seam."""

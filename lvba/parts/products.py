@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lvba import split, stages
+from lvba import result_stages, split, stages
 from lvba.dataset import Dataset
 from lvba.gate import ROUGH
 from lvba.parts.regions import in_region, regions
@@ -17,8 +17,9 @@ from lvba.products.map_file import MapConfig, PointMap
 from lvba.products.pictures import Choice, Pictures, Shown
 from lvba.progress import Progress, silent
 from lvba.recorded_images import views_of
+from lvba.result_stages import Accepted
 from lvba.split import Part
-from lvba.stages import Accepted, ScanPoses, VisualStage
+from lvba.stages import ScanPoses, VisualStage
 
 
 def of_part(scans: ScanPoses, visual: VisualStage, part: Part) -> tuple[ScanPoses, VisualStage]:
@@ -55,7 +56,7 @@ def evaluate_part(
     if not len(core):
         return {}
     mine, cameras = of_part(scans, visual, part)
-    states = stages.judged_states(dataset, mine, cameras, progress)
+    states = result_stages.judged_states(dataset, mine, cameras, progress)
     unknown = dict.fromkeys(states, float("nan"))
     found = evaluate.evaluate(
         states, config, entropies=unknown, images=core - part.images[0], progress=progress
@@ -105,7 +106,7 @@ def color_part(
     if voxel < 0:
         voxel = 2 * survey.range_m / max(whole.camera.fx, whole.camera.fy) if whole.image_paths else 0.0
     gain = colorize.display_gain(accepted.log_exposure)
-    found = stages.color_map(dataset, state, replace(config, voxel_m=voxel), progress, gain)
+    found = result_stages.color_map(dataset, state, replace(config, voxel_m=voxel), progress, gain)
     owned = regions(whole, cores, accepted.world_from_scan)
     kept = in_region(found.points_world, owned, part.number)
     scan = None if found.scan is None else found.scan[kept] + np.int32(part.scans[0])

@@ -11,8 +11,8 @@ from lvba.dataset import Dataset
 from lvba.parts.cameras import MergedCameras
 from lvba.parts.lidar import JointScans, MergedStage
 from lvba.parts.products import SeamWalls
+from lvba.result_stages import Accepted
 from lvba.split import Part
-from lvba.stages import Accepted
 
 
 def collect(

@@ -9,16 +9,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation, RotationSpline
+from scipy.spatial.transform import Rotation
 
-from lvba import geometry, solver, trajectory
+from lvba import geometry, solver, spline, trajectory
 from lvba.solver import NormalEquations
 from lvba.trajectory import Trajectory
 from lvba.visual.states import Mount, VisualState
 
 _FRAME_HUBER = 2.5
 _RATE_STEP_S = 0.02
-_FEWEST_SCANS = 5
 
 
 @dataclass(frozen=True)
@@ -134,7 +133,7 @@ def build(
     )
     moving = Trajectory(scans.times, refined)
     sources: tuple[Source, ...] = (by_eq1,)
-    if len(scans) >= _FEWEST_SCANS:
+    if len(scans) >= spline.FEWEST_SAMPLES:
         pose, sigma = _spline(moving, images.times, config)
         sources = (by_eq1, Source(pose, *sigma, *off))
     return Prior(sources, *_rates(moving, images.times), Mount(scan_from_camera), config)
@@ -201,39 +200,13 @@ def _scan_sigmas(
 def _spline(
     scans: Trajectory, times: np.ndarray, config: PriorConfig
 ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """The scans' poses at the images' times by twice differentiable splines, and what these may miss (rad, m)."""
-    clamped = np.clip(times, scans.times[0], scans.times[-1])
-    rotation = RotationSpline(scans.times, Rotation.from_matrix(scans.world_from_sensor[:, :3, :3]))
-    position = CubicSpline(scans.times, scans.world_from_sensor[:, :3, 3])
-    pose = geometry.from_rotation_translation(rotation(clamped).as_matrix(), position(clamped))
-    missed = _leave_one_out(scans)
-    before, fraction = trajectory.bracket(scans.times, times)
-    around = np.maximum(missed[before], missed[np.minimum(before + 1, len(scans) - 1)])
-    # a spline is exact at the scans and most wrong half way between them
-    inside = times == clamped
-    around *= np.where(inside, 4 * fraction * (1 - fraction), 1.0)[:, None]
+    """The scans' poses at the images' times by splines, and what these may miss (rad, m)."""
+    pose, missed = spline.through(scans, times)
+    floors = [np.radians(config.floor_rotation_deg), config.floor_position_m]
+    sigma = config.between_scans * missed + floors
     # beyond the scans there is nothing to interpolate: what is extrapolated counts for nothing
-    sigma = np.where(inside, 1.0, 1e3)[:, None] * (
-        config.between_scans * around + [np.radians(config.floor_rotation_deg), config.floor_position_m]
-    )
+    sigma[spline.outside(scans, times)] *= 1e3
     return pose, (sigma[:, 0], sigma[:, 1])
-
-
-def _leave_one_out(scans: Trajectory) -> np.ndarray:
-    """(S, 2): by how much (rad, m) each scan differs from the cubic through its two neighbors on either side."""
-    count = len(scans)
-    index = np.arange(2, count - 2)[:, None] + [-2, -1, 1, 2]
-    middle = geometry.inverse(scans.world_from_sensor[2:-2])
-    around = geometry.log(middle[:, None] @ scans.world_from_sensor[index])
-    offset = scans.times[index] - scans.times[2:-2, None]
-    weight = np.ones(offset.shape)
-    for a in range(4):
-        for b in range(4):
-            if a != b:
-                weight[:, a] *= offset[:, b] / (offset[:, b] - offset[:, a])
-    missed = np.einsum("sa,saj->sj", weight, around)
-    size = np.stack([np.linalg.norm(missed[:, :3], axis=1), np.linalg.norm(missed[:, 3:], axis=1)], axis=1)
-    return np.pad(size, ((2, 2), (0, 0)), mode="edge") / np.sqrt(3.0)
 
 
 def _rates(scans: Trajectory, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
