@@ -14,7 +14,7 @@ from lvba.io.reference import Reference
 from lvba.products import reference as references
 from lvba.products.evaluate import Scores
 from lvba.result_stages import Accepted
-from lvba.stages import LidarStage, ScanPoses, VisualStage
+from lvba.stages import FusionStage, LidarStage, ScanPoses, VisualStage
 from lvba.trajectory import Trajectory, align
 
 
@@ -23,6 +23,7 @@ def collect(
     lidar: LidarStage,
     scans: ScanPoses,
     visual: VisualStage,
+    fused: FusionStage,
     scores: Mapping[str, Scores],
     accepted: Accepted,
     reference: Reference | None,
@@ -32,12 +33,13 @@ def collect(
         "dataset": of_dataset(dataset),
         "lidar": of_lidar(lidar, scans, accepted),
         "visual": of_visual(dataset, visual, accepted),
+        "fusion": of_fusion(fused, accepted),
         "trajectory": of_trajectories(dataset, accepted),
         "exposure": of_exposure(dataset, accepted, reference),
         "evaluation": of_evaluation(scans, scores, accepted.state),
     }
     if reference is not None:
-        facts["reference"] = of_reference(dataset, lidar, visual, accepted, reference)
+        facts["reference"] = of_reference(dataset, lidar, visual, fused, accepted, reference)
     facts["warnings"] = _warnings(dataset, lidar, visual, accepted)
     return plain(facts)
 
@@ -68,7 +70,11 @@ def of_lidar(lidar: LidarStage, scans: ScanPoses, accepted: Accepted) -> dict[st
     }
     if lidar.result is not None:
         facts |= _fields(
-            lidar.result, but=("world_from_scan", "covariance", "step_covariance", "planes", "plane_points")
+            lidar.result,
+            but=(
+                *("world_from_scan", "planes", "plane_points"),
+                *("covariance", "conditional_covariance", "step_covariance"),
+            ),
         )
         facts["planes"] = len(lidar.result.planes)
     return facts
@@ -90,7 +96,11 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
         return facts | {"problem": visual.problem}
     change = geometry.log(dataset.camera_from_scan @ result.scan_from_camera)
     facts |= _fields(
-        result, but=("world_from_camera", "covariance", "scan_from_camera", "weak", "log_exposure")
+        result,
+        but=(
+            *("world_from_camera", "covariance", "covariance_on_map"),
+            *("scan_from_camera", "weak", "log_exposure"),
+        ),
     )
     facts["history"] = _history(visual)
     facts["iterations"] = len(facts["history"])
@@ -107,6 +117,14 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
         name: getattr(last, name) for name in ("scene_points", "global_points", "local_pairs", "global_pairs")
     }
     facts["weak_directions"] = {"count": int(np.sum(result.weak)), "per_image": result.weak}
+    return facts
+
+
+def of_fusion(fused: FusionStage, accepted: Accepted) -> dict[str, Any]:
+    """What the cameras changed about the scans."""
+    facts: dict[str, Any] = {"accepted": accepted.fusion.accepted, "reason": accepted.fusion.reason}
+    if fused.result is not None:
+        facts |= _fields(fused.result, but=("world_from_scan", "covariance"))
     return facts
 
 
@@ -165,7 +183,12 @@ _NOTHING = dict.fromkeys(("psnr", "ssim", "coverage", "psnr_leave_one_out", "ssi
 
 
 def of_reference(
-    dataset: Dataset, lidar: LidarStage, visual: VisualStage, accepted: Accepted, reference: Reference
+    dataset: Dataset,
+    lidar: LidarStage,
+    visual: VisualStage,
+    fused: FusionStage,
+    accepted: Accepted,
+    reference: Reference,
 ) -> dict[str, Any]:
     """Errors of the result, and under `rough` of the input; with the errors that the covariances predict."""
     final_scans = Trajectory(dataset.scans.times, accepted.world_from_scan)
@@ -177,13 +200,23 @@ def of_reference(
     rough = references.compare(
         reference, dataset.scans, dataset.images, Exposures(times, np.ones(len(times)))
     )
-    for part, predicted in _predicted(lidar, visual, accepted, final_scans, final_images, reference).items():
+    spread = _scan_covariance(lidar, fused, accepted)
+    for part, predicted in _predicted(spread, visual, accepted, final_scans, final_images, reference).items():
         facts.setdefault(part, {}).update(predicted)
     return {**facts, "rough": rough}
 
 
+def _scan_covariance(lidar: LidarStage, fused: FusionStage, accepted: Accepted) -> np.ndarray | None:
+    """(S, 6, 6) of the scan poses that are the result; None where these are the input's."""
+    if lidar.result is None or not accepted.scans.accepted:
+        return None
+    if fused.result is not None and accepted.fusion.accepted:
+        return fused.result.covariance
+    return lidar.result.covariance
+
+
 def _predicted(
-    lidar: LidarStage,
+    scan_covariance: np.ndarray | None,
     visual: VisualStage,
     accepted: Accepted,
     final_scans: Trajectory,
@@ -197,8 +230,8 @@ def _predicted(
         if len(pairs) > 1:
             truth = reference.scans.world_from_sensor[pairs[:, 1]]
             aligned = align(final_scans.world_from_sensor[pairs[:, 0]], truth)
-    if lidar.result is not None and accepted.scans.accepted and reference.scans is not None:
-        found["lidar"] = uncertainty.against(final_scans, lidar.result.covariance, reference.scans, aligned)
+    if scan_covariance is not None and reference.scans is not None:
+        found["lidar"] = uncertainty.against(final_scans, scan_covariance, reference.scans, aligned)
     if visual.result is None:
         return found
     if accepted.cameras.accepted and reference.images is not None:

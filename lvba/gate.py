@@ -54,6 +54,19 @@ def judge_scans(entropy_before: float, entropy_after: float, config: GateConfig)
     return Verdict(False, f"input poses kept: the refined map is not crisper ({change})")
 
 
+def judge_fusion(entropy_before: float, entropy_after: float, config: GateConfig) -> Verdict:
+    """Whether scans that were moved towards the cameras make a map no less crisp. Entropies in nats.
+
+    It need not be crisper: few scans move, and a map can be crisp where they are, and wrong.
+    """
+    change = f"mean map entropy {entropy_before:.4f} -> {entropy_after:.4f}"
+    if not config.enabled:
+        return Verdict(True, f"accepted unjudged (gate.enabled is false): {change}")
+    if entropy_after - entropy_before <= config.min_entropy_gain:
+        return Verdict(True, f"accepted: {change}")
+    return Verdict(False, f"scans stay where the LiDAR has them: the map would be less crisp ({change})")
+
+
 def judge_cameras(scores: dict[str, Scores], config: GateConfig) -> tuple[Verdict, Verdict]:
     """Whether the camera poses, and whether the exposures, that the visual stage found predict the images better.
 

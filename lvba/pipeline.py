@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 from lvba import facts, result_stages, stages
 from lvba.dataset import Dataset
+from lvba.fusion import FusionConfig
 from lvba.gate import GateConfig
 from lvba.io.reference import Reference
 from lvba.lidar.bundle_adjustment import LidarConfig
@@ -34,6 +35,8 @@ class Config:
     """LiDAR bundle adjustment."""
     visual: VisualConfig = field(default_factory=VisualConfig)
     """Visual bundle adjustment."""
+    fusion: FusionConfig = field(default_factory=FusionConfig)
+    """How scan poses learn from the refined cameras."""
     gate: GateConfig = field(default_factory=GateConfig)
     """What a stage must gain to be accepted."""
     map: MapConfig = field(default_factory=MapConfig)
@@ -69,11 +72,19 @@ def refine(
         stages.solve_visual,
         *(dataset, lidar, scans, coarser, config.lidar, config.visual, config.refine_cameras),
     )
-    scores = plan.add(
-        "evaluate", result_stages.evaluate, dataset, scans, visual, config.evaluate, config.gate
+    fusion = plan.add(
+        "fusion", stages.solve_fusion, dataset, lidar, scans, visual, config.lidar, config.fusion
     )
-    accepted = plan.add("visual-gate", result_stages.decide, dataset, scans, visual, scores, config.gate)
+    fused = plan.add(
+        "fusion-gate", stages.judge_fusion, dataset, scans, fusion, config.evaluate.entropy, config.gate
+    )
+    scores = plan.add(
+        "evaluate", result_stages.evaluate, dataset, scans, fused, visual, config.evaluate, config.gate
+    )
+    accepted = plan.add(
+        "visual-gate", result_stages.decide, dataset, scans, fused, visual, scores, config.gate
+    )
     plan.add("map", result_stages.color_map, dataset, accepted, config.map)
     plan.add("pictures", result_stages.make_pictures, dataset, accepted, scores, config.evaluate)
-    plan.add("facts", facts.collect, dataset, lidar, scans, visual, scores, accepted, reference)
+    plan.add("facts", facts.collect, dataset, lidar, scans, visual, fusion, scores, accepted, reference)
     return plan

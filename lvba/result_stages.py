@@ -34,6 +34,8 @@ class Accepted:
     scans: Verdict
     cameras: Verdict
     exposures: Verdict
+    fusion: Verdict
+    """Whether the scan poses are those that the cameras had a part in."""
     state: str
     """Which of the judged states this is."""
     remark: str = ""
@@ -42,6 +44,7 @@ class Accepted:
 def evaluate(
     dataset: Dataset,
     scans: ScanPoses,
+    fused: ScanPoses,
     visual: VisualStage,
     config: EvaluateConfig,
     gates: GateConfig,
@@ -53,10 +56,12 @@ def evaluate(
     """
     if not dataset.image_paths:
         return {}
-    states = judged_states(dataset, scans, visual, progress)
+    states = judged_states(dataset, scans, fused, visual, progress)
     entropies = {ROUGH: scans.entropy_rough}
     if scans.verdict.accepted:
         entropies[CARRIED] = scans.entropy_refined
+    if fused.verdict.accepted:
+        entropies[VISUAL] = fused.entropy_refined
     between = {CARRIED, EXPOSED} if VISUAL in states else set()
     scores = evaluation.evaluate(states, config, entropies=entropies, brief=between, progress=progress)
     if choose(scores, visual, gates)[0] in between:
@@ -65,17 +70,20 @@ def evaluate(
 
 
 def judged_states(
-    dataset: Dataset, scans: ScanPoses, visual: VisualStage, progress: Progress = silent
+    dataset: Dataset, scans: ScanPoses, fused: ScanPoses, visual: VisualStage, progress: Progress = silent
 ) -> dict[str, State]:
     """Cloud and views of each state that is judged, by name."""
     clouds = {ROUGH: cloud_of(dataset, dataset.scans.world_from_sensor, progress)}
-    clouds[CARRIED] = (
+    clouds[CARRIED] = clouds[EXPOSED] = (
         cloud_of(dataset, scans.world_from_scan, progress) if scans.verdict.accepted else clouds[ROUGH]
+    )
+    clouds[VISUAL] = (
+        cloud_of(dataset, fused.world_from_scan, progress) if fused.verdict.accepted else clouds[CARRIED]
     )
     base = views_of(dataset)
     return {
         name: State(
-            clouds[ROUGH if name == ROUGH else CARRIED],
+            clouds[name],
             dataclasses.replace(base, world_from_camera=poses, log_exposure=log_exposure),
         )
         for name, (poses, log_exposure) in camera_states(dataset, scans, visual).items()
@@ -106,7 +114,12 @@ def choose(
 
 
 def decide(
-    dataset: Dataset, scans: ScanPoses, visual: VisualStage, scores: Mapping[str, Scores], config: GateConfig
+    dataset: Dataset,
+    scans: ScanPoses,
+    fused: ScanPoses,
+    visual: VisualStage,
+    scores: Mapping[str, Scores],
+    config: GateConfig,
 ) -> Accepted:
     """The state that predicts the images best, never worse than the input."""
     states = camera_states(dataset, scans, visual)
@@ -116,9 +129,22 @@ def decide(
         verdict = gate.judge_all(scores[ROUGH], scores[chosen], config)
         if not verdict.accepted:
             rough = dataset.scans.world_from_sensor
-            return Accepted(rough, *states[ROUGH], verdict, verdict, verdict, ROUGH)
+            return Accepted(rough, *states[ROUGH], verdict, verdict, verdict, verdict, ROUGH)
         remark = verdict.reason
-    return Accepted(scans.world_from_scan, *states[chosen], scans.verdict, cameras, exposures, chosen, remark)
+    with_cameras = fused.verdict
+    if with_cameras.accepted and chosen != VISUAL:
+        with_cameras = Verdict(False, "scans stay where the LiDAR has them: the cameras were not accepted")
+    used = fused if with_cameras.accepted else scans
+    return Accepted(
+        used.world_from_scan,
+        *states[chosen],
+        scans.verdict,
+        cameras,
+        exposures,
+        with_cameras,
+        chosen,
+        remark,
+    )
 
 
 def color_map(

@@ -1,33 +1,53 @@
-"""Poses between the samples of a trajectory by twice differentiable splines, and how far these may be off."""
+"""Poses between the samples of a trajectory, and how far these may be off."""
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation, RotationSpline
 
 from lvba import geometry, trajectory
 from lvba.trajectory import Trajectory
 
 FEWEST_SAMPLES = 5
-"""Of a trajectory, to tell how far its spline may be off."""
+"""Of a trajectory, for anything here."""
 
 
-def through(samples: Trajectory, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Poses (Q, 4, 4) at the times (Q,), and (Q, 2) by how much (rad, m) one that is left out may be missed.
+def through(samples: Trajectory, times: np.ndarray) -> np.ndarray:
+    """Poses (Q, 4, 4) at times (Q,) by twice differentiable cubic splines; beyond the ends, those there.
 
-    samples: at least FEWEST_SAMPLES. Times before the first and after the last are taken for these: see `outside`.
-    The second is the error of predicting a sample from two neighbors on either side. A spline is off by a part of it:
-    most half way between samples, where it is given in full, and not at all at one.
+    Rotations by splines of the quaternions' components: a spline that does not accelerate at its ends (as of rotation
+    vectors, `scipy.spatial.transform.RotationSpline`) is off there by a hundred times as much as between.
     """
     clamped = np.clip(times, samples.times[0], samples.times[-1])
-    rotation = RotationSpline(samples.times, Rotation.from_matrix(samples.world_from_sensor[:, :3, :3]))
-    position = CubicSpline(samples.times, samples.world_from_sensor[:, :3, 3])
-    pose = geometry.from_rotation_translation(rotation(clamped).as_matrix(), position(clamped))
-    missed = _leave_one_out(samples)
+    turn = geometry.quaternion(samples.world_from_sensor)
+    opposite = np.cumsum((turn[1:] * turn[:-1]).sum(1) < 0) % 2 == 1
+    turn[1:][opposite] *= -1.0
+    position = samples.world_from_sensor[:, :3, 3]
+    found = CubicSpline(samples.times, np.concatenate([turn, position], axis=1))(clamped)
+    turn = found[:, :4] / np.linalg.norm(found[:, :4], axis=1, keepdims=True)
+    return geometry.from_quaternion_translation(turn, found[:, 4:])
+
+
+def end_effect(samples: Trajectory, times: np.ndarray) -> np.ndarray:
+    """(Q,): what part of what is `missed` the splines are off at least, because they know nothing beyond their ends.
+
+    A quarter between the first two samples and between the last two: there they are the cubic through four samples on one
+    side. By 2 - sqrt(3) less from one interval to the next: so falls the influence of a sample on a cubic spline.
+    """
+    before, _ = trajectory.bracket(samples.times, times)
+    return np.asarray(0.25 * (2 - np.sqrt(3.0)) ** np.minimum(before, len(samples) - 2 - before))
+
+
+def missed(samples: Trajectory, times: np.ndarray) -> np.ndarray:
+    """(Q, 2): by how much (rad, m) a sample at each time may be missed that is predicted from its neighbors.
+
+    Read off the samples about it: each is predicted from two neighbors on either side. Interpolation is off by a part of
+    that: most half way between samples, where it is given in full, and not at all at one.
+    """
+    each = _leave_one_out(samples)
     before, fraction = trajectory.bracket(samples.times, times)
-    around = np.maximum(missed[before], missed[np.minimum(before + 1, len(samples) - 1)])
+    around = np.maximum(each[before], each[np.minimum(before + 1, len(samples) - 1)])
     inside = ~outside(samples, times)
     around *= np.where(inside, 4 * fraction * (1 - fraction), 1.0)[:, None]
-    return pose, around
+    return np.asarray(around)
 
 
 def outside(samples: Trajectory, times: np.ndarray) -> np.ndarray:
@@ -41,12 +61,17 @@ def _leave_one_out(samples: Trajectory) -> np.ndarray:
     index = np.arange(2, count - 2)[:, None] + [-2, -1, 1, 2]
     middle = geometry.inverse(samples.world_from_sensor[2:-2])
     around = geometry.log(middle[:, None] @ samples.world_from_sensor[index])
-    offset = samples.times[index] - samples.times[2:-2, None]
+    weight = _cubic_weights(samples.times[index] - samples.times[2:-2, None])
+    off = np.einsum("sa,saj->sj", weight, around)
+    size = np.stack([np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(off[:, 3:], axis=1)], axis=1)
+    return np.pad(size, ((2, 2), (0, 0)), mode="edge") / np.sqrt(3.0)
+
+
+def _cubic_weights(offset: np.ndarray) -> np.ndarray:
+    """(Q, 4): of four samples, by their times (Q, 4) from where the cubic through them is wanted (Lagrange)."""
     weight = np.ones(offset.shape)
     for a in range(4):
         for b in range(4):
             if a != b:
                 weight[:, a] *= offset[:, b] / (offset[:, b] - offset[:, a])
-    missed = np.einsum("sa,saj->sj", weight, around)
-    size = np.stack([np.linalg.norm(missed[:, :3], axis=1), np.linalg.norm(missed[:, 3:], axis=1)], axis=1)
-    return np.pad(size, ((2, 2), (0, 0)), mode="edge") / np.sqrt(3.0)
+    return weight

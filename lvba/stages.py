@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lvba import gate, geometry, recorded_images, trajectory
+from lvba import fusion, gate, geometry, recorded_images, trajectory
 from lvba.dataset import Dataset
 from lvba.errors import DegenerateProblemError
+from lvba.fusion import Fused, FusionConfig
 from lvba.gate import GateConfig, Verdict
 from lvba.io import dataset as recordings
 from lvba.lidar import bundle_adjustment as lidar_ba
@@ -17,6 +18,7 @@ from lvba.products import map_quality
 from lvba.products.cloud import Cloud, assemble
 from lvba.products.map_quality import EntropyConfig
 from lvba.progress import Progress, silent
+from lvba.trajectory import Trajectory
 from lvba.visual import image, keyframes
 from lvba.visual import refine as visual_refine
 from lvba.visual.refine import VisualConfig, VisualResult
@@ -57,6 +59,14 @@ class VisualLevel:
     """What the visual stage found down to one pyramid level; nothing where it could not be solved."""
 
     found: visual_refine.Coarser | None
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class FusionStage:
+    """Where both sensors have the scans; nothing where only one of them knows."""
+
+    result: Fused | None
     problem: str = ""
 
 
@@ -204,6 +214,66 @@ def visual_inputs(
         points,
         _scan_covariance(lidar, scans),
     )
+
+
+def solve_fusion(
+    dataset: Dataset,
+    lidar: LidarStage,
+    scans: ScanPoses,
+    visual: VisualStage,
+    lidar_config: LidarConfig,
+    config: FusionConfig,
+) -> FusionStage:
+    """The scans with what the refined cameras know about them."""
+    if not config.enabled:
+        return FusionStage(None, "scans do not learn from the cameras (fusion.enabled is false)")
+    covariance = _scan_covariance(lidar, scans)
+    if lidar.result is None or covariance is None:
+        return FusionStage(None, "the scans were not refined")
+    if visual.result is None:
+        return FusionStage(None, f"there are no refined cameras: {visual.problem}")
+    found, known = visual.result, visual.result.keyframes
+    cameras = fusion.seen_from(
+        found.world_from_camera[known],
+        dataset.images.times[known],
+        found.covariance_on_map[known],
+        found.scan_from_camera,
+        found.time_offset,
+        found.mount_sigma,
+    )
+    fused = fusion.fuse(
+        Trajectory(dataset.scans.times, scans.world_from_scan),
+        covariance,
+        cameras,
+        lidar.result.weak_directions,
+        lidar_config.prior_sigmas,
+        config,
+    )
+    return FusionStage(fused, "" if fused else "too few cameras")
+
+
+def judge_fusion(
+    dataset: Dataset,
+    scans: ScanPoses,
+    fused: FusionStage,
+    entropy: EntropyConfig,
+    config: GateConfig,
+    progress: Progress = silent,
+) -> ScanPoses:
+    """The fused scan poses where the map is as crisp with them, else those before; `entropy_rough` is of the latter."""
+    before = scans.entropy_refined
+    if fused.result is None:
+        return not_fused(scans, fused)
+    found = fused.result.world_from_scan
+    after = map_quality.mean_map_entropy(cloud_of(dataset, found, progress), entropy)
+    verdict = gate.judge_fusion(before, after, config)
+    return ScanPoses(found if verdict.accepted else scans.world_from_scan, verdict, before, after)
+
+
+def not_fused(scans: ScanPoses, fused: FusionStage) -> ScanPoses:
+    """The scan poses as they were, because there are none that cameras had a part in."""
+    verdict = Verdict(False, f"scans stay where the LiDAR has them: {fused.problem}")
+    return ScanPoses(scans.world_from_scan, verdict, scans.entropy_refined, scans.entropy_refined)
 
 
 def _scan_covariance(lidar: LidarStage, scans: ScanPoses) -> Covariance | None:

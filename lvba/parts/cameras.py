@@ -285,7 +285,7 @@ def finish_cameras(
     poses, _ = priors.fill(prior, solved, now.state, keyframes, times)
     log_exposure = np.interp(times, times[keyframes], now.state.cameras.log_exposure)
     results = [part.result for part in found if part.result is not None]
-    spread = _of_parts(cores, found, len(times))
+    spread, on_map = _of_parts(cores, found, len(times))
     if joint_scans.lidar.result is not None and scans.verdict.accepted:
         where = Trajectory(dataset.scans.times, scans.world_from_scan)
         unsolved = ~np.isfinite(spread[:, 0, 0])
@@ -303,6 +303,7 @@ def finish_cameras(
             world_from_camera=poses,
             log_exposure=log_exposure - log_exposure[0],
             covariance=spread,
+            covariance_on_map=on_map,
             log_exposure_sigma=now.exposure_sigma[nearest],
             keyframes=keyframes,
             scan_from_camera=now.state.mount.scan_from_camera,
@@ -319,13 +320,18 @@ def finish_cameras(
     )
 
 
-def _of_parts(cores: Sequence[Part], found: Sequence[PartCameras], images: int) -> np.ndarray:
-    """(I, 6, 6) covariance of each camera as the part of its core has it; NaN where that was not solved."""
-    spread = np.full((images, 6, 6), np.nan)
+def _of_parts(
+    cores: Sequence[Part], found: Sequence[PartCameras], images: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """(I, 6, 6) covariance of each camera as the part of its core has it, and that relative to the map around it; NaN
+    where that was not solved."""
+    spread, on_map = np.full((2, images, 6, 6), np.nan)
     for core, part in zip(cores, found, strict=True):
         if part.result is not None:
-            spread[slice(*core.core_images)] = part.result.covariance[core.core_of_images]
-    return spread
+            mine, own = slice(*core.core_images), core.core_of_images
+            spread[mine] = part.result.covariance[own]
+            on_map[mine] = part.result.covariance_on_map[own]
+    return spread, on_map
 
 
 def _levels(results: Sequence[VisualResult]) -> tuple[LevelReport, ...]:

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 from lvba import facts, result_stages, split, stages
 from lvba.dataset import Dataset
+from lvba.fusion import FusionConfig
 from lvba.gate import GateConfig
 from lvba.io.reference import Reference
 from lvba.lidar import loops
@@ -35,6 +36,8 @@ class Settings(Protocol):
     @property
     def visual(self) -> VisualConfig: ...
     @property
+    def fusion(self) -> FusionConfig: ...
+    @property
     def gate(self) -> GateConfig: ...
     @property
     def map(self) -> MapConfig: ...
@@ -50,11 +53,13 @@ def refine(
     chain = _Chain(plan, dataset, cores, config)
     found, scans = chain.scans()
     images, tied = chain.cameras(found, scans)
-    scores, accepted = chain.judge(scans, images)
+    fusion, fused = chain.fuse(found["lidar"], scans, images)
+    scores, accepted = chain.judge(scans, fused, images)
     chain.products(accepted, scores)
     told = plan.add(
-        "facts-of-whole", facts.collect, dataset, found["lidar"], scans, images, scores, accepted, reference
-    )
+        "facts-of-whole", facts.collect,
+        *(dataset, found["lidar"], scans, images, fusion, scores, accepted, reference),
+    )  # fmt: skip
     walls = chain.seams(accepted)
     plan.add(
         "facts", report.collect, told, dataset, cores, found["merged"], found["joint"], tied, walls, accepted
@@ -246,19 +251,34 @@ class _Chain:
             *(frames, below.images, below.ground, coarser, config.visual, config.refine_cameras),
         )  # fmt: skip
 
-    def judge(self, scans: Ref, images: Ref) -> tuple[Ref, Ref]:
+    def fuse(self, found: Ref, scans: Ref, images: Ref) -> tuple[Ref, Ref]:
+        """What the cameras say about the scans, and the scans as they are used with the cameras."""
+        add, config = self._plan.add, self._config
+        fusion = add(
+            "fusion", stages.solve_fusion, self._dataset, found, scans, images, config.lidar, config.fusion
+        )
+        entropies = [
+            add(
+                f"fusion-entropy-{part.number}", regions.fused_entropy,
+                *(self._dataset, self._cores, part.number, fusion, self._survey, config.evaluate.entropy),
+            )
+            for part in self._cores
+        ]  # fmt: skip
+        return fusion, add("fusion-gate", regions.judge_fusion, scans, fusion, entropies, config.gate)
+
+    def judge(self, scans: Ref, fused: Ref, images: Ref) -> tuple[Ref, Ref]:
         """The scores over all images, and the state that is the result."""
         add, config = self._plan.add, self._config
         scores = [
             add(
                 f"evaluate-{part.number}", products.evaluate_part,
-                frames, part, len(self._dataset.image_paths), scans, images, config.evaluate,
+                frames, part, len(self._dataset.image_paths), scans, fused, images, config.evaluate,
             )
             for frames, part in zip(self._subsets, self._cores, strict=True)
         ]  # fmt: skip
-        whole = add("evaluate", products.merge_scores, scores, scans)
+        whole = add("evaluate", products.merge_scores, scores, scans, fused)
         return whole, add(
-            "visual-gate", result_stages.decide, self._dataset, scans, images, whole, config.gate
+            "visual-gate", result_stages.decide, self._dataset, scans, fused, images, whole, config.gate
         )
 
     def seams(self, accepted: Ref) -> list[Ref]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from lvba import result_stages, split, stages
 from lvba.dataset import Dataset
-from lvba.gate import ROUGH
+from lvba.gate import ROUGH, VISUAL
 from lvba.parts.regions import in_region, regions
 from lvba.parts.survey import Survey
 from lvba.products import colorize, evaluate, map_quality, pictures
@@ -22,7 +22,9 @@ from lvba.split import Part
 from lvba.stages import ScanPoses, VisualStage
 
 
-def of_part(scans: ScanPoses, visual: VisualStage, part: Part) -> tuple[ScanPoses, VisualStage]:
+def of_part(
+    scans: ScanPoses, fused: ScanPoses, visual: VisualStage, part: Part
+) -> tuple[ScanPoses, ScanPoses, VisualStage]:
     """What was found, for the frames of one part only."""
     mine = slice(*part.images)
     if visual.result is not None:
@@ -33,7 +35,10 @@ def of_part(scans: ScanPoses, visual: VisualStage, part: Part) -> tuple[ScanPose
                 log_exposure=visual.result.log_exposure[mine],
             )
         )
-    return replace(scans, world_from_scan=scans.world_from_scan[slice(*part.scans)]), visual
+    own, with_cameras = (
+        replace(poses, world_from_scan=poses.world_from_scan[slice(*part.scans)]) for poses in (scans, fused)
+    )
+    return own, with_cameras, visual
 
 
 def evaluate_part(
@@ -41,6 +46,7 @@ def evaluate_part(
     part: Part,
     images: int,
     scans: ScanPoses,
+    fused: ScanPoses,
     visual: VisualStage,
     config: EvaluateConfig,
     progress: Progress = silent,
@@ -55,8 +61,7 @@ def evaluate_part(
     core = judged[(judged >= part.core_images[0]) & (judged < part.core_images[1])]
     if not len(core):
         return {}
-    mine, cameras = of_part(scans, visual, part)
-    states = result_stages.judged_states(dataset, mine, cameras, progress)
+    states = result_stages.judged_states(dataset, *of_part(scans, fused, visual, part), progress)
     unknown = dict.fromkeys(states, float("nan"))
     found = evaluate.evaluate(
         states, config, entropies=unknown, images=core - part.images[0], progress=progress
@@ -67,18 +72,18 @@ def evaluate_part(
     }
 
 
-def merge_scores(found: Sequence[Mapping[str, Scores]], scans: ScanPoses) -> dict[str, Scores]:
+def merge_scores(
+    found: Sequence[Mapping[str, Scores]], scans: ScanPoses, fused: ScanPoses
+) -> dict[str, Scores]:
     """The scores over all images."""
     known = [scores for scores in found if scores]
     if not known:
         return {}
     refined = scans.entropy_refined if scans.verdict.accepted else scans.entropy_rough
-    return {
-        name: evaluate.together(
-            [scores[name] for scores in known], scans.entropy_rough if name == ROUGH else refined
-        )
-        for name in known[0]
-    }
+    entropy = dict.fromkeys(known[0], refined) | {ROUGH: scans.entropy_rough}
+    if fused.verdict.accepted:
+        entropy[VISUAL] = fused.entropy_refined
+    return {name: evaluate.together([scores[name] for scores in known], entropy[name]) for name in known[0]}
 
 
 def color_part(

@@ -17,7 +17,7 @@ from lvba.products.cloud import Cloud
 from lvba.products.map_quality import EntropyConfig
 from lvba.progress import Progress, silent
 from lvba.split import Part
-from lvba.stages import LidarStage, ScanPoses
+from lvba.stages import FusionStage, LidarStage, ScanPoses, not_fused
 
 
 def regions(dataset: Dataset, cores: Sequence[Part], world_from_scan: np.ndarray) -> Regions:
@@ -89,6 +89,34 @@ def judge_region(
     return RegionEntropy(
         before, _entropy(region_cloud(dataset, cores, part, refined, survey.reach_m, progress), config)
     )
+
+
+def fused_entropy(
+    dataset: Dataset,
+    cores: Sequence[Part],
+    part: int,
+    fused: FusionStage,
+    survey: Survey,
+    config: EntropyConfig,
+    progress: Progress = silent,
+) -> tuple[float, int]:
+    """Sum and number of the entropies of map points in a part's region, nats, at the scans that cameras moved."""
+    if fused.result is None:
+        return 0.0, 0
+    poses = fused.result.world_from_scan
+    return _entropy(region_cloud(dataset, cores, part, poses, survey.reach_m, progress), config)
+
+
+def judge_fusion(
+    scans: ScanPoses, fused: FusionStage, found: Sequence[tuple[float, int]], config: GateConfig
+) -> ScanPoses:
+    """As `stages.judge_fusion`, from what all regions say."""
+    if fused.result is None:
+        return not_fused(scans, fused)
+    after = sum(total for total, _ in found) / max(sum(count for _, count in found), 1)
+    verdict = gate.judge_fusion(scans.entropy_refined, after, config)
+    poses = fused.result.world_from_scan if verdict.accepted else scans.world_from_scan
+    return ScanPoses(poses, verdict, scans.entropy_refined, after)
 
 
 def _entropy(cloud: Cloud, config: EntropyConfig) -> tuple[float, int]:

@@ -201,12 +201,11 @@ def _spline(
     scans: Trajectory, times: np.ndarray, config: PriorConfig
 ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """The scans' poses at the images' times by splines, and what these may miss (rad, m)."""
-    pose, missed = spline.through(scans, times)
     floors = [np.radians(config.floor_rotation_deg), config.floor_position_m]
-    sigma = config.between_scans * missed + floors
+    sigma = config.between_scans * spline.missed(scans, times) + floors
     # beyond the scans there is nothing to interpolate: what is extrapolated counts for nothing
     sigma[spline.outside(scans, times)] *= 1e3
-    return pose, (sigma[:, 0], sigma[:, 1])
+    return spline.through(scans, times), (sigma[:, 0], sigma[:, 1])
 
 
 def _rates(scans: Trajectory, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

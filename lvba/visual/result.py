@@ -46,6 +46,7 @@ class VisualResult:
     world_from_camera: (I, 4, 4) float64, all images; keyframes: (K,) indices of those that were solved
     log_exposure: (I,) float64, first image 0
     covariance: (I, 6, 6) float64, of `[rotation | translation]` in the camera's frame (rad, m)
+    covariance_on_map: (I, 6, 6) float64, the same relative to the map about each camera, without that map's own errors
     log_exposure_sigma: (I,) float64
     scan_from_camera: (4, 4) the mount found; time_offset: s, image time + offset = LiDAR time
     mount_sigma: (7,) standard deviations of `[rotation | translation | time offset]`
@@ -58,6 +59,7 @@ class VisualResult:
     world_from_camera: np.ndarray
     log_exposure: np.ndarray
     covariance: np.ndarray
+    covariance_on_map: np.ndarray
     log_exposure_sigma: np.ndarray
     keyframes: np.ndarray
     scan_from_camera: np.ndarray
@@ -118,10 +120,12 @@ def collect(
     poses, between = priors.fill(prior, solved, state, keyframes, times)
     nearest = np.abs(times[keyframes][None] - times[:, None]).argmin(axis=1)
     log_exposure = np.interp(times, times[keyframes], state.cameras.log_exposure)
+    on_map = blocks[:-1, :6, :6][nearest] + between
     return VisualResult(
         world_from_camera=poses,
         log_exposure=log_exposure - log_exposure[0],
-        covariance=blocks[:-1, :6, :6][nearest] + between,
+        covariance=on_map,
+        covariance_on_map=on_map,
         log_exposure_sigma=log_exposure_sigma[nearest],
         keyframes=keyframes,
         scan_from_camera=state.mount.scan_from_camera,

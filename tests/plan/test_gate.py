@@ -46,6 +46,24 @@ def test_scans(before, after, accepted, word):
     assert word in verdict.reason
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "accepted", "word"),
+    [
+        (-3.0, -3.1, True, "accepted"),
+        (-3.0, -3.0, True, "accepted"),
+        (-3.0, -2.9995, True, "accepted"),
+        (-3.0, -2.99, False, "less crisp"),
+        (np.nan, -3.0, False, "less crisp"),
+        (-3.0, np.nan, False, "less crisp"),
+    ],
+)
+def test_scans_that_cameras_moved(before, after, accepted, word):
+    verdict = gate.judge_fusion(before, after, GateConfig())
+    assert verdict.accepted is accepted
+    assert word in verdict.reason
+    assert gate.judge_fusion(before, after, GateConfig(enabled=False)).accepted
+
+
 def judge(carried, exposed, visual, config=GateConfig()):  # noqa: B008
     poses, exposures = gate.judge_cameras({CARRIED: carried, EXPOSED: exposed, VISUAL: visual}, config)
     return poses.accepted, exposures.accepted

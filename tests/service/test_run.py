@@ -16,7 +16,7 @@ from lvba.io import ply, tum
 
 STAGES = [
     *("lidar", "lidar-gate", "visual-level-1", "visual"),
-    *("evaluate", "visual-gate", "map", "pictures", "facts"),
+    *("fusion", "fusion-gate", "evaluate", "visual-gate", "map", "pictures", "facts"),
 ]
 PRODUCTS = ["lidar_poses.txt", "image_poses.txt", "exposures.csv", "map.ply", "config.yaml"]
 

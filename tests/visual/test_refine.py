@@ -93,7 +93,9 @@ def test_cameras_and_exposures_end_at_the_truth(room, refined):
 def test_the_reported_covariance_covers_the_error(room, refined):
     wrong = geometry.log(geometry.inverse(refined.world_from_camera) @ room[1])
     nees = np.einsum("ni,nij,nj->n", wrong, np.linalg.inv(refined.covariance), wrong) / 6
-    assert 0.1 < nees.mean() < 6  # one small scene: 12 images of six planes, a loose bound
+    # one small scene: 12 images of six planes. Its scans are exact, which the prior never takes them for (1 mm, 0.01
+    # degrees), so four times the error may be promised
+    assert 0.06 < nees.mean() < 6
 
 
 def test_the_account_of_the_levels_goes_from_coarse_to_fine(refined):

@@ -163,6 +163,19 @@ def lidar_rows(facts: Facts) -> list[tuple[str, str]]:
     return rows + _weak(stage)
 
 
+def fusion_rows(facts: Facts) -> list[tuple[str, str]]:
+    """What the cameras changed about the scans."""
+    stage = facts.get("fusion") or {}
+    moved = [value for value in stage.get("moved_m") or [] if _is_number(value)]
+    if not moved:
+        return []
+    return [
+        ("Scans moved by, half of them less than", words.length(float(np.median(moved)))),
+        ("Scans moved by at most", words.length(max(moved))),
+        ("Scans that contradict the cameras, and stay", words.count(stage.get("contradicted"))),
+    ]
+
+
 def visual_rows(facts: Facts) -> list[tuple[str, str]]:
     """What the visual bundle adjustment found."""
     stage = facts.get("visual") or {}

@@ -119,6 +119,9 @@ def _notes(facts: Facts) -> str:
         for name, stage in (("Scans", facts.get("lidar") or {}), ("Cameras", facts.get("visual") or {}))
         if stage.get("accepted") is False and stage.get("reason")
     ]
+    fusion = facts.get("fusion") or {}
+    if fusion.get("accepted") is False and fusion.get("moved_m"):
+        notes.append((f"Scans with what the cameras know: {fusion.get('reason')}", ""))
     for warning in facts.get("warnings", []):
         if isinstance(warning, Mapping):
             notes.append((str(warning.get("text", "")), str(warning.get("mend", ""))))
@@ -229,6 +232,7 @@ def _stages(facts: Facts) -> str:
         for name, stage, rows in (
             ("LiDAR bundle adjustment", facts.get("lidar") or {}, figures.lidar_rows(facts)),
             ("Visual bundle adjustment", facts.get("visual") or {}, figures.visual_rows(facts)),
+            ("Scans with what the cameras know", facts.get("fusion") or {}, figures.fusion_rows(facts)),
         )
         if rows
     )

@@ -1,0 +1,216 @@
+"""Scans and cameras on one path: what the one does not know it takes from the other, and not more."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lvba import fusion, geometry, spline
+from lvba.fusion import FusionConfig
+from lvba.lidar.covariance import Covariance
+from lvba.lidar.weak import WeakDirection
+from lvba.trajectory import Trajectory
+
+MOUNT = geometry.exp(np.array([0.4, -1.2, 0.3, 0.05, -0.08, 0.12]))
+OFFSET = 0.007
+SCAN_TIMES = np.arange(60) * 0.1
+IMAGE_TIMES = np.arange(58) * 0.1 + 0.13
+TIGHT = np.repeat([2e-4, 5e-4], 3)
+"""rad and m, of a scan that planes hold and of a camera."""
+
+
+def path(times):
+    """world_from_scan (N, 4, 4) of somebody who walks and looks around."""
+    t = np.asarray(times)
+    turn = np.stack([0.1 * np.sin(0.9 * t), 0.08 * np.cos(0.7 * t), 0.5 * t], axis=1)
+    place = np.stack([1.2 * t, 0.4 * np.sin(0.8 * t), 0.05 * np.cos(1.1 * t)], axis=1)
+    rotation = geometry.exp(np.concatenate([turn, np.zeros_like(turn)], axis=1))[:, :3, :3]
+    return geometry.from_rotation_translation(rotation, place)
+
+
+def blocks(sigmas):
+    """(N, 6, 6) from sigmas (N, 6)."""
+    return np.square(sigmas)[:, :, None] * np.eye(6)
+
+
+def scans(rng, loose=(), along=5, off=0.03):
+    """Refined scans, their covariance, and the truth; those in `loose` are off along one of their own axes."""
+    truth = path(SCAN_TIMES)
+    sigma = np.tile(TIGHT, (len(SCAN_TIMES), 1))
+    error = rng.normal(size=sigma.shape) * sigma
+    for index in loose:
+        sigma[index, along] = off
+        error[index, along] = off * np.sign(error[index, along])
+    found = geometry.retract(truth, error)
+    return Trajectory(SCAN_TIMES, found), Covariance(blocks(sigma), blocks(sigma)), truth
+
+
+def cameras(rng, sigma=TIGHT, mount_sigma=None):
+    truth = path(IMAGE_TIMES + OFFSET) @ MOUNT
+    spread = np.tile(sigma, (len(IMAGE_TIMES), 1))
+    poses = geometry.retract(truth, rng.normal(size=spread.shape) * spread)
+    mount_sigma = np.zeros(7) if mount_sigma is None else mount_sigma
+    return fusion.seen_from(poses, IMAGE_TIMES, blocks(spread), MOUNT, OFFSET, mount_sigma)
+
+
+def lifted(given, which, by):
+    """Some of the cameras higher by so many metres."""
+    poses = given.world_from_scan.world_from_sensor.copy()
+    poses[which, 2, 3] += by
+    return replace(given, world_from_scan=replace(given.world_from_scan, world_from_sensor=poses))
+
+
+def errors(poses, truth):
+    return np.linalg.norm(geometry.log(geometry.inverse(truth) @ poses)[:, 3:], axis=1)
+
+
+def test_loose_scans_go_where_the_cameras_have_them():
+    rng = np.random.default_rng(0)
+    loose = np.arange(10, 50, 6)
+    given, covariance, truth = scans(rng, loose)
+    found = fusion.fuse(given, covariance, cameras(rng))
+    assert errors(given.world_from_sensor, truth)[loose].min() > 0.029
+    assert errors(found.world_from_scan, truth)[loose].max() < 0.003
+    others = np.setdiff1d(np.arange(len(SCAN_TIMES)), loose)
+    before, after = (
+        errors(poses, truth)[others] for poses in (given.world_from_sensor, found.world_from_scan)
+    )
+    assert np.sqrt((after**2).mean()) < np.sqrt((before**2).mean())
+    assert found.contradicted == 0
+    assert found.moved_m[loose].min() > 0.025
+
+
+def test_the_covariance_is_honest():
+    nees = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        given, covariance, truth = scans(rng, range(5, 55, 4))
+        found = fusion.fuse(given, covariance, cameras(rng))
+        wrong = geometry.log(geometry.inverse(found.world_from_scan) @ truth)
+        whitened = np.linalg.solve(found.covariance, wrong[..., None])[..., 0]
+        nees.append((wrong * whitened).sum(1).mean() / 6)
+    assert 0.5 < np.mean(nees) < 1.5
+
+
+def test_vague_cameras_change_nothing():
+    rng = np.random.default_rng(1)
+    given, covariance, _ = scans(rng)
+    found = fusion.fuse(given, covariance, cameras(rng, np.repeat([0.02, 0.05], 3)))
+    assert found.moved_m.max() < 1e-4
+
+
+def test_scans_before_the_first_and_after_the_last_image_stay():
+    rng = np.random.default_rng(2)
+    given, covariance, _ = scans(rng, loose=(0, 1, 59))
+    found = fusion.fuse(given, covariance, cameras(rng))
+    assert (found.world_from_scan[[0, 1, 59]] == given.world_from_sensor[[0, 1, 59]]).all()
+    assert (found.covariance[[0, 1, 59]] == covariance.marginal[[0, 1, 59]]).all()
+
+
+def test_a_camera_that_jumps_moves_no_scan():
+    """What is missed about it is large, so nobody trusts the spline there."""
+    rng = np.random.default_rng(3)
+    given, covariance, truth = scans(rng)
+    found = fusion.fuse(given, covariance, lifted(cameras(rng), slice(30, 31), 0.5))
+    assert errors(found.world_from_scan, truth).max() < 0.003
+
+
+def test_cameras_that_are_off_together_beyond_all_promises_move_no_scan():
+    rng = np.random.default_rng(3)
+    given, covariance, truth = scans(rng)
+    found = fusion.fuse(given, covariance, lifted(cameras(rng), slice(25, 40), 0.05))
+    assert found.contradicted >= 8
+    assert errors(found.world_from_scan, truth).max() < 0.003
+
+
+def test_what_the_mount_leaves_open_is_no_news_to_the_scans():
+    """All cameras off together, as far as the mount may be: scans must not follow."""
+    rng = np.random.default_rng(4)
+    given, covariance, truth = scans(rng)
+    good = cameras(rng, mount_sigma=np.array([0, 0, 0, 0.01, 0.01, 0.01, 0]))
+    poses = good.world_from_scan.world_from_sensor @ geometry.exp(np.array([0, 0, 0, 0.01, 0, 0]))
+    found = fusion.fuse(
+        given,
+        covariance,
+        replace(good, world_from_scan=replace(good.world_from_scan, world_from_sensor=poses)),
+    )
+    assert errors(found.world_from_scan, truth).max() < errors(given.world_from_sensor, truth).max() + 1e-4
+
+
+def test_what_all_scans_leave_open_stays_at_the_odometry():
+    """A corridor: the whole trajectory may slide along x; scans and cameras slid apart, and neither knows better."""
+    rng = np.random.default_rng(5)
+    given, covariance, _ = scans(rng)
+    wide = covariance.conditional + np.diag([0, 0, 0, 0.05**2, 0.05**2, 0.05**2])
+    slid = cameras(rng)
+    poses = slid.world_from_scan.world_from_sensor.copy()
+    poses[:, 0, 3] += 0.03
+    slid = replace(slid, world_from_scan=replace(slid.world_from_scan, world_from_sensor=poses))
+    prior = np.repeat([0.01, 0.05], 3)
+    along = WeakDirection(np.array([0, 0, 0, 1.0, 0, 0]), 0.1)
+    free = fusion.fuse(given, Covariance(wide, wide), slid)
+    held = fusion.fuse(given, Covariance(wide, wide), slid, [along], prior)
+    change = held.world_from_scan[:, :3, 3] - given.world_from_sensor[:, :3, 3]
+    assert np.abs(change[:, 0]).max() < 1e-4
+    assert (free.world_from_scan[5:-5, 0, 3] - given.world_from_sensor[5:-5, 0, 3]).min() > 0.02
+
+
+def test_covariances_that_promise_too_much_are_widened():
+    rng = np.random.default_rng(6)
+    given, covariance, truth = scans(rng)
+    sure = Covariance(covariance.marginal / 400, covariance.conditional / 400)
+    good = cameras(rng)
+    found = fusion.fuse(given, sure, replace(good, covariance=good.covariance / 400))
+    assert found.between == pytest.approx(1.0)
+    honest = fusion.fuse(given, covariance, good)
+    assert honest.disagreement < 1.2
+    assert np.trace(found.covariance[30]) * found.disagreement > np.trace(sure.marginal[30])
+    assert errors(found.world_from_scan, truth).max() < 0.003
+
+
+def test_too_few_cameras_tell_nothing():
+    rng = np.random.default_rng(7)
+    given, covariance, _ = scans(rng)
+    spread = blocks(np.tile(TIGHT, (6, 1)))
+    spread[:3] = np.nan
+    few = fusion.seen_from(path(IMAGE_TIMES[:6]) @ MOUNT, IMAGE_TIMES[:6], spread, MOUNT, OFFSET, np.zeros(7))
+    assert len(few.world_from_scan) == 3
+    assert fusion.fuse(given, covariance, few) is None
+
+
+def test_images_that_all_lie_outside_the_scans_move_none():
+    rng = np.random.default_rng(8)
+    given, covariance, _ = scans(rng)
+    later = cameras(rng)
+    times = later.world_from_scan.times + 100.0
+    later = replace(later, world_from_scan=replace(later.world_from_scan, times=times))
+    found = fusion.fuse(given, covariance, later)
+    assert (found.world_from_scan == given.world_from_sensor).all()
+    assert found.disagreement == 1.0
+
+
+def test_splines_are_off_by_a_part_of_what_is_missed_and_by_more_at_their_ends():
+    times = np.linspace(-0.5, 6.2, 400)
+    samples = Trajectory(SCAN_TIMES, path(SCAN_TIMES))
+    inside = ~spline.outside(samples, times)
+    wrong = geometry.log(geometry.inverse(path(times)) @ spline.through(samples, times))[inside]
+    missed, end = spline.missed(samples, times)[inside], spline.end_effect(samples, times)[inside]
+    for part, column in ((slice(3), 0), (slice(3, 6), 1)):
+        off = np.linalg.norm(wrong[:, part], axis=1) / np.sqrt(3.0)
+        for where, share in ((end > 0.2, 1.0), (end < 0.001, 0.1)):
+            assert off[where].max() < share * missed[where, column].max()
+
+
+def test_splines_meet_their_samples_and_stand_still_beyond_the_ends():
+    """Half a turn and more, so that quaternions change their sign on the way."""
+    times = np.arange(90) * 0.1
+    samples = Trajectory(times, path(times))
+    assert np.allclose(spline.through(samples, times), samples.world_from_sensor, atol=1e-12)
+    ends = spline.through(samples, np.array([-3.0, 99.0]))
+    assert np.allclose(ends, samples.world_from_sensor[[0, -1]], atol=1e-12)
+
+
+@pytest.mark.parametrize("contradiction", [0.5, 101.0, np.nan])
+def test_settings_out_of_range_are_refused(contradiction):
+    with pytest.raises(ValueError, match=r"fusion\.contradiction"):
+        FusionConfig(contradiction=contradiction)
