@@ -36,6 +36,7 @@ ABLATIONS: dict[str, list[str]] = {
     "without plane offsets": ["visual.adjustment.plane_offsets=false"],
     "reference pixels that move, as in the paper": ["visual.adjustment.photometric.reference_pixels=moving"],
     "without visual BA": ["refine_cameras=false"],
+    "without scans learning from cameras": ["fusion.enabled=false"],
 }
 
 
