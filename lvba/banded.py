@@ -109,14 +109,15 @@ def _band(
     if 8.0 * width * inner * size > MOST_BYTES:
         raise MemoryError(f"a band of {8e-9 * width * inner * size:.1f} GB")
     band = np.zeros((width, inner * size))
-    masked = blocks[mine] * free[rows[mine]][:, :, None] * free[columns[mine]][:, None, :]
     own = first == second
     for a in range(size):
         for b in range(size):
             i, j = first * size + a, second * size + b
             keep = ~own | (a >= b)
             low, high = np.minimum(i, j)[keep], np.maximum(i, j)[keep]
-            band[high - low, low] += masked[keep, a, b]
+            # one entry of all blocks at a time: a copy of all of them would be as large as the band
+            values = np.where(free[rows, a] & free[columns, b], blocks[:, a, b], 0.0)
+            band[high - low, low] += values[mine][keep]
     where = place >= 0
     added = np.where(free, diagonal, 1.0)[where]
     band[0, (place[where][:, None] * size + np.arange(size)).ravel()] += added.ravel()

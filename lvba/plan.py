@@ -12,7 +12,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from dataclasses import dataclass, field
 from pathlib import PurePath
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -34,6 +34,11 @@ class Ref:
 @dataclass(frozen=True)
 class Late(Ref):
     """The same, for a function that does not always look at it: it is given a function that reads the artifact."""
+
+
+@dataclass(frozen=True)
+class Passing(Late):
+    """The same, for one of many that are looked at one after another: the store does not keep it in memory."""
 
 
 class MissingError(Exception):
@@ -131,7 +136,7 @@ def compute(step: Step, store: Store, progress: Progress = silent) -> Any:
 def resolve(value: Any, store: Store) -> Any:
     """The value with each Ref, also inside lists, tuples and dicts, replaced by its artifact."""
     if isinstance(value, Late):
-        return functools.partial(_read_late, store, value.key)
+        return functools.partial(_read_late, store, value.key, keep=not isinstance(value, Passing))
     if isinstance(value, Ref):
         return store[value.key]
     if isinstance(value, list | tuple):
@@ -141,11 +146,24 @@ def resolve(value: Any, store: Store) -> Any:
     return value
 
 
-def _read_late(store: Store, key: str) -> Any:
+def _read_late(store: Store, key: str, *, keep: bool) -> Any:
+    forgetful = store if isinstance(store, _Forgetful) and not keep else None
+    held = forgetful is not None and key in forgetful.held()
     try:
         return store[key]
     except KeyError:
         raise MissingError(key) from None
+    finally:
+        if forgetful is not None and not held:
+            forgetful.release(key)
+
+
+@runtime_checkable
+class _Forgetful(Protocol):
+    """A store that keeps its artifacts elsewhere, and some in memory."""
+
+    def held(self) -> list[str]: ...
+    def release(self, key: str) -> None: ...
 
 
 def normal(value: Any) -> Any:

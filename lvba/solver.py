@@ -186,11 +186,16 @@ class Solution(Generic[State]):
 
 
 def solve_step(
-    equations: NormalEquations, damping: float, free: np.ndarray | None = None, dense_limit: int = 2500
+    equations: NormalEquations,
+    damping: float,
+    free: np.ndarray | None = None,
+    dense_limit: int = 2500,
+    added: np.ndarray | None = None,
 ) -> np.ndarray | None:
     """The damped step (B, b), `-(H + damping diag(H))^-1 g` over the free unknowns; None where H is not positive.
 
     free: (B, b) bool; unknowns that are not free do not move. None: all are.
+    added: (b,), to the diagonal of every block of H beside the damping
     """
     gradient = equations.gradient.ravel()
     index = np.arange(gradient.size) if free is None else np.flatnonzero(free)
@@ -198,13 +203,14 @@ def solve_step(
     if index.size <= dense_limit:
         hessian = equations.dense()[np.ix_(index, index)]
         diagonal = _damped(np.diag(hessian))
-        hessian[np.diag_indices_from(hessian)] += damping * diagonal
+        more = 0.0 if added is None else np.tile(added, len(equations.gradient))[index]
+        hessian[np.diag_indices_from(hessian)] += damping * diagonal + more
         try:
             step[index] = cho_solve(cho_factor(hessian, lower=True, overwrite_a=True), -gradient[index])
         except np.linalg.LinAlgError:
             return None
     else:
-        solve = factorize(equations, damping, free)
+        solve = factorize(equations, damping, free, added)
         if solve is None:
             return None
         step = -solve(gradient[:, None])[:, 0]
@@ -212,11 +218,15 @@ def solve_step(
 
 
 def factorize(
-    equations: NormalEquations, damping: float, free: np.ndarray | None = None
+    equations: NormalEquations,
+    damping: float,
+    free: np.ndarray | None = None,
+    added: np.ndarray | None = None,
 ) -> banded.Solve | None:
     """A function that solves `(H + damping diag(H)) x = r` for (B b, n) right sides; None where H is not positive.
 
     free: (B, b) bool; unknowns that are not free are zero. None: all are. By a band where there is one, else sparse LU.
+    added: as in `solve_step`
     """
     count, size = equations.gradient.shape
     free = np.ones((count, size), bool) if free is None else free
@@ -224,13 +234,15 @@ def factorize(
     diagonal = np.zeros((count, size))
     diagonal[equations.rows[own]] = np.diagonal(equations.blocks[own], axis1=1, axis2=2)
     index = np.flatnonzero(free)
-    added = np.zeros(count * size)
-    added[index] = damping * _damped(diagonal.ravel()[index])
-    added = added.reshape(count, size)
+    more = np.zeros(count * size)
+    more[index] = damping * _damped(diagonal.ravel()[index])
+    more = more.reshape(count, size)
+    if added is not None:
+        more += added * free
     try:
-        return banded.factor(equations.rows, equations.columns, equations.blocks, added, free)
+        return banded.factor(equations.rows, equations.columns, equations.blocks, more, free)
     except MemoryError:
-        return _sparse_lu(equations, added, index)
+        return _sparse_lu(equations, more, index)
 
 
 def _sparse_lu(equations: NormalEquations, added: np.ndarray, index: np.ndarray) -> banded.Solve | None:

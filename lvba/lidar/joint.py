@@ -4,7 +4,6 @@ The shares' normal equations are those of the whole recording, so this is its so
 memory of a share is that of its region, and no dense system is ever made.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,7 +69,7 @@ def begin(rough: np.ndarray, world_from_scan: np.ndarray, config: LidarConfig) -
 
 
 def step(
-    state: JointState, found: Sequence[ShareEquations], number: int, stage: StageConfig, config: LidarConfig
+    state: JointState, found: ShareEquations, number: int, stage: StageConfig, config: LidarConfig
 ) -> JointState:
     """The state after one round: the sum of all shares, solved.
 
@@ -80,15 +79,8 @@ def step(
         return state
     scans = len(state.world_from_scan)
     equations, weakness = assemble(state, found, config)
-    points = max(sum(each.points for each in found), 1.0)
-    cost = sum(each.equations.cost for each in found) / points
-    facts = (
-        number,
-        sum(each.planes for each in found),
-        sum(each.observations for each in found),
-        cost,
-        _typical_sigma(found),
-    )
+    cost = found.equations.cost / max(found.points, 1.0)
+    facts = (number, found.planes, found.observations, cost, found.sigma)
     weak_scans = int(np.count_nonzero(weakness.count))
     change = _solve(equations, state.damping, config)
     moved = retract(state.world_from_scan, change)
@@ -118,22 +110,13 @@ def _grows(state: JointState, distance: float, number: int, stage: StageConfig) 
 
 
 def assemble(
-    state: JointState, found: Sequence[ShareEquations], config: LidarConfig
+    state: JointState, found: ShareEquations, config: LidarConfig
 ) -> tuple[NormalEquations, Weakness]:
-    """The equations of all shares and the prior, weak directions held at the odometry."""
-    scans = len(state.world_from_scan)
-    told, feigned = np.zeros((scans, 6, 6)), np.zeros((scans, 6, 6))
-    for each in found:
-        told[each.scans] += each.told
-        feigned[each.scans] += each.feigned
-    weakness = weak.judge(told, feigned, config.prior_sigmas)
-    planes = _projected(share.total(list(found), scans), weakness.projector)
+    """The equations of the sum of all shares and of the prior, weak directions held at the odometry."""
+    whole = share.over_all(found, len(state.world_from_scan))
+    weakness = weak.judge(whole.told, whole.feigned, config.prior_sigmas)
+    planes = _projected(whole.equations, weakness.projector)
     return planes + _of_prior(state.prior, state.world_from_scan), weakness
-
-
-def _typical_sigma(found: Sequence[ShareEquations]) -> float:
-    points = sum(each.points for each in found)
-    return sum(each.sigma * each.points for each in found) / max(points, 1.0)
 
 
 def _moved(a: np.ndarray, b: np.ndarray) -> float:
@@ -169,11 +152,8 @@ def _solve(equations: NormalEquations, damping: float, config: LidarConfig) -> n
     scans = len(equations.gradient)
     free = np.ones((scans, 6), bool)
     free[0] = False
-    here = np.arange(scans)
     for _ in range(8):
-        metric = np.broadcast_to(np.diag(2.0 / config.prior_sigmas**2) * damping, (scans, 6, 6))
-        damped = solver.from_blocks(here, here, metric, np.zeros((scans, 6)), 0.0)
-        found = solver.solve_step(equations + damped, 0.0, free)
+        found = solver.solve_step(equations, 0.0, free, added=damping * 2.0 / config.prior_sigmas**2)
         if found is not None:
             return found
         damping = max(10.0 * damping, _FIRST_DAMPING)
@@ -190,7 +170,7 @@ class JointCovariance:
 
 
 def covariance(
-    state: JointState, found: Sequence[ShareEquations], config: LidarConfig, excess: float
+    state: JointState, found: ShareEquations, config: LidarConfig, excess: float
 ) -> JointCovariance:
     """Of all poses, from the equations at them; excess: by what the parts found their information to promise too much."""
     equations, weakness = assemble(state, found, config)

@@ -5,8 +5,8 @@ regions add up to those of the whole recording. Points are read once and kept as
 association and linearization then need no points.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -244,6 +244,55 @@ def _sparse(hessian: np.ndarray, gradient: np.ndarray, cost: float) -> NormalEqu
     )
 
 
-def total(found: list[ShareEquations], count: int) -> NormalEquations:
-    """The equations of all shares, in their order, over `count` scans."""
-    return solver.scattered([(each.scans, each.equations) for each in found], count)
+def summed(found: Iterable[ShareEquations]) -> ShareEquations | None:
+    """What all shares say together, the planes' noise as of a typical point; None: there are none.
+
+    Shares are asked for one after another and added up in pairs, then pairs of pairs: in a fixed order, few of them are
+    in memory at a time, and each block is copied as often as the logarithm of their number.
+    """
+    sums: list[tuple[int, ShareEquations]] = []
+    for each in found:
+        sums.append((0, each))
+        while len(sums) > 1 and sums[-1][0] == sums[-2][0]:
+            (_, later), (rank, earlier) = sums.pop(), sums.pop()
+            sums.append((rank + 1, _both(earlier, later)))
+    while len(sums) > 1:
+        (_, later), (rank, earlier) = sums.pop(), sums.pop()
+        sums.append((rank, _both(earlier, later)))
+    return sums[0][1] if sums else None
+
+
+def _both(a: ShareEquations, b: ShareEquations) -> ShareEquations:
+    scans = np.union1d(a.scans, b.scans)
+    places = [np.searchsorted(scans, each.scans) for each in (a, b)]
+    told, feigned = np.zeros((2, len(scans), 6, 6))
+    for place, each in zip(places, (a, b), strict=True):
+        told[place] += each.told
+        feigned[place] += each.feigned
+    points = a.points + b.points
+    return ShareEquations(
+        scans,
+        solver.scattered([(places[0], a.equations), (places[1], b.equations)], len(scans)),
+        told,
+        feigned,
+        a.planes + b.planes,
+        a.observations + b.observations,
+        points,
+        (a.sigma * a.points + b.sigma * b.points) / max(points, 1.0),
+    )
+
+
+def over_all(found: ShareEquations, count: int) -> ShareEquations:
+    """The same over all of `count` scans; those that no plane sees do not occur in the equations."""
+    if len(found.scans) == count:
+        return found
+    told, feigned = np.zeros((2, count, 6, 6))
+    told[found.scans], feigned[found.scans] = found.told, found.feigned
+    equations = solver.scattered([(found.scans, found.equations)], count)
+    return replace(
+        found,
+        scans=np.arange(count, dtype=found.scans.dtype),
+        equations=equations,
+        told=told,
+        feigned=feigned,
+    )

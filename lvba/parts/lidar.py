@@ -186,10 +186,12 @@ def linearize_share(
 
 
 def step_scans(
-    state: JointState, found: Sequence[ShareEquations | None], survey: Survey, number: int
+    state: JointState, read_shares: Sequence[Callable[[], ShareEquations | None]], survey: Survey, number: int
 ) -> JointState:
     """One round of the joint problem."""
-    known = [each for each in found if each is not None]
+    if state.settled >= number:
+        return state
+    known = share.summed(each for read in read_shares if (each := read()) is not None)
     return joint.step(state, known, number, survey.lidar.stages[number], survey.lidar) if known else state
 
 
@@ -213,20 +215,19 @@ def stage_of(found: JointScans) -> LidarStage:
 def finish_scans(
     merged: MergedStage,
     state: JointState,
-    found: Sequence[ShareEquations | None],
+    read_shares: Sequence[Callable[[], ShareEquations | None]],
     parts: Sequence[PartScans],
     survey: Survey,
 ) -> JointScans:
-    """The result of all rounds; found: the shares' account at the final poses."""
-    known = [each for each in found if each is not None and each.planes]
+    """The result of all rounds; read_shares: of the account at the final poses."""
+    final = share.summed(each for read in read_shares if (each := read()) is not None and each.planes)
     problems = [part.problem for part in parts if part.problem]
-    if not known or len(problems) == len(parts):
+    if final is None or len(problems) == len(parts):
         return JointScans(
             LidarStage(None, problems[0] if problems else "no plane is seen by two scans"), merged.merged, ()
         )
     excess = float(np.median([part.excess for part in parts if not part.problem]))
-    uncertainty = joint.covariance(state, known, survey.lidar, excess)
-    final = known
+    uncertainty = joint.covariance(state, final, survey.lidar, excess)
     history = tuple(
         Round(r.planes, r.observations, r.cost, r.cost, r.sigma, r.moved, 1, r.weak_scans)
         for r in state.history
@@ -243,7 +244,7 @@ def finish_scans(
         plane_points=PlanePoints(np.zeros((0, 3), np.float32), np.zeros(0, np.int32), np.zeros(1, np.int64)),
         history=(*(entry for part in parts for entry in part.history[:1]), *history),
         cost_initial=float(np.mean([part.history[0].cost_before for part in parts if part.history])),
-        cost_final=sum(each.equations.cost for each in final) / max(sum(each.points for each in final), 1.0),
+        cost_final=final.equations.cost / max(final.points, 1.0),
         iterations=len(state.history) + sum(len(part.history) for part in parts),
         converged=settled,
         weak_directions=uncertainty.weakness.common,

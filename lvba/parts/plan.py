@@ -14,7 +14,7 @@ from lvba.lidar import loops
 from lvba.lidar.config import LidarConfig
 from lvba.parts import cameras, lidar, products, regions, report, survey, visual
 from lvba.parts.config import MergeConfig
-from lvba.plan import Late, Plan, Ref
+from lvba.plan import Late, Passing, Plan, Ref
 from lvba.products.evaluate import EvaluateConfig
 from lvba.products.map_file import MapConfig
 from lvba.split import Frames, Part
@@ -77,6 +77,11 @@ class _Below:
     ground: Ref
 
 
+def _passing(found: list[Ref]) -> list[Ref]:
+    """For a function that looks at one after another."""
+    return [Passing(each.key) for each in found]
+
+
 class _Chain:
     """Adds the steps of one recording to a plan."""
 
@@ -117,7 +122,7 @@ class _Chain:
             )
             for n, own in enumerate(cells)
         ]
-        joint = add("lidar-joint", lidar.finish_scans, merged, state, account, solved, self._survey)
+        joint = add("lidar-joint", lidar.finish_scans, merged, state, _passing(account), solved, self._survey)
         whole = add("lidar", lidar.stage_of, joint)
         entropies = [
             add(
@@ -166,7 +171,9 @@ class _Chain:
             )
             for n, own in enumerate(cells)
         ]
-        return self._plan.add(f"lidar-step-{name}", lidar.step_scans, state, found, self._survey, stage)
+        return self._plan.add(
+            f"lidar-step-{name}", lidar.step_scans, state, _passing(found), self._survey, stage
+        )
 
     def cameras(self, found: dict[str, Ref], scans: Ref) -> tuple[Ref, Ref]:
         """The cameras of the whole recording, and how the parts fitted."""

@@ -87,6 +87,20 @@ def rosenbrock(x: np.ndarray) -> NormalEquations:
                            0.5 * float(residual @ residual))  # fmt: skip
 
 
+@pytest.mark.parametrize("dense_limit", [0, 1000])
+def test_what_is_added_to_every_diagonal_is_solved_with(dense_limit):
+    equations, dense = random_equations(np.random.default_rng(3))
+    free = np.ones((6, 3), bool)
+    free[0] = free[3, 2] = False
+    added = np.array([1.0, 20.0, 300.0])
+    index = np.flatnonzero(free)
+    expected = np.zeros(18)
+    hessian = dense + np.diag(np.tile(added, 6))
+    expected[index] = -np.linalg.solve(hessian[np.ix_(index, index)], equations.gradient.ravel()[index])
+    step = solver.solve_step(equations, 0.0, free, dense_limit, added)
+    assert step.ravel() == pytest.approx(expected, abs=1e-10)
+
+
 def test_a_curved_valley_is_followed_to_its_end():
     config = SolverConfig(max_iterations=100, relative_decrease=0.0, step_tolerance=1e-9)
     found = solver.levenberg_marquardt(np.array([-1.2, 1.0]), rosenbrock, lambda x, d: x + d[0], config)

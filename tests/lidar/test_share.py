@@ -6,7 +6,7 @@ import numpy as np
 import plane_world
 import pytest
 
-from lvba import geometry
+from lvba import geometry, solver
 from lvba.kernels import voxel as kernel
 from lvba.lidar import bundle_adjustment, joint, share, voxel_map
 from lvba.lidar.config import LidarConfig
@@ -76,7 +76,7 @@ def test_the_equations_of_all_shares_add_up_to_those_of_the_whole(world, parts):
         )
         for each in found
     ]
-    together = share.total(scaled, len(scans))
+    together = share.over_all(share.summed(scaled), len(scans)).equations
     assert sum(each.planes for each in found) == len(features)
     assert sum(each.observations for each in found) == len(features.scan)
     assert together.cost == pytest.approx(whole.cost, rel=1e-12)
@@ -86,6 +86,33 @@ def test_the_equations_of_all_shares_add_up_to_those_of_the_whole(world, parts):
     np.testing.assert_allclose(together.dense(), whole.hessian, atol=1e-9 * np.abs(whole.hessian).max())
 
 
+@pytest.mark.parametrize("parts", [1, 2, 5, 8])
+def test_shares_are_added_up_one_after_another_to_what_they_are_together(world, parts):
+    scans, _, rough = world
+    found = [share.linearize(each, rough, SENSOR, STAGE, PLAIN) for each in shares(scans, rough, parts)]
+    asked = []
+    at_once = share.summed(asked.append(number) or each for number, each in enumerate(found))
+    assert asked == list(range(parts))
+    count = len(scans)
+    together = solver.scattered([(each.scans, each.equations) for each in found], count)
+    whole = share.over_all(at_once, count)
+    dense = together.dense()
+    np.testing.assert_allclose(whole.equations.dense(), dense, atol=1e-14 * np.abs(dense).max())
+    assert whole.equations.cost == pytest.approx(together.cost, rel=1e-12)
+    told = np.zeros((count, 6, 6))
+    for each in found:
+        told[each.scans] += each.told
+    np.testing.assert_allclose(whole.told, told, rtol=1e-12, atol=1e-9)
+    assert whole.planes == sum(each.planes for each in found)
+    points = sum(each.points for each in found)
+    assert whole.points == pytest.approx(points)
+    assert whole.sigma == pytest.approx(sum(each.sigma * each.points for each in found) / points)
+
+
+def test_no_shares_are_no_sum():
+    assert share.summed([]) is None
+
+
 def rounds(scans, rough, start, parts, stages):
     """stages: (number of the stage, rounds) in turn, points put into cells anew for each."""
     state = joint.begin(rough, start, CONFIG)
@@ -93,9 +120,9 @@ def rounds(scans, rough, start, parts, stages):
         cells = shares(scans, state.world_from_scan, parts)
         stage = CONFIG.stages[number]
         for _ in range(count):
-            found = [
+            found = share.summed(
                 share.linearize(each, state.world_from_scan, SENSOR, stage, CONFIG.weights) for each in cells
-            ]
+            )
             state = joint.step(state, found, number, stage, CONFIG)
     return state, found
 

@@ -184,6 +184,38 @@ def test_what_is_asked_for_late_is_read_only_then(wanted):
     assert work.steps[looked.key].needs_at_once == []
 
 
+class Holding(Counting):
+    """A store that has its artifacts in memory too, from their reading on."""
+
+    def __init__(self):
+        super().__init__()
+        self.memory = set()
+
+    def __getitem__(self, key):
+        self.memory.add(key)
+        return super().__getitem__(key)
+
+    def held(self):
+        return list(self.memory)
+
+    def release(self, key):
+        self.memory.discard(key)
+
+
+@pytest.mark.parametrize(("kind", "before", "after"), [
+    (plan.Late, False, True), (plan.Passing, False, False), (plan.Passing, True, True),
+])  # fmt: skip
+def test_what_passes_is_not_held_unless_it_was(kind, before, after):
+    work, store = Plan("1"), Holding()
+    first = work.add("count", count, 1)
+    looked = work.add("look", look, kind(first.key), True)
+    store[first.key] = plan.compute(work.steps[first.key], store)
+    if before:
+        store[first.key]
+    assert plan.compute(work.steps[looked.key], store) == 10.0
+    assert (first.key in store.held()) is after
+
+
 def test_late_artifact_that_is_gone_is_named():
     work, store = Plan("1"), {}
     first = work.add("count", count, 1)
