@@ -23,6 +23,10 @@ _LEAST_BETWEEN = 0.01
 _FLOOR = np.array([np.radians(1e-3), 1e-4])
 """rad and m: nothing is interpolated better than this."""
 _RATE_STEP_S = 0.02
+_WAY = 20
+"""Scans before and after one that what it is uncertain of is compared with."""
+_ORDINARY = 4.0
+"""Times their variance that is nothing special: along a path, it grows and shrinks anyway."""
 
 
 @dataclass(frozen=True)
@@ -120,25 +124,50 @@ def fuse(
     apart = _without_common(apart, scans.world_from_sensor, weak, prior_sigmas)
     known = _of_neighbors(cameras, scans.times) + _of_mount(cameras, scans.times)
     known += _interpolated(missed, spline.end_effect(path, scans.times))
-    between = _between(apart[inside], (covariance.conditional + known)[inside], missed[inside])
+    own = _of_scans(covariance, scans.world_from_sensor)
+    between = _between(apart[inside], (own + known)[inside], missed[inside])
     of_cameras = known + _interpolated(missed, np.full(len(scans), between))
-    distance = _distance(apart, covariance.conditional + of_cameras)
+    distance = _distance(apart, own + of_cameras)
     disagreement = max(1.0, float(np.median(distance[inside])) / _MEDIAN) if inside.any() else 1.0
     contradicted = inside & (distance > config.contradiction**2 * disagreement)
     used = inside & ~contradicted
     told = np.linalg.inv(of_cameras)
-    fused = np.linalg.inv(np.linalg.inv(covariance.conditional) + told)
+    fused = np.linalg.inv(np.linalg.inv(own) + told)
     step = np.where(used[:, None], np.einsum("sij,sjk,sk->si", fused, told, apart), 0.0)
-    on_map = np.where(used[:, None, None], fused * disagreement, covariance.conditional)
+    on_map = np.where(used[:, None, None], fused * disagreement, own)
     moved = geometry.retract(scans.world_from_sensor, step)
     return Fused(
         np.where(used[:, None, None], moved, scans.world_from_sensor),
-        on_map + _positive(covariance.marginal - covariance.conditional),
+        on_map + _positive(covariance.marginal - own),
         np.linalg.norm(step[:, 3:], axis=1),
         between,
         disagreement,
         int(np.count_nonzero(contradicted)),
     )
+
+
+def _of_scans(covariance: Covariance, world_from_scan: np.ndarray) -> np.ndarray:
+    """(S, 6, 6): how far each scan may be off what cameras at the same moment are held by.
+
+    At least as far as it may be off the map around it if all other scans were known. And as far as it is much less
+    certain, within the trajectory, than the scans some way before and after: a group of scans that hang together and on
+    the others by little is off together, but its cameras see the map of the others too.
+    """
+    conditional = covariance.conditional
+    marginal = _turned(covariance.marginal, world_from_scan)
+    information = np.concatenate([np.zeros((1, 6, 6)), np.cumsum(np.linalg.inv(marginal), axis=0)])
+    here = np.arange(len(marginal))
+    first, last = np.maximum(here - _WAY, 0), np.minimum(here + _WAY + 1, len(marginal))
+    mean = (information[last] - information[first]) / (last - first)[:, None, None]
+    beyond = _turned(marginal - _ORDINARY * np.linalg.inv(mean), geometry.inverse(world_from_scan))
+    return np.asarray(conditional + _positive(beyond - conditional))
+
+
+def _turned(blocks: np.ndarray, a_from_b: np.ndarray) -> np.ndarray:
+    """Blocks (S, 6, 6) of axes b in axes a."""
+    turn = np.zeros(blocks.shape)
+    turn[:, :3, :3] = turn[:, 3:, 3:] = a_from_b[:, :3, :3]
+    return np.asarray(turn @ blocks @ np.swapaxes(turn, -1, -2))
 
 
 def _of_neighbors(cameras: Cameras, times: np.ndarray) -> np.ndarray:

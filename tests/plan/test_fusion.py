@@ -80,6 +80,25 @@ def test_loose_scans_go_where_the_cameras_have_them():
     assert found.moved_m[loose].min() > 0.025
 
 
+def test_a_group_that_is_off_together_goes_where_its_cameras_have_it():
+    """Each of its scans would be well held if the others were known; within the trajectory all of them are vague."""
+    rng = np.random.default_rng(9)
+    given, covariance, truth = scans(rng)
+    group = slice(26, 33)
+    poses = given.world_from_sensor.copy()
+    poses[group, 2, 3] += 0.02
+    marginal = covariance.marginal.copy()
+    marginal[group] += np.diag([0, 0, 0, 0, 0, 0.02**2])
+    given = replace(given, world_from_sensor=poses)
+    found = fusion.fuse(given, Covariance(marginal, covariance.conditional), cameras(rng))
+    assert errors(found.world_from_scan, truth)[group].max() < 0.003 < errors(poses, truth)[group].min()
+    # what grows slowly along a path is no group: relative to the map around them these scans are as certain as ever
+    drifting = covariance.conditional * np.linspace(1, 8, len(SCAN_TIMES))[:, None, None]
+    usual = fusion.fuse(given, covariance, cameras(np.random.default_rng(1)))
+    slow = fusion.fuse(given, Covariance(drifting, covariance.conditional), cameras(np.random.default_rng(1)))
+    np.testing.assert_allclose(slow.world_from_scan, usual.world_from_scan, atol=1e-6)
+
+
 def test_the_covariance_is_honest():
     nees = []
     for seed in range(8):
