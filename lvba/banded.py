@@ -108,7 +108,7 @@ def _band(
     width = (reach + 1) * size
     if 8.0 * width * inner * size > MOST_BYTES:
         raise MemoryError(f"a band of {8e-9 * width * inner * size:.1f} GB")
-    band = np.zeros((width, inner * size))
+    band = np.zeros((inner * size, width)).T  # as LAPACK has it in memory, so that it is factored in place
     own = first == second
     for a in range(size):
         for b in range(size):

@@ -12,7 +12,7 @@ from distributed import get_worker
 
 from lvba.errors import InputError
 from lvba.plan import MissingError, Step
-from workers import local, sending, versions
+from workers import limits, local, sending, versions
 from workers.store import ZarrStore
 from workers.url_store import open_store
 
@@ -23,6 +23,8 @@ _kept: dict[str, Any] = {}
 long as that lives, and those of one part at a time."""
 _seen: dict[str, str] = {}
 """The store that this process worked on last, and the plan that it found there."""
+_MANY = 8
+"""Inputs: a step that is made from more stands for all parts, and may need memory that steps of single parts left."""
 _TELL_SECONDS = _LOOK_SECONDS = 0.25
 _PATIENCE_SECONDS = 1.25
 
@@ -55,6 +57,8 @@ def make(
         if missing:
             return {"missing": missing}
         _keep(step, store)
+        if len(step.needs) > _MANY:
+            limits.give_back_memory()
         try:
             return {"record": asdict(local.make(step, store, report, version))}
         except MissingError as gone:
