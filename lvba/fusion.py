@@ -131,13 +131,13 @@ def fuse(
     disagreement = max(1.0, float(np.median(distance[inside])) / _MEDIAN) if inside.any() else 1.0
     contradicted = inside & (distance > config.contradiction**2 * disagreement)
     used = inside & ~contradicted
-    told = np.linalg.inv(of_cameras)
-    fused = np.linalg.inv(np.linalg.inv(own) + told)
-    step = np.where(used[:, None], np.einsum("sij,sjk,sk->si", fused, told, apart), 0.0)
-    on_map = np.where(used[:, None, None], fused * disagreement, own)
+    told = np.linalg.inv(of_cameras) * used[:, None, None]
+    step, fused = _chained(own, covariance.step, scans.world_from_sensor, told, apart)
+    on_map = np.where(used[:, None, None], fused * disagreement, fused)
     moved = geometry.retract(scans.world_from_sensor, step)
+    still = np.all(step == 0.0, axis=1)
     return Fused(
-        np.where(used[:, None, None], moved, scans.world_from_sensor),
+        np.where(still[:, None, None], scans.world_from_sensor, moved),
         on_map + _positive(covariance.marginal - own),
         np.linalg.norm(step[:, 3:], axis=1),
         between,
@@ -161,6 +161,64 @@ def _of_scans(covariance: Covariance, world_from_scan: np.ndarray) -> np.ndarray
     mean = (information[last] - information[first]) / (last - first)[:, None, None]
     beyond = _turned(marginal - _ORDINARY * np.linalg.inv(mean), geometry.inverse(world_from_scan))
     return np.asarray(conditional + _positive(beyond - conditional))
+
+
+def _chained(
+    own: np.ndarray, step: np.ndarray, world_from_scan: np.ndarray, told: np.ndarray, apart: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The most likely errors (S, 6) of the scans, and their covariance (S, 6, 6).
+
+    own: (S, 6, 6), of the errors, none on average; step: (S - 1, 6, 6), of the motion from each to the next, empty:
+        errors are independent; told: (S, 6, 6), what cameras know of each, 0: nothing; apart: (S, 6), what they say
+    Errors of neighbors go together as far as the motion between them is more certain than they are: a group of scans
+    moves as one. Beyond neighbors only through them: a Markov chain, whose information is block-tridiagonal.
+    """
+    if len(step) == 0:
+        covariance = np.linalg.inv(np.linalg.inv(own) + told)
+        return np.einsum("sij,sjk,sk->si", covariance, told, apart), covariance
+    diagonal, upper = _chain(own, step, world_from_scan)
+    return _solve_chain(diagonal + told, upper, np.einsum("sij,sj->si", told, apart))
+
+
+_MOST_COMMON = 0.999
+"""Of the error of a scan, the part that it can have in common with the next one."""
+
+
+def _chain(own: np.ndarray, step: np.ndarray, world_from_scan: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The information of the chain of errors: blocks on the diagonal (S, 6, 6) and (S - 1, 6, 6) beside it."""
+    carry = geometry.adjoint(geometry.inverse(world_from_scan[1:]) @ world_from_scan[:-1])
+    before = carry @ own[:-1] @ np.swapaxes(carry, -1, -2)
+    common = 0.5 * (before + own[1:] - step)
+    left, right = np.linalg.cholesky(before), np.linalg.cholesky(own[1:])
+    share = np.linalg.solve(left, np.swapaxes(np.linalg.solve(right, np.swapaxes(common, -1, -2)), -1, -2))
+    values, axes = np.linalg.eigh(0.5 * (share + np.swapaxes(share, -1, -2)))
+    values = np.clip(values, 0.0, _MOST_COMMON)
+    # of unit covariance each, the later error is `share` times the one before and noise of covariance 1 - share^2
+    back = np.swapaxes(axes, -1, -2)
+    next_, last = back @ np.linalg.inv(right), back @ np.linalg.solve(left, carry)
+    noise = 1.0 / (1.0 - values**2)
+    diagonal = np.zeros_like(own)
+    diagonal[0] = np.linalg.inv(own[0])
+    diagonal[1:] = np.swapaxes(next_, -1, -2) @ (noise[:, :, None] * next_)
+    diagonal[:-1] += np.swapaxes(last, -1, -2) @ ((noise * values**2)[:, :, None] * last)
+    return diagonal, -np.swapaxes(last, -1, -2) @ ((noise * values)[:, :, None] * next_)
+
+
+def _solve_chain(diagonal: np.ndarray, upper: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The solution (S, 6) of block-tridiagonal equations, and the blocks on the diagonal of the inverse (S, 6, 6)."""
+    count = len(diagonal)
+    pivot, passed = diagonal.copy(), right.copy()
+    gain = np.zeros_like(upper)
+    for k in range(count - 1):
+        gain[k] = np.linalg.solve(pivot[k], upper[k])
+        pivot[k + 1] -= upper[k].T @ gain[k]
+        passed[k + 1] -= gain[k].T @ passed[k]
+    inverse = np.linalg.inv(pivot)
+    found = np.einsum("sij,sj->si", inverse, passed)
+    for k in range(count - 2, -1, -1):
+        found[k] -= gain[k] @ found[k + 1]
+        inverse[k] += gain[k] @ inverse[k + 1] @ gain[k].T
+    return found, inverse
 
 
 def _turned(blocks: np.ndarray, a_from_b: np.ndarray) -> np.ndarray:

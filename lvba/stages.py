@@ -266,7 +266,7 @@ def judge_fusion(
         return not_fused(scans, fused)
     found = fused.result.world_from_scan
     after = map_quality.mean_map_entropy(cloud_of(dataset, found, progress), entropy)
-    verdict = gate.judge_fusion(before, after, config)
+    verdict = gate.judge_fusion(scans.entropy_rough, before, after, config)
     return ScanPoses(found if verdict.accepted else scans.world_from_scan, verdict, before, after)
 
 
@@ -279,7 +279,8 @@ def not_fused(scans: ScanPoses, fused: FusionStage) -> ScanPoses:
 def _scan_covariance(lidar: LidarStage, scans: ScanPoses) -> Covariance | None:
     if lidar.result is None or not scans.verdict.accepted:
         return None
-    return Covariance(lidar.result.covariance, lidar.result.conditional_covariance)
+    found = lidar.result
+    return Covariance(found.covariance, found.conditional_covariance, found.step_covariance)
 
 
 def planes_in_use(

@@ -114,7 +114,7 @@ def judge_fusion(
     if fused.result is None:
         return not_fused(scans, fused)
     after = sum(total for total, _ in found) / max(sum(count for _, count in found), 1)
-    verdict = gate.judge_fusion(scans.entropy_refined, after, config)
+    verdict = gate.judge_fusion(scans.entropy_rough, scans.entropy_refined, after, config)
     poses = fused.result.world_from_scan if verdict.accepted else scans.world_from_scan
     return ScanPoses(poses, verdict, scans.entropy_refined, after)
 

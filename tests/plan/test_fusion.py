@@ -1,6 +1,7 @@
 """Scans and cameras on one path: what the one does not know it takes from the other, and not more."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -97,6 +98,93 @@ def test_a_group_that_is_off_together_goes_where_its_cameras_have_it():
     usual = fusion.fuse(given, covariance, cameras(np.random.default_rng(1)))
     slow = fusion.fuse(given, Covariance(drifting, covariance.conditional), cameras(np.random.default_rng(1)))
     np.testing.assert_allclose(slow.world_from_scan, usual.world_from_scan, atol=1e-6)
+
+
+def chain_of(count, rng):
+    """Poses, covariances of errors that are alike, and of the motions between them, which are known better."""
+
+    def spread(size):
+        root = rng.normal(size=(6, 9)) * size
+        return root @ root.T
+
+    own = spread(1.0)
+    poses = geometry.exp(0.3 * rng.normal(size=(count, 6)))
+    carried = [own]
+    for a, b in pairwise(poses):
+        move = geometry.adjoint(geometry.inverse(b) @ a)
+        carried.append(move @ carried[-1] @ move.T + spread(0.1))
+    step = np.stack([later - _moved(before, a, b) for before, later, a, b in zip(
+        carried, carried[1:], poses, poses[1:], strict=False)])  # fmt: skip
+    return poses, np.stack(carried), step
+
+
+def _moved(covariance, a, b):
+    move = geometry.adjoint(geometry.inverse(b) @ a)
+    return move @ covariance @ move.T
+
+
+def dense(diagonal, upper):
+    count = len(diagonal)
+    full = np.zeros((count, 6, count, 6))
+    for k in range(count):
+        full[k, :, k] = diagonal[k]
+    for k in range(count - 1):
+        full[k, :, k + 1], full[k + 1, :, k] = upper[k], upper[k].T
+    return full.reshape(6 * count, 6 * count)
+
+
+def test_the_chain_has_the_covariances_that_it_is_made_from():
+    poses, own, step = chain_of(6, np.random.default_rng(10))
+    covariance = np.linalg.inv(dense(*fusion._chain(own, step, poses)))
+    for k in range(6):
+        here = slice(6 * k, 6 * k + 6)
+        np.testing.assert_allclose(covariance[here, here], own[k], rtol=1e-6, atol=1e-6)
+    for k in range(5):
+        pair = covariance[6 * k : 6 * k + 12, 6 * k : 6 * k + 12]
+        both = np.concatenate(
+            [-geometry.adjoint(geometry.inverse(poses[k + 1]) @ poses[k]), np.eye(6)], axis=1
+        )
+        # wider where neighbors would have more than 0.999 of their error in common
+        found = both @ pair @ both.T
+        assert np.trace(found) == pytest.approx(np.trace(step[k]), rel=0.15)
+
+
+def test_the_chain_is_solved_as_the_dense_equations_are():
+    rng = np.random.default_rng(11)
+    diagonal, upper = fusion._chain(*(chain_of(7, rng)[i] for i in (1, 2, 0)))
+    diagonal, right = diagonal + np.eye(6), rng.normal(size=(7, 6))
+    found, blocks = fusion._solve_chain(diagonal, upper, right)
+    inverse = np.linalg.inv(dense(diagonal, upper))
+    np.testing.assert_allclose(found.ravel(), inverse @ right.ravel(), rtol=1e-8, atol=1e-10)
+    for k in range(7):
+        np.testing.assert_allclose(
+            blocks[k], inverse[6 * k : 6 * k + 6, 6 * k : 6 * k + 6], rtol=1e-7, atol=1e-10
+        )
+
+
+def test_a_group_moves_as_one():
+    """What the motion within it is known by keeps its scans together, though each camera has noise of its own."""
+    scatter = []
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        given, covariance, truth = scans(rng)
+        group = np.arange(26, 33)
+        poses = given.world_from_sensor.copy()
+        poses[group, 2, 3] += 0.02
+        marginal = covariance.marginal.copy()
+        marginal[group] += np.diag([0, 0, 0, 0, 0, 0.02**2])
+        step = covariance.conditional[1:] + covariance.conditional[:-1]
+        step[[25, 32]] += np.diag([0, 0, 0, 0, 0, 0.02**2])
+        vague = cameras(rng, np.repeat([2e-3, 5e-3], 3))
+        given = replace(given, world_from_sensor=poses)
+        found = [
+            fusion.fuse(given, Covariance(marginal, covariance.conditional, steps), vague)
+            for steps in (np.zeros((0, 6, 6)), step)
+        ]
+        scatter.append([(each.world_from_scan - truth)[group, 2, 3].std() for each in found])
+        assert np.abs((found[1].world_from_scan - truth)[group, 2, 3]).max() < 0.01
+    apart, together = np.mean(scatter, axis=0)
+    assert together < 0.8 * apart
 
 
 def test_the_covariance_is_honest():
