@@ -23,6 +23,8 @@ _LEAST_BETWEEN = 0.01
 _FLOOR = np.array([np.radians(1e-3), 1e-4])
 """rad and m: nothing is interpolated better than this."""
 _RATE_STEP_S = 0.02
+_LEAST = 1e-12
+"""rad^2 and m^2: alignment leaves nothing of the errors of very few scans, and what is divided by must not vanish."""
 _WAY = 20
 """Scans before and after one that what it is uncertain of is compared with."""
 _ORDINARY = 4.0
@@ -153,8 +155,8 @@ def _of_scans(covariance: Covariance, world_from_scan: np.ndarray) -> np.ndarray
     certain, within the trajectory, than the scans some way before and after: a group of scans that hang together and on
     the others by little is off together, but its cameras see the map of the others too.
     """
-    conditional = covariance.conditional
-    marginal = _turned(covariance.marginal, world_from_scan)
+    conditional = covariance.conditional + _LEAST * np.eye(6)
+    marginal = _turned(covariance.marginal, world_from_scan) + _LEAST * np.eye(6)
     information = np.concatenate([np.zeros((1, 6, 6)), np.cumsum(np.linalg.inv(marginal), axis=0)])
     here = np.arange(len(marginal))
     first, last = np.maximum(here - _WAY, 0), np.minimum(here + _WAY + 1, len(marginal))
