@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lvba import geometry, spline, trajectory
+from lvba import geometry, solver, spline, trajectory
 from lvba.lidar.covariance import Covariance
 from lvba.lidar.weak import WeakDirection
 from lvba.trajectory import Trajectory
@@ -134,13 +134,17 @@ def fuse(
     contradicted = inside & (distance > config.contradiction**2 * disagreement)
     used = inside & ~contradicted
     told = np.linalg.inv(of_cameras) * used[:, None, None]
-    step, fused = _chained(own, covariance.step, scans.world_from_sensor, told, apart)
-    on_map = np.where(used[:, None, None], fused * disagreement, fused)
+    step = _chained(own, covariance.step, scans.world_from_sensor, told, apart)
+    # promised is only what each scan gains against the map around it: cameras that see no more than a group of scans does
+    # are off with it, and that they agree with it is no proof
+    conditional = covariance.conditional + _LEAST * np.eye(6)
+    on_map = np.linalg.inv(np.linalg.inv(conditional) + told)
+    on_map = np.where(used[:, None, None], on_map * disagreement, on_map)
     moved = geometry.retract(scans.world_from_sensor, step)
     still = np.all(step == 0.0, axis=1)
     return Fused(
         np.where(still[:, None, None], scans.world_from_sensor, moved),
-        on_map + _positive(covariance.marginal - own),
+        on_map + _positive(covariance.marginal - covariance.conditional),
         np.linalg.norm(step[:, 3:], axis=1),
         between,
         disagreement,
@@ -167,8 +171,8 @@ def _of_scans(covariance: Covariance, world_from_scan: np.ndarray) -> np.ndarray
 
 def _chained(
     own: np.ndarray, step: np.ndarray, world_from_scan: np.ndarray, told: np.ndarray, apart: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """The most likely errors (S, 6) of the scans, and their covariance (S, 6, 6).
+) -> np.ndarray:
+    """The most likely errors (S, 6) of the scans.
 
     own: (S, 6, 6), of the errors, none on average; step: (S - 1, 6, 6), of the motion from each to the next, empty:
         errors are independent; told: (S, 6, 6), what cameras know of each, 0: nothing; apart: (S, 6), what they say
@@ -176,8 +180,8 @@ def _chained(
     moves as one. Beyond neighbors only through them: a Markov chain, whose information is block-tridiagonal.
     """
     if len(step) == 0:
-        covariance = np.linalg.inv(np.linalg.inv(own) + told)
-        return np.einsum("sij,sjk,sk->si", covariance, told, apart), covariance
+        both = np.linalg.inv(own) + told
+        return np.asarray(np.linalg.solve(both, (told @ apart[..., None]))[..., 0])
     diagonal, upper = _chain(own, step, world_from_scan)
     return _solve_chain(diagonal + told, upper, np.einsum("sij,sj->si", told, apart))
 
@@ -206,21 +210,14 @@ def _chain(own: np.ndarray, step: np.ndarray, world_from_scan: np.ndarray) -> tu
     return diagonal, -np.swapaxes(last, -1, -2) @ ((noise * values)[:, :, None] * next_)
 
 
-def _solve_chain(diagonal: np.ndarray, upper: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The solution (S, 6) of block-tridiagonal equations, and the blocks on the diagonal of the inverse (S, 6, 6)."""
-    count = len(diagonal)
-    pivot, passed = diagonal.copy(), right.copy()
-    gain = np.zeros_like(upper)
-    for k in range(count - 1):
-        gain[k] = np.linalg.solve(pivot[k], upper[k])
-        pivot[k + 1] -= upper[k].T @ gain[k]
-        passed[k + 1] -= gain[k].T @ passed[k]
-    inverse = np.linalg.inv(pivot)
-    found = np.einsum("sij,sj->si", inverse, passed)
-    for k in range(count - 2, -1, -1):
-        found[k] -= gain[k] @ found[k + 1]
-        inverse[k] += gain[k] @ inverse[k + 1] @ gain[k].T
-    return found, inverse
+def _solve_chain(diagonal: np.ndarray, upper: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The solution (S, 6) of block-tridiagonal equations with positive blocks (S, 6, 6) and (S - 1, 6, 6)."""
+    here = np.arange(len(diagonal))
+    rows, columns = np.concatenate([here, here[:-1]]), np.concatenate([here, here[1:]])
+    blocks = np.concatenate([diagonal, upper])
+    equations = solver.from_blocks(rows, columns, blocks, -right, 0.0)
+    found = solver.solve_step(equations, 0.0)
+    return np.zeros_like(right) if found is None else found
 
 
 def _turned(blocks: np.ndarray, a_from_b: np.ndarray) -> np.ndarray:

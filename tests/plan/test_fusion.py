@@ -153,13 +153,10 @@ def test_the_chain_is_solved_as_the_dense_equations_are():
     rng = np.random.default_rng(11)
     diagonal, upper = fusion._chain(*(chain_of(7, rng)[i] for i in (1, 2, 0)))
     diagonal, right = diagonal + np.eye(6), rng.normal(size=(7, 6))
-    found, blocks = fusion._solve_chain(diagonal, upper, right)
-    inverse = np.linalg.inv(dense(diagonal, upper))
-    np.testing.assert_allclose(found.ravel(), inverse @ right.ravel(), rtol=1e-8, atol=1e-10)
-    for k in range(7):
-        np.testing.assert_allclose(
-            blocks[k], inverse[6 * k : 6 * k + 6, 6 * k : 6 * k + 6], rtol=1e-7, atol=1e-10
-        )
+    found = fusion._solve_chain(diagonal, upper, right)
+    np.testing.assert_allclose(
+        found.ravel(), np.linalg.solve(dense(diagonal, upper), right.ravel()), rtol=1e-8
+    )
 
 
 def test_a_group_moves_as_one():
