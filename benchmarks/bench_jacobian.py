@@ -99,13 +99,13 @@ def linearize_exactly(problem: Problem, state: PhotometricState) -> NormalEquati
     """As `photometric.linearize`, for equally exposed images and planes that stay; the log exposures do not occur."""
     config, pairs, points = problem.config, problem.pairs, problem.points
     pose = state.cameras.world_from_camera
-    limits = np.array([config.huber * problem.sigma, config.least_intensity, config.greatest_intensity])
+    limits = np.array([config.huber * problem.sigma[0], config.least_intensity, config.greatest_intensity])
     hessian, gradients = exact_pairs(
         problem.images, np.ascontiguousarray(pose[:, :3, :3]), np.ascontiguousarray(pose[:, :3, 3]),
         problem.intrinsics, points.position_world, points.normal_world, points.pixel, problem.observations.point,
         pairs.order, pairs.starts, pairs.reference, pairs.target, config.radius, limits,
     )  # fmt: skip
-    information = 1 / (problem.sigma**2 * problem.inflation)
+    information = problem.information[0]  # every observation's
     gradient = np.zeros((len(pose), 7))
     np.add.at(gradient[:, :6], pairs.reference, information * gradients[:, :6])
     np.add.at(gradient[:, :6], pairs.target, information * gradients[:, 6:])

@@ -174,6 +174,7 @@ def _point_sums(
     starts: np.ndarray,
     target: np.ndarray,
     radius: int,
+    huber: np.ndarray,
     limits: np.ndarray,
     i: np.ndarray,
     j: np.ndarray,
@@ -185,7 +186,7 @@ def _point_sums(
     height, width, channels = images.shape[1], images.shape[2], images.shape[3]
     row_bytes = width * channels
     flat = images.reshape(-1)
-    huber, low, high, growth = limits[0], limits[1], limits[2], limits[3]
+    low, high, growth = limits[0], limits[1], limits[2]
     relative, offset, plane, ray = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
     warp, local, mix = np.empty(8), np.empty(8, np.float32), np.empty(2, np.float32)
     r, u, v = reference[point], pixel[point, 0], pixel[point, 1]
@@ -221,7 +222,7 @@ def _point_sums(
             )
             _patch_sums(
                 flat, base, row_bytes, channels, local, i, j, patches[channel], lanes[channel],
-                mix, huber, low, high, growth, sums[o],
+                mix, np.float32(huber[o]), low, high, growth, sums[o],
             )  # fmt: skip
 
 
@@ -239,6 +240,7 @@ def evaluate(
     starts: np.ndarray,
     target: np.ndarray,
     radius: int,
+    huber: np.ndarray,
     limits: np.ndarray,
 ) -> np.ndarray:
     """The sums of every observation, (O, SUMS) float64; zeros where the warped patch leaves the target image.
@@ -249,8 +251,8 @@ def evaluate(
     position, normal: (P, 3) float64, world; reference: (P,) int32; pixel: (P, 2) int32
     starts: (P + 1,) int64, point p owns observations starts[p] to starts[p + 1]; target: (O,) int32
     radius: patch side is 2 radius + 1
-    limits: (4,) float32: Huber threshold, least and greatest usable intensity, growth of the noise variance per
-    intensity (0: constant)
+    huber: (O,) float64, residuals beyond it count linearly
+    limits: (3,) float32: least and greatest usable intensity, growth of the noise variance per intensity (0: constant)
     """
     points = len(reference)
     sums = np.zeros((len(target), SUMS))
@@ -262,7 +264,7 @@ def evaluate(
         for point in range(chunk * _CHUNK, min(points, (chunk + 1) * _CHUNK)):
             _point_sums(
                 point, images, rotation, translation, exposure, intrinsics, position, normal, reference, pixel,
-                starts, target, radius, limits, i, j, patches, lanes, sums,
+                starts, target, radius, huber, limits, i, j, patches, lanes, sums,
             )  # fmt: skip
     return sums
 

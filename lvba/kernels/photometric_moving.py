@@ -58,6 +58,7 @@ def _add_sample(
     reference: tuple[float, float, float, float, float],
     target: tuple[float, float, float, float, float],
     mix: tuple[float, float],
+    huber: float,
     limits: np.ndarray,
     slope: np.ndarray,
     sums: np.ndarray,
@@ -65,7 +66,7 @@ def _add_sample(
     """Adds one pixel pair to the sums; mix: eps_r / s and eps_t / s with s = sqrt(eps_r^2 + eps_t^2)."""
     wanted, wanted_u, wanted_v, wanted_least, wanted_greatest = reference
     seen, seen_x, seen_y, seen_least, seen_greatest = target
-    huber, low, high, growth = limits[0], limits[1], limits[2], limits[3]
+    low, high, growth = limits[0], limits[1], limits[2]
     if min(wanted_least, seen_least) < low or max(wanted_greatest, seen_greatest) > high:
         return
     c, s = mix
@@ -96,6 +97,7 @@ def _patch_sums(
     warp: np.ndarray,
     mix: tuple[float, float],
     radius: int,
+    huber: float,
     limits: np.ndarray,
     slope: np.ndarray,
     sums: np.ndarray,
@@ -109,7 +111,7 @@ def _patch_sums(
             for channel in range(images.shape[3]):
                 wanted = _sample(images, r, u + i, v + j, channel)
                 seen = _sample(images, t, x, y, channel)
-                _add_sample(wanted, seen, mix, limits, slope, sums)
+                _add_sample(wanted, seen, mix, huber, limits, slope, sums)
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
@@ -125,6 +127,7 @@ def evaluate(
     starts: np.ndarray,
     target: np.ndarray,
     radius: int,
+    huber: np.ndarray,
     limits: np.ndarray,
 ) -> np.ndarray:
     """The sums of every observation, (O, SUMS) float64; zeros where a patch leaves either image.
@@ -156,7 +159,7 @@ def evaluate(
                 continue
             norm = np.sqrt(exposure[r] ** 2 + exposure[t] ** 2)
             mix = (exposure[r] / norm, exposure[t] / norm)
-            _patch_sums(images, r, t, u, v, warp, mix, radius, limits, slope, sums[o])
+            _patch_sums(images, r, t, u, v, warp, mix, radius, huber[o], limits, slope, sums[o])
     return sums
 
 

@@ -104,15 +104,19 @@ def correlation(
     dark: float,
     bright: float,
     floor: float,
+    noise: float,
 ) -> tuple[float, float]:
-    """(NCC, usable part of the patch): means removed per channel, channels stacked, variances not below `floor`.
+    """(NCC, usable part of the patch): means removed per channel, channels stacked.
+
+    What white noise of variance `noise` adds to the variances is taken off, else faint texture could never agree with
+    itself; they are not below `floor` then. The NCC of faint patches may pass 1.
 
     reference, target: (H, W, C); dark, bright: pixels outside are skipped, as is a target sample any of whose four
     neighbours is
     """
     size, channels = 2 * half + 1, reference.shape[2]
     sums = np.zeros((channels, 5))
-    count = 0
+    count, kept = 0, 0.0
     values, xs, ys = np.empty((channels, 2)), np.empty(size), np.empty(size)
     for i in range(-half, half + 1):
         warp_row(h, u, v + i, half, xs, ys)
@@ -132,6 +136,8 @@ def correlation(
             if not good:
                 continue
             count += 1
+            # a bilinear sample averages noise
+            kept += ((1 - fx) ** 2 + fx**2) * ((1 - fy) ** 2 + fy**2)
             for c in range(channels):
                 a, b = values[c, 0], values[c, 1]
                 sums[c, 0] += a
@@ -146,7 +152,9 @@ def correlation(
         first += (sums[c, 2] - sums[c, 0] * sums[c, 0] / count) / count
         second += (sums[c, 3] - sums[c, 1] * sums[c, 1] / count) / count
         cross += (sums[c, 4] - sums[c, 0] * sums[c, 1] / count) / count
-    ncc = cross / math.sqrt(max(first, floor * channels) * max(second, floor * channels))
+    first = max(first - noise * channels, floor * channels)
+    second = max(second - noise * channels * kept / count, floor * channels)
+    ncc = cross / math.sqrt(first * second)
     return ncc, count / float(size**2)
 
 
@@ -201,7 +209,9 @@ def judge(
             nearest[target], points, poses[target], cell, h, u, v, half, depth, position, normal, gates[10]
         ):
             return HIDDEN, 0.0
-    ncc, usable = correlation(images[reference], images[target], h, u, v, half, gates[7], gates[8], gates[6])
+    ncc, usable = correlation(
+        images[reference], images[target], h, u, v, half, gates[7], gates[8], gates[6], gates[11]
+    )
     if usable < gates[9]:
         return MASKED, ncc
     return (PASSED if ncc > gates[5] else UNLIKE), ncc
@@ -228,7 +238,7 @@ def judge_pairs(
     images: (I, H, W, C); poses: (I, 4, 4) world_from_camera; intrinsics: fx, fy, cx, cy
     position, normal: (P, 3); reference: (P,); pixel: (P, 2); point, target: (O,)
     gates: [half patch, least d.z_C, least |d.n|, least scale, largest scale, least NCC, variance floor, dark, bright,
-        least usable part, tolerance of hiding m]
+        least usable part, tolerance of hiding m, variance of the images' noise]
     nearest: (I, rows, columns) from `visibility_depth.nearest_points`, or (0, 0, 0) to skip that gate; points: (M, 3)
         LiDAR points it indexes; cell: px at this level
     """

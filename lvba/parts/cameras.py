@@ -347,6 +347,7 @@ def _level(rows: Sequence[LevelReport]) -> LevelReport:
         local_pairs=sum(row.local_pairs for row in rows),
         global_pairs=sum(row.global_pairs for row in rows),
         sigma=float(np.mean([row.sigma for row in rows])),
+        shift=float(np.mean([row.shift for row in rows])),
         rms=float(np.mean([row.rms for row in rows])),
         inflation=float(np.mean([row.inflation for row in rows])),
         iterations=tuple(entry for row in rows for entry in row.iterations),

@@ -10,8 +10,9 @@ from scipy.sparse.csgraph import connected_components
 from lvba import solver
 from lvba.camera import Camera
 from lvba.solver import Iteration, NormalEquations, SolverConfig
-from lvba.visual import covariance, photometric, prior_sigmas
+from lvba.visual import covariance, noise, photometric, prior_sigmas
 from lvba.visual import prior as priors
+from lvba.visual.noise import NoiseModel
 from lvba.visual.photometric import Linearization, PhotometricConfig, PhotometricState, Problem
 from lvba.visual.prior import Prior, Source
 from lvba.visual.scene_points import Observations, ScenePoints
@@ -53,11 +54,13 @@ class LevelSolution:
 
     linearization: of the photometric cost at the solution
     offset: (P,) m, how far each scene point's plane was moved along its normal
+    noise: what the problem's sigma come from
     """
 
     state: VisualState
     offset: np.ndarray
     problem: Problem
+    noise: NoiseModel
     prior: Prior | None
     linearization: Linearization
     free: np.ndarray
@@ -93,7 +96,8 @@ def solve(
     sums = photometric.sums(problem, at.photometric)
     for turn in range(config.rounds):
         last = turn == config.rounds - 1
-        problem = replace(problem, sigma=photometric.robust_sigma(sums, problem.samples))
+        scatter = noise.estimate(sums, problem.samples)
+        problem = replace(problem, sigma=scatter.sigma(noise.gradients(sums)))
         model = _Model(problem, prior)
         how = config.solver if last else quick
         solution = solver.levenberg_marquardt(at, model.linearize, model.retract, how, free)
@@ -104,7 +108,15 @@ def solve(
             problem, prior = _reweighted(problem, prior, at, linearization, free)
     visual = VisualState(at.photometric.cameras, at.mount)
     return LevelSolution(
-        visual, at.photometric.offset, problem, prior, linearization, free, history, solution.converged
+        visual,
+        at.photometric.offset,
+        problem,
+        scatter,
+        prior,
+        linearization,
+        free,
+        history,
+        solution.converged,
     )
 
 

@@ -13,9 +13,7 @@ from lvba.kernels import plane_offsets as offset_kernels
 from lvba.solver import NormalEquations
 from lvba.visual.scene_points import Observations, ScenePoints
 from lvba.visual.states import CameraStates
-
-COST, COUNT, SQUARE, WEIGHTS = 9, 10, 11, 12
-"""Columns of the sums of an observation."""
+from lvba.visual.sums import COST, COUNT
 
 
 @dataclass(frozen=True)
@@ -24,7 +22,7 @@ class PhotometricConfig:
 
     patch: int = 9
     """Side of a patch, pixels, odd; 3 to 21."""
-    huber: float = 3.0
+    huber: float = 2.0
     """Residuals beyond this many standard deviations count linearly; 0.5 to 100."""
     least_intensity: float = 3.0
     """Darker pixels are left out, of 255; 0 to 100."""
@@ -117,9 +115,8 @@ class Problem:
 
     images: (I, H, W, C) uint8, contiguous
     starts: (P + 1,) int64, point p owns observations starts[p] to starts[p + 1]
-    weights: (O,) float64, one factor per observation
     offset_sigma: (P,) m, how far the plane at each point may be off along its normal; None: planes are exact
-    sigma: standard deviation of the residual of a pixel pair, of 255
+    sigma: (O,) float64, standard deviation of the residuals of each observation, of 255
     inflation: how many times the pixels' information overstates itself; the cost is divided by it
     """
 
@@ -130,16 +127,20 @@ class Problem:
     config: PhotometricConfig
     starts: np.ndarray
     pairs: Pairs
-    weights: np.ndarray
+    sigma: np.ndarray
     offset_sigma: np.ndarray | None = None
     elimination: Elimination | None = None
-    sigma: float = 3.0
     inflation: float = 1.0
 
     @property
     def intrinsics(self) -> np.ndarray:
         """fx, fy, cx, cy of the level, (4,) float64."""
         return np.array([self.camera.fx, self.camera.fy, self.camera.cx, self.camera.cy])
+
+    @property
+    def information(self) -> np.ndarray:
+        """What a squared residual counts, (O,) float64."""
+        return np.asarray(1 / (self.sigma**2 * self.inflation))
 
     @property
     def samples(self) -> int:
@@ -155,8 +156,7 @@ def prepare(
     config: PhotometricConfig,
     *,
     offset_sigma: np.ndarray | None = None,
-    weights: np.ndarray | None = None,
-    sigma: float = 3.0,
+    sigma: float | np.ndarray = 3.0,
     inflation: float = 1.0,
 ) -> Problem:
     """The problem of one level; observations must be sorted by (point, target)."""
@@ -171,10 +171,9 @@ def prepare(
         config=config,
         starts=starts,
         pairs=_group(points.reference[observations.point], observations.target, len(images)),
-        weights=np.ones(len(observations)) if weights is None else weights,
+        sigma=np.broadcast_to(np.asarray(sigma, np.float64), len(observations)),
         offset_sigma=offset_sigma,
         elimination=None if offset_sigma is None else _eliminate(starts, points, observations, len(images)),
-        sigma=sigma,
         inflation=inflation,
     )
 
@@ -237,7 +236,6 @@ def sums(problem: Problem, state: PhotometricState) -> np.ndarray:
     """
     config, points = problem.config, problem.points
     limits = (
-        config.huber * problem.sigma,
         config.least_intensity,
         config.greatest_intensity,
         config.noise_growth,
@@ -251,7 +249,8 @@ def sums(problem: Problem, state: PhotometricState) -> np.ndarray:
         points.normal_world,
         points.reference,
     )
-    seen = (problem.starts, problem.observations.target, config.radius, np.array(limits, np.float32))
+    huber = config.huber * problem.sigma
+    seen = (problem.starts, problem.observations.target, config.radius, huber, np.array(limits, np.float32))
     if config.reference_pixels == "moving":
         return moving_kernels.evaluate(*scene, *seen)
     return kernels.evaluate(*scene, points.pixel, *seen)
@@ -306,7 +305,7 @@ def _assembled(
     points, pairs = problem.points, problem.pairs
     arguments = (
         observation_sums,
-        problem.weights * (1 / (problem.sigma**2 * problem.inflation)),
+        problem.information,
         pairs.order,
         pairs.starts,
         pairs.reference,
@@ -332,7 +331,7 @@ def shared_information(
     points, observations = problem.points, problem.observations
     return kernels.shared_information(
         observation_sums,
-        problem.weights * (1 / (problem.sigma**2 * problem.inflation)),
+        problem.information,
         share,
         shares,
         points.reference[observations.point],
@@ -349,8 +348,7 @@ def shared_information(
 def cost(problem: Problem, observation_sums: np.ndarray) -> float:
     """Half the robust squared residuals over sigma^2 and inflation; a lost sample costs what noise alone does."""
     lost = 0.5 * problem.sigma**2 * (problem.samples - observation_sums[:, COUNT])
-    total = float(problem.weights @ (observation_sums[:, COST] + lost))
-    return total / (problem.sigma**2 * problem.inflation)
+    return float(problem.information @ (observation_sums[:, COST] + lost))
 
 
 def _schur(
@@ -395,16 +393,3 @@ def moved(cameras: CameraStates, step: np.ndarray) -> CameraStates:
     return CameraStates(
         geometry.retract(cameras.world_from_camera, step[:, :6]), cameras.log_exposure + step[:, 6]
     )
-
-
-def robust_sigma(observation_sums: np.ndarray, patch_samples: int, floor: float = 0.5) -> float:
-    """Standard deviation of a residual: the median over observations of their root mean square, never below `floor`.
-
-    Observations with fewer than half their samples do not vote. The median resists the patches that do not lie on
-    their plane; within a patch the plain mean square is the efficient estimate.
-    """
-    count = observation_sums[:, COUNT]
-    valid = count >= 0.5 * patch_samples
-    if not valid.any():
-        return floor
-    return max(float(np.sqrt(np.median(observation_sums[valid, SQUARE] / count[valid]))), floor)

@@ -11,8 +11,10 @@ import numpy as np
 from lvba.camera import Camera
 from lvba.solver import NormalEquations
 from lvba.visual import bundle_adjustment, exposure, photometric, scene_points, visibility
+from lvba.visual import noise as noise_models
 from lvba.visual.bundle_adjustment import LevelSolution
 from lvba.visual.exposure_graph import Edges
+from lvba.visual.noise import NoiseModel
 from lvba.visual.photometric import PhotometricState
 from lvba.visual.refine import Inputs, VisualConfig, one_patch_size, scene_of
 from lvba.visual.scene_points import Observations, ScenePoints
@@ -23,12 +25,12 @@ from lvba.visual.states import VisualState
 class Tuning:
     """What the solve of one part found about noise, kept by the shares.
 
-    sigma: of a residual, of 255; inflation: how many times the pixels' information overstates itself
+    noise: of residuals; inflation: how many times the pixels' information overstates itself
     offset_scale: how many times further than the LiDAR says planes are off
     sigma_rotation, sigma_position: (sources, k) of each source of the prior, rad and m; memory: (sources, 2)
     """
 
-    sigma: float
+    noise: NoiseModel
     inflation: float
     offset_scale: float
     sigma_rotation: np.ndarray
@@ -41,6 +43,7 @@ class CameraPoints:
     """The scene points of one share, fixed for all rounds.
 
     images: (n,) int64, keyframes of the whole; points and observations number their images as in `images`
+    sigma: (O,) standard deviation of the residuals of each observation, of 255
     offset_sigma: (P,) m, how far the plane at each point may be off; None: planes are exact
     edges: brightness of pairs of images, numbered as in the whole; None where not asked for
     """
@@ -48,6 +51,7 @@ class CameraPoints:
     images: np.ndarray
     points: ScenePoints
     observations: Observations
+    sigma: np.ndarray
     offset_sigma: np.ndarray | None
     edges: Edges | None
 
@@ -74,7 +78,7 @@ def tuning(solution: LevelSolution, config: VisualConfig) -> Tuning:
         first = bundle_adjustment.offset_sigma(problem.points, config.adjustment.plane_floor_m)
         scale = float(problem.offset_sigma[0] / first[0])
     return Tuning(
-        problem.sigma,
+        solution.noise,
         problem.inflation,
         scale,
         np.array([source.sigma_rotation for source in sources]),
@@ -109,10 +113,14 @@ def lay_out(
     points, observations = visibility.find(
         levels[0], camera, poses, points, scene.seen, noise, config.visibility, depth
     )
-    mine, sigma = core[points.reference], None
+    mine, off = core[points.reference], None
     if config.adjustment.plane_offsets:
-        sigma = bundle_adjustment.offset_sigma(points, config.adjustment.plane_floor_m)
-        sigma = (sigma * known.offset_scale)[mine]
+        off = bundle_adjustment.offset_sigma(points, config.adjustment.plane_floor_m)
+        off = (off * known.offset_scale)[mine]
+    points, observations = _of_points(points, observations, mine)
+    problem = photometric.prepare(levels[0], camera, points, observations, config.adjustment.photometric)
+    sums = photometric.sums(problem, PhotometricState(state.cameras, np.zeros(len(points))))
+    sigma = known.noise.sigma(noise_models.gradients(sums))
     edges = None
     if config.exposures == "means":
         ratios = exposure.ratios_at(
@@ -121,7 +129,7 @@ def lay_out(
         )  # fmt: skip
         edges = exposure.edges_of(_of_core(ratios, core), len(images), config.exposure)
         edges = replace(edges, first=images[edges.first], second=images[edges.second])
-    return CameraPoints(images, *_of_points(points, observations, mine), sigma, edges)
+    return CameraPoints(images, points, observations, sigma, off, edges)
 
 
 def linearize(
@@ -139,7 +147,7 @@ def linearize(
     config = one_patch_size(config)
     problem = photometric.prepare(
         images, camera, laid.points, laid.observations, config.adjustment.photometric,
-        offset_sigma=laid.offset_sigma, sigma=known.sigma, inflation=known.inflation,
+        offset_sigma=laid.offset_sigma, sigma=laid.sigma, inflation=known.inflation,
     )  # fmt: skip
     at = PhotometricState(state.cameras, np.zeros(len(laid.points)))
     found = photometric.linearize(problem, at)

@@ -36,14 +36,15 @@ class VisibilityConfig:
     max_view_angle_deg: float = 82.0
     """alpha_2: largest angle between view direction and normal, at target and reference, degrees; 0 to 89."""
     min_ncc: float = 0.8
-    """alpha_3: least correlation of the two patches; -1 to 1."""
+    """alpha_3: least correlation of the two patches, their noise taken off; -1 to 1."""
     min_scale: float = 0.6
     """The target must see the patch at this part of the reference's resolution, in its worse direction; 0 to 1. A
     target much farther away is blurred against the reference, and has points of its own that see it the other way."""
     max_scale: float = 3.5
     """Nor larger than this (bilinear samples of a finer image alias); 1 or more."""
-    min_std_sigma: float = 1.0
-    """Floor of a patch's contrast in the correlation, in standard deviations of the noise; 0 or more."""
+    min_std_sigma: float = 0.5
+    """Floor of a patch's contrast in the correlation, in standard deviations of the noise; 0 or more. Half the noise is
+    about the least contrast at which 9 x 9 pixels still tell the same patch from another."""
     dark: float = 3.0
     """Grey values up to this are masked; 0 to 50."""
     bright: float = 250.0
@@ -294,7 +295,7 @@ def _passing(
     gates = np.array([
         config.patch_size // 2, config.min_view_cosine, np.cos(np.radians(config.max_view_angle_deg)),
         config.min_scale, config.max_scale, config.min_ncc, (config.min_std_sigma * noise) ** 2, config.dark,
-        config.bright, config.min_usable, config.hidden_m,
+        config.bright, config.min_usable, config.hidden_m, noise**2,
     ])  # fmt: skip
     verdict, _ = kernels.judge_pairs(
         images, np.ascontiguousarray(world_from_camera),

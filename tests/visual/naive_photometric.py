@@ -42,7 +42,7 @@ def observation_sums(problem, states, o: int, offset: float = 0.0) -> np.ndarray
     r = points.reference[point]
     eps_r, eps_t = np.exp(states.log_exposure[[r, target]])
     norm = np.hypot(eps_r, eps_t)
-    low, high, limit = config.least_intensity, config.greatest_intensity, config.huber * problem.sigma
+    low, high, limit = config.least_intensity, config.greatest_intensity, config.huber * problem.sigma[o]
     total = np.zeros(13)
     height, width = problem.images.shape[1:3]
     for j in range(-config.radius, config.radius + 1):
@@ -99,9 +99,10 @@ def normal_equations(problem, states, offsets=None) -> tuple[np.ndarray, np.ndar
     for o in range(len(problem.observations)):
         point, target = problem.observations.point[o], problem.observations.target[o]
         offset = 0.0 if offsets is None else offsets[point]
-        s = observation_sums(problem, states, o, offset) * problem.weights[o]
-        lost = problem.weights[o] * every - s[10]
-        cost += s[9] + 0.5 * problem.sigma**2 * lost
+        information = 1 / (problem.sigma[o] ** 2 * problem.inflation)
+        s = observation_sums(problem, states, o, offset)
+        cost += information * (s[9] + 0.5 * problem.sigma[o] ** 2 * (every - s[10]))
+        s *= information
         if s[10] == 0:
             continue
         jacobian = np.zeros((3, 15))
@@ -112,6 +113,5 @@ def normal_equations(problem, states, offsets=None) -> tuple[np.ndarray, np.ndar
         index = np.concatenate([reference, 7 * target + np.arange(7), [cameras + point]])
         hessian[np.ix_(index, index)] += jacobian.T @ inner @ jacobian
         gradient[index] += jacobian.T @ s[6:9]
-    information = 1 / (problem.sigma**2 * problem.inflation)
     used = slice(None) if offsets is not None else slice(cameras)
-    return hessian[used, used] * information, gradient[used] * information, cost * information
+    return hessian[used, used], gradient[used], cost

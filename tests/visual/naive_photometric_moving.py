@@ -72,16 +72,16 @@ def normal_equations(problem, states, offsets: np.ndarray) -> tuple[np.ndarray, 
     cameras = 7 * len(states)
     size = cameras + len(problem.points)
     hessian, gradient, cost = np.zeros((size, size)), np.zeros(size), 0.0
-    limit = problem.config.huber * problem.sigma
     for o in range(len(problem.observations)):
         point, target = problem.observations.point[o], problem.observations.target[o]
         rows = samples(problem, states, o, offsets[point])
-        weighed = np.array([naive.huber(r, limit) for r in rows[:, 5]]).reshape(-1, 2)
-        cost += weighed[:, 0].sum() + 0.5 * problem.sigma**2 * (problem.samples - len(rows))
+        information = 1 / (problem.sigma[o] ** 2 * problem.inflation)
+        limit = problem.config.huber * problem.sigma[o]
+        weighed = information * np.array([naive.huber(r, limit) for r in rows[:, 5]]).reshape(-1, 2)
+        cost += weighed[:, 0].sum() + 0.5 * (problem.samples - len(rows)) / problem.inflation
         by = rows[:, :5] @ jacobian(problem, states, o, offsets[point])
         reference = 7 * problem.points.reference[point] + np.arange(7)
         index = np.concatenate([reference, 7 * target + np.arange(7), [cameras + point]])
         hessian[np.ix_(index, index)] += by.T @ (weighed[:, 1:] * by)
         gradient[index] += by.T @ (weighed[:, 1] * rows[:, 5])
-    information = 1 / (problem.sigma**2 * problem.inflation)
-    return hessian * information, gradient * information, cost * information
+    return hessian, gradient, cost

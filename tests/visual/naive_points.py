@@ -147,7 +147,7 @@ def bilinear(image, x, y):
 
 def judge(images, poses, intrinsics, position, normal, reference, target, pixel, gates):
     """(verdict, NCC) of one pair, by the order of gates of the kernel."""
-    half, alpha_1, alpha_2, least, largest, alpha_3, floor, dark, bright, usable, _ = gates
+    half, alpha_1, alpha_2, least, largest, alpha_3, floor, dark, bright, usable, _, noise = gates
     half = int(half)
     r, t = poses[reference], poses[target]
     height, width, channels = images.shape[1:]
@@ -176,18 +176,24 @@ def judge(images, poses, intrinsics, position, normal, reference, target, pixel,
     large, small = np.linalg.svd(jacobian)[1]
     if small < least or large > largest:
         return 4, 0
-    first, second = [], []
+    first, second, kept = [], [], []
     for i in range(-half, half + 1):
         for j in range(-half, half + 1):
             a = images[reference, v + i, u + j].astype(float)
-            b, four = bilinear(images[target], *moved(j, i)[:2])
+            x, y = moved(j, i)[:2]
+            b, four = bilinear(images[target], x, y)
             if ((a > dark) & (a < bright)).all() and ((four > dark) & (four < bright)).all():
                 first.append(a)
                 second.append(b)
+                p, q = x % 1, y % 1
+                kept.append(sum(w**2 for w in ((1 - p) * (1 - q), p * (1 - q), (1 - p) * q, p * q)))
     if len(first) < 2:
         return 6, 0
     first, second = np.array(first) - np.mean(first, axis=0), np.array(second) - np.mean(second, axis=0)
-    variances = [max((x**2).mean(axis=0).sum(), floor * channels) for x in (first, second)]
+    variances = [
+        max((x**2).mean(axis=0).sum() - noise * part * channels, floor * channels)
+        for x, part in ((first, 1.0), (second, np.mean(kept)))
+    ]
     ncc = (first * second).mean(axis=0).sum() / np.sqrt(variances[0] * variances[1])
     if len(first) / (2 * half + 1) ** 2 < usable:
         return 6, ncc

@@ -39,7 +39,8 @@ def shares(given, state, known, cores):
 
 def test_tuning_is_what_the_solve_found(solved):
     _, _, last, known = solved
-    assert known.sigma == last.problem.sigma
+    assert known.noise == last.noise
+    assert known.noise.shift > 0
     assert known.inflation == last.problem.inflation
     assert known.offset_scale > 0
     assert known.sigma_rotation.shape == (len(last.prior.sources), COUNT)

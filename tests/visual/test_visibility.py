@@ -76,7 +76,7 @@ def test_judge_matches_its_twin():
     images = np.repeat(rec.images, 2, axis=3)
     images[..., 1] = 255 - images[..., 1]
     images[3, 60:100, 60:120] = 255
-    gates = np.array([4, 0.17, 0.45, 0.9, 1.08, 0.75, 4.0, 3.0, 250.0, 0.8, 0.15])
+    gates = np.array([4, 0.17, 0.45, 0.9, 1.08, 0.75, 4.0, 3.0, 250.0, 0.8, 0.15, 9.0])
     args = (images, rec.poses, INTRINSICS, points.position_world, points.normal_world)
     verdict, ncc = kernels.judge_pairs(*args, points.reference, points.pixel, point, target, gates, *NOTHING)
     expected = [
@@ -100,7 +100,7 @@ def _one_pair(gates=(), **changes):
     images = np.stack([image, setup["change"](image).astype(np.uint8)])
     poses = np.stack([np.eye(4), geometry.exp(np.concatenate([setup["turn"], [0, 0, 0]]))])
     poses[1, :3, 3] = setup["target"]
-    values = np.array([4, 0.17, 0.2, 0.45, 2.5, 0.8, 4.0, 3.0, 250.0, 0.8, 0.15])
+    values = np.array([4, 0.17, 0.2, 0.45, 2.5, 0.8, 4.0, 3.0, 250.0, 0.8, 0.15, 0.0])
     for index, value in gates:
         values[index] = value
     return kernels.judge(
@@ -113,6 +113,32 @@ def test_same_view_passes_and_gain_does_not_matter():
     dimmed = _one_pair(change=lambda image: 20 + 0.5 * image)
     assert dimmed[0] == kernels.PASSED
     assert dimmed[1] > 0.999
+
+
+def test_faint_texture_agrees_with_itself_under_noise_and_noise_with_nothing():
+    rng = np.random.default_rng(4)
+    faint, noise = 3.0, 2.0
+    u = np.mgrid[:150, :200][1]
+    texture = faint * np.sqrt(2) * np.sin(0.4 * u)
+
+    def passed(signal):
+        images = [np.round(120 + signal + noise * rng.standard_normal(u.shape)) for _ in range(2)]
+        stack = np.stack(images).astype(np.uint8)[..., None]
+        poses = np.stack([np.eye(4)] * 2)
+        rows = []
+        for noise_known in (0.0, noise**2):
+            gates = np.array([4, 0.17, 0.2, 0.45, 2.5, 0.8, noise**2 / 4, 3.0, 250.0, 0.8, 0.15, noise_known])
+            rows.append([
+                kernels.judge(stack, poses, INTRINSICS, np.array([0, 0, 4.0]), np.array([0, 0, -1.0]), 0, 1, a, b,
+                              gates, *NOTHING)[0] == kernels.PASSED
+                for a in range(20, 180, 10) for b in range(20, 130, 10)
+            ])  # fmt: skip
+        return np.mean(rows, axis=1)
+
+    without, taken_off = passed(texture)
+    assert without < 0.2, "the noise alone keeps the correlation below the gate"
+    assert taken_off > 0.9
+    assert passed(0 * texture)[1] < 0.05
 
 
 def test_behind_the_camera_is_not_visible():
@@ -362,7 +388,7 @@ def test_depth_buffers_refuse_hidden_targets_without_looking_at_the_images():
     depth = visibility.depth_buffers(CAMERA, rec.poses, rec.times, rec.plane_points, rec.times)
     half_camera = CAMERA.at_level(1)
     half = visibility.depth_buffers(half_camera, rec.poses, rec.times, rec.plane_points, rec.times)
-    gates = np.array([4, 0.17, 0.2, 0.1, 10, -2, 4.0, -1.0, 300.0, 0.0, 0.15])
+    gates = np.array([4, 0.17, 0.2, 0.1, 10, -2, 4.0, -1.0, 300.0, 0.0, 0.15, 0.0])
     verdict, _ = kernels.judge_pairs(
         rec.images, rec.poses, INTRINSICS, points.position_world, points.normal_world, points.reference, points.pixel,
         point, target, gates, depth.nearest, depth.points_world, depth.cell * CAMERA.fx,
