@@ -213,6 +213,7 @@ def _point_sums(
         local[3], local[4], local[5] = warp[3] - top * warp[6], warp[4] - top * warp[7], warp[5] - top
         norm = np.sqrt(exposure[r] ** 2 + exposure[t] ** 2)
         mix[0], mix[1] = exposure[r] / norm, exposure[t] / norm
+        limit: float = np.float32(huber[o])
         for channel in range(channels):
             base = (
                 np.int64(t) * height * row_bytes
@@ -222,7 +223,7 @@ def _point_sums(
             )
             _patch_sums(
                 flat, base, row_bytes, channels, local, i, j, patches[channel], lanes[channel],
-                mix, np.float32(huber[o]), low, high, growth, sums[o],
+                mix, limit, low, high, growth, sums[o],
             )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from lvba.visual import photometric
 from lvba.visual.photometric import Linearization, PhotometricState, Problem
 from lvba.visual.scene_points import ScenePoints
 
-_GREATEST_LEVERAGE = 0.8
+_GREATEST_LEVERAGE = 0.96
 _CLUSTER_M = 1.0
 """Planes that face the same way within cells of this size share their errors (a bulge, the poses of their scans)."""
 _MAP_SCANS = 11
@@ -34,10 +34,11 @@ def cluster_gradients(problem: Problem, linearization: Linearization) -> csr_mat
 def left_out_gradients(
     problem: Problem, linearization: Linearization, state: PhotometricState, known: NormalEquations
 ) -> csr_matrix:
-    """The same, each as it would be if its image had been solved without that wall.
+    """The same, each as large as it would be had the image not been fitted to it.
 
-    A wall that holds an image in some direction bends it to itself there and leaves no gradient, however wrong it is
-    (the jackknife, CR3: Bell and McCaffrey 2002). known: all that is known, the images' blocks first
+    A wall that holds an image in some direction bends it to itself there and leaves little gradient, however wrong it
+    is (bias reduced linearization, CR2: Bell and McCaffrey 2002; leaving each wall out altogether, CR3, promises errors
+    twice as large as they are where few walls are seen). known: all that is known, the images' blocks first
     """
     shares = shares_of(problem)
     gradients = _summed(shares, linearization)
@@ -107,7 +108,7 @@ def information(
 
 
 def without(told: np.ndarray, gradients: np.ndarray, image: np.ndarray, known: NormalEquations) -> np.ndarray:
-    """(S, 6): `(1 - I H^-1)^-1 g`, H (6, 6) all that is known of the share's image when the other images stay.
+    """(S, 6): `(1 - I H^-1)^(-1/2) g`, H (6, 6) all that is known of the share's image when the other images stay.
 
     told: (S, 6, 6), I; gradients: (S, 6), g; image: (S,)
     """
@@ -120,7 +121,7 @@ def without(told: np.ndarray, gradients: np.ndarray, image: np.ndarray, known: N
     half = np.linalg.solve(lower, told)
     leverage, axes = np.linalg.eigh(np.linalg.solve(lower, np.swapaxes(half, -1, -2)))
     along = np.einsum("ski,sk->si", axes, np.linalg.solve(lower, gradients[..., None])[..., 0])
-    along /= 1 - np.clip(leverage, 0.0, _GREATEST_LEVERAGE)
+    along /= np.sqrt(1 - np.clip(leverage, 0.0, _GREATEST_LEVERAGE))
     return np.asarray(np.einsum("sij,sjk,sk->si", lower, axes, along))
 
 
