@@ -145,7 +145,7 @@ def test_a_wall_that_alone_holds_an_image_counts_for_as_much_as_it_may_be_wrong(
     gradients[:, 3:] = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0]]
     found = covariance.without(every, gradients, np.zeros(4, np.int64), known)
     # along the first axis two walls and the prior, 425 in all; along the others a wall and the prior, 125
-    assert found[0, 3] == pytest.approx(425 / 325)
-    assert found[3, 3] == pytest.approx(-425 / 125)
-    assert found[1, 4] == pytest.approx(125 / 25)
-    assert found[2, 5] == pytest.approx(5.0)
+    assert found[0, 3] == pytest.approx(np.sqrt(425 / 325))
+    assert found[3, 3] == pytest.approx(-np.sqrt(425 / 125))
+    assert found[1, 4] == pytest.approx(np.sqrt(125 / 25))
+    assert found[2, 5] == pytest.approx(np.sqrt(5))
