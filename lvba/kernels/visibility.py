@@ -160,7 +160,10 @@ def correlation(
 
 @_jit
 def view_cosines(pose: np.ndarray, position: np.ndarray, normal: np.ndarray) -> tuple[float, float]:
-    """(d . z_C, |d . n|) of a camera (4, 4) and a point."""
+    """(d . z_C, -d . n) of a camera (4, 4) and a point: the second is negative from behind the plane.
+
+    Eq. (3) has |d . n|; but a thin wall has two sides, and a camera in the next room sees the other one.
+    """
     along, slant, square = 0.0, 0.0, 0.0
     for a in range(3):
         d = position[a] - pose[a, 3]
@@ -168,7 +171,7 @@ def view_cosines(pose: np.ndarray, position: np.ndarray, normal: np.ndarray) -> 
         slant += d * normal[a]
         square += d * d
     length = math.sqrt(square)
-    return along / length, abs(slant) / length
+    return along / length, -slant / length
 
 
 @_jit

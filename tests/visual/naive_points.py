@@ -155,7 +155,7 @@ def judge(images, poses, intrinsics, position, normal, reference, target, pixel,
     d_t, d_r = d_t / np.linalg.norm(d_t), d_r / np.linalg.norm(d_r)
     if not d_t @ t[:3, 2] > alpha_1:
         return 1, 0
-    if not min(abs(d_t @ normal), abs(d_r @ normal)) > alpha_2:
+    if not min(-d_t @ normal, -d_r @ normal) > alpha_2:
         return 3, 0
     u, v = pixel
 

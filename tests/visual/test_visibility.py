@@ -146,6 +146,16 @@ def test_behind_the_camera_is_not_visible():
     assert _one_pair(turn=turned)[0] == kernels.BEHIND
 
 
+def test_the_other_side_of_a_wall_is_not_what_is_seen_from_the_next_room():
+    pose = geometry.exp(np.array([0, np.pi, 0, 0, 0, 0]))
+    pose[:3, 3] = [0, 0, 8.0]
+    along, facing = kernels.view_cosines(pose, np.array([0, 0, 4.0]), np.array([0, 0, -1.0]))
+    assert along == pytest.approx(1.0)
+    assert facing == pytest.approx(-1.0)
+    behind = {"target": pose[:3, 3], "turn": np.array([0, np.pi, 0])}
+    assert _one_pair(gates=[(5, -2.0)], **behind)[0] == kernels.SLANTED
+
+
 @pytest.mark.parametrize(
     ("verdict", "changes"),
     [
