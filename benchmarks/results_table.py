@@ -38,8 +38,7 @@ easy drift; and lanes whose facades repeat, where a closing that is tempting wou
 """,
     "ablations": """## Ablations
 
-One option each on the same simulated scenes, against truth, and leave-one-out. Made before scans learned from the
-refined cameras (`fusion`), which lowers the errors of the scans where cameras are refined.
+One option each on the same simulated scenes, against truth, and leave-one-out.
 """,
     "weak directions": """## Weak directions
 
