@@ -8,6 +8,7 @@ import numpy as np
 from lvba import geometry
 from lvba.camera import Camera
 from lvba.lidar.plane import PlanePoints, Planes
+from lvba.visual import visibility
 
 
 @dataclass(frozen=True)
@@ -146,6 +147,8 @@ def look(position, target, up=(0, 0, 1)):
 
 
 CAMERA = Camera(200, 150, 150.0, 150.0, 99.5, 74.5)
+INTRINSICS = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
+NOTHING = (visibility.NOTHING_HIDES.nearest, visibility.NOTHING_HIDES.points_world, 1.0)
 
 
 @dataclass(frozen=True)
@@ -187,3 +190,13 @@ def room_with_screen(count=8, noise=2.0, seed=0, sideways=False):
     return Recording(
         world, images, poses, times, planes_of(world, 0.015), plane_points(scans), exposure, noise
     )
+
+
+def random_pair(rng):
+    """Poses of two cameras, and position and normal of a plane in front of them."""
+
+    def pose():
+        return geometry.exp(np.concatenate([0.2 * rng.standard_normal(3), 0.5 * rng.standard_normal(3)]))
+
+    normal = np.array([0, 0, -1.0]) + 0.4 * rng.standard_normal(3)
+    return pose(), pose(), np.array([0, 0, 5.0]) + rng.standard_normal(3), normal / np.linalg.norm(normal)
