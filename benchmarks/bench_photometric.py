@@ -17,7 +17,6 @@ from lvba.visual import photometric
 from lvba.visual.photometric import PhotometricConfig, PhotometricState, Problem
 from lvba.visual.scene_points import Observations, ScenePoints
 from lvba.visual.states import CameraStates
-from lvba.visual.sums import COUNT
 
 
 def problem(
@@ -74,7 +73,7 @@ def run(patches: tuple[int, ...] = (7, 9, 11), channels: tuple[int, ...] = (1, 3
         for patch in patches:
             for count in channels:
                 task, states = problem(patch, count)
-                samples = float(photometric.sums(task, states)[:, COUNT].sum())
+                samples = float(photometric.sums(task, states)[:, photometric.COUNT].sum())
                 whole = best_seconds(lambda task=task, states=states: photometric.linearize(task, states))
                 inner = best_seconds(lambda task=task, states=states: photometric.sums(task, states))
                 rows.append(

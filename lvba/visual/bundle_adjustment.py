@@ -223,5 +223,5 @@ def covariance_of(solution: LevelSolution) -> np.ndarray:
     total = joint(solution.linearization.equations, solution.prior, solution.state)
     held = None if solution.prior is None else priors.linearize(solution.prior, solution.state)
     at = PhotometricState(solution.state.cameras, solution.offset)
-    clusters = covariance.left_out_gradients(solution.problem, solution.linearization, at, total)
+    clusters = covariance.bias_reduced_gradients(solution.problem, solution.linearization, at, total)
     return covariance.camera_covariance(total, clusters, held, solution.free)

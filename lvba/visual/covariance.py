@@ -31,7 +31,7 @@ def cluster_gradients(problem: Problem, linearization: Linearization) -> csr_mat
     return _by_wall(shares, _summed(shares, linearization), len(problem.images))
 
 
-def left_out_gradients(
+def bias_reduced_gradients(
     problem: Problem, linearization: Linearization, state: PhotometricState, known: NormalEquations
 ) -> csr_matrix:
     """The same, each as large as it would be had the image not been fitted to it.
@@ -43,7 +43,7 @@ def left_out_gradients(
     shares = shares_of(problem)
     gradients = _summed(shares, linearization)
     told = information(problem, linearization, state, shares)
-    gradients[:, :6] = without(told, gradients[:, :6], shares.image, known)
+    gradients[:, :6] = bias_reduced(told, gradients[:, :6], shares.image, known)
     return _by_wall(shares, gradients, len(problem.images))
 
 
@@ -107,7 +107,9 @@ def information(
     return found
 
 
-def without(told: np.ndarray, gradients: np.ndarray, image: np.ndarray, known: NormalEquations) -> np.ndarray:
+def bias_reduced(
+    told: np.ndarray, gradients: np.ndarray, image: np.ndarray, known: NormalEquations
+) -> np.ndarray:
     """(S, 6): `(1 - I H^-1)^(-1/2) g`, H (6, 6) all that is known of the share's image when the other images stay.
 
     told: (S, 6, 6), I; gradients: (S, 6), g; image: (S,)

@@ -8,8 +8,9 @@ patches would leave the word to the patches that deserve it least.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import nnls
 
-from lvba.visual.sums import COUNT, SQUARE, WEIGHTS
+from lvba.visual.photometric import COUNT, SQUARE, WEIGHTS
 
 _BINS = 12
 _FEWEST = 20
@@ -53,19 +54,9 @@ def estimate(sums: np.ndarray, patch_samples: int, floor: float = 0.5) -> NoiseM
     bins = np.array_split(np.argsort(gradient, kind="stable"), int(np.clip(len(votes) // _FEWEST, 1, _BINS)))
     y = np.array([np.median(square[b]) for b in bins])
     x = np.array([np.median(gradient[b]) for b in bins])
-    level = max(float(np.median(square)), floor**2)
     if len(bins) < 3:
-        return NoiseModel(float(np.sqrt(level)), 0.0)
-    pixel, shift = _line(x, np.maximum(y, floor**2))
+        return NoiseModel(max(float(np.sqrt(np.median(square))), floor), 0.0)
+    y = np.maximum(y, floor**2)
+    # the line of least relative error, neither number negative
+    (pixel, shift), _ = nnls(np.column_stack([1 / y, x / y]), np.ones(len(y)))
     return NoiseModel(max(float(np.sqrt(pixel)), floor), float(np.sqrt(shift)))
-
-
-def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Offset and slope, neither negative, of least relative error."""
-    rows = np.column_stack([1 / y, x / y])
-    (offset, slope), *_ = np.linalg.lstsq(rows, np.ones(len(x)), rcond=None)
-    if offset < 0:
-        return 0.0, float(rows[:, 1].sum() / (rows[:, 1] ** 2).sum())
-    if slope < 0:
-        return float(rows[:, 0].sum() / (rows[:, 0] ** 2).sum()), 0.0
-    return float(offset), float(slope)

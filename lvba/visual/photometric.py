@@ -13,7 +13,9 @@ from lvba.kernels import plane_offsets as offset_kernels
 from lvba.solver import NormalEquations
 from lvba.visual.scene_points import Observations, ScenePoints
 from lvba.visual.states import CameraStates
-from lvba.visual.sums import COST, COUNT
+
+COST, COUNT, SQUARE, WEIGHTS = 9, 10, 11, 12
+"""Columns of the sums of an observation."""
 
 
 @dataclass(frozen=True)

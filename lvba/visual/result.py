@@ -11,7 +11,6 @@ from lvba.visual.bundle_adjustment import LevelSolution
 from lvba.visual.photometric import PhotometricState
 from lvba.visual.prior import Prior
 from lvba.visual.states import CameraStates, VisualState
-from lvba.visual.sums import COUNT, SQUARE
 from lvba.visual.weak import WeakDirections
 
 _NAMED = 12
@@ -82,7 +81,7 @@ def level_report(level: int, solution: LevelSolution) -> LevelReport:
     observations, points = solution.problem.observations, solution.problem.points
     sums = solution.linearization.sums
     sources = () if solution.prior is None else solution.prior.sources
-    count = max(float(sums[:, COUNT].sum()), 1.0)
+    count = max(float(sums[:, photometric.COUNT].sum()), 1.0)
     return LevelReport(
         level=level,
         scene_points=len(points),
@@ -91,7 +90,7 @@ def level_report(level: int, solution: LevelSolution) -> LevelReport:
         global_pairs=int(observations.is_global.sum()),
         sigma=float(np.median(solution.problem.sigma)),
         shift=solution.noise.shift,
-        rms=float(np.sqrt(sums[:, SQUARE].sum() / count)),
+        rms=float(np.sqrt(sums[:, photometric.SQUARE].sum() / count)),
         inflation=solution.problem.inflation,
         prior_position_m=tuple(float(np.median(s.sigma_position)) for s in sources),
         prior_rotation_deg=tuple(float(np.degrees(np.median(s.sigma_rotation))) for s in sources),

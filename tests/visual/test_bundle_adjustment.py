@@ -143,7 +143,7 @@ def test_a_wall_that_alone_holds_an_image_counts_for_as_much_as_it_may_be_wrong(
     every = np.concatenate([walls, also[None]])
     gradients = np.zeros((4, 6))
     gradients[:, 3:] = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0]]
-    found = covariance.without(every, gradients, np.zeros(4, np.int64), known)
+    found = covariance.bias_reduced(every, gradients, np.zeros(4, np.int64), known)
     # along the first axis two walls and the prior, 425 in all; along the others a wall and the prior, 125
     assert found[0, 3] == pytest.approx(np.sqrt(425 / 325))
     assert found[3, 3] == pytest.approx(-np.sqrt(425 / 125))

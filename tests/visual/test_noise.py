@@ -7,9 +7,8 @@ import textured_planes
 from lvba.camera import Camera
 from lvba.visual import noise, photometric
 from lvba.visual.noise import NoiseModel
-from lvba.visual.photometric import PhotometricConfig, PhotometricState
+from lvba.visual.photometric import COUNT, SQUARE, WEIGHTS, PhotometricConfig, PhotometricState
 from lvba.visual.states import CameraStates
-from lvba.visual.sums import COUNT, SQUARE, WEIGHTS
 
 SAMPLES = 81
 

@@ -12,7 +12,6 @@ from lvba.visual import photometric
 from lvba.visual.photometric import PhotometricConfig, PhotometricState
 from lvba.visual.scene_points import Observations, take
 from lvba.visual.states import CameraStates
-from lvba.visual.sums import COUNT
 
 CAMERA = Camera(160, 120, 95.0, 97.0, 79.3, 59.1)
 
@@ -247,7 +246,7 @@ def test_a_patch_that_leaves_the_image_counts_as_noise_and_not_as_a_perfect_matc
     away = CameraStates(gone, states.log_exposure)
     sums = photometric.sums(problem, still(away, points))
     touched = (observations.target == 1) | (points.reference[observations.point] == 1)
-    assert (sums[touched, COUNT] == 0).all()
+    assert (sums[touched, photometric.COUNT] == 0).all()
     assert photometric.linearize(problem, still(away, points)).equations.cost >= 0.5 * 81 * touched.sum()
 
 

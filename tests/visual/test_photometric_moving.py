@@ -13,7 +13,7 @@ from lvba import trajectory
 from lvba.camera import Camera
 from lvba.errors import InputError
 from lvba.kernels import photometric_moving as kernels
-from lvba.visual import bundle_adjustment, photometric, sums
+from lvba.visual import bundle_adjustment, photometric
 from lvba.visual.bundle_adjustment import BundleAdjustmentConfig
 from lvba.visual.photometric import PhotometricConfig, PhotometricState
 from lvba.visual.refine import VisualConfig
@@ -67,7 +67,7 @@ def test_the_normal_equations_agree_with_the_plain_twin(small, growth):
     offset = np.linspace(-0.01, 0.01, len(problem.points))
     state = PhotometricState(near, offset)
     at = photometric.linearize(problem, state)
-    count = at.sums[:, sums.COUNT]
+    count = at.sums[:, photometric.COUNT]
     assert (count == 25).any()
     assert ((count > 0) & (count < 25)).any(), "no pixel is masked: the masks are not tested"
     hessian, gradient, cost = naive.normal_equations(problem, near, offset)
@@ -123,8 +123,8 @@ def test_where_no_camera_has_moved_the_cost_is_that_of_fixed_pixels(small):
     fixed, moving = (problem_of(small, replace(every, reference_pixels=how)) for how in ("fixed", "moving"))
     true = still(CameraStates(poses, near.log_exposure), fixed)
     one, other = photometric.sums(fixed, true), photometric.sums(moving, true)[:, :13]
-    assert (one[:, sums.COUNT] == other[:, sums.COUNT]).all()
-    assert (one[:, sums.COUNT] == 81).mean() > 0.9
+    assert (one[:, photometric.COUNT] == other[:, photometric.COUNT]).all()
+    assert (one[:, photometric.COUNT] == 81).mean() > 0.9
     assert photometric.cost(moving, other) == pytest.approx(photometric.cost(fixed, one), rel=1e-5)
     assert np.abs(other - one).max(axis=0) / np.abs(one).max(axis=0) == pytest.approx(np.zeros(13), abs=2e-4)
 
@@ -146,7 +146,7 @@ def test_cameras_that_move_together_along_a_plane_change_the_cost_only_where_pat
             photometric.sums(problem, still(CameraStates(pose, np.log([1, 1.2, 0.9, 1.1])), problem))
             for pose in (poses, slid)
         )
-        change[how] = abs(moved[:, sums.COST].sum() / true[:, sums.COST].sum() - 1)
+        change[how] = abs(moved[:, photometric.COST].sum() / true[:, photometric.COST].sum() - 1)
     assert change["fixed"] < 1e-4
     assert change["moving"] > 1e-2
 
