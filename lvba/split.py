@@ -119,9 +119,8 @@ BASE_BYTES = 350e6
 BYTES_PER_POINT = 200.0
 """Of all LiDAR points at once: coloring the map takes most, LiDAR bundle adjustment two thirds. Measured on 12 million
 points, as the figures below on 400 images of 640 x 480."""
-BYTES_PER_PAIR_OF_SCANS = 10 * 36 * 8.0
-"""The dense Hessian of a part and what its inversion for the covariance holds beside; a solve needs three such matrices.
-Measured on 1,900 thin scans."""
+BYTES_PER_PAIR_OF_SCANS = 3 * 36 * 8.0
+"""The dense Hessian of a part, its factor or inverse, and what is copied of them."""
 VISUAL_BYTES_PER_POINT = 50.0
 """Of LiDAR points with their planes, while the images are in memory ..."""
 BYTES_PER_PIXEL = 8.0

@@ -17,6 +17,7 @@ from lvba.kernels import lidar as kernel
 from lvba.lidar import doubt, panels
 from lvba.lidar.normal_equations import Problem, linearize
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
+from lvba.lidar.prior import OdometryPrior
 
 
 @dataclass(frozen=True)
@@ -45,34 +46,38 @@ MOST_DOUBTED = 400
 
 
 def estimate(problem: Problem, world_from_scan: np.ndarray) -> Covariance:
-    """How certain poses (S, 4, 4) that solve a problem are."""
-    scans = len(world_from_scan)
-    here = np.arange(scans)
+    """How certain poses (S, 4, 4) that solve a problem are. No more than two matrices of all pairs of poses at once."""
     fits = fit(problem.features, world_from_scan)
-    information = 0.5 * linearize(problem, world_from_scan, exact=False, fits=fits).hessian
-    odometry = _prior_information(problem, world_from_scan)
+    information = linearize(problem, world_from_scan, exact=False, fits=fits).hessian
+    information *= 0.5
+    own = _blocks(information, 0)
+    doubted = problem.prior is not None and len(world_from_scan) <= MOST_DOUBTED
+    told = information[6:, 6:] if doubted else None
     inverse = _inverse(information[6:, 6:])
+    del information
     # the mean, over all motions, of what the robust covariance would be relative to the plain one
-    spread = _gradient_spread(problem, world_from_scan, fits)[6:, 6:] + odometry
-    excess = max(1.0, float(np.sum(inverse * spread)) / len(inverse))
-    covariance = np.zeros((6 * scans, 6 * scans))
-    covariance[6:, 6:] = inverse * excess
-    step = _of_steps(covariance.reshape(scans, 6, scans, 6), world_from_scan)
+    excess = max(1.0, _spread_by_covariance(problem, world_from_scan, fits, inverse) / len(inverse))
+    inverse *= excess
+    step = _of_steps(inverse, world_from_scan)
     loose = np.zeros(0)
-    if problem.prior is not None and scans <= MOST_DOUBTED:
+    if problem.prior is not None and told is not None:
         feigned = doubt.feigned_information(problem.features, fits, world_from_scan, problem.sigma)[6:, 6:]
-        certain = doubt.certain(information[6:, 6:] - odometry, feigned, odometry)
-        covariance[6:, 6:] = _inverse(certain / excess + odometry)
-        doubted = _of_steps(covariance.reshape(scans, 6, scans, 6), world_from_scan)
-        loose = _narrowed(doubted, problem.prior.information)
-    free = _alignment(world_from_scan)
-    covariance = free @ covariance @ free.T
-    marginal = covariance.reshape(scans, 6, scans, 6)[here, :, here]
-    own = information.reshape(scans, 6, scans, 6)[here, :, here]
+        odometry = _prior_information(problem.prior, world_from_scan)
+        certain = doubt.certain(told - odometry, feigned, odometry)
+        inverse = _inverse(certain / excess + odometry)
+        loose = _narrowed(_of_steps(inverse, world_from_scan), problem.prior.information)
     conditional = np.stack([excess * _inverse(block) for block in own])
+    marginal = _aligned(inverse, world_from_scan)
     return Covariance(
         local(marginal, world_from_scan), local(conditional, world_from_scan), step, excess, loose
     )
+
+
+def _blocks(matrix: np.ndarray, apart: int) -> np.ndarray:
+    """(N - apart, 6, 6), of a matrix (6 N, 6 N): the blocks of each pose and the one so many places after it."""
+    poses = len(matrix) // 6
+    here = np.arange(poses - apart)
+    return np.array(matrix.reshape(poses, 6, poses, 6)[here, :, here + apart])
 
 
 def _narrowed(step: np.ndarray, odometry: np.ndarray) -> np.ndarray:
@@ -84,16 +89,18 @@ def _narrowed(step: np.ndarray, odometry: np.ndarray) -> np.ndarray:
 
 
 def _of_steps(covariance: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray:
-    """(S - 1, 6, 6), of the motion from each scan to the next, from the covariance (S, 6, S, 6) of all."""
-    here = np.arange(len(world_from_scan) - 1)
+    """(S - 1, 6, 6), of the motion from each scan to the next, from the covariance (6 S - 6, 6 S - 6) of all but the
+    first, which stands."""
+    none = np.zeros((1, 6, 6))
+    each = np.concatenate([none, _blocks(covariance, 0)])
+    upper = np.concatenate([none, _blocks(covariance, 1)])
     relative = geometry.inverse(world_from_scan[1:]) @ world_from_scan[:-1]
     turn = np.zeros((len(world_from_scan), 6, 6))
     turn[:, :3, :3] = turn[:, 3:, 3:] = np.swapaxes(world_from_scan[:, :3, :3], -1, -2)
     by_both = np.concatenate([-geometry.adjoint(relative) @ turn[:-1], turn[1:]], axis=2)
-    pairs = np.empty((len(here), 12, 12))
-    for row, i in enumerate((here, here + 1)):
-        for column, j in enumerate((here, here + 1)):
-            pairs[:, 6 * row : 6 * row + 6, 6 * column : 6 * column + 6] = covariance[i, :, j]
+    pairs = np.empty((len(upper), 12, 12))
+    pairs[:, :6, :6], pairs[:, 6:, 6:] = each[:-1], each[1:]
+    pairs[:, :6, 6:], pairs[:, 6:, :6] = upper, np.swapaxes(upper, -1, -2)
     return np.asarray(by_both @ pairs @ np.swapaxes(by_both, -1, -2))
 
 
@@ -106,12 +113,40 @@ def local(blocks: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray:
 
 def _inverse(information: np.ndarray) -> np.ndarray:
     """The inverse of a positive matrix; eigenvalues that rounding made negative count as tiny."""
+    # symmetric, so its transpose in columns is the matrix itself in rows: LAPACK works on this one copy
+    matrix = np.array(information).T
     try:
-        factor = scipy.linalg.cho_factor(information, lower=True, check_finite=False)
-        return np.asarray(scipy.linalg.cho_solve(factor, np.eye(len(information)), check_finite=False))
+        factor, _ = scipy.linalg.cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
+        inverse, _ = scipy.linalg.lapack.dpotri(factor, lower=True, overwrite_c=True)
     except np.linalg.LinAlgError:
         values, vectors = scipy.linalg.eigh(information, check_finite=False)
         return np.asarray((vectors / np.maximum(values, 1e-9 * values[-1])) @ vectors.T)
+    return _mirrored(inverse.T)
+
+
+def _mirrored(matrix: np.ndarray) -> np.ndarray:
+    """A square matrix with what is above its diagonal written below it too, in place: a copy would double the memory."""
+    width = 256
+    for at in range(0, len(matrix), width):
+        below = at + width
+        matrix[below:, at:below] = matrix[at:below, below:].T
+        block = matrix[at:below, at:below]
+        block[:] = np.triu(block) + np.triu(block, 1).T
+    return matrix
+
+
+def _spread_by_covariance(
+    problem: Problem, world_from_scan: np.ndarray, fits: PlaneFits, covariance: np.ndarray
+) -> float:
+    """The trace of the product of the spread of all gradients, of planes and odometry, and a covariance
+    (6 S - 6, 6 S - 6) of all poses but the first."""
+    spread = _gradient_spread(problem, world_from_scan, fits)
+    found = float(np.einsum("ij,ij->", covariance, spread[6:, 6:]))
+    if problem.prior is not None:
+        _, diagonal, upper = problem.prior.linearize(world_from_scan)
+        found += 0.5 * float(np.sum(_blocks(covariance, 0) * diagonal[1:]))
+        found += float(np.sum(_blocks(covariance, 1) * upper[1:]))
+    return found
 
 
 def _gradient_spread(problem: Problem, world_from_scan: np.ndarray, fits: PlaneFits) -> np.ndarray:
@@ -141,23 +176,32 @@ def observation_gradients(
     return np.concatenate([np.cross(turned, normal), height[:, None] * normal], axis=1)
 
 
-def _prior_information(problem: Problem, world_from_scan: np.ndarray) -> np.ndarray:
+def _prior_information(prior: OdometryPrior, world_from_scan: np.ndarray) -> np.ndarray:
     """The prior's information about all poses but the first, (6 S - 6, 6 S - 6)."""
     scans = len(world_from_scan)
     total = np.zeros((scans, 6, scans, 6))
-    if problem.prior is not None:
-        _, diagonal, upper = problem.prior.linearize(world_from_scan)
-        here = np.arange(scans)
-        total[here, :, here, :] += 0.5 * diagonal
-        total[here[:-1], :, here[1:], :] += 0.5 * upper
-        total[here[1:], :, here[:-1], :] += 0.5 * np.swapaxes(upper, -1, -2)
+    _, diagonal, upper = prior.linearize(world_from_scan)
+    here = np.arange(scans)
+    total[here, :, here, :] += 0.5 * diagonal
+    total[here[:-1], :, here[1:], :] += 0.5 * upper
+    total[here[1:], :, here[:-1], :] += 0.5 * np.swapaxes(upper, -1, -2)
     return total.reshape(6 * scans, 6 * scans)[6:, 6:]
 
 
-def _alignment(world_from_scan: np.ndarray) -> np.ndarray:
-    """(6 S, 6 S), takes out of a motion of all poses the rigid part that brings positions closest to where they were."""
+def _aligned(covariance: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray:
+    """(S, 6, 6), of each pose after the rigid motion that brings all positions closest to where they were, from the
+    covariance C (6 S - 6, 6 S - 6) of all poses but the first: diagonal blocks of (I - M Q) C (I - M Q)', M rigid motions
+    of all poses and Q what finds them."""
     motion, pick = alignment(world_from_scan)
-    return np.eye(len(motion)) - motion @ np.linalg.solve(pick.T @ motion, pick.T)
+    finds = np.linalg.solve(pick.T @ motion, pick.T)[:, 6:]
+    common = finds @ covariance
+    none = np.zeros((1, 6, 6))
+    each = np.concatenate([none, _blocks(covariance, 0)])
+    with_common = np.concatenate([none, np.swapaxes(common.reshape(6, -1, 6), 0, 1)])
+    motion = motion.reshape(-1, 6, 6)
+    cross = motion @ with_common
+    own = motion @ (common @ finds.T) @ np.swapaxes(motion, -1, -2)
+    return np.asarray(each - cross - np.swapaxes(cross, -1, -2) + own)
 
 
 def alignment(world_from_scan: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

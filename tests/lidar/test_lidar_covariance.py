@@ -1,0 +1,98 @@
+"""The covariance of the poses against its formula written with whole matrices."""
+
+import numpy as np
+import plane_world
+import pytest
+import scipy.linalg
+
+from lvba import geometry
+from lvba.lidar import covariance, doubt, normal_equations, voxel_map
+from lvba.lidar.plane_feature import fit
+from lvba.lidar.prior import odometry_prior
+from lvba.lidar.scan import gather
+
+SIGMA = 0.005
+"""m, less than the noise of the points: so the spread of the gradients tells that more is promised than kept."""
+
+
+@pytest.fixture(scope="module")
+def yard():
+    """(poses, problem) of some scans, with an odometry prior."""
+    scans, truth, rough = plane_world.recording("courtyard", scans=9, points=3200, seed=3)
+    grid = voxel_map.build(gather(scans), truth, (0.5, 1.0), None)
+    features = voxel_map.find_planes(grid, truth, np.zeros(3), voxel_map.PlaneTest()).features
+    return truth, normal_equations.Problem(features, SIGMA, odometry_prior(rough, 0.01, 0.05))
+
+
+def dense(problem, poses, doubted):
+    """(marginal, conditional, step, excess) by whole matrices."""
+    scans = len(poses)
+    fits = fit(problem.features, poses)
+    information = 0.5 * normal_equations.linearize(problem, poses, exact=False, fits=fits).hessian
+    planes = 0.5 * normal_equations.linearize_planes(problem.features, poses, SIGMA, fits, exact=False).hessian
+    odometry = (information - planes)[6:, 6:]
+    spread = covariance._gradient_spread(problem, poses, fits)[6:, 6:] + odometry
+    inverse = np.linalg.inv(information[6:, 6:])
+    excess = max(1.0, np.trace(inverse @ spread) / len(inverse))
+    whole = scipy.linalg.block_diag(np.zeros((6, 6)), excess * inverse)
+    world_from_local = scipy.linalg.block_diag(*(part for pose in poses for part in [pose[:3, :3]] * 2))
+    in_local = world_from_local.T @ whole @ world_from_local
+    step = []
+    for i in range(scans - 1):
+        by_both = np.zeros((6, 6 * scans))
+        by_both[:, 6 * i : 6 * i + 6] = -geometry.adjoint(geometry.inverse(poses[i + 1]) @ poses[i])
+        by_both[:, 6 * i + 6 : 6 * i + 12] = np.eye(6)
+        step.append(by_both @ in_local @ by_both.T)
+    if doubted:
+        feigned = doubt.feigned_information(problem.features, fits, poses, SIGMA)[6:, 6:]
+        certain = doubt.certain(planes[6:, 6:], feigned, odometry)
+        whole[6:, 6:] = np.linalg.inv(certain / excess + odometry)
+    motion, pick = covariance.alignment(poses)
+    free = np.eye(6 * scans) - motion @ np.linalg.inv(pick.T @ motion) @ pick.T
+    aligned = world_from_local.T @ free @ whole @ free.T @ world_from_local
+    own = scipy.linalg.block_diag(
+        *(np.linalg.inv(information[6 * i : 6 * i + 6, 6 * i : 6 * i + 6]) for i in range(scans))
+    )
+    conditional = excess * world_from_local.T @ own @ world_from_local
+
+    def blocks(matrix):
+        return [matrix[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i in range(scans)]
+
+    return blocks(aligned), blocks(conditional), step, excess
+
+
+@pytest.mark.parametrize("doubted", [False, True])
+def test_covariance_against_whole_matrices(yard, doubted, monkeypatch):
+    poses, problem = yard
+    monkeypatch.setattr(covariance, "MOST_DOUBTED", len(poses) if doubted else 0)
+    got = covariance.estimate(problem, poses)
+    marginal, conditional, step, excess = dense(problem, poses, doubted)
+    assert got.excess == pytest.approx(excess, rel=1e-9)
+    assert excess > 1.0, "or it is not seen to be multiplied in"
+    assert len(got.loose) == (len(poses) - 1 if doubted else 0)
+    for name, found, want in (
+        ("marginal", got.marginal, marginal),
+        ("conditional", got.conditional, conditional),
+        ("step", got.step, step),
+    ):
+        np.testing.assert_allclose(found, want, atol=1e-7 * np.abs(want).max(), err_msg=name)
+
+
+def test_inverse_of_more_rows_than_are_mirrored_at_once():
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(600, 600))
+    matrix = root @ root.T + 60.0 * np.eye(600)
+    kept = matrix.copy()
+    inverse = covariance._inverse(matrix)
+    np.testing.assert_allclose(inverse @ kept, np.eye(600), atol=1e-10)
+    np.testing.assert_array_equal(inverse, inverse.T)
+    np.testing.assert_array_equal(matrix, kept)
+
+
+def test_inverse_where_rounding_made_an_eigenvalue_negative():
+    rng = np.random.default_rng(1)
+    turn = np.linalg.qr(rng.normal(size=(5, 5)))[0]
+    matrix = turn @ np.diag([4.0, 3.0, 2.0, 1.0, -1e-12]) @ turn.T
+    inverse = covariance._inverse(matrix)
+    assert turn[:, 0] @ inverse @ turn[:, 0] == pytest.approx(0.25)
+    assert turn[:, 4] @ inverse @ turn[:, 4] == pytest.approx(1e9 / 4.0, rel=1e-3)
