@@ -122,6 +122,7 @@ def cloud_of(dataset: Dataset, world_from_scan: np.ndarray, progress: Progress =
         world_from_scan,
         dataset.scans.times,
         progress,
+        dataset.sensor_position_scan,
     )
 
 

@@ -6,6 +6,8 @@ from numba import njit, prange
 from lvba.kernels.zbuffer import EMPTY, NEAR_M, RUN, in_view, sphere_in_view, view_buffers, view_slopes
 
 _CLIPPED_RANK = np.float32(1e-9)
+_BEHIND = np.float32(-0.25)
+"""Sine of the angle by which a camera may be behind a surface that it sees: normals of noisy points are that wrong."""
 
 
 @njit(cache=True, nogil=True)
@@ -88,7 +90,8 @@ def collect_views(
 ) -> None:
     """Adds the samples of a batch of images to the best views of every point.
 
-    points: (3, M) float32, world; normals: (3, M) float32, zero where unknown; start, spheres: blocks;
+    points: (3, M) float32, world; normals: (3, M) float32, towards the side that has the color, zero where unknown;
+    start, spheres: blocks;
     poses: (B, 3, 4) float32; pictures: (B, H, W, 3) uint8; numbers: (B,) int32, image numbers;
     valid: (H, W) bool; nearest: (B, h, w) float32, m, depth of the nearest surface in and round each cell of `cell`
     pixels; tolerance: (2,) float32, m and part of the depth; limits: (2,) float32, darkest and brightest usable value;
@@ -134,12 +137,13 @@ def collect_views(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _rank(points: np.ndarray, normals: np.ndarray, i: int, pose: np.ndarray) -> np.float32:
-    """Resolution of the view on the surface, but for a constant: cos(incidence) / distance^2."""
+    """How good the view is: 1 / distance^2, and 0 from behind the surface."""
     dx, dy, dz = points[0, i] - pose[0, 3], points[1, i] - pose[1, 3], points[2, i] - pose[2, 3]
     square = dx * dx + dy * dy + dz * dz
-    facing = abs(normals[0, i] * dx + normals[1, i] * dy + normals[2, i] * dz)
-    cosine = facing / np.sqrt(square) if facing > 0 else np.float32(0.5)
-    return max(cosine, np.float32(0.05)) / square
+    facing = -(normals[0, i] * dx + normals[1, i] * dy + normals[2, i] * dz)
+    if facing < _BEHIND * np.sqrt(square):
+        return np.float32(0.0)
+    return np.float32(1.0) / square
 
 
 @njit(cache=True, nogil=True)

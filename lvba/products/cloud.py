@@ -6,11 +6,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba.kernels import cloud as kernels
+from lvba.kernels import facing as facing_kernels
 from lvba.parallel import in_order
 from lvba.progress import Progress, silent
 
 _MAX_BLOCKS = 1 << 20
 _MIN_EDGE_M = 0.5
+
+
+@dataclass(frozen=True)
+class Origins:
+    """From where points were measured. scan: (M,) int32, by which scan; sensor_world: (S, 3), m, where it was"""
+
+    scan: np.ndarray
+    sensor_world: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -20,14 +29,24 @@ class Cloud:
     points_world: (M, 3) float32, m
     scan_offsets: (S + 1,) int64: scan s owns points scan_offsets[s] to scan_offsets[s + 1]
     scan_times: (S,) float64, s
+    sensor_world: (S, 3) float64, m, where the LiDAR was; None: unknown
     """
 
     points_world: np.ndarray
     scan_offsets: np.ndarray
     scan_times: np.ndarray
+    sensor_world: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.points_world)
+
+    def scan_of(self, points: np.ndarray) -> np.ndarray:
+        """The scans (K,) int32 that measured points of these numbers (K,)."""
+        return np.searchsorted(self.scan_offsets, points, side="right").astype(np.int32) - np.int32(1)
+
+    def origins(self, points: np.ndarray) -> Origins | None:
+        """From where points of these numbers (K,) were measured; None: unknown."""
+        return None if self.sensor_world is None else Origins(self.scan_of(points), self.sensor_world)
 
 
 @dataclass(frozen=True)
@@ -49,10 +68,12 @@ def assemble(
     world_from_scan: np.ndarray,
     scan_times: np.ndarray,
     progress: Progress = silent,
+    sensor_position: np.ndarray | None = None,
 ) -> Cloud:
     """The cloud of all scans moved by their poses; points that are not finite are left out.
 
     load_scan: gives the (N, 3) float32 points of a scan, scan frame; world_from_scan: (S, 4, 4); scan_times: (S,)
+    sensor_position: (3,), m, where the LiDAR is in the scan frame; None: unknown
     """
 
     def move(s: int) -> np.ndarray:
@@ -71,7 +92,10 @@ def assemble(
         np.int64
     )
     points_world = np.concatenate(moved) if moved else np.empty((0, 3), np.float32)
-    return Cloud(points_world, offsets, np.asarray(scan_times, float))
+    sensor_world = None
+    if sensor_position is not None:
+        sensor_world = world_from_scan[:, :3, :3] @ sensor_position + world_from_scan[:, :3, 3]
+    return Cloud(points_world, offsets, np.asarray(scan_times, float), sensor_world)
 
 
 def sort_into_blocks(points_world: np.ndarray, min_edge: float = _MIN_EDGE_M) -> Blocks:
@@ -85,6 +109,17 @@ def sort_into_blocks(points_world: np.ndarray, min_edge: float = _MIN_EDGE_M) ->
     order, start = kernels.counting_order(cell, int(np.prod(shape)))
     start = start[np.concatenate([[True], np.diff(start) > 0])]
     return Blocks(order, start, kernels.bounding_spheres(points_world[order], start))
+
+
+def facing_normals(points: np.ndarray, blocks: Blocks, origins: Origins | None) -> np.ndarray:
+    """Normals (3, M) float32, unit, towards where each point was measured from; zero where nothing flat is round it.
+
+    points: (3, M) float32, m, world, in the order of their blocks; origins: of the points before they were sorted
+    """
+    if origins is None:
+        return np.zeros_like(points)
+    sensors = origins.sensor_world.astype(np.float32)
+    return facing_kernels.facing_normals(points, blocks.start, origins.scan[blocks.order], sensors)
 
 
 def thin(points_world: np.ndarray, voxel: float) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from lvba.kernels import colorize as kernels
 from lvba.kernels import zbuffer
 from lvba.parallel import in_order
-from lvba.products.cloud import Blocks, Cloud, sort_into_blocks
+from lvba.products.cloud import Blocks, Cloud, Origins, facing_normals, sort_into_blocks
 from lvba.products.views import Views, nearest_in_time
 from lvba.progress import Progress, silent
 
@@ -23,7 +23,7 @@ class ColorizeConfig:
     """How the map that users keep is colored."""
 
     max_views: int = 8
-    """Views blended per point, the best ones by resolution and incidence; 1 to 32."""
+    """Views blended per point, the nearest ones; 1 to 32."""
     tolerance_m: float = 0.15
     """A point is hidden when it lies this much (m) plus `tolerance_ratio` behind what the image sees; 0 to 10."""
     tolerance_ratio: float = 0.02
@@ -127,24 +127,23 @@ def blended(
     views: Views,
     config: ColorizeConfig | None = None,
     *,
-    normals: np.ndarray | None = None,
+    origins: Origins | None = None,
     held_out: np.ndarray | None = None,
     progress: Progress = silent,
     batch: int = 8,
 ) -> BlendedColors:
     """Colors each point by a robust mean over its best views that nothing hides.
 
-    points_world: (M, 3) float32, m; normals: (M, 3) float32, unit, or None: incidence is not weighed;
-    held_out: indices of images that must not color anything.
-    A view ranks by its resolution on the surface, cos(incidence) / distance^2. Hidden: behind the map's own z-buffer in
-    that image, by more than the tolerance. Saturated and black samples count only where a point has no other.
+    points_world: (M, 3) float32, m; origins: from where they were measured, or None: a wall thinner than the tolerance
+    then takes colors from both of its sides; held_out: indices of images that must not color anything.
+    A view ranks by 1 / distance^2. Hidden: behind the map's own z-buffer in that image, by more than the tolerance, or
+    seen from behind. Saturated and black samples count only where a point has no other.
     """
     config = config or ColorizeConfig()
     blocks = sort_into_blocks(points_world)
     points = np.ascontiguousarray(points_world[blocks.order].T)
-    facing = None if normals is None else normals[blocks.order]
     samples = collect(
-        points, blocks, views, config, normals=facing, held_out=held_out, progress=progress, batch=batch
+        points, blocks, views, config, origins=origins, held_out=held_out, progress=progress, batch=batch
     )
     back = np.empty(len(blocks.order), np.int64)
     back[blocks.order] = np.arange(len(blocks.order))
@@ -158,16 +157,16 @@ def collect(
     views: Views,
     config: ColorizeConfig,
     *,
-    normals: np.ndarray | None = None,
+    origins: Origins | None = None,
     held_out: np.ndarray | None = None,
     progress: Progress = silent,
     batch: int = 8,
 ) -> Samples:
     """The best samples of points in the order of their blocks; see `blended`.
 
-    points: (3, M) float32, m, world, by axis
+    points: (3, M) float32, m, world, by axis; origins: of the points before they were sorted
     """
-    facing = np.zeros_like(points) if normals is None else _by_axis(normals)
+    normals = facing_normals(points, blocks, origins)
     slots = (points.shape[1], config.max_views)
     samples = Samples(
         np.zeros(slots, np.float32), np.zeros((*slots, 3), np.uint8), np.full(slots, -1, np.int32)
@@ -177,14 +176,9 @@ def collect(
     for first in range(0, len(usable), batch):
         numbers = usable[first : first + batch]
         stack = np.stack([next(pictures) for _ in numbers])
-        _collect(points, facing, blocks, views, numbers, stack, config, samples)
+        _collect(points, normals, blocks, views, numbers, stack, config, samples)
         progress("color map", first + len(numbers), len(usable))
     return samples
-
-
-def _by_axis(vectors: np.ndarray) -> np.ndarray:
-    """(N, 3) as (3, N) float32."""
-    return np.ascontiguousarray(vectors.T, np.float32)
 
 
 def _collect(

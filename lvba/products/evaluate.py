@@ -190,7 +190,7 @@ def _entropies(
 def _colored(state: State, config: EvaluateConfig, held_out: np.ndarray, progress: Progress) -> ColoredCloud:
     if config.colors == "paper":
         return color_by_paper(state, held_out, progress)
-    return render.blended_cloud(state.cloud.points_world, state.views, ColorizeConfig(), held_out)
+    return render.blended_cloud(state.cloud, state.views, ColorizeConfig(), held_out)
 
 
 def color_by_paper(

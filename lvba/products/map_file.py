@@ -81,16 +81,17 @@ def build(
         number = (one.source[kept] >= 0).astype(np.uint8)
         spread = np.zeros(len(kept), np.float32)
     else:
-        several = colorize.blended(points, views, config.blend, progress=progress)
+        several = colorize.blended(
+            points, views, config.blend, origins=cloud.origins(kept), progress=progress
+        )
         radiance, number, spread = several.radiance, several.views, several.spread
     rgb = colorize.to_rgb8(radiance, gain)
     rgb[number == 0] = UNCOLORED
     wanted = slice(None) if config.keep_uncolored or not len(views) else number > 0
     logger.info("map: %d of %d points kept at %.4f m", len(kept), len(cloud), voxel)
-    scan = np.searchsorted(cloud.scan_offsets, kept, side="right").astype(np.int32) - 1
     gray_spread = spread * np.float32(gain)
     return PointMap(
-        points[wanted], rgb[wanted], number[wanted], gray_spread[wanted], voxel, scan[wanted].astype(np.int32)
+        points[wanted], rgb[wanted], number[wanted], gray_spread[wanted], voxel, cloud.scan_of(kept[wanted])
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from lvba.kernels import colorize as color_kernels
 from lvba.kernels import zbuffer as kernels
-from lvba.products.cloud import Blocks, sort_into_blocks
+from lvba.products.cloud import Blocks, Cloud, sort_into_blocks
 from lvba.products.colorize import ColorizeConfig, Samples, blend, collect
 from lvba.products.views import Views
 
@@ -72,12 +72,13 @@ def colored_cloud(points_world: np.ndarray, gray: np.ndarray, source: np.ndarray
 
 
 def blended_cloud(
-    points_world: np.ndarray, views: Views, config: ColorizeConfig, held_out: np.ndarray | None = None
+    cloud: Cloud, views: Views, config: ColorizeConfig, held_out: np.ndarray | None = None
 ) -> ColoredCloud:
-    """The points (M, 3) colored by several views each, with the samples, so that any one image can be left out."""
-    blocks = sort_into_blocks(points_world)
-    points = np.ascontiguousarray(points_world[blocks.order].T)
-    samples = collect(points, blocks, views, config, held_out=held_out)
+    """The points colored by several views each, with the samples, so that any one image can be left out."""
+    blocks = sort_into_blocks(cloud.points_world)
+    points = np.ascontiguousarray(cloud.points_world[blocks.order].T)
+    origins = cloud.origins(np.arange(len(cloud)))
+    samples = collect(points, blocks, views, config, origins=origins, held_out=held_out)
     radiance = blend(samples, views.log_exposure, config).radiance
     seen = samples.ranks > 0
     first = np.where(seen, samples.images, np.iinfo(np.int32).max).min(1)

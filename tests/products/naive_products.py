@@ -1,5 +1,7 @@
 """Slow, plain twins of the kernels behind the products."""
 
+import itertools
+
 import numpy as np
 
 
@@ -81,8 +83,9 @@ def best_views(point, normal, poses, intrinsics, pictures, valid, nearest, cell,
         ):
             continue
         ray = point - pose[:, 3]
-        cosine = abs(normal @ ray) / np.linalg.norm(ray) if normal.any() else 0.5
-        rank = max(cosine, 0.05) / (ray @ ray)
+        if normal @ ray > 0.25 * np.linalg.norm(ray):
+            continue
+        rank = 1.0 / (ray @ ray)
         color, highest = bilinear(pictures[k], np.clip(u, 0, width - 1), np.clip(v, 0, height - 1))
         if highest >= limits[1] or highest <= limits[0]:
             rank *= 1e-9
@@ -130,3 +133,23 @@ def entropies(points, radius, min_neighbors):
             covariance = np.cov(near.T)
             out[i] = 0.5 * np.log(np.linalg.det(2 * np.pi * np.e * covariance))
     return out
+
+
+def facing_normals(points, start, seen_from):
+    """(M, 3) of points (M, 3) in blocks, by the scatter of those in the same eighth, or block, and the same octant."""
+    normals = np.zeros(points.shape)
+    for first, last in itertools.pairwise(start):
+        here = points[first:last].astype(float)
+        octant = seen_from[first:last] > points[first:last]
+        eighth = 2 * (here - here.min(0)) > np.ptp(here, axis=0)
+        for i in range(len(here)):
+            beside = (octant == octant[i]).all(1)
+            for chosen in (beside & (eighth == eighth[i]).all(1), beside):
+                if chosen.sum() < 5:
+                    continue
+                values, vectors = np.linalg.eigh(np.cov(here[chosen].T, bias=True))
+                if values[0] <= 0.1 * values[1] and values[1] >= 0.15 * values[2]:
+                    normal = vectors[:, 0]
+                    normals[first + i] = normal * np.sign(normal @ (seen_from[first + i] - here[i]))
+                    break
+    return normals

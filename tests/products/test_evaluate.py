@@ -195,12 +195,10 @@ def test_blended_colors_can_be_judged_with_one_image_left_out(world):
     state = evaluate.State(world.cloud(), world.views())
     config = evaluate.EvaluateConfig(colors="blended")
     scores = evaluate.evaluate({"true": state}, config)["true"]
-    cloud = render.blended_cloud(state.cloud.points_world, state.views, colorize.ColorizeConfig())
+    cloud = render.blended_cloud(state.cloud, state.views, colorize.ColorizeConfig())
     for i in (0, 3):
         # left out by hand: colored anew without the image
-        others = render.blended_cloud(
-            state.cloud.points_world, state.views, colorize.ColorizeConfig(), np.array([i])
-        )
+        others = render.blended_cloud(state.cloud, state.views, colorize.ColorizeConfig(), np.array([i]))
         expected = render.render(others, state.views, i)
         found = render.render(cloud, state.views, i)
         np.testing.assert_array_equal(found.covered[render.OTHERS], expected.covered[render.ALL])
