@@ -1,5 +1,6 @@
 """Running a plan on Dask with real processes: the same bytes, and every way in which processes can die."""
 
+import os
 import shutil
 import signal
 import subprocess
@@ -127,7 +128,7 @@ def test_only_keys_go_through_the_scheduler(toy_cluster, tmp_path):
 
 def test_worker_killed_in_the_midst_of_a_step(toy_cluster, expected, tmp_path):
     background = Background(toy_cluster, tmp_path)
-    subprocess.run(["kill", "-9", str(background.worker)], check=True)
+    os.kill(background.worker, signal.SIGKILL)
     wait_for(lambda: len(said(tmp_path, "began bb")) == 2)
     background.release()
     assert contents(tmp_path / "store") == expected

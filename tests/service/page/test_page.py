@@ -7,7 +7,7 @@ import pytest
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
 
-from page_browser import PATIENCE_MS, Served, Watched, browser_or_skip, colors_of  # noqa: E402
+from page_browser import PATIENCE_MS, Served, Watched, colors_of, launch, program_or_skip  # noqa: E402
 
 from lvba import simulate  # noqa: E402
 
@@ -25,8 +25,10 @@ def recording(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def browser():
+    # before the driver starts: it needs libraries that a browser brings along
+    program = program_or_skip()
     with sync_api.sync_playwright() as playwright:
-        browser = browser_or_skip(playwright)
+        browser = launch(playwright, program)
         yield browser
         browser.close()
 
@@ -106,8 +108,9 @@ def hide_lines(page):
 
 def at_rest(canvas):
     """A picture of the map that is followed by the same one."""
-    picture, before = canvas.screenshot(), None
+    picture, before, end = canvas.screenshot(), None, time.monotonic() + PATIENCE_MS / 1000
     while picture != before:
+        assert time.monotonic() < end, "the map keeps changing"
         canvas.page.wait_for_timeout(300)
         picture, before = canvas.screenshot(), picture
     return picture
