@@ -3,7 +3,6 @@
 import os
 import random
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -116,10 +115,3 @@ def wait_for(condition, process=None, log=None):
         assert process is None or process.poll() is None, said
         assert time.monotonic() < end, said
         time.sleep(0.1)
-
-
-def program(name):
-    """Path of a program that tests need; an error that says what to install where it is missing."""
-    found = shutil.which(name, path=os.pathsep.join([os.environ["PATH"], "/usr/sbin", "/sbin"]))
-    assert found, f"{name} is not installed: .ci/run installs what the tests need"
-    return found

@@ -7,6 +7,7 @@ import sys
 
 import pytest
 from deployed import DEPLOY
+from programs import program_or_skip
 from real_server import Service, _programs, ended, submit, until, upload
 
 from service.server import keys
@@ -27,6 +28,7 @@ def new_database(request):
 
 def script(name, *words, database="", code=0, **more):
     """What the script says."""
+    program_or_skip("rsync")
     path = f"{_programs()}:{os.environ['PATH']}"
     environment = {**os.environ, "PATH": path, "PYTHON": sys.executable, "LVBA_DATABASE": database, **more}
     command = ["sh", DEPLOY / f"{name}.sh", *words]
@@ -150,6 +152,7 @@ def test_mistakes_are_said_and_nothing_is_overwritten(postgres, tmp_path):
 
 def test_password_is_on_no_command_line(tmp_path):
     """A pg_dump that writes down how it was called."""
+    program_or_skip("rsync")
     (tmp_path / "pg_dump").write_text('#!/bin/sh\necho "$* $PGPASSWORD" >"$SEEN"\nexit 9\n')
     for name in ("pg_restore", "psql"):
         (tmp_path / name).write_text("#!/bin/sh\n")

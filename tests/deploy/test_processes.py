@@ -10,7 +10,8 @@ import subprocess
 
 import httpx
 import pytest
-from deployed import DEPLOY, Host, compose, program, read_settings, wait_for
+from deployed import DEPLOY, Host, compose, read_settings, wait_for
+from programs import program_or_skip
 from real_server import ended, postgres_or_skip, submit, upload
 
 
@@ -86,7 +87,7 @@ class Deployment:
         text = self.host.here(text.replace("/tmp/", f"{folder}/"))
         (folder / "nginx.conf").write_text(text)
         service = self.services["proxy"]
-        words = [program("nginx"), *service["command"]]
+        words = [program_or_skip("nginx", "nginx-light"), *service["command"]]
         # as root its workers would become another user, who cannot look into the folders of the tests
         words += ["-g", "user root;"] if os.getuid() == 0 else []
         process, log = self.host.start("proxy", words, {})

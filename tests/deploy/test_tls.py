@@ -5,6 +5,7 @@ import subprocess
 
 import pytest
 from deployed import DEPLOY
+from programs import program_or_skip
 
 
 def tls(folder, *names, code=0):
@@ -14,7 +15,7 @@ def tls(folder, *names, code=0):
 
 
 def openssl(*words):
-    done = subprocess.run(["openssl", *map(str, words)], capture_output=True, text=True)
+    done = subprocess.run([program_or_skip("openssl"), *map(str, words)], capture_output=True, text=True)
     return done.stdout + done.stderr
 
 

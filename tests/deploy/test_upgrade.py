@@ -7,6 +7,7 @@ import sys
 import pytest
 import sqlalchemy
 from deployed import DEPLOY, ROOT
+from programs import program_or_skip
 from real_server import Service, _programs, postgres_or_skip
 
 from service.server.database import Database
@@ -65,6 +66,7 @@ def job(name, finished):
 
 
 def test_backup_of_the_first_version_is_restored_upgraded_and_swept(new_database, tmp_path):
+    program_or_skip("rsync")
     old, new = new_database(), new_database()
     first_version(tmp_path / "data", old)
     run(old, "sh", DEPLOY / "backup.sh", tmp_path / "data", tmp_path / "backup")
