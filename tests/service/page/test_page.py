@@ -7,7 +7,7 @@ import pytest
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
 
-from page_browser import PATIENCE_MS, Served, Watched, colors_of, launch, program_or_skip  # noqa: E402
+from page_browser import PATIENCE_MS, Served, Watched, alike, colors_of, launch, program_or_skip  # noqa: E402
 
 from lvba import simulate  # noqa: E402
 
@@ -108,19 +108,22 @@ def hide_lines(page):
 
 def at_rest(canvas):
     """A picture of the map that is followed by the same one."""
-    picture, before, end = canvas.screenshot(), None, time.monotonic() + PATIENCE_MS / 1000
-    while picture != before:
-        assert time.monotonic() < end, "the map keeps changing"
+    picture, end = canvas.screenshot(), time.monotonic() + PATIENCE_MS / 1000
+    while True:
         canvas.page.wait_for_timeout(300)
-        picture, before = canvas.screenshot(), picture
-    return picture
+        before, picture = picture, canvas.screenshot()
+        if alike(before, picture):
+            return picture
+        assert time.monotonic() < end, "the map keeps changing"
 
 
 def new_picture(canvas, seen):
     """Waits until the map looks like none of these."""
     end = time.monotonic() + PATIENCE_MS / 1000
-    while (picture := at_rest(canvas)) in seen:
+    picture = at_rest(canvas)
+    while any(alike(picture, one) for one in seen):
         assert time.monotonic() < end, "the map looks as before"
+        picture = at_rest(canvas)
     return picture
 
 
