@@ -3,7 +3,8 @@
 import numpy as np
 from numba import njit, prange
 
-from lvba.kernels.point_cluster import eigen3
+from lvba.kernels.parallel import parallel
+from lvba.kernels.point_cluster import add_point, cluster_of_sums, eigen3
 
 _OCTANTS = 8
 _COARSE = 8 * _OCTANTS
@@ -16,46 +17,25 @@ _WIDE = 0.15
 
 
 @njit(cache=True, nogil=True)
-def _add(total: np.ndarray, x: float, y: float, z: float) -> None:
-    """Adds a point to the sums (10,) of 1, x, y, z and their products."""
-    total[0] += 1.0
-    total[1] += x
-    total[2] += y
-    total[3] += z
-    total[4] += x * x
-    total[5] += x * y
-    total[6] += x * z
-    total[7] += y * y
-    total[8] += y * z
-    total[9] += z * z
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _normal(
-    total: np.ndarray, scatter: np.ndarray, values: np.ndarray, rows: np.ndarray, normal: np.ndarray
+    sums: np.ndarray,
+    mean: np.ndarray,
+    scatter: np.ndarray,
+    values: np.ndarray,
+    rows: np.ndarray,
+    normal: np.ndarray,
 ) -> None:
     """Writes the normal (3,) of the points of the sums (10,); zero where they are too few or no surface."""
     normal[:] = 0.0
-    count = total[0]
-    if count < _FEWEST:
+    if sums[0] < _FEWEST:
         return
-    x, y, z = total[1] / count, total[2] / count, total[3] / count
-    scatter[0], scatter[1], scatter[2] = (
-        total[4] / count - x * x,
-        total[5] / count - x * y,
-        total[6] / count - x * z,
-    )
-    scatter[3], scatter[4], scatter[5] = (
-        total[7] / count - y * y,
-        total[8] / count - y * z,
-        total[9] / count - z * z,
-    )
+    cluster_of_sums(sums, mean, scatter)
     eigen3(scatter, values, rows)
     if values[0] <= _FLAT * values[1] and values[1] >= _WIDE * values[2]:
         normal[:] = rows[0]
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+@parallel
 def facing_normals(
     points: np.ndarray, start: np.ndarray, scan: np.ndarray, sensor_world: np.ndarray
 ) -> np.ndarray:
@@ -68,7 +48,7 @@ def facing_normals(
     normals = np.zeros_like(points)
     for b in prange(start.shape[0] - 1):
         total, normal = np.zeros((_COARSE + _OCTANTS, 10)), np.zeros((_COARSE + _OCTANTS, 3))
-        scatter, values, rows = np.empty(6), np.empty(3), np.empty((3, 3))
+        mean, scatter, values, rows = np.empty(3), np.empty(6), np.empty(3), np.empty((3, 3))
         low, high = np.full(3, np.inf, np.float32), np.full(3, -np.inf, np.float32)
         for i in range(start[b], start[b + 1]):
             for a in range(3):
@@ -81,11 +61,11 @@ def facing_normals(
                 octant = 2 * octant + (sensor_world[scan[i], a] > points[a, i])
             own[i - start[b]] = eighth * _OCTANTS + octant
             x, y, z = points[0, i] - low[0], points[1, i] - low[1], points[2, i] - low[2]
-            _add(total[eighth * _OCTANTS + octant], x, y, z)
+            add_point(total[eighth * _OCTANTS + octant], x, y, z)
         for n in range(_COARSE):
             total[_COARSE + n % _OCTANTS] += total[n]
         for n in range(_COARSE + _OCTANTS):
-            _normal(total[n], scatter, values, rows, normal[n])
+            _normal(total[n], mean, scatter, values, rows, normal[n])
         for i in range(start[b], start[b + 1]):
             chosen = normal[own[i - start[b]]]
             if chosen[0] == 0.0 and chosen[1] == 0.0 and chosen[2] == 0.0:

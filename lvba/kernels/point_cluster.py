@@ -42,6 +42,34 @@ def add_cluster(
     count[0] = total
 
 
+@njit(cache=True, nogil=True, inline="always")
+def add_point(sums: np.ndarray, x: float, y: float, z: float) -> None:
+    """Add a point to the sums (10,) of 1, its coordinates and their products; take it from near by, to keep digits."""
+    sums[0] += 1.0
+    sums[1] += x
+    sums[2] += y
+    sums[3] += z
+    sums[4] += x * x
+    sums[5] += x * y
+    sums[6] += x * z
+    sums[7] += y * y
+    sums[8] += y * z
+    sums[9] += z * z
+
+
+@njit(cache=True, nogil=True, inline="always")
+def cluster_of_sums(sums: np.ndarray, mean: np.ndarray, scatter: np.ndarray) -> None:
+    """Write mean (3,) and scatter (6,) of the points of such sums."""
+    inverse = 1.0 / max(sums[0], 1.0)
+    mean[0], mean[1], mean[2] = sums[1] * inverse, sums[2] * inverse, sums[3] * inverse
+    scatter[0] = sums[4] - sums[1] * mean[0]
+    scatter[1] = sums[5] - sums[1] * mean[1]
+    scatter[2] = sums[6] - sums[1] * mean[2]
+    scatter[3] = sums[7] - sums[2] * mean[1]
+    scatter[4] = sums[8] - sums[2] * mean[2]
+    scatter[5] = sums[9] - sums[3] * mean[2]
+
+
 @njit(cache=True, nogil=True)
 def rotate_scatter(rotation: np.ndarray, scatter: np.ndarray, out: np.ndarray) -> None:
     """out (6,) = R S R' for a (3, 3) rotation and the 6 numbers of S."""

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit, prange
 
 from lvba.kernels.parallel import parallel
-from lvba.kernels.point_cluster import add_cluster, eigen3, move_cluster
+from lvba.kernels.point_cluster import add_cluster, add_point, cluster_of_sums, eigen3, move_cluster
 
 AXIS_CELLS = 1 << 16
 _EMPTY = np.int64(-1)
@@ -207,28 +207,13 @@ def accumulate(
             if cell[0] == 0.0:
                 first[0], first[1], first[2] = px, py, pz
             x, y, z = px - first[0], py - first[1], pz - first[2]
-            cell[0] += 1.0
-            cell[1] += x
-            cell[2] += y
-            cell[3] += z
-            cell[4] += x * x
-            cell[5] += x * y
-            cell[6] += x * z
-            cell[7] += y * y
-            cell[8] += y * z
-            cell[9] += z * z
+            add_point(cell, x, y, z)
         for c in range(n):
             k = entry[starts[s] + c]
             count[k] = sums[c, 0]
-            inv = 1.0 / max(sums[c, 0], 1.0)
-            mx, my, mz = sums[c, 1] * inv, sums[c, 2] * inv, sums[c, 3] * inv
-            mean[k, 0], mean[k, 1], mean[k, 2] = mx + origin[c, 0], my + origin[c, 1], mz + origin[c, 2]
-            scatter[k, 0] = sums[c, 4] - sums[c, 1] * mx
-            scatter[k, 1] = sums[c, 5] - sums[c, 1] * my
-            scatter[k, 2] = sums[c, 6] - sums[c, 1] * mz
-            scatter[k, 3] = sums[c, 7] - sums[c, 2] * my
-            scatter[k, 4] = sums[c, 8] - sums[c, 2] * mz
-            scatter[k, 5] = sums[c, 9] - sums[c, 3] * mz
+            cluster_of_sums(sums[c], mean[k], scatter[k])
+            for a in range(3):
+                mean[k, a] += origin[c, a]
     return count, mean, scatter
 
 

@@ -87,7 +87,7 @@ class Deployment:
         text = self.host.here(text.replace("/tmp/", f"{folder}/"))
         (folder / "nginx.conf").write_text(text)
         service = self.services["proxy"]
-        words = [program_or_skip("nginx", "nginx-light"), *service["command"]]
+        words = [program_or_skip("nginx", package="nginx-light"), *service["command"]]
         # as root its workers would become another user, who cannot look into the folders of the tests
         words += ["-g", "user root;"] if os.getuid() == 0 else []
         process, log = self.host.start("proxy", words, {})

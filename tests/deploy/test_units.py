@@ -55,7 +55,10 @@ def installed(tmp_path):
 
 @pytest.mark.parametrize("unit", UNITS)
 def test_systemd_finds_nothing_wrong_and_little_that_is_open(installed, unit):
-    analyze, file = program_or_skip("systemd-analyze", "systemd"), installed / unit.replace("@.", "@1.")
+    analyze, file = (
+        program_or_skip("systemd-analyze", package="systemd"),
+        installed / unit.replace("@.", "@1."),
+    )
     verified = subprocess.run([analyze, "verify", file], capture_output=True, text=True)
     assert (verified.returncode, verified.stderr) == (0, "")
     words = [analyze, "security", "--offline=true", "--threshold=15", "--no-pager", file]
@@ -66,7 +69,7 @@ def test_systemd_finds_nothing_wrong_and_little_that_is_open(installed, unit):
 def test_a_mistake_in_a_unit_is_found(installed):
     file = installed / UNITS[0]
     file.write_text(file.read_text().replace("ProtectSystem=strict", "ProtectSystem=very"))
-    words = [program_or_skip("systemd-analyze", "systemd"), "verify", file]
+    words = [program_or_skip("systemd-analyze", package="systemd"), "verify", file]
     assert "protect system value" in subprocess.run(words, capture_output=True, text=True).stderr
 
 

@@ -122,7 +122,7 @@ def test_color_contrast_alone_does_not_pass():
     images = np.full((2, 150, 200, 3), [40, 120, 200], np.uint8) + rng.integers(
         0, 3, (2, 150, 200, 3), np.uint8
     )
-    gates = np.array([4, 0.17, 0.2, 0.45, 2.5, 0.8, 0.5, 3.0, 250.0, 0.8, 0.15])
+    gates = np.array([4, 0.17, 0.2, 0.45, 2.5, 0.8, 0.5, 3.0, 250.0, 0.8, 0.15, 0.0])
     poses = np.tile(np.eye(4), (2, 1, 1))
     verdict, ncc = kernels.judge(
         images,

@@ -3,13 +3,11 @@
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-import pytest
 from gates import Gates
 from ports import free_port
 
@@ -19,16 +17,8 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 OPTIONS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
-def program_or_skip():
-    """Where the browser of the system is; skips where there is none."""
-    program = next((found for name in BROWSERS if (found := shutil.which(name))), None)
-    if program is None:
-        pytest.skip("no browser on the path: apt-get install chromium")
-    return program
-
-
 def launch(playwright, program):
-    """That browser, without a window."""
+    """A browser without a window."""
     return playwright.chromium.launch(
         executable_path=program, args=[*OPTIONS, "--disable-dev-shm-usage"], timeout=60_000
     )

@@ -7,7 +7,8 @@ import pytest
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
 
-from page_browser import PATIENCE_MS, Served, Watched, alike, colors_of, launch, program_or_skip  # noqa: E402
+from page_browser import BROWSERS, PATIENCE_MS, Served, Watched, alike, colors_of, launch  # noqa: E402
+from programs import program_or_skip  # noqa: E402
 
 from lvba import simulate  # noqa: E402
 
@@ -26,7 +27,7 @@ def recording(tmp_path_factory):
 @pytest.fixture(scope="module")
 def browser():
     # before the driver starts: it needs libraries that a browser brings along
-    program = program_or_skip()
+    program = program_or_skip(*BROWSERS)
     with sync_api.sync_playwright() as playwright:
         browser = launch(playwright, program)
         yield browser
