@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba import geometry, solver, spline, trajectory
-from lvba.lidar.covariance import Covariance
+from lvba.lidar.covariance import LEAST, Covariance, off_map, positive
 from lvba.lidar.weak import WeakDirection
 from lvba.trajectory import Trajectory
 
@@ -23,12 +23,6 @@ _LEAST_BETWEEN = 0.01
 _FLOOR = np.array([np.radians(1e-3), 1e-4])
 """rad and m: nothing is interpolated better than this."""
 _RATE_STEP_S = 0.02
-_LEAST = 1e-12
-"""rad^2 and m^2: alignment leaves nothing of the errors of very few scans, and what is divided by must not vanish."""
-_WAY = 20
-"""Scans before and after one that what it is uncertain of is compared with."""
-_ORDINARY = 4.0
-"""Times their variance that is nothing special: along a path, it grows and shrinks anyway."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +120,7 @@ def fuse(
     apart = _without_common(apart, scans.world_from_sensor, weak, prior_sigmas)
     known = _of_neighbors(cameras, scans.times) + _of_mount(cameras, scans.times)
     known += _interpolated(missed, spline.end_effect(path, scans.times))
-    own = _of_scans(covariance, scans.world_from_sensor)
+    own = off_map(covariance, scans.world_from_sensor)
     between = _between(apart[inside], (own + known)[inside], missed[inside])
     of_cameras = known + _interpolated(missed, np.full(len(scans), between))
     distance = _distance(apart, own + of_cameras)
@@ -137,36 +131,19 @@ def fuse(
     step = _chained(own, covariance.step, scans.world_from_sensor, told, apart)
     # promised is only what each scan gains against the map around it: cameras that see no more than a group of scans does
     # are off with it, and that they agree with it is no proof
-    conditional = covariance.conditional + _LEAST * np.eye(6)
+    conditional = covariance.conditional + LEAST * np.eye(6)
     on_map = np.linalg.inv(np.linalg.inv(conditional) + told)
     on_map = np.where(used[:, None, None], on_map * disagreement, on_map)
     moved = geometry.retract(scans.world_from_sensor, step)
     still = np.all(step == 0.0, axis=1)
     return Fused(
         np.where(still[:, None, None], scans.world_from_sensor, moved),
-        on_map + _positive(covariance.marginal - covariance.conditional),
+        on_map + positive(covariance.marginal - covariance.conditional),
         np.linalg.norm(step[:, 3:], axis=1),
         between,
         disagreement,
         int(np.count_nonzero(contradicted)),
     )
-
-
-def _of_scans(covariance: Covariance, world_from_scan: np.ndarray) -> np.ndarray:
-    """(S, 6, 6): how far each scan may be off what cameras at the same moment are held by.
-
-    At least as far as it may be off the map around it if all other scans were known. And as far as it is much less
-    certain, within the trajectory, than the scans some way before and after: a group of scans that hang together and on
-    the others by little is off together, but its cameras see the map of the others too.
-    """
-    conditional = covariance.conditional + _LEAST * np.eye(6)
-    marginal = _turned(covariance.marginal, world_from_scan) + _LEAST * np.eye(6)
-    information = np.concatenate([np.zeros((1, 6, 6)), np.cumsum(np.linalg.inv(marginal), axis=0)])
-    here = np.arange(len(marginal))
-    first, last = np.maximum(here - _WAY, 0), np.minimum(here + _WAY + 1, len(marginal))
-    mean = (information[last] - information[first]) / (last - first)[:, None, None]
-    beyond = _turned(marginal - _ORDINARY * np.linalg.inv(mean), geometry.inverse(world_from_scan))
-    return np.asarray(conditional + _positive(beyond - conditional))
 
 
 def _chained(
@@ -218,13 +195,6 @@ def _solve_chain(diagonal: np.ndarray, upper: np.ndarray, right: np.ndarray) -> 
     equations = solver.from_blocks(rows, columns, blocks, -right, 0.0)
     found = solver.solve_step(equations, 0.0)
     return np.zeros_like(right) if found is None else found
-
-
-def _turned(blocks: np.ndarray, a_from_b: np.ndarray) -> np.ndarray:
-    """Blocks (S, 6, 6) of axes b in axes a."""
-    turn = np.zeros(blocks.shape)
-    turn[:, :3, :3] = turn[:, 3:, 3:] = a_from_b[:, :3, :3]
-    return np.asarray(turn @ blocks @ np.swapaxes(turn, -1, -2))
 
 
 def _of_neighbors(cameras: Cameras, times: np.ndarray) -> np.ndarray:
@@ -283,9 +253,3 @@ def _without_common(
     basis = np.linalg.qr(np.stack([each.direction for each in weak], axis=1))[0]
     scaled = (scaled - scaled @ basis @ basis.T) * prior_sigmas
     return np.einsum("sji,skj->ski", turn, scaled.reshape(-1, 2, 3)).reshape(-1, 6)
-
-
-def _positive(symmetric: np.ndarray) -> np.ndarray:
-    """The nearest (S, 6, 6) without negative eigenvalues."""
-    values, vectors = np.linalg.eigh(symmetric)
-    return np.asarray((vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, -1, -2))

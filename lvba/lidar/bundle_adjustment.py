@@ -16,7 +16,7 @@ import numpy as np
 from lvba import geometry
 from lvba.errors import DegenerateProblemError
 from lvba.lidar import covariance as uncertainty
-from lvba.lidar import density, surface, voxel_map, weak
+from lvba.lidar import density, doubt, surface, voxel_map, weak
 from lvba.lidar.config import LidarConfig, StageConfig, balm2
 from lvba.lidar.normal_equations import Problem
 from lvba.lidar.plane import PlanePoints, Planes
@@ -132,6 +132,14 @@ def refine(
                 break
         prior = reestimated(prior, poses, weakness.count == 0, config.prior_sigmas)
         done += stage.rounds
+    for _ in range(_DOUBTED_ROUNDS if _doubtful(weakness, stage) else 0):
+        grid = None if grid is None or _stale(grid, poses, stage) else grid
+        grid = grid or _grid(points, poses, config, stage)
+        problem, weakness = _associate(grid, poses, sensor, config, stage, prior)
+        found = doubt.solve(problem, poses, config.prior_sigmas)
+        history.append(_round(problem, weakness, poses, found))
+        _log.info("round %d, noise taken off: %s", len(history), history[-1])
+        poses = found.world_from_scan
     grid = None
     progress("aligning scans", total, total)
     planes, plane_points = find_planes(points, poses, sensor_position=sensor, config=config)
@@ -177,6 +185,21 @@ def find_planes(
     found = _planes(grid, world_from_scan, sensor, stage)
     weights = observation_weights(found.features, world_from_scan, config.weights, stage.systematic)
     return surface.extract(points, grid, found, weights, world_from_scan, sensor)
+
+
+_DOUBTED_ROUNDS = 6
+"""Associations in which planes count by what they say beyond noise: poses that noise led astray are back by then."""
+
+
+def _doubtful(weakness: weak.Weakness, stage: StageConfig) -> bool:
+    """Whether some scans are held so little that noise may have led them, and others with them, astray. Where all
+    together are open in a direction, holding it says all there is to say."""
+    return (
+        stage.hold
+        and bool(weakness.count.any())
+        and not weakness.common
+        and len(weakness.count) <= doubt.MOST_SCANS
+    )
 
 
 _STALE = 0.02

@@ -111,6 +111,37 @@ def local(blocks: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray:
     return np.asarray(turn @ blocks @ np.swapaxes(turn, -1, -2))
 
 
+LEAST = 1e-12
+"""rad^2 and m^2: alignment leaves nothing of the errors of very few scans, and what is divided by must not vanish."""
+_WAY = 20
+"""Scans before and after one that what it is uncertain of is compared with."""
+_ORDINARY = 4.0
+"""Times their variance that is nothing special: along a path, it grows and shrinks anyway."""
+
+
+def off_map(covariance: Covariance, world_from_scan: np.ndarray) -> np.ndarray:
+    """(S, 6, 6), local tangent: how far each scan may be off what holds cameras at the same moment.
+
+    At least as far as it may be off the map around it if all other scans were known. And as far as it is much less
+    certain, within the trajectory, than the scans some way before and after: a group of scans that hang together and on
+    the others by little is off together, but its cameras see the map of the others too.
+    """
+    conditional = covariance.conditional + LEAST * np.eye(6)
+    marginal = local(covariance.marginal, geometry.inverse(world_from_scan)) + LEAST * np.eye(6)
+    information = np.concatenate([np.zeros((1, 6, 6)), np.cumsum(np.linalg.inv(marginal), axis=0)])
+    here = np.arange(len(marginal))
+    first, last = np.maximum(here - _WAY, 0), np.minimum(here + _WAY + 1, len(marginal))
+    mean = (information[last] - information[first]) / (last - first)[:, None, None]
+    beyond = local(marginal - _ORDINARY * np.linalg.inv(mean), world_from_scan)
+    return np.asarray(conditional + positive(beyond - conditional))
+
+
+def positive(symmetric: np.ndarray) -> np.ndarray:
+    """The nearest (S, 6, 6) without negative eigenvalues."""
+    values, vectors = np.linalg.eigh(symmetric)
+    return np.asarray((vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, -1, -2))
+
+
 def _inverse(information: np.ndarray) -> np.ndarray:
     """The inverse of a positive matrix; eigenvalues that rounding made negative count as tiny."""
     # symmetric, so its transpose in columns is the matrix itself in rows: LAPACK works on this one copy

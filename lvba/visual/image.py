@@ -55,7 +55,7 @@ class Pyramid:
         return len(self.levels)
 
 
-def usable_levels(camera: Camera, wanted: int, min_width: int = 160) -> int:
+def usable_levels(camera: Camera, wanted: int, min_width: int = 80) -> int:
     """How many pyramid levels to use: `wanted`, fewer where the coarsest would be narrower than `min_width` px."""
     levels = 1
     while levels < wanted and camera.at_level(levels).width >= min_width:

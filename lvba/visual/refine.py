@@ -8,6 +8,7 @@ import numpy as np
 
 from lvba import trajectory
 from lvba.errors import DegenerateProblemError
+from lvba.lidar import covariance as covariances
 from lvba.lidar.covariance import Covariance
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.progress import Progress, silent
@@ -52,8 +53,9 @@ _COARSE_DECREASE = 1e-4
 class VisualConfig:
     """Everything the visual stage can be told."""
 
-    levels: int = 3
-    """Pyramid levels, 1 to 6; level 0 is full size. Fewer are used where the coarsest would be narrower than 160 px."""
+    levels: int = 4
+    """Pyramid levels, 1 to 6; level 0 is full size. Fewer are used where the coarsest would be narrower than 80 px.
+    Images of 160 px forgive 5 cm between neighbors, but a group of scans may be further off the others."""
     patch: int = 9
     """Side of a patch at every step, pixels, odd; 3 to 21."""
     exposures: Literal["means", "joint", "none"] = "means"
@@ -105,13 +107,14 @@ class Coarser:
     """What the levels done so far leave to the next finer one.
 
     prior: with its sigmas as estimated last; inflation: how many times the pixels' information overstated itself
-    reports: from coarse to fine
+    reports: from coarse to fine; levels: how many are done, those at which no point was seen twice among them
     """
 
     state: VisualState
     prior: Prior | None
     inflation: float
     reports: tuple[LevelReport, ...]
+    levels: int = 0
 
 
 def refine(given: Inputs, config: VisualConfig = VisualConfig(), progress: Progress = silent) -> VisualResult:
@@ -131,8 +134,14 @@ def refine_level(
     config: VisualConfig = VisualConfig(),
     progress: Progress = silent,
 ) -> Coarser:
-    """One level more than `coarser`; None: none yet. Raises DegenerateProblemError as `refine` does."""
-    return _solved(scene_of(given, config), coarser, config, progress)[0]
+    """One level more than `coarser`; None: none yet. One at which no point is seen twice leaves all as it was."""
+    scene = scene_of(given, config)
+    coarser = coarser or _none_yet(scene, config)
+    try:
+        return _solved(scene, coarser, config, progress)[0]
+    except DegenerateProblemError as error:
+        logger.info("%s", error)
+        return replace(coarser, levels=coarser.levels + 1)
 
 
 def refine_finest(
@@ -194,7 +203,8 @@ class Scene:
 def scene_of(given: Inputs, config: VisualConfig) -> Scene:
     """What all levels share, from the inputs."""
     times, scans = given.images.times[given.keyframes], given.scans
-    off_map = None if given.scan_covariance is None else given.scan_covariance.conditional
+    known = given.scan_covariance
+    off_map = None if known is None else covariances.off_map(known, given.refined_scans)
     prior = priors.build(
         scans, given.refined_scans, given.images, given.camera_from_scan, config.prior, off_map
     )
@@ -220,10 +230,8 @@ def _solved(
 ) -> tuple[Coarser, LevelSolution, WeakDirections]:
     """The next level: what it leaves, its solution, and the directions that no image holds."""
     config = one_patch_size(config)
-    if coarser is None:
-        held = priors.take(scene.prior, scene.keyframes) if config.prior.enabled else None
-        coarser = Coarser(scene.start, held, _FIRST_INFLATION, ())
-    level = len(scene.pyramid) - 1 - len(coarser.reports)
+    coarser = coarser or _none_yet(scene, config)
+    level = len(scene.pyramid) - 1 - coarser.levels
     solution = _solve_level(scene, level, coarser, config, progress)
     directions = weak.find(solution.problem, solution.linearization, scene.planes)
     prior, state = solution.prior, solution.state
@@ -231,8 +239,14 @@ def _solved(
         state = weak.hold(state, prior, directions)
     report = results.level_report(level, solution)
     logger.info("%s", report)
-    left = Coarser(state, prior, solution.problem.inflation, (*coarser.reports, report))
+    left = Coarser(state, prior, solution.problem.inflation, (*coarser.reports, report), coarser.levels + 1)
     return left, solution, directions
+
+
+def _none_yet(scene: Scene, config: VisualConfig) -> Coarser:
+    """What the coarsest level begins with."""
+    held = priors.take(scene.prior, scene.keyframes) if config.prior.enabled else None
+    return Coarser(scene.start, held, _FIRST_INFLATION, ())
 
 
 def one_patch_size(config: VisualConfig) -> VisualConfig:

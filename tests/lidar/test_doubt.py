@@ -5,8 +5,11 @@ import pytest
 from plane_world import drift, look
 
 from lvba import geometry, trajectory
-from lvba.lidar import doubt
-from lvba.lidar.bundle_adjustment import refine
+from lvba.lidar import doubt, voxel_map
+from lvba.lidar.bundle_adjustment import LidarConfig, refine
+from lvba.lidar.normal_equations import NormalEquations, Problem
+from lvba.lidar.prior import odometry_prior
+from lvba.lidar.scan import gather
 
 GROUP = 8
 """Scans on each side: the first see the floor of one room, the others that of the other."""
@@ -86,3 +89,37 @@ def test_what_is_certain_is_the_positive_part():
     np.testing.assert_allclose(doubt.certain(told, feigned, odometry), expected, atol=1e-9)
     strong = basis.T @ np.diag([2.0, 3.0, 4.0, 5.0, 6.0]) @ basis
     np.testing.assert_allclose(doubt.certain(strong, feigned, odometry), strong - basis.T @ basis, atol=1e-9)
+
+
+def test_what_is_told_counts_by_how_much_more_it_is_than_noise_feigns():
+    """In the basis in which noise is the unit, a direction told mu times as much keeps mu / (mu + FOLLOWED) of it."""
+    rng = np.random.default_rng(1)
+    basis = rng.normal(size=(4, 4))
+    feigned = basis.T @ basis - 1e-3 * np.eye(4)
+    mu = np.array([0.0, doubt.FOLLOWED, 3 * doubt.FOLLOWED, 1e9])
+    part = np.array([0.0, 0.5, 0.75, 1.0])
+    gradient = rng.normal(size=4)
+    told = NormalEquations(basis.T @ np.diag(mu) @ basis, basis.T @ gradient, 7.0)
+    found = doubt.weighed(told, feigned)
+    np.testing.assert_allclose(found.hessian, basis.T @ np.diag(mu * part) @ basis, rtol=1e-6)
+    np.testing.assert_allclose(found.gradient, basis.T @ (part * gradient), atol=1e-6)
+    assert found.cost == 7.0
+
+
+@pytest.mark.parametrize(("one_floor", "lift"), [(False, 0.06), (True, 0.02)])
+def test_a_group_that_noise_lifted_comes_back_to_the_odometry(one_floor, lift):
+    """And one that a common floor holds goes where the floor has it, whatever the odometry says."""
+    scans, truth, _ = two_floors(one_floor)
+    raised = truth.copy()
+    raised[GROUP:, 2, 3] += lift
+    points, config = gather(scans), LidarConfig()
+    stage, sigmas = config.stages[-1], config.prior_sigmas
+    # the odometry: right where planes do not tell, wrong where they do
+    prior = odometry_prior(raised if one_floor else truth, 2e-4, 2e-3 if not one_floor else 2e-2)
+    off = []
+    for _ in range(6):
+        grid = voxel_map.build(points, raised, stage.sizes)
+        features = voxel_map.find_planes(grid, raised, np.zeros(3), stage.plane_test).features
+        raised = doubt.solve(Problem(features, 0.02, prior), raised, sigmas).world_from_scan
+        off.append(np.mean(raised[GROUP:, 2, 3] - truth[GROUP:, 2, 3]))
+    assert abs(off[-1]) < 0.004

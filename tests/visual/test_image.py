@@ -176,9 +176,10 @@ def test_load_images_makes_grey_and_color_alike():
 
 
 def test_usable_levels_stop_before_images_get_tiny():
-    assert image.usable_levels(Camera(640, 480, 500, 500, 320, 240), 4) == 3
+    assert image.usable_levels(Camera(640, 480, 500, 500, 320, 240), 6) == 4
+    assert image.usable_levels(Camera(1408, 376, 500, 500, 320, 240), 6) == 5
     assert image.usable_levels(Camera(1408, 376, 500, 500, 320, 240), 4) == 4
-    assert image.usable_levels(Camera(200, 150, 100, 100, 99.5, 74.5), 3) == 1
+    assert image.usable_levels(Camera(150, 100, 100, 100, 74.5, 49.5), 3) == 1
 
 
 @pytest.mark.parametrize("bad", [{"channels": 2}])

@@ -1,6 +1,6 @@
 """The whole visual stage in a small room: images, scans and rough trajectories in, refined cameras out."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -9,10 +9,12 @@ import textured_planes
 from lvba import geometry, trajectory
 from lvba.camera import Camera
 from lvba.errors import DegenerateProblemError
+from lvba.lidar.covariance import Covariance
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.trajectory import Trajectory
-from lvba.visual import image, refine
+from lvba.visual import image, refine, visibility
 from lvba.visual.prior import PriorConfig
+from lvba.visual.scene_points import Observations
 from lvba.visual.visibility import VisibilityConfig
 
 CAMERA = Camera(320, 240, 190.0, 190.0, 159.5, 119.5)
@@ -154,6 +156,51 @@ def test_images_that_show_nothing_are_an_error_that_says_so(room):
     blank = np.full_like(room[0]["pyramid"].levels[0], 128)
     with pytest.raises(DegenerateProblemError, match="scene point"):
         refine.refine(refine.Inputs(**(room[0] | {"pyramid": image.build_pyramid(blank, CAMERA, 2)})))
+
+
+def test_a_level_at_which_nothing_is_seen_twice_is_passed_over(room, monkeypatch):
+    find = visibility.find
+
+    def near_sighted(images, camera, *others):
+        points, observations = find(images, camera, *others)
+        if camera.width < CAMERA.width:
+            observations = Observations(*(getattr(observations, f.name)[:0] for f in fields(observations)))
+        return points, observations
+
+    monkeypatch.setattr(visibility, "find", near_sighted)
+    found = refine.refine(refine.Inputs(**room[0]))
+    assert [level.level for level in found.levels] == [0]
+    assert error(found.world_from_camera, room[1])[0] < 3.0
+
+
+def torn(problem: dict, levels: int) -> refine.Inputs:
+    """The second half of scans and images shifted by 39 cm, and a covariance that knows: each scan is well held by its
+    neighbors, the second half as a whole is not."""
+    off = np.eye(4)
+    off[:3, 3] = [0.2, 0.3, 0.15]
+    scans, images = problem["refined_scans"].copy(), problem["images"].world_from_sensor.copy()
+    scans[COUNT:] = off @ scans[COUNT:]
+    images[COUNT // 2 :] = off @ images[COUNT // 2 :]
+    well = np.diag([1e-4] * 3 + [1e-3] * 3) ** 2
+    marginal = np.repeat([well, np.diag([1e-4] * 3 + [0.08] * 3) ** 2], COUNT, axis=0)
+    known = Covariance(marginal, np.repeat(well[None], 2 * COUNT, axis=0))
+    pyramid = problem["pyramid"]
+    return refine.Inputs(
+        **(problem | {
+            "pyramid": image.build_pyramid(pyramid.levels[0], CAMERA, levels),
+            "images": replace(problem["images"], world_from_sensor=images),
+            "scans": replace(problem["scans"], world_from_sensor=scans),
+            "refined_scans": scans,
+        }),
+        scan_covariance=known,
+    )  # fmt: skip
+
+
+def test_coarse_images_tie_a_group_that_came_off(room):
+    problem, truth, _ = room
+    few, enough = (refine.refine(torn(problem, levels)).world_from_camera for levels in (1, 2))
+    assert error(few, truth)[0] > 30.0
+    assert error(enough, truth)[0] < 3.0
 
 
 @pytest.mark.parametrize("wrong", [{"patch": 8}, {"exposures": "some"}])
