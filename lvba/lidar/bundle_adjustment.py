@@ -132,7 +132,8 @@ def refine(
                 break
         prior = reestimated(prior, poses, weakness.count == 0, config.prior_sigmas)
         done += stage.rounds
-    for _ in range(_DOUBTED_ROUNDS if _doubtful(weakness, stage) else 0):
+    for turn in range(_DOUBTED_ROUNDS if _doubtful(weakness, stage) else 0):
+        progress("weighing scans against the odometry", turn, _DOUBTED_ROUNDS)
         grid = None if grid is None or _stale(grid, poses, stage) else grid
         grid = grid or _grid(points, poses, config, stage)
         problem, weakness = _associate(grid, poses, sensor, config, stage, prior)
