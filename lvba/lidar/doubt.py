@@ -20,11 +20,11 @@ MOST_SCANS = 250
 """More together are not weighed: each round takes an eigenproblem of all, 0.4 s for 100 scans, cubic."""
 PROMISED = 16.0
 """Multiple of what noise feigns that is not promised: four times that which is not followed of a single scan
-(`weak.SIGNAL_TO_NOISE`). Normals are off by twice what `weak.TRUSTED_POINTS` have it, in simulated rooms of known walls:
-cells hold bits of other surfaces, and their faces cut the noise off at a slant. 32 promises less than is true in the open."""
+(`weak.SIGNAL_TO_NOISE`). Normals are off by twice what `weak.TRUSTED_POINTS` have it, in simulated rooms of known
+walls: cells hold bits of other surfaces, and their faces cut the noise off at a slant. 32 is too modest in the open."""
 FOLLOWED = 16.0
-"""Multiple of what noise feigns at which the planes' word counts half. Of 1, 4, 16 and 64 in six simulated rooms, 16 brought
-groups back (four: half of the way) without giving up what planes do know (64)."""
+"""Multiple of what noise feigns at which the planes' word counts half. Of 1, 4, 16 and 64 in six simulated rooms, 16
+brought groups back (four: half of the way) without giving up what planes do know (64)."""
 _LEAST_FEIGNED = 1e-3
 """What noise feigns at least, relative to the odometry: planes say nothing a thousand times better than noise has it."""
 _LEAST_VARIANCE = 1e-12
