@@ -132,10 +132,7 @@ def refine(
                 break
         prior = reestimated(prior, poses, weakness.count == 0, config.prior_sigmas)
         done += stage.rounds
-    grid = None
-    covariance = uncertainty.estimate(problem, poses)
-    rounds = _DOUBTED_ROUNDS if _astray(covariance.loose, weakness, stage) else 0
-    for turn in range(rounds):
+    for turn in range(_DOUBTED_ROUNDS if _doubtful(weakness, stage) else 0):
         progress("weighing scans against the odometry", turn, _DOUBTED_ROUNDS)
         grid = None if grid is None or _stale(grid, poses, stage) else grid
         grid = grid or _grid(points, poses, config, stage)
@@ -145,9 +142,9 @@ def refine(
         _log.info("round %d, noise taken off: %s", len(history), history[-1])
         poses = found.world_from_scan
     grid = None
-    covariance = uncertainty.estimate(problem, poses) if rounds else covariance
     progress("aligning scans", total, total)
     planes, plane_points = find_planes(points, poses, sensor_position=sensor, config=config)
+    covariance = uncertainty.estimate(problem, poses)
     return LidarResult(
         poses,
         covariance.marginal,
@@ -195,11 +192,15 @@ _DOUBTED_ROUNDS = 6
 """Associations in which planes count by what they say beyond noise: poses that noise led astray are back by then."""
 
 
-def _astray(loose: np.ndarray, weakness: weak.Weakness, stage: StageConfig) -> bool:
-    """Whether there are groups of scans that hang on the others by so little that noise may have led them astray. Where
-    all together are open in a direction, holding it says all there is to say."""
-    few = 0 < len(loose) < doubt.MOST_SCANS
-    return stage.hold and few and not weakness.common and len(_torn(loose, weakness)) > 0
+def _doubtful(weakness: weak.Weakness, stage: StageConfig) -> bool:
+    """Whether some scans are held so little that noise may have led them, and others with them, astray. Where all
+    together are open in a direction, holding it says all there is to say."""
+    return (
+        stage.hold
+        and bool(weakness.count.any())
+        and not weakness.common
+        and len(weakness.count) <= doubt.MOST_SCANS
+    )
 
 
 _STALE = 0.02
@@ -305,21 +306,16 @@ _TORN = 3.0
 _NAMED = 8
 
 
-def _torn(loose: np.ndarray, weakness: weak.Weakness) -> np.ndarray:
-    """The steps between scans, each well held for itself, that rest on the odometry; loose: (S - 1,) or empty."""
-    if not len(loose):
-        return np.zeros(0, np.int64)
-    held = weakness.count == 0
-    torn = (loose > _LOOSE) & (loose > _TORN * np.median(loose))
-    return np.flatnonzero(torn & held[1:] & held[:-1])
-
-
 def _of_loose_steps(
     loose: np.ndarray, weakness: weak.Weakness, prior: OdometryPrior | None
 ) -> tuple[str, ...]:
     """What a user should know about groups of scans that hang together by the odometry only, though each is well held."""
-    steps = _torn(loose, weakness)
-    if prior is None or not len(steps):
+    if prior is None or not len(loose):
+        return ()
+    held = weakness.count == 0
+    torn = (loose > _LOOSE) & (loose > _TORN * np.median(loose))
+    steps = np.flatnonzero(torn & held[1:] & held[:-1])
+    if not len(steps):
         return ()
     named = ", ".join(map(str, steps[:_NAMED])) + (", ..." if len(steps) > _NAMED else "")
     off = 1e3 * float(np.sqrt(np.linalg.inv(prior.information[steps])[:, [3, 4, 5], [3, 4, 5]].max()))
