@@ -15,7 +15,7 @@ from conftest import ROOT
 from lvba.io import ply, tum
 
 STAGES = [
-    *("lidar", "lidar-gate", "visual-level-1", "visual"),
+    *("lidar", "lidar-gate", "visual-level-2", "visual-level-1", "visual"),
     *("fusion", "fusion-gate", "evaluate", "visual-gate", "map", "pictures", "facts"),
 ]
 PRODUCTS = ["lidar_poses.txt", "image_poses.txt", "exposures.csv", "map.ply", "config.yaml"]
@@ -129,7 +129,7 @@ def test_progress_elsewhere_than_on_a_terminal_is_plain_lines(undisturbed):
     _, done = undisturbed
     assert "\r" not in done.stderr
     assert "\x1b" not in done.stderr
-    assert [line for line in done.stderr.splitlines() if line == "[1/11] lidar"]
+    assert [line for line in done.stderr.splitlines() if line == "[1/12] lidar"]
 
 
 def test_same_command_again_reuses_every_stage(undisturbed, recording, lvba):
@@ -188,7 +188,7 @@ def test_signal_from_outside_stops_it_with_one_line(recording, tmp_path, number)
     )
     assert process.stderr is not None
     for line in process.stderr:
-        if line.startswith("[3/11]"):
+        if line.startswith("[3/12]"):
             break
     time.sleep(0.2)
     process.send_signal(number)
