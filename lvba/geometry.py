@@ -93,6 +93,18 @@ def log(transform: np.ndarray) -> np.ndarray:
     return np.concatenate([phi, rho], axis=-1)
 
 
+def inverse_right_jacobian(rotation: np.ndarray) -> np.ndarray:
+    """(..., 3, 3): how `log(exp(r) exp(d))` changes with d at 0. Source: Sola et al. 2018, eq. 144."""
+    angle = np.linalg.norm(rotation, axis=-1)[..., None, None]
+    small = angle < 1e-3
+    safe = np.where(small, 1.0, angle)
+    factor = np.where(
+        small, 1 / 12 + angle**2 / 720, 1 / safe**2 - (1 + np.cos(safe)) / (2 * safe * np.sin(safe))
+    )
+    skew = hat(rotation)
+    return np.eye(3) + 0.5 * skew + factor * (skew @ skew)
+
+
 def retract(a_from_b: np.ndarray, delta: np.ndarray) -> np.ndarray:
     """`a_from_b @ exp(delta)`, with the rotation part made orthonormal again, (..., 4, 4)."""
     return orthonormalize(a_from_b @ exp(delta))

@@ -184,7 +184,11 @@ def _prior(
         sources.append(
             replace(source, sigma_rotation=rotation, sigma_position=position, memory=(memory[0], memory[1]))
         )
-    return replace(prior, sources=tuple(sources))
+    tunings = [part.tuning for part in found if part.tuning is not None]
+    counts = [tuning.mount_information for tuning in tunings if tuning.mount_information is not None]
+    # what images tell and how far they contradict it both add up over the parts: their ratio is a mean
+    mean = np.mean(counts, axis=0) if counts else None
+    return replace(prior, sources=tuple(sources), mount_information=mean)
 
 
 def lay_out(

@@ -4,13 +4,13 @@ import logging
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.sparse import coo_matrix
+from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
 from lvba import solver
 from lvba.camera import Camera
 from lvba.solver import Iteration, NormalEquations, SolverConfig
-from lvba.visual import covariance, noise, photometric, prior_sigmas
+from lvba.visual import covariance, mount_prior, noise, photometric, prior_sigmas
 from lvba.visual import prior as priors
 from lvba.visual.noise import NoiseModel
 from lvba.visual.photometric import Linearization, PhotometricConfig, PhotometricState, Problem
@@ -199,12 +199,38 @@ def _reweighted(
         problem = replace(problem, offset_sigma=problem.offset_sigma * scale)
     clusters = covariance.cluster_gradients(problem, linearization)
     ratio = covariance.inflation(linearization.equations, clusters)
-    problem = replace(problem, inflation=max(problem.inflation * ratio, 1.0))
+    inflation = max(problem.inflation * ratio, 1.0)
     if prior is not None:
-        own, with_mount = solver.covariance_blocks(joint(linearization.equations, prior, at.visual), free)
+        total = joint(linearization.equations, prior, at.visual)
+        own, with_mount = solver.covariance_blocks(total, free)
         undecided = tuple(_undecided(prior, source, at.visual, own, with_mount) for source in prior.sources)
-        prior = prior_sigmas.reestimated(prior, at.visual, undecided)
-    return problem, prior
+        clusters = covariance.bias_reduced_gradients(problem, linearization, at.photometric, total)
+        counts = _mount_information(prior, at, clusters, own[-1], with_mount, problem.inflation / inflation)
+        prior = prior_sigmas.reestimated(replace(prior, mount_information=counts), at.visual, undecided)
+    return replace(problem, inflation=inflation), prior
+
+
+def _mount_information(
+    prior: Prior,
+    at: _State,
+    clusters: csr_matrix,
+    covariance_mount: np.ndarray,
+    covariance_with_mount: np.ndarray,
+    deflated: float,
+) -> np.ndarray:
+    """(7, 7): what the calibrated mount shall count, from what the images tell of it and how far they contradict it.
+
+    clusters: (clusters, 7 I) gradients per piece of wall; covariance_mount: (7, 7); covariance_with_mount: (I + 1, 7, 7)
+    deflated: by what factor the information of the images is about to change
+    """
+    every = np.linalg.inv(covariance_mount)
+    now, _, _ = priors.linearize_mount(prior, at.mount)
+    gradients = clusters @ covariance_with_mount[:-1].reshape(-1, len(every)) @ every
+    return mount_prior.weighed(
+        deflated * (every - now),
+        deflated**2 * (gradients.T @ gradients),
+        priors.claimed_information(prior.config),
+    )
 
 
 def _undecided(
@@ -221,7 +247,7 @@ def _undecided(
 def covariance_of(solution: LevelSolution) -> np.ndarray:
     """(I + 1, 7, 7) covariance blocks of the images' unknowns, then of mount and time offset."""
     total = joint(solution.linearization.equations, solution.prior, solution.state)
-    held = None if solution.prior is None else priors.linearize(solution.prior, solution.state)
+    held = None if solution.prior is None else priors.spread(solution.prior, solution.state)
     at = PhotometricState(solution.state.cameras, solution.offset)
     clusters = covariance.bias_reduced_gradients(solution.problem, solution.linearization, at, total)
     return covariance.camera_covariance(total, clusters, held, solution.free)

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from lvba import geometry, solver
+from lvba.kernels import plane_offsets as offset_kernels
 from lvba.solver import NormalEquations
 from lvba.trajectory import Trajectory
 from lvba.visual import photometric
@@ -103,7 +104,7 @@ def information(
     at = np.concatenate([as_reference, shares.of[:, 1]])
     hessian = linearization.offset_hessian[np.concatenate([np.arange(points), point])]
     entry = linearization.entry[:, :6] / np.sqrt(hessian)[:, None]
-    np.subtract.at(found, at, entry[:, :, None] * entry[:, None, :])
+    offset_kernels.add_blocks(found, at, -entry[:, :, None] * entry[:, None, :])
     return found
 
 
@@ -165,13 +166,13 @@ def inflation(equations: NormalEquations, clusters: csr_matrix) -> float:
 def camera_covariance(
     total: NormalEquations,
     clusters: csr_matrix,
-    prior_hessian: NormalEquations | None,
+    prior_spread: NormalEquations | None,
     free: np.ndarray,
 ) -> np.ndarray:
     """The sandwich covariance of the free unknowns as (I + 1, 7, 7) diagonal blocks; the last block is the mount.
 
     total: photometric equations plus prior, over I + 1 blocks; clusters: (clusters, 7 I)
-    prior_hessian: the prior's share, which is its own M (its sigmas were estimated); None: no prior
+    prior_spread: M of the prior's share (`prior.spread`): its Hessian, as its sigmas were estimated; None: no prior
     """
     index = np.flatnonzero(free)
     inverse = solver.inverse_columns(total, index, 10**9)(np.arange(index.size))
@@ -179,9 +180,7 @@ def camera_covariance(
     spread = inverse[:, : scaled.shape[1]] @ scaled.T
     count = len(total.gradient)
     blocks = np.zeros((count, 7, 7))
-    middle = (
-        None if prior_hessian is None else inverse @ prior_hessian.dense()[np.ix_(index, index)] @ inverse
-    )
+    middle = None if prior_spread is None else inverse @ prior_spread.dense()[np.ix_(index, index)] @ inverse
     starts = np.searchsorted(index, np.arange(count + 1) * 7)
     for block in range(count):
         mine = slice(starts[block], starts[block + 1])

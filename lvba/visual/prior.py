@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from lvba import geometry, solver, spline, trajectory
 from lvba.solver import NormalEquations
 from lvba.trajectory import Trajectory
+from lvba.visual import mount_prior
 from lvba.visual.states import Mount, VisualState
 
 _FRAME_HUBER = 2.5
@@ -91,6 +92,8 @@ class Prior:
     sources: each an expectation of its own, all through the same mount and time offset
     velocity_world: (I, 3) float64, m/s; rate_scan: (I, 3) float64, rad/s, about the LiDAR's axes
     mount: the calibrated one
+    mount_information: (7, 7), what the calibration and clocks that agree count beside the images, see
+        `mount_prior.weighed`; None: as much as `config` claims
     """
 
     sources: tuple[Source, ...]
@@ -98,6 +101,7 @@ class Prior:
     rate_scan: np.ndarray
     mount: Mount
     config: PriorConfig
+    mount_information: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.velocity_world)
@@ -247,9 +251,9 @@ def jacobians(prior: Prior, source: Source, state: VisualState) -> tuple[np.ndar
     predicted, actual = predict(prior, source, state.mount), state.cameras.world_from_camera
     back = np.swapaxes(predicted[:, :3, :3], 1, 2)
     by_camera, by_mount = np.zeros((len(prior), 6, 6)), np.zeros((len(prior), 6, 7))
-    by_camera[:, :3, :3] = inverse_right_jacobian(rotation)
+    by_camera[:, :3, :3] = geometry.inverse_right_jacobian(rotation)
     by_camera[:, 3:, 3:] = back @ actual[:, :3, :3]
-    by_mount[:, :3, :3] = -inverse_right_jacobian(-rotation)
+    by_mount[:, :3, :3] = -geometry.inverse_right_jacobian(-rotation)
     by_mount[:, 3:, :3] = geometry.hat(position)
     by_mount[:, 3:, 3:6] = -np.eye(3)
     mount = state.mount.scan_from_camera
@@ -262,18 +266,6 @@ def jacobians(prior: Prior, source: Source, state: VisualState) -> tuple[np.ndar
     return by_camera, by_mount
 
 
-def inverse_right_jacobian(rotation: np.ndarray) -> np.ndarray:
-    """(..., 3, 3): how `log(exp(r) exp(d))` changes with d at 0. Source: Sola et al. 2018, eq. 144."""
-    angle = np.linalg.norm(rotation, axis=-1)[..., None, None]
-    small = angle < 1e-3
-    safe = np.where(small, 1.0, angle)
-    factor = np.where(
-        small, 1 / 12 + angle**2 / 720, 1 / safe**2 - (1 + np.cos(safe)) / (2 * safe * np.sin(safe))
-    )
-    skew = geometry.hat(rotation)
-    return np.eye(3) + 0.5 * skew + factor * (skew @ skew)
-
-
 def linearize(prior: Prior, state: VisualState) -> NormalEquations:
     """Normal equations over I + 1 blocks of 7: the images (their log exposures untouched), then mount and offset.
 
@@ -281,13 +273,42 @@ def linearize(prior: Prior, state: VisualState) -> NormalEquations:
     """
     parts = [_linearize_source(prior, source, state) for source in prior.sources]
     count = len(prior)
-    hessian, own_gradient, cost = _mount_prior(prior, state.mount)
+    hessian, own_gradient, cost = linearize_mount(prior, state.mount)
     gradient = np.zeros((count + 1, 7))
     gradient[count] = own_gradient
     total = solver.from_blocks(np.array([count]), np.array([count]), hessian[None], gradient, cost)
     for part in parts:
         total = part + total
     return total
+
+
+def spread(prior: Prior, state: VisualState) -> NormalEquations:
+    """What the prior's gradient varies by: its Hessian, but for a mount that counts for more than is claimed.
+
+    Blocks as in `linearize`; cost and gradient mean nothing.
+    """
+    hessian = linearize(prior, state)
+    if prior.mount_information is None:
+        return hessian
+    count, claimed = len(prior), claimed_information(prior.config)
+    counted = prior.mount_information
+    varies = counted @ np.linalg.solve(claimed, counted)
+    jacobian = mount_prior.jacobian(prior.mount, state.mount)
+    more = jacobian.T @ (varies - counted) @ jacobian
+    at = np.array([count])
+    return hessian + solver.from_blocks(at, at, more[None], np.zeros((count + 1, 7)), 0.0)
+
+
+def claimed_information(config: PriorConfig) -> np.ndarray:
+    """(7, 7): of the calibrated mount and of clocks that agree, as the settings claim."""
+    return mount_prior.claimed(config.mount_rotation_deg, config.mount_position_m, config.time_offset_s)
+
+
+def linearize_mount(prior: Prior, mount: Mount) -> tuple[np.ndarray, np.ndarray, float]:
+    """Hessian (7, 7), gradient (7,) and cost of what the mount and the time offset deviate from the calibrated ones."""
+    claims = claimed_information(prior.config)
+    counts = claims if prior.mount_information is None else prior.mount_information
+    return mount_prior.linearize(prior.mount, mount, counts)
 
 
 def _linearize_source(prior: Prior, source: Source, state: VisualState) -> NormalEquations:
@@ -332,24 +353,6 @@ def _robust(normalized: np.ndarray) -> tuple[np.ndarray, float]:
     clipped = np.minimum(size, limit)
     weight = limit / np.maximum(size, limit)
     return np.repeat(weight, 3, axis=1), float((clipped * (size - 0.5 * clipped)).sum())
-
-
-def _mount_prior(prior: Prior, mount: Mount) -> tuple[np.ndarray, np.ndarray, float]:
-    """Hessian (7, 7), gradient (7,) and cost of the calibrated mount and of clocks that agree."""
-    config, calibrated = prior.config, prior.mount.scan_from_camera
-    back = calibrated[:3, :3].T
-    rotation = Rotation.from_matrix(back @ mount.scan_from_camera[:3, :3]).as_rotvec()
-    position = back @ (mount.scan_from_camera[:3, 3] - calibrated[:3, 3])
-    deviation = np.concatenate([rotation, position, [mount.time_offset]])
-    sigma = np.repeat(
-        [np.radians(config.mount_rotation_deg), config.mount_position_m, config.time_offset_s], [3, 3, 1]
-    )
-    jacobian = np.eye(7)
-    jacobian[:3, :3] = inverse_right_jacobian(rotation)
-    jacobian[3:6, 3:6] = back @ mount.scan_from_camera[:3, :3]
-    weighted = jacobian / sigma[:, None]
-    whitened = deviation / sigma
-    return weighted.T @ weighted, weighted.T @ whitened, 0.5 * float(whitened @ whitened)
 
 
 def retract(mount: Mount, step: np.ndarray) -> Mount:

@@ -28,6 +28,7 @@ class Tuning:
     noise: of residuals; inflation: how many times the pixels' information overstates itself
     offset_scale: how many times further than the LiDAR says planes are off
     sigma_rotation, sigma_position: (sources, k) of each source of the prior, rad and m; memory: (sources, 2)
+    mount_information: (7, 7), what the calibrated mount counts beside the images; None: there is no prior
     """
 
     noise: NoiseModel
@@ -36,6 +37,7 @@ class Tuning:
     sigma_rotation: np.ndarray
     sigma_position: np.ndarray
     memory: np.ndarray
+    mount_information: np.ndarray | None
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,7 @@ def tuning(solution: LevelSolution, config: VisualConfig) -> Tuning:
         np.array([source.sigma_rotation for source in sources]),
         np.array([source.sigma_position for source in sources]),
         np.array([source.memory for source in sources]),
+        None if solution.prior is None else solution.prior.mount_information,
     )
 
 

@@ -6,7 +6,7 @@ photometric information on each plane's offset. Normals are noisy: over a bare p
 information along the plane. What scatter can make up is subtracted by comparison, not taken for granted.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import eigh
@@ -128,7 +128,8 @@ def _prior_along(
     state: VisualState, prior: Prior, directions: WeakDirections
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The prior's Hessian and gradient by [weak motions | mount], and each camera's tangent (I, 6, k) of the motions."""
-    equations = priors.linearize(prior, state)
+    # where images know nothing, there is nothing to weigh the calibration against
+    equations = priors.linearize(replace(prior, mount_information=None), state)
     images = len(state.cameras)
     to_center = geometry.from_rotation_translation(np.eye(3), directions.center)
     local = (

@@ -1,5 +1,7 @@
 """One level of the visual bundle adjustment in a small world of known planes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import textured_planes
@@ -7,7 +9,7 @@ import textured_planes
 from lvba import geometry, trajectory
 from lvba.camera import Camera
 from lvba.solver import NormalEquations
-from lvba.visual import bundle_adjustment, covariance, prior
+from lvba.visual import bundle_adjustment, covariance, mount_prior, prior
 from lvba.visual.bundle_adjustment import BundleAdjustmentConfig
 from lvba.visual.photometric import PhotometricState
 from lvba.visual.prior import Prior, PriorConfig, Source
@@ -75,6 +77,38 @@ def test_a_prior_with_a_wrong_mount_does_not_pull_and_the_mount_is_found(scene):
     assert geometry.log(wrong @ found.state.mount.scan_from_camera) == pytest.approx(np.zeros(6), abs=1.5e-3)
     assert found.prior is not None
     assert found.prior.sources[0].sigma_position.max() < 0.004
+
+
+def bent(points, poses):
+    """The points with every wall turned by a few degrees, each about an axis of its own, still on their pixels' rays."""
+    turns = geometry.exp(np.pad(0.05 * np.random.default_rng(8).normal(size=(6, 3)), ((0, 0), (0, 3))))
+    normal = np.einsum("pij,pj->pi", turns[points.plane, :3, :3], points.normal_world)
+    middle = np.array([points.position_world[points.plane == k].mean(axis=0) for k in range(6)])
+    eye = poses[points.reference, :3, 3]
+    ray = points.position_world - eye
+    reach = ((middle[points.plane] - eye) * normal).sum(axis=1) / (ray * normal).sum(axis=1)
+    return replace(points, position_world=eye + reach[:, None] * ray, normal_world=normal)
+
+
+def test_walls_that_contradict_each_other_do_not_draw_the_mount_from_where_it_was_calibrated(
+    scene, monkeypatch
+):
+    images, points, observations, poses, _ = scene
+    claims = prior.claimed_information(PriorConfig())
+    config = BundleAdjustmentConfig(plane_offsets=False)
+    off, counts = [], []
+    for weighed in (mount_prior.weighed, lambda *_: claims):
+        monkeypatch.setattr(mount_prior, "weighed", weighed)
+        found = bundle_adjustment.solve(
+            images, CAMERA, bent(points, poses), observations, start(poses), still(poses, 0.005, 0.1), config
+        )
+        assert found.prior is not None
+        assert found.prior.mount_information is not None
+        counts.append(np.linalg.eigvals(np.linalg.solve(claims, found.prior.mount_information)).real)
+        off.append(np.linalg.norm(found.state.mount.scan_from_camera[:3, 3]))
+    assert counts[0].max() > 5
+    assert counts[0].min() > 1 - 1e-9
+    assert off[0] < 0.8 * off[1]
 
 
 def test_over_one_bare_plane_the_cameras_stay_at_the_prior(scene):

@@ -91,7 +91,7 @@ def test_the_inverse_right_jacobian_agrees_with_differences(angle):
         slopes.append(
             (geometry.log(turn @ geometry.exp(d)) - geometry.log(turn @ geometry.exp(-d)))[:3] / 2e-6
         )
-    assert priors.inverse_right_jacobian(r) == pytest.approx(np.array(slopes).T, abs=1e-6)
+    assert geometry.inverse_right_jacobian(r) == pytest.approx(np.array(slopes).T, abs=1e-6)
 
 
 def test_the_normal_equations_are_the_derivatives_of_the_cost():
