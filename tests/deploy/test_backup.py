@@ -26,9 +26,14 @@ def new_database(request):
     return request.getfixturevalue("postgres").new_database
 
 
+@pytest.fixture(autouse=True)
+def _rsync():
+    """Skips before anything is started that a skipped test would leave running."""
+    program_or_skip("rsync")
+
+
 def script(name, *words, database="", code=0, **more):
     """What the script says."""
-    program_or_skip("rsync")
     path = f"{_programs()}:{os.environ['PATH']}"
     environment = {**os.environ, "PATH": path, "PYTHON": sys.executable, "LVBA_DATABASE": database, **more}
     command = ["sh", DEPLOY / f"{name}.sh", *words]
@@ -152,7 +157,6 @@ def test_mistakes_are_said_and_nothing_is_overwritten(postgres, tmp_path):
 
 def test_password_is_on_no_command_line(tmp_path):
     """A pg_dump that writes down how it was called."""
-    program_or_skip("rsync")
     (tmp_path / "pg_dump").write_text('#!/bin/sh\necho "$* $PGPASSWORD" >"$SEEN"\nexit 9\n')
     for name in ("pg_restore", "psql"):
         (tmp_path / name).write_text("#!/bin/sh\n")
