@@ -1,8 +1,8 @@
 """What the calibrated mount of the camera, and clocks that agree, count beside the images.
 
-All images tell of the one mount, so what they tell adds up; but so do errors that they share. A hundred images of a Kinect
-claimed its mount to a millimeter and drew it 43 mm off. How far they can be believed shows in how far pieces of wall
-contradict each other about it; where that is more than they claim, the calibration counts for more beside them.
+All images tell of the one mount, so what they tell adds up; but so do errors that they share. A hundred images of a
+Kinect claimed its mount to a millimeter and drew it 43 mm off. How far they can be believed shows in how far pieces of
+wall contradict each other about it; where that is more than they claim, the calibration counts for more beside them.
 """
 
 import numpy as np
