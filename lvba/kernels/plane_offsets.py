@@ -112,3 +112,12 @@ def add_blocks(sums: np.ndarray, where: np.ndarray, blocks: np.ndarray) -> None:
         for i in range(blocks.shape[1]):
             for j in range(blocks.shape[2]):
                 sums[where[m], i, j] += blocks[m, i, j]
+
+
+@njit(cache=True, nogil=True)
+def take_squares(sums: np.ndarray, where: np.ndarray, vectors: np.ndarray) -> None:
+    """Takes v v^T of every vector m (M, n) off `sums[where[m]]` (n, n), in order."""
+    for m in range(len(where)):
+        for i in range(vectors.shape[1]):
+            for j in range(vectors.shape[1]):
+                sums[where[m], i, j] -= vectors[m, i] * vectors[m, j]

@@ -12,6 +12,7 @@ from lvba.camera import Camera
 from lvba.solver import Iteration, NormalEquations, SolverConfig
 from lvba.visual import covariance, mount_prior, noise, photometric, prior_sigmas
 from lvba.visual import prior as priors
+from lvba.visual.covariance import Shares
 from lvba.visual.noise import NoiseModel
 from lvba.visual.photometric import Linearization, PhotometricConfig, PhotometricState, Problem
 from lvba.visual.prior import Prior, Source
@@ -94,6 +95,7 @@ def solve(
     history: tuple[Iteration, ...] = ()
     quick = replace(config.solver, relative_decrease=max(config.solver.relative_decrease, _QUICK_DECREASE))
     sums = photometric.sums(problem, at.photometric)
+    shares = covariance.shares_of(problem)
     for turn in range(config.rounds):
         last = turn == config.rounds - 1
         scatter = noise.estimate(sums, problem.samples)
@@ -105,7 +107,7 @@ def solve(
         linearization = model.at(at)
         sums = linearization.sums
         if not last:
-            problem, prior = _reweighted(problem, prior, at, linearization, free)
+            problem, prior = _reweighted(problem, shares, prior, at, linearization, free)
     visual = VisualState(at.photometric.cameras, at.mount)
     return LevelSolution(
         visual,
@@ -191,20 +193,25 @@ def _free(problem: Problem, with_prior: bool, solve_exposures: bool) -> np.ndarr
 
 
 def _reweighted(
-    problem: Problem, prior: Prior | None, at: _State, linearization: Linearization, free: np.ndarray
+    problem: Problem,
+    shares: Shares,
+    prior: Prior | None,
+    at: _State,
+    linearization: Linearization,
+    free: np.ndarray,
 ) -> tuple[Problem, Prior | None]:
     """Inflation, plane offsets' sigma and the prior's sigmas estimated anew (variance components)."""
     if problem.offset_sigma is not None:
         scale = covariance.offset_scale(problem, at.photometric.offset, linearization.offset_hessian)
         problem = replace(problem, offset_sigma=problem.offset_sigma * scale)
-    clusters = covariance.cluster_gradients(problem, linearization)
+    clusters = covariance.cluster_gradients(problem, linearization, shares)
     ratio = covariance.inflation(linearization.equations, clusters)
     inflation = max(problem.inflation * ratio, 1.0)
     if prior is not None:
         total = joint(linearization.equations, prior, at.visual)
         own, with_mount = solver.covariance_blocks(total, free)
         undecided = tuple(_undecided(prior, source, at.visual, own, with_mount) for source in prior.sources)
-        clusters = covariance.bias_reduced_gradients(problem, linearization, at.photometric, total)
+        clusters = covariance.bias_reduced_gradients(problem, linearization, at.photometric, shares, total)
         counts = _mount_information(prior, at, clusters, own[-1], with_mount, problem.inflation / inflation)
         prior = prior_sigmas.reestimated(replace(prior, mount_information=counts), at.visual, undecided)
     return replace(problem, inflation=inflation), prior
@@ -249,5 +256,6 @@ def covariance_of(solution: LevelSolution) -> np.ndarray:
     total = joint(solution.linearization.equations, solution.prior, solution.state)
     held = None if solution.prior is None else priors.spread(solution.prior, solution.state)
     at = PhotometricState(solution.state.cameras, solution.offset)
-    clusters = covariance.bias_reduced_gradients(solution.problem, solution.linearization, at, total)
+    shares = covariance.shares_of(solution.problem)
+    clusters = covariance.bias_reduced_gradients(solution.problem, solution.linearization, at, shares, total)
     return covariance.camera_covariance(total, clusters, held, solution.free)

@@ -26,28 +26,6 @@ _MAP_SCANS = 11
 """So many scans about an image make the part of the map that it is held by."""
 
 
-def cluster_gradients(problem: Problem, linearization: Linearization) -> csr_matrix:
-    """Gradients of the photometric cost summed per piece of wall, (clusters, 7 I) sparse."""
-    shares = shares_of(problem)
-    return _by_wall(shares, _summed(shares, linearization), len(problem.images))
-
-
-def bias_reduced_gradients(
-    problem: Problem, linearization: Linearization, state: PhotometricState, known: NormalEquations
-) -> csr_matrix:
-    """The same, each as large as it would be had the image not been fitted to it.
-
-    A wall that holds an image in some direction bends it to itself there and leaves little gradient, however wrong it
-    is (bias reduced linearization, CR2: Bell and McCaffrey 2002; leaving each wall out altogether, CR3, promises errors
-    twice as large as they are where few walls are seen). known: all that is known, the images' blocks first
-    """
-    shares = shares_of(problem)
-    gradients = _summed(shares, linearization)
-    told = information(problem, linearization, state, shares)
-    gradients[:, :6] = bias_reduced(told, gradients[:, :6], shares.image, known)
-    return _by_wall(shares, gradients, len(problem.images))
-
-
 @dataclass(frozen=True)
 class Shares:
     """What pieces of wall have to do with images.
@@ -61,7 +39,7 @@ class Shares:
 
 
 def shares_of(problem: Problem) -> Shares:
-    """Which pieces of wall are seen in which images."""
+    """Which pieces of wall are seen in which images: the same for all states of a problem."""
     points, observations = problem.points, problem.observations
     images = np.stack([points.reference[observations.point], observations.target], axis=1)
     keys = _walls(points)[observations.point][:, None].astype(np.int64) * len(problem.images) + images
@@ -69,12 +47,37 @@ def shares_of(problem: Problem) -> Shares:
     return Shares(*np.divmod(found, len(problem.images)), where.reshape(keys.shape))
 
 
+def cluster_gradients(problem: Problem, linearization: Linearization, shares: Shares) -> csr_matrix:
+    """Gradients of the photometric cost summed per piece of wall, (clusters, 7 I) sparse."""
+    return _by_wall(shares, _summed(shares, linearization), len(problem.images))
+
+
+def bias_reduced_gradients(
+    problem: Problem,
+    linearization: Linearization,
+    state: PhotometricState,
+    shares: Shares,
+    known: NormalEquations,
+) -> csr_matrix:
+    """The same, each as large as it would be had the image not been fitted to it.
+
+    A wall that holds an image in some direction bends it to itself there and leaves little gradient, however wrong it
+    is (bias reduced linearization, CR2: Bell and McCaffrey 2002; leaving each wall out altogether, CR3, promises errors
+    twice as large as they are where few walls are seen). known: all that is known, the images' blocks first
+    """
+    gradients = _summed(shares, linearization)
+    told = information(problem, linearization, state, shares)
+    gradients[:, :6] = bias_reduced(told, gradients[:, :6], shares.image, known)
+    return _by_wall(shares, gradients, len(problem.images))
+
+
 def _summed(shares: Shares, linearization: Linearization) -> np.ndarray:
     """(S, 7): the gradient of each share's cost by its image's unknowns."""
-    sums = np.zeros((len(shares.wall), 7))
+    sums = np.zeros((len(shares.wall), 7, 1))
     for end in range(2):
-        np.add.at(sums, shares.of[:, end], linearization.single[:, 7 * end : 7 * end + 7])
-    return sums
+        own = np.ascontiguousarray(linearization.single[:, 7 * end : 7 * end + 7, None])
+        offset_kernels.add_blocks(sums, np.ascontiguousarray(shares.of[:, end]), own)
+    return sums[..., 0]
 
 
 def _by_wall(shares: Shares, gradients: np.ndarray, images: int) -> csr_matrix:
@@ -104,7 +107,7 @@ def information(
     at = np.concatenate([as_reference, shares.of[:, 1]])
     hessian = linearization.offset_hessian[np.concatenate([np.arange(points), point])]
     entry = linearization.entry[:, :6] / np.sqrt(hessian)[:, None]
-    offset_kernels.add_blocks(found, at, -entry[:, :, None] * entry[:, None, :])
+    offset_kernels.take_squares(found, at, entry)
     return found
 
 
@@ -120,12 +123,13 @@ def bias_reduced(
     blocks[known.rows[diagonal]] = known.blocks[diagonal][:, :6, :6]
     # a part more on the diagonal: without a prior, some motion of an image may be free
     blocks *= 1 + 1e-9 * np.eye(6)
-    lower = np.linalg.cholesky(blocks[image])
-    half = np.linalg.solve(lower, told)
-    leverage, axes = np.linalg.eigh(np.linalg.solve(lower, np.swapaxes(half, -1, -2)))
-    along = np.einsum("ski,sk->si", axes, np.linalg.solve(lower, gradients[..., None])[..., 0])
+    lower = np.linalg.cholesky(blocks)
+    # inverted once for each image: it has hundreds of shares
+    whitening, lower = np.linalg.inv(lower)[image], lower[image]
+    leverage, axes = np.linalg.eigh(whitening @ told @ np.swapaxes(whitening, -1, -2))
+    along = (gradients[:, None] @ np.swapaxes(whitening, -1, -2) @ axes)[:, 0]
     along /= np.sqrt(1 - np.clip(leverage, 0.0, _GREATEST_LEVERAGE))
-    return np.asarray(np.einsum("sij,sjk,sk->si", lower, axes, along))
+    return np.asarray((lower @ (axes @ along[..., None]))[..., 0])
 
 
 def offset_scale(problem: Problem, offset: np.ndarray, hessian: np.ndarray) -> float:

@@ -154,7 +154,7 @@ def test_what_walls_tell_of_an_image_adds_up_to_what_the_equations_say(scene):
     equations = found.linearization.equations
     own = equations.rows == equations.columns
     assert total == pytest.approx(equations.blocks[own][:, :6, :6], rel=1e-7, abs=1e-3)
-    plain = covariance.cluster_gradients(found.problem, found.linearization)
+    plain = covariance.cluster_gradients(found.problem, found.linearization, shares)
     wanted = np.zeros((COUNT, 7))
     for n, (point, target) in enumerate(
         zip(found.problem.observations.point, found.problem.observations.target)
