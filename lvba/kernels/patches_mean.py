@@ -5,67 +5,105 @@ import math
 import numba
 import numpy as np
 
-from lvba.kernels.visibility import PASSED, local_scale, patch_inside, plane_homography, view_cosines, warp
+from lvba.kernels.visibility import PASSED, local_scale, patch_inside, plane_homography, view_cosines
 from lvba.kernels.visibility_depth import patch_hidden
 
 _jit = numba.njit(cache=True, nogil=True)
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def land(
+    h: np.ndarray,
+    shrink: float,
+    u: int,
+    v: int,
+    side: np.ndarray,
+    width: int,
+    height: int,
+    landed: np.ndarray,
+) -> bool:
+    """Where a window's pixels land in the target; False where one lies behind it.
+
+    h: pixels of the reference to pixels of the target at the reference's level; shrink: size of the target over that
+    side: (2, N) offsets of the window's pixels (right, down)
+    landed: (5, N) out: column and row of the upper left of the four pixels that hold a sample, its place between them
+        (right, down; 0 to 1), and 1 where all four are in the image
+    """
+    in_front = True
+    for n in range(side.shape[1]):
+        i, j = u + side[0, n], v + side[1, n]
+        w = h[2, 0] * i + h[2, 1] * j + h[2, 2]
+        in_front &= w > 0
+        x = ((h[0, 0] * i + h[0, 1] * j + h[0, 2]) / w + 0.5) * shrink - 0.5
+        y = ((h[1, 0] * i + h[1, 1] * j + h[1, 2]) / w + 0.5) * shrink - 0.5
+        column, row = np.floor(x), np.floor(y)
+        landed[0, n], landed[1, n] = column, row
+        landed[2, n], landed[3, n] = x - column, y - row
+        inside = (column >= 0) & (row >= 0) & (column + 1 < width) & (row + 1 < height)
+        landed[4, n] = 1.0 if inside else 0.0
+    return in_front
+
+
 @_jit
-def bilinear(image: np.ndarray, x: float, y: float, c: int, dark: float, bright: float) -> float:
-    """Linear interpolation at (x, y); -1 outside or where one of the four pixels is masked."""
-    x0, y0 = math.floor(x), math.floor(y)
-    if x0 < 0 or y0 < 0 or x0 + 1 >= image.shape[1] or y0 + 1 >= image.shape[0]:
-        return -1.0
-    p, q = float(image[y0, x0, c]), float(image[y0, x0 + 1, c])
-    r, s = float(image[y0 + 1, x0, c]), float(image[y0 + 1, x0 + 1, c])
+def bilinear(
+    image: np.ndarray,
+    column: np.uint32,
+    row: np.uint32,
+    right: float,
+    down: float,
+    c: int,
+    dark: float,
+    bright: float,
+) -> float:
+    """Linear interpolation between four pixels; -1 where one of them is masked."""
+    p, q = float(image[row, column, c]), float(image[row, column + 1, c])
+    r, s = float(image[row + 1, column, c]), float(image[row + 1, column + 1, c])
     if not (dark < min(min(p, q), min(r, s)) and max(max(p, q), max(r, s)) < bright):
         return -1.0
-    fx, fy = x - x0, y - y0
-    return (p * (1 - fx) + q * fx) * (1 - fy) + (r * (1 - fx) + s * fx) * fy
+    return (p * (1 - right) + q * right) * (1 - down) + (r * (1 - right) + s * right) * down
 
 
 @_jit
 def compare(
     reference: np.ndarray,
     target: np.ndarray,
-    h: np.ndarray,
-    shrink: float,
     u: int,
     v: int,
+    side: np.ndarray,
     weights: np.ndarray,
+    landed: np.ndarray,
     least: float,
     dark: float,
     bright: float,
 ) -> tuple[float, float, float]:
     """(mean of the reference, mean of the target, spread) over the reference's window; means -1 where too little is left.
 
-    h: pixels of the reference to pixels of the target at the reference's level; shrink: size of `target` over that
+    side, landed: see `land`; weights: (N,)
     least: part of the window's weight that must be masked in neither; masked pixels count in neither mean
     spread: root mean square of I_t / mean_t - I_r / mean_r
     """
-    half, channels = weights.shape[0] // 2, reference.shape[2]
+    channels = reference.shape[2]
     part, first, second, rr, rt, tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(-half, half + 1):
-        for j in range(-half, half + 1):
-            x, y, w = warp(h, u + j, v + i)
-            if w <= 0:
-                return -1.0, -1.0, 0.0
-            x, y = (x + 0.5) * shrink - 0.5, (y + 0.5) * shrink - 0.5
-            sums = (0.0, 0.0, 0.0, 0.0, 0.0)
-            good = True
-            for c in range(channels):
-                a, b = float(reference[v + i, u + j, c]), bilinear(target, x, y, c, dark, bright)
-                good = good and b > 0 and dark < a < bright
-                sums = (sums[0] + a, sums[1] + b, sums[2] + a * a, sums[3] + a * b, sums[4] + b * b)
-            if good:
-                weight = weights[i + half, j + half]
-                part += weight
-                first += weight * sums[0]
-                second += weight * sums[1]
-                rr += weight * sums[2]
-                rt += weight * sums[3]
-                tt += weight * sums[4]
+    for n in range(len(weights)):
+        if landed[4, n] == 0.0:
+            continue
+        column, row = np.uint32(np.int32(landed[0, n])), np.uint32(np.int32(landed[1, n]))
+        i, j = np.uint32(v + np.int32(side[1, n])), np.uint32(u + np.int32(side[0, n]))
+        a_sum, b_sum, aa, ab, bb = 0.0, 0.0, 0.0, 0.0, 0.0
+        good = True
+        for c in range(channels):
+            a = float(reference[i, j, c])
+            b = bilinear(target, column, row, landed[2, n], landed[3, n], c, dark, bright)
+            good = good and b > 0 and dark < a < bright
+            a_sum, b_sum, aa, ab, bb = a_sum + a, b_sum + b, aa + a * a, ab + a * b, bb + b * b
+        if good:
+            weight = weights[n]
+            part += weight
+            first += weight * a_sum
+            second += weight * b_sum
+            rr += weight * aa
+            rt += weight * ab
+            tt += weight * bb
     if part < least:
         return -1.0, -1.0, 0.0
     first, second = first / (part * channels), second / (part * channels)
@@ -104,6 +142,9 @@ def measure_pairs(
     """
     found = np.full((len(point), 3), -1.0)
     half, height, width = weights.shape[0] // 2, images.shape[1], images.shape[2]
+    flat, side = weights.ravel(), np.empty((2, weights.size))
+    for n in range(weights.size):
+        side[0, n], side[1, n] = n % weights.shape[1] - half, n // weights.shape[1] - half
     for o in numba.prange(len(point)):
         p, t = point[o], target[o]
         r, u, v = reference[p], pixel[p, 0], pixel[p, 1]
@@ -126,9 +167,12 @@ def measure_pairs(
                 continue
         scale = math.sqrt(small * large)
         if scale > math.sqrt(2.0):
-            found[o] = compare(images[r], coarser[t], h, 0.5, u, v, weights, gates[6], gates[4], gates[5])
+            shrink, seen = 0.5, coarser[t]
         elif scale < math.sqrt(0.5):
-            found[o] = compare(images[r], finer[t], h, 2.0, u, v, weights, gates[6], gates[4], gates[5])
+            shrink, seen = 2.0, finer[t]
         else:
-            found[o] = compare(images[r], images[t], h, 1.0, u, v, weights, gates[6], gates[4], gates[5])
+            shrink, seen = 1.0, images[t]
+        landed = np.empty((5, side.shape[1]))
+        if land(h, shrink, u, v, side, seen.shape[1], seen.shape[0], landed):
+            found[o] = compare(images[r], seen, u, v, side, flat, landed, gates[6], gates[4], gates[5])
     return found

@@ -279,9 +279,13 @@ def scan_voxels(points: np.ndarray, offsets: np.ndarray, size: float) -> tuple[n
     keys = np.empty(len(points), np.int64)
     count = np.zeros(len(offsets) - 1, np.int64)
     for s in numba.prange(len(offsets) - 1):
-        start, stop = offsets[s], offsets[s + 1]
-        for m in range(start, stop):
-            keys[m] = voxel_key(points[m, 0], points[m, 1], points[m, 2], size)
+        start, stop = offsets[s], offsets[s]
+        for m in range(start, offsets[s + 1]):
+            key = voxel_key(points[m, 0], points[m, 1], points[m, 2], size)
+            # neighbors in a scan often share their voxel: that leaves less to be sorted
+            if stop == start or key != keys[stop - 1]:
+                keys[stop] = key
+                stop += 1
         keys[start:stop].sort()
         kept = 0
         for m in range(start, stop):

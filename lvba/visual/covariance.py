@@ -123,9 +123,10 @@ def bias_reduced(
     blocks[known.rows[diagonal]] = known.blocks[diagonal][:, :6, :6]
     # a part more on the diagonal: without a prior, some motion of an image may be free
     blocks *= 1 + 1e-9 * np.eye(6)
-    lower = np.linalg.cholesky(blocks)
-    # inverted once for each image: it has hundreds of shares
-    whitening, lower = np.linalg.inv(lower)[image], lower[image]
+    # factored and inverted once for each image, which has hundreds of shares; one without any may be held by nothing
+    found, where = np.unique(image, return_inverse=True)
+    lower = np.linalg.cholesky(blocks[found])
+    whitening, lower = np.linalg.inv(lower)[where], lower[where]
     leverage, axes = np.linalg.eigh(whitening @ told @ np.swapaxes(whitening, -1, -2))
     along = (gradients[:, None] @ np.swapaxes(whitening, -1, -2) @ axes)[:, 0]
     along /= np.sqrt(1 - np.clip(leverage, 0.0, _GREATEST_LEVERAGE))
@@ -152,10 +153,10 @@ def offset_scale(problem: Problem, offset: np.ndarray, hessian: np.ndarray) -> f
 def inflation(equations: NormalEquations, clusters: csr_matrix) -> float:
     """How many times the Hessian overstates the information: the median over images of tr(H_ii^-1 M_ii) / 6."""
     own = equations.rows == equations.columns
-    ratios = []
+    columns, ratios = clusters.tocsc(), []
     for image, block in zip(equations.rows[own], equations.blocks[own], strict=True):
         pose = block[:6, :6]
-        gradient = clusters[:, 7 * image : 7 * image + 6].toarray() if clusters.shape[0] else np.zeros((0, 6))
+        gradient = columns[:, 7 * image : 7 * image + 6].toarray()
         scale = np.sqrt(np.maximum(np.diag(pose), 1e-30))
         pose, gradient = pose / np.outer(scale, scale), gradient / scale
         values, vectors = np.linalg.eigh(pose)

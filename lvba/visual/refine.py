@@ -162,7 +162,7 @@ def finest(
 ) -> tuple[VisualResult, LevelSolution]:
     """The result with the solution of the finest level behind it. Raises DegenerateProblemError as `refine` does."""
     scene = scene_of(given, config)
-    found, last, directions = _solved(scene, coarser, config, progress)
+    found, last, directions = _solved(scene, coarser or _none_yet(scene, config), config, progress)
     state, sigma = found.state, np.zeros(len(scene.image_times))
     if config.exposures == "means":
         state, sigma = _exposed(scene, 0, state, config)
@@ -226,11 +226,10 @@ def scene_of(given: Inputs, config: VisualConfig) -> Scene:
 
 
 def _solved(
-    scene: Scene, coarser: Coarser | None, config: VisualConfig, progress: Progress
+    scene: Scene, coarser: Coarser, config: VisualConfig, progress: Progress
 ) -> tuple[Coarser, LevelSolution, WeakDirections]:
     """The next level: what it leaves, its solution, and the directions that no image holds."""
     config = one_patch_size(config)
-    coarser = coarser or _none_yet(scene, config)
     level = len(scene.pyramid) - 1 - coarser.levels
     solution = _solve_level(scene, level, coarser, config, progress)
     directions = weak.find(solution.problem, solution.linearization, scene.planes)
