@@ -196,6 +196,8 @@ def main() -> None:
         "--work", type=Path, help="folder for datasets and results (default: a temporary one)"
     )
     arguments = parser.parse_args()
+    if arguments.table == "recordings" and arguments.data is None:
+        parser.error("recordings need --data, the folder that holds them")
     with tempfile.TemporaryDirectory() as temporary:
         work = arguments.work or Path(temporary)
         work.mkdir(parents=True, exist_ok=True)
