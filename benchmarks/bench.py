@@ -12,9 +12,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-# before numpy is imported: BLAS threads beside numba's slow both down
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(name, "1")
+from service.cli import limit_threads
+
+limit_threads(None)  # before numpy is imported
 
 HERE = Path(__file__).resolve().parent
 JSON = HERE.parent / "docs" / "benchmarks.json"

@@ -21,19 +21,17 @@ def land(
     width: int,
     height: int,
     landed: np.ndarray,
-) -> bool:
-    """Where a window's pixels land in the target; False where one lies behind it.
+) -> None:
+    """Where the pixels of a window that is in front of the target (`patch_inside`) land in it.
 
     h: pixels of the reference to pixels of the target at the reference's level; shrink: size of the target over that
     side: (2, N) offsets of the window's pixels (right, down)
     landed: (5, N) out: column and row of the upper left of the four pixels that hold a sample, its place between them
         (right, down; 0 to 1), and 1 where all four are in the image
     """
-    in_front = True
     for n in range(side.shape[1]):
         i, j = u + side[0, n], v + side[1, n]
         w = h[2, 0] * i + h[2, 1] * j + h[2, 2]
-        in_front &= w > 0
         x = ((h[0, 0] * i + h[0, 1] * j + h[0, 2]) / w + 0.5) * shrink - 0.5
         y = ((h[1, 0] * i + h[1, 1] * j + h[1, 2]) / w + 0.5) * shrink - 0.5
         column, row = np.floor(x), np.floor(y)
@@ -41,7 +39,6 @@ def land(
         landed[2, n], landed[3, n] = x - column, y - row
         inside = (column >= 0) & (row >= 0) & (column + 1 < width) & (row + 1 < height)
         landed[4, n] = 1.0 if inside else 0.0
-    return in_front
 
 
 @_jit
@@ -173,6 +170,6 @@ def measure_pairs(
         else:
             shrink, seen = 1.0, images[t]
         landed = np.empty((5, side.shape[1]))
-        if land(h, shrink, u, v, side, seen.shape[1], seen.shape[0], landed):
-            found[o] = compare(images[r], seen, u, v, side, flat, landed, gates[6], gates[4], gates[5])
+        land(h, shrink, u, v, side, seen.shape[1], seen.shape[0], landed)
+        found[o] = compare(images[r], seen, u, v, side, flat, landed, gates[6], gates[4], gates[5])
     return found

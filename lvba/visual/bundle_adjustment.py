@@ -55,12 +55,14 @@ class LevelSolution:
 
     linearization: of the photometric cost at the solution
     offset: (P,) m, how far each scene point's plane was moved along its normal
+    shares: which pieces of wall its images see
     noise: what the problem's sigma come from
     """
 
     state: VisualState
     offset: np.ndarray
     problem: Problem
+    shares: Shares
     noise: NoiseModel
     prior: Prior | None
     linearization: Linearization
@@ -113,6 +115,7 @@ def solve(
         visual,
         at.photometric.offset,
         problem,
+        shares,
         scatter,
         prior,
         linearization,
@@ -256,6 +259,7 @@ def covariance_of(solution: LevelSolution) -> np.ndarray:
     total = joint(solution.linearization.equations, solution.prior, solution.state)
     held = None if solution.prior is None else priors.spread(solution.prior, solution.state)
     at = PhotometricState(solution.state.cameras, solution.offset)
-    shares = covariance.shares_of(solution.problem)
-    clusters = covariance.bias_reduced_gradients(solution.problem, solution.linearization, at, shares, total)
+    clusters = covariance.bias_reduced_gradients(
+        solution.problem, solution.linearization, at, solution.shares, total
+    )
     return covariance.camera_covariance(total, clusters, held, solution.free)
