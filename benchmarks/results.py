@@ -4,6 +4,7 @@
     python benchmarks/results.py simulated --seeds 101 102 103
     python benchmarks/results.py ablations --seeds 101
     python benchmarks/results.py weak                         bare plane and corridor
+    python benchmarks/results.py colors --before PYTHON       colors of the map, by another version and by this
     python benchmarks/results.py write                        docs/results.md from docs/results.json
 
 Each command adds its rows to docs/results.json (one object per row, keyed by table and row) and rewrites docs/results.md.
@@ -11,6 +12,7 @@ Each command adds its rows to docs/results.json (one object per row, keyed by ta
 
 import argparse
 import json
+import re
 import subprocess
 import sys
 import tempfile
@@ -23,9 +25,14 @@ JSON = ROOT / "docs" / "results.json"
 MARKDOWN = ROOT / "docs" / "results.md"
 LVBA = [sys.executable, "-m", "service.cli"]
 
-RECORDINGS = ("kitti360_suburb", "seven_scenes_kitchen", "balm_realworld")
+RECORDINGS = ("kitti360_suburb", "seven_scenes_kitchen", "balm_realworld", "tum_fr1_rpy")
 SCENES = ("courtyard", "rooms", "street")
 LIDARS = ("spinning", "non_repetitive")
+COLORED = (
+    *(("cabinet", lidar, 60) for lidar in LIDARS),
+    *((scene, "spinning", 30) for scene in SCENES),
+)
+"""Scene, LiDAR and frames of the table of colors."""
 ABLATIONS: dict[str, list[str]] = {
     "full": [],
     "without global scene points": ["visual.visibility.use_global=false"],
@@ -38,6 +45,10 @@ ABLATIONS: dict[str, list[str]] = {
     "without visual BA": ["refine_cameras=false"],
     "without scans learning from cameras": ["fusion.enabled=false"],
 }
+
+
+_PATH = re.compile(r"(?<!\S)/(?:[^\s/]+/)*([^\s/]+)")
+"""An absolute path, of which the tables keep the name: where a recording lies is nobody's business."""
 
 
 def run_lvba(dataset: Path, out: Path, options: list[str], reference: Path | None) -> dict[str, Any]:
@@ -77,7 +88,7 @@ def figures(report: dict[str, Any]) -> dict[str, Any]:
         "reference": report.get("reference"),
         "lidar_accepted": report.get("lidar", {}).get("accepted"),
         "visual_accepted": report.get("visual", {}).get("accepted"),
-        "warnings": report.get("warnings", []),
+        "warnings": [_PATH.sub(r"\1", warning) for warning in report.get("warnings", [])],
     }
     return _without_arrays(row)
 
@@ -132,17 +143,37 @@ def save(table: str, row: str, values: dict[str, Any]) -> None:
 
 
 def recordings(data: Path, work: Path) -> None:
-    for name in RECORDINGS:
-        reference = data / name / "reference"
-        report = run_lvba(data / name, work / name, [], reference if reference.exists() else None)
-        save("recordings", name, figures(report))
-        if reference.exists() and "failed" not in report:
-            save("recordings", f"{name}, poses of its reference", at_reference(data / name, work / name))
+    for recording in RECORDINGS:
+        given = data / recording / "reference"
+        reference = given if given.exists() else None
+        for name, dataset in drawn(data / recording, work):
+            report = run_lvba(dataset, work / f"{name}_out", [], reference)
+            save("recordings", name, figures(report))
+            if reference is not None and "failed" not in report:
+                judged = at_reference(dataset, reference, work / f"{name}_out")
+                save("recordings", f"{name}, poses of its reference", judged)
 
 
-def at_reference(dataset: Path, refined: Path) -> dict[str, Any]:
+def drawn(dataset: Path, work: Path) -> list[tuple[str, Path]]:
+    """Name and folder of a recording, and of it with each other set of rough poses (`rough_*`) in place of its own."""
+    found = [(dataset.name, dataset)]
+    for rough in sorted(dataset.glob("rough_*")):
+        folder = work / f"{dataset.name}_{rough.name}"
+        for kind, poses in (("all_image", "image_poses.txt"), ("all_pcd_body", "lidar_poses.txt")):
+            (folder / kind).mkdir(parents=True, exist_ok=True)
+            for frame in (dataset / kind).iterdir():
+                link = folder / kind / frame.name
+                if frame.suffix != ".txt" and not link.exists():
+                    link.symlink_to(frame.resolve())
+            (folder / kind / poses).write_text((rough / poses).read_text())
+        (folder / "config.yaml").write_text((rough / "config.yaml").read_text())
+        found.append((folder.name, folder))
+    return found
+
+
+def at_reference(dataset: Path, reference: Path, refined: Path) -> dict[str, Any]:
     """What the reference's own poses score, with the exposures of a result: how far agreeing with it is a merit."""
-    reference, out = dataset / "reference", refined.with_name(f"{refined.name}_reference")
+    out = refined.with_name(f"{refined.name}_reference")
     command = [*LVBA, "evaluate", str(dataset), "--out", str(out)]
     command += ["--lidar-poses", str(reference / "lidar_poses.txt")]
     command += ["--image-poses", str(reference / "image_poses.txt")]
@@ -183,11 +214,39 @@ def weak(work: Path) -> None:
         save("weak directions", scene, row)
 
 
+def colors(before: str, work: Path) -> None:
+    for scene, lidar, frames in COLORED:
+        dataset = work / f"{scene}_{lidar}_{frames}_colors"
+        simulate(scene, dataset, seed=101, lidar=lidar, frames=frames)
+        states = {"true poses": dataset / "reference"}
+        if scene == "cabinet":
+            states["refined poses"] = work / f"{dataset.name}_out"
+            run_lvba(dataset, states["refined poses"], [], dataset / "reference")
+        for kind, poses in states.items():
+            row = {
+                state: _judged_colors(python, dataset, poses, work / f"{dataset.name}.npz")
+                for state, python in (("before", before), ("after", sys.executable))
+            }
+            save("colors", f"{scene}, {lidar.replace('_', '-')}, {frames} frames, {kind}", row)
+
+
+def _judged_colors(python: str, dataset: Path, poses: Path, made: Path) -> dict[str, Any]:
+    """How true the colors are that the lvba of a Python makes at the poses of a folder, as benchmarks/colors.py says."""
+    script = str(Path(__file__).with_name("colors.py"))
+    paths = [str(dataset), str(poses), str(made)]
+    subprocess.run([python, script, "map", *paths], check=True, capture_output=True)
+    found = subprocess.run(
+        [sys.executable, script, "judge", *paths], check=True, capture_output=True, text=True
+    )
+    return dict(json.loads(found.stdout))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("table", choices=["recordings", "simulated", "ablations", "weak", "write"])
+    parser.add_argument("table", choices=["recordings", "simulated", "ablations", "weak", "colors", "write"])
+    parser.add_argument("--before", help="the Python of the version that colors are compared with")
     parser.add_argument("--data", type=Path, help="folder of the real recordings")
     parser.add_argument("--seeds", type=int, nargs="+", default=[101, 102, 103])
     parser.add_argument("--scenes", nargs="+", default=list(SCENES))
@@ -198,6 +257,8 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.table == "recordings" and arguments.data is None:
         parser.error("recordings need --data, the folder that holds them")
+    if arguments.table == "colors" and arguments.before is None:
+        parser.error("colors need --before, the Python of an environment with the version to compare with")
     with tempfile.TemporaryDirectory() as temporary:
         work = arguments.work or Path(temporary)
         work.mkdir(parents=True, exist_ok=True)
@@ -209,6 +270,8 @@ def main() -> None:
             ablations(arguments.seeds, arguments.scenes, work)
         elif arguments.table == "weak":
             weak(work)
+        elif arguments.table == "colors":
+            colors(arguments.before, work)
     from results_table import markdown
 
     MARKDOWN.write_text(markdown(json.loads(JSON.read_text())))

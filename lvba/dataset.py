@@ -7,6 +7,8 @@ import numpy as np
 from lvba.camera import Camera
 from lvba.trajectory import Trajectory
 
+CAMERA, BODY = "camera", "body"
+"""What the poses of a recording's image_poses.txt are of."""
 NO_CAMERA = Camera(0, 0, 1.0, 1.0, 0.0, 0.0)
 """The camera of a recording without images."""
 
@@ -53,6 +55,15 @@ class Dataset:
     """(3,), m: where the LiDAR is in the scan frame (from extrinsic_T); view directions start here."""
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     """(3,), m: added to positions when poses and maps are written."""
+    scan_stamps: tuple[str, ...] = ()
+    """Times of the scans as results write them, with digits that float64 cannot hold; none: the shortest text."""
+    image_stamps: tuple[str, ...] = ()
+    """The same of the images."""
+    image_poses: str = CAMERA
+    """What the image poses are of in the recording's file, CAMERA or BODY; here they are the camera's, in results the
+    file's."""
+    image_poses_reason: str = ""
+    """Why that was taken; empty where there is no question."""
     warnings: tuple[str, ...] = ()
     """What was left out, and why, one sentence each."""
     digest: str = ""

@@ -1,21 +1,22 @@
 """The facts of a run, as plain data: report.json without what only the runner knows (seconds, memory, versions)."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from lvba import geometry, uncertainty
+from lvba import expected_error, geometry, jumps, plane_change, reference_facts, uncertainty, verdict_facts
 from lvba.dataset import Dataset
 from lvba.gate import ROUGH
-from lvba.io.exposures import Exposures
 from lvba.io.reference import Reference
-from lvba.products import reference as references
+from lvba.plane_change import PlaneChange
 from lvba.products.evaluate import Scores
+from lvba.products.map_file import PointMap
 from lvba.result_stages import Accepted
 from lvba.stages import FusionStage, LidarStage, ScanPoses, VisualStage
-from lvba.trajectory import Trajectory, align
+from lvba.trajectory import Trajectory
+from lvba.uncertainty import Expected
 
 
 def collect(
@@ -26,9 +27,15 @@ def collect(
     fused: FusionStage,
     scores: Mapping[str, Scores],
     accepted: Accepted,
+    expected: Expected,
+    pieces: Sequence[Callable[[], PointMap]],
+    planes: Sequence[PlaneChange],
     reference: Reference | None,
 ) -> dict[str, Any]:
-    """Everything the report says about the dataset, the stages, the evaluation and the reference."""
+    """Everything the report says about the dataset, the stages, the evaluation and the reference, and the verdict on it.
+
+    pieces: read the map, one piece at a time; planes: of all regions of space
+    """
     facts: dict[str, Any] = {
         "dataset": of_dataset(dataset),
         "lidar": of_lidar(lidar, scans, accepted),
@@ -39,9 +46,27 @@ def collect(
         "evaluation": of_evaluation(scans, scores, accepted.state),
     }
     if reference is not None:
-        facts["reference"] = of_reference(dataset, lidar, visual, fused, accepted, reference)
+        facts["reference"] = reference_facts.collect(
+            dataset, lidar, scans, visual, fused, accepted, reference
+        )
     facts["warnings"] = _warnings(dataset, lidar, visual, accepted)
-    return plain(facts)
+    noise = lidar.result.history[-1].sigma if lidar.result is not None and lidar.result.history else None
+    facts["expected_error"] = expected_error.collect(expected, pieces, noise)
+    facts["planes"] = plane_change.facts(planes)
+    facts["odometry"] = of_odometry(dataset, accepted)
+    return verdict_facts.add(plain(facts))
+
+
+def of_odometry(dataset: Dataset, accepted: Accepted) -> dict[str, Any]:
+    """Where the rough scan poses jump, and whether the result still does there."""
+    rough = jumps.find(dataset.scans)
+    left = jumps.find(Trajectory(dataset.scans.times, accepted.world_from_scan))
+    return {
+        "jumps_after": rough.after,
+        "jumps_m": rough.meters,
+        "jumps_deg": rough.degrees,
+        "jump_left": bool(np.isin(rough.after, left.after).any()),
+    }
 
 
 def of_dataset(dataset: Dataset) -> dict[str, Any]:
@@ -55,6 +80,9 @@ def of_dataset(dataset: Dataset) -> dict[str, Any]:
         "duration_s": float(times.max() - times.min()),
         "path_length_m": float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()),
         "camera": dataclasses.asdict(dataset.camera) if dataset.image_paths else None,
+        "image_poses": {"of": dataset.image_poses, "reason": dataset.image_poses_reason}
+        if dataset.image_paths
+        else None,
         "origin": dataset.origin,
         "warnings": list(dataset.warnings),
     }
@@ -65,6 +93,7 @@ def of_lidar(lidar: LidarStage, scans: ScanPoses, accepted: Accepted) -> dict[st
     facts: dict[str, Any] = {
         "accepted": accepted.scans.accepted,
         "reason": accepted.scans.reason,
+        "judged": accepted.scans.figures,
         "entropy_rough": scans.entropy_rough,
         "entropy_refined": scans.entropy_refined,
     }
@@ -87,8 +116,10 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
     facts: dict[str, Any] = {
         "accepted": accepted.cameras.accepted,
         "reason": accepted.cameras.reason,
+        "judged": accepted.cameras.figures,
         "exposures_accepted": accepted.exposures.accepted,
         "exposures_reason": accepted.exposures.reason,
+        "exposures_judged": accepted.exposures.figures,
         "state": accepted.state,
     }
     result = visual.result
@@ -122,7 +153,11 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
 
 def of_fusion(fused: FusionStage, accepted: Accepted) -> dict[str, Any]:
     """What the cameras changed about the scans."""
-    facts: dict[str, Any] = {"accepted": accepted.fusion.accepted, "reason": accepted.fusion.reason}
+    facts: dict[str, Any] = {
+        "accepted": accepted.fusion.accepted,
+        "reason": accepted.fusion.reason,
+        "judged": accepted.fusion.figures,
+    }
     if fused.result is not None:
         facts |= _fields(fused.result, but=("world_from_scan", "covariance"))
     return facts
@@ -170,83 +205,15 @@ def of_exposure(dataset: Dataset, accepted: Accepted, reference: Reference | Non
 def of_evaluation(scans: ScanPoses, scores: Mapping[str, Scores], state: str) -> dict[str, Any]:
     """Scores of the input and of the result, and of the states between them."""
     if not scores:
-        entropy = scans.entropy_refined if scans.verdict.accepted else scans.entropy_rough
         return {
             "rough": {**_NOTHING, "map_entropy": scans.entropy_rough},
-            "refined": {**_NOTHING, "map_entropy": entropy},
+            "refined": {**_NOTHING, "map_entropy": scans.entropy},
         }
     judged = {name: score.facts() for name, score in scores.items()}
     return {"rough": judged[ROUGH], "refined": judged[state], "states": judged}
 
 
 _NOTHING = dict.fromkeys(("psnr", "ssim", "coverage", "psnr_leave_one_out", "ssim_leave_one_out"))
-
-
-def of_reference(
-    dataset: Dataset,
-    lidar: LidarStage,
-    visual: VisualStage,
-    fused: FusionStage,
-    accepted: Accepted,
-    reference: Reference,
-) -> dict[str, Any]:
-    """Errors of the result, and under `rough` of the input; with the errors that the covariances predict."""
-    final_scans = Trajectory(dataset.scans.times, accepted.world_from_scan)
-    final_images = Trajectory(dataset.images.times, accepted.world_from_camera)
-    times = dataset.images.times
-    facts = references.compare(
-        reference, final_scans, final_images, Exposures(times, np.exp(accepted.log_exposure))
-    )
-    rough = references.compare(
-        reference, dataset.scans, dataset.images, Exposures(times, np.ones(len(times)))
-    )
-    spread = _scan_covariance(lidar, fused, accepted)
-    for part, predicted in _predicted(spread, visual, accepted, final_scans, final_images, reference).items():
-        facts.setdefault(part, {}).update(predicted)
-    return {**facts, "rough": rough}
-
-
-def _scan_covariance(lidar: LidarStage, fused: FusionStage, accepted: Accepted) -> np.ndarray | None:
-    """(S, 6, 6) of the scan poses that are the result; None where these are the input's."""
-    if lidar.result is None or not accepted.scans.accepted:
-        return None
-    if fused.result is not None and accepted.fusion.accepted:
-        return fused.result.covariance
-    return lidar.result.covariance
-
-
-def _predicted(
-    scan_covariance: np.ndarray | None,
-    visual: VisualStage,
-    accepted: Accepted,
-    final_scans: Trajectory,
-    final_images: Trajectory,
-    reference: Reference,
-) -> dict[str, dict[str, Any]]:
-    found: dict[str, dict[str, Any]] = {}
-    aligned = None
-    if reference.scans is not None:
-        pairs = uncertainty.matched(final_scans.times, reference.scans.times)
-        if len(pairs) > 1:
-            truth = reference.scans.world_from_sensor[pairs[:, 1]]
-            aligned = align(final_scans.world_from_sensor[pairs[:, 0]], truth)
-    if scan_covariance is not None and reference.scans is not None:
-        found["lidar"] = uncertainty.against(final_scans, scan_covariance, reference.scans, aligned)
-    if visual.result is None:
-        return found
-    if accepted.cameras.accepted and reference.images is not None:
-        found["camera"] = uncertainty.against(
-            final_images, visual.result.covariance, reference.images, aligned
-        )
-    if accepted.exposures.accepted and reference.exposures is not None:
-        found["exposure"] = uncertainty.of_exposures(
-            final_images.times,
-            accepted.log_exposure,
-            visual.result.log_exposure_sigma,
-            reference.exposures.times,
-            reference.exposures.relative,
-        )
-    return found
 
 
 def _warnings(dataset: Dataset, lidar: LidarStage, visual: VisualStage, accepted: Accepted) -> list[str]:
@@ -259,7 +226,7 @@ def _warnings(dataset: Dataset, lidar: LidarStage, visual: VisualStage, accepted
     if dataset.image_paths and not accepted.exposures.accepted:
         found.append(f"Exposures: {accepted.exposures.reason}.")
     if accepted.remark:
-        found.append(f"Scans: {accepted.remark}.")
+        found.append(f"Result: {accepted.remark}.")
     return list(dict.fromkeys(found))
 
 

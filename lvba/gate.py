@@ -1,109 +1,119 @@
-"""Never worse than the input: each stage's result is judged, and its input kept where it is no better.
+"""Each part against the state before it, all else equal; where a part does not gain, its input is kept.
 
-LiDAR by mean map entropy, cameras and exposures by how well the map colored from other images predicts an image
-(leave-one-out PSNR). Neither needs truth.
+Scans by mean map entropy, unless the images contradict it; cameras and exposures by how well the map colored from other
+images predicts an image (leave-one-out PSNR), unless SSIM contradicts it. None of it needs truth.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from lvba.products.evaluate import Scores
+from lvba.products.map_quality import EntropyChange
 
-ROUGH, CARRIED, EXPOSED, VISUAL = "rough", "carried", "exposed", "visual"
-"""States under judgement: the input; cameras carried along with the scans; those with the exposures found; and with the
-camera poses found as well."""
+ROUGH, CARRIED, EXPOSED = "rough", "carried", "exposed"
+POSED, VISUAL = "posed", "visual"
+FUSED_POSED, FUSED = "fused_posed", "fused"
+"""States under judgement. ROUGH: the input. All others have the scans that the first gate kept. CARRIED: cameras carried
+along with them; POSED: the camera poses found; FUSED_POSED: these, and the scans that learned from them; all without
+exposures. EXPOSED, VISUAL, FUSED: the same with the exposures found."""
+
+Finding = Literal["better", "worse", "neither", "unknown"]
 
 
 @dataclass(frozen=True)
 class GateConfig:
-    """What a stage must gain to be accepted."""
+    """What a part must gain to be accepted, and what it must lose to be refused."""
 
     enabled: bool = True
     """False: accept every stage's result, whatever it is worth (for ablations)."""
-    min_entropy_gain: float = 0.001
-    """How much lower the map entropy must be, nats; 0 to 10. 0.001 is what 1 mm does to a map of 2 cm noise."""
+    min_entropy_gain: float = 0.02
+    """How much lower the map entropy must be with refined scans, nats; 0 to 10. Smaller differences mean little."""
     fusion_loss: float = 0.05
     """What part of the map entropy that refined scans gained may be given back where cameras move them; 0 to 1."""
     confidence: float = 2.0
-    """Standard errors (over images) by which images must be predicted better, for cameras and exposures; 0 to 100."""
+    """Standard errors (over blocks of space, or over images) that a gain must exceed; 0 to 100."""
     contradiction: float = 3.0
-    """Standard errors by which images must be predicted worse for a crisper map to be given up; 0 to 100."""
+    """Standard errors that a loss must exceed for a gain in another figure to be given up; 0 to 100."""
+    min_psnr_loss: float = 0.1
+    """Losses of leave-one-out PSNR up to this, dB, contradict nothing; 0 to 100."""
+    min_ssim_loss: float = 0.005
+    """Losses of leave-one-out SSIM up to this contradict nothing; 0 to 1."""
+    scan_images: int = 60
+    """So many images, spread evenly, are asked whether they contradict refined scans; 3 to 1000000."""
 
     def __post_init__(self) -> None:
-        for name, high in (
-            ("min_entropy_gain", 10.0), ("fusion_loss", 1.0), ("confidence", 100.0), ("contradiction", 100.0),
+        for name, low, high in (
+            ("min_entropy_gain", 0, 10), ("fusion_loss", 0, 1), ("confidence", 0, 100), ("contradiction", 0, 100),
+            ("min_psnr_loss", 0, 100), ("min_ssim_loss", 0, 1), ("scan_images", 3, 1_000_000),
         ):  # fmt: skip
-            if not 0 <= getattr(self, name) <= high:
-                raise ValueError(f"{name} is {getattr(self, name)}, must be within 0 to {high}")
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name} is {getattr(self, name)}, must be within {low} to {high}")
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure of two states that differ in nothing but the part that is judged.
+
+    gain: after against before, positive where it is better; error: its standard error, NaN where that is unknown
+    finding: what it says of the part, by the settings of the gate
+    """
+
+    name: str
+    before: float
+    after: float
+    gain: float
+    error: float
+    finding: Finding
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a stage's result is used, and why, in a sentence for the report."""
+    """Whether a part's result is used, and why, in a sentence for the report; with the figures that decided."""
 
     accepted: bool
     reason: str
+    figures: tuple[Figure, ...] = ()
 
 
-def judge_scans(entropy_before: float, entropy_after: float, config: GateConfig) -> Verdict:
-    """Whether refined scan poses make a crisper map. Entropies in nats, NaN where a map cannot be judged."""
-    change = f"mean map entropy {entropy_before:.4f} -> {entropy_after:.4f}"
-    if not config.enabled:
-        return Verdict(True, f"accepted unjudged (gate.enabled is false): {change}")
-    if not np.isfinite([entropy_before, entropy_after]).all():
-        return Verdict(False, "input poses kept: the map is too thin to be judged by its entropy")
-    if entropy_before - entropy_after > config.min_entropy_gain:
-        return Verdict(True, f"accepted: {change}")
-    return Verdict(False, f"input poses kept: the refined map is not crisper ({change})")
+def entropy_figure(change: EntropyChange, config: GateConfig) -> Figure:
+    """What the map entropy says of scans that were moved."""
+    error = change.error if np.isfinite(change.error) else 0.0
+    found: Finding = "neither"
+    if not np.isfinite(change.gain):
+        found = "unknown"
+    elif change.gain > max(config.min_entropy_gain, config.confidence * error):
+        found = "better"
+    elif -change.gain > config.confidence * error:
+        found = "worse"
+    return Figure("map_entropy", change.before, change.after, change.gain, change.error, found)
 
 
-def judge_fusion(
-    entropy_rough: float, entropy_before: float, entropy_after: float, config: GateConfig
-) -> Verdict:
-    """Whether scans that were moved towards the cameras still make a crisp map. Entropies in nats.
-
-    It need not be crisper: the poses before are those at which the planes are thinnest, which are not the true ones where
-    planes leave scans open. In two of five simulated rooms the map at the true poses has lost 1.3 % of what they gained.
-    """
-    change = f"mean map entropy {entropy_before:.4f} -> {entropy_after:.4f}"
-    allowed = max(config.min_entropy_gain, config.fusion_loss * (entropy_rough - entropy_before))
-    if not config.enabled:
-        return Verdict(True, f"accepted unjudged (gate.enabled is false): {change}")
-    if entropy_after - entropy_before <= allowed:
-        return Verdict(True, f"accepted: {change}")
-    return Verdict(False, f"scans stay where the LiDAR has them: the map would be less crisp ({change})")
+_LOSSES = {
+    "psnr_leave_one_out": "min_psnr_loss",
+    "psnr_common": "min_psnr_loss",
+    "ssim_leave_one_out": "min_ssim_loss",
+    "ssim_common": "min_ssim_loss",
+}
 
 
-def judge_cameras(scores: dict[str, Scores], config: GateConfig) -> tuple[Verdict, Verdict]:
-    """Whether the camera poses, and whether the exposures, that the visual stage found predict the images better.
-
-    scores: of the states CARRIED, EXPOSED and VISUAL
-    """
-    poses = _judge(scores[EXPOSED], scores[VISUAL], "camera poses", config)
-    exposures = _judge(
-        scores[CARRIED], scores[VISUAL if poses.accepted else EXPOSED], "relative exposures", config
-    )
-    if poses.accepted and not exposures.accepted:
-        # they were judged with these exposures; without them nothing is known about them
-        poses = Verdict(
-            False, f"input camera poses kept, because exposures were rejected ({exposures.reason})"
-        )
-    return poses, exposures
+def image_figures(before: Scores, after: Scores, config: GateConfig) -> tuple[Figure, ...]:
+    """What the images say: leave-one-out PSNR and SSIM, each over its own pixels and over those that all cover."""
+    return tuple(_image_figure(before, after, name, config) for name in _LOSSES)
 
 
-def judge_all(rough: Scores, final: Scores, config: GateConfig) -> Verdict:
-    """Whether the images contradict all that was accepted: they are predicted worse than from the input, beyond chance.
-
-    Scan poses may make the map crisper and still be wrong, by sliding where planes leave it open: images see that.
-    """
-    gain, error = paired_gain(rough, final, "psnr_leave_one_out")
-    if not config.enabled or not np.isfinite(error):
-        return Verdict(True, "")
-    words = f"leave-one-out PSNR {rough.psnr_leave_one_out:.3f} -> {final.psnr_leave_one_out:.3f} dB"
-    if gain < -config.contradiction * error:
-        return Verdict(False, f"input kept: images are predicted worse than from the input ({words})")
-    return Verdict(True, "" if gain >= 0 else f"images are predicted no better, within chance ({words})")
+def _image_figure(before: Scores, after: Scores, name: str, config: GateConfig) -> Figure:
+    gain, error = paired_gain(before, after, name)
+    found: Finding = "neither"
+    if not np.isfinite([gain, error]).all():
+        found = "unknown"
+    elif gain > config.confidence * error:
+        found = "better"
+    elif -gain > max(getattr(config, _LOSSES[name]), config.contradiction * error):
+        found = "worse"
+    return Figure(name, getattr(before, name), getattr(after, name), gain, error, found)
 
 
 def paired_gain(before: Scores, after: Scores, name: str) -> tuple[float, float]:
@@ -112,22 +122,160 @@ def paired_gain(before: Scores, after: Scores, name: str) -> tuple[float, float]
     gains = gains[np.isfinite(gains)]
     if len(gains) < 3:
         return float("nan"), float("nan")
-    return float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains)))
+    return float(gains.mean()), standard_error(gains)
 
 
-def _judge(before: Scores, after: Scores, what: str, config: GateConfig) -> Verdict:
-    change = f"leave-one-out PSNR {before.psnr_leave_one_out:.3f} -> {after.psnr_leave_one_out:.3f} dB"
-    if not config.enabled:
-        return Verdict(True, f"accepted unjudged (gate.enabled is false): {change}")
-    # over all pixels covered, as reported, and over those that both cover: a state must not win by covering less
-    gains = [paired_gain(before, after, name) for name in ("psnr_leave_one_out", "psnr_common")]
-    if not np.isfinite(gains).all():
-        return Verdict(
-            False, f"input {what} kept: hardly a pixel is seen by two images, so nothing can be judged"
-        )
-    if all(gain > config.confidence * error for gain, error in gains):
-        return Verdict(True, f"accepted: {change}")
-    common = f"{before.psnr_common:.3f} -> {after.psnr_common:.3f} dB over the pixels covered by both"
-    return Verdict(
-        False, f"input {what} kept: images are not predicted better, beyond chance ({change}; {common})"
+def standard_error(values: np.ndarray) -> float:
+    """Of the mean of N > 1 successive values (N,), of which neighbors may be alike; never less than of independent ones.
+
+    Source: Newey and West 1987, with the lag that they recommend in 1994.
+    """
+    count = len(values)
+    off = values - values.mean()
+    alone = total = float(off @ off)
+    lags = min(int(4 * (count / 100) ** (2 / 9)), count - 1)
+    for lag in range(1, lags + 1):
+        total += 2 * (1 - lag / (lags + 1)) * float(off[lag:] @ off[:-lag])
+    return float(np.sqrt(max(total, alone) / count / (count - 1)))
+
+
+def may_be_crisper(entropy: Figure, config: GateConfig) -> bool:
+    """Whether images are to be asked about refined scans: the map gains enough, whether beyond chance or not."""
+    return entropy.finding == "better" or (
+        entropy.finding == "neither" and entropy.gain > config.min_entropy_gain
     )
+
+
+def judge_scans(entropy: Figure, images: Sequence[Figure], config: GateConfig) -> Verdict:
+    """Whether map and images together speak for refined scan poses: one gains beyond chance, the other does not deny it.
+
+    images: from cameras carried along with the scans, without exposures on both sides; none where there are no images
+    Scan poses may make the map crisper and still be wrong, by sliding where planes leave it open: images see that. In a
+    small room few blocks of space make the error of the entropy's gain large; there the images may decide.
+    """
+    figures = (entropy, *images)
+    change = _words(entropy)
+    if not config.enabled:
+        return Verdict(True, f"accepted unjudged (gate.enabled is false): {change}", figures)
+    if entropy.finding == "unknown":
+        return Verdict(False, "input poses kept: the map is too thin to be judged by its entropy", figures)
+    asked = images if may_be_crisper(entropy, config) else ()
+    if lost := _agreed(asked, "worse"):
+        return Verdict(
+            False,
+            f"input poses kept: the refined map is crisper ({change}), but images are predicted worse ({_words(*lost)})",
+            figures,
+        )
+    seen = any(figure.name.startswith("psnr") for figure in _agreed(asked, "better"))
+    if entropy.finding != "better" and not seen:
+        why = "not crisper" if entropy.gain <= 0 else "not crisper by more than chance"
+        return Verdict(
+            False,
+            f"input poses kept: the refined map is {why} ({_words(entropy, *_leading(images))})",
+            figures,
+        )
+    return Verdict(True, f"accepted: {_words(entropy, *_leading(images))}", figures)
+
+
+def judge_cameras(before: Scores, after: Scores, config: GateConfig) -> Verdict:
+    """Whether the camera poses found predict the images better. Same scans and same exposures in both."""
+    return _judge_by_images(before, after, "camera poses", config)
+
+
+def judge_exposures(before: Scores, after: Scores, config: GateConfig) -> Verdict:
+    """Whether the exposures found predict the images better. Same scans and same camera poses in both."""
+    return _judge_by_images(before, after, "relative exposures", config)
+
+
+def _judge_by_images(before: Scores, after: Scores, what: str, config: GateConfig) -> Verdict:
+    figures = image_figures(before, after, config)
+    own, common = figures[:2]
+    change = _words(*_leading(figures))
+    if not config.enabled:
+        return Verdict(True, f"accepted unjudged (gate.enabled is false): {change}", figures)
+    if "unknown" in (own.finding, common.finding):
+        few = "hardly a pixel is seen by two images, so nothing can be judged"
+        return Verdict(False, f"input {what} kept: {few}", figures)
+    # a state must not win by covering less: over all pixels covered, as reported, and over those that all cover
+    if not own.finding == common.finding == "better":
+        return Verdict(
+            False,
+            f"input {what} kept: images are not predicted better, beyond chance ({change}; "
+            f"{common.before:.3f} -> {common.after:.3f} dB over the pixels covered by all)",
+            figures,
+        )
+    if lost := _agreed(figures, "worse"):
+        return Verdict(
+            False,
+            f"input {what} kept: images are predicted better by PSNR, but worse by SSIM ({_words(own, *lost)})",
+            figures,
+        )
+    return Verdict(True, f"accepted: {change}", figures)
+
+
+def fused_entropy_allowed(rough_gain: float, entropy: Figure, config: GateConfig) -> bool:
+    """Whether scans that were moved towards the cameras still make a crisp map.
+
+    It need not be crisper: the poses before are those at which the planes are thinnest, which are not the true ones where
+    planes leave scans open. In two of five simulated rooms the map at the true poses has lost 1.3 % of what they gained.
+    rough_gain: what the scans before had gained over the input, nats
+    """
+    if entropy.finding == "unknown":
+        return False
+    error = entropy.error if np.isfinite(entropy.error) else 0.0
+    return -entropy.gain <= max(config.confidence * error, config.fusion_loss * rough_gain)
+
+
+def judge_fusion(rough_gain: float, entropy: Figure, images: Sequence[Figure], config: GateConfig) -> Verdict:
+    """Whether scans that were moved towards the cameras are contradicted, by the map or by the images.
+
+    images: with the same cameras and exposures on both sides; none: not asked yet
+    """
+    figures = (entropy, *images)
+    change = _words(entropy, *_leading(images))
+    if not config.enabled:
+        return Verdict(True, f"accepted unjudged (gate.enabled is false): {change}", figures)
+    if not fused_entropy_allowed(rough_gain, entropy, config):
+        return Verdict(False, f"{_STAY}: the map would be less crisp ({_words(entropy)})", figures)
+    if lost := _agreed(images, "worse"):
+        return Verdict(False, f"{_STAY}: images would be predicted worse ({_words(*lost)})", figures)
+    return Verdict(True, f"accepted: {change}", figures)
+
+
+_STAY = "scans stay where the LiDAR has them"
+
+
+def _agreed(figures: Sequence[Figure], finding: Finding) -> list[Figure]:
+    """Those of PSNR and SSIM for which the pixels of their own and the common ones agree on a finding."""
+    by_name = {figure.name: figure for figure in figures}
+    pairs = (("psnr_leave_one_out", "psnr_common"), ("ssim_leave_one_out", "ssim_common"))
+    return [
+        by_name[own]
+        for own, common in pairs
+        if own in by_name and by_name[own].finding == by_name[common].finding == finding
+    ]
+
+
+def _leading(figures: Sequence[Figure]) -> list[Figure]:
+    return [figure for figure in figures if figure.name in ("psnr_leave_one_out", "ssim_leave_one_out")]
+
+
+_IN_WORDS = {
+    "map_entropy": ("mean map entropy", 4, ""),
+    "psnr_leave_one_out": ("leave-one-out PSNR", 3, " dB"),
+    "ssim_leave_one_out": ("leave-one-out SSIM", 4, ""),
+}
+
+
+def _words(*figures: Figure) -> str:
+    """Before and after of each figure that is known."""
+    told = []
+    for figure in figures:
+        name, digits, unit = _IN_WORDS[figure.name]
+        if np.isfinite([figure.before, figure.after]).all():
+            chance = f" (gain {figure.gain:.{digits}f} \N{PLUS-MINUS SIGN} {figure.error:.{digits}f})"
+            told.append(
+                f"{name} {figure.before:.{digits}f} -> {figure.after:.{digits}f}{unit}"
+                + (chance if np.isfinite(figure.error) else "")
+            )
+    return ", ".join(told) or "nothing to judge by"

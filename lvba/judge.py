@@ -11,10 +11,12 @@ from lvba import config as settings
 from lvba import facts, stages
 from lvba.dataset import Dataset
 from lvba.gate import ROUGH, VISUAL, Verdict
+from lvba.io import image_poses as kinds
 from lvba.io import timestamps
 from lvba.io.exposures import Exposures, read_exposures
-from lvba.io.reference import Reference
-from lvba.io.tum import read_trajectory
+from lvba.io.image_poses import Statement
+from lvba.io.reference import Reference, of_cameras
+from lvba.io.tum import read_pose_file, read_trajectory
 from lvba.pipeline import Config
 from lvba.products import evaluate as evaluation
 from lvba.products import map_quality
@@ -48,7 +50,9 @@ def read_given(
     Raises InputError: a file is malformed, or its times are of another clock.
     """
     scans, scan_index = _poses(dataset.scans, scan_poses, dataset.origin)
-    images, image_index = _poses(dataset.images, image_poses, dataset.origin)
+    images, image_index, more = _cameras(
+        dataset, image_poses, Trajectory(dataset.scans.times[scan_index], scans)
+    )
     log_exposure = np.zeros(len(dataset.images))
     if exposures is not None:
         known = read_exposures(exposures)
@@ -60,7 +64,7 @@ def read_given(
         if count
     )
     return Given(
-        _subset(dataset, scan_index, image_index), scans, images, log_exposure[image_index], warnings
+        _subset(dataset, scan_index, image_index), scans, images, log_exposure[image_index], more + warnings
     )
 
 
@@ -71,7 +75,7 @@ def report(
     dataset = given.dataset
     rough = stages.cloud_of(dataset, dataset.scans.world_from_sensor, progress)
     refined = stages.cloud_of(dataset, given.world_from_scan, progress)
-    entropies = [map_quality.mean_map_entropy(cloud, config.evaluate.entropy) for cloud in (rough, refined)]
+    before, after = (map_quality.entropy_blocks(cloud, config.evaluate.entropy) for cloud in (rough, refined))
     scores = {}
     if dataset.image_paths:
         views = views_of(dataset)
@@ -80,7 +84,8 @@ def report(
         )
         states = {ROUGH: State(rough, views), VISUAL: State(refined, claimed)}
         scores = evaluation.evaluate(states, config.evaluate, progress=progress)
-    scans = stages.ScanPoses(given.world_from_scan, Verdict(True, "given"), *entropies)
+    given_verdict = Verdict(True, "given")
+    scans = stages.ScanPoses(given.world_from_scan, given_verdict, before.mean, after.mean, after)
     found: dict[str, Any] = {
         "schema": 1,
         "dataset": {"path": dataset.root, **facts.of_dataset(dataset)},
@@ -89,7 +94,7 @@ def report(
         "warnings": [*dataset.warnings, *given.warnings],
     }
     if reference is not None:
-        found["reference"] = _against(given, reference)
+        found["reference"] = _against(given, of_cameras(reference, dataset))
     return dict(facts.plain(found))
 
 
@@ -104,6 +109,26 @@ def _against(given: Given, reference: Reference) -> dict[str, Any]:
     equal = Exposures(dataset.images.times, np.ones(len(dataset.images)))
     rough = references.compare(reference, dataset.scans, dataset.images, equal)
     return {**found, "rough": rough}
+
+
+def _cameras(
+    dataset: Dataset, path: Path | None, scans: Trajectory
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """world_from_camera (M, 4, 4) of the images that the file says something about, their indices (M,), and warnings.
+
+    scans: in whose world the file's poses are
+    """
+    if path is None or not len(dataset.images):
+        return dataset.images.world_from_sensor, np.arange(len(dataset.images)), ()
+    file = read_pose_file(path)
+    found = timestamps.match(dataset.images.times, file.trajectory, path)
+    poses = found.poses.world_from_sensor.copy()
+    poses[:, :3, 3] -= dataset.origin
+    mount = dataset.camera_from_scan
+    said = Statement(kinds.stated(file.comments), "the file")
+    given = Trajectory(found.poses.times, poses)
+    reading = kinds.decide(given, scans, mount, said, path, dataset.image_poses, kinds.FOREIGN_MOUNT)
+    return kinds.to_camera(poses, reading.kind, mount), found.files, file.warnings + reading.warnings
 
 
 def _poses(frames: Trajectory, path: Path | None, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -123,4 +148,6 @@ def _subset(dataset: Dataset, scans: np.ndarray, images: np.ndarray) -> Dataset:
         scans=Trajectory(dataset.scans.times[scans], dataset.scans.world_from_sensor[scans]),
         image_paths=tuple(dataset.image_paths[i] for i in images),
         images=Trajectory(dataset.images.times[images], dataset.images.world_from_sensor[images]),
+        scan_stamps=(),
+        image_stamps=(),
     )

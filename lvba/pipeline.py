@@ -2,16 +2,16 @@
 
 from dataclasses import dataclass, field
 
-from lvba import facts, result_stages, stages
+from lvba import expected_error, facts, plane_change, result_stages, scan_gates, stages
 from lvba.dataset import Dataset
 from lvba.fusion import FusionConfig
 from lvba.gate import GateConfig
-from lvba.io.reference import Reference
+from lvba.io.reference import Reference, of_cameras
 from lvba.lidar.bundle_adjustment import LidarConfig
 from lvba.parts import plan as parts_plan
 from lvba.parts import survey
 from lvba.parts.config import MergeConfig
-from lvba.plan import Plan, Ref
+from lvba.plan import Passing, Plan, Ref
 from lvba.products.evaluate import EvaluateConfig
 from lvba.products.map_file import MapConfig
 from lvba.split import SplitConfig, parts
@@ -54,12 +54,13 @@ def refine(
     version: of the code, as far as it changes results
     """
     config = config or Config()
+    reference = None if reference is None else of_cameras(reference, dataset)
     plan = Plan(version)
     cores = parts(dataset, config.split, survey.load_of(dataset))
     if len(cores) > 1:
         return parts_plan.refine(plan, dataset, cores, config, reference)
     lidar = plan.add("lidar", stages.solve_lidar, dataset, config.lidar, config.refine_scans)
-    scans = plan.add("lidar-gate", stages.judge_lidar, dataset, lidar, config.evaluate.entropy, config.gate)
+    scans = plan.add("lidar-gate", scan_gates.judge_lidar, dataset, lidar, config.evaluate, config.gate)
     coarser: Ref | VisualLevel = VisualLevel(None)
     for level in range(stages.visual_levels(dataset, config.visual) - 1, 0, -1):
         coarser = plan.add(
@@ -76,7 +77,7 @@ def refine(
         "fusion", stages.solve_fusion, dataset, lidar, scans, visual, config.lidar, config.fusion
     )
     fused = plan.add(
-        "fusion-gate", stages.judge_fusion, dataset, scans, fusion, config.evaluate.entropy, config.gate
+        "fusion-gate", scan_gates.judge_fusion, dataset, scans, fusion, config.evaluate.entropy, config.gate
     )
     scores = plan.add(
         "evaluate", result_stages.evaluate, dataset, scans, fused, visual, config.evaluate, config.gate
@@ -84,7 +85,14 @@ def refine(
     accepted = plan.add(
         "visual-gate", result_stages.decide, dataset, scans, fused, visual, scores, config.gate
     )
-    plan.add("map", result_stages.color_map, dataset, accepted, config.map)
+    expected = plan.add("expected-error", expected_error.of_result, lidar, fusion, visual, accepted)
+    colored = plan.add("map", result_stages.color_map, dataset, accepted, expected, config.map)
+    planes = plan.add("planes", plane_change.measure, dataset, accepted)
     plan.add("pictures", result_stages.make_pictures, dataset, accepted, scores, config.evaluate)
-    plan.add("facts", facts.collect, dataset, lidar, scans, visual, fusion, scores, accepted, reference)
+    plan.add(
+        "facts",
+        facts.collect,
+        *(dataset, lidar, scans, visual, fusion, scores, accepted),
+        *(expected, [Passing(colored.key)], [planes], reference),
+    )
     return plan

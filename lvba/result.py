@@ -61,15 +61,17 @@ class Result:
     def write(self, out: str | Path) -> None:
         """Write the result folder; each file in it is the old one or the whole new one.
 
-        Raises InputError: it cannot be written.
+        Raises InputError: it cannot be written, or holds such files that are not of a result.
         """
+        result_folder.check(out)
         folder = result_folder.prepare(out)
-        result_folder.write_poses(folder, self.dataset, self.world_from_scan, self.world_from_camera)
-        if len(self.relative_exposure):
-            result_folder.write_exposures(folder, self.dataset, self.relative_exposure)
-        self._write_map(folder / "map.ply")
-        result_folder.write_config(folder, settings.to_dict(self.config))
-        report.write(folder, self.report, self.pictures)
+        with result_folder.writing(folder):
+            result_folder.write_poses(folder, self.dataset, self.world_from_scan, self.world_from_camera)
+            if len(self.relative_exposure):
+                result_folder.write_exposures(folder, self.dataset, self.relative_exposure)
+            self._write_map(folder / result_folder.MAP)
+            result_folder.write_config(folder, settings.to_dict(self.config))
+            report.write(folder, self.report, self.pictures)
 
     def _write_map(self, path: Path) -> None:
         origin = self.dataset.origin
@@ -117,7 +119,13 @@ def collect(dataset: Dataset, config: Config, work: Plan, store: Store) -> Resul
     )
 
 
-def with_run(result: Result, stages: Sequence[Any], versions: dict[str, str]) -> Result:
-    """The result with what its runner knows: a record per stage, and the versions of the software."""
+def with_run(result: Result, stages: Sequence[Any], versions: dict[str, str], name: str = "") -> Result:
+    """The result with what its runner knows: a record per stage, the versions of the software, the recording's name.
+
+    name: what the report calls the recording; empty: as its folder
+    """
     records = [asdict(stage) for stage in stages]
-    return replace(result, report={**result.report, "versions": versions, "stages": records})
+    dataset = ({"name": name} if name else {}) | result.report["dataset"]
+    return replace(
+        result, report={**result.report, "dataset": dataset, "versions": versions, "stages": records}
+    )

@@ -1,17 +1,17 @@
 """The stages behind the refinement: states are judged, one becomes the result, and map and pictures are made of it."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from lvba import gate
+from lvba import gate, scan_gates
 from lvba.dataset import Dataset, Scan
-from lvba.gate import CARRIED, EXPOSED, ROUGH, VISUAL, GateConfig, Verdict
+from lvba.gate import CARRIED, EXPOSED, FUSED, FUSED_POSED, POSED, ROUGH, VISUAL, GateConfig, Verdict
 from lvba.io import dataset as recordings
 from lvba.products import evaluate as evaluation
-from lvba.products import map_file, pictures
+from lvba.products import map_error, map_file, pictures
 from lvba.products.cloud import Cloud, thin
 from lvba.products.evaluate import EvaluateConfig, Scores, State
 from lvba.products.map_file import MapConfig, PointMap
@@ -19,6 +19,7 @@ from lvba.products.pictures import Pictures
 from lvba.progress import Progress, silent
 from lvba.recorded_images import views_of
 from lvba.stages import ScanPoses, VisualStage, carry_cameras, cloud_of
+from lvba.uncertainty import Expected
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,16 @@ class Accepted:
     remark: str = ""
 
 
+@dataclass(frozen=True)
+class Choice:
+    """The judged state that is used, and the verdicts on what it holds of what the visual stage and the fusion found."""
+
+    state: str
+    cameras: Verdict
+    exposures: Verdict
+    fusion: Verdict
+
+
 def evaluate(
     dataset: Dataset,
     scans: ScanPoses,
@@ -57,60 +68,88 @@ def evaluate(
     if not dataset.image_paths:
         return {}
     states = judged_states(dataset, scans, fused, visual, progress)
-    entropies = {ROUGH: scans.entropy_rough}
-    if scans.verdict.accepted:
-        entropies[CARRIED] = scans.entropy_refined
-    if fused.verdict.accepted:
-        entropies[VISUAL] = fused.entropy_refined
-    between = {CARRIED, EXPOSED} if VISUAL in states else set()
-    scores = evaluation.evaluate(states, config, entropies=entropies, brief=between, progress=progress)
-    if choose(scores, visual, gates)[0] in between:
-        scores = evaluation.evaluate(states, config, entropies=entropies, progress=progress)
+    entropies = entropies_of(states, scans, fused)
+    expected = next(name for name in (FUSED, VISUAL, CARRIED) if name in states)
+    brief = set(states) - {ROUGH, expected}
+    scores = evaluation.evaluate(states, config, entropies=entropies, brief=brief, progress=progress)
+    chosen = choose(scores, scans, fused, visual, gates).state
+    if chosen in brief:
+        only = evaluation.evaluate({chosen: states[chosen]}, config, entropies=entropies, progress=progress)
+        scores[chosen] = evaluation.completed(scores[chosen], only[chosen])
     return scores
+
+
+def entropies_of(states: Iterable[str], scans: ScanPoses, fused: ScanPoses) -> dict[str, float]:
+    """Mean map entropy of the judged states, nats, by name."""
+    special = {ROUGH: scans.entropy_rough, FUSED: fused.entropy, FUSED_POSED: fused.entropy}
+    return {name: special.get(name, scans.entropy) for name in states}
 
 
 def judged_states(
     dataset: Dataset, scans: ScanPoses, fused: ScanPoses, visual: VisualStage, progress: Progress = silent
 ) -> dict[str, State]:
     """Cloud and views of each state that is judged, by name."""
-    clouds = {ROUGH: cloud_of(dataset, dataset.scans.world_from_sensor, progress)}
-    clouds[CARRIED] = clouds[EXPOSED] = (
-        cloud_of(dataset, scans.world_from_scan, progress) if scans.verdict.accepted else clouds[ROUGH]
-    )
-    clouds[VISUAL] = (
-        cloud_of(dataset, fused.world_from_scan, progress) if fused.verdict.accepted else clouds[CARRIED]
-    )
+    rough = cloud_of(dataset, dataset.scans.world_from_sensor, progress)
+    own = cloud_of(dataset, scans.world_from_scan, progress) if scans.verdict.accepted else rough
+    clouds = {ROUGH: rough}
+    if fused.verdict.accepted:
+        clouds[FUSED] = clouds[FUSED_POSED] = cloud_of(dataset, fused.world_from_scan, progress)
     base = views_of(dataset)
     return {
         name: State(
-            clouds[name],
+            clouds.get(name, own),
             dataclasses.replace(base, world_from_camera=poses, log_exposure=log_exposure),
         )
-        for name, (poses, log_exposure) in camera_states(dataset, scans, visual).items()
+        for name, (poses, log_exposure) in camera_states(dataset, scans, fused, visual).items()
     }
 
 
 def camera_states(
-    dataset: Dataset, scans: ScanPoses, visual: VisualStage
+    dataset: Dataset, scans: ScanPoses, fused: ScanPoses, visual: VisualStage
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """World_from_camera (I, 4, 4) and log exposure (I,) of each state that is judged, by name."""
     equal = np.zeros(len(dataset.image_paths))
-    carried = carry_cameras(dataset, scans.world_from_scan)
-    states = {ROUGH: (dataset.images.world_from_sensor, equal), CARRIED: (carried, equal)}
-    if visual.result is not None:
-        states[EXPOSED] = (carried, visual.result.log_exposure)
-        states[VISUAL] = (visual.result.world_from_camera, visual.result.log_exposure)
+    rough = dataset.images.world_from_sensor
+    carried = carry_cameras(dataset, scans.world_from_scan) if scans.verdict.accepted else rough
+    states = {ROUGH: (rough, equal), CARRIED: (carried, equal)}
+    if visual.result is None:
+        return states
+    poses, exposures = visual.result.world_from_camera, visual.result.log_exposure
+    states |= {EXPOSED: (carried, exposures), POSED: (poses, equal), VISUAL: (poses, exposures)}
+    if fused.verdict.accepted:
+        states |= {FUSED_POSED: states[POSED], FUSED: states[VISUAL]}
     return states
 
 
 def choose(
-    scores: Mapping[str, Scores], visual: VisualStage, config: GateConfig
-) -> tuple[str, Verdict, Verdict]:
-    """The state that what the visual stage found is used in, with the verdicts on its camera poses and exposures."""
-    cameras = exposures = Verdict(False, f"input kept: {visual.problem}")
-    if visual.result is not None:
-        cameras, exposures = gate.judge_cameras(dict(scores), config)
-    return VISUAL if cameras.accepted else EXPOSED if exposures.accepted else CARRIED, cameras, exposures
+    scores: Mapping[str, Scores], scans: ScanPoses, fused: ScanPoses, visual: VisualStage, config: GateConfig
+) -> Choice:
+    """Each part that the visual stage and the fusion found, judged by itself: all else is equal on both sides.
+
+    Exposures at the camera poses found, and once more at the carried ones where those are not used; cameras with the
+    exposures that are used; fused scans with the cameras and exposures that are used.
+    """
+    if visual.result is None:
+        nothing = Verdict(False, f"input kept: {visual.problem}")
+        return Choice(CARRIED, nothing, nothing, fused.verdict)
+    exposures = gate.judge_exposures(scores[POSED], scores[VISUAL], config)
+    before, after = (EXPOSED, VISUAL) if exposures.accepted else (CARRIED, POSED)
+    cameras = gate.judge_cameras(scores[before], scores[after], config)
+    if not cameras.accepted:
+        exposures = gate.judge_exposures(scores[CARRIED], scores[EXPOSED], config)
+        state = EXPOSED if exposures.accepted else CARRIED
+        fusion = fused.verdict
+        if fusion.accepted:
+            fusion = Verdict(
+                False, "scans stay where the LiDAR has them: the cameras were not accepted", fusion.figures
+            )
+        return Choice(state, cameras, exposures, fusion)
+    if not fused.verdict.accepted:
+        return Choice(after, cameras, exposures, fused.verdict)
+    together = FUSED if exposures.accepted else FUSED_POSED
+    images = gate.image_figures(scores[after], scores[together], config)
+    fusion = gate.judge_fusion(scan_gates.rough_gain(scans), fused.verdict.figures[0], images, config)
+    return Choice(together if fusion.accepted else after, cameras, exposures, fusion)
 
 
 def decide(
@@ -121,40 +160,51 @@ def decide(
     scores: Mapping[str, Scores],
     config: GateConfig,
 ) -> Accepted:
-    """The state that predicts the images best, never worse than the input."""
-    states = camera_states(dataset, scans, visual)
-    chosen, cameras, exposures = choose(scores, visual, config)
-    remark = ""
-    if scores:
-        verdict = gate.judge_all(scores[ROUGH], scores[chosen], config)
-        if not verdict.accepted:
-            rough = dataset.scans.world_from_sensor
-            return Accepted(rough, *states[ROUGH], verdict, verdict, verdict, verdict, ROUGH)
-        remark = verdict.reason
-    with_cameras = fused.verdict
-    if with_cameras.accepted and chosen != VISUAL:
-        with_cameras = Verdict(False, "scans stay where the LiDAR has them: the cameras were not accepted")
-    used = fused if with_cameras.accepted else scans
+    """The state that holds every part that was accepted, and the input's where one was not."""
+    chosen = choose(scores, scans, fused, visual, config)
+    used = fused if chosen.fusion.accepted else scans
     return Accepted(
         used.world_from_scan,
-        *states[chosen],
+        *camera_states(dataset, scans, fused, visual)[chosen.state],
         scans.verdict,
-        cameras,
-        exposures,
-        with_cameras,
-        chosen,
-        remark,
+        chosen.cameras,
+        chosen.exposures,
+        chosen.fusion,
+        chosen.state,
+        _remark(scores, chosen.state),
     )
 
 
+def _remark(scores: Mapping[str, Scores], state: str) -> str:
+    """What is to be said of images that are predicted no better from the result; empty: nothing."""
+    if not scores:
+        return ""
+    rough, final = (scores[name].psnr_leave_one_out for name in (ROUGH, state))
+    if not final < rough:
+        return ""
+    return f"images are predicted no better, within chance (leave-one-out PSNR {rough:.3f} -> {final:.3f} dB)"
+
+
 def color_map(
+    dataset: Dataset,
+    accepted: Accepted,
+    expected: Expected,
+    config: MapConfig,
+    progress: Progress = silent,
+) -> PointMap:
+    """The map that users keep, in the dataset's world frame, with the expected error of each point."""
+    found = colored_map(dataset, accepted, config, progress)
+    return map_error.with_error(found, accepted.world_from_scan, expected.scans)
+
+
+def colored_map(
     dataset: Dataset,
     accepted: Accepted,
     config: MapConfig,
     progress: Progress = silent,
     gain: float | None = None,
 ) -> PointMap:
-    """The map that users keep, in the dataset's world frame; without images it shows intensity.
+    """The map without errors, in the dataset's world frame; without images it shows intensity.
 
     gain: the exposure it is shown at; None: the typical one
     """
@@ -188,6 +238,7 @@ def _map_of_intensity(dataset: Dataset, cloud: Cloud, config: MapConfig) -> Poin
         none.astype(np.uint8),
         none.astype(np.float32),
         voxel,
+        cloud.scan_of(kept),
     )
 
 

@@ -195,6 +195,8 @@ def subset(dataset: Dataset, scans: np.ndarray, images: np.ndarray) -> Dataset:
         scans=Trajectory(dataset.scans.times[scans], dataset.scans.world_from_sensor[scans]),
         image_paths=tuple(dataset.image_paths[i] for i in images),
         images=Trajectory(dataset.images.times[images], dataset.images.world_from_sensor[images]),
+        scan_stamps=tuple(dataset.scan_stamps[i] for i in scans) if dataset.scan_stamps else (),
+        image_stamps=tuple(dataset.image_stamps[i] for i in images) if dataset.image_stamps else (),
         warnings=(),
         digest=hashlib.sha256(f"{dataset.digest} {named}".encode()).hexdigest() if dataset.digest else "",
     )

@@ -4,19 +4,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lvba import fusion, gate, geometry, recorded_images, trajectory
+from lvba import fusion, geometry, recorded_images, trajectory
 from lvba.dataset import Dataset
 from lvba.errors import DegenerateProblemError
 from lvba.fusion import Fused, FusionConfig
-from lvba.gate import GateConfig, Verdict
+from lvba.gate import Verdict
 from lvba.io import dataset as recordings
 from lvba.lidar import bundle_adjustment as lidar_ba
 from lvba.lidar.bundle_adjustment import LidarConfig, LidarResult
 from lvba.lidar.covariance import Covariance
 from lvba.lidar.plane import PlanePoints, Planes
-from lvba.products import map_quality
 from lvba.products.cloud import Cloud, assemble
-from lvba.products.map_quality import EntropyConfig
+from lvba.products.map_quality import EntropyBlocks
 from lvba.progress import Progress, silent
 from lvba.trajectory import Trajectory
 from lvba.visual import image, keyframes
@@ -37,13 +36,20 @@ class ScanPoses:
     """The scan poses that everything after uses.
 
     world_from_scan: (S, 4, 4) float64
-    entropy_rough, entropy_refined: mean map entropy, nats
+    entropy_rough, entropy_refined: mean map entropy of what was compared, nats
+    map_blocks: the map entropy of the poses in use, by block of space
     """
 
     world_from_scan: np.ndarray
     verdict: Verdict
     entropy_rough: float
     entropy_refined: float
+    map_blocks: EntropyBlocks
+
+    @property
+    def entropy(self) -> float:
+        """Mean map entropy of the poses in use, nats."""
+        return self.map_blocks.mean
 
 
 @dataclass(frozen=True)
@@ -88,25 +94,6 @@ def solve_lidar(
     except DegenerateProblemError as error:
         return LidarStage(None, str(error))
     return LidarStage(result)
-
-
-def judge_lidar(
-    dataset: Dataset,
-    lidar: LidarStage,
-    entropy: EntropyConfig,
-    config: GateConfig,
-    progress: Progress = silent,
-) -> ScanPoses:
-    """The refined scan poses where they make a crisper map, else the input's."""
-    rough = dataset.scans.world_from_sensor
-    before = map_quality.mean_map_entropy(cloud_of(dataset, rough, progress), entropy)
-    if lidar.result is None:
-        verdict = Verdict(False, f"input poses kept: {lidar.problem}")
-        return ScanPoses(rough, verdict, before, before)
-    refined = lidar.result.world_from_scan
-    after = map_quality.mean_map_entropy(cloud_of(dataset, refined, progress), entropy)
-    verdict = gate.judge_scans(before, after, config)
-    return ScanPoses(refined if verdict.accepted else rough, verdict, before, after)
 
 
 def carry_cameras(dataset: Dataset, world_from_scan: np.ndarray) -> np.ndarray:
@@ -251,30 +238,6 @@ def solve_fusion(
         config,
     )
     return FusionStage(fused, "" if fused else "too few cameras")
-
-
-def judge_fusion(
-    dataset: Dataset,
-    scans: ScanPoses,
-    fused: FusionStage,
-    entropy: EntropyConfig,
-    config: GateConfig,
-    progress: Progress = silent,
-) -> ScanPoses:
-    """The fused scan poses where the map is as crisp with them, else those before; `entropy_rough` is of the latter."""
-    before = scans.entropy_refined
-    if fused.result is None:
-        return not_fused(scans, fused)
-    found = fused.result.world_from_scan
-    after = map_quality.mean_map_entropy(cloud_of(dataset, found, progress), entropy)
-    verdict = gate.judge_fusion(scans.entropy_rough, before, after, config)
-    return ScanPoses(found if verdict.accepted else scans.world_from_scan, verdict, before, after)
-
-
-def not_fused(scans: ScanPoses, fused: FusionStage) -> ScanPoses:
-    """The scan poses as they were, because there are none that cameras had a part in."""
-    verdict = Verdict(False, f"scans stay where the LiDAR has them: {fused.problem}")
-    return ScanPoses(scans.world_from_scan, verdict, scans.entropy_refined, scans.entropy_refined)
 
 
 def _scan_covariance(lidar: LidarStage, scans: ScanPoses) -> Covariance | None:

@@ -1,6 +1,7 @@
 """Timed poses: looking them up between samples, carrying corrections over, aligning and comparing."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -82,6 +83,39 @@ def align(estimate: np.ndarray, reference: np.ndarray, rounds: int = 5) -> np.nd
         # |R_a - R_b|^2 is twice the squared angle: meters per radian at equal spread, over sqrt(2)
         lever = float(np.sqrt(max((off**2).sum(1).mean(), _EXACT**2) / (2 * (angle**2).mean())))
     return geometry.from_rotation_translation(rotation, q_mean - rotation @ p_mean)
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """The rigid motion (4, 4) that brings a trajectory closest to a reference, and what it was found from."""
+
+    reference_from_estimate: np.ndarray
+    by: Literal["positions", "positions and orientations"]
+
+
+_LEVER_M = 1.0
+
+
+def align_for_errors(estimate: np.ndarray, reference: np.ndarray) -> Alignment:
+    """The alignment that errors against a reference are counted after; no scale.
+
+    estimate, reference: (N, 4, 4), same order. By positions alone (Umeyama), as is usual, where the reference path
+    extends by a meter (rms) across every axis. Else orientations count as well, an angle by what it moves a meter away:
+    positions alone leave the roll of a straight path open, and all of the rotation of a sensor that turns on the spot.
+    Which of both does not depend on the estimate, so that all estimates are measured alike.
+    """
+    p, q = estimate[:, :3, 3], reference[:, :3, 3]
+    p_mean, q_mean = p.mean(0), q.mean(0)
+    cross = (q - q_mean).T @ (p - p_mean)
+    along = np.linalg.eigvalsh((q - q_mean).T @ (q - q_mean) / len(q))
+    by: Literal["positions", "positions and orientations"] = "positions"
+    if along[0] + along[1] < _LEVER_M**2:
+        by = "positions and orientations"
+        # |R_a - R_b|^2 is twice the squared angle
+        orientations = np.einsum("nij,nkj->ik", reference[:, :3, :3], estimate[:, :3, :3])
+        cross = cross + _LEVER_M**2 / 2 * orientations
+    rotation = _closest_rotation(cross)
+    return Alignment(geometry.from_rotation_translation(rotation, q_mean - rotation @ p_mean), by)
 
 
 _EXACT = 1e-12

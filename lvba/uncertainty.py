@@ -1,5 +1,6 @@
-"""Whether reported covariances are honest: the error they predict, beside the error against a reference."""
+"""Covariances of a result, and whether they are honest: the error they predict, beside the error against a reference."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,17 @@ from lvba import geometry, trajectory
 from lvba.trajectory import Trajectory
 
 _SAME_TIME_S = 1e-3
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Covariances of the poses that are the result, local tangent `[rotation | translation]`, rad and m.
+
+    scans: (S, 6, 6), cameras: (I, 6, 6) float64; NaN where nothing is known, None where nothing is known of any
+    """
+
+    scans: np.ndarray | None
+    cameras: np.ndarray | None
 
 
 def against(

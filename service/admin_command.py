@@ -5,7 +5,7 @@ import sys
 from datetime import UTC, datetime
 
 from service.progress import Display
-from service.server import keys
+from service.server import keys, leftovers
 from service.server.database import Database
 from service.server.opening import open_database
 from service.server.places import Places
@@ -18,7 +18,7 @@ from service.server_cli import settings_given
 def admin(arguments: argparse.Namespace, display: Display) -> None:
     """Do what the command line says; what comes of it goes to stdout."""
     settings = load(settings_given(arguments))
-    places = Places(settings.data.absolute())
+    places = Places(settings.data.resolve())
     database = open_database(settings, places)
     try:
         _do(arguments, settings, database, places)
@@ -31,6 +31,7 @@ def _do(arguments: argparse.Namespace, settings: Settings, database: Database, p
         sys.stdout.write("the tables are as this version needs them\n")
     elif arguments.action == "sweep":
         removed = Retention(database, places, settings).sweep(sure_s=0.0)
+        leftovers.sweep(database, places, uploads=True)
         sys.stdout.write(f"{removed} removed\n")
     elif arguments.deed == "create":
         scopes = tuple(scope.strip() for scope in arguments.scopes.split(",") if scope.strip())

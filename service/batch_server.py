@@ -7,16 +7,19 @@ from pathlib import Path
 from typing import Any
 
 from lvba import config
-from lvba.errors import InputError
+from lvba.errors import InputError, LvbaError
 from lvba.io import files
 from lvba.pipeline import Config
-from service import batch_summary, stopping
+from service import answers, batch_summary, stopping
+from service.answers import Failure, Job
 from service.batch_manifest import Entry
 from service.batch_summary import DONE, FAILED, RUNNING, WAITING, Row
 from service.client import Client, connected
 from service.client_commands import BUSY, get_results, send
 from service.client_settings import changed
+from service.printable import printable
 from service.progress import Display
+from service.server import names
 
 _STATES = {"queued": WAITING, "running": RUNNING, "canceling": RUNNING}
 
@@ -33,9 +36,10 @@ def run(
     with connected(arguments.server, arguments.key_file, stopping.check) as client:
         for entry, job in zip(entries, jobs, strict=True):
             job["dataset"] = send(client, entry.dataset, entry.name, display)
-        batch = client.post("/v1/batches", {"name": out.name, "jobs": jobs}, key=uuid.uuid4().hex)
+        wanted = {"name": names.plain(out.resolve().name, "batch"), "jobs": jobs}
+        batch, _ = client.post("/v1/batches", wanted, answers.batch, key=uuid.uuid4().hex)
         display.stage("run", 0, 1)
-        _follow(client, batch["id"], rows, out, display)
+        _follow(client, batch, rows, out, display)
 
 
 def _job(entry: Entry) -> dict[str, Any]:
@@ -51,25 +55,31 @@ def _job(entry: Entry) -> dict[str, Any]:
 def _follow(client: Client, batch_id: str, rows: dict[str, Row], out: Path, display: Display) -> None:
     fetched: set[str] = set()
     while len(fetched) < len(rows):
-        batch = client.get(f"/v1/batches/{batch_id}")
-        for job in batch["jobs"]:
-            if job["state"] not in BUSY and job["name"] not in fetched:
-                _end(client, job, rows[job["name"]], out, display)
-                fetched.add(job["name"])
-            elif job["name"] not in fetched:
-                rows[job["name"]].state = _STATES[job["state"]]
+        _, jobs = client.get(f"/v1/batches/{batch_id}", answers.batch)
+        for job in jobs:
+            if job.name not in rows:
+                raise LvbaError(f"the server knows a recording that was not sent: {printable(job.name)!r}")
+            if job.state not in BUSY and job.name not in fetched:
+                _end(client, job, rows[job.name], out, display)
+                fetched.add(job.name)
+            elif job.name not in fetched:
+                rows[job.name].state = _STATES[job.state]
         batch_summary.write(out, list(rows.values()))
         display.progress("recordings", len(fetched), len(rows))
         if len(fetched) < len(rows):
             client.pause()
 
 
-def _end(client: Client, job: dict[str, Any], row: Row, out: Path, display: Display) -> None:
-    if job["state"] == "done":
-        get_results(client, job["id"], out / row.name, display)
+def _end(client: Client, job: Job, row: Row, out: Path, display: Display) -> None:
+    if job.state == "done":
+        get_results(client, job.id, out / row.name, display)
         row.state = DONE
-        batch_summary.take_report(row, out / row.name)
-        return
-    error = job["error"] or {"cause": job["state"], "hint": "restart it on the server"}
-    row.state, row.message = FAILED, f"{error['cause']}; {error['hint']}"
+        try:
+            batch_summary.take_report(row, out / row.name)
+            return
+        except (ValueError, LookupError, TypeError, AttributeError):
+            error = Failure("report.json is none of lvba", "do not trust this server")
+    else:
+        error = job.error or Failure(job.state, "restart it on the server")
+    row.state, row.message = FAILED, f"{error.cause}; {error.hint}"
     display.note(f"{row.name}: {row.message}")

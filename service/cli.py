@@ -1,4 +1,4 @@
-"""The command line: `lvba run | batch | worker | evaluate | simulate | export`; with a server, `server_cli`.
+"""The command line: `lvba run | batch | worker | evaluate | simulate | view | export`; with a server, `server_cli`.
 
 Nothing heavy is imported before a command runs, so that `lvba --help` answers at once.
 """
@@ -85,6 +85,18 @@ examples:
   lvba simulate street --out street --length 400 --frames 400 --motion-blur
   lvba simulate block --out block --length 400 --frames 200 --closing 1 2"""
 
+_VIEW = """\
+Show a result in the browser: the map in 3D, photographs beside the map, figures and files. Only this machine can ask, and
+nothing is written. The address goes to stdout; Ctrl-C ends it."""
+
+_VIEW_EXAMPLES = """\
+examples:
+  lvba view result
+  lvba view result --port 8090 --no-browser
+
+Where a run was made without --viewer, the map is prepared first, in a temporary folder; `lvba export RESULT lod` keeps
+what is prepared."""
+
 _EXPORT = """\
 Write the map or the poses of a result in another format; lod: the map with levels of detail, and what a viewer shows
 beside it, into cloud/ and frames/ of RESULT."""
@@ -92,6 +104,7 @@ beside it, into cloud/ and frames/ of RESULT."""
 _EXPORT_EXAMPLES = """\
 examples:
   lvba export result laz
+  lvba export result laz --crs EPSG:25833+7837 --out yard.laz
   lvba export result colmap --out colmap_model"""
 
 
@@ -103,7 +116,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs a command. 0: done; 2: bad input or usage, one line on stderr; 1: anything else."""
+    """Runs a command. 0: done; 2: bad input or usage, one line on stderr; 130: Ctrl-C; 1: anything else."""
     arguments = parser().parse_args(argv)
     limit_threads(arguments.threads)
     stopping.install()
@@ -114,7 +127,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         # so early or so late that nothing is lost
         sys.stderr.write("lvba: stopped\n")
-        return 1
+        return stopping.code()
 
 
 def parser() -> argparse.ArgumentParser:
@@ -132,6 +145,7 @@ def parser() -> argparse.ArgumentParser:
     _add_worker(commands)
     _add_evaluate(commands)
     _add_simulate(commands)
+    _add_view(commands)
     _add_export(commands)
     server_cli.add(commands, _command)
     return top
@@ -146,6 +160,7 @@ def _add_run(commands: "argparse._SubParsersAction[Parser]") -> None:
         "--store", metavar="URL", help="folder or URL for what stages make (default: OUT/stages)"
     )
     run.add_argument("--redo", metavar="STAGE", help="make this stage and all that depends on it again")
+    run.add_argument("--name", help="what the report calls the recording (default: its folder)")
     run.add_argument("--events", type=Path, metavar="FILE", help="add what happens to FILE, as JSON lines")
     run.add_argument("--viewer", action="store_true", help="at last what `lvba export OUT lod` writes")
     _add_cluster(run)
@@ -177,7 +192,7 @@ def _add_evaluate(commands: "argparse._SubParsersAction[Parser]") -> None:
     _add_dataset_and_out(evaluate)
     _add_settings(evaluate)
     evaluate.add_argument("--lidar-poses", type=Path, metavar="FILE", help="TUM, world from scan")
-    evaluate.add_argument("--image-poses", type=Path, metavar="FILE", help="TUM, world from camera")
+    evaluate.add_argument("--image-poses", type=Path, metavar="FILE", help="TUM, world from camera or body")
     evaluate.add_argument("--exposures", type=Path, metavar="FILE", help="CSV: timestamp,relative_exposure")
     evaluate.add_argument(
         "--reference", type=Path, metavar="DIR", help="folder of true poses to compare with"
@@ -189,7 +204,7 @@ def _add_simulate(commands: "argparse._SubParsersAction[Parser]") -> None:
         commands, "simulate", "make a recording with known truth", _SIMULATE, _SIMULATE_EXAMPLES
     )
     simulate.add_argument(
-        "scene", metavar="SCENE", help="courtyard, rooms, corridor, street, plane, block, terrace"
+        "scene", metavar="SCENE", help="courtyard, rooms, corridor, street, plane, block, terrace, cabinet"
     )
     simulate.add_argument("--out", type=Path, required=True, metavar="DATASET", help="folder to write")
     simulate.add_argument("--frames", type=int, metavar="N", help="images (default: the scene's)")
@@ -218,9 +233,22 @@ def _add_simulate(commands: "argparse._SubParsersAction[Parser]") -> None:
         metavar=("M", "DEG"),
         help="by how much the rough ends of a loop miss each other, beside the difficulty",
     )
+    simulate.add_argument(
+        "--image-poses",
+        choices=["camera", "body"],
+        default="camera",
+        help="what image_poses.txt holds: camera to world, or body to world as FAST-LIVO2 writes (default: camera)",
+    )
     simulate.add_argument("--vignetting", action="store_true", help="images darker towards their corners")
     simulate.add_argument("--motion-blur", action="store_true", help="the shutter is open for a while")
     simulate.add_argument("--shot-noise", action="store_true", help="image noise grows with brightness")
+
+
+def _add_view(commands: "argparse._SubParsersAction[Parser]") -> None:
+    view = _command(commands, "view", "show a result in the browser", _VIEW, _VIEW_EXAMPLES)
+    view.add_argument("result", type=Path, metavar="RESULT", help="the OUT folder of a run")
+    view.add_argument("--port", type=int, default=0, metavar="PORT", help="to listen on (default: any)")
+    view.add_argument("--no-browser", action="store_true", help="print the address, open nothing")
 
 
 def _add_export(commands: "argparse._SubParsersAction[Parser]") -> None:
@@ -229,6 +257,12 @@ def _add_export(commands: "argparse._SubParsersAction[Parser]") -> None:
     export.add_argument("format", metavar="FORMAT", help="ply, las, laz, colmap, nerfstudio, lod")
     export.add_argument(
         "--out", type=Path, metavar="PATH", help="file or folder to write (default: in RESULT)"
+    )
+    export.add_argument(
+        "--crs",
+        default="",
+        metavar="CRS",
+        help="las, laz: what the coordinates are of, as a file of WKT (.prj) or EPSG:CODE; nothing is converted",
     )
 
 

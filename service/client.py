@@ -2,18 +2,24 @@
 
 import base64
 import hashlib
+import json
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import quote, urlsplit
 
 import httpx
 
 from lvba.errors import InputError, LvbaError
 from lvba.progress import Progress, silent
+from service import answers
+from service.answers import Result
+from service.out_folder import OutFile, OutFolder
+from service.printable import printable
 
 PIECE = 16 << 20
 """Bytes of one request."""
@@ -22,14 +28,34 @@ _WAIT_S = 0.5
 """Before the second try; then twice as long each time."""
 _POLL_S = 1.0
 _TIMEOUT = httpx.Timeout(60.0, connect=10.0)
-_PASSING = (423, 429, 502, 503, 504)
+_PASSING = (408, 423, 429, 502, 503, 504)
 """Answers that may be others a moment later."""
 _ASKED_WRONGLY = (400, 401, 403, 404, 413, 415, 422)
 """Answers to what the user should ask in another way: bad input, wherever it is found."""
+_LONGEST = 64 << 20
+"""Bytes of an answer that is no file."""
+_SAID = 500
+"""Letters of what a server says of an error."""
+Query = Mapping[str, Any] | None
+Value = TypeVar("Value")
+Waited = TypeVar("Waited", answers.Dataset, answers.Job)
 
 
 class ServerError(LvbaError):
     """The server cannot do what was asked now, or cannot be reached."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """An answer with all of its body."""
+
+    status: int
+    headers: Mapping[str, str]
+    content: bytes
+
+
+def _as_it_is(value: Any) -> Any:
+    return value
 
 
 class Client:
@@ -43,6 +69,8 @@ class Client:
     ) -> None:
         if not url.startswith(("http://", "https://")) or not _host(url):
             raise InputError(f"--server {url}", "is no URL", "give one such as http://host:8080")
+        if not key.isascii() or not key.isprintable():
+            raise InputError("the key", "holds letters that no key has", "give the key as it was shown")
         headers = {"Authorization": f"Bearer {key}"} if key else {}
         self._http = httpx.Client(base_url=url, headers=headers, timeout=_TIMEOUT, transport=transport)
         self._url, self._check = url, check
@@ -53,25 +81,53 @@ class Client:
         """Give back the connections."""
         self._http.close()
 
-    def get(self, path: str, **query: Any) -> Any:
-        """What a path answers."""
-        return self._ask("GET", path, params=query).json()
+    def get(self, path: str, read: Callable[[Any], Value] = _as_it_is, query: Query = None) -> Value:
+        """What a path answers.
 
-    def post(self, path: str, body: Any = None, key: str | None = None) -> Any:
+        read: makes of JSON what is wanted (see `answers`)
+        Raises ServerError: the answer is none of an lvba server.
+        """
+        return self._read(self._ask("GET", path, params=dict(query or {})), read)
+
+    def post(
+        self,
+        path: str,
+        body: Any = None,
+        read: Callable[[Any], Value] = _as_it_is,
+        *,
+        key: str | None = None,
+    ) -> Value:
         """What a path answers to a body; with an idempotency key it is tried again when the answer is lost."""
         headers = {"Idempotency-Key": key} if key else {}
         tries = _TRIES if key else 1
-        return self._ask("POST", path, tries, json=body, headers=headers).json()
+        return self._read(self._ask("POST", path, tries, json=body, headers=headers), read)
 
-    def every(self, path: str, **query: Any) -> Iterator[dict[str, Any]]:
+    def every(
+        self, path: str, read: Callable[[Any], Value] = _as_it_is, query: Query = None
+    ) -> Iterator[Value]:
         """All items of a list, page by page."""
+        cursors: set[str] = set()
         cursor: str | None = None
         while True:
-            page = self.get(path, **query, **({"cursor": cursor} if cursor else {}))
-            yield from page["items"]
-            cursor = page.get("next")
+            wanted = {**(query or {}), **({"cursor": cursor} if cursor else {})}
+            items, cursor = self.get(path, lambda value: answers.page(value, read), wanted)
+            yield from items
             if cursor is None:
                 return
+            if cursor in cursors or not items:
+                raise self._wrong("a list has no end")
+            cursors.add(cursor)
+
+    def _read(self, answer: "Answer", read: Callable[[Any], Value]) -> Value:
+        try:
+            return read(json.loads(answer.content))
+        except answers.WrongAnswerError as error:
+            raise self._wrong(str(error)) from None
+        except (ValueError, RecursionError):
+            raise self._wrong("it is no JSON") from None
+
+    def _wrong(self, what: str) -> "ServerError":
+        return ServerError(f"{self._url}: answered what no lvba server would ({what}); check --server")
 
     def upload(self, dataset_id: str, file: Path, path: str | None, progress: Progress = silent) -> None:
         """Send a file (path: None: the archive), or what is missing of it; checked at the other end.
@@ -96,17 +152,20 @@ class Client:
 
     def _arrived(self, place: str, length: int) -> tuple[int, str | None]:
         """How much of a file is there; its digest if all is."""
-        answer = self._http.head(place)
-        if answer.status_code == 404:
+        answer = self._request("HEAD", place)
+        if answer.status == 404:
             return 0, None
-        if answer.status_code in _PASSING:
-            raise _Again(f"answered {answer.status_code}")
+        if answer.status in _PASSING:
+            raise _Again(f"answered {answer.status}")
         _raise_for(answer, self._url)
-        if answer.headers["Upload-Length"] != str(length):
+        if answer.headers.get("Upload-Length") != str(length):
             return 0, None
-        if answer.headers["Upload-Complete"] == "?1":
+        if answer.headers.get("Upload-Complete") == "?1":
             return length, answer.headers.get("Upload-Digest")
-        return int(answer.headers["Upload-Offset"]), None
+        offset = answer.headers.get("Upload-Offset", "")
+        if not offset.isascii() or not offset.isdigit() or len(offset) > 15 or int(offset) > length:
+            raise self._wrong("Upload-Offset is no place in the file")
+        return int(offset), None
 
     def _send(
         self, place: str, file: Path, offset: int, length: int, digest: str, progress: Progress
@@ -117,52 +176,76 @@ class Client:
                 self._check()
                 piece = stream.read(min(PIECE, length - offset))
                 headers = {"Upload-Offset": str(offset), "Upload-Length": str(length), "Repr-Digest": digest}
-                answer = self._http.put(place, content=piece, headers=headers)
-                if answer.status_code in (409, *_PASSING) and answer.headers.get("Upload-Offset") != "0":
-                    raise _Again(f"answered {answer.status_code}")
+                answer = self._request("PUT", place, content=piece, headers=headers)
+                if answer.status in (409, *_PASSING) and answer.headers.get("Upload-Offset") != "0":
+                    raise _Again(f"answered {answer.status}")
                 _raise_for(answer, self._url)
                 offset += len(piece)
                 progress(file.name, offset, length)
                 if offset >= length:
                     return
 
-    def download(self, path: str, file: Path, size: int, tag: str) -> None:
-        """Get a file, going on where it was cut. It has its name only when it is whole."""
-        partial = file.with_name(f".{file.name}.partial")
-        file.parent.mkdir(parents=True, exist_ok=True)
-        for attempt in range(_TRIES):
-            try:
-                self._receive(path, partial, tag)
-                break
-            except httpx.TransportError as error:
-                if attempt == _TRIES - 1:
-                    raise ServerError(f"{self._url}: {file.name} could not be fetched ({error})") from None
-                self._wait(attempt)
-        if partial.stat().st_size != size:
-            partial.unlink()
-            raise ServerError(f"{self._url}: {file.name} has not the size that was announced")
-        partial.replace(file)
+    def download(self, path: str, folder: OutFolder, result: Result) -> None:
+        """Get a file into a folder, going on where it was cut. It has its name only when it is whole, and right.
 
-    def _receive(self, path: str, partial: Path, tag: str) -> None:
-        there = partial.stat().st_size if partial.exists() else 0
-        headers = {"Range": f"bytes={there}-", "If-Range": tag} if there else {}
-        with self._http.stream("GET", path, headers=headers) as answer:
+        Raises ServerError: it is not what the server said it would be.
+        """
+        with folder.file(result.name) as target:
+            for attempt in range(_TRIES):
+                try:
+                    self._receive(path, target, result)
+                    break
+                except httpx.TransportError as error:
+                    if attempt == _TRIES - 1:
+                        shown = printable(result.name)
+                        raise ServerError(
+                            f"{self._url}: {shown} could not be fetched ({_why(error)})"
+                        ) from None
+                    self._wait(attempt)
+            self._check_whole(target, result)
+            target.finish()
+
+    def _receive(self, path: str, target: OutFile, result: Result) -> None:
+        there = target.arrived()
+        if there > result.bytes:
+            target.forget()
+            there = 0
+        headers = {"Range": f"bytes={there}-", "If-Range": result.etag} if there else {}
+        with self._stream("GET", path, headers=headers) as answer:
             if answer.status_code == 416:
-                partial.unlink()
+                target.forget()
                 raise httpx.ReadError("begins anew")
-            if answer.is_error:
-                answer.read()
-            _raise_for(answer, self._url)
-            with partial.open("ab" if answer.status_code == 206 else "wb") as stream:
+            if answer.status_code not in (200, 206):
+                _raise_for(self._all_of(answer), self._url)
+                raise self._wrong(f"{answer.status_code} for a file")
+            goes_on = answer.status_code == 206
+            flags = os.O_WRONLY | os.O_CREAT | (os.O_APPEND if goes_on else os.O_TRUNC)
+            with os.fdopen(target.opened(flags), "ab" if goes_on else "wb") as stream:
+                size = there if goes_on else 0
                 for data in answer.iter_bytes():
                     self._check()
+                    size += len(data)
+                    if size > result.bytes:
+                        raise self._wrong(f"{printable(result.name)} is longer than was announced")
                     stream.write(data)
 
-    def wait_while(self, path: str, states: tuple[str, ...]) -> dict[str, Any]:
+    def _check_whole(self, target: OutFile, result: Result) -> None:
+        with os.fdopen(target.opened(os.O_RDONLY), "rb") as stream:
+            size = os.fstat(stream.fileno()).st_size
+            right = (
+                result.sha256 is None or hashlib.file_digest(stream, "sha256").hexdigest() == result.sha256
+            )
+        if size == result.bytes and right:
+            return
+        target.forget()
+        said = "digest" if size == result.bytes else "size"
+        raise ServerError(f"{self._url}: {printable(result.name)} has not the {said} that was announced")
+
+    def wait_while(self, path: str, read: Callable[[Any], Waited], states: tuple[str, ...]) -> Waited:
         """What a path answers, once its state is none of these."""
         while True:
-            found: dict[str, Any] = self.get(path)
-            if found["state"] not in states:
+            found = self.get(path, read)
+            if found.state not in states:
                 return found
             self.pause()
 
@@ -170,10 +253,38 @@ class Client:
         """Until it makes sense to ask again."""
         self._pause(_POLL_S)
 
-    def _ask(self, method: str, path: str, tries: int = _TRIES, **more: Any) -> httpx.Response:
+    def _request(self, method: str, path: str, **more: Any) -> "Answer":
+        """One request, and its answer as far as an answer may be long."""
+        with self._stream(method, path, **more) as answer:
+            return self._all_of(answer)
+
+    @contextmanager
+    def _stream(self, method: str, path: str, **more: Any) -> Iterator[httpx.Response]:
+        """An answer that is coming.
+
+        Raises ServerError: it is no HTTP that can be understood; httpx.TransportError: the connection broke.
+        """
+        try:
+            with self._http.stream(method, path, **more) as answer:
+                yield answer
+        except httpx.TransportError:
+            raise
+        except (httpx.HTTPError, httpx.InvalidURL, UnicodeError) as error:
+            raise self._wrong(_why(error)) from None
+
+    def _all_of(self, answer: httpx.Response) -> "Answer":
+        content = bytearray()
+        for piece in answer.iter_bytes():
+            self._check()
+            content += piece
+            if len(content) > _LONGEST:
+                raise self._wrong(f"more than {_LONGEST} bytes")
+        return Answer(answer.status_code, answer.headers, bytes(content))
+
+    def _ask(self, method: str, path: str, tries: int = _TRIES, **more: Any) -> "Answer":
         for attempt in range(tries):
             try:
-                answer = self._http.request(method, path, **more)
+                answer = self._request(method, path, **more)
             except httpx.TransportError as error:
                 if attempt == tries - 1 or (attempt and not self._met):
                     raise ServerError(
@@ -181,7 +292,7 @@ class Client:
                     ) from None
             else:
                 self._met = True
-                if answer.status_code not in _PASSING or attempt == tries - 1:
+                if answer.status not in _PASSING or attempt == tries - 1:
                     return _raise_for(answer, self._url)
             self._wait(attempt)
         raise AssertionError("not reached")
@@ -227,19 +338,19 @@ def connected(
         client.close()
 
 
-def _raise_for(answer: httpx.Response, url: str) -> httpx.Response:
+def _raise_for(answer: Answer, url: str) -> Answer:
     """The answer, if it is none of an error.
 
     Raises InputError: another request would have been answered; ServerError: the same one might be at another time.
     """
-    if not answer.is_error:
+    if 200 <= answer.status < 300:
         return answer
     try:
-        problem = answer.json()
-        detail, hint = str(problem["detail"]), str(problem["hint"])
-    except (ValueError, KeyError, TypeError):
-        raise ServerError(f"{url}: answered {answer.status_code}") from None
-    if answer.status_code in _ASKED_WRONGLY:
+        problem = json.loads(answer.content) if answer.status >= 400 else {}
+        detail, hint = (printable(str(problem[name]))[:_SAID] for name in ("detail", "hint"))
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise ServerError(f"{url}: answered {answer.status}; check --server") from None
+    if answer.status in _ASKED_WRONGLY:
         raise InputError(url, detail, hint)
     raise ServerError(f"{url}: {detail}; {hint}")
 
@@ -252,7 +363,7 @@ def _host(url: str) -> str:
 
 
 def _why(error: Exception) -> str:
-    return str(error) or type(error).__name__
+    return printable(str(error) or type(error).__name__)[:_SAID]
 
 
 def _sha256(file: Path) -> bytes:

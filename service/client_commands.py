@@ -6,13 +6,18 @@ import sys
 import uuid
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from urllib.parse import quote
 
 from lvba.errors import InputError, LvbaError
-from service import stopping
+from service import answers, recording_names, stopping
+from service.answers import Dataset, Failure, Job, Result
 from service.client import Client, connected
+from service.out_folder import OutFolder
+from service.printable import printable
 from service.progress import Display, clock_text
+from service.server import names
 
+_DISTRUST = "the server names a result {}, which {}: nothing was fetched; do not trust this server"
 _ARCHIVES = (".zip", ".tar", ".tgz", ".tar.gz", ".tar.bz2", ".tar.xz")
 BUSY = ("queued", "running", "canceling")
 """States of a job that has not ended."""
@@ -40,7 +45,7 @@ def submit(arguments: argparse.Namespace, client: Client, display: Display) -> N
 
     wanted = client_settings.of(arguments)
     dataset = arguments.recording
-    name = arguments.name or Path(dataset.rstrip("/")).resolve().name
+    name = arguments.name or names.plain(Path(dataset.rstrip("/")).resolve().name, "recording")
     if "://" in dataset:
         dataset = register(client, dataset, name, display)
     elif not dataset.startswith("ds_") or Path(dataset).exists():
@@ -50,12 +55,12 @@ def submit(arguments: argparse.Namespace, client: Client, display: Display) -> N
         **({"name": name} if arguments.name or dataset != arguments.recording else {}),
         **{"config": wanted, "priority": arguments.priority, "reference": arguments.reference},
     }
-    job = client.post("/v1/jobs", body, key=uuid.uuid4().hex)
+    job = client.post("/v1/jobs", body, answers.job, key=uuid.uuid4().hex)
     display.clear()
-    sys.stdout.write(job["id"] + "\n")
+    sys.stdout.write(job.id + "\n")
     sys.stdout.flush()
     if arguments.wait:
-        _raise_unless_done(watch(client, job["id"], display))
+        _raise_unless_done(watch(client, job.id, display))
 
 
 def send(client: Client, recording: Path, name: str, display: Display) -> str:
@@ -68,14 +73,15 @@ def send(client: Client, recording: Path, name: str, display: Display) -> str:
         raise InputError(
             recording, "there is no such file or folder", "give a recording, or the id of a dataset"
         )
-    begun = (
-        row for row in client.every("/v1/datasets") if (row["name"], row["state"]) == (name, "uploading")
-    )
-    dataset = next(begun, None) or client.post("/v1/datasets", {"name": name})
+    if recording.is_dir():
+        recording_names.check(recording)
+    every = client.every("/v1/datasets", answers.dataset)
+    begun = (row for row in every if (row.name, row.state) == (name, "uploading"))
+    dataset = next(begun, None) or client.post("/v1/datasets", {"name": name}, answers.dataset)
     for file, path in _files(recording):
-        client.upload(dataset["id"], file, path, display.progress)
+        client.upload(dataset.id, file, path, display.progress)
     display.stage("check", 1, 2)
-    client.post(f"/v1/datasets/{dataset['id']}/finish")
+    client.post(f"/v1/datasets/{dataset.id}/finish")
     return _checked(client, dataset, recording)
 
 
@@ -85,14 +91,15 @@ def register(client: Client, url: str, name: str, display: Display) -> str:
     Raises InputError: it may not be registered there, or the server finds it bad.
     """
     display.stage("fetch and check", 0, 1)
-    return _checked(client, client.post("/v1/datasets", {"name": name, "folder": url}), url)
+    return _checked(client, client.post("/v1/datasets", {"name": name, "folder": url}, answers.dataset), url)
 
 
-def _checked(client: Client, dataset: dict[str, Any], recording: object) -> str:
-    found = client.wait_while(f"/v1/datasets/{dataset['id']}", ("validating",))
-    if found["state"] != "ready":
-        raise InputError(recording, found["error"]["cause"], found["error"]["hint"])
-    return str(found["id"])
+def _checked(client: Client, dataset: Dataset, recording: object) -> str:
+    found = client.wait_while(f"/v1/datasets/{dataset.id}", answers.dataset, ("validating",))
+    if found.state != "ready":
+        error = found.error or Failure(f"the dataset is {found.state}", "submit it again")
+        raise InputError(recording, error.cause, error.hint)
+    return found.id
 
 
 def _files(recording: Path) -> list[tuple[Path, str | None]]:
@@ -111,70 +118,75 @@ def _files(recording: Path) -> list[tuple[Path, str | None]]:
     return [(path, name) for path, name in plain]
 
 
-def watch(client: Client, job_id: str, display: Display) -> dict[str, Any]:
+def watch(client: Client, job_id: str, display: Display) -> Job:
     """The job, once it has ended; how far it is, is shown meanwhile."""
     shown = ""
     while True:
-        job: dict[str, Any] = client.get(f"/v1/jobs/{job_id}")
-        if job["state"] not in BUSY:
+        job = client.get(_path(job_id), answers.job)
+        if job.state not in BUSY:
             display.clear()
             return job
-        for index, stage in enumerate(job["stages"]):
-            if stage["state"] == "running":
-                if stage["name"] != shown:
-                    display.stage(stage["name"], index, len(job["stages"]))
-                    shown = stage["name"]
-                if stage["total"]:
-                    display.progress(stage["what"], stage["done"], stage["total"])
+        for index, stage in enumerate(job.stages):
+            if stage.state == "running":
+                if stage.name != shown:
+                    display.stage(stage.name, index, len(job.stages))
+                    shown = stage.name
+                if stage.total:
+                    display.progress(stage.what, stage.done, stage.total)
         client.pause()
 
 
-def _raise_unless_done(job: dict[str, Any]) -> None:
-    if job["state"] != "done":
-        error = job["error"] or {"cause": job["state"], "hint": "restart it to go on"}
-        raise LvbaError(f"{job['id']} {job['state']}: {error['cause']}; {error['hint']}")
+def _path(job_id: str) -> str:
+    return f"/v1/jobs/{quote(job_id, safe='')}"
+
+
+def _raise_unless_done(job: Job) -> None:
+    if job.state != "done":
+        error = job.error or Failure(job.state, "restart it to go on")
+        raise LvbaError(f"{job.id} {job.state}: {error.cause}; {error.hint}")
 
 
 def jobs(arguments: argparse.Namespace, client: Client, display: Display) -> None:
     """One line a job."""
     query = {"state": arguments.state} if arguments.state else {}
-    for job in client.every("/v1/jobs", **query):
+    for job in client.every("/v1/jobs", answers.job, query):
         sys.stdout.write(
-            f"{job['id']}  {job['state']:<9} {_percent(job):>4}  {job['created'][:19]}  {job['name']}\n"
+            f"{job.id}  {job.state:<9} {_percent(job):>4}  {job.created[:19]}  {printable(job.name)}\n"
         )
 
 
 def status(arguments: argparse.Namespace, client: Client, display: Display) -> None:
     """State, stages and error of a job."""
-    job = client.get(f"/v1/jobs/{arguments.job}")
     if arguments.json:
-        sys.stdout.write(json.dumps(job, indent=1) + "\n")
+        # as JSON it holds no letter that a terminal would obey
+        sys.stdout.write(json.dumps(client.get(_path(arguments.job)), indent=1) + "\n")
         return
-    left = f", {clock_text(job['eta_s'])} left" if job["eta_s"] is not None else ""
-    place = f", {job['position']} before it" if job["state"] == "queued" else ""
-    sys.stdout.write(f"{job['name']}: {job['state']} {_percent(job)}{left}{place}\n")
-    for stage in job["stages"]:
-        seconds = "" if stage["seconds"] is None else f"{stage['seconds']:.1f} s"
-        reused = "reused" if stage["reused"] else ""
-        sys.stdout.write(f"  {stage['name']:<24} {stage['state']:<8} {seconds:>10} {reused}".rstrip() + "\n")
-    if job["error"]:
-        sys.stdout.write(f"  {job['error']['cause']}\n  {job['error']['hint']}\n")
+    job = client.get(_path(arguments.job), answers.job)
+    left = f", {clock_text(job.eta_s)} left" if job.eta_s is not None else ""
+    place = f", {job.position} before it" if job.state == "queued" else ""
+    sys.stdout.write(f"{printable(job.name)}: {job.state} {_percent(job)}{left}{place}\n")
+    for stage in job.stages:
+        seconds = "" if stage.seconds is None else f"{stage.seconds:.1f} s"
+        reused = "reused" if stage.reused else ""
+        sys.stdout.write(f"  {stage.name:<24} {stage.state:<8} {seconds:>10} {reused}".rstrip() + "\n")
+    if job.error:
+        sys.stdout.write(f"  {job.error.cause}\n  {job.error.hint}\n")
 
 
-def _percent(job: dict[str, Any]) -> str:
-    return f"{int(job['progress'] * 100)}%"
+def _percent(job: Job) -> str:
+    return f"{int(job.progress * 100)}%"
 
 
 def logs(arguments: argparse.Namespace, client: Client, display: Display) -> None:
     """What a job has said; with --follow also what it will say."""
     start = 0
     while True:
-        found = client.get(f"/v1/jobs/{arguments.job}/logs", **{"from": start})
-        sys.stdout.write(found["text"])
+        found = client.get(f"{_path(arguments.job)}/logs", answers.log_piece, {"from": start})
+        sys.stdout.write(found.text)
         sys.stdout.flush()
-        more = found["next"] < found["size"] and found["next"] > start
-        start = found["next"]
-        if not more and (found["ended"] or not arguments.follow):
+        more = start < found.next < found.size
+        start = found.next
+        if not more and (found.ended or not arguments.follow):
             return
         if not more:
             client.pause()
@@ -182,34 +194,71 @@ def logs(arguments: argparse.Namespace, client: Client, display: Display) -> Non
 
 def cancel(arguments: argparse.Namespace, client: Client, display: Display) -> None:
     """Stop a job."""
-    job = client.post(f"/v1/jobs/{arguments.job}/cancel")
-    sys.stdout.write(f"{job['state']}\n")
+    job = client.post(f"{_path(arguments.job)}/cancel", None, answers.job)
+    sys.stdout.write(f"{job.state}\n")
 
 
 def fetch(arguments: argparse.Namespace, client: Client, display: Display) -> None:
     """Get the results of a job into a folder."""
-    job = client.get(f"/v1/jobs/{arguments.job}")
-    out = arguments.out or Path(Path(job["name"]).name)
-    get_results(client, arguments.job, out, display, set(arguments.names))
+    if arguments.out is None:
+        job = client.get(_path(arguments.job), answers.job)
+        out = Path(_folder_of(job))
+    else:
+        out = arguments.out
+    get_results(
+        client, arguments.job, out, display, set(arguments.names), named_by_server=arguments.out is None
+    )
     display.clear()
     sys.stdout.write(f"{out}\n")
 
 
-def get_results(
-    client: Client, job_id: str, out: Path, display: Display, names: set[str] | None = None
-) -> None:
-    """Get results into a folder; names: only these.
+def _folder_of(job: Job) -> str:
+    """The folder that a job's results go to where none is given: its name, where that is one for a folder."""
+    fits = names.is_plain(job.name) and names.plain(job.name, "") == job.name and not job.name.startswith("-")
+    return job.name if fits and len(job.name.encode()) <= 200 else job.id
 
-    Raises InputError: a name that is not among them, or would lie elsewhere.
+
+def get_results(
+    client: Client,
+    job_id: str,
+    out: Path,
+    display: Display,
+    wanted_names: set[str] | None = None,
+    *,
+    named_by_server: bool = False,
+) -> None:
+    """Get results into a folder, and never anywhere else.
+
+    wanted_names: only these; named_by_server: the folder, which then must be new or hold nothing but results
+    Raises InputError: a name that is not among them, a folder that cannot be used; LvbaError: the server names places
+    outside of it.
     """
-    items = list(client.every(f"/v1/jobs/{job_id}/results"))
-    missing = (names or set()) - {item["name"] for item in items}
+    results = _results(client, job_id)
+    there = {result.name for result in results}
+    missing = (wanted_names or set()) - there
     if missing:
         raise InputError(min(missing), "is not among the results", "see what there is: fetch without names")
-    wanted = [item for item in items if not names or item["name"] in names]
-    for number, item in enumerate(wanted):
-        target = (out / item["name"]).resolve()
-        if not target.is_relative_to(out.resolve()):
-            raise InputError(item["name"], "would lie outside of --out", "do not trust this server")
-        client.download(item["url"], target, item["bytes"], item["etag"])
-        display.progress("results", number + 1, len(wanted))
+    folder = OutFolder(out, named_by_server=named_by_server)
+    try:
+        if named_by_server and folder.holds_more_than(there):
+            raise InputError(out, "is there, and holds other things", "give --out a folder")
+        wanted = [result for result in results if not wanted_names or result.name in wanted_names]
+        for number, result in enumerate(wanted):
+            client.download(f"{_path(job_id)}/results/{quote(result.name)}", folder, result)
+            display.progress("results", number + 1, len(wanted))
+    finally:
+        folder.close()
+
+
+def _results(client: Client, job_id: str) -> list[Result]:
+    """What a job made; no name of it leads elsewhere, or is there twice."""
+    found, taken = [], set[str]()
+    for result in client.every(f"{_path(job_id)}/results", answers.result):
+        try:
+            names.take(result.name, taken)
+        except InputError as error:
+            raise LvbaError(_DISTRUST.format(error.where, error.problem)) from None
+        if any(part.startswith(".") for part in result.name.split("/")):
+            raise LvbaError(_DISTRUST.format(repr(result.name), "is hidden"))
+        found.append(result)
+    return found

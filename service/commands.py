@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from lvba.errors import InputError, LvbaError
 from lvba.io import files
 from service import server_cli, stopping
+from service.printable import printable
 from service.progress import Display
 
 _USERS_TO_MEND = {errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS, errno.EFBIG}
@@ -22,7 +23,7 @@ def main(arguments: argparse.Namespace) -> int:
         display = _display(arguments)
     except InputError as error:
         return _end(Display(), str(error), 2)
-    stopping.say_at_last(lambda: _end(display, _stopped(arguments), 1))
+    stopping.say_at_last(lambda: _end(display, _stopped(arguments), stopping.code()))
     try:
         return _run(arguments, display)
     finally:
@@ -46,7 +47,7 @@ def _run(arguments: argparse.Namespace, display: Display) -> int:
         display.end(0, "", None)
         return 0
     except KeyboardInterrupt:
-        return _end(display, _stopped(arguments), 1)
+        return _end(display, _stopped(arguments), stopping.code())
     except InputError as error:
         return _end(display, str(error), 2, error)
     except LvbaError as error:
@@ -57,10 +58,15 @@ def _run(arguments: argparse.Namespace, display: Display) -> int:
         return 1
     except OSError as error:
         if error.errno not in _USERS_TO_MEND:
+            display.end(1, f"{type(error).__name__}: {error}", None)
             raise
         where = error.filename or getattr(arguments, "out", None) or "output"
         mended = files.input_error(where, error)
         return _end(display, str(mended), 2, mended)
+    except Exception as error:
+        # nobody foresaw it: whoever listens learns it here, whoever reads the log finds where it comes from
+        display.end(1, f"{type(error).__name__}: {error}", None)
+        raise
 
 
 def _command(name: str) -> Callable[[argparse.Namespace, Display], None]:
@@ -85,6 +91,10 @@ def _command(name: str) -> Callable[[argparse.Namespace, Display], None]:
         from service import simulate_command
 
         return simulate_command.simulate
+    if name == "view":
+        from service import view_command
+
+        return view_command.view
     if name == "serve":
         from service import serve_command
 
@@ -110,7 +120,7 @@ def _stopped(arguments: argparse.Namespace) -> str:
 
 def _end(display: Display, message: str, code: int, error: LvbaError | None = None) -> int:
     display.clear()
-    one_line = " ".join(message.split())
+    one_line = printable(" ".join(message.split()))
     sys.stderr.write(f"lvba: {one_line}\n")
     display.end(code, one_line, error)
     return code

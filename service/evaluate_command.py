@@ -7,7 +7,7 @@ from lvba.io import result_folder
 from lvba.io.dataset import open_dataset
 from lvba.io.reference import read_reference
 from lvba.products import report as page
-from service import outcome, settings_files
+from service import first_run, outcome, settings_files
 from service.checks import check_out
 from service.progress import Display
 from workers import versions
@@ -22,6 +22,7 @@ def evaluate(arguments: argparse.Namespace, display: Display) -> None:
     reference = read_reference(arguments.reference) if arguments.reference else None
     given = judge.read_given(dataset, arguments.lidar_poses, arguments.image_poses, arguments.exposures)
     result_folder.prepare(arguments.out)
+    first_run.announce(display, images=bool(dataset.image_paths))
     display.stage("evaluate", 1, 2)
     report = judge.report(given, config, reference, display.progress)
     report["versions"] = versions.versions()

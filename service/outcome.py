@@ -5,6 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from lvba import part_verdicts
+
 Row = tuple[str, Any, Any, str]
 
 _EVALUATION = (
@@ -48,12 +50,13 @@ def table(report: dict[str, Any]) -> str:
 
 
 def show(report: dict[str, Any], out: Path, write: Callable[[str], Any] = sys.stdout.write) -> None:
-    """Print the table, what was not accepted, and where the report is."""
+    """Print the table, the verdict on the whole and on each part, and where the report is."""
     write(table(report) + "\n")
-    for part in ("lidar", "visual"):
-        facts = report.get(part) or {}
-        if facts.get("accepted") is False:
-            write(f"{part}: {facts.get('reason')}\n")
+    if report.get("verdict"):
+        write(f"{report['verdict']['level']}: {report['verdict']['summary']}\n")
+    for part in part_verdicts.of_report(report):
+        if part.tried or part.name == "scans" or part.name == "cameras":
+            write(f"{part.name}: {part.reason}\n")
     page = out / "report.html"
     write(f"report: {page if page.exists() else out / 'report.json'}\n")
 

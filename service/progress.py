@@ -32,11 +32,13 @@ class Display:
         self._clock = clock
         self._terminal = self._stream.isatty()
         self._stage = self._what = ""
+        self._names: list[str] = []
         self._began = self._what_began = self._shown = clock()
         self._width = 0
 
     def stages(self, names: Sequence[str]) -> None:
-        """The names of all stages, in order, before the first of them."""
+        """The names of all stages, in order: from now on, each is counted by its place among them."""
+        self._names = list(names)
 
     def stage(self, name: str, index: int, total: int, reused: bool | None = None) -> None:
         """A stage begins: its name, its index, how many there are, and whether it is there already (None: not known)."""
@@ -44,13 +46,18 @@ class Display:
         self.clear()
         if self._quiet:
             return
-        self._stage = f"[{index + 1}/{total}] {name}"
+        index, total = self._counted(name, index, total)
+        self._stage = f"[{index + 1}/{total}] {name}" if total > 1 else name
         self._what, self._began = "", self._clock()
         self._shown = self._began
         if self._terminal:
             self._draw(self._stage)
         else:
             self._line(self._stage)
+
+    def _counted(self, name: str, index: int, total: int) -> tuple[int, int]:
+        """Index of a stage and how many there are: one count for all that a command does, whoever announces the stage."""
+        return (self._names.index(name), len(self._names)) if name in self._names else (index, total)
 
     def progress(self, what: str, done: int, total: int) -> None:
         """`done` of `total` pieces of `what` are finished; rate and time left are those of this count."""

@@ -17,7 +17,7 @@ from lvba.pipeline import Config
 from lvba.plan import Plan, Step
 from lvba.products.export import export
 from lvba.result import Result
-from service import clusters, memory, outcome, settings_files, stopping
+from service import clusters, first_run, gone, memory, outcome, settings_files, stopping
 from service.checks import check_out
 from service.progress import Display
 from service.run_events import VIEWER
@@ -39,6 +39,7 @@ def run(arguments: argparse.Namespace, display: Display) -> None:
     dataset = open_dataset(arguments.dataset)
     reference = read_reference(arguments.reference) if arguments.reference else None
     memory.announce(arguments, dataset, config, display)
+    first_run.announce(display, images=bool(dataset.image_paths))
     work = pipeline.refine(_for_workers(dataset), config, reference, versions.key_version())
     opened = StageRecord(
         "input", round(time.perf_counter() - started, 3), round(local.peak_memory_mb(), 1), 1, False
@@ -84,7 +85,7 @@ def _refine(
 ) -> Result:
     out = result_folder.prepare(arguments.out)
     store = open_store(_place(arguments.store or str(out / "stages")))
-    with store.lock(out):
+    with store.lock(out), gone.told(out, work.steps):
         store.tidy(work.version)
         if arguments.redo:
             _forget(work, store, arguments.redo)
@@ -93,7 +94,7 @@ def _refine(
         records = _execute(arguments, work, store, display)
         display.stage("write", len(records), len(records) + len(last))
         refined = result.collect(dataset, config, work, store)
-        refined = result.with_run(refined, [opened, *records], versions.versions())
+        refined = result.with_run(refined, [opened, *records], versions.versions(), arguments.name or "")
         refined.write(out)
     for record in [opened, *records]:
         display.record(record.name, record.seconds, record.peak_memory_mb, record.reused)

@@ -42,10 +42,12 @@ class TellingDisplay(Display):
         self._told_at = float("-inf")
 
     def stages(self, names: Sequence[str]) -> None:
+        super().stages(names)
         self._tell("stages", names=list(names))
 
     def stage(self, name: str, index: int, total: int, reused: bool | None = None) -> None:
         self._told_stage, self._told_what = name, ""
+        index, total = self._counted(name, index, total)
         self._tell("stage", name=name, index=index, total=total, reused=reused)
         super().stage(name, index, total, reused)
 

@@ -7,6 +7,7 @@ import sys
 from lvba.errors import InputError
 from service import clusters
 from service.progress import Display
+from service.server.repeat_filter import RepeatFilter
 from service.server.settings import load
 from service.server_cli import settings_given
 
@@ -19,17 +20,17 @@ def serve(arguments: argparse.Namespace, display: Display) -> None:
         raise InputError(f"--port {settings.port}", "there is no such port", "give one of 1..65535")
     from service.server import serving
 
-    if not arguments.quiet:
-        _log(verbose=arguments.verbose)
+    _log(logging.WARNING if arguments.quiet else logging.DEBUG if arguments.verbose else logging.INFO)
     serving.serve(settings)
 
 
-def _log(*, verbose: bool) -> None:
+def _log(level: int) -> None:
     """What happens, as lines on stderr."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s %(message)s"))
+    handler.addFilter(RepeatFilter())
+    logging.getLogger().handlers = [
+        handler
+    ]  # instead of that of a run; what libraries warn of comes here, too
     for name in ("service", "uvicorn.error"):
-        logger = logging.getLogger(name)
-        logger.addHandler(handler)
-        logger.propagate = False
-        logger.setLevel(logging.DEBUG if verbose else logging.INFO)
+        logging.getLogger(name).setLevel(level)

@@ -26,5 +26,6 @@ def simulate(arguments: argparse.Namespace, display: Display) -> None:
         scans=arguments.scans,
         length=arguments.length,
         closing=arguments.closing,
+        image_poses=arguments.image_poses,
         progress=display.progress,
     )

@@ -15,7 +15,11 @@ from types import FrameType
 _PATIENCE = 1.5
 """Seconds from the signal to the next report of progress; after them nobody asks any more."""
 
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells have it: 128 and the number of the signal."""
+
 _asked = threading.Event()
+_numbers: list[int] = []
 _timers: list[threading.Timer] = []
 _last_words: list[Callable[[], object]] = [lambda: sys.stderr.write("lvba: stopped\n")]
 
@@ -37,6 +41,11 @@ def check() -> None:
         raise KeyboardInterrupt
 
 
+def code() -> int:
+    """The exit code after being told to stop: INTERRUPTED by Ctrl-C, 1 by SIGTERM."""
+    return INTERRUPTED if signal.SIGINT in _numbers else 1
+
+
 def heard() -> None:
     """The command has ended by itself: no need to force it."""
     for timer in _timers:
@@ -44,6 +53,7 @@ def heard() -> None:
 
 
 def _note(number: int, frame: FrameType | None) -> None:
+    _numbers.append(number)
     if _asked.is_set():
         _end()
     _asked.set()
@@ -56,4 +66,4 @@ def _note(number: int, frame: FrameType | None) -> None:
 def _end() -> None:
     _last_words[0]()
     sys.stderr.flush()
-    os._exit(1)
+    os._exit(code())

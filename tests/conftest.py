@@ -16,12 +16,23 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def pytest_addoption(parser):
+    parser.addoption(
+        "--odd-cameras",
+        type=int,
+        default=6,
+        metavar="N",
+        help="odd calibrations run through the whole chain, 1 to 300",
+    )
     parser.addoption("--no-skips", action="store_true", help="fail when a test not marked `data` is skipped")
 
 
 def pytest_collection_modifyitems(items):
-    """Deployments last: what they run is compiled by then, for which a slow machine takes minutes."""
-    items.sort(key=lambda item: item.path.parent.name == "deploy")
+    """Deployments late: what they run is compiled by then, for which a slow machine takes minutes.
+
+    The page at the very end: its browser's driver keeps an event loop running in this thread, in which no other can be.
+    """
+    order = {"deploy": 1, "page": 2}
+    items.sort(key=lambda item: order.get(item.path.parent.name, 0))
 
 
 def pytest_sessionfinish(session, exitstatus):
@@ -153,9 +164,9 @@ def on_database(request):
     return ("--database", request.getfixturevalue("postgres").new_database())
 
 
-def run_lvba(*arguments, code=0, program=("-m", "service.cli"), **options):
+def run_lvba(*arguments, code=0, program=("-m", "service.cli"), env=os.environ, **options):
     """The finished process of `lvba ARGUMENTS`, after checking its exit code."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment = {**env, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, *program, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, **options)
     assert done.returncode == code, f"exit code {done.returncode}\n{done.stdout}\n{done.stderr}"

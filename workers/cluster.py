@@ -18,6 +18,7 @@ from distributed import Client, Future, KilledWorker
 
 from lvba import plan
 from lvba.errors import ArtifactError
+from lvba.io import no_links
 from lvba.plan import Plan, Step
 from lvba.progress import Progress, silent
 from workers import sending, task
@@ -152,6 +153,7 @@ class Execution:
             step.function,
             topic(self._place),
             self._work.version,
+            no_links.refused(),
             key=f"{step.key}-{self._id}-{next(self._serial)}",
             pure=False,
             priority=self._frontier.priority(step.key),

@@ -116,6 +116,7 @@ def local(workers: int, threads: int | None, memory_bytes: int | None = None) ->
         host="127.0.0.1",
         security=security,
         dashboard_address="127.0.0.1:0",
+        scheduler_kwargs={"dashboard": False},
         memory_limit=memory_bytes or limits.memory_share(workers),
         env={"NUMBA_NUM_THREADS": str(max(1, (threads or CPU_COUNT) // workers))},
         plugins=[limits.Limits()],

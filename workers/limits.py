@@ -10,7 +10,7 @@ import dask
 from distributed import WorkerPlugin
 from distributed.system import MEMORY_LIMIT
 
-_CONFIG = {
+_CONFIG: dict[str, Any] = {
     # what is kept between steps is a few hundred bytes: there is nothing to spill, and a process that holds memory
     # after a large step must go on taking tasks; only the hard limit counts
     "distributed.worker.memory.target": False,
@@ -26,6 +26,9 @@ _CONFIG = {
     "distributed.deploy.lost-worker-timeout": "1 hour",
     # samples the stack of the step a hundred times a second, for a dashboard that is not shown
     "distributed.worker.profile.enabled": False,
+    # pages about what runs, for whoever reaches them, without any certificate
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
     "distributed.admin.tick.limit": "10 minutes",
     "distributed.logging.distributed": "critical",
 }

@@ -24,10 +24,12 @@ from typing import Any
 import numpy as np
 
 from lvba.errors import ArtifactError, InputError
+from lvba.io.files import sync
 from workers import codec
 
 _log = logging.getLogger(__name__)
 _PARTIAL = ".partial-"
+_LOCK = ".lock"
 MANIFEST = "manifest.json"
 """Name of the file that says that the others are all there."""
 _CHUNK_BYTES = 1 << 28
@@ -172,20 +174,43 @@ class ZarrStore(MutableMapping[str, Any]):
 def lock(folder: Path, out: Path | None = None) -> Iterator[None]:
     """Hold the store for writing; two runs into one folder would undo each other.
 
-    The lock belongs to the process: it is gone when the process is, however it ended.
+    The lock belongs to the process: it is gone when the process is, however it ended. A folder in which nothing was
+    made is removed with it.
     Raises InputError: another process holds it.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / ".lock").open("a") as handle:
+    while True:
+        folder.mkdir(parents=True, exist_ok=True)
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(
-                out or folder,
-                "another run is writing here",
-                "wait until it has ended, or choose another --out",
-            ) from None
-        yield
+            handle = (folder / _LOCK).open("a")
+        except FileNotFoundError:
+            continue  # a run that made nothing has just taken its folder away
+        with handle:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise InputError(
+                    out or folder,
+                    "another run is writing here",
+                    "wait until it has ended, or choose another --out",
+                ) from None
+            if not _is_at(handle.fileno(), folder / _LOCK):
+                continue
+            try:
+                yield
+            finally:
+                with suppress(OSError):
+                    if [path.name for path in folder.iterdir()] == [_LOCK]:
+                        (folder / _LOCK).unlink()
+                        folder.rmdir()
+            return
+
+
+def _is_at(handle: int, path: Path) -> bool:
+    """Whether the open file is the one at the path."""
+    try:
+        return os.path.samestat(os.fstat(handle), path.stat())
+    except FileNotFoundError:
+        return False
 
 
 def write(folder: Path, key: str, value: Any, facts: Mapping[str, Any]) -> None:
@@ -291,11 +316,7 @@ def _sha256(path: Path) -> str:
 def _sync(folder: Path) -> None:
     """Have the files and folders on disk before the rename says that they are."""
     for path in [*folder.rglob("*"), folder]:
-        descriptor = os.open(path, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+        sync(path)
 
 
 def _move_into_place(partial: Path, artifact: Path) -> None:

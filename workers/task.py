@@ -11,6 +11,7 @@ from typing import Any
 from distributed import get_worker
 
 from lvba.errors import InputError
+from lvba.io import no_links
 from lvba.plan import MissingError, Step
 from workers import limits, local, sending, versions
 from workers.store import ZarrStore
@@ -34,18 +35,27 @@ class UnwantedError(Exception):
 
 
 def make(
-    place: str, sent: str, key: str, outline: str, function: Callable[..., Any], topic: str, version: str
+    place: str,
+    sent: str,
+    key: str,
+    outline: str,
+    function: Callable[..., Any],
+    topic: str,
+    version: str,
+    without_links: tuple[str, ...] = (),
 ) -> dict[str, Any]:
     """Make one artifact, unless it is there already.
 
     place, sent: the store, and the key there of the plan; outline: of the step (see `sending`)
     topic: where progress is told; version: of the plan
+    without_links: folders below which the driver follows no link, and so does not this process
     Returns a few hundred bytes: {"record": fields of a StageRecord}, or {"missing": keys} of inputs that are not there
     (any more).
     """
     report = Reporter(topic, key)
     with _ALONE, _ended_where_unwanted(report):
         _check_version(version)
+        no_links.refuse_below(without_links)
         store = open_store(place)
         _check_seen(place, sent, store)
         step = sending.receive(outline, key, function)

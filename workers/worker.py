@@ -84,7 +84,7 @@ def _nanny(address: str, security: Security, memory_bytes: int) -> Nanny:
         host=get_ip(get_address_host(address)),
         memory_limit=memory_bytes,
         security=security,
-        # metrics and a page about the worker, without any check of who asks: for this machine only
+        # it cannot be left away; there is nothing behind it
         dashboard_address="127.0.0.1:0",
         plugins=[limits.Limits()],
         silence_logs=logging.CRITICAL,

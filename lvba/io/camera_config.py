@@ -9,7 +9,7 @@ Global-LVBA multiply the principal point by the scale; we map pixel centers, as 
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +18,15 @@ import numpy as np
 from lvba import geometry
 from lvba.camera import Camera
 from lvba.errors import InputError
-from lvba.io import yaml_files
+from lvba.io import camera_keys as names
+from lvba.io import image_poses, yaml_files
+from lvba.io.camera_keys import as_float
 from lvba.io.image_header import ImageSize
+from lvba.io.image_poses import Statement
 
 ROTATION_TOLERANCE = 1e-3
 """Largest entry of R R^T - I of a matrix that is taken for a rotation (four printed digits)."""
 
-_CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
-_OTHER_CAMERA_KEYS = ("model", "scale", "d0", "d1", "d2", "d3", "d4")
 _EXTRINSIC_KEYS = ("Rcl", "Pcl", "extrinsic_T", "extrinsic_R")
 _MAX_SIDE = 100_000
 
@@ -40,6 +41,7 @@ class Calibration:
     body_from_lidar: (4, 4), from extrinsic_R and extrinsic_T; identity if no file has them
     camera_path, extrinsic_path: the files that said so (`config.yaml` if none did)
     warnings: one sentence about each default taken
+    image_poses: the `image_poses` key of these files, `camera` or `body`, and its file
     """
 
     camera: Camera | None
@@ -49,6 +51,7 @@ class Calibration:
     camera_path: Path
     extrinsic_path: Path
     warnings: tuple[str, ...] = ()
+    image_poses: Statement = field(default_factory=Statement)
 
 
 def read_calibration(folder: str | Path) -> Calibration:
@@ -58,7 +61,9 @@ def read_calibration(folder: str | Path) -> Calibration:
     """
     folder = Path(folder)
     documents = _Documents(yaml_files.find(folder))
-    camera_path, camera_keys = _section(documents, _camera_section, folder)
+    camera_path, camera_keys = _section(documents, names.native, folder)
+    if not camera_keys:
+        camera_path, camera_keys = _section(documents, names.foreign, folder)
     extrinsic_path, extrinsic_keys = _section(documents, _extrinsic_section, folder)
     has_camera = any(key in extrinsic_keys for key in ("Rcl", "Pcl"))
     return Calibration(
@@ -69,7 +74,25 @@ def read_calibration(folder: str | Path) -> Calibration:
         camera_path,
         extrinsic_path,
         _defaults(extrinsic_path, extrinsic_keys) if has_camera else (),
+        _image_poses(documents),
     )
+
+
+def _image_poses(documents: "_Documents") -> Statement:
+    """What the files read so far say that image_poses.txt holds."""
+    found = Statement()
+    for path, document in documents.read():
+        for _, mapping in yaml_files.mappings(document):
+            if image_poses.KEY not in mapping:
+                continue
+            value = mapping[image_poses.KEY]
+            if value not in image_poses.KINDS:
+                mend = "write body (as FAST-LIVO2 does) or camera (camera to world, z forward)"
+                raise InputError(path, f"image_poses is {str(value)[:40]!r}", mend)
+            if found.kind not in ("", value):
+                raise InputError(path, "image_poses is there twice with different values", "keep one")
+            found = Statement(value, path.name)
+    return found
 
 
 def _defaults(path: Path, keys: dict[str, Any]) -> tuple[str, ...]:
@@ -116,6 +139,10 @@ class _Documents:
         self._paths = paths
         self._values: dict[Path, Any] = {}
 
+    def read(self) -> Iterator[tuple[Path, Any]]:
+        """Those that were needed so far."""
+        yield from self._values.items()
+
     def __iter__(self) -> Iterator[tuple[Path, Any]]:
         for path in self._paths:
             if path not in self._values:
@@ -124,7 +151,7 @@ class _Documents:
 
 
 def _section(
-    documents: _Documents, pick: Callable[[str, dict[str, Any]], dict[str, Any]], folder: Path
+    documents: _Documents, pick: Callable[[Path, str, dict[str, Any]], dict[str, Any]], folder: Path
 ) -> tuple[Path, dict[str, Any]]:
     """The first file that has such keys, and all of them; `config.yaml` alone if it has some.
 
@@ -133,7 +160,7 @@ def _section(
     first, found = folder / "config.yaml", dict[str, Any]()
     for path, document in documents:
         for name, mapping in yaml_files.mappings(document):
-            for key, value in pick(name, mapping).items():
+            for key, value in pick(path, name, mapping).items():
                 before = found.setdefault(key, value)
                 if before is not value and before != value:
                     problem = f"has another {key} than {'the same file' if path == first else first.name} has before"
@@ -144,32 +171,11 @@ def _section(
     return first, found
 
 
-def _camera_section(name: str, mapping: dict[str, Any]) -> dict[str, Any]:
-    """Camera keys of one mapping, without the prefix cam_."""
-    if any(str(key) in ("cam_width", "cam_height", "cam_fx", "cam_fy") for key in mapping):
-        found = {str(key).removeprefix("cam_"): value for key, value in mapping.items()}
-    elif name in ("camera", "cam_model") and any(key in mapping for key in _CAMERA_KEYS):
-        found = {str(key): value for key, value in mapping.items()}
-    else:
-        return {}
-    known = (*_CAMERA_KEYS, *_OTHER_CAMERA_KEYS)
-    return {key: value for key, value in found.items() if key in known and not isinstance(value, dict)}
-
-
-def _extrinsic_section(name: str, mapping: dict[str, Any]) -> dict[str, Any]:
+def _extrinsic_section(path: Path, name: str, mapping: dict[str, Any]) -> dict[str, Any]:
     return {key: mapping[key] for key in _EXTRINSIC_KEYS if key in mapping}
 
 
 def _camera(path: Path, keys: dict[str, Any]) -> Camera:
-    model = str(keys.get("model", "pinhole"))
-    if "pinhole" not in model.lower():
-        raise InputError(
-            path, f"the camera model {model[:40]!r} is not known", "undistort the images to a pinhole"
-        )
-    if _number(path, keys, "d4", 0.0) != 0:
-        raise InputError(
-            path, "cam_d4 (k3) is not known", "undistort the images, or calibrate k1 k2 p1 p2 only"
-        )
     width = _number(path, keys, "width", None, 1, _MAX_SIDE)
     height = _number(path, keys, "height", None, 1, _MAX_SIDE)
     if width != int(width) or height != int(height):
@@ -198,7 +204,7 @@ def _number(
         if default is None:
             raise InputError(path, f"{name} is missing", f"add {name} of the camera calibration")
         return default
-    value = _float(keys[key])
+    value = as_float(keys[key])
     if value is None or not least <= value <= most:
         raise InputError(
             path, f"{name} is {str(keys[key])[:40]!r}", f"write a number from {least:g} to {most:g}"
@@ -239,7 +245,7 @@ def _numbers(path: Path, keys: dict[str, Any], key: str, count: int) -> np.ndarr
     value = keys[key]
     if isinstance(value, dict):
         value = value.get("data")
-    values = [_float(item) for item in _flat(value)]
+    values = [as_float(item) for item in _flat(value)]
     if len(values) != count or any(item is None or abs(item) > 1e6 for item in values):
         raise InputError(path, f"{key} is not {count} numbers", f"write {key}: [{count} numbers]")
     return np.array(values, float)
@@ -249,14 +255,3 @@ def _flat(value: Any) -> list[Any]:
     if not isinstance(value, list):
         return [value]
     return [item for row in value for item in (row if isinstance(row, list) else [row])]
-
-
-def _float(value: Any) -> float | None:
-    """The finite number, also where YAML 1.1 takes it for text (1e-3), or None."""
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        return None
-    try:
-        number = float(value)
-    except (ValueError, OverflowError):
-        return None
-    return number if np.isfinite(number) else None

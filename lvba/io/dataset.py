@@ -2,7 +2,7 @@
 
 DATASET/
   all_pcd_body/<time>.pcd       lidar_poses.txt   (in the folder or beside it; TUM, body to world)
-  all_image/<time>.png|jpg      image_poses.txt   (in the folder or beside it; TUM, camera to world); optional
+  all_image/<time>.png|jpg      image_poses.txt   (likewise; of the body or the camera: see `io.image_poses`); optional
   config.yaml                   camera and extrinsics; optional without images
 """
 
@@ -11,18 +11,35 @@ import logging
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from lvba import geometry
-from lvba.dataset import NO_CAMERA, Dataset, Scan
+from lvba.dataset import CAMERA, NO_CAMERA, Dataset, Scan
 from lvba.errors import InputError
-from lvba.io import camera_config, files, frames, images, kitti, pcd, posed_frames, timestamps, tum, velodyne
+from lvba.io import (
+    bags,
+    camera_config,
+    files,
+    frames,
+    image_poses,
+    images,
+    kitti,
+    pcd,
+    posed_frames,
+    timestamps,
+    tum,
+    velodyne,
+    yaml_files,
+)
 from lvba.io.camera_config import Calibration
 from lvba.io.frames import Frame
+from lvba.io.image_poses import Reading, Statement
 from lvba.io.posed_frames import PosedFrames
-from lvba.trajectory import Trajectory, bracket
+from lvba.io.tum import PoseFile
+from lvba.trajectory import Trajectory
 
 logger = logging.getLogger(__name__)
 
@@ -30,7 +47,6 @@ SCAN_FOLDERS = ("all_pcd_body", "pcd", "Log/pcd")
 """Where FAST-LIVO2 writes scans: for Global-LVBA, and by itself (seen from its `Log` folder, or from its root)."""
 IMAGE_FOLDERS = ("all_image", "image", "Log/image")
 SCAN_POSES, IMAGE_POSES = "lidar_poses.txt", "image_poses.txt"
-_MAX_DISAGREEMENT_DEG, _MAX_DISAGREEMENT_M = 10.0, 1.0
 
 
 def open_dataset(path: str | Path) -> Dataset:
@@ -50,25 +66,76 @@ def open_dataset(path: str | Path) -> Dataset:
     return dataset
 
 
+def check_names(path: str | Path) -> None:
+    """What `open_dataset` finds wrong before it looks into scans and images: names, poses, calibration.
+
+    Scans and images may be empty files: only their names count.
+    Raises: InputError
+    """
+    with files.as_input_error(path):
+        root = Path(os.path.abspath(path))
+        os.stat(root)
+    if kitti.is_kitti(root):
+        kitti.check_names(root)
+        return
+    scan_folder, image_folder = _layout(root)
+    scans = _matched(root, scan_folder, _poses_of(root, scan_folder, SCAN_POSES), (".pcd",), "scan")
+    calibration = camera_config.read_calibration(root)
+    if image_folder:
+        poses = _poses_of(root, image_folder, IMAGE_POSES)
+        pictures = _matched(root, image_folder, poses, images.SUFFIXES, "image")
+        _need_camera(root, calibration)
+        _decide(poses, pictures.poses, scans.poses, calibration)
+
+
 def _open_fast_livo(root: Path) -> Dataset:
     scan_folder, image_folder = _layout(root)
-    scans = _open_frames(root, scan_folder, SCAN_POSES, (".pcd",), "scan")
+    scans = _open_frames(root, scan_folder, _poses_of(root, scan_folder, SCAN_POSES), (".pcd",), "scan")
     calibration = camera_config.read_calibration(root)
-    pictures = _open_images(root, image_folder, calibration) if image_folder else None
     dataset = Dataset(
         root=str(root),
         scan_paths=scans.paths,
         scans=scans.poses,
-        image_paths=() if pictures is None else pictures.paths,
-        images=Trajectory(np.zeros(0), np.zeros((0, 4, 4))) if pictures is None else pictures.poses,
-        camera=NO_CAMERA if pictures is None else camera_config.for_size(calibration, pictures.sizes[0]),
+        image_paths=(),
+        images=Trajectory(np.zeros(0), np.zeros((0, 4, 4))),
+        scan_stamps=scans.stamps,
+        camera=NO_CAMERA,
         camera_from_scan=_camera_from_scan(calibration),
         sensor_position_scan=calibration.body_from_lidar[:3, 3].copy(),
-        warnings=scans.warnings + calibration.warnings + (() if pictures is None else pictures.warnings),
-        digest=_digest(calibration, scans, pictures),
+        warnings=scans.warnings + calibration.warnings,
+        digest=_digest(calibration, scans),
     )
-    disagreement = _disagreement(dataset, calibration)
-    return posed_frames.shifted(dataclasses.replace(dataset, warnings=dataset.warnings + disagreement))
+    if image_folder:
+        dataset = _with_images(dataset, root, image_folder, calibration, scans)
+    return posed_frames.shifted(dataset)
+
+
+def _with_images(
+    dataset: Dataset, root: Path, folder: str, calibration: Calibration, scans: PosedFrames
+) -> Dataset:
+    """The recording of the scans with its images, whose poses become the camera's."""
+    poses = _poses_of(root, folder, IMAGE_POSES)
+    pictures = _open_images(root, folder, poses, calibration)
+    found = _decide(poses, pictures.poses, scans.poses, calibration)
+    cameras = image_poses.to_camera(pictures.poses.world_from_sensor, found.kind, dataset.camera_from_scan)
+    return dataclasses.replace(
+        dataset,
+        image_paths=pictures.paths,
+        images=Trajectory(pictures.poses.times, cameras),
+        camera=camera_config.for_size(calibration, pictures.sizes[0]),
+        image_stamps=pictures.stamps,
+        image_poses=found.kind,
+        image_poses_reason=found.reason,
+        warnings=dataset.warnings + pictures.warnings + found.warnings,
+        digest=_digest(calibration, scans, pictures, found.kind),
+    )
+
+
+def _decide(poses: "_Poses", pictures: Trajectory, scans: Trajectory, calibration: Calibration) -> Reading:
+    """What the image poses are of."""
+    itself = image_poses.stated(poses.file.comments)
+    said = Statement(itself, f"{IMAGE_POSES} itself") if itself else calibration.image_poses
+    return image_poses.decide(pictures, scans, _camera_from_scan(calibration), said, poses.path)
 
 
 def load_scan(dataset: Dataset, index: int) -> Scan:
@@ -106,6 +173,7 @@ def load_image(dataset: Dataset, index: int) -> np.ndarray:
 def _layout(root: Path) -> tuple[str, str]:
     """Names of the scan folder and of the image folder (empty: there is none)."""
     if not os.path.isdir(root):
+        _refuse_bag(root)
         raise InputError(root, "is a file, not a folder", f"give the folder that holds {SCAN_FOLDERS[0]}")
     scan_folder = _first_folder(root, SCAN_FOLDERS)
     image_folder = _first_folder(root, IMAGE_FOLDERS)
@@ -114,38 +182,88 @@ def _layout(root: Path) -> tuple[str, str]:
         raise InputError(missing, f"is missing beside {IMAGE_POSES}", "add the images, or remove the poses")
     if scan_folder:
         return scan_folder, image_folder
+    _refuse_bag(root)
     if root.name in (*SCAN_FOLDERS, *IMAGE_FOLDERS):
         raise InputError(root, "is a part of a recording", f"give the folder above it, {root.parent}")
     missing = root / SCAN_FOLDERS[0]
     raise InputError(missing, "there is no such folder", f"put <seconds>.pcd and {SCAN_POSES} there")
 
 
+def _refuse_bag(root: Path) -> None:
+    if kind := bags.kind(root):
+        raise InputError(root, f"is a {kind}, which is not read", bags.MEND)
+
+
 def _first_folder(root: Path, names: tuple[str, ...]) -> str:
     return next((name for name in names if os.path.isdir(root / name)), "")
 
 
-def _pose_path(root: Path, folder: str, name: str) -> Path:
+@dataclass(frozen=True)
+class _Poses:
+    """A pose file, where it is and what it is called."""
+
+    path: Path
+    name: str
+    file: PoseFile
+
+
+def _poses_of(root: Path, folder: str, name: str) -> _Poses:
     """The pose file in the folder or beside it."""
     inside, beside = root / folder / name, root / name
-    if not os.path.exists(inside) and not os.path.exists(beside):
+    found = name in files.names_in(root / folder)  # of a folder that is closed to us, `exists` says no
+    if not found and not os.path.exists(beside):
         raise InputError(
             inside, "no poses: there is no such file", "write one pose a line: t tx ty tz qx qy qz qw"
         )
-    return inside if os.path.exists(inside) else beside
+    path = inside if found else beside
+    return _Poses(path, name, tum.read_pose_file(path))
 
 
-def _open_frames(
-    root: Path, folder: str, pose_name: str, suffixes: tuple[str, ...], kind: str
-) -> PosedFrames:
+@dataclass(frozen=True)
+class _Matched:
+    """Files with a pose; their times with all digits; what to say of the others."""
+
+    frames: list[Frame]
+    poses: Trajectory
+    stamps: list[str]
+    warnings: list[str]
+
+
+def _matched(root: Path, folder: str, poses: _Poses, suffixes: tuple[str, ...], kind: str) -> _Matched:
+    """The files of a folder by their names and the pose file; nothing of the files is read."""
     found, warnings = frames.find(root / folder, suffixes, kind)
-    pose_path = _pose_path(root, folder, pose_name)
-    rough, pose_warnings = tum.read_trajectory_and_warnings(pose_path)
-    match = timestamps.match(np.array([frame.time for frame in found]), rough, pose_path)
+    rough = poses.file.trajectory
+    match = timestamps.match(np.array([frame.time for frame in found]), rough, poses.path)
     matched = [found[index] for index in match.files]
-    warnings = [*warnings, *pose_warnings, *_match_warnings(found, match, len(rough), pose_path, kind)]
+    warnings += [*poses.file.warnings, *_match_warnings(found, match, len(rough), poses.path, kind)]
+    stamps, timed = _stamps(matched, match, poses.file)
+    return _Matched(matched, timed, stamps, warnings)
+
+
+def _stamps(matched: list[Frame], match: timestamps.Match, file: PoseFile) -> tuple[list[str], Trajectory]:
+    """Times with all digits that names and pose file have, and the poses at these times."""
+    texts = []
+    for frame, pose in zip(matched, match.own, strict=True):
+        name = "" if match.by_order else frame.stamp
+        if pose < 0:
+            texts.append(tum.padded(name))
+            continue
+        written = file.stamps[pose] or tum.time_text(file.trajectory.times[pose])
+        texts.append(tum.padded(timestamps.merged(name, written)))
+    times = np.array([float(text) for text in texts])
+    if (np.diff(times) <= 0).any():
+        times = match.poses.times
+        texts = [tum.time_text(time) for time in times]
+    return texts, Trajectory(times, match.poses.world_from_sensor)
+
+
+def _open_frames(root: Path, folder: str, poses: _Poses, suffixes: tuple[str, ...], kind: str) -> PosedFrames:
+    found = _matched(root, folder, poses, suffixes, kind)
     check = pcd.check_pcd if kind == "scan" else images.check_image
-    fingerprint = f"{pose_name} {posed_frames.sha256(pose_path)}"
-    return posed_frames.checked(matched, match.poses, check, kind, fingerprint, tuple(warnings))
+    fingerprint = f"{poses.name} {files.sha256(poses.path)}"
+    return posed_frames.checked(
+        found.frames, found.poses, check, kind, fingerprint, tuple(found.warnings), found.stamps
+    )
 
 
 def _match_warnings(
@@ -165,16 +283,30 @@ def _match_warnings(
     return warnings
 
 
-def _open_images(root: Path, folder: str, calibration: Calibration) -> PosedFrames:
+def _open_images(root: Path, folder: str, poses: _Poses, calibration: Calibration) -> PosedFrames:
     """Images of the size that most of them have."""
-    opened = _open_frames(root, folder, IMAGE_POSES, images.SUFFIXES, "image")
-    if calibration.camera is None:
-        raise InputError(
-            root / "config.yaml", "has no cam_fx and other camera keys", "add cam_model with cam_fx, ..."
-        )
-    if calibration.camera_from_lidar is None:
-        raise InputError(root / "config.yaml", "has no Rcl and Pcl", "add extrin_calib with Rcl and Pcl")
+    opened = _open_frames(root, folder, poses, images.SUFFIXES, "image")
+    _need_camera(root, calibration)
     return posed_frames.of_one_size(opened, root / folder)
+
+
+def _need_camera(root: Path, calibration: Calibration) -> None:
+    if calibration.camera is None:
+        raise _not_in_config(root, "cam_fx and other camera keys", "cam_model with cam_fx, ...")
+    if calibration.camera_from_lidar is None:
+        raise _not_in_config(root, "Rcl and Pcl", "extrin_calib with Rcl and Pcl")
+
+
+def _not_in_config(root: Path, what: str, wanted: str) -> InputError:
+    path = root / "config.yaml"
+    if os.path.exists(path):
+        return InputError(path, f"has no {what}", f"add {wanted}")
+    others = yaml_files.find(root)
+    if others:
+        names = ", ".join(other.name for other in others[:3])
+        return InputError(root, f"none of its YAML files ({names}) has {what}", f"add {wanted}")
+    mend = f"write it: cam_model with cam_fx, ..., and extrin_calib with Rcl and Pcl; or remove {IMAGE_FOLDERS[0]}"
+    return InputError(path, f"there is no such file, and so the images have no {what}", mend)
 
 
 def _camera_from_scan(calibration: Calibration) -> np.ndarray:
@@ -184,29 +316,11 @@ def _camera_from_scan(calibration: Calibration) -> np.ndarray:
     return calibration.camera_from_lidar @ geometry.inverse(calibration.body_from_lidar)
 
 
-def _digest(calibration: Calibration, scans: PosedFrames, pictures: PosedFrames | None) -> str:
+def _digest(
+    calibration: Calibration, scans: PosedFrames, pictures: PosedFrames | None = None, kind: str = CAMERA
+) -> str:
     paths = sorted({calibration.camera_path, calibration.extrinsic_path})
-    lines = [f"calibration {posed_frames.sha256(path)}" for path in paths if os.path.isfile(path)]
-    return posed_frames.digest(scans, pictures, lines)
-
-
-def _disagreement(dataset: Dataset, calibration: Calibration) -> tuple[str, ...]:
-    """A warning if image poses are far from where the scan poses and the extrinsics put the camera."""
-    times, scans = dataset.images.times, dataset.scans
-    inside = (times >= scans.times[0]) & (times <= scans.times[-1])
-    if not inside.any():
-        return ()
-    before, fraction = bracket(scans.times, times[inside])
-    after = np.minimum(before + 1, len(scans) - 1)
-    carriers = geometry.interpolate(scans.world_from_sensor[before], scans.world_from_sensor[after], fraction)
-    expected = carriers @ geometry.inverse(dataset.camera_from_scan)
-    error = geometry.inverse(expected) @ dataset.images.world_from_sensor[inside]
-    angle_deg = float(np.median(geometry.rotation_angle_deg(error)))
-    distance = float(np.median(np.linalg.norm(error[:, :3, 3], axis=1)))
-    if angle_deg <= _MAX_DISAGREEMENT_DEG and distance <= _MAX_DISAGREEMENT_M:
-        return ()
-    return (
-        f"{calibration.extrinsic_path}: image poses and scan poses disagree by {angle_deg:.1f} degrees and "
-        f"{distance:.2f} m (medians) under Rcl, Pcl: check that X_camera = Rcl X_lidar + Pcl, and that image poses are "
-        "camera to world with z forward.",
+    lines = [f"calibration {files.sha256(path)}" for path in paths if os.path.isfile(path)]
+    return posed_frames.digest(
+        scans, pictures, [*lines, *([f"image poses {kind}"] if kind != CAMERA else [])]
     )

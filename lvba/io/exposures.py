@@ -1,5 +1,6 @@
 """Relative exposures as CSV: timestamp,relative_exposure."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,13 +40,17 @@ def read_exposures(path: str | Path) -> Exposures:
     return Exposures(table[:, 0].copy(), table[:, 1].copy())
 
 
-def write_exposures(path: str | Path, exposures: Exposures, *, durable: bool = False) -> None:
+def write_exposures(
+    path: str | Path, exposures: Exposures, *, durable: bool = False, stamps: Sequence[str] = ()
+) -> None:
     """Writes a CSV file; times read back are the same floats.
 
+    stamps: what to write for the times, none: their shortest text
     Raises: InputError if the file cannot be written.
     """
-    rows = zip(exposures.times, exposures.relative, strict=True)
-    lines = [f"{time_text(time)},{relative:.9f}\n" for time, relative in rows]
+    times = stamps or [time_text(time) for time in exposures.times]
+    rows = zip(times, exposures.relative, strict=True)
+    lines = [f"{time},{relative:.9f}\n" for time, relative in rows]
     files.write_text(path, f"{_HEADER}\n{''.join(lines)}", durable=durable)
 
 

@@ -2,13 +2,16 @@
 
 import contextlib
 import errno
+import hashlib
 import os
 import stat
 import tempfile
 from collections.abc import Iterator
+from io import BufferedReader
 from pathlib import Path
 
 from lvba.errors import InputError
+from lvba.io import no_links
 
 MAX_TEXT_BYTES = 64 * 1024**2
 """Longest text file read (a pose file with half a million lines)."""
@@ -58,7 +61,7 @@ def size(path: str | Path, limit: int = MAX_BINARY_BYTES) -> int:
     Raises: InputError if it is none (a pipe would block forever), or longer than the limit.
     """
     with as_input_error(path):
-        status = os.stat(path)
+        status = _status(path)
     if stat.S_ISDIR(status.st_mode):
         raise InputError(path, "is a folder", "give the path of a file")
     if not stat.S_ISREG(status.st_mode):
@@ -74,8 +77,18 @@ def read_bytes(path: str | Path, limit: int = MAX_BINARY_BYTES) -> bytes:
     Raises: InputError
     """
     length = size(path, limit)
-    with as_input_error(path), open(path, "rb") as file:
+    with as_input_error(path), _opened(path) as file:
         return file.read(length)  # allocates as much as it is asked for
+
+
+def sha256(path: str | Path, limit: int = MAX_BINARY_BYTES) -> str:
+    """The digest of a regular file of at most `limit` bytes, hexadecimal; it is read piece by piece.
+
+    Raises: InputError
+    """
+    size(path, limit)
+    with as_input_error(path), _opened(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_start(path: str | Path, length: int) -> bytes:
@@ -84,7 +97,7 @@ def read_start(path: str | Path, length: int) -> bytes:
     Raises: InputError
     """
     length = min(length, size(path))
-    with as_input_error(path), open(path, "rb") as file:
+    with as_input_error(path), _opened(path) as file:
         return file.read(length)
 
 
@@ -94,7 +107,7 @@ def read_end(path: str | Path, length: int) -> bytes:
     Raises: InputError
     """
     total = size(path)
-    with as_input_error(path), open(path, "rb") as file:
+    with as_input_error(path), _opened(path) as file:
         file.seek(max(0, total - length))
         return file.read(length)
 
@@ -116,6 +129,38 @@ def read_text(path: str | Path, limit: int = MAX_TEXT_BYTES) -> str:
         ) from error
 
 
+def names_in(folder: str | Path) -> list[str]:
+    """Names of all that a folder holds, sorted.
+
+    Raises: InputError
+    """
+    with as_input_error(folder):
+        if not no_links.are_refused(folder):
+            return sorted(os.listdir(folder))
+        handle = no_links.descriptor(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            return sorted(os.listdir(handle))
+        finally:
+            os.close(handle)
+
+
+def _opened(path: str | Path) -> BufferedReader:
+    """The file, open for reading."""
+    if no_links.are_refused(path):
+        return os.fdopen(no_links.descriptor(path), "rb")
+    return open(path, "rb")
+
+
+def _status(path: str | Path) -> os.stat_result:
+    if not no_links.are_refused(path):
+        return os.stat(path)
+    handle = no_links.descriptor(path)
+    try:
+        return os.fstat(handle)
+    finally:
+        os.close(handle)
+
+
 def write_bytes(path: str | Path, content: bytes, *, durable: bool = False) -> None:
     """Writes a file under a temporary name beside it and renames: readers see the old file, the new one, or none.
 
@@ -132,7 +177,7 @@ def write_bytes(path: str | Path, content: bytes, *, durable: bool = False) -> N
             _write_and_close(handle, content, durable)
             os.replace(temporary, path)
             if durable:
-                _sync_folder(path.parent)
+                sync(path.parent)
     except BaseException:
         with contextlib.suppress(OSError):
             os.unlink(temporary)
@@ -192,8 +237,12 @@ def _umask() -> int:
         return 0o022
 
 
-def _sync_folder(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
+def sync(path: Path) -> None:
+    """Wait until the content of a file, or the names in a folder, are on the disk.
+
+    Raises: OSError
+    """
+    handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:

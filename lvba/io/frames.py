@@ -21,10 +21,11 @@ Facts = TypeVar("Facts")
 
 @dataclass(frozen=True)
 class Frame:
-    """A file and the time in its name, s."""
+    """A file and the time in its name, s; stamp: with all its digits, "" if it was not in the name."""
 
     path: Path
     time: float
+    stamp: str = ""
 
 
 @dataclass(frozen=True)
@@ -41,9 +42,11 @@ def find(folder: Path, suffixes: tuple[str, ...], kind: str) -> tuple[list[Frame
 
     Raises: InputError if the folder cannot be read or holds none.
     """
-    with files.as_input_error(folder), os.scandir(folder) as entries:
-        names = sorted(entry.name for entry in entries if entry.name.lower().endswith(suffixes))
-    names = [name for name in names if not name.startswith(".")]
+    names = [
+        name
+        for name in files.names_in(folder)
+        if name.lower().endswith(suffixes) and not name.startswith(".")
+    ]
     if not names:
         mend = f"put the {kind} files there, named by their times"
         mend += ", or remove the folder to use scans alone" if kind == "image" else ""
@@ -51,14 +54,14 @@ def find(folder: Path, suffixes: tuple[str, ...], kind: str) -> tuple[list[Frame
     frames, nameless, repeated = [], [], []
     seen: set[float] = set()
     for name in names:
-        time = timestamps.from_name(name) if name.isprintable() else None
-        if time is None:
+        stamp = timestamps.stamp(name) if name.isprintable() else None
+        if stamp is None:
             nameless.append(name)
-        elif time in seen:
+        elif float(stamp) in seen:
             repeated.append(name)
         else:
-            seen.add(time)
-            frames.append(Frame(folder / name, time))
+            seen.add(float(stamp))
+            frames.append(Frame(folder / name, float(stamp), stamp))
     if not frames:
         raise InputError(folder, f"no {kind} file name carries a time", f"name them <seconds>{suffixes[0]}")
     warnings = left_out(nameless, f"{kind} files without a time in the name", folder)

@@ -39,12 +39,7 @@ def open_kitti(root: Path) -> Dataset:
 
     Raises: InputError
     """
-    calibration = _read_calibration(root / CALIBRATION)
-    times = _table(root / TIMES, 1)[:, 0]
-    if (np.diff(times) <= 0).any():
-        raise InputError(root / TIMES, "times are not ascending", "sort them")
-    pose_path = _pose_path(root)
-    world_from_camera0 = _poses(pose_path)
+    calibration, times, pose_path, world_from_camera0 = _tables(root)
     world_from_scan = world_from_camera0 @ calibration["Tr"]
     scans = _open_frames(root / SCAN_FOLDER, (velodyne.SUFFIX,), "scan", times, world_from_scan, pose_path)
     image_folder = next((name for name in IMAGE_FOLDERS if os.path.isdir(root / name)), None)
@@ -68,18 +63,41 @@ def open_kitti(root: Path) -> Dataset:
         camera_from_scan=camera_from_camera0 @ calibration["Tr"],
         warnings=scans.warnings + (() if pictures is None else pictures.warnings),
         digest=posed_frames.digest(
-            scans, pictures, [posed_frames.sha256(root / name) for name in (CALIBRATION, TIMES)]
+            scans, pictures, [files.sha256(root / name) for name in (CALIBRATION, TIMES)]
         ),
     )
     return posed_frames.shifted(dataset)
 
 
-def _open_frames(
-    folder: Path, suffixes: tuple[str, ...], kind: str, times: np.ndarray, poses: np.ndarray, pose_path: Path
-) -> PosedFrames:
-    """Frames by number; those beyond the times or poses are left out."""
+def check_names(root: Path) -> None:
+    """What `open_kitti` finds wrong before it looks into scans and images.
+
+    Raises: InputError
+    """
+    calibration, times, pose_path, poses = _tables(root)
+    _timed(root / SCAN_FOLDER, (velodyne.SUFFIX,), "scan", len(times), len(poses), pose_path)
+    image_folder = next((name for name in IMAGE_FOLDERS if os.path.isdir(root / name)), None)
+    if image_folder is not None:
+        _split_projection(root, calibration, IMAGE_FOLDERS[image_folder])
+        _timed(root / image_folder, images.SUFFIXES, "image", len(times), len(poses), pose_path)
+
+
+def _tables(root: Path) -> tuple[dict[str, np.ndarray], np.ndarray, Path, np.ndarray]:
+    """Calibration, times (N,) s, and the pose file with its poses (M, 4, 4), world from camera 0."""
+    calibration = _read_calibration(root / CALIBRATION)
+    times = _table(root / TIMES, 1)[:, 0]
+    if (np.diff(times) <= 0).any():
+        raise InputError(root / TIMES, "times are not ascending", "sort them")
+    pose_path = _pose_path(root)
+    return calibration, times, pose_path, _poses(pose_path)
+
+
+def _timed(
+    folder: Path, suffixes: tuple[str, ...], kind: str, times: int, poses: int, pose_path: Path
+) -> tuple[dict[int, Frame], list[str]]:
+    """Frames by number; those beyond the times or poses are left out, and told."""
     found, warnings = frames.find(folder, suffixes, kind)
-    count = min(len(times), len(poses))
+    count = min(times, poses)
     numbers = [int(frame.time) for frame in found]
     without = [frame.path.name for frame, number in zip(found, numbers, strict=True) if number >= count]
     numbers = [number for number in numbers if number < count]
@@ -87,11 +105,19 @@ def _open_frames(
         raise InputError(
             pose_path, f"has no poses for the {kind}s in {folder.name}", "give a pose for each frame"
         )
-    by_number = {int(frame.time): frame for frame in found}
-    timed = [Frame(by_number[number].path, float(times[number])) for number in numbers]
-    check = velodyne.check_bin if kind == "scan" else images.check_image
     warnings = [*warnings, *frames.left_out(without, f"{kind}s beyond the last pose", pose_path)]
-    fingerprint = f"{POSES} {posed_frames.sha256(pose_path)}"
+    by_number = {int(frame.time): frame for frame in found}
+    return {number: by_number[number] for number in numbers}, warnings
+
+
+def _open_frames(
+    folder: Path, suffixes: tuple[str, ...], kind: str, times: np.ndarray, poses: np.ndarray, pose_path: Path
+) -> PosedFrames:
+    by_number, warnings = _timed(folder, suffixes, kind, len(times), len(poses), pose_path)
+    numbers = list(by_number)
+    timed = [Frame(frame.path, float(times[number])) for number, frame in by_number.items()]
+    check = velodyne.check_bin if kind == "scan" else images.check_image
+    fingerprint = f"{POSES} {files.sha256(pose_path)}"
     return posed_frames.checked(
         timed, Trajectory(times[numbers], poses[numbers]), check, kind, fingerprint, tuple(warnings)
     )

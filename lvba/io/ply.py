@@ -98,6 +98,14 @@ def read_ply_chunks(path: str | Path, chunk: int = CHUNK) -> Iterator[np.ndarray
             yield np.fromfile(file, table, min(chunk, count - first))
 
 
+def count(path: str | Path) -> int:
+    """How many vertices a file says that it has.
+
+    Raises: InputError
+    """
+    return _read_header(path)[1]
+
+
 def _row_type(columns: Mapping[str, np.ndarray]) -> np.dtype:
     for name, values in columns.items():
         if values.dtype.str[1:] not in _NAMES:

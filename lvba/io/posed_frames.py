@@ -11,11 +11,13 @@ import numpy as np
 
 from lvba.dataset import Dataset
 from lvba.errors import InputError
-from lvba.io import files, frames
+from lvba.io import frames
 from lvba.io.frames import Frame
 from lvba.io.image_header import ImageSize
 from lvba.trajectory import Trajectory
 
+MIN_IMAGE_SIDE = 24
+"""px; smaller images hold next to no patch that two of them could share."""
 FAR_FROM_ORIGIN = 1000.0
 """m; recordings further away are shifted by whole meters, so that float32 and squares of coordinates stay exact."""
 
@@ -24,6 +26,7 @@ FAR_FROM_ORIGIN = 1000.0
 class PosedFrames:
     """Good frames in time order.
 
+    stamps: times as results write them, with all digits known; none: the shortest text of the times
     fingerprints: name and content of each, after one of the pose file; sizes: of images, empty for scans
     """
 
@@ -32,6 +35,7 @@ class PosedFrames:
     fingerprints: tuple[str, ...]
     sizes: tuple[ImageSize, ...]
     warnings: tuple[str, ...]
+    stamps: tuple[str, ...] = ()
 
 
 def checked(
@@ -41,10 +45,11 @@ def checked(
     kind: str,
     pose_fingerprint: str,
     warnings: tuple[str, ...],
+    stamps: Sequence[str] = (),
 ) -> PosedFrames:
     """The frames whose files pass the check.
 
-    poses: of `matched`, in order; check: as in `frames.check_all`; pose_fingerprint: of the pose file
+    poses, stamps: of `matched`, in order; check: as in `frames.check_all`; pose_fingerprint: of the pose file
     Raises: the first InputError if more than half of the frames are bad.
     """
     hashed = frames.total_bytes(matched) <= frames.HASHED_BYTES
@@ -57,17 +62,16 @@ def checked(
         (pose_fingerprint, *names),
         tuple(facts for index in good if isinstance(facts := checks[index].facts, ImageSize)),
         (*warnings, *bad_warnings),
+        tuple(stamps[index] for index in good) if stamps else (),
     )
 
 
 def of_one_size(pictures: PosedFrames, where: object) -> PosedFrames:
     """The images of the size that most have, with a warning about others.
 
-    Raises: InputError if no size is that of more than half of them.
+    Raises: InputError if no size is that of more than half of them, or that size is too small.
     """
     size, count = Counter(pictures.sizes).most_common(1)[0]
-    if count == len(pictures.sizes):
-        return pictures
     if 2 * count <= len(pictures.sizes):
         other = next(index for index, found in enumerate(pictures.sizes) if found != pictures.sizes[0])
         raise InputError(
@@ -76,6 +80,14 @@ def of_one_size(pictures: PosedFrames, where: object) -> PosedFrames:
             f"{Path(pictures.paths[0]).name}",
             "give images of one camera",
         )
+    if min(size.width, size.height) < MIN_IMAGE_SIDE:
+        raise InputError(
+            where,
+            f"images of {_text(size)} px are too small to be matched",
+            f"give images of {MIN_IMAGE_SIDE} px or more on each side",
+        )
+    if count == len(pictures.sizes):
+        return pictures
     good = [index for index, found in enumerate(pictures.sizes) if found == size]
     odd = [
         Path(path).name for path, found in zip(pictures.paths, pictures.sizes, strict=True) if found != size
@@ -86,6 +98,7 @@ def of_one_size(pictures: PosedFrames, where: object) -> PosedFrames:
         (pictures.fingerprints[0], *(pictures.fingerprints[index + 1] for index in good)),
         tuple(pictures.sizes[index] for index in good),
         (*pictures.warnings, *frames.left_out(odd, f"images that are not {_text(size)} px", where)),
+        tuple(pictures.stamps[index] for index in good) if pictures.stamps else (),
     )
 
 
@@ -93,14 +106,6 @@ def digest(scans: PosedFrames, pictures: PosedFrames | None, others: Sequence[st
     """sha256 over all fingerprints."""
     lines = [*scans.fingerprints, *(() if pictures is None else pictures.fingerprints), *others]
     return hashlib.sha256("\n".join(lines).encode("utf-8", "surrogateescape")).hexdigest()
-
-
-def sha256(path: Path) -> str:
-    """The fingerprint of a small file.
-
-    Raises: InputError
-    """
-    return hashlib.sha256(files.read_bytes(path)).hexdigest()
 
 
 def shifted(dataset: Dataset) -> Dataset:

@@ -136,8 +136,13 @@ def write_metadata(
     rows: np.dtype,
     ranges: dict[str, tuple[Any, Any]],
     spacing: float,
+    source: Mapping[str, str],
 ) -> None:
-    """Writes metadata.json. ranges: least and greatest value of each attribute, in meters for the position."""
+    """Writes metadata.json.
+
+    ranges: least and greatest value of each attribute, in meters for the position
+    source: what the points were read from; Potree does not ask for it
+    """
     corner = frame.offset.tolist()
     content = {
         "version": "2.0",
@@ -156,6 +161,7 @@ def write_metadata(
         "boundingBox": {"min": corner, "max": [low + frame.edge for low in corner]},
         "encoding": "DEFAULT",
         "attributes": [_attribute(name, rows[name], ranges[name]) for name in rows.names or ()],
+        "source": dict(source),
     }
     files.write_text(folder / METADATA, json.dumps(content, indent=1))
 

@@ -1,14 +1,19 @@
 """The truth or another solution to compare with: a folder of poses and exposures."""
 
+import dataclasses
+import logging
 import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from lvba.dataset import CAMERA, Dataset
 from lvba.errors import InputError
-from lvba.io import exposures, tum
+from lvba.io import exposures, image_poses, tum
 from lvba.io.dataset import IMAGE_POSES, SCAN_POSES
 from lvba.io.exposures import Exposures
 from lvba.trajectory import Trajectory
+
+logger = logging.getLogger(__name__)
 
 EXPOSURES = "exposures.csv"
 
@@ -20,11 +25,14 @@ class Reference:
     scans: Trajectory | None
     images: Trajectory | None
     exposures: Exposures | None
+    image_poses: str = ""
+    """What the file says its image poses are of, `camera` or `body`; "" if it says nothing: `of_cameras` finds out."""
 
 
 def read_reference(folder: str | Path) -> Reference:
     """What a reference folder holds of lidar_poses.txt, image_poses.txt and exposures.csv.
 
+    Image poses are as in the file: whoever compares them calls `of_cameras` first.
     Raises: InputError if it holds no poses, or a file is malformed.
     """
     folder = Path(folder)
@@ -35,8 +43,37 @@ def read_reference(folder: str | Path) -> Reference:
     scan_path, image_path, exposure_path = (folder / name for name in (SCAN_POSES, IMAGE_POSES, EXPOSURES))
     if not os.path.exists(scan_path) and not os.path.exists(image_path):
         raise InputError(folder, "holds no poses", f"put {SCAN_POSES} or {IMAGE_POSES} there")
+    found = None if not os.path.exists(image_path) else tum.read_pose_file(image_path)
+    for warning in () if found is None else found.warnings:
+        logger.warning(warning)
     return Reference(
         tum.read_trajectory(scan_path) if os.path.exists(scan_path) else None,
-        tum.read_trajectory(image_path) if os.path.exists(image_path) else None,
+        None if found is None else found.trajectory,
         exposures.read_exposures(exposure_path) if os.path.exists(exposure_path) else None,
+        "" if found is None else image_poses.stated(found.comments),
     )
+
+
+def of_cameras(reference: Reference, dataset: Dataset) -> Reference:
+    """The reference with the poses of cameras, whatever its image_poses.txt holds.
+
+    The rule is that of a recording, with the reference's own scan poses; without these, by how well its images can be
+    laid over the recording's. What neither they nor the file tell is what the recording's file holds.
+    Raises: InputError if its image poses do not belong to its scan poses.
+    """
+    images, mount = reference.images, dataset.camera_from_scan
+    if images is None or not dataset.image_paths:
+        return reference
+    statement = image_poses.Statement(reference.image_poses, "the file")
+    if reference.scans is None:
+        found = image_poses.decide_beside(images, dataset, statement)
+    else:
+        where = f"{IMAGE_POSES} of the reference"
+        found = image_poses.decide(
+            *(images, reference.scans, mount, statement, where, dataset.image_poses),
+            image_poses.FOREIGN_MOUNT,
+        )
+        for warning in found.warnings:
+            logger.warning(warning)
+    cameras = image_poses.to_camera(images.world_from_sensor, found.kind, mount)
+    return dataclasses.replace(reference, images=Trajectory(images.times, cameras), image_poses=CAMERA)

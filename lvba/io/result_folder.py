@@ -1,20 +1,29 @@
 """The result folder: poses, exposures and settings, in the input's world frame and at the input's times."""
 
-from collections.abc import Mapping
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from lvba.dataset import Dataset
-from lvba.io import exposures, files, tum
+from lvba.dataset import CAMERA, Dataset
+from lvba.errors import InputError
+from lvba.io import exposures, files, image_poses, tum
 from lvba.io.dataset import IMAGE_POSES, SCAN_POSES
 from lvba.io.exposures import Exposures
 from lvba.io.reference import EXPOSURES
 from lvba.trajectory import Trajectory
 
-CONFIG = "config.yaml"
+CONFIG, MAP, REPORT = "config.yaml", "map.ply", "report.json"
+FILES = (SCAN_POSES, IMAGE_POSES, EXPOSURES, MAP, CONFIG, REPORT, "report.html")
+"""What is written, and replaced, in a result folder."""
+_LOCK, _WRITING = Path("stages") / ".lock", ".writing"
+_LARGEST_REPORT = 1 << 30
+_SAME_TIME_S = 1e-5
 
 
 def prepare(out: str | Path) -> Path:
@@ -27,18 +36,91 @@ def prepare(out: str | Path) -> Path:
     return folder
 
 
+def check(out: str | Path) -> None:
+    """Passes if nothing in the folder that is not of a result would be replaced.
+
+    Of a result are the files beside our stages, beside our report.json, and those of a writing that was cut short.
+    Raises: InputError
+    """
+    folder = Path(out)
+    found = next((name for name in FILES if os.path.lexists(folder / name)), None)
+    if (
+        found is None
+        or os.path.exists(folder / _LOCK)
+        or os.path.exists(folder / _WRITING)
+        or _is_ours(folder)
+    ):
+        return
+    raise InputError(
+        folder / found,
+        "is not of a result of lvba, and would be replaced",
+        "choose another folder, or move it away",
+    )
+
+
+@contextmanager
+def writing(folder: Path) -> Iterator[None]:
+    """Marks the folder as being written, until all of it is."""
+    files.write_text(folder / _WRITING, "")
+    yield
+    with files.as_input_error(folder):
+        os.unlink(folder / _WRITING)
+
+
+def _is_ours(folder: Path) -> bool:
+    """Whether it holds a report of ours."""
+    try:
+        facts = json.loads(files.read_text(folder / REPORT, _LARGEST_REPORT))
+    except (InputError, ValueError, RecursionError):
+        return False
+    return isinstance(facts, dict) and "schema" in facts and isinstance(facts.get("dataset"), dict)
+
+
 def write_poses(
     out: str | Path, dataset: Dataset, world_from_scan: np.ndarray, world_from_camera: np.ndarray
 ) -> None:
     """Writes lidar_poses.txt and, if there are images, image_poses.txt; each file is the old one or the whole new one.
 
+    image_poses.txt holds poses of what the recording's file holds (`Dataset.image_poses`), and says so in its first line.
     world_from_scan: (S, 4, 4), world_from_camera: (I, 4, 4), in the dataset's frame (its origin is added here)
     Raises: InputError if a file cannot be written.
     """
     folder = files.make_folder(out)
-    _write_trajectory(folder / SCAN_POSES, dataset, dataset.scans.times, world_from_scan)
+    _write_trajectory(folder / SCAN_POSES, dataset, dataset.scans.times, world_from_scan, dataset.scan_stamps)
     if dataset.image_paths:
-        _write_trajectory(folder / IMAGE_POSES, dataset, dataset.images.times, world_from_camera)
+        kind = dataset.image_poses
+        poses = image_poses.from_camera(world_from_camera, kind, dataset.camera_from_scan)
+        times, told = dataset.images.times, image_poses.comment(kind)
+        _write_trajectory(folder / IMAGE_POSES, dataset, times, poses, dataset.image_stamps, told)
+
+
+def read_cameras(out: str | Path, dataset: Dataset) -> Trajectory:
+    """world_from_camera of the images in a result's image_poses.txt, in the dataset's frame.
+
+    Results without a comment that says what they hold are older ones, and hold the camera's poses.
+    Raises: InputError
+    """
+    found = tum.read_pose_file(Path(out) / IMAGE_POSES)
+    kind = image_poses.stated(found.comments) or CAMERA
+    poses = image_poses.to_camera(found.trajectory.world_from_sensor, kind, dataset.camera_from_scan).copy()
+    poses[:, :3, 3] -= dataset.origin
+    return Trajectory(found.trajectory.times, poses)
+
+
+def read_scans(out: str | Path, dataset: Dataset) -> Trajectory:
+    """world_from_scan of all scans in a result's lidar_poses.txt, in the dataset's frame.
+
+    Raises: InputError, also if it has other times than the recording.
+    """
+    path = Path(out) / SCAN_POSES
+    found, times = tum.read_trajectory(path), dataset.scans.times
+    if len(found) != len(times) or np.abs(found.times - times).max(initial=0) > _SAME_TIME_S:
+        raise InputError(
+            path, "has other times than its recording", "run again on the recording as it is now"
+        )
+    poses = found.world_from_sensor.copy()
+    poses[:, :3, 3] -= dataset.origin
+    return Trajectory(times, poses)
 
 
 def write_exposures(out: str | Path, dataset: Dataset, relative: np.ndarray) -> None:
@@ -49,7 +131,7 @@ def write_exposures(out: str | Path, dataset: Dataset, relative: np.ndarray) -> 
     """
     folder = files.make_folder(out)
     table = Exposures(dataset.images.times, relative / relative[0])
-    exposures.write_exposures(folder / EXPOSURES, table, durable=True)
+    exposures.write_exposures(folder / EXPOSURES, table, durable=True, stamps=dataset.image_stamps)
 
 
 def write_config(out: str | Path, config: Mapping[str, Any]) -> None:
@@ -63,7 +145,15 @@ def write_config(out: str | Path, config: Mapping[str, Any]) -> None:
     files.write_text(files.make_folder(out) / CONFIG, text, durable=True)
 
 
-def _write_trajectory(path: Path, dataset: Dataset, times: np.ndarray, poses: np.ndarray) -> None:
+def _write_trajectory(
+    path: Path,
+    dataset: Dataset,
+    times: np.ndarray,
+    poses: np.ndarray,
+    stamps: tuple[str, ...],
+    comment: str = "",
+) -> None:
     poses = poses.copy()
     poses[:, :3, 3] += dataset.origin
-    files.write_text(path, tum.trajectory_text(Trajectory(times, poses)), durable=True)
+    text = tum.trajectory_text(Trajectory(times, poses), comment=comment, stamps=stamps)
+    files.write_text(path, text, durable=True)

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -19,27 +20,55 @@ _DECIMAL = re.compile(r"[0-9]+\.[0-9]+")
 _SECONDS_AND_FRACTION = re.compile(r"(?<![0-9])([0-9]{9,10})[_-]([0-9]{6}|[0-9]{9})(?![0-9])")
 _INTEGER = re.compile(r"[0-9]+")
 _LATEST = 1e12
-_UNITS = {19: 1e9, 16: 1e6, 13: 1e3}
+_DECIMALS_OF_UNITS = {19: 9, 16: 6, 13: 3}
 """Whole numbers of so many digits are nano-, micro- or milliseconds since 1970 (2001 to 2286)."""
 
 
 def from_name(name: str) -> float | None:
-    """The time that a file name carries, s, or None: its longest number.
+    """The time that a file name carries, s, or None."""
+    text = stamp(name)
+    return None if text is None else float(text)
 
+
+def stamp(name: str) -> str | None:
+    """The time that a file name carries, s, as a decimal number with all its digits, or None: its longest number.
+
+    float64 holds times since 1970 to 0.2 microseconds only, so results are written with these digits.
     Understood are 1630577758.569490.pcd, image_12.5.png, 1630577758_569490000.png, and whole numbers: of 19, 16 and
     13 digits as nano-, micro- and milliseconds, others as seconds.
     """
     stem = Path(name).stem if Path(name).suffix[1:].isalpha() else name
     if decimals := _DECIMAL.findall(stem):
-        time = float(max(decimals, key=len))
+        text = max(decimals, key=len)
     elif match := _SECONDS_AND_FRACTION.search(stem):
-        time = float(f"{match[1]}.{match[2]}")
+        text = f"{match[1]}.{match[2]}"
     elif integers := _INTEGER.findall(stem):
-        longest = max(integers, key=len)
-        time = float(longest) / _UNITS.get(len(longest), 1.0)
+        text = max(integers, key=len)
+        if places := _DECIMALS_OF_UNITS.get(len(text), 0):
+            text = f"{text[:-places]}.{text[-places:]}"
     else:
         return None
-    return time if time < _LATEST else None
+    return text if float(text) < _LATEST else None
+
+
+def merged(name: str, pose: str) -> str:
+    """The time of a frame with all digits that are known of it, from those of its name and of its pose ("": unknown).
+
+    The name's where the pose's is that, rounded or cut, or printed from a float of it. Else the pose's: names may be
+    rounded, too.
+    """
+    if not name or not pose:
+        return name or pose
+    off = abs(Decimal(name) - Decimal(pose))
+    same = off <= 2 * Decimal(float(np.spacing(float(pose))))
+    more = _decimals(name) - _decimals(pose)
+    if more > 0 and (same or off < Decimal(1).scaleb(-_decimals(pose))):
+        return name
+    return name if (more == 0 and same) or float(name) == float(pose) else pose
+
+
+def _decimals(text: str) -> int:
+    return len(text.partition(".")[2])
 
 
 @dataclass(frozen=True)
@@ -48,10 +77,12 @@ class Match:
 
     files: (M,) int64, indices of files, in time order
     poses: of those files; their times are the pose's where the two belong together, else the file's
+    own: (M,) int64, index of the pose that a file has to itself, -1: interpolated
     """
 
     files: np.ndarray
     poses: Trajectory
+    own: np.ndarray
     interpolated: int
     """Files between two poses."""
     unused_poses: int
@@ -75,7 +106,7 @@ def match(times: np.ndarray, rough: Trajectory, where: object) -> Match:
     between = ~same & inside & (rough.times[after] - rough.times[before] <= MAX_GAP)
     if not (same | between).any():
         if len(times) == len(rough) and times[0] in (0, 1) and (np.diff(times) == 1).all():
-            return Match(np.arange(len(times)), rough, 0, 0, by_order=True)
+            return Match(np.arange(len(times)), rough, np.arange(len(times)), 0, 0, by_order=True)
         raise _another_clock(times, rough, where)
     poses = rough.world_from_sensor[nearest].copy()
     poses[between] = geometry.interpolate(
@@ -91,6 +122,7 @@ def match(times: np.ndarray, rough: Trajectory, where: object) -> Match:
     return Match(
         kept,
         Trajectory(matched_times[kept], poses[kept]),
+        np.where(same, nearest, -1)[kept],
         int(np.count_nonzero(between & keep)),
         int(np.count_nonzero(~used)),
     )

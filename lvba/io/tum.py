@@ -1,6 +1,9 @@
 """Trajectories as text, one pose a line: t tx ty tz qx qy qz qw (the TUM format)."""
 
 import logging
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +21,24 @@ _NORM_TOLERANCE = 1e-2
 _HEADER_WORDS = {"t", "time", "timestamp", "stamp"}
 _SAME_POSE = 1e-6
 _MAX_POSITION = 1e8
+_MAX_COMMENTS = 100
+_PLAIN = re.compile(r"[0-9]+(\.[0-9]*)?")
+
+
+@dataclass(frozen=True)
+class PoseFile:
+    """What a TUM file holds.
+
+    trajectory: the poses, in time order
+    stamps: their times with all digits on file, "" where these are no plain decimal number
+    comments: the comment lines before the first pose, without '#'
+    warnings: one sentence about each thing that was mended
+    """
+
+    trajectory: Trajectory
+    stamps: tuple[str, ...]
+    comments: tuple[str, ...]
+    warnings: tuple[str, ...]
 
 
 def read_trajectory(path: str | Path) -> Trajectory:
@@ -34,11 +55,21 @@ def read_trajectory(path: str | Path) -> Trajectory:
 def read_trajectory_and_warnings(path: str | Path) -> tuple[Trajectory, tuple[str, ...]]:
     """The poses of a TUM file, in time order, and one sentence about each thing that was mended.
 
+    Raises: as `read_pose_file`
+    """
+    found = read_pose_file(path)
+    return found.trajectory, found.warnings
+
+
+def read_pose_file(path: str | Path) -> PoseFile:
+    """The poses of a TUM file with its comments.
+
     Blank lines and comments (#) are skipped, commas are as good as spaces, quaternions are normalized, a pose that is
     there twice is taken once, and unsorted poses are sorted.
     Raises: InputError with the line number: not 8 numbers, no finite value, no unit quaternion, two poses for one time.
     """
-    rows, numbers = _rows(path, files.read_text(path))
+    text = files.read_text(path)
+    rows, numbers = _rows(path, text)
     if not len(rows):
         raise InputError(path, "holds no poses", f"write one pose a line: {_COLUMNS}")
     _check_values(path, rows, numbers)
@@ -50,9 +81,28 @@ def read_trajectory_and_warnings(path: str | Path) -> tuple[Trajectory, tuple[st
     keep = _first_of_each_time(path, rows, numbers)
     if not keep.all():
         warnings.append(f"{path}: {np.count_nonzero(~keep)} repeated poses were left out.")
-    rows = rows[keep]
+    rows, numbers = rows[keep], numbers[keep]
     poses = geometry.from_quaternion_translation(rows[:, 4:], rows[:, 1:4])
-    return Trajectory(rows[:, 0].copy(), poses), tuple(warnings)
+    lines = text.split("\n")
+    stamps = tuple(_stamp(lines[number - 1]) for number in numbers)
+    return PoseFile(Trajectory(rows[:, 0].copy(), poses), stamps, _comments(text), tuple(warnings))
+
+
+def _stamp(line: str) -> str:
+    """The time on a line of poses as it is written, if that is a plain decimal number."""
+    word = line.replace(",", " ").split()[0]
+    return word if _PLAIN.fullmatch(word) else ""
+
+
+def _comments(text: str) -> tuple[str, ...]:
+    """The comments before the first pose."""
+    found = []
+    for line in text.split("\n", _MAX_COMMENTS)[:_MAX_COMMENTS]:
+        line = line.strip()
+        if line and not line.startswith("#"):
+            break
+        found.append(line.lstrip("#").strip())
+    return tuple(found)
 
 
 def write_trajectory(path: str | Path, trajectory: Trajectory, digits: int = 9) -> None:
@@ -64,22 +114,32 @@ def write_trajectory(path: str | Path, trajectory: Trajectory, digits: int = 9) 
     files.write_text(path, trajectory_text(trajectory, digits))
 
 
-def trajectory_text(trajectory: Trajectory, digits: int = 9) -> str:
-    """The content of a TUM file."""
+def trajectory_text(
+    trajectory: Trajectory, digits: int = 9, comment: str = "", stamps: Sequence[str] = ()
+) -> str:
+    """The content of a TUM file.
+
+    comment: its first line; stamps: what to write for the times, none: their shortest text
+    """
     quaternions = geometry.quaternion(trajectory.world_from_sensor) if len(trajectory) else np.zeros((0, 4))
-    lines = []
-    for time, pose, quaternion in zip(
-        trajectory.times, trajectory.world_from_sensor, quaternions, strict=True
-    ):
+    lines = [f"# {comment}\n"] if comment else []
+    times = stamps or [time_text(time) for time in trajectory.times]
+    for time, pose, quaternion in zip(times, trajectory.world_from_sensor, quaternions, strict=True):
         position = " ".join(f"{value:.{digits}f}" for value in pose[:3, 3])
         rotation = " ".join(f"{value:.{digits + 3}f}" for value in quaternion)
-        lines.append(f"{time_text(time)} {position} {rotation}\n")
+        lines.append(f"{time} {position} {rotation}\n")
     return "".join(lines)
 
 
 def time_text(time: float) -> str:
     """The shortest decimal that reads back as the same float, with 6 digits or more after the point."""
     return np.format_float_positional(time, unique=True, min_digits=6)
+
+
+def padded(stamp: str) -> str:
+    """A decimal number with 6 digits or more after the point."""
+    whole, _, decimals = stamp.partition(".")
+    return f"{whole}.{decimals:0<6}"
 
 
 def _rows(path: str | Path, text: str) -> tuple[np.ndarray, np.ndarray]:

@@ -21,8 +21,11 @@ def find(folder: Path) -> list[Path]:
     found: list[Path] = []
     for place in (folder, folder / "config"):
         if os.path.isdir(place):
-            with files.as_input_error(place):
-                names = sorted(path for path in place.iterdir() if path.suffix.lower() in (".yaml", ".yml"))
+            names = [
+                place / name
+                for name in files.names_in(place)
+                if Path(name).suffix.lower() in (".yaml", ".yml")
+            ]
             found += sorted(names, key=lambda path: path.stem.lower() != "config")
     return found
 

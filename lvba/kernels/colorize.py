@@ -3,11 +3,12 @@
 import numpy as np
 from numba import njit, prange
 
+from lvba.kernels.occlusion import hides, tolerance_of
 from lvba.kernels.zbuffer import EMPTY, NEAR_M, RUN, in_view, sphere_in_view, view_buffers, view_slopes
 
 _CLIPPED_RANK = np.float32(1e-9)
-_BEHIND = np.float32(-0.25)
-"""Sine of the angle by which a camera may be behind a surface that it sees: normals of noisy points are that wrong."""
+_TOUCHING = np.float32(2.0)
+"""Cells between a point and another of the same surface that an image is asked about."""
 
 
 @njit(cache=True, nogil=True)
@@ -72,7 +73,8 @@ def _worst(ranks: np.ndarray) -> int:
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def collect_views(
     points: np.ndarray,
-    normals: np.ndarray,
+    surface: np.ndarray,
+    tolerance: np.ndarray,
     start: np.ndarray,
     spheres: np.ndarray,
     poses: np.ndarray,
@@ -80,9 +82,9 @@ def collect_views(
     pictures: np.ndarray,
     numbers: np.ndarray,
     valid: np.ndarray,
-    nearest: np.ndarray,
+    first_seen: np.ndarray,
+    front: np.ndarray,
     cell: int,
-    tolerance: np.ndarray,
     limits: np.ndarray,
     ranks: np.ndarray,
     colors: np.ndarray,
@@ -90,19 +92,23 @@ def collect_views(
 ) -> None:
     """Adds the samples of a batch of images to the best views of every point.
 
-    points: (3, M) float32, world; normals: (3, M) float32, towards the side that has the color, zero where unknown;
-    start, spheres: blocks;
+    points: (3, M) float32, world; surface: (M, 8) float32, see `facing.surfaces`; tolerance: (2,) float32, see
+    `occlusion.tolerance_of`; start, spheres: blocks;
     poses: (B, 3, 4) float32; pictures: (B, H, W, 3) uint8; numbers: (B,) int32, image numbers;
-    valid: (H, W) bool; nearest: (B, h, w) float32, m, depth of the nearest surface in and round each cell of `cell`
-    pixels; tolerance: (2,) float32, m and part of the depth; limits: (2,) float32, darkest and brightest usable value;
+    valid: (H, W) bool; first_seen: (B, h, w, 8) float32 and front: (B, h, w, 2, 2) int32, of cells of `cell` pixels, see
+    `occlusion.first_points`;
+    limits: (2,) float32, darkest and brightest usable value;
     ranks (M, K) float32, colors (M, K, 3) uint8, images (M, K) int32: in and out. A better view takes the place of the
     worst, so that the K best remain; of equal ones the earlier stays.
     """
-    height, width = pictures.shape[1], pictures.shape[2]
+    height, width, columns = pictures.shape[1], pictures.shape[2], first_seen.shape[2]
     slopes = view_slopes(intrinsics, width, height)
     right, bottom = np.float32(width - 1), np.float32(height - 1)
-    half, far = np.float32(0.5), np.float32(1.0) + tolerance[1]
+    half, pixel = np.float32(0.5), np.float32(1.0) / min(intrinsics[0], intrinsics[1])
+    twice = np.float32(1.9999) * pixel * pixel
+    touching = _TOUCHING * np.float32(cell) * pixel
     cell_of = np.arange(max(height, width)) // cell
+    half_of = (2 * (np.arange(max(height, width)) % cell) + 1) // cell
     for b in prange(start.shape[0] - 1):
         color = np.empty(3, np.float32)
         u, v, depth, which = view_buffers()
@@ -116,13 +122,22 @@ def collect_views(
                 )
                 for k in which[:seen]:
                     column, row = int(u[k] + half), int(v[k] + half)
-                    limit = nearest[image, cell_of[row], cell_of[column]] * far + tolerance[0]
-                    if depth[k] > limit or not valid[row, column]:
+                    if not valid[row, column]:
                         continue
                     i = first + k
-                    rank = _rank(points, normals, i, pose)
                     slot = _worst(ranks[i])
+                    # no view ranks higher than one that is no nearer and faces the surface
+                    if ranks[i, slot] * twice * depth[k] * depth[k] >= 1:
+                        continue
+                    rank = _rank(points, surface, i, pose, pixel)
                     if not rank > ranks[i, slot]:
+                        continue
+                    r, c = cell_of[row], cell_of[column]
+                    other = front[image, r, c, half_of[row], half_of[column]]
+                    own, near = first_seen[image, r, c], first_seen[image, other // columns, other % columns]
+                    if _hidden(own, points, surface, tolerance, i, pose, depth[k], touching):
+                        continue
+                    if _hidden(near, points, surface, tolerance, i, pose, depth[k], touching):
                         continue
                     x, y = min(max(u[k], np.float32(0.0)), right), min(max(v[k], np.float32(0.0)), bottom)
                     high = _bilinear(pictures[image], x, y, color)
@@ -131,19 +146,59 @@ def collect_views(
                         if not rank > ranks[i, slot]:
                             continue
                     ranks[i, slot], images[i, slot] = rank, numbers[image]
-                    for c in range(3):
-                        colors[i, slot, c] = np.uint8(color[c] + half)
+                    for channel in range(3):
+                        colors[i, slot, channel] = np.uint8(color[channel] + half)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _rank(points: np.ndarray, normals: np.ndarray, i: int, pose: np.ndarray) -> np.float32:
-    """How good the view is: 1 / distance^2, and 0 from behind the surface."""
+def _rank(points: np.ndarray, surface: np.ndarray, i: int, pose: np.ndarray, pixel: np.float32) -> np.float32:
+    """How good the view is: one over the mean square distance, along the surface, of what it shows from the point, 1/m^2.
+
+    A pixel covers distance / focal length of the surface, and 1 / cos times as much lengthwise. And the point is off the
+    surface by its scatter, along the beam that measured it; the view through it meets the surface elsewhere, by the
+    difference of beam and view, each over its cosine: nowhere else where camera and LiDAR look the same way. 0: seen from
+    further off the normal than may be. Where the beam is not known, the surface has two sides.
+    """
+    one = np.float32(1.0)
     dx, dy, dz = points[0, i] - pose[0, 3], points[1, i] - pose[1, 3], points[2, i] - pose[2, 3]
+    nx, ny, nz = surface[i, 0], surface[i, 1], surface[i, 2]
     square = dx * dx + dy * dy + dz * dz
-    facing = -(normals[0, i] * dx + normals[1, i] * dy + normals[2, i] * dz)
-    if facing < _BEHIND * np.sqrt(square):
+    if nx == 0 and ny == 0 and nz == 0:
+        return one / (np.float32(2.0) * pixel * pixel * square)
+    height = -(nx * dx + ny * dy + nz * dz)
+    if surface[i, 3] == 0 and surface[i, 4] == 0 and surface[i, 5] == 0:
+        height = abs(height)
+    squared = height * height
+    if not (height > 0 and squared > surface[i, 7] * square):
         return np.float32(0.0)
-    return np.float32(1.0) / square
+    ax, ay, az = surface[i, 3] * height + dx, surface[i, 4] * height + dy, surface[i, 5] * height + dz
+    off = surface[i, 6] * surface[i, 6] * (ax * ax + ay * ay + az * az)
+    return squared / (pixel * pixel * square * (squared + square) + off)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _hidden(
+    first_seen: np.ndarray,
+    points: np.ndarray,
+    surface: np.ndarray,
+    tolerance: np.ndarray,
+    i: int,
+    pose: np.ndarray,
+    depth: np.float32,
+    touching: np.float32,
+) -> bool:
+    """Whether what a cell sees first, (8,), hides a point."""
+    allowed = tolerance_of(surface[i], tolerance)
+    nx, ny, nz = surface[i, 0], surface[i, 1], surface[i, 2]
+    if surface[i, 3] == 0 and surface[i, 4] == 0 and surface[i, 5] == 0:
+        toward = np.float32(0.0)
+        for a in range(3):
+            toward += surface[i, a] * (pose[a, 3] - points[a, i])
+        if toward < 0:
+            nx, ny, nz = -nx, -ny, -nz
+    return hides(
+        first_seen, points[0, i], points[1, i], points[2, i], depth, nx, ny, nz, allowed, touching * depth
+    )
 
 
 @njit(cache=True, nogil=True)

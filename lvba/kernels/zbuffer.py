@@ -10,8 +10,8 @@ from numba import njit, prange
 
 NEAR_M = np.float32(0.05)
 EMPTY = np.int64(0x7FFFFFFF_FFFFFFFF)
-_FAR_M = np.float32(2047.0)
-_STEPS = np.float32(1048576.0)
+FAR_M = np.float32(2047.0)
+STEPS = np.float32(1048576.0)
 RUN = 512
 """Points projected at a time: what is known about them stays in the nearest cache."""
 
@@ -148,7 +148,7 @@ def splat(
             seen = in_view(points, first, start[b + 1], pose, intrinsics, width, height, u, v, depth, which)
             for k in which[:seen]:
                 column, row = int(u[k] + half), int(v[k] + half)
-                entry = (np.int64(min(depth[k], _FAR_M) * _STEPS) << 32) | (first + k)
+                entry = (np.int64(min(depth[k], FAR_M) * STEPS) << 32) | (first + k)
                 # stores without branches: which point is nearer cannot be predicted
                 other = entry if abs(source[first + k] - image) > guard else EMPTY
                 nearest[row, column, 0] = min(nearest[row, column, 0], entry)
@@ -204,7 +204,7 @@ def split(entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             for column in range(entries.shape[2]):
                 entry = entries[a, row, column]
                 if entry != EMPTY:
-                    depth[a, row, column] = np.float32(entry >> 32) / _STEPS
+                    depth[a, row, column] = np.float32(entry >> 32) / STEPS
                     index[a, row, column] = np.int32(entry & 0xFFFFFFFF)
     return depth, index
 
@@ -234,6 +234,40 @@ def _seen_depth(inverse: np.ndarray, row: int, column: int) -> np.float32:
     return np.float32(1.0) / deepest if deepest > 0 else np.float32(np.inf)
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def nearest_entries(
+    points: np.ndarray,
+    start: np.ndarray,
+    spheres: np.ndarray,
+    pose: np.ndarray,
+    intrinsics: np.ndarray,
+    cell: int,
+    height: int,
+    width: int,
+) -> np.ndarray:
+    """The nearest point in each cell of `cell` pixels of one image, (h, w) int64; EMPTY where there is none.
+
+    An entry is the depth in steps, shifted left by 32 bits, and the index: of points in the same step the one with the
+    lower index counts.
+    points: (3, M) float32, world, in blocks; start, spheres: the blocks; pose: (3, 4) float32
+    """
+    nearest = np.full(((height + cell - 1) // cell, (width + cell - 1) // cell), EMPTY, np.int64)
+    slopes = view_slopes(intrinsics, width, height)
+    half = np.float32(0.5)
+    cell_of = np.arange(max(height, width)) // cell
+    u, v, depth, which = view_buffers()
+    for b in range(start.shape[0] - 1):
+        if not sphere_in_view(spheres[b], pose, slopes):
+            continue
+        for first in range(start[b], start[b + 1], RUN):
+            seen = in_view(points, first, start[b + 1], pose, intrinsics, width, height, u, v, depth, which)
+            for k in which[:seen]:
+                row, column = cell_of[int(v[k] + half)], cell_of[int(u[k] + half)]
+                entry = (np.int64(min(depth[k], FAR_M) * STEPS) << 32) | (first + k)
+                nearest[row, column] = min(nearest[row, column], entry)
+    return nearest
+
+
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def seen_depths(
     points: np.ndarray,
@@ -253,28 +287,13 @@ def seen_depths(
     """
     rows, columns = (height + cell - 1) // cell, (width + cell - 1) // cell
     out = np.empty((poses.shape[0], rows, columns), np.float32)
-    slopes = view_slopes(intrinsics, width, height)
-    half = np.float32(0.5)
-    cell_of = np.arange(max(height, width)) // cell
     for image in prange(poses.shape[0]):
-        nearest = np.full((rows, columns), EMPTY, np.int64)
-        u, v, depth, which = view_buffers()
-        for b in range(start.shape[0] - 1):
-            if not sphere_in_view(spheres[b], poses[image], slopes):
-                continue
-            for first in range(start[b], start[b + 1], RUN):
-                seen = in_view(
-                    points, first, start[b + 1], poses[image], intrinsics, width, height, u, v, depth, which
-                )
-                for k in which[:seen]:
-                    row, column = cell_of[int(v[k] + half)], cell_of[int(u[k] + half)]
-                    steps = np.int64(min(depth[k], _FAR_M) * _STEPS)
-                    nearest[row, column] = min(nearest[row, column], steps)
+        nearest = nearest_entries(points, start, spheres, poses[image], intrinsics, cell, height, width)
         inverse = np.zeros((rows + 2, columns + 2), np.float32)
         for row in range(rows):
             for column in range(columns):
                 if nearest[row, column] != EMPTY:
-                    inverse[row + 1, column + 1] = _STEPS / np.float32(nearest[row, column])
+                    inverse[row + 1, column + 1] = STEPS / np.float32(nearest[row, column] >> 32)
         for row in range(rows):
             for column in range(columns):
                 out[image, row, column] = _seen_depth(inverse, row + 1, column + 1)
@@ -287,23 +306,27 @@ def shade(
     gray: np.ndarray,
     source: np.ndarray,
     ratio: np.ndarray,
+    first: int,
     color: np.ndarray,
     covered: np.ndarray,
 ) -> None:
     """Writes the colors (2, H, W, 3) float32, 0..255, and whether anything is seen (2, H, W) bool.
 
     entries: (2, H, W) int64; gray: (M, 3) float32, gray values in the source image; source: (M,) int32; ratio: (I,)
-    float32, relative exposure of this image over that of each source. Clipped at 255, as the sensor does.
+    float32, relative exposure of this image over that of each source. Clipped at 255, as the sensor does. first: 1 if the
+    first picture's colors are not wanted, and are not written; else 0
     """
     for row in range(entries.shape[1]):
         for column in range(entries.shape[2]):
             for variant in range(2):
                 entry = entries[variant, row, column]
                 covered[variant, row, column] = entry != EMPTY
+                if variant < first:
+                    continue
                 if entry == EMPTY:
                     for c in range(3):
                         color[variant, row, column, c] = 0.0
-                elif variant == 1 and entry == entries[0, row, column]:
+                elif variant > first and entry == entries[0, row, column]:
                     for c in range(3):
                         color[1, row, column, c] = color[0, row, column, c]
                 else:

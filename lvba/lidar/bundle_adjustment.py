@@ -306,15 +306,25 @@ _TORN = 3.0
 _NAMED = 8
 
 
+def loose_steps(loose: np.ndarray, weak_scans: np.ndarray) -> np.ndarray:
+    """Indices (K,) int64 of the motions between scans, each well held, that rest on the odometry.
+
+    loose, weak_scans: as in `LidarResult`
+    """
+    if not len(loose):
+        return np.zeros(0, np.int64)
+    held = weak_scans == 0
+    torn = (loose > _LOOSE) & (loose > _TORN * np.median(loose))
+    return np.flatnonzero(torn & held[1:] & held[:-1])
+
+
 def _of_loose_steps(
     loose: np.ndarray, weakness: weak.Weakness, prior: OdometryPrior | None
 ) -> tuple[str, ...]:
     """What a user should know about groups of scans that hang together by the odometry only, though each is well held."""
     if prior is None or not len(loose):
         return ()
-    held = weakness.count == 0
-    torn = (loose > _LOOSE) & (loose > _TORN * np.median(loose))
-    steps = np.flatnonzero(torn & held[1:] & held[:-1])
+    steps = loose_steps(loose, weakness.count)
     if not len(steps):
         return ()
     named = ", ".join(map(str, steps[:_NAMED])) + (", ..." if len(steps) > _NAMED else "")

@@ -353,7 +353,7 @@ def _level(rows: Sequence[LevelReport]) -> LevelReport:
         sigma=float(np.mean([row.sigma for row in rows])),
         shift=float(np.mean([row.shift for row in rows])),
         rms=float(np.mean([row.rms for row in rows])),
-        inflation=float(np.mean([row.inflation for row in rows])),
+        inflation=max(row.inflation for row in rows),  # an alarm: one part is enough
         iterations=tuple(entry for row in rows for entry in row.iterations),
         converged=all(row.converged for row in rows),
     )

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Protocol
 
-from lvba import facts, result_stages, split, stages
+from lvba import expected_error, facts, result_stages, split, stages
 from lvba.dataset import Dataset
 from lvba.fusion import FusionConfig
 from lvba.gate import GateConfig
@@ -55,10 +55,12 @@ def refine(
     images, tied = chain.cameras(found, scans)
     fusion, fused = chain.fuse(found["lidar"], scans, images)
     scores, accepted = chain.judge(scans, fused, images)
-    chain.products(accepted, scores)
+    expected = plan.add("expected-error", expected_error.of_result, found["lidar"], fusion, images, accepted)
+    pieces = chain.products(accepted, expected, scores)
     told = plan.add(
         "facts-of-whole", facts.collect,
-        *(dataset, found["lidar"], scans, images, fusion, scores, accepted, reference),
+        *(dataset, found["lidar"], scans, images, fusion, scores, accepted),
+        *(expected, _passing(pieces), chain.planes(accepted), reference),
     )  # fmt: skip
     walls = chain.seams(accepted)
     plan.add(
@@ -131,7 +133,15 @@ class _Chain:
             )
             for part in self._cores
         ]  # fmt: skip
-        scans = add("lidar-gate", regions.judge_scans, self._dataset, whole, entropies, config.gate)
+        compared = [
+            add(
+                f"lidar-images-{part.number}", products.compare_part,
+                *(frames, part, len(self._dataset.image_paths), whole, config.evaluate, config.gate),
+            )
+            for frames, part in zip(self._subsets, self._cores, strict=True)
+        ]  # fmt: skip
+        images = add("lidar-images", products.merge_compared, compared)
+        scans = add("lidar-gate", regions.judge_scans, self._dataset, whole, entropies, images, config.gate)
         return {"merged": merged, "joint": joint, "lidar": whole}, scans
 
     def _loops(self, solved: list[Ref]) -> list[Ref]:
@@ -298,14 +308,26 @@ class _Chain:
             for left, right in pairwise(self._cores)
         ]  # fmt: skip
 
-    def products(self, accepted: Ref, scores: Ref) -> None:
-        """The map, whose pieces nobody needs to have together, and the pictures."""
+    def planes(self, accepted: Ref) -> list[Ref]:
+        """How thick planes are before and after, region by region."""
+        return [
+            self._plan.add(
+                f"planes-{part.number}", regions.thickness,
+                *(self._dataset, self._cores, part.number, accepted, self._survey),
+            )
+            for part in self._cores
+        ]  # fmt: skip
+
+    def products(self, accepted: Ref, expected: Ref, scores: Ref) -> list[Ref]:
+        """The map, whose pieces nobody needs to have together, and the pictures; the pieces come back."""
         add, config = self._plan.add, self._config
-        for frames, part in zip(self._subsets, self._cores, strict=True):
+        pieces = [
             add(
                 f"map-{part.number}", products.color_part,
-                *(frames, part, self._dataset, self._cores, accepted, self._survey, config.map),
-            )  # fmt: skip
+                *(frames, part, self._dataset, self._cores, accepted, expected, self._survey, config.map),
+            )
+            for frames, part in zip(self._subsets, self._cores, strict=True)
+        ]  # fmt: skip
         choice = add("pictures-choice", products.choose_pictures, scores, accepted)
         shown: list[Any] = [
             add(
@@ -314,3 +336,4 @@ class _Chain:
             for frames, part in zip(self._subsets, self._cores, strict=True)
         ]
         add("pictures", products.collect_pictures, choice, shown)
+        return pieces

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lvba import result_stages, split, stages
+from lvba import result_stages, scan_gates, split, stages
 from lvba.dataset import Dataset
-from lvba.gate import ROUGH, VISUAL
+from lvba.gate import CARRIED, ROUGH, GateConfig
 from lvba.parts.regions import in_region, regions
 from lvba.parts.survey import Survey
-from lvba.products import colorize, evaluate, map_quality, pictures
+from lvba.products import colorize, evaluate, map_error, map_quality, pictures
 from lvba.products.cloud import Cloud
 from lvba.products.evaluate import EvaluateConfig, Scores, State
 from lvba.products.map_file import MapConfig, PointMap
@@ -19,7 +19,8 @@ from lvba.progress import Progress, silent
 from lvba.recorded_images import views_of
 from lvba.result_stages import Accepted
 from lvba.split import Part
-from lvba.stages import ScanPoses, VisualStage
+from lvba.stages import LidarStage, ScanPoses, VisualStage
+from lvba.uncertainty import Expected
 
 
 def of_part(
@@ -55,10 +56,9 @@ def evaluate_part(
 
     dataset: of the part's frames; images: of the whole
     """
-    judged = evaluate.judged_images(images, np.zeros(0, np.int32), config.max_images) if images else None
-    if judged is None:
+    if not images:
         return {}
-    core = judged[(judged >= part.core_images[0]) & (judged < part.core_images[1])]
+    core = _in_core(evaluate.judged_images(images, np.zeros(0, np.int32), config.max_images), part)
     if not len(core):
         return {}
     states = result_stages.judged_states(dataset, *of_part(scans, fused, visual, part), progress)
@@ -66,23 +66,59 @@ def evaluate_part(
     found = evaluate.evaluate(
         states, config, entropies=unknown, images=core - part.images[0], progress=progress
     )
-    return {
-        name: replace(scores, images=scores.images + np.int32(part.images[0]))
-        for name, scores in found.items()
-    }
+    return _as_in_whole(found, part)
+
+
+def compare_part(
+    dataset: Dataset,
+    part: Part,
+    images: int,
+    lidar: LidarStage,
+    config: EvaluateConfig,
+    gates: GateConfig,
+    progress: Progress = silent,
+) -> dict[str, Scores]:
+    """What images in the part's core say of refined scans, as `scan_gates.compare`; empty where none is asked.
+
+    dataset: of the part's frames; images: of the whole
+    """
+    core = _in_core(scan_gates.asked_images(images, gates), part)
+    if lidar.result is None or not gates.enabled or not len(core):
+        return {}
+    refined = lidar.result.world_from_scan[slice(*part.scans)]
+    before = stages.cloud_of(dataset, dataset.scans.world_from_sensor, progress)
+    after = stages.cloud_of(dataset, refined, progress)
+    mine = core - part.images[0]
+    return _as_in_whole(scan_gates.compare(dataset, refined, before, after, mine, config, progress), part)
+
+
+def merge_compared(found: Sequence[Mapping[str, Scores]]) -> dict[str, Scores]:
+    """What the images of all parts say of refined scans."""
+    return _together(found, {ROUGH: float("nan"), CARRIED: float("nan")})
 
 
 def merge_scores(
     found: Sequence[Mapping[str, Scores]], scans: ScanPoses, fused: ScanPoses
 ) -> dict[str, Scores]:
     """The scores over all images."""
+    names = {name for scores in found for name in scores}
+    return _together(found, result_stages.entropies_of(names, scans, fused))
+
+
+def _in_core(images: np.ndarray, part: Part) -> np.ndarray:
+    return images[(images >= part.core_images[0]) & (images < part.core_images[1])]
+
+
+def _as_in_whole(found: Mapping[str, Scores], part: Part) -> dict[str, Scores]:
+    """The same, images numbered as in the whole recording."""
+    first = np.int32(part.images[0])
+    return {name: replace(scores, images=scores.images + first) for name, scores in found.items()}
+
+
+def _together(found: Sequence[Mapping[str, Scores]], entropy: Mapping[str, float]) -> dict[str, Scores]:
     known = [scores for scores in found if scores]
     if not known:
         return {}
-    refined = scans.entropy_refined if scans.verdict.accepted else scans.entropy_rough
-    entropy = dict.fromkeys(known[0], refined) | {ROUGH: scans.entropy_rough}
-    if fused.verdict.accepted:
-        entropy[VISUAL] = fused.entropy_refined
     return {name: evaluate.together([scores[name] for scores in known], entropy[name]) for name in known[0]}
 
 
@@ -92,6 +128,7 @@ def color_part(
     whole: Dataset,
     cores: Sequence[Part],
     accepted: Accepted,
+    expected: Expected,
     survey: Survey,
     config: MapConfig,
     progress: Progress = silent,
@@ -111,13 +148,14 @@ def color_part(
     if voxel < 0:
         voxel = 2 * survey.range_m / max(whole.camera.fx, whole.camera.fy) if whole.image_paths else 0.0
     gain = colorize.display_gain(accepted.log_exposure)
-    found = result_stages.color_map(dataset, state, replace(config, voxel_m=voxel), progress, gain)
+    found = result_stages.colored_map(dataset, state, replace(config, voxel_m=voxel), progress, gain)
     owned = regions(whole, cores, accepted.world_from_scan)
     kept = in_region(found.points_world, owned, part.number)
     scan = None if found.scan is None else found.scan[kept] + np.int32(part.scans[0])
-    return PointMap(
+    piece = PointMap(
         found.points_world[kept], found.rgb[kept], found.views[kept], found.spread[kept], found.voxel_m, scan
     )
+    return map_error.with_error(piece, accepted.world_from_scan, expected.scans)
 
 
 def choose_pictures(scores: dict[str, Scores], accepted: Accepted) -> Choice | None:

@@ -1,11 +1,11 @@
 """Regions of space that parts own, the points in them, and how crisp the map is there."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from lvba import gate, geometry
+from lvba import geometry, plane_change, scan_gates
 from lvba.dataset import Dataset
 from lvba.gate import GateConfig
 from lvba.io import dataset as recordings
@@ -14,10 +14,12 @@ from lvba.lidar.share import Regions
 from lvba.parts.survey import Survey
 from lvba.products import map_quality
 from lvba.products.cloud import Cloud
-from lvba.products.map_quality import EntropyConfig
+from lvba.products.evaluate import Scores
+from lvba.products.map_quality import EntropyBlocks, EntropyConfig
 from lvba.progress import Progress, silent
+from lvba.result_stages import Accepted
 from lvba.split import Part
-from lvba.stages import FusionStage, LidarStage, ScanPoses, not_fused
+from lvba.stages import FusionStage, LidarStage, ScanPoses
 
 
 def regions(dataset: Dataset, cores: Sequence[Part], world_from_scan: np.ndarray) -> Regions:
@@ -29,10 +31,10 @@ def regions(dataset: Dataset, cores: Sequence[Part], world_from_scan: np.ndarray
 
 @dataclass(frozen=True)
 class RegionEntropy:
-    """Sum and number of the entropies of map points in one region, nats, at the rough and at the refined poses."""
+    """The entropies of map points in one region, at the rough and at the refined poses."""
 
-    rough: tuple[float, int]
-    refined: tuple[float, int]
+    rough: EntropyBlocks
+    refined: EntropyBlocks
 
 
 def region_cloud(
@@ -82,13 +84,14 @@ def judge_region(
 ) -> RegionEntropy:
     """How crisp the map is in a part's region, before and after."""
     rough = dataset.scans.world_from_sensor
-    before = _entropy(region_cloud(dataset, cores, part, rough, survey.reach_m, progress), config)
+    before = map_quality.entropy_blocks(
+        region_cloud(dataset, cores, part, rough, survey.reach_m, progress), config
+    )
     if lidar.result is None:
         return RegionEntropy(before, before)
     refined = lidar.result.world_from_scan
-    return RegionEntropy(
-        before, _entropy(region_cloud(dataset, cores, part, refined, survey.reach_m, progress), config)
-    )
+    after = region_cloud(dataset, cores, part, refined, survey.reach_m, progress)
+    return RegionEntropy(before, map_quality.entropy_blocks(after, config))
 
 
 def fused_entropy(
@@ -99,43 +102,55 @@ def fused_entropy(
     survey: Survey,
     config: EntropyConfig,
     progress: Progress = silent,
-) -> tuple[float, int]:
-    """Sum and number of the entropies of map points in a part's region, nats, at the scans that cameras moved."""
+) -> EntropyBlocks | None:
+    """The entropies of map points in a part's region, at the scans that cameras moved; None: there are none."""
     if fused.result is None:
-        return 0.0, 0
+        return None
     poses = fused.result.world_from_scan
-    return _entropy(region_cloud(dataset, cores, part, poses, survey.reach_m, progress), config)
+    return map_quality.entropy_blocks(
+        region_cloud(dataset, cores, part, poses, survey.reach_m, progress), config
+    )
+
+
+def thickness(
+    dataset: Dataset,
+    cores: Sequence[Part],
+    part: int,
+    accepted: Accepted,
+    survey: Survey,
+    progress: Progress = silent,
+) -> plane_change.PlaneChange:
+    """How thick planes in a part's region are, before and after."""
+    # never two clouds at a time
+    before, after = (
+        map_quality.planar_cubes(region_cloud(dataset, cores, part, poses, survey.reach_m, progress))
+        for poses in (dataset.scans.world_from_sensor, accepted.world_from_scan)
+    )
+    return plane_change.compare(before, after)
 
 
 def judge_fusion(
-    scans: ScanPoses, fused: FusionStage, found: Sequence[tuple[float, int]], config: GateConfig
+    scans: ScanPoses, fused: FusionStage, found: Sequence[EntropyBlocks | None], config: GateConfig
 ) -> ScanPoses:
-    """As `stages.judge_fusion`, from what all regions say."""
+    """As `scan_gates.judge_fusion`, from what all regions say."""
     if fused.result is None:
-        return not_fused(scans, fused)
-    after = sum(total for total, _ in found) / max(sum(count for _, count in found), 1)
-    verdict = gate.judge_fusion(scans.entropy_rough, scans.entropy_refined, after, config)
-    poses = fused.result.world_from_scan if verdict.accepted else scans.world_from_scan
-    return ScanPoses(poses, verdict, scans.entropy_refined, after)
-
-
-def _entropy(cloud: Cloud, config: EntropyConfig) -> tuple[float, int]:
-    centers = map_quality.voxel_means(cloud.points_world, config.voxel_m)
-    values = map_quality.point_entropies(centers, config.radius_m, config.min_neighbors)
-    finite = values[np.isfinite(values)]
-    return float(finite.sum()), len(finite)
+        return scan_gates.not_fused(scans, fused)
+    after = map_quality.blocks_together([each for each in found if each is not None])
+    return scan_gates.decide_fusion(scans, fused.result.world_from_scan, after, config)
 
 
 def judge_scans(
-    dataset: Dataset, lidar: LidarStage, found: Sequence[RegionEntropy], config: GateConfig
+    dataset: Dataset,
+    lidar: LidarStage,
+    found: Sequence[RegionEntropy],
+    scores: Mapping[str, Scores],
+    config: GateConfig,
 ) -> ScanPoses:
-    """The refined scan poses where they make a crisper map, else the input's."""
-    before, after = (
-        sum(pair[0] for pair in pairs) / max(sum(pair[1] for pair in pairs), 1)
-        for pairs in ([each.rough for each in found], [each.refined for each in found])
-    )
+    """As `scan_gates.judge_lidar`, from what all regions say; scores: over the images of all parts."""
     rough = dataset.scans.world_from_sensor
+    before, after = (
+        map_quality.blocks_together(each) for each in zip(*((r.rough, r.refined) for r in found), strict=True)
+    )
     if lidar.result is None:
-        return ScanPoses(rough, gate.Verdict(False, f"input poses kept: {lidar.problem}"), before, before)
-    verdict = gate.judge_scans(before, after, config)
-    return ScanPoses(lidar.result.world_from_scan if verdict.accepted else rough, verdict, before, after)
+        return scan_gates.keep_rough(rough, before, lidar.problem)
+    return scan_gates.decide(rough, lidar.result.world_from_scan, before, after, scores, config)

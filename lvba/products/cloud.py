@@ -12,6 +12,13 @@ from lvba.progress import Progress, silent
 
 _MAX_BLOCKS = 1 << 20
 _MIN_EDGE_M = 0.5
+_LEAST_SCATTER = np.float32(0.5)
+"""No surface is taken as flatter than this part of the typical one of its map."""
+_LEAST_SCATTER_M = np.float32(0.001)
+"""No sensor measures better than this, and float32 does not hold much more."""
+_NOWHERE = np.float32(1e6)
+_UNKNOWN_SCATTER_M = np.float32(0.05)
+"""Scatter of points of which no five are neighbors anywhere in the map."""
 
 
 @dataclass(frozen=True)
@@ -111,15 +118,29 @@ def sort_into_blocks(points_world: np.ndarray, min_edge: float = _MIN_EDGE_M) ->
     return Blocks(order, start, kernels.bounding_spheres(points_world[order], start))
 
 
-def facing_normals(points: np.ndarray, blocks: Blocks, origins: Origins | None) -> np.ndarray:
-    """Normals (3, M) float32, unit, towards where each point was measured from; zero where nothing flat is round it.
+def surfaces(points: np.ndarray, blocks: Blocks, origins: Origins | None, max_angle: float) -> np.ndarray:
+    """The surface at each point, (M, 8) float32, see `lvba.kernels.facing.surfaces`.
+
+    Without origins, normals are of either side, and what is 3 to 5 there is zero.
 
     points: (3, M) float32, m, world, in the order of their blocks; origins: of the points before they were sorted
+    max_angle: rad, of views off the normal
     """
     if origins is None:
-        return np.zeros_like(points)
-    sensors = origins.sensor_world.astype(np.float32)
-    return facing_kernels.facing_normals(points, blocks.start, origins.scan[blocks.order], sensors)
+        scan, sensors = np.zeros(points.shape[1], np.int32), np.full((1, 3), _NOWHERE, np.float32)
+    else:
+        scan, sensors = origins.scan[blocks.order], origins.sensor_world.astype(np.float32)
+    found = facing_kernels.surfaces(points, blocks.start, scan, sensors, max_angle)
+    scatter, known = found[:, 6], found[:, :3].any(1)
+    trusted = known if known.any() else scatter >= 0
+    typical = np.float32(np.median(scatter[trusted])) if trusted.any() else _UNKNOWN_SCATTER_M
+    # few points may lie on a plane by chance, and fewer tell nothing
+    least = np.where(known, _LEAST_SCATTER * typical, np.where(scatter < 0, typical, scatter))
+    np.maximum(scatter, least, out=scatter)
+    np.maximum(scatter, _LEAST_SCATTER_M, out=scatter)
+    if origins is None:
+        found[:, 3:6] = 0.0
+    return found
 
 
 def thin(points_world: np.ndarray, voxel: float) -> np.ndarray:

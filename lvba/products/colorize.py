@@ -9,13 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba.kernels import colorize as kernels
-from lvba.kernels import zbuffer
+from lvba.kernels import occlusion
 from lvba.parallel import in_order
-from lvba.products.cloud import Blocks, Cloud, Origins, facing_normals, sort_into_blocks
+from lvba.products.cloud import Blocks, Cloud, Origins, sort_into_blocks, surfaces
 from lvba.products.views import Views, nearest_in_time
 from lvba.progress import Progress, silent
 
 logger = logging.getLogger(__name__)
+
+_LOOSE = 3.0
+"""Tolerance in standard deviations where there is no surface: these then are the extent of what is there, not noise."""
 
 
 @dataclass(frozen=True)
@@ -23,11 +26,12 @@ class ColorizeConfig:
     """How the map that users keep is colored."""
 
     max_views: int = 8
-    """Views blended per point, the nearest ones; 1 to 32."""
-    tolerance_m: float = 0.15
-    """A point is hidden when it lies this much (m) plus `tolerance_ratio` behind what the image sees; 0 to 10."""
-    tolerance_ratio: float = 0.02
-    """Part of the depth added to `tolerance_m`; 0 to 0.5."""
+    """Views blended per point, the best ones; 1 to 32."""
+    max_angle_deg: float = 80.0
+    """No color from a view that is further than this off the normal of a point's surface; 1 to 90."""
+    tolerance: float = 6.0
+    """A point is hidden when it is more than this behind another surface, and that one as much before its own, in
+    standard deviations of points across the surface; 0 to 100."""
     cell_px: int = 4
     """Cells of the occlusion z-buffer, px; larger closes gaps between points, and leaves out more near edges; 1 to 32."""
     darkest: float = 5.0
@@ -40,8 +44,8 @@ class ColorizeConfig:
     def __post_init__(self) -> None:
         for name, low, high in (
             ("max_views", 1, 32),
-            ("tolerance_m", 0, 10),
-            ("tolerance_ratio", 0, 0.5),
+            ("max_angle_deg", 1, 90),
+            ("tolerance", 0, 100),
             ("cell_px", 1, 32),
             ("darkest", 0, 100),
             ("brightest", 128, 256),
@@ -136,8 +140,9 @@ def blended(
 
     points_world: (M, 3) float32, m; origins: from where they were measured, or None: a wall thinner than the tolerance
     then takes colors from both of its sides; held_out: indices of images that must not color anything.
-    A view ranks by 1 / distance^2. Hidden: behind the map's own z-buffer in that image, by more than the tolerance, or
-    seen from behind. Saturated and black samples count only where a point has no other.
+    A view ranks by how far along the surface its color is off, and not at all beyond `max_angle_deg`. Hidden: behind what
+    the map's own z-buffer shows there (`occlusion.hides`). Saturated and black samples count only where a point has no
+    other.
     """
     config = config or ColorizeConfig()
     blocks = sort_into_blocks(points_world)
@@ -166,7 +171,7 @@ def collect(
 
     points: (3, M) float32, m, world, by axis; origins: of the points before they were sorted
     """
-    normals = facing_normals(points, blocks, origins)
+    surface = surfaces(points, blocks, origins, np.radians(config.max_angle_deg))
     slots = (points.shape[1], config.max_views)
     samples = Samples(
         np.zeros(slots, np.float32), np.zeros((*slots, 3), np.uint8), np.full(slots, -1, np.int32)
@@ -176,14 +181,14 @@ def collect(
     for first in range(0, len(usable), batch):
         numbers = usable[first : first + batch]
         stack = np.stack([next(pictures) for _ in numbers])
-        _collect(points, normals, blocks, views, numbers, stack, config, samples)
+        _collect(points, surface, blocks, views, numbers, stack, config, samples)
         progress("color map", first + len(numbers), len(usable))
     return samples
 
 
 def _collect(
     points: np.ndarray,
-    normals: np.ndarray,
+    surface: np.ndarray,
     blocks: Blocks,
     views: Views,
     numbers: np.ndarray,
@@ -193,13 +198,21 @@ def _collect(
 ) -> None:
     """Adds the samples of some images to the lists of the best views, in place. numbers: of the pictures."""
     poses, mask = views.kernel_poses()[numbers], views.mask
-    nearest = zbuffer.seen_depths(
-        points, blocks.start, blocks.spheres, poses, views.intrinsics, config.cell_px, *mask.shape
+    tolerance = np.array([config.tolerance, _LOOSE], np.float32)
+    first_seen, front = occlusion.first_points(
+        points,
+        surface,
+        tolerance,
+        blocks.start,
+        blocks.spheres,
+        poses,
+        views.intrinsics,
+        config.cell_px,
+        *mask.shape,
     )
     kernels.collect_views(
-        points, normals, blocks.start, blocks.spheres, poses, views.intrinsics,
-        pictures, numbers, mask, nearest, config.cell_px,
-        np.array([config.tolerance_m, config.tolerance_ratio], np.float32),
+        points, surface, tolerance, blocks.start, blocks.spheres, poses, views.intrinsics,
+        pictures, numbers, mask, first_seen, front, config.cell_px,
         np.array([config.darkest, config.brightest], np.float32),
         samples.ranks, samples.gray, samples.images,
     )  # fmt: skip

@@ -4,7 +4,7 @@ The authors' tool is not published; this module defines the protocol and docs/ev
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -122,7 +122,7 @@ def evaluate(
     named _common are over the pixels covered in each, and states with the same poses share their renderings.
     held_out: indices of images that color nothing and are judged apart.
     entropies: mean map entropies by state that are known already.
-    brief: states of which only the leave-one-out PSNR and coverage are wanted; the rest of their figures is NaN.
+    brief: states of which only the leave-one-out figures and coverage are wanted; the rest of their figures is NaN.
     images: (J,) int32, those to judge; None: chosen evenly.
     """
     config = config or EvaluateConfig()
@@ -139,7 +139,7 @@ def evaluate(
             for cloud, names in zip(clouds, geometries, strict=True)
         ]
         renderings = {
-            name: render.shade(seen, cloud, states[name].views.log_exposure, image)
+            name: render.shade(seen, cloud, states[name].views.log_exposure, image, only_others=name in brief)
             for seen, cloud, names in zip(entries, clouds, geometries, strict=True)
             for name in names
         }
@@ -164,6 +164,15 @@ def together(parts: Sequence[Scores], entropy: float) -> Scores:
     images = np.concatenate([part.images for part in parts])
     rows = [{name: float(values[k]) for name, values in per_image.items()} for k in range(len(images))]
     return _scores(rows, images, np.zeros(0, np.int32), entropy, parts[0].splat_px)
+
+
+def completed(brief: Scores, full: Scores) -> Scores:
+    """A brief state's scores, with those that it lacks taken from others of the same state."""
+    lacks = {name for name, values in brief.per_image.items() if not np.isfinite(values).any()}
+    per_image = {
+        name: full.per_image[name] if name in lacks else values for name, values in brief.per_image.items()
+    }
+    return replace(brief, per_image=per_image, **{name: getattr(full, name) for name in lacks})
 
 
 def _geometries(states: Mapping[str, State], config: EvaluateConfig) -> list[list[str]]:
@@ -209,7 +218,7 @@ def judge(
 ) -> dict[str, dict[str, float]]:
     """The figures of one image for each state's rendering of it.
 
-    valid: (H, W) bool, pixels that hold a picture; brief: states judged by their leave-one-out PSNR alone
+    valid: (H, W) bool, pixels that hold a picture; brief: states judged by their leave-one-out figures alone
     """
     common = np.logical_and.reduce([rendering.covered[OTHERS] for rendering in renderings.values()]) & valid
     pixels = max(int(np.count_nonzero(valid)), 1)
@@ -221,12 +230,8 @@ def judge(
             covered = rendering.covered[variant] & valid
             row[f"coverage{_SUFFIX[variant]}"] = int(np.count_nonzero(covered)) / pixels
             bits = metrics.regions(covered, valid, common)
-            if name not in brief:
+            if variant == OTHERS or name not in brief:
                 row |= _figures(metrics.compare(raw, rendering.color[variant], bits), variant)
-            elif variant == OTHERS:
-                row["psnr_leave_one_out"], _, row["psnr_common"] = metrics.psnr(
-                    raw, rendering.color[variant], bits
-                )
         rows[name] = row
     return rows
 

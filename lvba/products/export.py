@@ -2,7 +2,7 @@
 
 import json
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +10,13 @@ import numpy as np
 from lvba.camera import Camera
 from lvba.dataset import Dataset
 from lvba.errors import InputError
-from lvba.io import colmap, files, images, laz, nerfstudio, ply, tum
+from lvba.io import colmap, files, images, laz, nerfstudio, ply, result_folder
+from lvba.io import crs as coordinates
 from lvba.io import dataset as recordings
 from lvba.parallel import in_order
-from lvba.products import lod, viewer
+from lvba.products import lod, measured, viewer
 from lvba.products.cloud import thin
+from lvba.products.measured import Measured
 from lvba.products.tracks import visible
 from lvba.products.views import Views
 from lvba.progress import Progress, silent
@@ -26,10 +28,18 @@ MAX_POINTS = 200_000
 """Points of a COLMAP or nerfstudio model: enough to start a trainer from, few enough for its loader."""
 
 
-def export(result: str | Path, kind: str, out: str | Path | None = None, progress: Progress = silent) -> Path:
+def export(
+    result: str | Path,
+    kind: str,
+    out: str | Path | None = None,
+    progress: Progress = silent,
+    *,
+    crs: str = "",
+) -> Path:
     """Writes a result folder in another format and returns where it is.
 
     kind: one of FORMATS; out: file or folder to write, or None for a name inside the result folder.
+    crs: for las and laz, what the coordinates are of: WKT, a file of it, or EPSG:CODE; nothing is converted
     Raises: InputError if the result folder lacks something, the format is unknown, or nothing can be written.
     """
     result = Path(result)
@@ -39,7 +49,12 @@ def export(result: str | Path, kind: str, out: str | Path | None = None, progres
         raise InputError(result, "holds no map.ply", "give the folder that `lvba run` wrote")
     name, write = FORMATS[kind]
     target = Path(out) if out is not None else result / name
-    write(result, target, progress)
+    if kind in ("las", "laz"):
+        _las(result, target, progress, coordinates.wkt(crs) if crs else "")
+    elif crs:
+        raise InputError(f"--crs {crs}", f"{kind} keeps no coordinate reference system", "export las or laz")
+    else:
+        write(result, target, progress)
     return target
 
 
@@ -47,13 +62,34 @@ def _ply(result: Path, out: Path, progress: Progress) -> None:
     files.write_bytes(out, files.read_bytes(result / "map.ply", limit=1 << 40))
 
 
-def _las(result: Path, out: Path, progress: Progress) -> None:
+def _las(result: Path, out: Path, progress: Progress, wkt: str = "") -> None:
     first = next(ply.read_ply_chunks(result / "map.ply"))
     names = first.dtype.names or ()
     extra = {name: first.dtype[name] for name in names if name not in ("x", "y", "z", "red", "green", "blue")}
     corner = np.array([first[name].min() for name in "xyz"], float) if len(first) else np.zeros(3)
-    chunks = ({name: chunk[name] for name in names} for chunk in ply.read_ply_chunks(result / "map.ply"))
-    laz.write_las(out, chunks, extra, corner)
+    found = _measured(result, progress)
+    adjusted = found is not None and found.adjusted
+    laz.write_las(out, _las_chunks(result, found), extra, corner, wkt=wkt, adjusted_time=adjusted)
+
+
+def _measured(result: Path, progress: Progress) -> Measured | None:
+    try:
+        return measured.of_map(result, _recording, progress)
+    except InputError as error:
+        logger.warning("the points go without time, intensity and scan: %s", error)
+        return None
+
+
+def _las_chunks(result: Path, found: Measured | None) -> Iterator[dict[str, np.ndarray]]:
+    done = 0
+    for chunk in ply.read_ply_chunks(result / "map.ply"):
+        columns = {name: chunk[name] for name in chunk.dtype.names or ()}
+        if found is not None:
+            here = slice(done, done + len(chunk))
+            values = (found.gps_time[here], found.intensity[here], found.source[here])
+            columns |= dict(zip(laz.MEASURED, values, strict=True))
+        done += len(chunk)
+        yield columns
 
 
 def _colmap(result: Path, out: Path, progress: Progress) -> None:
@@ -104,14 +140,13 @@ class _Scene:
 
     def __init__(self, result: Path) -> None:
         self.dataset = _recording(result)
-        trajectory = tum.read_trajectory(result / "image_poses.txt")
+        trajectory = result_folder.read_cameras(result, self.dataset)
         pairs = np.searchsorted(trajectory.times, self.dataset.images.times - 1e-6)
         if len(trajectory) != len(self.dataset.images) or (pairs != np.arange(len(trajectory))).any():
             raise InputError(
                 result, "has other images than its recording", "run again on the recording as it is now"
             )
-        self.world_from_camera = trajectory.world_from_sensor.copy()
-        self.world_from_camera[:, :3, 3] -= self.dataset.origin
+        self.world_from_camera = trajectory.world_from_sensor
         columns = ply.read_ply(result / "map.ply")
         world = np.stack([columns[name] for name in "xyz"], axis=1).astype(float) - self.dataset.origin
         self.map_points = world.astype(np.float32)
@@ -119,6 +154,11 @@ class _Scene:
         self.colored = columns["views"] > 0
         self._undistort = Undistorter(self.dataset.camera)
         self._cut = valid_rectangle(_valid(self.dataset.camera, self._undistort))
+        if min(side.stop - side.start for side in self._cut) < 1:
+            mend = "check the camera's focal length, principal point and distortion"
+            raise InputError(
+                self.dataset.root, "nothing is left of its images without their distortion", mend
+            )
         self.camera = _cut_camera(self.dataset.camera.undistorted(), self._cut)
 
     def views(self) -> Views:

@@ -9,13 +9,16 @@ nodes. The grids of all levels above end where a cube ends, so this samples the 
 """
 
 import contextlib
+import json
 import math
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from lvba.errors import InputError
 from lvba.io import files, ply, potree
 from lvba.io.potree import Frame, Nodes, Scratch
 from lvba.kernels import flatness
@@ -66,7 +69,25 @@ def write(map_file: Path, folder: Path, config: LodConfig | None = None, progres
     whole = _merged(nodes)
     potree.write_hierarchy(folder, whole, survey.rows)
     spacing = survey.frame.edge / (1 << kernels.GRID_LEVELS)
-    potree.write_metadata(folder, survey.frame, whole, survey.rows, survey.ranges, spacing)
+    potree.write_metadata(folder, survey.frame, whole, survey.rows, survey.ranges, spacing, _source(map_file))
+
+
+def is_of(map_file: Path, folder: Path) -> bool:
+    """Whether an octree lies in the folder, and was made of this map as it is now.
+
+    Octrees of versions that did not write down what they were made of are taken for it if they have as many points.
+    Raises: InputError if the map cannot be read.
+    """
+    try:
+        metadata = json.loads(files.read_text(folder / potree.METADATA))
+        source, points = metadata.get("source"), metadata.get("points")
+    except (InputError, ValueError, AttributeError):
+        return False
+    return bool(points == ply.count(map_file) and (source is None or source == _source(map_file)))
+
+
+def _source(map_file: Path) -> dict[str, str]:
+    return {"file": map_file.name, "sha256": files.sha256(map_file, sys.maxsize)}
 
 
 @dataclass(frozen=True)
@@ -88,9 +109,10 @@ def _survey(map_file: Path) -> _Survey:
         others = {name: piece[name] for name in (rows.names or ())[2:] if name != ERROR}
         count += len(piece)
         for name, values in {"position": _xyz(piece), "rgb": _rgb(piece), **others}.items():
-            if len(values):
-                low[name] = np.minimum(low.get(name, values.min(0)), values.min(0))
-                high[name] = np.maximum(high.get(name, values.max(0)), values.max(0))
+            known = values[np.isfinite(values)] if values.ndim == 1 else values
+            if len(known):
+                low[name] = np.minimum(low.get(name, known.min(0)), known.min(0))
+                high[name] = np.maximum(high.get(name, known.max(0)), known.max(0))
     none = np.zeros(3)
     ranges = {name: (low.get(name, none), high.get(name, none)) for name in rows.names or ()}
     return _Survey(frame_of(*ranges["position"]), rows, ranges, count)

@@ -46,6 +46,8 @@ class PointMap:
     spread: (K,) float32, gray values 0..255, weighted RMS difference between those images
     voxel_m: the voxel edge it was thinned to
     scan: (K,) int32, the scan that measured it, or None where nobody kept that
+    error: (K,) float32, m, expected error as the pose of that scan is uncertain (`products.map_error`), NaN where not
+        known; None: of no point
     """
 
     points_world: np.ndarray
@@ -54,6 +56,7 @@ class PointMap:
     spread: np.ndarray
     voxel_m: float
     scan: np.ndarray | None = None
+    error: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.points_world)
@@ -103,8 +106,18 @@ def together(parts: Sequence[PointMap]) -> PointMap:
     }
     scans = [part.scan for part in parts if part.scan is not None]
     return PointMap(
-        **columns, voxel_m=parts[0].voxel_m, scan=np.concatenate(scans) if len(scans) == len(parts) else None
+        **columns,
+        voxel_m=parts[0].voxel_m,
+        scan=np.concatenate(scans) if len(scans) == len(parts) else None,
+        error=np.concatenate([_error(part) for part in parts]),
     )
+
+
+def _error(point_map: PointMap) -> np.ndarray:
+    """(K,) float32, m, NaN where not known."""
+    if point_map.error is None:
+        return np.full(len(point_map), np.nan, np.float32)
+    return point_map.error.astype(np.float32, copy=False)
 
 
 def pixel_footprint(cloud: Cloud, views: Views) -> float:
@@ -160,7 +173,7 @@ def columns(point_map: PointMap, origin: np.ndarray, stored: Layout | None = Non
     xyz = (point_map.points_world.astype(float) + origin).astype(stored.coordinate)
     names = dict(zip("xyz", xyz.T, strict=True))
     names |= dict(zip(("red", "green", "blue"), point_map.rgb.T, strict=True))
-    names |= {"views": point_map.views, "spread": point_map.spread}
+    names |= {"views": point_map.views, "spread": point_map.spread, "error": _error(point_map)}
     if stored.scan is not None and point_map.scan is not None:
         names["scan"] = point_map.scan.astype(stored.scan)
     return names

@@ -3,12 +3,19 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from lvba.products.evaluate import Scores, State, color_by_paper
 from lvba.products.render import OTHERS, ColoredCloud, RenderConfig, fill, nearest, shade
 
 _FILL_PX = 3
+_CROP, _LARGE = 1 / 3, 0.6
+"""Heights of details, as parts of the image's shorter side."""
+_DETAIL = 24
+"""Detail is what is smaller than the shorter side over this."""
+_BEST = 4
+"""Images with the largest gain that details are looked for in."""
 
 
 @dataclass(frozen=True)
@@ -25,10 +32,11 @@ class Picture:
 
 @dataclass(frozen=True)
 class Pictures:
-    """views: whole images; crops: details, those that changed most first."""
+    """views: whole images; crops: details, those that changed most first; best: a large one, where it shows most."""
 
     views: tuple[Picture, ...]
     crops: tuple[Picture, ...]
+    best: Picture | None = None
 
 
 @dataclass(frozen=True)
@@ -41,10 +49,14 @@ class Choice:
 
 @dataclass(frozen=True)
 class Shown:
-    """What some of the chosen images show. whole: by image; crops: with the absolute change of the squared error."""
+    """What some of the chosen images show.
+
+    whole: by image; crops: with the absolute change of the squared error; best: large ones, by how much clearer they are
+    """
 
     whole: dict[int, Picture]
     crops: tuple[tuple[float, Picture], ...]
+    best: tuple[tuple[float, Picture], ...] = ()
 
 
 def make(
@@ -64,16 +76,18 @@ def make(
 
 def choose(scores: dict[str, Scores], views: int = 3) -> Choice:
     """The image that gained most, the median one and the one that gained least, so that the report does not only show its
-    best side; the crops come from these and from evenly spread ones."""
+    best side; the crops come from these, the next best, and evenly spread ones."""
     before, after = (scores[name].per_image["psnr_common"] for name in ("rough", "refined"))
     chosen = _telling(after - before, views)
     if not len(chosen):
         return Choice((), ())
     spread = np.unique(np.linspace(0, len(before) - 1, 5).astype(int))
+    finite = np.flatnonzero(np.isfinite(after - before))
+    best = finite[np.argsort((before - after)[finite], kind="stable")[:_BEST]]
     images = scores["rough"].images
     return Choice(
         tuple(int(images[row]) for row in chosen),
-        tuple(int(images[row]) for row in np.unique([*chosen, *spread])),
+        tuple(int(images[row]) for row in np.unique([*chosen, *spread, *best])),
     )
 
 
@@ -87,25 +101,31 @@ def show(
     clouds = [(state, color_by_paper(state)) for state in (rough, refined)]
     whole: dict[int, Picture] = {}
     crops: list[tuple[float, Picture]] = []
+    best: list[tuple[float, Picture]] = []
     for image in images:
         own = image - first
         shown = [_shown(cloud, state, own, config) for state, cloud in clouds]
         raw, title, mask = rough.views.load(own), f"image {image}", rough.views.mask
         if image in choice.whole:
             whole[image] = _picture(title, raw, shown, (slice(None), slice(None)), mask)
-        crop = _most_changed(raw, shown, mask)
+        crop = _most_changed(_change(raw, shown, mask))
         if crop is not None:
             crops.append((crop[0], _picture(title, raw, shown, crop[1], mask)))
-    return Shown(whole, tuple(crops))
+        large = _where_it_shows(raw, shown, mask)
+        if large is not None:
+            best.append((large[0], _picture(title, raw, shown, large[1], mask)))
+    return Shown(whole, tuple(crops), tuple(best))
 
 
 def collect(choice: Choice, found: Sequence[Shown]) -> Pictures:
     """The pictures of all chosen images, in order; of the crops those that changed most."""
     whole = {image: picture for each in found for image, picture in each.whole.items()}
     crops = sorted((crop for each in found for crop in each.crops), key=lambda item: -item[0])
+    best = max((large for each in found for large in each.best), key=lambda item: item[0], default=None)
     return Pictures(
         tuple(whole[image] for image in choice.whole if image in whole),
         tuple(picture for _, picture in crops[:4]),
+        None if best is None else best[1],
     )
 
 
@@ -141,25 +161,66 @@ def leave_one_out(cloud: ColoredCloud, state: State, image: int) -> np.ndarray:
     return np.rint(_shown(cloud, state, image, None).filled).astype(np.uint8)
 
 
-def _most_changed(
+def _change(raw: np.ndarray, shown: list[_Shown], valid: np.ndarray) -> np.ndarray:
+    """By how much the squared error of each pixel that both cover became smaller, (H, W)."""
+    common = shown[0].covered & shown[1].covered & valid
+    gain = ((shown[0].color - raw) ** 2).sum(2) - ((shown[1].color - raw) ** 2).sum(2)
+    return np.where(common, gain, 0.0)
+
+
+def _where_it_shows(
     raw: np.ndarray, shown: list[_Shown], valid: np.ndarray
 ) -> tuple[float, tuple[slice, slice]] | None:
-    """The window that the two renderings fit most differently, with the absolute change of its squared error."""
+    """The large window in which detail comes out clearer, and how much; None: it does nowhere.
+
+    Detail correlated with the photo's, so that being brighter than the photo counts for nothing; times the photo's own
+    contrast, so that there is something to see; times the part that both maps cover.
+    """
+    size = 2 * (min(raw.shape[:2]) // 2 // _DETAIL) + 1
     common = shown[0].covered & shown[1].covered & valid
-    change = ((shown[0].color - raw) ** 2).sum(2) - ((shown[1].color - raw) ** 2).sum(2)
-    change = np.where(common, change, 0.0)
-    height = min(raw.shape[0], raw.shape[1]) // 3
-    width = height * 4 // 3
-    table = np.zeros((raw.shape[0] + 1, raw.shape[1] + 1))
-    table[1:, 1:] = change.cumsum(0).cumsum(1)
-    window = (
+    details = []
+    for picture in (raw, shown[0].filled, shown[1].filled):
+        gray = picture.astype(np.float32).mean(2)
+        details.append(np.where(common, gray - cv2.blur(gray, (size, size)), 0.0))
+    photo, *maps = details
+    window = _window(common.shape, _LARGE)
+    own = _sums(photo**2, window)
+    before, after = (_sums(photo * one, window) / np.sqrt(own * _sums(one**2, window) + 1e-9) for one in maps)
+    score = (after - before) * np.sqrt(own * _sums(common.astype(float), window)) / np.prod(window)
+    row, column = np.unravel_index(score.argmax(), score.shape)
+    if score[row, column] == 0:
+        return None
+    return float(score[row, column]), _place(int(row), int(column), window)
+
+
+def _most_changed(change: np.ndarray) -> tuple[float, tuple[slice, slice]] | None:
+    """The small window with the largest absolute sum of the change, and that; None: nothing changed."""
+    window = _window(change.shape, _CROP)
+    sums = np.abs(_sums(change, window))
+    row, column = np.unravel_index(sums.argmax(), sums.shape)
+    if sums[row, column] == 0:
+        return None
+    return float(sums[row, column]), _place(int(row), int(column), window)
+
+
+def _window(shape: tuple[int, ...], part: float) -> tuple[int, int]:
+    """Height, a part of the image's shorter side, and width, 4:3 to it or as wide as the image."""
+    height = max(int(min(shape) * part), 1)
+    return height, min(height * 4 // 3, shape[1])
+
+
+def _place(row: int, column: int, window: tuple[int, int]) -> tuple[slice, slice]:
+    return slice(row, row + window[0]), slice(column, column + window[1])
+
+
+def _sums(values: np.ndarray, window: tuple[int, int]) -> np.ndarray:
+    """Of values (H, W) over each window, by its upper left corner."""
+    height, width = window
+    table = np.zeros((values.shape[0] + 1, values.shape[1] + 1))
+    table[1:, 1:] = values.cumsum(0, dtype=float).cumsum(1)
+    return np.asarray(
         table[height:, width:] - table[:-height, width:] - table[height:, :-width] + table[:-height, :-width]
     )
-    row, column = np.unravel_index(np.abs(window).argmax(), window.shape)
-    if window[row, column] == 0:
-        return None
-    place = (slice(int(row), int(row) + height), slice(int(column), int(column) + width))
-    return float(abs(window[row, column])), place
 
 
 def _picture(

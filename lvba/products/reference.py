@@ -7,7 +7,7 @@ import numpy as np
 
 from lvba.io.exposures import Exposures
 from lvba.io.reference import Reference
-from lvba.trajectory import Trajectory, align, pose_error
+from lvba.trajectory import Alignment, Trajectory, align_for_errors, pose_error
 
 MAX_TIME_DIFFERENCE_S = 1e-3
 """Samples further apart in time than this are not of the same frame."""
@@ -18,28 +18,44 @@ def compare(
 ) -> dict[str, Any]:
     """The `reference` part of report.json: errors of the scans, the cameras and the exposures.
 
-    lidar: after alignment of the scan positions. camera: in the frame of the LiDAR map, that is with the alignment of
-    the scans (or its own where there is no scan); camera_aligned: after their own alignment. exposure: after one
-    common scale. Frames are matched by time; a part without two frames in common is left out.
+    lidar: after alignment of the scans (`trajectory.align_for_errors`). camera: in the frame of the LiDAR map, that is
+    with the alignment of the scans (or its own where there is no scan); camera_aligned: after their own alignment.
+    aligned_by: what the alignment was found from. exposure: after one common scale. Frames are matched by time; a part
+    without two frames in common is left out.
     """
     facts: dict[str, Any] = {}
-    aligned = None
+    aligned = scan_alignment(reference, scans)
     scan_pairs = _pairs(scans.times, None if reference.scans is None else reference.scans.times)
-    if len(scan_pairs) > 1 and reference.scans is not None:
+    if aligned is not None and reference.scans is not None:
         estimate = scans.world_from_sensor[scan_pairs[:, 0]]
         truth = reference.scans.world_from_sensor[scan_pairs[:, 1]]
-        aligned = align(estimate, truth)
-        facts["lidar"] = asdict(pose_error(estimate, truth, aligned=aligned))
+        facts["lidar"] = _error(estimate, truth, aligned, aligned.by)
     image_pairs = _pairs(images.times, None if reference.images is None else reference.images.times)
     if len(image_pairs) > 1 and reference.images is not None:
         estimate = images.world_from_sensor[image_pairs[:, 0]]
         truth = reference.images.world_from_sensor[image_pairs[:, 1]]
-        own = asdict(pose_error(estimate, truth))
-        facts["camera"] = own if aligned is None else asdict(pose_error(estimate, truth, aligned=aligned))
-        facts["camera_aligned"] = own
+        alone = align_for_errors(estimate, truth)
+        facts["camera_aligned"] = own = _error(estimate, truth, alone, alone.by)
+        facts["camera"] = own if aligned is None else _error(estimate, truth, aligned, f"scans, {aligned.by}")
     if exposures is not None and reference.exposures is not None:
         facts |= _exposure_facts(exposures, reference.exposures)
     return facts
+
+
+def scan_alignment(reference: Reference, scans: Trajectory) -> Alignment | None:
+    """What brings scans to the reference; None: fewer than two frames in common."""
+    if reference.scans is None:
+        return None
+    pairs = _pairs(scans.times, reference.scans.times)
+    if len(pairs) < 2:
+        return None
+    truth = reference.scans.world_from_sensor[pairs[:, 1]]
+    return align_for_errors(scans.world_from_sensor[pairs[:, 0]], truth)
+
+
+def _error(estimate: np.ndarray, truth: np.ndarray, aligned: Alignment, by: str) -> dict[str, Any]:
+    found = asdict(pose_error(estimate, truth, aligned=aligned.reference_from_estimate))
+    return {**found, "aligned_by": by}
 
 
 def _exposure_facts(estimate: Exposures, reference: Exposures) -> dict[str, Any]:

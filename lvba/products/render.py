@@ -101,8 +101,18 @@ def nearest(cloud: ColoredCloud, views: Views, image: int, config: RenderConfig 
     )  # fmt: skip
 
 
-def shade(entries: np.ndarray, cloud: ColoredCloud, log_exposure: np.ndarray, image: int) -> Rendering:
-    """The rendering of an image: gray values divided by their image's exposure, times this one's, clipped at 255."""
+def shade(
+    entries: np.ndarray,
+    cloud: ColoredCloud,
+    log_exposure: np.ndarray,
+    image: int,
+    *,
+    only_others: bool = False,
+) -> Rendering:
+    """The rendering of an image: gray values divided by their image's exposure, times this one's, clipped at 255.
+
+    only_others: the colors of ALL are not wanted, and are anything
+    """
     color = np.empty((*entries.shape, 3), np.float32)
     covered = np.empty(entries.shape, bool)
     if cloud.samples is not None:
@@ -113,7 +123,7 @@ def shade(entries: np.ndarray, cloud: ColoredCloud, log_exposure: np.ndarray, im
         )  # fmt: skip
         return Rendering(color, covered)
     ratio = np.exp(log_exposure[image] - log_exposure).astype(np.float32)
-    kernels.shade(entries, cloud.gray, cloud.source, ratio, color, covered)
+    kernels.shade(entries, cloud.gray, cloud.source, ratio, int(only_others), color, covered)
     return Rendering(color, covered)
 
 

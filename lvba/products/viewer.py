@@ -11,7 +11,8 @@ import numpy as np
 from lvba.dataset import Dataset
 from lvba.errors import InputError
 from lvba.io import dataset as recordings
-from lvba.io import exposures, files, images, tum
+from lvba.io import exposures, files, images, result_folder
+from lvba.io.dataset import IMAGE_POSES
 from lvba.parallel import in_order
 from lvba.products import evaluate, pictures
 from lvba.products.cloud import Cloud, assemble
@@ -37,8 +38,10 @@ def write(result: Path, dataset: Dataset, out: Path, progress: Progress = silent
     Raises: InputError if the result does not fit the recording, or nothing can be written.
     """
     files.make_folder(out / "cloud")
-    scans = _refined(result / "lidar_poses.txt", dataset.scans, dataset)
-    cameras = _refined(result / "image_poses.txt", dataset.images, dataset) if dataset.image_paths else None
+    report = _report(result)
+    expected = report.get("expected_error") or {}
+    scans = result_folder.read_scans(result, dataset).world_from_sensor
+    cameras = _refined_cameras(result, dataset) if dataset.image_paths else None
     shown: list[int] = []
     if cameras is not None:
         shown = _write_pictures(result, dataset, scans, cameras, out / "frames", progress)
@@ -46,12 +49,16 @@ def write(result: Path, dataset: Dataset, out: Path, progress: Progress = silent
         "schema": 1,
         "octree": "metadata.json",
         "camera": _camera(dataset),
-        "parts": _parts(result),
-        "scans": _poses(dataset.scans, scans, dataset.origin),
+        "parts": _parts(report),
+        "scans": {
+            **_poses(dataset.scans, scans, dataset.origin),
+            "error": _errors(expected, "scans", len(scans)),
+        },
         "images": None
         if cameras is None
         else {
             **_poses(dataset.images, cameras, dataset.origin),
+            "error": _errors(expected, "cameras", len(cameras)),
             "names": [Path(path).name for path in dataset.image_paths],
             "pictures": shown,
         },
@@ -59,25 +66,36 @@ def write(result: Path, dataset: Dataset, out: Path, progress: Progress = silent
     files.write_text(out / "cloud" / "cloud.json", json.dumps(content, separators=(",", ":")))
 
 
-def _refined(path: Path, rough: Trajectory, dataset: Dataset) -> np.ndarray:
-    """The result's poses (N, 4, 4) in the recording's shifted frame."""
-    found = tum.read_trajectory(path)
+def _refined_cameras(result: Path, dataset: Dataset) -> np.ndarray:
+    """world_from_camera (I, 4, 4) of the result, in the recording's shifted frame."""
+    found = result_folder.read_cameras(result, dataset)
+    _check_times(result / IMAGE_POSES, found, dataset.images)
+    return found.world_from_sensor
+
+
+def _check_times(path: Path, found: Trajectory, rough: Trajectory) -> None:
     if len(found) != len(rough) or np.abs(found.times - rough.times).max(initial=0) > 1e-5:
         raise InputError(
             path, "has other times than its recording", "run again on the recording as it is now"
         )
-    poses = found.world_from_sensor.copy()
-    poses[:, :3, 3] -= dataset.origin
-    return poses
 
 
-def _parts(result: Path) -> list[list[int]]:
-    """First scan, and one after the last, of what each part of the recording owns; one part where it was not cut."""
+def _report(result: Path) -> dict[str, Any]:
     try:
-        merge = json.loads(files.read_text(result / "report.json")).get("merge") or {}
-    except (json.JSONDecodeError, AttributeError) as error:
+        return dict(json.loads(files.read_text(result / "report.json")))
+    except (json.JSONDecodeError, TypeError, ValueError) as error:
         raise InputError(result / "report.json", "is not a report", "run again") from error
-    return [part["core_scans"] for part in merge.get("parts", [])]
+
+
+def _parts(report: dict[str, Any]) -> list[list[int]]:
+    """First scan, and one after the last, of what each part of the recording owns; one part where it was not cut."""
+    return [part["core_scans"] for part in (report.get("merge") or {}).get("parts", [])]
+
+
+def _errors(expected: dict[str, Any], kind: str, frames: int) -> list[float | None] | None:
+    """Expected error of each frame's position, m; None where, or if, it is not known."""
+    found = (expected.get(kind) or {}).get("per_frame_m")
+    return found if isinstance(found, list) and len(found) == frames else None
 
 
 def _camera(dataset: Dataset) -> dict[str, Any] | None:

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 
 from lvba.camera import Camera
+from lvba.dataset import CAMERA
 from lvba.errors import InputError
-from lvba.io import exposures, files, tum
+from lvba.io import exposures, files, image_poses, tum
 from lvba.io.exposures import Exposures
 from lvba.simulate.truth import Rig, Truth
+from lvba.trajectory import Trajectory
 
 IMAGES, SCANS, REFERENCE = "all_image", "all_pcd_body", "reference"
 
@@ -32,10 +34,17 @@ def make_folders(out: str | Path, facts: dict[str, Any]) -> Path:
     return root
 
 
-def write_texts(root: Path, truth: Truth, rig: Rig, camera: Camera, exposure: np.ndarray) -> None:
-    """Poses, true poses, exposures and calibration."""
+def write_texts(
+    root: Path, truth: Truth, rig: Rig, camera: Camera, exposure: np.ndarray, kind: str = CAMERA
+) -> None:
+    """Poses, true poses, exposures and calibration.
+
+    kind: what the rough image poses are of (`io.image_poses`), by the calibration written; the true ones are the camera's
+    """
+    rough = truth.rough_images
+    written = image_poses.from_camera(rough.world_from_sensor, kind, truth.rough_camera_from_body)
     tum.write_trajectory(root / SCANS / "lidar_poses.txt", truth.rough_scans)
-    tum.write_trajectory(root / IMAGES / "image_poses.txt", truth.rough_images)
+    tum.write_trajectory(root / IMAGES / "image_poses.txt", Trajectory(rough.times, written))
     reference = root / REFERENCE
     tum.write_trajectory(reference / "lidar_poses.txt", truth.scans)
     tum.write_trajectory(reference / "image_poses.txt", truth.images)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from lvba import geometry
+from lvba.dataset import BODY, CAMERA
 from lvba.errors import InputError
 from lvba.io import images, pcd
 from lvba.progress import Progress, silent
@@ -21,6 +22,7 @@ from lvba.simulate import lidar as lidars
 from lvba.simulate import truth as truths
 from lvba.simulate.camera import Sensor, View
 from lvba.simulate.scenes import Scene
+from lvba.simulate.texture import Texture
 from lvba.simulate.truth import Rig, Truth
 from lvba.simulate.world import RayCaster
 
@@ -51,6 +53,37 @@ class _Simulation:
     exposure: np.ndarray
 
 
+@dataclass(frozen=True)
+class Made:
+    """A scene with its textures and true poses, the same for the same seed and counts."""
+
+    scene: Scene
+    rig: Rig
+    truth: Truth
+    caster: RayCaster
+    texture: Texture
+    optics: np.random.Generator
+    """What draws camera and exposures."""
+
+
+def make(
+    scene: str,
+    seed: int,
+    difficulty: str,
+    frames: int,
+    scans: int,
+    length: float | None,
+    closing: tuple[float, float] | None,
+) -> Made:
+    """What is simulated, before anything is taken of it; arguments as of `simulate`."""
+    level, on_top = drift.difficulty(difficulty), None if closing is None else drift.Closing(*closing)
+    layout, mounting, moves, optics, paint = _streams(scene, seed)
+    built = scenes.build(scene, layout, frames, length)
+    rig = truths.random_rig(scene, mounting)
+    truth = truths.build(built, rig, level, scans, frames, moves, on_top)
+    return Made(built, rig, truth, RayCaster(built.world), texture.build(built.world, paint), optics)
+
+
 def simulate(
     scene: str,
     out: str | Path,
@@ -68,16 +101,18 @@ def simulate(
     scans: int | None = None,
     length: float | None = None,
     closing: tuple[float, float] | None = None,
+    image_poses: str = CAMERA,
     progress: Progress = silent,
 ) -> None:
     """Writes a dataset folder of a simulated recording, with the truth in its folder `reference`.
 
-    scene: courtyard, rooms, street, corridor or plane; frames: images (100); scans: as many as images by default
+    scene: one of `lvba.simulate.scenes.SCENES`; frames: images (100); scans: as many as images by default
     seed: of everything: geometry, textures, path, noise; the same seed writes the same bytes
     difficulty: easy, medium or hard, of the rough poses; lidar: spinning or non_repetitive
     points_per_scan: beams; some come back without echo
     length: m, of a street, corridor, flight over the plane, or way around a block or through a terrace
     closing: m and degrees, drift on top of the difficulty: by how much the rough ends of a loop miss each other
+    image_poses: camera or body: what image_poses.txt holds; FAST-LIVO2 writes the body's
     Raises: InputError on an unknown name, a number out of range, a folder that holds another recording, or if Open3D
         is not installed.
     """
@@ -85,28 +120,29 @@ def simulate(
     scans = frames if scans is None else scans
     counts = {"frames": frames, "scans": scans, "width": width, "height": height, "points": points_per_scan}
     _check(counts, lidar, seed, length)
-    level, on_top = drift.difficulty(difficulty), None if closing is None else drift.Closing(*closing)
-    layout, mounting, moves, optics, paint = _streams(scene, seed)
-    built = scenes.build(scene, layout, frames, length)
-    caster = RayCaster(built.world)
-    rig = truths.random_rig(scene, mounting)
-    truth = truths.build(built, rig, level, scans, frames, moves, on_top)
+    if image_poses not in (CAMERA, BODY):
+        raise InputError("image_poses", f"{image_poses[:40]!r} is not known", f"take {CAMERA} or {BODY}")
+    made = make(scene, seed, difficulty, frames, scans, length, closing)
+    optics = made.optics
     camera, exposure = cameras.random_camera(width, height, optics), cameras.exposures(frames, optics)
     sensor = Sensor(
         gain=_MEAN_GREY / 0.45 / float(np.exp(np.median(np.log(exposure)))),
         shot_noise=_SHOT_NOISE if shot_noise else 0.0,
         vignetting=_VIGNETTING if vignetting else 0.0,
     )
-    view = View.of(caster, texture.build(built.world, paint), camera)
+    view = View.of(made.caster, made.texture, camera)
     simulation = _Simulation(
-        seed, lidar, points_per_scan, motion_blur, built, rig, truth, caster, view, sensor, exposure
-    )
+        seed, lidar, points_per_scan, motion_blur, made.scene, made.rig, made.truth, made.caster, view, sensor,
+        exposure,
+    )  # fmt: skip
     asked: dict[str, Any] = {"scene": scene, "difficulty": difficulty, "length_m": length}
+    if image_poses != CAMERA:
+        asked["image_poses"] = image_poses
     if closing is not None:
         asked["closing_m_deg"] = list(closing)
     facts = {**asked, **counts, **_facts(simulation)}
     root = recording.make_folders(out, facts)
-    recording.write_texts(root, truth, rig, camera, exposure)
+    recording.write_texts(root, made.truth, made.rig, camera, exposure, image_poses)
     with warnings.catch_warnings():
         # numba asks for a newer TBB than the one Open3D brings, and does without
         warnings.filterwarnings("ignore", message="The TBB threading layer requires")

@@ -67,14 +67,18 @@ class Builder:
         size: tuple[float, float, float],
         yaw: float = 0.0,
         tilt: float = 0.0,
+        style: np.ndarray | None = None,
     ) -> None:
-        """A cuboid, turned about z by `yaw` and then about its own x axis by `tilt` (rad); faces differ in shade."""
+        """A cuboid, turned about z by `yaw` and then about its own x axis by `tilt` (rad); faces differ in shade.
+
+        Faces: below, above, then those across its second axis and those across its first.
+        """
         c, s = np.cos(yaw), np.sin(yaw)
         ct, st = np.cos(tilt), np.sin(tilt)
         axes = np.array([[c, s, 0.0], [-s * ct, c * ct, st], [s * st, -c * st, ct]])
         x, y, z = axes * np.array(size)[:, None]
         corner = np.array(center) - (x + y + z) / 2
-        style = self.style()
+        style = self.style() if style is None else style
         for u, v, across in ((x, y, z), (x, z, y), (y, z, x)):
             self.rectangle(corner, u, v, self._shaded(style))
             self.rectangle(corner + across, u, v, self._shaded(style))

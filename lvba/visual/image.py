@@ -56,9 +56,15 @@ class Pyramid:
 
 
 def usable_levels(camera: Camera, wanted: int, min_width: int = 80) -> int:
-    """How many pyramid levels to use: `wanted`, fewer where the coarsest would be narrower than `min_width` px."""
+    """How many pyramid levels to use: `wanted`, fewer where the coarsest would be narrower than `min_width` px.
+
+    None is so low that it holds no block to read its noise off.
+    """
     levels = 1
-    while levels < wanted and camera.at_level(levels).width >= min_width:
+    while levels < wanted:
+        coarser = camera.at_level(levels)
+        if coarser.width < min_width or min(coarser.width, coarser.height) < _NOISE_BLOCK + 2:
+            break
         levels += 1
     return levels
 
@@ -201,6 +207,8 @@ def _block_noise(channels: np.ndarray) -> np.ndarray:
     """Noise estimate of every block without masked pixels, (B,), of one (C, H, W) float32 image."""
     b = _NOISE_BLOCK
     rows, columns = (channels.shape[1] - 2) // b, (channels.shape[2] - 2) // b
+    if rows < 1 or columns < 1:
+        return np.empty(0, np.float32)
     second = channels[:, :-2] - 2 * channels[:, 1:-1] + channels[:, 2:]
     residual = np.abs(second[:, :, :-2] - 2 * second[:, :, 1:-1] + second[:, :, 2:])
     masked = (channels <= 0) | (channels >= SATURATED)

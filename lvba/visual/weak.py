@@ -28,7 +28,7 @@ _LEAST_TILT = 0.01
 class WeakDirections:
     """count: (I,) int32, per image: common motions of it and its scene that nothing it sees holds
     common: (k, 6) float64, motions `[rotation | translation]` of all images about their middle, world axes, that
-    nothing any image sees holds: rad and m, unit length where a radian counts as the scene's radius
+    nothing any image sees holds: rad and m, unit length where a radian counts as the scene's radius (see `_radius`)
     center: (3,) m, the middle
     """
 
@@ -50,7 +50,7 @@ def find(
         return WeakDirections(np.zeros(images, np.int32), np.zeros((0, 6)), np.zeros(3))
     center = points.position_world.mean(axis=0)
     arm = points.position_world - center
-    radius = float(np.sqrt(np.square(arm).sum(axis=1).mean()))
+    radius = _radius(arm, weak_m)
     known, noise = _information(problem, linearization, planes, arm / radius)
     floor = np.eye(6) / weak_m**2
     common = _weak(known.sum(axis=0), noise.sum(axis=0), floor)
@@ -63,6 +63,15 @@ def find(
         mine = np.unique(entry[order[starts[i] : starts[i + 1]]])
         count[i] = len(_weak(known[mine].sum(axis=0), noise[mine].sum(axis=0), floor))
     return WeakDirections(count, common / np.repeat([radius, 1.0], 3), center)
+
+
+def _radius(arm: np.ndarray, least: float) -> float:
+    """Root mean square distance of the scene points from their middle, m, `least` or more.
+
+    arm: (P, 3) m. One point, or a few in one place, tell nothing of how a camera turns about them: with a radius that
+    is no smaller than what counts as known of a position, all turns about them come out weak.
+    """
+    return max(float(np.sqrt(np.square(arm).sum(axis=1).mean())), least)
 
 
 def _information(

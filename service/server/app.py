@@ -10,7 +10,7 @@ from fastapi import FastAPI
 from service.server import problems
 from service.server.context import Server
 from service.server.guard import Guard
-from service.server.routes import about, batches, datasets, job_files, jobs, ogc, page, uploads
+from service.server.routes import about, batches, checks, datasets, job_files, jobs, ogc, page, uploads
 
 _DESCRIPTION = "Refines recordings of LiDAR and cameras. docs/rest.md says how things fit together."
 
@@ -38,7 +38,7 @@ def create(server: Server) -> FastAPI:
     )
     app.state.server = server
     problems.install(app)
-    for module in (uploads, datasets, jobs, job_files, batches, about, ogc, page):
+    for module in (uploads, checks, datasets, jobs, job_files, batches, about, ogc, page):
         app.include_router(module.router)
     app.add_middleware(Guard, settings=server.settings)
     return app

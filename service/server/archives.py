@@ -10,13 +10,12 @@ import tarfile
 import zipfile
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
 from lvba.errors import InputError
 from service.server import names
-from service.server.settings import Limits
+from service.server.intake_budget import IntakeBudget
 
 _PIECE = 1 << 20
 _NOISE = ("__MACOSX",)
@@ -33,53 +32,21 @@ _BROKEN = (
 _PACK_AGAIN = "pack the files of the recording anew, as .zip or .tar.gz"
 _COMPRESSIONS: dict[bytes, Any] = {b"\x1f\x8b": gzip, b"BZh": bz2, b"\xfd7zXZ\0": lzma}
 _ZIP_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)
-_SMALL = 1 << 20
-"""Bytes that anything may inflate to: what is small harms nobody, and text packs well."""
 
 
-@dataclass
-class _Tally:
-    """What has come out of an archive so far."""
-
-    limits: Limits
-    packed: int
-    files: int = 0
-    bytes: int = 0
-    places: set[str] = field(default_factory=set)
-
-    def add_file(self, name: str) -> None:
-        self.files += 1
-        if self.files > self.limits.archive_entries:
-            raise InputError(
-                "the archive", f"holds more than {self.limits.archive_entries} files", "split it"
-            )
-        names.take(name, self.places, _PACK_AGAIN)
-
-    def add_bytes(self, count: int) -> None:
-        self.bytes += count
-        if self.bytes > self.limits.archive_bytes:
-            raise InputError(
-                "the archive", f"holds more than {self.limits.archive_bytes} bytes", "split it into datasets"
-            )
-        if self.bytes > _SMALL + self.limits.archive_ratio * self.packed:
-            raise InputError(
-                "the archive",
-                f"is more than {self.limits.archive_ratio:g} times smaller than what it holds",
-                "it looks like a bomb: upload the files themselves",
-            )
-
-
-def unpack(archive: Path, folder: Path, limits: Limits) -> None:
+def unpack(archive: Path, folder: Path, budget: IntakeBudget) -> None:
     """Put every file of a zip or tar archive, told apart by content, below the folder.
 
+    budget: counts what comes out
     Raises InputError: a name that leads elsewhere, a link or device, more than is allowed, a broken archive.
+    TooLargeError: more than its owner may have. OSError: no room on the disk.
     """
-    tally = _Tally(limits, archive.stat().st_size)
+    budget.begin_archive(archive.stat().st_size)
     try:
         if zipfile.is_zipfile(archive):
-            _unpack_zip(archive, folder, tally)
+            _unpack_zip(archive, folder, budget)
         else:
-            _unpack_tar(archive, folder, tally)
+            _unpack_tar(archive, folder, budget)
     except _BROKEN as error:
         raise InputError("the archive", f"cannot be read ({type(error).__name__})", _PACK_AGAIN) from None
     except RecursionError:
@@ -91,7 +58,7 @@ def unpack(archive: Path, folder: Path, limits: Limits) -> None:
         raise InputError("the archive", "is damaged", _PACK_AGAIN) from None
 
 
-def _unpack_zip(archive: Path, folder: Path, tally: _Tally) -> None:
+def _unpack_zip(archive: Path, folder: Path, budget: IntakeBudget) -> None:
     with zipfile.ZipFile(archive) as packed:
         for entry in packed.infolist():
             # the name as it is written there: ZipInfo cuts it at a NUL, which would hide what it is
@@ -107,12 +74,12 @@ def _unpack_zip(archive: Path, folder: Path, tally: _Tally) -> None:
             name = _name(entry.orig_filename)
             if name is None or entry.is_dir():
                 continue
-            tally.add_file(name)
+            budget.add_file(name, _PACK_AGAIN)
             with packed.open(entry) as stream:
-                _copy(stream, folder, name, tally)
+                _copy(stream, folder, name, budget)
 
 
-def _unpack_tar(archive: Path, folder: Path, tally: _Tally) -> None:
+def _unpack_tar(archive: Path, folder: Path, budget: IntakeBudget) -> None:
     with (
         _decompressed(archive) as stream,
         tarfile.TarFile(fileobj=_ShortReads(stream), errorlevel=2) as packed,
@@ -123,11 +90,11 @@ def _unpack_tar(archive: Path, folder: Path, tally: _Tally) -> None:
             name = _name(entry.name)
             if name is None or entry.isdir():
                 continue
-            tally.add_file(name)
+            budget.add_file(name, _PACK_AGAIN)
             content = packed.extractfile(entry)
             if content is not None:
                 with content:
-                    _copy(content, folder, name, tally)
+                    _copy(content, folder, name, budget)
             packed.members = []  # type: ignore[attr-defined]  # it would keep them all in memory
 
 
@@ -161,13 +128,13 @@ def _name(written: str) -> str | None:
     return path
 
 
-def _copy(stream: IO[bytes], folder: Path, name: str, tally: _Tally) -> None:
+def _copy(stream: IO[bytes], folder: Path, name: str, budget: IntakeBudget) -> None:
     target = folder / name
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with target.open("xb") as file:
             for piece in _pieces(stream):
-                tally.add_bytes(len(piece))
+                budget.add_bytes(len(piece))
                 file.write(piece)
     except (FileExistsError, NotADirectoryError, IsADirectoryError):
         raise InputError(repr(name), "is there as a file and as a folder, or twice", _PACK_AGAIN) from None

@@ -17,13 +17,15 @@ from typing import Any, NamedTuple, TypeVar
 import anyio.to_thread
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.server import journal
+from service.server import journal, keys
 from service.server.database import Database
 from service.server.tables import Event
 
 _log = logging.getLogger(__name__)
 _LOOK_S = 0.25
 _COMMENT_S = 15.0
+_KEYS_S = 1.0
+"""Seconds between looks at whether those who listen still may."""
 _PAGE = 500
 """Events read, or sent, at a time."""
 _KEPT = 20_000
@@ -53,6 +55,10 @@ class _Sent(NamedTuple):
 class _Listener:
     job_id: str | None
     owner: str
+    key_id: str | None = None
+    """Of whoever listens; None: no key is asked for."""
+    ended: bool = False
+    """The key is worth nothing any more."""
     cursor: int = 0
     """Up to which it has heard everything."""
     wake: asyncio.Event = field(default_factory=asyncio.Event)
@@ -75,6 +81,7 @@ class Broadcaster:
         self._pages: dict[tuple[int, str], asyncio.Task[tuple[list[_Sent], int]]] = {}
         self._limiter = anyio.CapacityLimiter(_THREADS)
         self._closed = False
+        self._keys_due = 0.0
 
     @property
     def listeners(self) -> int:
@@ -86,6 +93,9 @@ class Broadcaster:
         while not self._closed:
             began = time.monotonic()
             try:
+                if began > self._keys_due:
+                    await self._check_keys()
+                    self._keys_due = time.monotonic() + _KEYS_S
                 await self._look()
             except SQLAlchemyError as error:
                 _log.warning("events cannot be read: %s", str(error).splitlines()[0])
@@ -102,6 +112,17 @@ class Broadcaster:
     async def ask(self, question: Callable[..., T], *words: Any) -> T:
         """The answer to a question to the database. Few are asked at a time, however many listeners come at once."""
         return await anyio.to_thread.run_sync(lambda: question(*words), limiter=self._limiter)
+
+    async def _check_keys(self) -> None:
+        """End the streams of keys that were revoked, have expired, or may not read any more."""
+        used = {listener.key_id for listener in self._listeners if listener.key_id is not None}
+        if not used:
+            return
+        readers = await self.ask(keys.readers, self._database, used)
+        for listener in list(self._listeners):
+            if listener.key_id is not None and readers.get(listener.key_id) != listener.owner:
+                listener.ended = True
+                listener.wake.set()
 
     async def _look(self) -> None:
         if not self._listeners:
@@ -141,12 +162,15 @@ class Broadcaster:
             if number % _WOKEN == 0:
                 await asyncio.sleep(0)
 
-    async def stream(self, after: int | None, job_id: str | None, owner: str) -> AsyncIterator[bytes]:
+    async def stream(
+        self, after: int | None, job_id: str | None, owner: str, key_id: str | None = None
+    ) -> AsyncIterator[bytes]:
         """Events after a cursor as server-sent events, then those that come; None: from now on.
 
         Of one job it ends with the job, when there is nothing after that.
+        key_id: the stream ends when this key may not read what is the owner's any more
         """
-        listener = _Listener(job_id, owner)
+        listener = _Listener(job_id, owner, key_id)
         self._listeners.add(listener)
         try:
             now = await self._begin()
@@ -158,12 +182,14 @@ class Broadcaster:
                 while page := await self.ask(self._read, listener.cursor, job_id, owner, None):
                     listener.cursor, over = page[-1].id, page[-1].kind == journal.END
                     yield _joined(page)
-            while not over and not self._closed:
+            while not over and not self._closed and not listener.ended:
                 listener.wake.clear()
                 async for heard in self._new(listener):
+                    if listener.ended:
+                        break
                     over = job_id is not None and heard[-1].kind == journal.END
                     yield _joined(heard)
-                if not over:
+                if not over and not listener.ended:
                     await listener.wake.wait()
                 if listener.heard < time.monotonic() - _COMMENT_S:
                     listener.heard = time.monotonic()

@@ -7,6 +7,7 @@ not in the service.
 import errno
 import json
 import os
+import re
 import resource
 import shutil
 import sys
@@ -14,12 +15,14 @@ from pathlib import Path
 from typing import Any
 
 from lvba.errors import InputError
+from lvba.io import no_links
+from lvba.io.files import sync
 from service.cli import limit_threads
-from service.server import archives, lifeline, names, object_store, store_urls
-from service.server.places import size_of
+from service.recording_names import without_wrapping
+from service.server import archives, check_memory, durable, lifeline, object_store, store_urls
+from service.server.intake_budget import IntakeBudget, TooLargeError
+from service.server.places import count_of, size_of
 from service.server.settings import Limits
-
-_LAYOUT = ("all_pcd_body", "all_image", "pcd", "image", "Log")
 
 
 def main(task_file: str) -> int:
@@ -27,11 +30,14 @@ def main(task_file: str) -> int:
     lifeline.hold()
     task = json.loads(Path(task_file).read_text())
     limits = Limits(**task["limits"])
+    no_links.refuse_below(task["without_links"])
     _limit(limits)
     limit_threads(2)
     try:
         with lifeline.alone(Path(task["lock"])):
             answer = _answer(task, limits)
+            if "error" in answer:
+                answer |= _clean(task)
     except BlockingIOError:
         return lifeline.BUSY
     partial = Path(task["answer"] + ".partial")
@@ -41,7 +47,7 @@ def main(task_file: str) -> int:
 
 
 def _limit(limits: Limits) -> None:
-    memory, seconds = limits.validation_memory_bytes, int(limits.validation_s) + 1
+    memory, seconds = check_memory.address_space(limits), int(limits.validation_s) + 1
     resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -52,20 +58,36 @@ def _answer(task: dict[str, Any], limits: Limits) -> dict[str, Any]:
         root = _recording(task, limits)
         return _facts(root, own=root == Path(task["files"]))
     except InputError as error:
+        if check_memory.shows_in(error.problem):
+            return {"error": check_memory.said(limits)}
         cause, mend = (_hidden(text, task) for text in (f"{error.where}: {error.problem}", error.mend))
-        return _refused("input", cause, mend)
-    except object_store.TooLargeError:
-        return _refused("quota", "your datasets and results would be too large", "remove some")
+        return _refused("input", cause, mend, path=_inside(error.where, task))
+    except TooLargeError as error:
+        return _refused("quota", str(error), "remove some, or upload less")
     except MemoryError:
-        return _refused(
-            "too-much", "the check ran out of memory", "the files may be damaged: look at the largest"
-        )
+        return {"error": check_memory.said(limits)}
     except OSError as error:
+        if error.errno == errno.ENOENT:
+            cause = f"{error.filename}: has disappeared".replace(task["files"], "DATASET")
+            return _refused("files", os.path.basename(cause), "upload the files again")
         if error.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise
         return _refused(
             "disk-full", "the disk is full", "try again when there is room, or ask who runs the server"
         )
+
+
+def _clean(task: dict[str, Any]) -> dict[str, int]:
+    """Remove what was made of a recording that is refused; what is left, on account of its owner.
+
+    What was uploaded stays, and what was fetched from an object store: both may be gone on with.
+    """
+    if not task["folder"] or store_urls.is_url(task["folder"]):
+        shutil.rmtree(task["files"], ignore_errors=True)
+    partial = Path(task["files"] + ".partial")
+    if not task["folder"]:
+        shutil.rmtree(partial, ignore_errors=True)
+    return {"bytes": size_of(partial), "files": count_of(partial)}
 
 
 def _hidden(text: str, task: dict[str, Any]) -> str:
@@ -74,8 +96,16 @@ def _hidden(text: str, task: dict[str, Any]) -> str:
     return text
 
 
-def _refused(code: str, cause: str, hint: str) -> dict[str, Any]:
-    return {"error": {"code": code, "cause": cause, "hint": hint}}
+def _inside(where: str, task: dict[str, Any]) -> str | None:
+    """The file or folder of the recording that is meant, seen from its root; None: no one of them."""
+    found = _hidden(where, task)
+    if not found.startswith("DATASET/"):
+        return None
+    return re.sub(r"(:\d+)+$", "", found.removeprefix("DATASET/"))
+
+
+def _refused(code: str, cause: str, hint: str, **more: Any) -> dict[str, Any]:
+    return {"error": {"code": code, "cause": cause, "hint": hint, **more}}
 
 
 def _recording(task: dict[str, Any], limits: Limits) -> Path:
@@ -84,9 +114,8 @@ def _recording(task: dict[str, Any], limits: Limits) -> Path:
     if not store_urls.is_url(task["folder"]):
         return Path(task["folder"])
     partial, files = Path(task["files"] + ".partial"), Path(task["files"])
-    object_store.fetch(task["folder"], partial, limits, task["room"])
-    shutil.rmtree(files, ignore_errors=True)
-    partial.rename(files)
+    object_store.fetch(task["folder"], partial, limits, task["room_bytes"], task["room_files"])
+    _put_in_place(partial, files)
     return files
 
 
@@ -95,34 +124,36 @@ def _assemble(task: dict[str, Any], limits: Limits) -> Path:
     partial, files = Path(task["files"] + ".partial"), Path(task["files"])
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
-    places: set[str] = set()
+    budget = IntakeBudget(partial, limits, task["room_bytes"], task["room_files"])
     for upload in task["uploads"]:
         if upload["path"]:
-            _link(Path(upload["file"]), partial, upload["path"], places)
+            _link(Path(upload["file"]), partial, upload["path"], budget)
     for upload in task["uploads"]:
         if not upload["path"]:
-            archives.unpack(Path(upload["file"]), partial, limits)
-    root = _without_wrapping(partial)
-    shutil.rmtree(files, ignore_errors=True)
-    root.rename(files)
+            archives.unpack(Path(upload["file"]), partial, budget)
+    root = without_wrapping(partial)
+    _put_in_place(root, files)
     shutil.rmtree(partial, ignore_errors=True)
     return files
 
 
-def _link(file: Path, folder: Path, path: str, places: set[str]) -> None:
-    target = folder / names.take(path, places)
+def _put_in_place(made: Path, files: Path) -> None:
+    """Have the recording under its name, on the disk: what was uploaded goes once the dataset is ready."""
+    durable.sync_all(made)
+    shutil.rmtree(files, ignore_errors=True)
+    made.rename(files)
+    sync(files.parent)
+
+
+def _link(file: Path, folder: Path, path: str, budget: IntakeBudget) -> None:
+    budget.add_file(path)
+    budget.add_bytes(file.stat().st_size)
+    target = folder / path
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         os.link(file, target)
     except (FileExistsError, NotADirectoryError):
         raise InputError(repr(path), "is there as a file and as a folder", "give one another name") from None
-
-
-def _without_wrapping(folder: Path) -> Path:
-    inside = list(folder.iterdir())
-    while len(inside) == 1 and inside[0].is_dir() and inside[0].name not in _LAYOUT:
-        folder, inside = inside[0], list(inside[0].iterdir())
-    return folder
 
 
 def _facts(root: Path, *, own: bool) -> dict[str, Any]:
@@ -137,7 +168,7 @@ def _facts(root: Path, *, own: bool) -> dict[str, Any]:
     return {
         "frames": frames,
         "bytes": size_of(root) if own else 0,
-        "files": sum(len(found) for _, _, found in os.walk(root)) if own else 0,
+        "files": count_of(root) if own else 0,
         "facts": {
             "scans": len(dataset.scan_paths),
             "images": len(dataset.image_paths),

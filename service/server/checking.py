@@ -7,10 +7,13 @@ import time
 from typing import Any
 
 from sqlalchemy import select
+from sqlalchemy.orm import Session
 
-from service.server import leases, quota, words
+from lvba.io import files
+from service.server import check_memory, durable, leases, leftovers, quota, recording_roots, words
 from service.server.child import Child
 from service.server.database import Database
+from service.server.intake_budget import EXCEEDED
 from service.server.leases import Lease
 from service.server.lifeline import BUSY, STRANDED
 from service.server.places import Places, now
@@ -30,18 +33,19 @@ class DatasetCheck:
         self.lease = Lease(Dataset, dataset.id, owner, dataset.attempt)
         self._answer = places.dataset(dataset.id) / f"check-{dataset.attempt}.json"
         self._began = time.monotonic()
-        self._stopping = False
+        self._stopping = self._late = False
         folder = places.dataset(dataset.id)
-        folder.mkdir(parents=True, exist_ok=True)
+        durable.make_folder(folder)
         task = folder / "task.json"
         task.write_text(json.dumps(self._task(dataset)))
-        self.child = Child(
-            "service.server.check_process", [str(task)], folder / "check.log", settings.lease_s * 0.7
-        )
+        self._log = folder / "check.log"
+        self._log_begin = self._log.stat().st_size if self._log.exists() else 0
+        self.child = Child("service.server.check_process", [str(task)], self._log, settings.lease_s * 0.7)
 
     def _task(self, dataset: Dataset) -> dict[str, Any]:
+        limits = self._settings.limits
         with self._database.read() as session:
-            room = self._settings.limits.owner_bytes - quota.used_bytes(session, dataset.owner)
+            others = quota.used(session, dataset.owner, but=dataset.id)
             uploads = session.scalars(select(Upload).where(Upload.dataset_id == dataset.id)).all()
         return {
             "folder": dataset.folder,
@@ -52,7 +56,11 @@ class DatasetCheck:
             ],
             "lock": str(self._places.dataset(dataset.id) / ".lock"),
             "answer": str(self._answer),
-            "room": room,
+            "room_bytes": limits.owner_bytes - others.bytes,
+            "room_files": limits.owner_files - others.files - 1,
+            "without_links": recording_roots.folders(
+                self._places.recording(dataset.id, dataset.folder), self._settings
+            ),
             "limits": dataclasses.asdict(self._settings.limits),
         }
 
@@ -66,39 +74,77 @@ class DatasetCheck:
         code = self.child.ended()
         if code is None:
             if time.monotonic() > self._began + self._settings.limits.validation_s:
+                self._late = True
                 self.child.end()
             return True
         if self._stopping or code in (BUSY, STRANDED):
             leases.lose(self._database, self.lease, "stopped")
         elif code == 0:
-            self._settle(json.loads(self._answer.read_text()))
+            self._settle(self._answered())
         else:
             _log.warning("%s: the check ended with %s", self.lease.id, words.of_exit(code))
-            self._settle({"error": _died(code)})
+            self._settle({"error": self._died(code)})
         return False
+
+    def _died(self, code: int) -> dict[str, str]:
+        if self._late:
+            return {
+                "code": "too-much",
+                "cause": f"the check took longer than {self._settings.limits.validation_s:.0f} s",
+                "hint": "try with fewer or smaller files, or ask who runs the server for more time",
+            }
+        if check_memory.ended(code, self._log, self._log_begin):
+            return check_memory.said(self._settings.limits)
+        return {
+            "code": "crashed",
+            "cause": f"the check failed: {words.of_exit(code)}",
+            "hint": "the files may be damaged, too large or too many; try with fewer of them",
+        }
+
+    def give_up(self, error: Exception) -> None:
+        """End the check, which cannot be followed any more: the dataset is invalid."""
+        self.child.end()
+        self._settle({"error": _lost(words.of_error(error), self._places)})
+
+    def _answered(self) -> dict[str, Any]:
+        try:
+            found = json.loads(self._answer.read_text())
+            return found if isinstance(found, dict) else {"error": self._died(0)}
+        except (OSError, ValueError) as error:
+            return {"error": _lost(words.of_error(error), self._places)}
 
     def _settle(self, answer: dict[str, Any]) -> None:
         if "facts" in answer:
             frames = self._places.frames(self.lease.id)
-            frames.write_text(json.dumps(answer["frames"]))
+            files.write_text(frames, json.dumps(answer["frames"]), durable=True)
         with self._database.write() as session:
             dataset = self.lease.row(session)
             if dataset is None:
                 return
+            self._database.order_owner(session, dataset.owner)
+            if "facts" in answer and self._exceeds(session, dataset, answer):
+                answer = {
+                    "error": {"code": "quota", "cause": EXCEEDED, "hint": "remove some, or upload less"}
+                }
             dataset.lease_owner, dataset.updated = None, now()
             dataset.error, dataset.facts = answer.get("error"), answer.get("facts")
             dataset.state = INVALID if dataset.facts is None else READY
-            if dataset.facts is not None:
-                dataset.bytes, dataset.files = answer["bytes"], answer["files"]
-            ready = dataset.state == READY
-        if ready:
-            # the files hold the bytes now; what arrived as an archive is not needed any more
-            self._places.remove(self._places.dataset(self.lease.id) / "uploads")
+            dataset.bytes, dataset.files = answer.get("bytes", 0), answer.get("files", 0)
+        # cut short here, what is left is swept
+        leftovers.discard(self._places, dataset)
+
+    def _exceeds(self, session: Session, dataset: Dataset, answer: dict[str, Any]) -> bool:
+        """Whether its owner has got more meanwhile than goes with it."""
+        others = quota.used(session, dataset.owner, but=dataset.id)
+        return answer["bytes"] > 0 and quota.exceeds(
+            others, self._settings.limits, answer["bytes"], answer["files"] + 1
+        )
 
 
-def _died(code: int) -> dict[str, str]:
+def _lost(cause: str, places: Places) -> dict[str, str]:
+    shown = cause.replace(str(places.root), "DATA")
     return {
-        "code": "crashed",
-        "cause": f"the check failed: {words.of_exit(code)}",
-        "hint": "the files may be damaged, too large or too many; try with fewer of them",
+        "code": "files",
+        "cause": shown,
+        "hint": "finish the dataset again; what is missing must be uploaded again",
     }

@@ -4,6 +4,7 @@ import base64
 import hashlib
 import hmac
 import json
+import os
 import secrets
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -13,17 +14,22 @@ from typing import Annotated, Any, cast
 from fastapi import Depends, Request
 from starlette.concurrency import run_in_threadpool
 
+from lvba.errors import InputError
+from lvba.io import files, no_links
 from service.server import keys
+from service.server.active_uploads import ActiveUploads
 from service.server.broadcast import Broadcaster
 from service.server.database import Database
 from service.server.keys import Principal
 from service.server.places import Places, now
 from service.server.problems import Problem
 from service.server.rates import Rates
+from service.server.results import Checker
 from service.server.settings import Settings
 from service.server.supervisor import Supervisor
 
 TICKET_S = 900
+_SECRET_BYTES = 32
 _FAILURES_PER_S, _FAILURES_AT_ONCE = 1.0, 30
 
 
@@ -37,8 +43,10 @@ class Server:
     supervisor: Supervisor
     broadcaster: Broadcaster
     secret: bytes
-    """Signs tickets."""
+    """Signs tickets; derived from the one on disk."""
+    results: Checker = field(default_factory=Checker)
     rates: Rates = field(default_factory=Rates)
+    active_uploads: ActiveUploads = field(default_factory=ActiveUploads)
 
 
 async def of(request: Request) -> Server:
@@ -50,15 +58,27 @@ Context = Annotated[Server, Depends(of)]
 
 
 def load_secret(file: Path) -> bytes:
-    """The secret of this data folder, made if there is none."""
-    if not file.exists():
+    """The secret of this data folder, made if there is none.
+
+    Raises InputError: what is there is too short to keep anything secret, or a link.
+    """
+    if not os.path.lexists(file):
         partial = file.with_name(f".{secrets.token_hex(4)}")
-        partial.touch(mode=0o600)
-        partial.write_bytes(secrets.token_bytes(32))
+        with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as stream:
+            stream.write(secrets.token_bytes(_SECRET_BYTES))
+            stream.flush()
+            os.fsync(stream.fileno())
         with suppress(FileExistsError):  # of two services that begin together, one is first
             file.hardlink_to(partial)
         partial.unlink()
-    return file.read_bytes()
+        files.sync(file.parent)
+    with files.as_input_error(file), os.fdopen(no_links.descriptor(file), "rb") as stream:
+        secret = stream.read(1 << 16)
+    if len(secret) < _SECRET_BYTES or len(set(secret)) < _SECRET_BYTES // 4:
+        raise InputError(
+            file, "is no secret: it is empty, short or all the same", "remove it: a new one is made at start"
+        )
+    return hmac.new(secret, b"lvba tickets", hashlib.sha256).digest()
 
 
 async def who(request: Request, server: Context) -> Principal:
@@ -87,30 +107,47 @@ def _by_key(request: Request, server: Server) -> Principal | None:
 
 
 def _by_ticket(request: Request, server: Server) -> Principal | None:
-    """Whoever a ticket was given to, if it is good for this path."""
-    ticket = request.query_params.get("ticket", "")
-    text, _, mark = ticket.partition(".")
-    if request.method not in ("GET", "HEAD") or not hmac.compare_digest(
-        mark.encode(), _mark(server, text).encode()
+    """Whoever a ticket was given to, if it is good for this path and its key still is.
+
+    A ticket names a key and no owner: owner, scopes and hash are those of the database.
+    """
+    text, _, mark = request.query_params.get("ticket", "").partition(".")
+    said = _said(text)
+    if said is None or request.method not in ("GET", "HEAD"):
+        return None
+    key, path, until = said
+    known = keys.known(server.database, key)
+    right = _mark(server, text, known[1] if known else "")  # compared also where there is no such key
+    if (
+        known is None
+        or not known[0].may(keys.READ)
+        or not hmac.compare_digest(mark.encode(), right.encode())
+        or until < now()
     ):
         return None
-    said = json.loads(base64.urlsafe_b64decode(text))
-    path = request.url.path
-    fits = path == said["path"] or (said["path"].endswith("/") and path.startswith(said["path"]))
-    if not fits or said["until"] < now() or not keys.is_good(server.database, said["key"]):
+    fits = request.url.path == path or (path.endswith("/") and request.url.path.startswith(path))
+    return Principal(known[0].owner, frozenset([keys.READ]), key) if fits else None
+
+
+def _said(text: str) -> tuple[str, str, float] | None:
+    """Key, path and end of a ticket, whoever wrote it."""
+    try:
+        said = json.loads(base64.urlsafe_b64decode(text))
+        return str(said["key"]), str(said["path"]), float(said["until"])
+    except (ValueError, KeyError, TypeError, RecursionError):
         return None
-    return Principal(said["owner"], frozenset([keys.READ]), said["key"])
 
 
 def ticket(server: Server, principal: Principal, path: str) -> str:
-    """Stands for the key in GET requests of a path, for a while."""
-    said = {"owner": principal.owner, "key": principal.key_id, "path": path, "until": now() + TICKET_S}
+    """Stands for the key in GET requests of a path, for a while, and for as long as the key is good."""
+    known = keys.known(server.database, principal.key_id)
+    said = {"key": principal.key_id, "path": path, "until": now() + TICKET_S}
     text = base64.urlsafe_b64encode(json.dumps(said).encode()).decode()
-    return f"{text}.{_mark(server, text)}"
+    return f"{text}.{_mark(server, text, known[1] if known else '')}"
 
 
-def _mark(server: Server, text: str) -> str:
-    return hmac.new(server.secret, text.encode(), hashlib.sha256).hexdigest()
+def _mark(server: Server, text: str, key_hash: str) -> str:
+    return hmac.new(server.secret, f"{key_hash} {text}".encode(), hashlib.sha256).hexdigest()
 
 
 def needs(scope: str) -> Any:

@@ -13,7 +13,7 @@ from sqlalchemy import Engine, event, text
 from sqlalchemy.orm import Session
 
 _BUSY_MS = 20_000
-_EVENTS, _CLAIMS, _MIGRATION = 4711, 4712, 4713
+_EVENTS, _CLAIMS, _MIGRATION, _OWNERS = 4711, 4712, 4713, 4714
 """Names of the advisory locks."""
 
 
@@ -33,15 +33,18 @@ class Database:
             yield session
 
     @contextmanager
-    def write(self) -> Iterator[Session]:
-        """A transaction that is committed at the end of the block, or undone if that raises."""
+    def write(self, *, lasting: bool = True) -> Iterator[Session]:
+        """A transaction that is committed at the end of the block, or undone if that raises.
+
+        lasting: on the disk by then; else a power cut may undo it, unless a lasting one came after it
+        """
         if not self.sqlite:
             with Session(self.engine, expire_on_commit=False) as session, session.begin():
                 yield session
             return
         # threads of this process wait for each other here, fairly; SQLite would have them poll
         with self._writing:
-            engine = self.engine.execution_options(immediate=True)
+            engine = self.engine.execution_options(immediate=True, lasting=lasting)
             with Session(engine, expire_on_commit=False) as session, session.begin():
                 yield session
 
@@ -52,6 +55,12 @@ class Database:
     def order_claims(self, session: Session) -> None:
         """Until the end of the transaction nobody else takes up work."""
         self._lock(session, _CLAIMS)
+
+    def order_owner(self, session: Session, owner: str) -> None:
+        """Until the end of the transaction nobody else is given anything of what this owner may have."""
+        if not self.sqlite:
+            words = {"name": _OWNERS, "owner": owner}
+            session.execute(text("SELECT pg_advisory_xact_lock(:name, hashtext(:owner))"), words)
 
     def _lock(self, session: Session, name: int) -> None:
         if not self.sqlite:
@@ -89,13 +98,16 @@ def _prepare_sqlite(connection: Any, record: Any) -> None:
     for pragma in (
         "journal_mode=WAL",
         f"busy_timeout={_BUSY_MS}",
-        "synchronous=NORMAL",
         "foreign_keys=ON",
     ):
         connection.execute(f"PRAGMA {pragma}")
 
 
 def _begin_sqlite(connection: Any) -> None:
+    options = connection.get_execution_options()
+    # NORMAL does not wait for the disk: what clients were told would be gone with the power
+    synchronous = "FULL" if options.get("lasting", True) else "NORMAL"
+    connection.exec_driver_sql(f"PRAGMA synchronous={synchronous}")
     # a transaction that reads first and writes then could not wait for another writer: it would fail at once
-    immediate = connection.get_execution_options().get("immediate")
+    immediate = options.get("immediate")
     connection.exec_driver_sql("BEGIN IMMEDIATE" if immediate else "BEGIN")

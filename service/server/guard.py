@@ -6,7 +6,7 @@ from typing import Any
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.server import metrics
+from service.server import bodies, metrics, problems
 from service.server.problems import Problem
 from service.server.settings import LOOPBACK, Settings
 
@@ -24,8 +24,7 @@ HEADERS = {
     "Cache-Control": "no-store",
 }
 """Unless an answer has its own."""
-_BODY_BYTES = 4 << 20
-"""Of a request that is no upload."""
+_BATCHES, _CHECKS = "/v1/batches", "/v1/checks"
 
 
 class Guard:
@@ -49,11 +48,18 @@ class Guard:
                 metrics.REQUESTS.answered(scope["method"], _route(scope), message["status"], seconds)
             await send(message)
 
-        problem = self._refused(scope, Headers(scope=scope))
+        headers, timely = Headers(scope=scope), bodies.Timely(receive, self._settings.limits)
+        problem = self._refused(scope, headers)
+        inner: Receive = timely
+        if problem is None and _is_small(scope, headers):
+            # before anybody looks at it: what parses it cannot tell a client that is slow from one that sends nonsense
+            body = await bodies.whole(timely)
+            problem = problems.too_slow() if body is None else None
+            inner = bodies.again(body or b"", timely)
         if problem is not None:
             await problem.response(scope["path"])(scope, receive, answer)
             return
-        await self._app(scope, receive, answer)
+        await self._app(scope, inner, answer)
 
     def _refused(self, scope: Scope, headers: Headers) -> Problem | None:
         if "\x00" in scope["path"]:
@@ -62,7 +68,7 @@ class Guard:
             return Problem("forbidden", "the server is not known by this name", "see --host-name")
         if not self._same_origin(scope, headers):
             return Problem("forbidden", "requests from pages of others are refused")
-        return _body_refused(scope, headers)
+        return self._body_refused(scope, headers)
 
     def _known_host(self, host: str) -> bool:
         name = host.rsplit(":", 1)[0] if not host.endswith("]") else host
@@ -81,19 +87,25 @@ class Guard:
         origin = headers.get("origin")
         return origin is None or origin.partition("://")[2] == headers.get("host")
 
-
-def _body_refused(scope: Scope, headers: Headers) -> Problem | None:
-    """Bodies of uploads are counted where they are taken in; others are small, and say so."""
-    if scope["method"] == "PUT":
+    def _body_refused(self, scope: Scope, headers: Headers) -> Problem | None:
+        """Bodies of uploads are counted where they are taken in; others are small, and say so."""
+        if scope["method"] == "PUT":
+            return None
+        if "transfer-encoding" in headers:
+            return Problem("length-required", "the request has no Content-Length")
+        limits, length = self._settings.limits, headers.get("content-length", "0")
+        larger = {_BATCHES: limits.batch_bytes, _CHECKS: limits.check_bytes}
+        most = larger.get(scope["path"], limits.json_bytes)
+        if not length.isascii() or not length.isdigit() or len(length) > 15 or int(length) > most:
+            return Problem("too-large", f"the body of this request may have {most} bytes", limit=most)
+        if headers.get("content-type", "").startswith(("multipart/", "application/x-www-form-urlencoded")):
+            return Problem("unsupported", "forms are not taken")
         return None
-    if "transfer-encoding" in headers:
-        return Problem("length-required", "the request has no Content-Length")
-    length = headers.get("content-length", "0")
-    if not length.isascii() or not length.isdigit() or int(length[:15]) > _BODY_BYTES or len(length) > 15:
-        return Problem("too-large", f"a request may have {_BODY_BYTES} bytes")
-    if headers.get("content-type", "").startswith(("multipart/", "application/x-www-form-urlencoded")):
-        return Problem("unsupported", "forms are not taken")
-    return None
+
+
+def _is_small(scope: Scope, headers: Headers) -> bool:
+    """Whether a request has a body that is taken in before the request is looked at."""
+    return scope["method"] != "PUT" and headers.get("content-length", "0") != "0"
 
 
 def _route(scope: Scope) -> str:

@@ -1,13 +1,17 @@
 """One service among others on the same database: its name, and who of the others is surely dead."""
 
 import fcntl
+import os
 import secrets
 import socket
 import time
+from collections.abc import Collection
 from pathlib import Path
 from typing import IO
 
 _SEPARATOR = "+"
+_FORGOTTEN_S = 7 * 86400.0
+"""For so long nobody has touched the file of a service that is surely dead, wherever it was."""
 
 
 class Instance:
@@ -33,6 +37,19 @@ class Instance:
         except OSError:
             return False
         return True
+
+    def sweep(self, needed: Collection[str]) -> None:
+        """Remove the files of services that are dead.
+
+        needed: names of services that others still have to know to be dead
+        """
+        os.utime(self._folder / self.name)
+        for file in self._folder.iterdir():
+            if file.name in needed or file.name == self.name:
+                continue
+            # of another machine no lock may be seen here: its services touch their files while they live
+            if self.knows_dead(file.name) or time.time() - file.stat().st_mtime > _FORGOTTEN_S:
+                file.unlink(missing_ok=True)
 
     def close(self) -> None:
         """This service ends."""

@@ -13,15 +13,28 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from lvba import config
+from lvba.errors import InputError
 from lvba.io import files
 from lvba.pipeline import Config
 from service.run_events import VIEWER
-from service.server import journal, leases, timeline, webhooks, words
+from service.server import (
+    durable,
+    journal,
+    leases,
+    recording_roots,
+    results,
+    served,
+    tail,
+    timeline,
+    webhooks,
+    words,
+)
 from service.server.child import Child
 from service.server.database import Database
+from service.server.disk_space import LEAST_FREE, free_bytes
 from service.server.leases import Lease
 from service.server.lifeline import BUSY, STRANDED
-from service.server.places import LEAST_FREE, Places, free_bytes, now, size_of
+from service.server.places import Places, now, size_of
 from service.server.settings import Settings
 from service.server.tables import CANCELED, CANCELING, DONE, FAILED, QUEUED, RUNNING, Dataset, Job
 
@@ -41,12 +54,15 @@ class JobRun:
         self.lease = Lease(Job, job.id, owner, job.attempt)
         self._events = places.events(job.id, job.attempt)
         self._log = places.log(job.id)
-        self._read = 0
+        self._written: list[str] | None = None
+        """What the result held when its last stage began."""
         self._told = 0.0
         self._log_bytes = -1
         self._progress: timeline.Told | None = None
         self._pending: list[timeline.Told] = []
         """Events that are not in the journal yet."""
+        self._lost = ""
+        """What of its files is gone without which it cannot end well."""
         self._stopping = False
         self._disk_was_full: bool | None = None
         """When its process ended; None: it has not."""
@@ -57,18 +73,27 @@ class JobRun:
             timeline.shares(history), job.estimate.get("seconds") or 0.0, time.monotonic()
         )
         self._recording = places.recording(dataset.id, dataset.folder)
+        self._name = dataset.name
         self.child = self._start(job)
 
     def _start(self, job: Job) -> Child:
         folder = self._places.job(job.id)
-        folder.mkdir(parents=True, exist_ok=True)
+        durable.make_folder(folder)
+        self._places.notes(job.id).unlink(missing_ok=True)
         wanted = config.from_mapping(Config, job.config)
         files.write_text(folder / "config.yaml", config.to_yaml(wanted))
         with self._log.open("a") as log:
             log.write(f"--- attempt {job.attempt}\n")
+        self._tail = tail.Tail(self._events)
+        task = {
+            "lock": str(folder / ".lock"),
+            "without_links": recording_roots.folders(self._recording, self._settings),
+            "out": str(self._places.out(job.id)),
+            "notes": str(self._places.notes(job.id)),
+        }
         return Child(
             "service.server.job_process",
-            [str(folder / ".lock"), *self._command(job, folder)],
+            [json.dumps(task), *self._command(job, folder)],
             self._log,
             self._settings.lease_s * 0.7,
         )
@@ -76,6 +101,7 @@ class JobRun:
     def _command(self, job: Job, folder: Path) -> list[str]:
         found = ["run", str(self._recording), f"--out={self._places.out(job.id)}"]
         found += [f"--config={folder / 'config.yaml'}", f"--events={self._events}", "--viewer"]
+        found += [f"--name={self._name}"]
         options = {
             "reference": self._recording / "reference" if job.reference else None,
             "redo": job.redo,
@@ -109,27 +135,25 @@ class JobRun:
             return False
         return True
 
+    def give_up(self, error: Exception) -> None:
+        """End the run, which cannot be followed any more, and have its job fail."""
+        self.child.end()
+        self._lost = self._lost or words.of_error(error)
+        self._settle(1, crashed=False)
+
     def _take_lines(self) -> None:
-        for line in self._new_lines():
+        for line in filter(None, map(_parsed, self._tail.lines())):
             for event in self._timeline.take(line, time.monotonic()):
                 if event[0] == journal.PROGRESS:
                     self._progress = event
                 else:
                     self._pending.append(event)
-
-    def _new_lines(self) -> list[dict[str, Any]]:
-        if not self._events.exists():
-            return []
-        with self._events.open("rb") as stream:
-            stream.seek(self._read)
-            data = stream.read()
-        whole = data[: data.rfind(b"\n") + 1]
-        self._read += len(whole)
-        return [found for line in whole.splitlines() if (found := _parsed(line)) is not None]
+        if self._written is None and self._timeline.current() == VIEWER:
+            self._written = list(served.result_names(self._places.out(self.lease.id)))
 
     def _tell(self, *, last: bool) -> bool:
         """Add events to the journal; False: the lease is lost."""
-        size = self._log.stat().st_size
+        size = tail.size(self._log)
         if last or time.monotonic() > self._told + _TELL_S:
             if self._progress is not None:
                 self._pending.append(self._progress)
@@ -166,7 +190,7 @@ class JobRun:
         elif code == STRANDED or self._stopping:
             why = "the service was stopped" if self._stopping else "the service lost its lease"
             leases.lose(self._database, self.lease, why, counts=code == STRANDED)
-        elif (end is None and code < 0) or told_to_stop or self._disk_was_full:
+        elif (code < 0 and (end is None or end["code"] == 0)) or told_to_stop or self._disk_was_full:
             # somebody ended it, such as the system for want of memory; what fails by itself would fail again
             self._settle(code, crashed=True)
         else:
@@ -176,19 +200,35 @@ class JobRun:
         size = size_of(self._places.job(self.lease.id))
         # without what a viewer shows, the result is a result
         whole = self._timeline.current() == VIEWER if crashed else code == 0
-        summary = _summary(self._places.out(self.lease.id)) if whole else None
+        noted, summary = self._result() if whole else ([], None)
         with self._database.write() as session:
             job = self.lease.row(session)
             if job is None:
                 return
             job.lease_owner, job.bytes, job.eta_s = None, size, None
             outcome, message = self._show_end(job, code, crashed, summary)
+            if job.state == DONE:
+                results.keep(session, job.id, noted)
             leases.close_attempt(session, job, outcome, message)
             self._database.order_events(session)
             journal.state(session, job)
             if job.state in (DONE, FAILED, CANCELED):
                 webhooks.enqueue(session, job)
         _log.info("%s: %s", job.id, job.state)
+
+    def _result(self) -> tuple[list[results.Noted], dict[str, Any] | None]:
+        """The files of the result and its figures; no figures where some of it is gone."""
+        out = self._places.out(self.lease.id)
+        try:
+            noted = results.read_notes(out, self._places.notes(self.lease.id))
+            gone = {*results.ALWAYS, *(self._written or ())} - {each.name for each in noted}
+            if gone:
+                raise InputError(out / min(gone), "has disappeared while the job ran", "restart the job")
+            files.sync(self._places.job(self.lease.id))
+            return noted, _summary(out)
+        except (InputError, OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+            self._lost = words.of_error(error)
+            return [], None
 
     def _show_end(
         self, job: Job, code: int, crashed: bool, summary: dict[str, Any] | None
@@ -197,6 +237,11 @@ class JobRun:
         message = self._hidden(self._why_crashed(code) if crashed else self._last_words())
         if job.state == CANCELING:
             job.state, outcome = CANCELED, CANCELED
+            self._timeline.stop(time.monotonic())
+        elif self._lost:
+            message = self._hidden(self._lost)
+            self._timeline.give_up(time.monotonic())
+            job.state, job.error, outcome = FAILED, _lost(message), FAILED
         elif crashed and (summary is None or job.crashes + 1 < self._settings.limits.attempts):
             job.crashes += 1
             job.state = FAILED if job.crashes >= self._settings.limits.attempts else QUEUED
@@ -215,10 +260,9 @@ class JobRun:
 
     def _last_words(self) -> str:
         """What it said last: as an event, or where an error that nobody foresaw cut it short, in the log."""
-        if self._timeline.end is not None:
+        if self._timeline.end is not None and self._timeline.end["code"] != 0:
             return str(self._timeline.end["message"])
-        lines = self._log.read_text("utf-8", "replace").splitlines()
-        return next((line for line in reversed(lines) if line.strip()), "it said nothing")
+        return tail.last_line(self._log) or "it said nothing"
 
     def _failure(self, message: str) -> dict[str, Any]:
         end = self._timeline.end or {}
@@ -263,6 +307,11 @@ class JobRun:
         return words.without_paths(text, self._places, self.lease.id, self._recording)
 
 
+def _lost(message: str) -> dict[str, Any]:
+    hint = "see who removes files in the data folder; then restart the job: finished stages are kept"
+    return {"code": "files", "stage": None, "cause": message, "hint": hint}
+
+
 def _parsed(line: bytes) -> dict[str, Any] | None:
     """What a line of the run says; None: it was cut short, as on a full disk."""
     try:
@@ -285,6 +334,10 @@ def _summary(out: Path) -> dict[str, Any]:
         "psnr_after": refined.get("psnr_leave_one_out"),
         "entropy_before": rough.get("map_entropy"),
         "entropy_after": refined.get("map_entropy"),
+        "verdict": (report.get("verdict") or {}).get("level"),
+        "map_error_m": ((report.get("expected_error") or {}).get("map") or {}).get("position_m"),
         "accepted_scans": (report.get("lidar") or {}).get("accepted"),
         "accepted_cameras": (report.get("visual") or {}).get("accepted"),
+        "accepted_exposures": (report.get("visual") or {}).get("exposures_accepted"),
+        "accepted_fusion": (report.get("fusion") or {}).get("accepted"),
     }

@@ -3,6 +3,7 @@
 import hashlib
 import hmac
 import secrets
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from sqlalchemy import select
@@ -69,11 +70,22 @@ def find(database: Database, token: str) -> Principal | None:
     return Principal(key.owner, frozenset(key.scopes), key.id)
 
 
-def is_good(database: Database, name: str) -> bool:
-    """Whether the key of this name is neither expired nor revoked."""
+def known(database: Database, name: str) -> tuple[Principal, str] | None:
+    """Who the key of this name belongs to, and its hash; None: there is none, or it is expired or revoked."""
     with database.read() as session:
         key = session.get(Key, name)
-    return name == LOCAL.key_id or (key is not None and _good(key))
+    return (
+        None
+        if key is None or not _good(key)
+        else (Principal(key.owner, frozenset(key.scopes), name), key.hash)
+    )
+
+
+def readers(database: Database, names: Collection[str]) -> dict[str, str]:
+    """The owner of each key of these that may read at this moment."""
+    with database.read() as session:
+        found = session.scalars(select(Key).where(Key.id.in_(names))).all()
+    return {key.id: key.owner for key in found if _good(key) and {READ, ADMIN} & set(key.scopes)}
 
 
 def _good(key: Key) -> bool:

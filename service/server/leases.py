@@ -8,7 +8,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, and_, func, select, update
+from sqlalchemy import ColumnElement, and_, delete, func, select, update
 from sqlalchemy.orm import Session
 
 from service.server import journal
@@ -150,6 +150,17 @@ def held(database: Database, owner: str) -> dict[tuple[str, int], str]:
         }
 
 
+def owners(database: Database) -> set[str]:
+    """Everybody who holds something."""
+    with database.read() as session:
+        return {
+            name
+            for kind in KINDS
+            for name in session.scalars(select(kind.lease_owner).where(kind.lease_owner.is_not(None)))
+            if name is not None
+        }
+
+
 def take_over(database: Database, me: Instance, watch: Watch) -> list[Lease]:
     """Set free what belongs to services that are dead; what was set free."""
     with database.read() as session:
@@ -187,6 +198,26 @@ def lose(
         if isinstance(row, Job):
             _back_to_queue(database, session, row, why, counts)
         return True
+
+
+def take_back(database: Database, lease: Lease, why: str) -> None:
+    """Set free what was taken up and could not be begun: as if it had not been, but for the reason that a job tells."""
+    with database.write() as session:
+        row = lease.row(session)
+        if row is None:
+            return
+        row.lease_owner = None
+        if isinstance(row, Job):
+            session.execute(delete(Attempt).where(Attempt.job_id == row.id, Attempt.number == row.attempt))
+            row.state, row.finished = (CANCELED, now()) if row.state == CANCELING else (QUEUED, None)
+            row.error = {
+                "code": "unavailable",
+                "stage": None,
+                "cause": f"the server cannot begin it now: {why}",
+                "hint": "it is tried again; if it stays, tell who runs the server",
+            }
+            database.order_events(session)
+            journal.state(session, row)
 
 
 def _back_to_queue(database: Database, session: Session, job: Job, why: str, counts: bool) -> None:

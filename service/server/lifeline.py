@@ -60,12 +60,13 @@ def hold() -> None:
 
 
 @contextmanager
-def alone(lock: Path) -> Iterator[None]:
+def alone(lock: Path, patience: float = _LOCK_PATIENCE) -> Iterator[None]:
     """Hold a lock file, which is let go by the system however the process ends.
 
+    patience: seconds that another process may take to let go
     Raises BlockingIOError: another process holds it, and keeps it.
     """
-    deadline = time.monotonic() + _LOCK_PATIENCE
+    deadline = time.monotonic() + patience
     with lock.open("a") as handle:
         while True:
             try:

@@ -1,6 +1,5 @@
 """Figures for Prometheus."""
 
-import shutil
 from typing import TYPE_CHECKING
 
 from prometheus_client import (
@@ -13,6 +12,7 @@ from prometheus_client import (
 )
 from sqlalchemy import func, select
 
+from service.server.disk_space import free_bytes
 from service.server.tables import JOB_STATES, Dataset, Delivery, Job
 
 if TYPE_CHECKING:
@@ -65,6 +65,6 @@ def exposition(server: "Server") -> bytes:
     Gauge("lvba_supervisor_up", "1: the supervisor lives and reaches the database", registry=registry).set(
         server.supervisor.is_alive() and server.supervisor.healthy
     )
-    free = shutil.disk_usage(server.places.root).free
+    free = free_bytes(server.places.root)
     Gauge("lvba_disk_free_bytes", "Free on the disk of the data folder", registry=registry).set(free)
     return generate_latest(registry) + generate_latest(REQUESTS.registry)

@@ -16,7 +16,8 @@ from typing import Any
 
 from lvba.errors import InputError
 from service.server import names
-from service.server.places import LEAST_FREE, free_bytes
+from service.server.disk_space import LEAST_FREE, free_bytes
+from service.server.intake_budget import TooLargeError
 from service.server.settings import Limits
 
 _AT_ONCE = 8
@@ -25,10 +26,6 @@ _ARRIVING = ".arriving"
 _LISTING = "listing.json"
 _VERSION = ("size", "ETag", "etag", "md5Hash", "LastModified", "last_modified", "updated", "created")
 """What the stores call what changes with the content."""
-
-
-class TooLargeError(Exception):
-    """The recording is larger than its owner may still have."""
 
 
 @dataclass(frozen=True)
@@ -40,25 +37,29 @@ class _Object:
     version: str
 
 
-def fetch(url: str, folder: Path, limits: Limits, room: int) -> None:
+def fetch(
+    url: str, folder: Path, limits: Limits, room_bytes: float, room_files: float = float("inf")
+) -> None:
     """Have all objects below the URL as files below the folder; what an earlier fetch left there is not fetched again.
 
-    room: bytes that the owner may still have
+    room_bytes, room_files: that the owner may still have
     Raises InputError: nothing there, no access, names that are no plain paths, more than is allowed. TooLargeError: more
-    than `room`. OSError: no room on the disk.
+    than that. OSError: no room on the disk.
     """
     folder.mkdir(parents=True, exist_ok=True)
     listing = folder.with_name(folder.name + "." + _LISTING)
     store, root = _opened(url)
     objects = _listed(url, store, root, limits)
     total = sum(each.size for each in objects.values())
-    if total > room:
+    if total > room_bytes or len(objects) > room_files:
         raise TooLargeError
     known = _known(listing)
     missing = {
         name: each for name, each in objects.items() if not _is_here(folder / name, each, known.get(name))
     }
-    if sum(each.size for each in missing.values()) > free_bytes(folder) - LEAST_FREE:
+    if sum(each.size for each in missing.values()) > free_bytes(folder) - max(
+        LEAST_FREE, limits.disk_reserve_bytes
+    ):
         raise OSError(errno.ENOSPC, "no room for the recording")
     _remove_others(folder, objects)
     listing.write_text(json.dumps({name: each.version for name, each in objects.items()}))

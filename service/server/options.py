@@ -78,7 +78,7 @@ def _flat(kind: Any, prefix: str, defaults: dict[str, Any]) -> list[dict[str, An
 
 
 def _fields(kind: Any) -> list[tuple[str, Any, str]]:
-    hints, helps = get_type_hints(kind), _helps(kind)
+    hints, helps = get_type_hints(kind), field_helps(kind)
     return [(item.name, hints[item.name], helps.get(item.name, "")) for item in dataclasses.fields(kind)]
 
 
@@ -87,8 +87,8 @@ def _summary(kind: Any) -> str:
 
 
 @functools.cache
-def _helps(kind: Any) -> dict[str, str]:
-    """The docstring under each field."""
+def field_helps(kind: Any) -> dict[str, str]:
+    """The docstring under each field of a dataclass, by the field's name."""
     found: dict[str, str] = {}
     for base in reversed(kind.__mro__[:-1]):
         body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]

@@ -4,13 +4,11 @@ import os
 import secrets
 import shutil
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.server import store_urls
-
-LEAST_FREE = 64 << 20
-"""Bytes of disk without which nothing is begun."""
+from service.server import durable, store_urls
 
 
 def new_id(kind: str) -> str:
@@ -32,7 +30,7 @@ class Places:
     def make(self) -> None:
         """Make the folders that must be there; only this user may look into them."""
         for folder in (self.root, self.instances, self.root / "datasets", self.root / "jobs", self.trash):
-            folder.mkdir(parents=True, exist_ok=True)
+            durable.make_folder(folder)
         self.root.chmod(0o700)
 
     @property
@@ -49,9 +47,13 @@ class Places:
         """Folder of an uploaded dataset."""
         return self.root / "datasets" / dataset_id
 
+    def uploads(self, dataset_id: str) -> Path:
+        """What arrives of a dataset."""
+        return self.dataset(dataset_id) / "uploads"
+
     def upload(self, dataset_id: str, upload_id: str) -> Path:
         """A file that is arriving."""
-        return self.dataset(dataset_id) / "uploads" / upload_id
+        return self.uploads(dataset_id) / upload_id
 
     def files(self, dataset_id: str) -> Path:
         """The recording, once it is checked."""
@@ -60,6 +62,10 @@ class Places:
     def recording(self, dataset_id: str, source: str | None) -> Path:
         """Where the files of a dataset are; source: the folder or URL that was registered, None: uploaded."""
         return Path(source) if source and not store_urls.is_url(source) else self.files(dataset_id)
+
+    def partial(self, dataset_id: str) -> Path:
+        """The recording while it is put together or fetched."""
+        return self.dataset(dataset_id) / "files.partial"
 
     def frames(self, dataset_id: str) -> Path:
         """JSON: time and path of each image."""
@@ -77,34 +83,35 @@ class Places:
         """What it said."""
         return self.job(job_id) / "log.txt"
 
+    def notes(self, job_id: str) -> Path:
+        """JSON: sizes and digests of its results, as its process wrote them down."""
+        return self.job(job_id) / "results.json"
+
     def events(self, job_id: str, attempt: int) -> Path:
         """What one attempt told."""
         return self.job(job_id) / f"events-{attempt}.jsonl"
 
-    def remove(self, folder: Path) -> None:
-        """Remove a folder below the root; cut short, it is at least gone from its place."""
-        if not folder.is_relative_to(self.root) or not folder.exists():
-            return
-        doomed = self.trash / f"{folder.name}-{secrets.token_hex(4)}"
-        folder.rename(doomed)
-        shutil.rmtree(doomed, ignore_errors=True)
+    def discard(self, folder: Path) -> None:
+        """Have a folder below the root be gone from its place at once; its files go later."""
+        if folder.is_relative_to(self.root) and folder.exists():
+            folder.rename(self.trash / f"{folder.name}-{secrets.token_hex(4)}")
 
     def empty_trash(self) -> None:
-        """Remove what an earlier removal left."""
+        """Remove the files of all that was discarded."""
         for folder in self.trash.iterdir():
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def free_bytes(folder: Path) -> int:
-    """What the disk of a folder has left."""
-    return shutil.disk_usage(folder).free
+def count_of(folder: Path) -> int:
+    """Files below a folder."""
+    return sum(len(names) for _, _, names in os.walk(folder))
 
 
 def size_of(folder: Path) -> int:
-    """Bytes of all files below a folder."""
-    return sum(
-        os.lstat(os.path.join(top, name)).st_size
-        for top, _, names in os.walk(folder)
-        for name in names
-        if os.path.lexists(os.path.join(top, name))
-    )
+    """Bytes of all files below a folder; what goes meanwhile counts as nothing."""
+    total = 0
+    for top, _, names in os.walk(folder):
+        for name in names:
+            with suppress(OSError):
+                total += os.lstat(os.path.join(top, name)).st_size
+    return total

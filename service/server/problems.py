@@ -1,7 +1,7 @@
 """Every error of the API as problem JSON (RFC 9457): status, code, cause and hint."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -9,6 +9,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from sqlalchemy.exc import DBAPIError
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 
 from lvba.errors import InputError
 
@@ -27,6 +28,11 @@ KINDS: dict[str, tuple[int, str, str]] = {
         "check the path and the id; what belongs to others is not shown",
     ),
     "method-not-allowed": (405, "This path has no such method", "see /docs"),
+    "too-slow": (
+        408,
+        "The request did not come in time",
+        "send it again; an upload goes on from Upload-Offset",
+    ),
     "conflict": (409, "Not in this state", "look at its state first"),
     "offset-mismatch": (409, "The bytes do not begin where the server's end", "go on from Upload-Offset"),
     "not-ready": (409, "There is no result yet", "wait for the state done"),
@@ -39,11 +45,17 @@ KINDS: dict[str, tuple[int, str, str]] = {
     "locked": (423, "An older request is still at it", "try again after a second"),
     "quota": (429, "Your quota is used up", "wait for jobs to end, or remove what is not needed"),
     "too-many-requests": (429, "Too many requests", "wait as long as Retry-After says"),
+    "damaged": (
+        500,
+        "A result is not what the job made",
+        "restart the job: it makes again what is missing or damaged, and keeps the stages that are whole",
+    ),
     "internal": (500, "The server failed", "try again; if it stays, tell who runs the server"),
     "unavailable": (503, "Not now", "try again after a few seconds"),
     "disk-full": (507, "The disk cannot hold it", "remove what is not needed, or ask who runs the server"),
 }
 """Status, title and hint of each code."""
+_ERRORS = 20
 _BY_STATUS = {400: "invalid", 401: "unauthorized", 403: "forbidden", 404: "not-found"}
 _BY_STATUS |= {405: "method-not-allowed", 413: "too-large", 415: "unsupported"}
 
@@ -90,6 +102,19 @@ def of_input(error: InputError) -> Problem:
     return Problem("invalid", detail, error.mend, errors=[{"where": error.where, "message": error.problem}])
 
 
+def too_slow() -> Problem:
+    """What a client hears whose request is not all there when it should be."""
+    return Problem("too-slow", "the request stopped before its end", headers={"Connection": "close"})
+
+
+def first_errors(errors: Sequence[Any]) -> list[dict[str, str]]:
+    """What pydantic found, as the API tells it: some of it, where it is much."""
+    return [
+        {"where": ".".join(str(part) for part in found["loc"]), "message": found["msg"]}
+        for found in errors[:_ERRORS]
+    ]
+
+
 def install(app: FastAPI) -> None:
     """Have every exception answered as a problem."""
 
@@ -103,12 +128,14 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     async def _invalid(request: Request, error: RequestValidationError) -> JSONResponse:
-        errors = [
-            {"where": ".".join(str(part) for part in found["loc"]), "message": found["msg"]}
-            for found in error.errors()
-        ]
+        errors = first_errors(error.errors())
         detail = "; ".join(f"{found['where']}: {found['message']}" for found in errors[:3])
         return Problem("invalid", detail, errors=errors).response(request.url.path)
+
+    @app.exception_handler(ClientDisconnect)
+    async def _gone(request: Request, error: ClientDisconnect) -> JSONResponse:
+        # nobody hears it but a client that was too slow
+        return too_slow().response(request.url.path)
 
     @app.exception_handler(HTTPException)
     async def _http(request: Request, error: HTTPException) -> JSONResponse:

@@ -73,12 +73,14 @@ def remove_marked(database: Database, places: Places) -> int:
             select(Dataset.id).where(Dataset.deleted.is_(True), Dataset.id.not_in(used))
         ).all()
     for job_id in jobs:
-        places.remove(places.job(job_id))
+        places.discard(places.job(job_id))
+        places.empty_trash()  # before nobody is accountable for it any more
         with database.write() as session:
             session.execute(delete(Event).where(Event.job_id == job_id))
             session.execute(delete(Job).where(Job.id == job_id, Job.deleted.is_(True)))
     for dataset_id in datasets:
-        places.remove(places.dataset(dataset_id))
+        places.discard(places.dataset(dataset_id))
+        places.empty_trash()
         with database.write() as session:
             session.execute(delete(Upload).where(Upload.dataset_id == dataset_id))
             session.execute(delete(Dataset).where(Dataset.id == dataset_id, Dataset.deleted.is_(True)))

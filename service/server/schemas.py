@@ -3,15 +3,29 @@
 import math
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+from service.printable import printable
+from service.server import names
 
 _DEEPEST = 8
+_UNKNOWN = 20
+"""Fields of an object that are told to be unknown one by one."""
 
 
 def _clean(text: str) -> str:
     """Without what a database or a terminal cannot take."""
-    if any(ord(letter) < 32 or 0xD800 <= ord(letter) < 0xE000 or letter == "\x7f" for letter in text):
-        raise ValueError("holds control characters")
+    if printable(text) != text:
+        raise ValueError("holds control characters, or others that are not seen")
+    return text
+
+
+def _plain_name(text: str) -> str:
+    """Without what could lead elsewhere where somebody makes a folder of this name."""
+    if not names.is_plain(_clean(text)):
+        raise ValueError(
+            "is no name: it begins with . or ~ or a space, holds / or \\, or is that of a device"
+        )
     return text
 
 
@@ -39,6 +53,7 @@ def _check_plain(value: Any, depth: int) -> None:
 
 
 Text = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_clean)]
+Name = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_plain_name)]
 Settings = Annotated[dict[str, Any], AfterValidator(_plain)]
 Days = Annotated[float, Field(gt=0, le=36500, allow_inf_nan=False)]
 Priority = Annotated[int, Field(ge=-10, le=10)]
@@ -48,11 +63,19 @@ DatasetId = Annotated[str, Field(pattern=r"^ds_[0-9a-f]{1,40}$")]
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _few(cls, value: Any) -> Any:
+        # each unknown field would become an error of its own, which takes longer than to read it
+        if isinstance(value, dict) and len(value) > len(cls.model_fields) + _UNKNOWN:
+            raise ValueError(f"has {len(value)} fields; known are {', '.join(cls.model_fields)}")
+        return value
+
 
 class NewDataset(_Strict):
     """A dataset to be made."""
 
-    name: Text
+    name: Name
     folder: Annotated[str, Field(min_length=1, max_length=1000), AfterValidator(_clean)] | None = None
     """Of a recording on the server, absolute, or a URL such as s3://bucket/recording; None: it is uploaded."""
 
@@ -68,7 +91,7 @@ class NewJob(_Strict):
     """A run that is asked for."""
 
     dataset: DatasetId
-    name: Text | None = None
+    name: Name | None = None
     config: Settings = Field(default_factory=dict)
     priority: Priority = 0
     reference: bool = False
@@ -79,7 +102,7 @@ class NewJob(_Strict):
 class ChangedJob(_Strict):
     """What of a job may be changed at any time."""
 
-    name: Text | None = None
+    name: Name | None = None
     priority: Priority | None = None
     keep_days: Days | None = None
 
@@ -95,14 +118,18 @@ class Restart(_Strict):
 class NewBatch(_Strict):
     """Jobs that belong together."""
 
-    name: Text
+    name: Name
     jobs: Annotated[list[NewJob], Field(min_length=1, max_length=1000)]
 
 
 class TicketFor(_Strict):
     """What a ticket is to be good for."""
 
-    path: Annotated[str, Field(max_length=800, pattern=r"^/v1/(jobs|datasets)/"), AfterValidator(_clean)]
+    path: Annotated[
+        str,
+        Field(max_length=800, pattern=r"^/v1/(jobs|datasets)/[a-z]+_[0-9a-f]+(/|$)"),
+        AfterValidator(_clean),
+    ]
 
 
 class Execution(BaseModel):

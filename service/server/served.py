@@ -1,10 +1,11 @@
 """Files as answers: Range, ETag, media types, and policies for what may hold scripts."""
 
+import base64
 import mimetypes
 import os
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 from urllib.parse import quote
 
 from starlette.datastructures import Headers
@@ -13,6 +14,7 @@ from starlette.types import Message, Receive, Scope, Send
 
 from service.server import shown
 from service.server.problems import Problem
+from service.server.tables import Result
 
 _TYPES = {
     ".ply": "application/octet-stream",
@@ -51,19 +53,37 @@ def quoted(name: str) -> str:
     return quote(name, safe="/")
 
 
-class FileOf(FileResponse):
-    """A file, whole or in parts, or that it has not changed."""
+def attachment(name: str) -> str:
+    """The Content-Disposition of a file that is saved under this name (RFC 6266)."""
+    plain = "".join(letter if " " <= letter <= "~" and letter not in '"\\%' else "_" for letter in name)
+    return f"attachment; filename=\"{plain}\"; filename*=UTF-8''{quote(name, safe='')}"
 
-    def __init__(self, path: Path, name: str, *, strange: bool = False, download: bool = False) -> None:
-        found = path.stat()
+
+class FileOf(FileResponse):
+    """An open file, whole or in parts, or that it has not changed."""
+
+    def __init__(
+        self,
+        file: BinaryIO,
+        name: str,
+        *,
+        strange: bool = False,
+        download: bool = False,
+        sha256: str | None = None,
+    ) -> None:
+        self._file = file
+        """Held, and with it the very file that was checked, until this answer is gone."""
+        found = os.fstat(file.fileno())
         kind = media_type(name, strange=strange)
         headers = {"ETag": etag(found), "Cache-Control": "private, no-cache"}
+        if sha256 is not None:  # of the whole file, also where a part is sent (RFC 9530)
+            headers["Repr-Digest"] = f"sha-256=:{base64.b64encode(bytes.fromhex(sha256)).decode()}:"
         if strange:
             headers["Content-Security-Policy"] = _STRANGE_POLICY
         elif kind == "text/html":
             headers["Content-Security-Policy"] = _REPORT_POLICY
         super().__init__(
-            path,
+            f"/dev/fd/{file.fileno()}",  # each reader has a position of its own
             headers=headers,
             media_type=kind,
             stat_result=found,
@@ -71,6 +91,10 @@ class FileOf(FileResponse):
         )
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        with self._file:
+            await self._answer(scope, receive, send)
+
+    async def _answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         wanted = Headers(scope=scope).get("if-none-match", "")
         if self.headers["etag"] in [mark.strip().removeprefix("W/") for mark in wanted.split(",")] or (
             wanted.strip() == "*"
@@ -96,23 +120,43 @@ class FileOf(FileResponse):
 
 
 def result_names(out: Path) -> Iterator[str]:
-    """Names of all files of a result, sorted; what stages made is not among them."""
+    """Names of all files of a result folder, sorted; what stages made is not among them, nor are links."""
     found: list[str] = []
-    for folder, folders, files in os.walk(out):
+    for folder, folders, here in os.walk(out):
         inside = os.path.relpath(folder, out)
         folders[:] = [name for name in folders if name[0] != "." and not (inside == "." and name == "stages")]
-        found += [os.path.normpath(os.path.join(inside, name)) for name in files if name[0] != "."]
+        plain = [name for name in here if name[0] != "." and not os.path.islink(os.path.join(folder, name))]
+        found += [os.path.normpath(os.path.join(inside, name)) for name in plain]
     yield from sorted(found)
 
 
-def result_shown(job_id: str, out: Path, name: str) -> dict[str, Any]:
-    """A result as in the list."""
-    found = (out / name).stat()
+def pictures(base: str, names: Collection[str], index: int) -> dict[str, str | None]:
+    """URLs of the pictures of an image, by kind; None where there is none among the names of a result."""
+    made = {kind: f"frames/{kind}/{index:06}.jpg" for kind in ("photo", "before", "after")}
+    return {kind: base + name if name in names else None for kind, name in made.items()}
+
+
+def is_result(name: str) -> bool:
+    """Whether a file of a result folder is shown: not what stages made, nor what is hidden."""
+    parts = name.split("/")
+    return parts[0] != "stages" and not any(part.startswith(".") for part in parts)
+
+
+def result_shown(base: str, out: Path, name: str, row: Result | None = None) -> dict[str, Any]:
+    """A result as in the list; of one that is damaged or gone, what it was.
+
+    base: path of all of them, with / at its end
+    """
+    try:
+        found: os.stat_result | None = os.lstat(out / name)
+    except OSError:
+        found = None
     return {
         "name": name,
-        "bytes": found.st_size,
+        "bytes": row.bytes if row else found.st_size if found else 0,
+        "sha256": row.sha256 if row else None,
         "media_type": media_type(name),
-        "modified": shown.time(found.st_mtime),
-        "etag": etag(found),
-        "url": f"/v1/jobs/{job_id}/results/{quoted(name)}",
+        "modified": shown.time(found.st_mtime) if found else None,
+        "etag": etag(found) if found else None,
+        "url": base + quoted(name),
     }

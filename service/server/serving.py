@@ -5,15 +5,20 @@ import logging
 import signal
 import sys
 from collections.abc import Iterator
+from functools import partial
 from socket import IPPROTO_TCP, TCP_NODELAY
 from types import FrameType
-from typing import Any
+from typing import Any, cast
 
+import anyio.to_thread
 import uvicorn
 
 from lvba.errors import InputError
-from service.server import app, context
+from service.server import app, context, descriptors, notices, recording_roots
 from service.server.broadcast import Broadcaster
+from service.server.connection import Connection
+from service.server.connection_slots import ConnectionSlots
+from service.server.descriptors import Shares
 from service.server.opening import open_database
 from service.server.places import Places
 from service.server.settings import Settings
@@ -23,6 +28,8 @@ from service.server.webhooks import Messenger
 _log = logging.getLogger(__name__)
 _SWITCH_S = 0.001
 """How long a thread may keep the others of this process waiting; a request goes through some of them."""
+_BACKLOG = 2048
+"""Connections that may wait to be taken up."""
 _OPEN_S = 5
 """Seconds that requests may take once the service is to end."""
 
@@ -30,12 +37,20 @@ _OPEN_S = 5
 class _Uvicorn(uvicorn.Server):
     """Ends on the first signal, after its streams; and does not send itself the signal again."""
 
-    def __init__(self, config: uvicorn.Config, broadcaster: Broadcaster, words: str) -> None:
+    def __init__(
+        self, config: uvicorn.Config, broadcaster: Broadcaster, words: str, notes: list[str], threads: int
+    ) -> None:
         super().__init__(config)
-        self._broadcaster, self._words = broadcaster, words
+        self._broadcaster, self._words, self._notes = broadcaster, words, notes
+        self._threads = threads
 
     async def startup(self, sockets: list[Any] | None = None) -> None:
+        anyio.to_thread.current_default_thread_limiter().total_tokens = self._threads
         await super().startup(sockets)
+        for socket in sockets or []:
+            # asyncio takes up as many at once as may wait; here more may wait than are taken up at once
+            socket.listen(_BACKLOG)
+        sys.stderr.writelines(f"lvba: warning: {note}\n" for note in self._notes)
         for socket in sockets or []:
             host, port = socket.getsockname()[:2]
             shown = f"[{host}]" if ":" in host else host
@@ -63,7 +78,9 @@ def serve(settings: Settings) -> None:
 
     Raises LvbaError: the data folder, the database or the address cannot be used.
     """
-    places = Places(settings.data.absolute())
+    recording_roots.check(settings)
+    shares = descriptors.shares(settings.limits.connections)
+    places = Places(settings.data.resolve())  # below it no link is followed
     database = open_database(settings, places)
     supervisor = Supervisor(database, places, settings)
     broadcaster = Broadcaster(database)
@@ -71,10 +88,12 @@ def serve(settings: Settings) -> None:
     server = context.Server(database, places, settings, supervisor, broadcaster, secret)
     keys = "with keys" if settings.asks_for_keys else "without keys: for this machine only"
     words = f"({keys}); data in {settings.data}"
-    web = _Uvicorn(_configuration(app.create(server), settings), broadcaster, words)
+    notes = notices.at_start(settings, database)
+    served = configuration(app.create(server), settings, shares)
+    web = _Uvicorn(served, broadcaster, words, notes, shares.threads)
     messenger = Messenger(database, settings) if settings.webhooks else None
     sys.setswitchinterval(_SWITCH_S)
-    with _listening(web, settings) as sockets:
+    with listening(web, settings) as sockets:
         supervisor.start()
         if messenger is not None:
             messenger.start()
@@ -87,17 +106,23 @@ def serve(settings: Settings) -> None:
             database.close()
 
 
-def _configuration(application: Any, settings: Settings) -> uvicorn.Config:
+def configuration(application: Any, settings: Settings, shares: Shares) -> uvicorn.Config:
+    """How an application is served."""
+    slots = ConnectionSlots(shares.connections, settings.limits.connections_of_one, settings.proxies)
     return uvicorn.Config(
         application,
+        http=cast(Any, partial(Connection, slots=slots, limits=settings.limits)),
+        ws="none",
+        backlog=shares.accepts,
         host=settings.host,
         port=settings.port,
         log_config=None,
         access_log=False,
         server_header=False,
         date_header=True,
-        proxy_headers=True,
-        forwarded_allow_ips=["127.0.0.1", "::1", *settings.proxies],
+        # nobody else is believed, not even on this machine: whoever could name any address could guess keys for ever
+        proxy_headers=bool(settings.proxies),
+        forwarded_allow_ips=list(settings.proxies),
         timeout_keep_alive=30,
         timeout_graceful_shutdown=_OPEN_S,
         lifespan="on",
@@ -105,7 +130,11 @@ def _configuration(application: Any, settings: Settings) -> uvicorn.Config:
 
 
 @contextlib.contextmanager
-def _listening(web: uvicorn.Server, settings: Settings) -> Iterator[list[Any]]:
+def listening(web: uvicorn.Server, settings: Settings) -> Iterator[list[Any]]:
+    """The sockets to serve on.
+
+    Raises InputError: the address is taken, or not this machine's.
+    """
     try:
         socket = web.config.bind_socket()
     except SystemExit:

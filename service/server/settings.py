@@ -23,9 +23,11 @@ class Limits:
     upload_bytes: int = 200 * GB
     """Largest single file or archive."""
     owner_bytes: int = 2000 * GB
-    """All datasets and results of an owner."""
+    """All datasets and results of an owner, also unfinished and refused ones."""
+    owner_files: int = 5_000_000
+    """Files of all datasets of an owner."""
     archive_entries: int = 200_000
-    """Files in an archive."""
+    """Files and folders in an archive."""
     archive_bytes: int = 500 * GB
     """All files of an archive, unpacked."""
     archive_ratio: float = 200.0
@@ -46,6 +48,22 @@ class Limits:
     """How often a job is tried whose process was killed."""
     disk_reserve_bytes: int = 2 * GB
     """What must stay free beside the estimate of a new job."""
+    json_bytes: int = 64 << 10
+    """Body of a request that is neither an upload nor a batch."""
+    batch_bytes: int = 4 << 20
+    """Body of a batch."""
+    check_bytes: int = 16 << 20
+    """Body of a check of names: a line for each file of a recording, with its poses and calibration."""
+    connections: int = 4000
+    """Connections at a time; fewer where the system allows fewer open files."""
+    connections_of_one: int = 2000
+    """Of one address, proxies excepted; never all."""
+    head_s: float = 15.0
+    """Seconds until the head of a request is all there."""
+    stall_s: float = 60.0
+    """Seconds that a client may keep the server waiting in the midst of a body, or of an answer that it does not take."""
+    slowest_bytes_per_s: float = 1024.0
+    """What a body must bring on average, after its first `stall_s`."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +86,7 @@ class Settings:
     hosts: tuple[str, ...] = ()
     """Names that requests may call this server by, beside loopback; empty: any, if keys are asked for."""
     proxies: tuple[str, ...] = ()
-    """Addresses or networks of reverse proxies, beside loopback, whose word is taken for who asks (X-Forwarded-For)."""
+    """Addresses or networks of reverse proxies whose word is taken for who asks (X-Forwarded-For), also on loopback."""
     roots: tuple[str, ...] = ()
     """Folders below which recordings may be registered in place, and URLs of object stores (s3://BUCKET/PATH)."""
     jobs: int = 1
@@ -95,6 +113,8 @@ class Settings:
     """Tell addresses that users give when their jobs have ended."""
     webhook_allow: tuple[str, ...] = ()
     """Origins (http://host:port) that may be told although they are not public."""
+    webhook_timeout_s: float = 10.0
+    """Seconds that telling one address may take in all."""
     lease_s: float = 20.0
     """A job whose service has not been heard of for so long is taken over."""
     limits: Limits = field(default_factory=Limits)

@@ -7,10 +7,21 @@ from typing import Any
 from sqlalchemy import and_, func, or_, select
 from sqlalchemy.orm import Session
 
-from service.server import retention, store_urls
+from service.server import disk_space, retention, store_urls
 from service.server.places import Places, now
 from service.server.settings import Settings
-from service.server.tables import DONE, ENDED, QUEUED, READY, UPLOADING, Attempt, Dataset, Job, Upload
+from service.server.tables import (
+    DONE,
+    ENDED,
+    QUEUED,
+    READY,
+    UPLOADING,
+    VALIDATING,
+    Attempt,
+    Dataset,
+    Job,
+    Upload,
+)
 
 _DAY_S = 86400.0
 
@@ -22,7 +33,7 @@ def time(seconds: float | None) -> str | None:
     return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
-def dataset(session: Session, row: Dataset, settings: Settings) -> dict[str, Any]:
+def dataset(session: Session, row: Dataset, places: Places, settings: Settings) -> dict[str, Any]:
     """A dataset."""
     size, files = row.bytes, row.files
     if row.state != READY and row.folder is None:
@@ -39,7 +50,7 @@ def dataset(session: Session, row: Dataset, settings: Settings) -> dict[str, Any
         "created": time(row.created),
         "bytes": int(size),
         "files": files,
-        "error": row.error,
+        "error": _waits_for_room(places) if _waits(row) else row.error,
         "facts": row.facts,
         "expires": time(row.updated + keep) if keep else None,
     }
@@ -48,7 +59,8 @@ def dataset(session: Session, row: Dataset, settings: Settings) -> dict[str, Any
 def jobs(session: Session, rows: Sequence[Job], places: Places, settings: Settings) -> list[dict[str, Any]]:
     """Jobs as in a list."""
     positions = _positions(session, [row for row in rows if row.state == QUEUED])
-    return [_job(row, positions, places, settings) for row in rows]
+    full = _waits_for_room(places) if positions else None
+    return [_job(row, positions, full, places, settings) for row in rows]
 
 
 def job(session: Session, row: Job, places: Places, settings: Settings) -> dict[str, Any]:
@@ -62,7 +74,9 @@ def job(session: Session, row: Job, places: Places, settings: Settings) -> dict[
     }
 
 
-def _job(row: Job, positions: dict[str, int], places: Places, settings: Settings) -> dict[str, Any]:
+def _job(
+    row: Job, positions: dict[str, int], full: dict[str, Any] | None, places: Places, settings: Settings
+) -> dict[str, Any]:
     links = {name: f"/v1/jobs/{row.id}/{name}" for name in ("events", "logs", "results", "archive", "frames")}
     log = places.log(row.id)
     found = {
@@ -83,7 +97,31 @@ def _job(row: Job, positions: dict[str, int], places: Places, settings: Settings
     }
     if row.state == QUEUED:
         found["position"] = positions.get(row.id, 0)
+        needed = (row.error or {}).get("needed_bytes", 0)
+        found["error"] = full or (_waits_for_room(places, needed) if needed else None) or row.error
     return found
+
+
+def _waits(row: Dataset) -> bool:
+    return row.state == VALIDATING and row.lease_owner is None
+
+
+def _waits_for_room(places: Places, needed: int = disk_space.LEAST_FREE) -> dict[str, Any] | None:
+    """Why nothing is begun that needs so many bytes; None: nothing is in its way.
+
+    Not written down when it happens: a full disk may not take even that.
+    """
+    lack = disk_space.lacking(places.root, needed)
+    if lack is None:
+        return None
+    hint = "it goes on by itself when there is room: remove what is not needed, or ask who runs the server"
+    return {
+        "code": "disk-full",
+        "stage": None,
+        "cause": f"waits for disk space: {lack}",
+        "hint": hint,
+        "needed_bytes": needed,
+    }
 
 
 def _elapsed(row: Job) -> float:

@@ -1,11 +1,15 @@
 """Files as one zip, made while it is sent: nothing of it is ever on disk or whole in memory."""
 
 import io
+import os
+import time
 import zipfile
-from collections.abc import Iterable, Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterable, Iterator
+from typing import BinaryIO
 
 _PIECE = 1 << 20
+_OLDEST = 315_619_200.0
+"""1980-01-02: an entry of a zip file cannot be older."""
 
 
 class _Sink(io.RawIOBase):
@@ -26,16 +30,31 @@ class _Sink(io.RawIOBase):
         return b"".join(pieces)
 
 
-def zipped(folder: Path, names: Iterable[str], compression: int) -> Iterator[bytes]:
-    """The zip file of these files, piece by piece."""
+def zipped(
+    opened: Callable[[str], BinaryIO], names: Iterable[str], compression: int, folder: str
+) -> Iterator[bytes]:
+    """The zip file of these files, piece by piece.
+
+    opened: a file by its name, for reading; folder: all of them are below in the zip file
+    """
     sink = _Sink()
     with zipfile.ZipFile(sink, "w", compression) as archive:
         for name in names:
-            info = zipfile.ZipInfo.from_file(folder / name, name)
-            info.compress_type = compression
-            with (folder / name).open("rb") as file, archive.open(info, "w", force_zip64=True) as entry:
+            with (
+                opened(name) as file,
+                archive.open(_entry(f"{folder}/{name}", file, compression), "w", force_zip64=True) as entry,
+            ):
                 while data := file.read(_PIECE):
                     entry.write(data)
                     yield sink.take()
             yield sink.take()
     yield sink.take()
+
+
+def _entry(name: str, file: BinaryIO, compression: int) -> zipfile.ZipInfo:
+    found = os.fstat(file.fileno())
+    changed = time.localtime(max(found.st_mtime, _OLDEST))[:6]
+    entry = zipfile.ZipInfo(name, changed)
+    entry.compress_type, entry.file_size = compression, found.st_size
+    entry.external_attr = (found.st_mode & 0xFFFF) << 16
+    return entry

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import shutil
 from typing import Any
 
 from sqlalchemy import func, select
@@ -11,7 +10,7 @@ from sqlalchemy.orm import Session
 from lvba import config
 from lvba.errors import InputError
 from lvba.pipeline import Config
-from service.server import estimates, finding, journal, webhooks
+from service.server import disk_space, estimates, finding, journal, quota, webhooks
 from service.server.context import Server
 from service.server.keys import Principal
 from service.server.places import new_id, now
@@ -79,9 +78,18 @@ def check_config(values: dict[str, Any]) -> None:
     try:
         config.from_mapping(Config, values)
     except InputError as error:
-        raise of_input(error) from None
+        problem = of_input(error)
+        problem.more["errors"] = [{"where": f"config.{_setting(error)}", "message": error.problem}]
+        raise problem from None
     except (TypeError, ValueError, OverflowError) as error:
         raise Problem("invalid", f"config: {error}") from None
+
+
+def _setting(error: InputError) -> str:
+    """Name of the setting, or of the group of settings, that an error is about."""
+    group, word = str(error.where).partition(": ")[2], error.problem.split()[0]
+    known = config.names(Config)
+    return next((name for name in (f"{group}.{word}", word) if name in known), group)
 
 
 def _check(server: Server, session: Session, principal: Principal, wanted: NewJob) -> Dataset:
@@ -107,12 +115,10 @@ def _check_webhook(server: Server, url: str) -> None:
 
 def _check_room(server: Server, session: Session, principal: Principal, found: dict[str, Any]) -> None:
     limits = server.settings.limits
-    waiting = select(func.count()).where(Job.owner == principal.owner, Job.state == QUEUED)
-    if (session.scalar(waiting) or 0) >= limits.queued_jobs:
-        raise Problem(
-            "quota", f"{limits.queued_jobs} jobs of this owner wait already", headers={"Retry-After": "60"}
-        )
-    free = shutil.disk_usage(server.places.root).free
+    disk_bytes = int(found.get("disk_bytes", 0))
+    quota.check(server.database, session, principal.owner, limits, disk_bytes, 1)
+    _check_waiting(server, session, principal.owner)
+    free = disk_space.free_bytes(server.places.root)
     needed = int(found.get("disk_bytes", 0)) + limits.disk_reserve_bytes + _promised(session)
     if needed > free:
         raise Problem(
@@ -121,6 +127,20 @@ def _check_room(server: Server, session: Session, principal: Principal, found: d
             needed_bytes=needed,
             free_bytes=free,
         )
+
+
+def check_restart(server: Server, session: Session, job: Job) -> None:
+    """Raises Problem: a quota, which a job that is run again meets like a new one."""
+    more = int((job.estimate or {}).get("disk_bytes", 0)) - job.bytes
+    quota.check(server.database, session, job.owner, server.settings.limits, more, 0)
+    _check_waiting(server, session, job.owner)
+
+
+def _check_waiting(server: Server, session: Session, owner: str) -> None:
+    most = server.settings.limits.queued_jobs
+    waiting = select(func.count()).where(Job.owner == owner, Job.state == QUEUED)
+    if (session.scalar(waiting) or 0) >= most:
+        raise Problem("quota", f"{most} jobs of this owner wait already", headers={"Retry-After": "60"})
 
 
 def _promised(session: Session) -> int:

@@ -1,20 +1,26 @@
 """The thread that works the queue: takes up jobs and datasets, follows their processes, answers for them, ends them."""
 
+import errno
 import logging
+import os
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.server import leases, retention
+from lvba.errors import InputError
+from service.server import descriptors, disk_space, failed_start, leases, words
 from service.server.checking import DatasetCheck
 from service.server.database import Database
 from service.server.instance import Instance, Watch
 from service.server.job_run import JobRun
 from service.server.leases import Lease
-from service.server.places import LEAST_FREE, Places, free_bytes
+from service.server.places import Places
 from service.server.settings import Settings
+from service.server.sweeping import Sweeper
 from service.server.tables import CANCELING
 
 _log = logging.getLogger(__name__)
@@ -23,6 +29,8 @@ _LOOK_S = 1.0
 """Seconds between looks at what others did: cancellations, services that died."""
 _BACK_OFF_S = 2.0
 """Seconds until a job is tried again by the instance that could not go on with it."""
+_LACK_S = 20.0
+"""Seconds until something is begun again after that failed for want of what this service needs."""
 _CHECKS = 2
 """Datasets that are checked at a time."""
 _STOP_S = 15.0
@@ -41,8 +49,10 @@ class Supervisor(threading.Thread):
         self._works: list[JobRun | DatasetCheck] = []
         self._avoid: dict[str, float] = {}
         self._due: dict[str, float] = {}
-        self._retention = retention.Retention(database, places, settings)
+        self._sweeper = Sweeper(database, places, settings)
         self._renewed = time.monotonic()
+        self._idle_until = 0.0
+        """When to begin something again, after this service lacked what it needs for that."""
         self.healthy = True
         """False: the last round could not reach the database."""
 
@@ -50,17 +60,27 @@ class Supervisor(threading.Thread):
         """There may be something to do."""
         self._wake.set()
 
+    def sweep(self) -> None:
+        """There is something to remove."""
+        self._sweeper.wake()
+
     def stop(self) -> None:
         """Give back all work and end; waits for it."""
         self._ending = True
         self.wake()
         self.join(_STOP_S)
 
+    def start(self) -> None:
+        """Begin; here and not in the thread, so that a service without it does not come to be."""
+        self._sweeper.start()
+        super().start()
+
     def run(self) -> None:
         while not self._ending:
             self._round()
             self._wake.wait(_ROUND_S)
             self._wake.clear()
+        self._sweeper.stop()
         self._give_back()
         self._instance.close()
 
@@ -70,7 +90,7 @@ class Supervisor(threading.Thread):
             self._follow,
             lambda: self._every("look", _LOOK_S, self._look),
             self._claim,
-            lambda: self._every("retention", 60.0, self._retention.sweep),
+            lambda: self._every("instances", 60.0, self._sweep_instances),
         )
         for step in steps:
             try:
@@ -99,9 +119,21 @@ class Supervisor(threading.Thread):
 
     def _follow(self) -> None:
         for work in list(self._works):
-            if not work.follow():
+            if not self._goes_on(work):
                 self._works.remove(work)
+                self.sweep()
                 self._avoid[work.lease.id] = time.monotonic() + _BACK_OFF_S
+
+    def _goes_on(self, work: JobRun | DatasetCheck) -> bool:
+        """Follow one piece of work. What goes wrong with it, such as a file that is gone, is the end of it alone."""
+        try:
+            return work.follow()
+        except SQLAlchemyError:
+            raise
+        except Exception as error:
+            _log.warning("%s cannot be followed: %s", work.lease.id, words.of_error(error))
+            work.give_up(error)
+            return False
 
     def _look(self) -> None:
         held = leases.held(self._database, self._instance.name)
@@ -122,25 +154,54 @@ class Supervisor(threading.Thread):
                 lease = Lease(kind, stray[0], self._instance.name, stray[1])
                 leases.lose(self._database, lease, "it could not be begun")
 
+    def _sweep_instances(self) -> None:
+        with suppress(OSError):  # what is left is for the next time
+            self._instance.sweep(leases.owners(self._database))
+
     def _claim(self) -> None:
-        free = free_bytes(self._places.root)
-        if free < LEAST_FREE:
-            return  # what is begun on a full disk only fails
+        if disk_space.lacking(self._places.root):
+            return  # what is begun on a full disk only fails; `shown` says so of what waits
+        free = disk_space.free_bytes(self._places.root)
+        if time.monotonic() < self._idle_until:
+            return
+        if lack := descriptors.lacking():
+            self._idle_until = time.monotonic() + _BACK_OFF_S
+            _log.warning("nothing can be begun: %s", lack)
+            return
         now = time.monotonic()
         self._avoid = {job: until for job, until in self._avoid.items() if until > now}
         while self._count(DatasetCheck) < _CHECKS:
             dataset = leases.claim_dataset(self._database, self._instance.name)
             if dataset is None:
                 break
-            self._works.append(
-                DatasetCheck(self._database, self._places, self._settings, dataset, self._instance.name)
-            )
+            if not self._begin(DatasetCheck, dataset):
+                return
         while self._count(JobRun) < self._settings.jobs:
             limit = self._settings.limits.running_jobs
             job = leases.claim_job(self._database, self._instance.name, limit, self._avoid, free)
-            if job is None:
+            if job is None or not self._begin(JobRun, job):
                 break
-            self._works.append(JobRun(self._database, self._places, self._settings, job, self._instance.name))
+
+    def _begin(self, kind: type[JobRun] | type[DatasetCheck], row: Any) -> bool:
+        """Start what was taken up; False: this service lacks what it needs for that, and gives it back as it was.
+
+        What cannot be started for another reason, such as a file in the place of its folder, has failed.
+        """
+        lease = Lease(type(row), row.id, self._instance.name, row.attempt)
+        try:
+            self._works.append(kind(self._database, self._places, self._settings, row, self._instance.name))
+        except (OSError, MemoryError, InputError) as error:
+            cause = error.__cause__ if isinstance(error, InputError) else error
+            if cause is not None and descriptors.is_lack(cause):
+                why = os.strerror(getattr(cause, "errno", 0) or errno.ENOMEM)
+                _log.warning("%s cannot be begun: %s", row.id, why)
+                self._idle_until = time.monotonic() + _LACK_S
+                leases.take_back(self._database, lease, why)
+                return False
+            why = words.of_error(error)
+            _log.warning("%s cannot be begun: %s", row.id, why)
+            failed_start.fail(self._database, lease, why.replace(str(self._places.root), "DATA"))
+        return True
 
     def _count(self, kind: type) -> int:
         return sum(isinstance(work, kind) for work in self._works)

@@ -145,6 +145,19 @@ class Job(Leased, Base):
     """Of its result and stages, when it ended."""
 
 
+class Result(Base):
+    """A file that a job made, as its run left it."""
+
+    __tablename__ = "results"
+    job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True)
+    name: Mapped[str] = mapped_column(primary_key=True)
+    bytes: Mapped[int] = mapped_column(_BIG)
+    sha256: Mapped[str | None]
+    """None: the run was killed in its last stage, before it could take the digest."""
+    stamp: Mapped[str]
+    """Inode, size and times then: while they are the same, nobody has touched the file."""
+
+
 class Attempt(Base):
     """One time that a job was taken up."""
 

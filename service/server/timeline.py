@@ -8,16 +8,14 @@ from service.server.journal import PROGRESS, STAGE, STAGES
 Told = tuple[str, dict[str, Any]]
 """Kind and data of an event for the journal."""
 
-WAITING, RUNNING, DONE, FAILED = "waiting", "running", "done", "failed"
-_ENOUGH = 0.03
-"""Below this fraction of the work the estimate says more than the time that passed."""
+WAITING, RUNNING, DONE, FAILED, STOPPED = "waiting", "running", "done", "failed", "stopped"
 
 
 class Timeline:
     """The stages of one attempt.
 
-    weights: of stages by name, about their share of the time; of others, the mean of these
-    estimate_s: of the whole run, before anything is known
+    weights: of stages by name, about their share of the time in finished runs; of others, the mean of these
+    estimate_s: of the whole run, before it begins
     """
 
     def __init__(self, weights: Mapping[str, float], estimate_s: float, now: float) -> None:
@@ -50,6 +48,13 @@ class Timeline:
         """The stage that runs has failed, and nobody is there any more to say so."""
         self._end_running(FAILED, now)
 
+    def stop(self, now: float) -> None:
+        """Somebody ended the run: the stage that it was at has not failed."""
+        self._end_running(STOPPED, now)
+        for stage in self.stages:
+            if stage["state"] == FAILED:
+                stage["state"] = STOPPED
+
     def fraction(self) -> float:
         """How much of the work is done, 0..1; never less than before."""
         done = sum(self._weight(stage) * _part(stage) for stage in self.stages)
@@ -58,14 +63,30 @@ class Timeline:
         return self._fraction
 
     def eta_s(self, now: float) -> float | None:
-        """Seconds left; None before anything is known."""
+        """Seconds left, about; None where no run was finished here: nothing tells then how long stages take.
+
+        The estimate counts for as much as the part of the work that is left, the pace so far for the rest: at first
+        nearly all is known from earlier runs, in the end nearly all from this one, and it does not jump between them.
+        """
+        if not self._weights or not self._estimate_s:
+            return None
         elapsed = now - self._began
+        every = sum(self._weight(stage) for stage in self.stages)
         made = [stage for stage in self.stages if not stage["reused"]]
-        every = sum(self._weight(stage) for stage in made)
-        done = sum(self._weight(stage) * _part(stage) for stage in made)
-        if every and done / every > _ENOUGH:
-            return round(elapsed * (every - done) / done, 1)
-        return round(max(self._estimate_s - elapsed, 0.0), 1) if self._estimate_s else None
+        share = sum(self._weight(stage) for stage in made) / every if every else 1.0
+        if not share or not made:
+            return round(max(self._estimate_s - elapsed, 0.0), 1)
+        left = sum(self._weight(stage) * (1.0 - self._done(stage, every, now)) for stage in made) / every
+        part = left / share
+        # the pace so far makes elapsed / (1 - part) of the whole; weighed by 1 - part
+        return round(part * (part * share * self._estimate_s + elapsed), 1)
+
+    def _done(self, stage: Mapping[str, Any], every: float, now: float) -> float:
+        """The part of a stage that is done, 0..1, by its count or by the time that it should take."""
+        expected = self._estimate_s * self._weight(stage) / every
+        if stage["state"] != RUNNING or not expected:
+            return _part(stage)
+        return max(_part(stage), min((now - self._stage_began) / expected, 0.9))
 
     def current(self) -> str | None:
         """The stage that runs."""
@@ -118,7 +139,8 @@ class Timeline:
 
     def _finish(self, line: Mapping[str, Any], now: float) -> list[Told]:
         self.end = dict(line)
-        told = self._end_running(DONE if line["code"] == 0 else FAILED, now)
+        stopped = str(line["message"]).startswith("stopped")
+        told = self._end_running(DONE if line["code"] == 0 else STOPPED if stopped else FAILED, now)
         if line["code"] == 0:
             self._fraction = 1.0
         return told

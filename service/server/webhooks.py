@@ -1,18 +1,11 @@
-"""Telling addresses that users gave when their jobs have ended: signed, a few times, and only where it does no harm.
-
-An address is looked up, every answer must be public, and the connection goes to just the address that was checked: a
-name that answers otherwise a moment later changes nothing. No redirects; the answer is not read beyond its status.
-"""
+"""Telling addresses that users gave when their jobs have ended: signed, a few times, several at once."""
 
 import base64
 import hashlib
 import hmac
 import http.client
-import ipaddress
 import json
 import logging
-import socket
-import ssl
 import threading
 from datetime import UTC, datetime
 from urllib.parse import SplitResult, urlsplit
@@ -22,6 +15,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from lvba.errors import InputError
+from service.server import webhook_delivery
 from service.server.database import Database
 from service.server.places import new_id, now
 from service.server.settings import Settings
@@ -30,8 +24,9 @@ from service.server.tables import Delivery, Job
 _log = logging.getLogger(__name__)
 TRIES = 5
 _WAITS_S = (10.0, 60.0, 300.0, 1800.0)
-_TIMEOUT_S = 10.0
-_CLAIM_S = 60.0
+_AT_ONCE, _OF_ONE_OWNER, _TO_ONE = 16, 6, 2
+"""Deliveries at a time: in all, of one owner, and of these to one receiver."""
+_CLAIM_S = 120.0
 """Seconds for which a delivery is left to the service that has begun it."""
 
 
@@ -55,23 +50,6 @@ def check_url(url: str, allow: tuple[str, ...]) -> SplitResult:
     return parts
 
 
-def public_address(host: str, port: int) -> str:
-    """The address to connect to.
-
-    Raises InputError: the name is not known, or any of its addresses is not public.
-    """
-    try:
-        found = {info[4][0] for info in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)}
-    except OSError:
-        raise InputError("webhook.url", "its host is not known", "check the name") from None
-    for address in found:
-        plain = ipaddress.ip_address(str(address).partition("%")[0])
-        mapped = getattr(plain, "ipv4_mapped", None) or plain
-        if not mapped.is_global or mapped.is_multicast:
-            raise InputError("webhook.url", "its host is not public", "give an address of the internet")
-    return str(min(found))
-
-
 def enqueue(session: Session, job: Job) -> None:
     """Have the end of a job told, if its user wants that."""
     if not job.webhook:
@@ -80,6 +58,27 @@ def enqueue(session: Session, job: Job) -> None:
     time = datetime.now(UTC).isoformat(timespec="seconds")
     body = {"job": job.id, "state": job.state, "time": time, "name": job.name, "delivery": name}
     session.add(Delivery(id=name, job_id=job.id, created=now(), body=json.dumps(body), next_try=now()))
+
+
+class _UnderWay:
+    """Deliveries that this service is at: some of each owner, few to each receiver; slow ones leave room for others."""
+
+    def __init__(self) -> None:
+        self._taken: dict[str, tuple[str, str]] = {}
+
+    def add(self, delivery_id: str, owner: str, receiver: str) -> None:
+        """Begin one."""
+        self._taken[delivery_id] = owner, receiver
+
+    def remove(self, delivery_id: str) -> None:
+        """It has ended."""
+        self._taken.pop(delivery_id, None)
+
+    def has_room(self, owner: str, receiver: str) -> bool:
+        """Whether one more may begin."""
+        taken = list(self._taken.values())
+        mine = [each for each in taken if each[0] == owner]
+        return len(taken) < _AT_ONCE and len(mine) < _OF_ONE_OWNER and mine.count((owner, receiver)) < _TO_ONE
 
 
 class Messenger(threading.Thread):
@@ -91,46 +90,75 @@ class Messenger(threading.Thread):
         self._ending = threading.Event()
 
     def stop(self) -> None:
-        """End after the delivery at hand."""
+        """Begin nothing more. What is under way ends with the process, and is tried again."""
         self._ending.set()
 
     def run(self) -> None:
+        under_way = _UnderWay()
         while not self._ending.wait(1.0):
             try:
-                deliver_due(self._database, self._settings)
+                self._begin_due(under_way)
             except SQLAlchemyError as error:
                 _log.warning("webhooks: %s", str(error).splitlines()[0])
+            except RuntimeError as error:  # no thread can be started
+                _log.warning("webhooks: %s", error)
+
+    def _begin_due(self, under_way: _UnderWay) -> None:
+        while not self._ending.is_set() and (taken := _take_due(self._database, under_way)) is not None:
+            threading.Thread(target=self._deliver, args=(*taken, under_way), daemon=True).start()
+
+    def _deliver(self, delivery: Delivery, webhook: dict[str, str], under_way: _UnderWay) -> None:
+        try:
+            deliver(self._database, self._settings, delivery, webhook)
+        except SQLAlchemyError as error:
+            _log.warning("webhooks: %s", str(error).splitlines()[0])
+        finally:
+            under_way.remove(delivery.id)
 
 
 def deliver_due(database: Database, settings: Settings) -> None:
-    """Try every delivery whose time has come, once."""
-    while (taken := _take_due(database)) is not None:
-        delivery, webhook = taken
-        try:
-            status = _post(delivery, webhook, settings.webhook_allow)
-            message = "" if 200 <= status < 300 else f"answered {status}"
-        except InputError as error:
-            message = error.problem
-        except (OSError, http.client.HTTPException, ValueError) as error:
-            message = type(error).__name__
-        _write_down(database, delivery.id, message)
+    """Try every delivery whose time has come, once, one after another."""
+    under_way = _UnderWay()
+    while (taken := _take_due(database, under_way)) is not None:
+        deliver(database, settings, *taken)
+        under_way.remove(taken[0].id)
 
 
-def _take_due(database: Database) -> tuple[Delivery, dict[str, str]] | None:
+def deliver(database: Database, settings: Settings, delivery: Delivery, webhook: dict[str, str]) -> None:
+    """Try one delivery, and write down what became of it."""
+    try:
+        status = _post(delivery, webhook, settings)
+        message = "" if 200 <= status < 300 else f"answered {status}"
+    except InputError as error:
+        message = error.problem
+    except TimeoutError:
+        message = "took too long"
+    except (OSError, http.client.HTTPException, ValueError) as error:
+        message = type(error).__name__
+    _write_down(database, delivery.id, message)
+
+
+def _take_due(database: Database, under_way: _UnderWay) -> tuple[Delivery, dict[str, str]] | None:
+    due = (
+        select(Delivery.id, Job.owner, Job.webhook)
+        .join(Job, Job.id == Delivery.job_id)
+        .where(Delivery.next_try.is_not(None), Delivery.next_try <= now())
+        .order_by(Delivery.next_try)
+    )
+    with database.read() as session:  # mostly there is none
+        if session.execute(due.limit(1)).first() is None:
+            return None
     with database.write() as session:
         database.order_claims(session)
-        wanted = (
-            select(Delivery)
-            .where(Delivery.next_try.is_not(None), Delivery.next_try <= now())
-            .order_by(Delivery.next_try)
-            .limit(1)
-        )
-        delivery = session.scalars(wanted).one_or_none()
-        if delivery is None:
-            return None
-        delivery.next_try, delivery.tries = now() + _CLAIM_S, delivery.tries + 1
-        job = session.get_one(Job, delivery.job_id)
-        return delivery, job.webhook or {"url": "", "secret": ""}
+        for delivery_id, owner, webhook in session.execute(due):
+            webhook = webhook or {"url": "", "secret": ""}
+            receiver = "/".join(webhook["url"].split("/", 3)[:3])
+            if under_way.has_room(owner, receiver):
+                delivery = session.get_one(Delivery, delivery_id)
+                delivery.next_try, delivery.tries = now() + _CLAIM_S, delivery.tries + 1
+                under_way.add(delivery.id, owner, receiver)
+                return delivery, webhook
+        return None
 
 
 def _write_down(database: Database, delivery_id: str, message: str) -> None:
@@ -153,8 +181,8 @@ def signature(secret: str, name: str, timestamp: str, body: str) -> str:
     return f"v1,{base64.b64encode(mac.digest()).decode()}"
 
 
-def _post(delivery: Delivery, webhook: dict[str, str], allow: tuple[str, ...]) -> int:
-    parts = check_url(webhook["url"], allow)
+def _post(delivery: Delivery, webhook: dict[str, str], settings: Settings) -> int:
+    parts = check_url(webhook["url"], settings.webhook_allow)
     timestamp = str(int(now()))
     headers = {
         "Content-Type": "application/json",
@@ -163,24 +191,7 @@ def _post(delivery: Delivery, webhook: dict[str, str], allow: tuple[str, ...]) -
         "Webhook-Timestamp": timestamp,
         "Webhook-Signature": signature(webhook["secret"], delivery.id, timestamp, delivery.body),
     }
-    connection = _connect(parts, trusted=f"{parts.scheme}://{parts.netloc}" in allow)
-    try:
-        path = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
-        connection.request("POST", path, delivery.body.encode(), headers)
-        return connection.getresponse().status
-    finally:
-        connection.close()
-
-
-def _connect(parts: SplitResult, *, trusted: bool) -> http.client.HTTPConnection:
-    """A connection to the checked address; the name is still what TLS and the Host header say."""
-    host = parts.hostname or ""
-    port = parts.port or (443 if parts.scheme == "https" else 80)
-    address = host if trusted else public_address(host, port)
-    plain = socket.create_connection((address, port), _TIMEOUT_S)
-    connection = http.client.HTTPConnection(host, port, timeout=_TIMEOUT_S)
-    if parts.scheme == "https":
-        connection.sock = ssl.create_default_context().wrap_socket(plain, server_hostname=host)
-    else:
-        connection.sock = plain
-    return connection
+    trusted = f"{parts.scheme}://{parts.netloc}" in settings.webhook_allow
+    return webhook_delivery.post(
+        parts, delivery.body.encode(), headers, settings.webhook_timeout_s, trusted=trusted
+    )

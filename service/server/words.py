@@ -3,6 +3,7 @@
 import signal
 from pathlib import Path
 
+from lvba.errors import InputError
 from service.server.places import Places
 
 
@@ -15,6 +16,15 @@ def of_exit(code: int) -> str:
     except ValueError:
         name = f"signal {-code}"
     return f"the process was killed ({name})"
+
+
+def of_error(error: Exception) -> str:
+    """What went wrong with a file, or with what should be in it."""
+    if isinstance(error, InputError):
+        return f"{error.where}: {error.problem}"
+    if isinstance(error, OSError):
+        return f"{error.filename or 'a file'}: {(error.strerror or str(error)).lower()}"
+    return f"{type(error).__name__}: {error}"
 
 
 def without_paths(text: str, places: Places, job_id: str, recording: Path | None) -> str:

@@ -42,7 +42,8 @@ def test_command_is_understood(where):
     if program.startswith("lvba "):
         cli.parser().parse_args(words[1:])
     elif program == "dask scheduler":
-        assert part(words)[1] <= {option for parameter in dask_scheduler.params for option in parameter.opts}
+        known = [each.opts + each.secondary_opts for each in dask_scheduler.params]
+        assert part(words)[1] <= {option for options in known for option in options}
     else:
         script = words[1].removeprefix("/opt/lvba/deploy/")
         assert words[0] == "sh"

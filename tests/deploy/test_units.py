@@ -1,7 +1,9 @@
 """The systemd units: what systemd itself says of them, and their processes, started by their own commands."""
 
+import os
 import re
 import shlex
+import ssl
 import subprocess
 import sys
 from pathlib import Path
@@ -85,10 +87,13 @@ def test_units_start_again_whatever_happened_and_read_the_same_settings(unit):
 def host(tmp_path_factory):
     host = Host(tmp_path_factory.mktemp("units"))
     tls = host.folder / "tls"
-    words = ["sh", DEPLOY / "tls.sh", tls, "localhost"]
+    words = ["sh", DEPLOY / "tls.sh", tls, host.address("web")]
     subprocess.run(words, check=True, capture_output=True)
     host.replaced = {
         "/opt/lvba/bin": Path(sys.executable).parent,
+        "/etc/lvba/tls": tls,
+        "/var/log/nginx": host.folder,
+        "lvba.example.org": host.address("web"),
         "/var/lib/lvba": host.folder / "data",
         "/var/cache/lvba": host.folder / "cache",
         "%d": tls / "cluster",
@@ -107,6 +112,8 @@ def test_units_make_a_service_on_a_cluster(host):
     wait_for(lambda: "working for" in worker[1].read_text(), *worker)
     base = f"http://{host.address('machine')}"
     assert httpx.get(f"{base}:8787/health").text == "ok"
+    for path in ("/status", "/json/counts.json", "/info/main/workers.html", "/metrics"):
+        assert httpx.get(f"{base}:8787{path}").status_code == 404, path
     assert httpx.get(f"{base}:8080/readyz").json() == {"status": "ready"}
     assert httpx.get(f"{base}:8080/v1/me").status_code == 401
     assert (host.folder / "data" / "lvba.sqlite").exists()
@@ -120,3 +127,58 @@ def test_drop_in_for_postgres_reads_the_url_from_a_credential():
     values = assignments(UNITS[0], "postgres.conf")
     assert ("LoadCredential", "database_url:/etc/lvba/database_url") in values
     assert environment(UNITS[0], "postgres.conf")["LVBA_DATABASE_FILE"] == "%d/database_url"
+
+
+MAIN_CONFIGURATION = """\
+daemon off;
+pid {folder}/nginx.pid;
+error_log stderr warn;
+events {{}}
+http {{
+    client_body_temp_path {folder}/body;
+    proxy_temp_path {folder}/proxy;
+    fastcgi_temp_path {folder}/fastcgi;
+    uwsgi_temp_path {folder}/uwsgi;
+    scgi_temp_path {folder}/scgi;
+    include {folder}/lvba.conf;
+}}
+"""
+
+
+def start_nginx(host):
+    """nginx as Debian starts it, with the site for the units in its conf.d."""
+    program = program_or_skip("nginx", package="nginx-light")
+    site = (DEPLOY / "systemd" / "nginx-lvba.conf").read_text()
+    # the service is at the address of its machine, the proxy at one of its own
+    site = site.replace("127.0.0.1:8080", f"{host.address('machine')}:8080")
+    # ports that need no root
+    for port, free in (("80", "8080"), ("443", "8443")):
+        site = site.replace(f"listen {port}", f"listen {host.address('web')}:{free}")
+    (host.folder / "lvba.conf").write_text(host.here(site, "web"))
+    (host.folder / "nginx.conf").write_text(MAIN_CONFIGURATION.format(folder=host.folder))
+    words = [program, "-e", "stderr", "-c", str(host.folder / "nginx.conf")]
+    return host.start("web", [*words, "-g", "user root;"] if os.getuid() == 0 else words, {})
+
+
+def test_site_of_nginx_puts_tls_before_the_service_of_the_unit(host):
+    service = host.start("machine", command(UNITS[0]), environment(UNITS[0]) | {"NUMBA_CACHE_DIR": ""})
+    wait_for(lambda: "serving http" in service[1].read_text(), *service)
+    proxy = start_nginx(host)
+    name, ca = host.address("web"), str(host.folder / "tls" / "web" / "ca.pem")
+
+    def asked(path, **options):
+        return httpx.get(
+            f"https://{name}:8443{path}", verify=ssl.create_default_context(cafile=ca), **options
+        )
+
+    wait_for(lambda: (host.folder / "nginx.pid").exists(), *proxy)
+    assert asked("/readyz").json() == {"status": "ready"}
+    assert asked("/metrics").status_code == 404
+    assert httpx.get(f"http://{name}:8080/v1/me").headers["location"] == f"https://{name}/v1/me"
+    place = {"LVBA_DATA": environment(UNITS[0])["LVBA_DATA"]}
+    key = host.run("machine", ["lvba", "admin", "key", "create", "survey"], place).stdout.strip()
+    assert asked("/v1/me?x=1", headers={"Authorization": f"Bearer {key}"}).json()["owner"] == "survey"
+    assert "x=1" not in (host.folder / "lvba.log").read_text(), "what stands after ? may be a ticket"
+    jobs = ["lvba", "jobs", "--server", f"https://{name}:8443"]
+    assert host.run("web", jobs, {"LVBA_KEY": key, "SSL_CERT_FILE": ca}).stderr == ""
+    assert "CERTIFICATE_VERIFY_FAILED" in host.run("web", jobs, {"LVBA_KEY": key}, code=None).stderr.upper()

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from lvba import geometry, trajectory
 from lvba.trajectory import Trajectory
@@ -61,6 +62,63 @@ def test_alignment_of_a_straight_path_is_not_rolled_by_noise():
     noise = np.concatenate([rng.normal(0, 1e-5, (100, 3)), rng.normal(0, 2e-3, (100, 3))], axis=1)
     found = trajectory.align(poses @ geometry.exp(noise), poses)
     assert geometry.rotation_angle_deg(found) < 0.001
+
+
+def _on_path(positions, rng, noise_deg=0.2):
+    rotations = geometry.exp(np.c_[rng.normal(0, 0.5, (len(positions), 3)), np.zeros((len(positions), 3))])
+    poses = rotations.copy()
+    poses[:, :3, 3] = positions
+    turned = poses @ geometry.exp(
+        np.c_[rng.normal(0, np.radians(noise_deg), (len(poses), 3)), np.zeros((len(poses), 3))]
+    )
+    return poses, turned
+
+
+def _umeyama_error(estimate, truth):
+    """Root mean square distance after Umeyama's alignment without scale, by scipy."""
+    p, q = (poses[:, :3, 3] - poses[:, :3, 3].mean(0) for poses in (estimate, truth))
+    rotation, _ = Rotation.align_vectors(q, p)
+    return np.sqrt(((rotation.apply(p) - q) ** 2).sum(1).mean())
+
+
+def test_errors_of_a_path_are_counted_after_umeyama():
+    """Orientations that are all off by the same do not tilt it."""
+    rng = np.random.default_rng(1)
+    along = np.linspace(0, 80, 100)
+    truth, estimate = _on_path(np.c_[along, 8 * np.sin(along / 15), 2 * np.cos(along / 9)], rng)
+    mount = geometry.exp(np.radians([0, 0.5, 0.5, 0, 0, 0]))
+    estimate = estimate @ mount
+    estimate[:, :3, 3] += rng.normal(0, 0.02, (100, 3))
+    found = trajectory.align_for_errors(estimate, truth)
+    assert found.by == "positions"
+    error = trajectory.pose_error(estimate, truth, aligned=found.reference_from_estimate)
+    assert error.ate_m == pytest.approx(_umeyama_error(estimate, truth), rel=1e-9)
+    assert error.ate_m < trajectory.pose_error(estimate, truth).ate_m
+
+
+@pytest.mark.parametrize("extent", [80.0, 0.0])
+def test_errors_of_a_straight_path_and_on_the_spot_are_not_turned_by_noise(extent):
+    rng = np.random.default_rng(2)
+    truth, estimate = _on_path(np.linspace(0, extent, 100)[:, None] * [1.0, 0, 0], rng)
+    estimate[:, :3, 3] += rng.normal(0, 0.02, (100, 3))
+    motion = geometry.exp(np.array([0.4, -0.8, 1.0, 5, 6, 7]))
+    found = trajectory.align_for_errors(motion @ estimate, truth)
+    assert found.by == "positions and orientations"
+    left = geometry.rotation_angle_deg((found.reference_from_estimate @ motion)[None])[0]
+    assert left < 0.1
+
+
+def test_errors_of_an_exact_copy_are_zero():
+    rng = np.random.default_rng(3)
+    motion = geometry.exp(np.array([0.4, -0.8, 1.0, 5, 6, 7]))
+    for positions in (
+        rng.normal(0, 5, (20, 3)),
+        np.linspace(0, 9, 20)[:, None] * [1.0, 2, 3],
+        np.zeros((20, 3)),
+    ):
+        truth, _ = _on_path(positions, rng)
+        found = trajectory.align_for_errors(motion @ truth, truth)
+        np.testing.assert_allclose(found.reference_from_estimate @ motion, np.eye(4), atol=1e-8)
 
 
 def test_pose_error_is_zero_for_a_moved_copy_and_counts_what_differs():

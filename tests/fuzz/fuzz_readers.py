@@ -44,7 +44,7 @@ _KIND = re.compile(r"[\d.]+|'[^']*'|\"[^\"]*\"")
 
 
 @dataclass
-class Tally:
+class IntakeBudget:
     """What became of the cases of one reader."""
 
     cases: int = 0
@@ -62,7 +62,9 @@ class Fuzzer:
     def __init__(self, targets: Mapping[str, Target], found: Path, work: Path, seed: int = 0) -> None:
         self.targets, self.found, self.work, self.seed = targets, found, work, seed
         self.tallies = {
-            name: Tally(corpus=found, seeds=len(found)) for name in targets if (found := self._seeds(name))
+            name: IntakeBudget(corpus=found, seeds=len(found))
+            for name in targets
+            if (found := self._seeds(name))
         }
         self._shared = mmap.mmap(-1, 16)
         self._batches = 0
@@ -85,19 +87,19 @@ class Fuzzer:
         if child == 0:
             os._exit(self._in_child(name, cases, report, case))
         code = self._wait(child)
-        tally = self.tallies[name]
+        budget = self.tallies[name]
         done, accepted = struct.unpack("qq", self._shared[:])
-        tally.cases, tally.accepted = tally.cases + done, tally.accepted + accepted
+        budget.cases, budget.accepted = budget.cases + done, budget.accepted + accepted
         if code:
             what = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
             self._keep(name, f"{name}: {what}", f"{what}\n", case)
         if report.exists():
             fresh, failures = pickle.loads(report.read_bytes())  # our own child's
-            tally.reasons |= fresh.keys()
-            tally.corpus = (tally.corpus + list(fresh.values()))[:_CORPUS]
+            budget.reasons |= fresh.keys()
+            budget.corpus = (budget.corpus + list(fresh.values()))[:_CORPUS]
             for title in failures:
-                if title not in tally.found:
-                    tally.found.append(title)
+                if title not in budget.found:
+                    budget.found.append(title)
 
     def _wait(self, child: int) -> int:
         """The child's exit code, negative for a signal."""
@@ -115,15 +117,15 @@ class Fuzzer:
     def _in_child(self, name: str, cases: int, report: Path, case: Path) -> int:
         _limit()
         rng = random.Random(f"{self.seed}/{name}/{self._batches}")
-        target, tally = self.targets[name], self.tallies[name]
+        target, budget = self.targets[name], self.tallies[name]
         fresh: dict[str, Files] = {}
         failures: list[str] = []
         before = _resident()
-        seeds, accepted = tally.corpus[: tally.seeds], 0
+        seeds, accepted = budget.corpus[: budget.seeds], 0
         for number in range(cases):
-            start = rng.choice(seeds if rng.random() < 0.6 else tally.corpus + list(fresh.values()))
+            start = rng.choice(seeds if rng.random() < 0.6 else budget.corpus + list(fresh.values()))
             tokens = [*fuzz_mutations.NUMBERS[:4], *target.tokens]
-            files = target.mend(rng, fuzz_mutations.mutate(rng, start, tally.corpus[:30], tokens))
+            files = target.mend(rng, fuzz_mutations.mutate(rng, start, budget.corpus[:30], tokens))
             folder = _written(case, files)
             signal.setitimer(signal.ITIMER_PROF, CASE_S)
             try:
@@ -133,7 +135,7 @@ class Fuzzer:
                 if len(str(error).splitlines()) != 1 or len(str(error)) > 2000:
                     failures.append(self._keep(name, f"{name}: a message too long", str(error), case))
                 reason = _KIND.sub("", error.problem)[:80]
-                if reason not in tally.reasons and reason not in fresh:
+                if reason not in budget.reasons and reason not in fresh:
                     fresh[reason] = files
             except BaseException as error:
                 failures.append(self._keep(name, _title(name, error), traceback.format_exc(), case))
@@ -195,16 +197,19 @@ def _title(name: str, error: BaseException) -> str:
     return f"{name}: {type(error).__name__} at {'/'.join(Path(last.filename).parts[-2:])}:{last.lineno}"
 
 
-def summary(tallies: Mapping[str, Tally]) -> str:
+def summary(tallies: Mapping[str, IntakeBudget]) -> str:
     """A table with a row for each reader."""
     rows = [f"{'reader':16}{'cases':>10}{'accepted':>10}{'refused':>10}{'reasons':>9}{'found':>7}"]
-    for name, tally in tallies.items():
-        refused = tally.cases - tally.accepted
+    for name, budget in tallies.items():
+        refused = budget.cases - budget.accepted
         rows.append(
-            f"{name:16}{tally.cases:10}{tally.accepted:10}{refused:10}{len(tally.reasons):9}{len(tally.found):7}"
+            f"{name:16}{budget.cases:10}{budget.accepted:10}{refused:10}{len(budget.reasons):9}{len(budget.found):7}"
         )
-    total = sum(tally.cases for tally in tallies.values()), sum(tally.accepted for tally in tallies.values())
-    found = [title for tally in tallies.values() for title in tally.found]
+    total = (
+        sum(budget.cases for budget in tallies.values()),
+        sum(budget.accepted for budget in tallies.values()),
+    )
+    found = [title for budget in tallies.values() for title in budget.found]
     rows.append(f"{'all':16}{total[0]:10}{total[1]:10}{total[0] - total[1]:10}{'':9}{len(found):7}")
     return "\n".join([*rows, *found])
 
@@ -235,7 +240,7 @@ def main() -> int:
         with contextlib.suppress(KeyboardInterrupt):  # what was found until then is what there is to say
             _rounds(fuzzer, given.cases, given.batch, given.minutes * 60)
         print(f"{_processor_s() / 60:.1f} minutes of processor time\n{summary(fuzzer.tallies)}")
-        return int(any(tally.found for tally in fuzzer.tallies.values()))
+        return int(any(budget.found for budget in fuzzer.tallies.values()))
 
 
 def _rounds(fuzzer: Fuzzer, cases: int | None, batch: int, seconds: float) -> None:
@@ -248,7 +253,7 @@ def _rounds(fuzzer: Fuzzer, cases: int | None, batch: int, seconds: float) -> No
             return
         if spent > told + 60:
             told = spent
-            counts = {name: tally.cases for name, tally in fuzzer.tallies.items()}
+            counts = {name: budget.cases for name, budget in fuzzer.tallies.items()}
             print(json.dumps({"minutes": round(spent / 60, 1), **counts}), flush=True)
 
 

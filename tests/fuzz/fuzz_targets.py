@@ -23,6 +23,7 @@ from lvba.pipeline import Config
 from lvba.trajectory import Trajectory
 from service import batch_manifest
 from service.server import archives
+from service.server.intake_budget import IntakeBudget
 from service.server.settings import Limits
 
 
@@ -395,7 +396,7 @@ def _unpack(folder: Path) -> None:
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir()
     try:
-        archives.unpack(folder / "archive", out, _LIMITS)
+        archives.unpack(folder / "archive", out, IntakeBudget(folder, _LIMITS))
     finally:
         assert sorted(os.listdir(folder)) == ["archive", "out"]
         inside = list(out.rglob("*"))

@@ -1,5 +1,6 @@
 """Every kind of bad input ends in one line that names the file and the mend."""
 
+import codecs
 import errno
 import os
 import resource
@@ -184,6 +185,8 @@ def test_a_result_below_a_file_cannot_be_written(tmp_path: Path):
 def no_root():
     """Runs the test without the rights of root, which may write anywhere."""
     before = os.geteuid()
+    for codec in ("ascii", "utf-8-sig"):  # read from files at first use, which may be of root alone
+        codecs.lookup(codec)
     if before == 0:
         os.seteuid(65534)
     yield

@@ -201,3 +201,125 @@ def test_a_bomb_of_aliases_does_not_explode(tmp_path: Path):
     (tmp_path / "config.yaml").write_text("l0: &l0 [lol]\n" + levels)
     with pytest.raises(InputError, match="aliases"):
         camera_config.read_calibration(tmp_path)
+
+
+DISTORTION = """\
+  cam_d0: -0.1
+  cam_d1: 0.02
+  cam_d2: 0.001
+  cam_d3: -0.002
+"""
+
+
+@pytest.mark.parametrize(
+    "distortion",
+    [
+        "  k1: -0.1\n  k2: 0.02\n  p1: 0.001\n  p2: -0.002\n",
+        "  cam_k1: -0.1\n  cam_k2: 0.02\n  cam_p1: 0.001\n  cam_p2: -0.002\n  cam_k3: 0\n",
+        "  distortion_coefficients: {rows: 1, cols: 5, data: [-0.1, 0.02, 0.001, -0.002, 0.0]}\n",
+        "  distortion_model: plumb_bob\n  D: [-0.1, 0.02, 0.001, -0.002, 0]\n",
+        "  distortion_model: radtan\n  distortion_coeffs: [-0.1, 0.02, 0.001, -2e-3]\n",
+        "  distortion_parameters: {k1: -0.1, k2: 0.02, p1: 0.001, p2: -0.002}\n",
+        "  cam_d0: -0.1\n  cam_d1: 0.02\n  cam_d2: 0.001\n  cam_d3: -0.002\n  cam_d4: 0.0\n  cam_name: left\n",
+    ],
+)
+def test_common_names_of_the_distortion(tmp_path: Path, distortion: str):
+    assert DISTORTION in small_recording.CONFIG
+    (tmp_path / "config.yaml").write_text(small_recording.CONFIG.replace(DISTORTION, distortion))
+    camera = camera_config.read_calibration(tmp_path).camera
+    assert tuple(map(float, camera.distortion)) == (-0.1, 0.02, 0.001, -0.002)
+
+
+@pytest.mark.parametrize(
+    "section",
+    [
+        "camera: {width: 32, height: 24, intrinsics: [30.5, 31.0, 15.5, 11.5], distortion: [-0.1, 0.02, 0.001, -0.002]}",
+        "cam_model: {cam_width: 32, cam_height: 24, camera_matrix: [30.5, 0, 15.5, 0, 31.0, 11.5, 0, 0, 1], "
+        "D: [-0.1, 0.02, 0.001, -0.002]}",
+        "image_width: 32\nimage_height: 24\ncamera_name: left\n"  # ROS camera_info
+        "camera_matrix: {rows: 3, cols: 3, data: [30.5, 0, 15.5, 0, 31.0, 11.5, 0, 0, 1]}\n"
+        "distortion_model: plumb_bob\n"
+        "distortion_coefficients: {rows: 1, cols: 5, data: [-0.1, 0.02, 0.001, -0.002, 0]}\n"
+        "rectification_matrix: {rows: 3, cols: 3, data: [1, 0, 0, 0, 1, 0, 0, 0, 1]}\n"
+        "projection_matrix: {rows: 3, cols: 4, data: [30, 0, 15, 0, 0, 30, 11, 0, 0, 0, 1, 0]}",
+        "cam0:\n  camera_model: pinhole\n  intrinsics: [30.5, 31.0, 15.5, 11.5]\n"  # Kalibr
+        "  distortion_model: radtan\n  distortion_coeffs: [-0.1, 0.02, 0.001, -0.002]\n  resolution: [32, 24]\n"
+        "  T_cam_imu: [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\n  timeshift_cam_imu: 0.01\n"
+        "  rostopic: /left\n  cam_overlaps: []",
+        "r3live_vio:\n  image_width: 32\n  image_height: 24\n"
+        "  camera_intrinsic: [30.5, 0, 15.5, 0, 31.0, 11.5, 0, 0, 1]\n"
+        "  camera_dist_coeffs: [-0.1, 0.02, 0.001, -0.002, 0]\n  camera_ext_t: [0, 0, 0]",
+    ],
+)
+def test_cameras_as_other_programs_write_them(tmp_path: Path, section: str):
+    extrinsic = small_recording.CONFIG[small_recording.CONFIG.index("extrin_calib") :]
+    (tmp_path / "config.yaml").write_text(f"{section}\n{extrinsic}")
+    camera = camera_config.read_calibration(tmp_path).camera
+    assert (camera.width, camera.height, camera.fx, camera.fy) == (32, 24, 30.5, 31)
+    assert (camera.cx, camera.cy, camera.distortion) == (15.5, 11.5, (-0.1, 0.02, 0.001, -0.002))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (DISTORTION, "  cam_q0: -0.1\n", "cam_model.cam_q0 is not known"),
+        (DISTORTION, "  cam_kk1: -0.1\n", "did you mean cam_k1?"),
+        (DISTORTION, "  lens: wide\n", "cam_model.lens is not known"),
+        (DISTORTION, "  k1: -0.1\n  k3: 0.1\n  p1: 0\n  p2: 0\n", "k3 is '0.1': the distortion model k1 k2 p1 p2 k3"),
+        (DISTORTION, "  D: [-0.1, 0.02, 0.001, -0.002, -0.0222]\n", "D (k3) is '-0.0222'"),
+        (DISTORTION, "  D: [-0.1, 0.02, 0.001, -0.002, 0, 0.5, 0, 0]\n", "rational"),
+        (DISTORTION, "  D: [-0.1, 0.02]\n", "D has 2 numbers"),
+        (DISTORTION, "  distortion_model: equidistant\n  D: [-0.1, 0.02, 0.001, -0.002]\n", "'equidistant' is not known"),
+        (DISTORTION, "  xi: 1.5\n", "omnidirectional (Mei)"),
+        (DISTORTION, DISTORTION + "  k1: -0.2\n", "cam_d0 and k1 say different things"),
+        ("scale: 1.0", "model: EquidistantCamera\n  k1: 0.1\n  k4: 0.1", "'EquidistantCamera' is not known"),
+        ("cam_fx: 30.5", "camera_matrix: [30.5, 1, 15.5, 0, 31, 11.5, 0, 0, 1]", "no matrix of fx"),
+    ],
+)  # fmt: skip
+def test_what_is_not_known_of_a_camera_is_an_error(tmp_path: Path, old: str, new: str, words: str):
+    assert old in small_recording.CONFIG
+    (tmp_path / "config.yaml").write_text(small_recording.CONFIG.replace(old, new))
+    with pytest.raises(InputError) as caught:
+        camera_config.read_calibration(tmp_path)
+    assert words in str(caught.value)
+    assert "config.yaml" in str(caught.value)
+
+
+def test_fast_livo_s_fisheye_file_is_named(tmp_path: Path):
+    text = CAMERA_ONLY[: CAMERA_ONLY.index("cam_d0")].replace("Pinhole", "EquidistantCamera")
+    coefficients = "k1: -0.037\nk2: -0.009\nk3: 0.009\nk4: -0.004\n"
+    (tmp_path / "camera_fisheye.yaml").write_text(text + coefficients)
+    (tmp_path / "avia.yaml").write_text(EXTRINSIC_ONLY)
+    with pytest.raises(InputError, match=r"camera_fisheye\.yaml: the camera model 'EquidistantCamera'"):
+        camera_config.read_calibration(tmp_path)
+
+
+def test_other_settings_beside_the_camera_at_top_level_are_passed_over(tmp_path: Path):
+    others = """\
+rmse_m: 0.004
+reprojection_rmse_px: 0.7
+img_time_offset: 0.2
+resolution: 0.1
+type: 3
+size: 5
+common: {img_topic: "/left_camera/image", lidar_en: 1}
+lio: {voxel_size: 0.5, beam_err: 0.05, k1: 7}
+seq_name: yard
+cam_name: left
+"""
+    (tmp_path / "config.yaml").write_text(
+        others + CAMERA_ONLY + EXTRINSIC_ONLY[EXTRINSIC_ONLY.index("extrin") :]
+    )
+    _check_fast_livo(tmp_path)
+    (tmp_path / "config.yaml").write_text(others + CAMERA_ONLY + "cam_d7: 1\n" + EXTRINSIC_ONLY)
+    with pytest.raises(InputError, match="cam_d7"):
+        camera_config.read_calibration(tmp_path)
+
+
+def test_a_calibration_of_ros_beside_fast_livo_s_is_not_looked_at(tmp_path: Path):
+    (tmp_path / "avia.yaml").write_text(EXTRINSIC_ONLY)
+    (tmp_path / "camera.yaml").write_text(CAMERA_ONLY)
+    (tmp_path / "ros.yaml").write_text(
+        "image_width: 1280\nimage_height: 1024\ncamera_matrix: {data: [1, 0, 1, 0, 1, 1, 0, 0, 1]}\n"
+    )
+    _check_fast_livo(tmp_path)

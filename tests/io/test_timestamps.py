@@ -77,3 +77,43 @@ def test_poses_in_another_unit_are_told():
     for unit, factor in (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)):
         with pytest.raises(InputError, match=f"seem to be in {unit}: write seconds"):
             timestamps.match(times, Trajectory(times * factor, walk(times)), "poses.txt")
+
+
+@pytest.mark.parametrize(
+    ("name", "pose", "written"),
+    [
+        ("1305031229.664657123", "1305031229.664657123", "1305031229.664657123"),
+        ("1305031229.664657123", "1305031229.664657", "1305031229.664657123"),
+        ("1305031229.664657987", "1305031229.664658", "1305031229.664657987"),
+        (
+            "1305031229.664657123",
+            "1305031229.6646571",
+            "1305031229.664657123",
+        ),  # the shortest text of the float
+        (
+            "1305031229.664657123",
+            "1305031229.664657116",
+            "1305031229.664657123",
+        ),  # the float to nine decimals
+        ("1305031229.6647", "1305031229.664657", "1305031229.664657"),
+        (
+            "1305031229.664657",
+            "1305031229.664657115936279297",
+            "1305031229.664657",
+        ),  # a float printed too long
+        ("1305031229.664657", "1305031229.665100", "1305031229.665100"),  # another time, within 2 ms
+        ("1305031229.664657123", "", "1305031229.664657123"),
+        ("", "12.5", "12.5"),
+        ("5", "5.000000", "5"),
+    ],
+)
+def test_times_have_the_digits_of_names(name, pose, written):
+    assert timestamps.merged(name, pose) == written
+
+
+def test_names_in_units_are_exact_decimal_seconds():
+    assert timestamps.stamp("1305031229664657123.png") == "1305031229.664657123"
+    assert timestamps.stamp("1305031229_664657123.png") == "1305031229.664657123"
+    assert timestamps.stamp("1305031229664657.png") == "1305031229.664657"
+    assert timestamps.stamp("1305031229664.png") == "1305031229.664"
+    assert timestamps.stamp("12.pcd") == "12"

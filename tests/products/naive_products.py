@@ -68,28 +68,96 @@ def bilinear(image, u, v):
     return (1 - b) * top + b * bottom, patch.max()
 
 
-def best_views(point, normal, poses, intrinsics, pictures, valid, nearest, cell, tolerance, limits, slots):
+def first_points(points, surface, tolerance, pose, intrinsics, cell, height, width):
+    """(h, w, 8) and (h, w, 2, 2): the nearest point of each cell, and the cell whose counts for each of its quarters."""
+    depth, index = nearest_points(points, np.zeros(len(points)), pose, intrinsics, 0, 0, 0, height, width)
+    rows, columns = -(-height // cell), -(-width // cell)
+    out = np.zeros((rows, columns, 8))
+    out[..., 7] = np.inf
+    for r in range(rows):
+        for c in range(columns):
+            window = depth[0, r * cell : (r + 1) * cell, c * cell : (c + 1) * cell]
+            if np.isinf(window.min()):
+                continue
+            found = np.unravel_index(window.argmin(), window.shape)
+            i = index[0, r * cell + found[0], c * cell + found[1]]
+            normal = surface[i, :3]
+            normal = normal * (1 if normal @ (pose[:, 3] - points[i]) > 0 else -1)
+            out[r, c] = [*points[i], *normal, allowed(surface[i], tolerance), window.min()]
+    front = np.zeros((rows, columns, 2, 2), int)
+    for r, c, a, b in np.ndindex(front.shape):
+        four = [(y, x) for y in (r - 1 + a, r + a) for x in (c - 1 + b, c + b)]
+        nine = [(y, x) for y in (r - 1, r, r + 1) for x in (c - 1, c, c + 1)]
+        four, nine = (
+            [(y, x) for y, x in near if 0 <= y < rows and 0 <= x < columns] for near in (four, nine)
+        )
+        near = nine if any(np.isinf(out[each][7]) for each in four) else four
+        y, x = min(near, key=lambda each: out[each][7])
+        front[r, c, a, b] = y * columns + x
+    return out, front
+
+
+def allowed(surface, tolerance):
+    """How far points may be apart across a surface that are on it, m."""
+    return surface[6] * tolerance[0 if surface[:3].any() else 1]
+
+
+def hidden(first_seen, point, pose, depth, surface, tolerance, touching):
+    """Whether what is in front hides a point: it is behind that surface, and that one in front of its own."""
+    normal = surface[:3]
+    if not surface[3:6].any() and normal @ (pose[:, 3] - point) < 0:
+        normal = -normal
+    for front in first_seen:  # of its own cell, and of those about it
+        if depth <= front[7]:
+            continue
+        apart = point - front[:3]
+        below = -front[3:6] @ apart if front[3:6].any() else depth - front[7] - touching * depth
+        above = -normal @ apart if normal.any() else depth - front[7] - touching * depth
+        if below > front[6] and above > allowed(surface, tolerance):
+            return True
+    return False
+
+
+def rank(point, surface, pose, pixel):
+    """One over the mean square distance along the surface of what a view shows from the point; 0: too steep."""
+    ray = point - pose[:, 3]
+    square, normal = ray @ ray, surface[:3]
+    if not normal.any():
+        return 1 / (2 * pixel**2 * square)
+    cosine = -normal @ ray / np.sqrt(square)
+    if not surface[3:6].any():
+        cosine = abs(cosine)
+    if cosine <= np.sqrt(surface[7]):
+        return 0.0
+    beam_and_view = surface[3:6] + ray / (np.sqrt(square) * cosine)
+    return 1 / (pixel**2 * square * (1 + 1 / cosine**2) + surface[6] ** 2 * (beam_and_view @ beam_and_view))
+
+
+def best_views(
+    point, surface, tolerance, poses, intrinsics, pictures, valid, first_seen, front, cell, limits, slots
+):
     """The best (rank, color, image) of one point, best first."""
-    found = []
+    found, pixel = [], 1 / min(intrinsics[:2])
     for k, pose in enumerate(poses):
         (u,), (v,), (z,) = project(point[None], pose, intrinsics)
         height, width = valid.shape
         if z < 0.05 or not (-0.5 < u < width - 0.5 and -0.5 < v < height - 0.5):
             continue
         column, row = int(u + 0.5), int(v + 0.5)
-        if (
-            not valid[row, column]
-            or z > nearest[k, row // cell, column // cell] * (1 + tolerance[1]) + tolerance[0]
-        ):
+        if not valid[row, column]:
             continue
-        ray = point - pose[:, 3]
-        if normal @ ray > 0.25 * np.linalg.norm(ray):
+        half = int(row % cell + 0.5 >= cell / 2), int(column % cell + 0.5 >= cell / 2)
+        other = front[k, row // cell, column // cell][half]
+        in_front = first_seen[k, row // cell, column // cell], first_seen[k].reshape(-1, 8)[other]
+        if hidden(in_front, point, pose, z, surface, tolerance, 2 * cell * pixel):
             continue
-        rank = 1.0 / (ray @ ray)
+        good = rank(point.astype(float), surface.astype(float), pose, pixel)
+        if good == 0:
+            continue
         color, highest = bilinear(pictures[k], np.clip(u, 0, width - 1), np.clip(v, 0, height - 1))
         if highest >= limits[1] or highest <= limits[0]:
-            rank *= 1e-9
-        found.append((rank, color, k))
+            good *= 1e-9
+        found.append((good, color, k))
     return sorted(found, key=lambda view: -view[0])[:slots]
 
 
@@ -135,21 +203,59 @@ def entropies(points, radius, min_neighbors):
     return out
 
 
-def facing_normals(points, start, seen_from):
-    """(M, 3) of points (M, 3) in blocks, by the scatter of those in the same eighth, or block, and the same octant."""
-    normals = np.zeros(points.shape)
+def surfaces(points, start, seen_from, max_angle):
+    """(M, 8) of points (M, 3) in blocks, see the kernel: planes by the scatter of those in the same eighth, or block, and
+    the same octant, fitted again without what is off them; else the nearest plane of the block."""
+    out = np.zeros((len(points), 8))
     for first, last in itertools.pairwise(start):
-        here = points[first:last].astype(float)
-        octant = seen_from[first:last] > points[first:last]
-        eighth = 2 * (here - here.min(0)) > np.ptp(here, axis=0)
+        here, sensors = points[first:last].astype(float), seen_from[first:last]
+        octant = (sensors > points[first:last]) @ [4, 2, 1]
+        upper = 2 * (points[first:last] - points[first:last].min(0)) > np.ptp(points[first:last], axis=0)
+        eighth = upper @ [4, 2, 1]
+        planes = {}
+        for o in range(8):
+            for e in [*range(8), 8]:
+                mine = (octant == o) & ((eighth == e) | (e == 8))
+                found = plane(here[mine])
+                if found is not None and found[0].any():
+                    near = mine & (off(found, here) <= 3)
+                    again = plane(here[near])
+                    found = (
+                        again if near.sum() < mine.sum() and again is not None and again[0].any() else found
+                    )
+                planes[e, o] = found
+        flat = [found for (e, o), found in sorted(planes.items()) if found is not None and found[0].any()]
         for i in range(len(here)):
-            beside = (octant == octant[i]).all(1)
-            for chosen in (beside & (eighth == eighth[i]).all(1), beside):
-                if chosen.sum() < 5:
-                    continue
-                values, vectors = np.linalg.eigh(np.cov(here[chosen].T, bias=True))
-                if values[0] <= 0.1 * values[1] and values[1] >= 0.15 * values[2]:
-                    normal = vectors[:, 0]
-                    normals[first + i] = normal * np.sign(normal @ (seen_from[first + i] - here[i]))
-                    break
-    return normals
+            beside = [planes[eighth[i], octant[i]], planes[8, octant[i]]]
+            if beside[0] is not None and beside[1] is not None and beside[1][2] < 2 * beside[0][2]:
+                beside = beside[::-1]
+            own = [p for p in beside if p is not None and p[0].any() and off(p, here[i]) <= 3]
+            other = sorted((p for p in flat if off(p, here[i]) < 3), key=lambda p: off(p, here[i]))
+            if not own and not other:
+                local = planes[eighth[i], octant[i]], planes[8, octant[i]]
+                out[first + i, 6] = next((p[2] for p in local if p is not None), -1)
+                continue
+            normal, _, scatter, tilt = (own or other)[0]
+            along = normal @ (sensors[i] - here[i])
+            angle = min(max_angle + 2 * tilt, np.pi / 2)
+            out[first + i] = [
+                *(normal * np.sign(along)), *((sensors[i] - here[i]) / abs(along)), scatter, np.cos(angle) ** 2,
+            ]  # fmt: skip
+    return out
+
+
+def plane(points):
+    """Normal (zero: not flat), offset, scatter and tilt of the plane of points; None: too few."""
+    if len(points) < 5:
+        return None
+    values, vectors = np.linalg.eigh(np.cov(points.T, bias=True) * len(points))
+    values = np.maximum(values, 0)
+    flat = values[0] <= 0.1 * values[1] and values[1] >= 0.03 * values[2]
+    normal = vectors[:, 0] * flat
+    tilt = np.sqrt(values[0] / (values[1] * min(len(points), 50))) if flat else 0.0
+    return normal, normal @ points.mean(0), np.sqrt(values[0] / (len(points) - 3)), tilt
+
+
+def off(found, points):
+    """How far points are from a plane, in its standard deviations."""
+    return np.abs(points @ found[0] - found[1]) / (found[2] + 1e-6)

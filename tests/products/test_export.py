@@ -57,6 +57,7 @@ def test_pieces_of_a_map_are_stored_as_the_whole_is():
             rng.normal(size=(9, 3)).astype(np.float32) + np.float32(at),
             np.zeros((9, 3), np.uint8), np.ones(9, np.uint8), np.ones(9, np.float32), 0.1,
             np.arange(9, dtype=np.int32) + at,
+            None if at else np.linspace(0.001, 0.01, 9, dtype=np.float32),
         )
         for at in (0, 70_000)
     )  # fmt: skip
@@ -68,6 +69,8 @@ def test_pieces_of_a_map_are_stored_as_the_whole_is():
         assert (together.dtype, together.tobytes()) == (values.dtype, values.tobytes()), name
     assert (whole["x"].dtype, whole["scan"].dtype) == (np.float64, np.uint32)
     assert map_file.columns(near, 0 * ORIGIN)["x"].dtype == np.float32
+    assert whole["error"].dtype == np.float32
+    assert np.isnan(whole["error"][9:]).all()
     nameless = dataclasses.replace(near, scan=None)
     assert "scan" not in map_file.columns(far, ORIGIN, map_file.layout([nameless, far], ORIGIN))
 

@@ -5,13 +5,14 @@ import numpy as np
 
 from lvba import geometry
 from lvba.camera import Camera
+from lvba.kernels import facing
 from lvba.products import cloud as clouds
 from lvba.products import colorize, map_file
 from lvba.products.views import Views
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
 RED, BLUE = np.array([200, 40, 40], np.uint8), np.array([40, 40, 200], np.uint8)
-THICK = 0.12
+THICK = 0.03
 
 
 def two_rooms():
@@ -44,7 +45,7 @@ def test_a_wall_has_the_color_of_the_room_on_its_own_side():
     )
 
 
-def test_normals_match_their_twin_and_face_who_measured():
+def test_surfaces_match_their_twin_and_face_who_measured():
     cloud, _ = two_rooms()
     rng = np.random.default_rng(1)
     ball = rng.normal(size=(500, 3))
@@ -53,16 +54,16 @@ def test_normals_match_their_twin_and_face_who_measured():
     scan = np.concatenate([cloud.scan_of(np.arange(6000)), np.zeros(501, np.int32)])
     blocks = clouds.sort_into_blocks(points)
     ordered = points[blocks.order]
-    got = clouds.facing_normals(
-        np.ascontiguousarray(ordered.T), blocks, clouds.Origins(scan, cloud.sensor_world)
-    ).T
-    seen_from = cloud.sensor_world.astype(np.float32)[scan[blocks.order]]
-    want = naive.facing_normals(ordered, blocks.start, seen_from)
-    np.testing.assert_array_equal((got != 0).any(1), (want != 0).any(1))
-    np.testing.assert_allclose(got, want, atol=2e-3)
+    sensors = cloud.sensor_world.astype(np.float32)
+    got = facing.surfaces(
+        np.ascontiguousarray(ordered.T), blocks.start, scan[blocks.order], sensors, np.radians(80)
+    )
+    want = naive.surfaces(ordered, blocks.start, sensors[scan[blocks.order]], np.radians(80))
+    np.testing.assert_array_equal((got[:, :3] != 0).any(1), (want[:, :3] != 0).any(1))
+    np.testing.assert_allclose(got, want, atol=3e-3, rtol=3e-3)
     on_wall = blocks.order < 6000
     assert (np.abs(got[on_wall, 0]) > 0.9).mean() > 0.9
-    assert not got[blocks.order == len(points) - 1].any(), "one point alone has no normal"
+    assert not got[blocks.order == len(points) - 1, :3].any(), "one point alone has no normal"
 
 
 def test_nothing_is_behind_where_the_sensor_is_unknown():

@@ -189,3 +189,22 @@ def test_maps_without_plane_errors_get_them(tmp_path):
     assert rows["plane_error"][known].std() == pytest.approx(0.01, rel=0.1)
     (told,) = [a for a in metadata["attributes"] if a["name"] == "plane_error"]
     assert told["max"] == [pytest.approx(rows["plane_error"][known].max())]
+
+
+@pytest.mark.parametrize("known", [0, 1, 200])
+def test_errors_that_are_not_known_do_not_hide_the_range_of_those_that_are(tmp_path, known):
+    points = room(200)
+    columns = dict(zip("xyz", points.astype(np.float32).T.copy()))
+    columns |= {name: np.zeros(200, np.uint8) for name in ("red", "green", "blue", "views")}
+    columns["error"] = np.full(200, np.nan, np.float32)
+    columns["error"][:known] = np.linspace(0.001, 0.02, known)
+    ply.write_ply(tmp_path / "map.ply", columns)
+    lod.write(tmp_path / "map.ply", tmp_path / "cloud", SMALL)
+    metadata = json.loads((tmp_path / "cloud" / "metadata.json").read_text(), parse_constant=pytest.fail)
+    attribute = next(one for one in metadata["attributes"] if one["name"] == "error")
+    assert attribute["type"] == "float"
+    if known:
+        assert attribute["min"] == [pytest.approx(0.001)]
+        assert attribute["max"] == [pytest.approx(0.02 if known > 1 else 0.001)]
+    found = np.concatenate([rows["error"] for _, rows in potree.read_nodes(tmp_path / "cloud")])
+    np.testing.assert_array_equal(np.sort(found), np.sort(columns["error"]))

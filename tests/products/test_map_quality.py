@@ -4,6 +4,7 @@ import naive_products as naive
 import numpy as np
 import pytest
 
+from lvba import plane_change
 from lvba.kernels import map_entropy as kernels
 from lvba.products import map_quality
 from lvba.products.cloud import Cloud
@@ -48,6 +49,54 @@ def test_an_empty_or_sparse_map_has_no_entropy():
     assert np.isnan(map_quality.mean_map_entropy(cloud_of(np.eye(3) * 10)))
 
 
+def wall(rng, sigma, points=60000):
+    """A wall of 12 m, as thick as `sigma` says for each of its meters."""
+    flat = rng.uniform(0, 12, (points, 3)) * [1, 0.3, 0]
+    return flat + rng.normal(0, 1, (points, 1)) * np.broadcast_to(sigma, 12)[flat[:, 0].astype(int), None] * [
+        [0, 0, 1]
+    ]
+
+
+def blocks_of(points):
+    return map_quality.entropy_blocks(cloud_of(points))
+
+
+def test_a_gain_everywhere_is_beyond_chance_and_a_gain_here_and_there_is_not():
+    before = wall(np.random.default_rng(3), 0.02)
+    thinner = map_quality.entropy_change(blocks_of(before), blocks_of(before * [1, 1, 0.9]))
+    assert thinner.gain == pytest.approx(-np.log(0.9), rel=0.05)
+    assert thinner.error < 0.1 * thinner.gain
+    here_and_there = np.tile([0.016, 0.016, 0.0225, 0.0225], 3)
+    after = blocks_of(wall(np.random.default_rng(4), here_and_there))
+    chance = map_quality.entropy_change(blocks_of(before), after)
+    assert abs(chance.gain) < 2 * chance.error
+
+
+def test_the_error_of_a_gain_is_the_scatter_over_draws():
+    """The same wall measured again and again: gains scatter as the standard errors say."""
+    rng = np.random.default_rng(5)
+    changes = [
+        map_quality.entropy_change(blocks_of(wall(rng, 0.02, 20000)), blocks_of(wall(rng, 0.02, 20000)))
+        for _ in range(30)
+    ]
+    scatter = np.std([change.gain for change in changes])
+    assert np.mean([change.error for change in changes]) == pytest.approx(scatter, rel=0.5)
+
+
+def test_blocks_of_pieces_are_those_of_the_whole():
+    found = blocks_of(wall(np.random.default_rng(6), 0.02))
+    pieces = [map_quality.EntropyBlocks(found.keys[k::2], found.sums[k::2] / 2) for k in (0, 1, 0, 1)]
+    whole = map_quality.blocks_together(pieces)
+    np.testing.assert_array_equal(whole.keys, found.keys)
+    np.testing.assert_allclose(whole.sums, found.sums)
+    assert whole.mean == pytest.approx(found.mean)
+
+
+def test_few_blocks_tell_no_error():
+    one = blocks_of(wall(np.random.default_rng(7), 0.02)[:, [1, 1, 2]] * [0.1, 0.1, 1])
+    assert np.isnan(map_quality.entropy_change(one, one).error)
+
+
 @pytest.mark.parametrize("field", [{"radius_m": 0}, {"voxel_m": -1}, {"min_neighbors": 1}])
 def test_bad_settings_are_named(field):
     with pytest.raises(ValueError, match=next(iter(field))):
@@ -90,3 +139,18 @@ def test_a_cube_of_one_scan_alone_says_nothing():
     alone = Cloud(wall, np.array([0, len(wall)]), np.zeros(1))
     assert map_quality.plane_thickness({"one": alone})["one"]["planar"] == 0
     assert map_quality.plane_thickness({"none": cloud_of(np.zeros((0, 3)))})["none"]["planar"] == 0
+
+
+def test_planes_that_are_planar_before_or_after_count_so_that_neither_map_is_favored():
+    rng = np.random.default_rng(6)
+    wall = rng.uniform(0, 4, (60000, 3)) * [1, 1, 0] + [0, 0, 0.25]
+    noise = rng.normal(0, 1, 60000)
+    thick, thin = (cloud_of(wall + np.outer(noise, [0, 0, sigma])) for sigma in (0.03, 0.01))
+    cubes = [map_quality.planar_cubes(cloud) for cloud in (thick, thin, cloud_of(np.zeros((0, 3))))]
+    there, back = plane_change.compare(cubes[0], cubes[1]), plane_change.compare(cubes[1], cubes[0])
+    found = plane_change.facts([there])
+    assert found["thickness_before_m"] == pytest.approx(0.03, rel=0.05)
+    assert found["thickness_after_m"] == pytest.approx(0.01, rel=0.05)
+    assert (back.before, back.after, back.cubes) == (there.after, there.before, there.cubes)
+    assert plane_change.facts([there, there])["count_after"] == 2 * found["count_after"]
+    assert plane_change.facts([plane_change.compare(cubes[2], cubes[1])]) is None

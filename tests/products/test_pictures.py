@@ -37,11 +37,32 @@ def test_crops_show_where_most_changed(made):
         assert crop.psnr_after > crop.psnr_before
 
 
+def test_the_report_begins_where_the_gain_shows_most(made):
+    best = made.best
+    assert best.raw.shape == best.before.shape == best.after.shape == (43, 57, 3)
+    assert best.psnr_after > best.psnr_before
+
+
+def test_brightness_alone_does_not_choose_the_place():
+    """On the left the map was shifted before; on the right it was only dark."""
+    rng = np.random.default_rng(5)
+    raw = np.repeat(rng.integers(60, 200, (60, 160, 1)), 3, axis=2).astype(np.uint8)
+    before = raw.astype(np.float32)
+    before[:, :80] = np.roll(before[:, :80], 3, axis=1)
+    before[:, 80:] -= 60
+    covered = np.ones(raw.shape[:2], bool)
+    shown = [pictures._Shown(one, one, covered) for one in (before, raw.astype(np.float32))]
+    _, place = pictures._where_it_shows(raw, shown, covered)
+    assert place[1].stop <= 84
+
+
 def test_identical_states_give_no_crops():
     world = box_world.make(images=3)
     state = evaluate.State(world.cloud(), world.views())
     scores = evaluate.evaluate({"rough": state, "refined": state})
-    assert pictures.make(state, state, scores).crops == ()
+    same = pictures.make(state, state, scores)
+    assert same.crops == ()
+    assert same.best is None
 
 
 def test_filling_closes_small_gaps_and_keeps_what_is_there():

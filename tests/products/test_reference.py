@@ -29,6 +29,19 @@ def test_another_world_frame_is_no_error():
     assert "exposure" not in facts
 
 
+def test_what_the_alignment_was_found_from_is_said():
+    """A path of meters by its positions, one of decimeters also by its orientations."""
+    for size, by in ((10.0, "positions"), (0.1, "positions and orientations")):
+        scans, cameras = SCANS.copy(), CAMERAS.copy()
+        for poses in (scans, cameras):
+            poses[:, :3, 3] *= size
+        given = truth(scans, cameras)
+        facts = reference.compare(given, Trajectory(TIMES, scans), Trajectory(TIMES + 0.5, cameras))
+        assert facts["lidar"]["aligned_by"] == by
+        assert facts["camera"]["aligned_by"] == f"scans, {by}"
+        assert facts["camera_aligned"]["aligned_by"] == by
+
+
 def test_cameras_are_judged_in_the_frame_of_the_scans():
     moved = CAMERAS.copy()
     moved[:, :3, 3] += [0.05, 0, 0]

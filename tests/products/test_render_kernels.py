@@ -8,6 +8,7 @@ import pytest
 from lvba import geometry
 from lvba.camera import Camera
 from lvba.kernels import colorize as colorize_kernels
+from lvba.kernels import occlusion
 from lvba.kernels import zbuffer as kernels
 from lvba.products import cloud as clouds
 from lvba.products import colorize
@@ -96,7 +97,8 @@ def test_a_floor_seen_at_a_grazing_angle_does_not_hide_itself():
     points = np.concatenate([floor, post]).astype(np.float32)
     camera, picture = Camera(320, 240, 250.0, 250.0, 159.5, 119.5), np.full((240, 320, 3), 100, np.uint8)
     views = Views(lambda i: picture, camera, np.zeros(1), np.eye(4)[None], np.zeros(1))
-    seen = colorize.blended(points, views).views > 0
+    grazing = colorize.ColorizeConfig(max_angle_deg=89)
+    seen = colorize.blended(points, views, grazing).views > 0
     pixel = points[:, :2] / points[:, 2:] * 250 + [159.5, 119.5]
     inside = ((pixel > 8) & (pixel < [311, 231])).all(1)
     post_pixel = 0.5 / 5 * 250 + 159.5
@@ -127,55 +129,94 @@ def test_one_view_samples_match_plain_bilinear_interpolation(scene):
 def test_best_views_match_a_plain_sort(scene):
     points, views, pictures = scene
     rng = np.random.default_rng(2)
-    normals = rng.normal(size=points.shape)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    normals[::3] = 0
-    normals = normals.astype(np.float32)
+    surface = some_surfaces(len(points), rng)
     pictures = pictures // 2 + 60
     pictures[:, :, 10:20] = 255
     valid = rng.random((HEIGHT, WIDTH)) > 0.1
-    nearest = rng.uniform(0.5, 4, (6, HEIGHT // 4, WIDTH // 4)).astype(np.float32)
-    tolerance, limits = np.array([0.15, 0.02], np.float32), np.array([5, 250], np.float32)
+    tolerance, limits = np.array([6, 3], np.float32), np.array([5, 250], np.float32)
     blocks = clouds.sort_into_blocks(points)
+    ordered, surface, poses = points[blocks.order], surface[blocks.order], views.kernel_poses()
     slots = (len(points), 2)
     ranks, images, colors = (
         np.zeros(slots, np.float32),
         np.full(slots, -1, np.int32),
         np.zeros((*slots, 3), np.uint8),
     )
+    first_seen, front = occlusion.first_points(
+        by_axis(ordered),
+        surface,
+        tolerance,
+        blocks.start,
+        blocks.spheres,
+        poses,
+        views.intrinsics,
+        4,
+        HEIGHT,
+        WIDTH,
+    )
     for batch in (slice(0, 4), slice(4, 6)):
         colorize_kernels.collect_views(
-            by_axis(points[blocks.order]),
-            by_axis(normals[blocks.order]),
-            blocks.start,
-            blocks.spheres,
-            views.kernel_poses()[batch],
-            views.intrinsics,
-            pictures[batch],
-            np.arange(6, dtype=np.int32)[batch],
-            valid,
-            nearest[batch],
-            4,
-            tolerance,
-            limits,
-            ranks,
-            colors,
-            images,
-        )
-    lengths = set()
-    for k, i in enumerate(blocks.order):
-        expected = naive.best_views(
-            points[i], normals[i], views.kernel_poses(), views.intrinsics, pictures, valid, nearest, 4, tolerance,
-            limits, 2,
+            by_axis(ordered), surface, tolerance, blocks.start, blocks.spheres, poses[batch], views.intrinsics,
+            pictures[batch], np.arange(6, dtype=np.int32)[batch], valid, first_seen[batch], front[batch], 4, limits,
+            ranks, colors, images,
         )  # fmt: skip
-        lengths.add(len(expected))
+    lengths = []
+    for k in range(len(points)):
+        expected = naive.best_views(
+            ordered[k],
+            surface[k],
+            tolerance,
+            poses,
+            views.intrinsics,
+            pictures,
+            valid,
+            first_seen,
+            front,
+            4,
+            limits,
+            2,
+        )
+        lengths.append(len(expected))
         assert np.count_nonzero(ranks[k]) == len(expected)
         best_first = np.argsort(-ranks[k], kind="stable")
         for slot, (rank, color, image) in zip(best_first, expected):
             assert images[k, slot] == image
-            np.testing.assert_allclose(ranks[k, slot], rank, rtol=1e-4)
+            np.testing.assert_allclose(ranks[k, slot], rank, rtol=1e-3)
             np.testing.assert_allclose(colors[k, slot], color, atol=0.52)
-    assert lengths == {0, 1, 2}
+    assert set(lengths) == {0, 1, 2}
+
+
+def some_surfaces(count, rng):
+    """(M, 8): normals in all directions, a third of them unknown, of another third the side."""
+    normal, sensor = rng.normal(size=(2, count, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    beam = sensor / np.abs((sensor * normal).sum(1, keepdims=True))
+    surface = np.column_stack(
+        [normal, beam, rng.uniform(0.005, 0.05, count), rng.uniform(0, 0.04, count)]
+    ).astype(np.float32)
+    surface[::3, :6] = 0
+    surface[1::3, 3:6] = 0
+    return surface
+
+
+def test_cells_know_what_they_see_first(scene):
+    points, views, _ = scene
+    points = points[np.abs(points).max(1) < 10]
+    surface, tolerance = some_surfaces(len(points), np.random.default_rng(5)), np.array([6, 3], np.float32)
+    blocks = clouds.sort_into_blocks(points)
+    ordered, surface = points[blocks.order], surface[blocks.order]
+    found, front = occlusion.first_points(
+        by_axis(ordered), surface, tolerance, blocks.start, blocks.spheres, views.kernel_poses(), views.intrinsics, 4,
+        HEIGHT, WIDTH,
+    )  # fmt: skip
+    assert np.isfinite(found[..., 7]).any()
+    for i, pose in enumerate(views.kernel_poses()):
+        expected, nearest = naive.first_points(
+            ordered, surface, tolerance, pose, views.intrinsics, 4, HEIGHT, WIDTH
+        )
+        np.testing.assert_allclose(found[i], expected, atol=1e-5)
+        filled = np.isfinite(found[i].reshape(-1, 8)[front[i], 7])
+        np.testing.assert_array_equal(front[i][filled], nearest[filled])
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 8])

@@ -3,13 +3,17 @@
 import html.parser
 import json
 import re
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from browsers import browser_or_skip, check_accessible
 
 from lvba.products import report
 from lvba.products.pictures import Picture, Pictures
 from lvba.products.report import charts, words
+from service import outcome
 
 EVIL = '</script><script>alert(1)</script>"<img src=http://example.org/x.png onerror=alert(2)>&'
 
@@ -181,3 +185,115 @@ def test_charts_survive_flat_missing_and_single_values():
 )
 def test_lengths_have_the_unit_that_suits_them(meters, expected):
     assert words.length(meters).replace("\N{NO-BREAK SPACE}", " ") == expected
+
+
+def test_each_part_has_its_own_verdict():
+    """Exposures that were refused are named, beside cameras that are used; and the other way round."""
+    some = facts()
+    some["lidar"] |= {"accepted": True, "reason": "crisper"}
+    some["visual"] |= {
+        "exposures_accepted": False,
+        "exposures_reason": "darker by chance",
+        "exposures_judged": [{}],
+    }
+    page = report.page(some)
+    assert "exposures were kept" in page
+    assert "Exposures: darker by chance" in page
+    assert (
+        '<span class="pill good">cameras: used</span> <span class="pill bad">exposures: input kept</span>'
+        in page
+    )
+    said = []
+    some["verdict"] = {"level": "check", "summary": "Expect 12 mm.", "reasons": []}
+    outcome.show(some, Path("out"), said.append)
+    assert "check: Expect 12 mm.\n" in said
+    assert "scans: crisper\n" in said
+    assert "exposures: darker by chance\n" in said
+
+
+def with_verdict(**more):
+    """Facts with a verdict, expected errors and the account of two pyramid levels."""
+    expected = {
+        "position_m": 0.0123,
+        "position_p95_m": 0.02,
+        "rotation_deg": 0.1,
+        "per_frame_m": [0.01] * 49 + [None],
+    }
+    some = facts()
+    some["visual"]["levels"] = [
+        {"level": 1, "local_pairs": 10, "global_pairs": 2, "rms": 4.5, "iterations": [{}], "converged": False},
+        {"level": 0, "local_pairs": 20, "global_pairs": 2, "rms": 5.5, "iterations": [{}, {}], "converged": True},
+    ]  # fmt: skip
+    some["visual"]["state"] = "visual"
+    some["evaluation"]["states"] = {
+        name: {"psnr_leave_one_out": value}
+        for name, value in (("rough", 22.4), ("carried", 24.909), ("exposed", 20.0), ("visual", 26.281))
+    }
+    some |= {
+        "verdict": {"level": "check", "summary": "Expect errors of at least 12 mm in the map.",
+                    "reasons": [{"text": f"reason {k}", "mend": f"mend {k}"} for k in range(5)]},
+        "expected_error": {"scans": expected, "cameras": None, "map": {"position_m": 0.0123, "position_p95_m": 0.02},
+                           "at_least": True, "note": ""},
+        "planes": {"thickness_before_m": 0.03, "thickness_after_m": 0.012, "count_before": 5, "count_after": 9},
+    }  # fmt: skip
+    return some | more
+
+
+def test_the_page_begins_with_the_verdict_then_photo_before_and_after():
+    shown = pictures()
+    page = report.page(with_verdict(), replace(shown, best=shown.views[0]))
+    text = " ".join(parsed(page).text)
+    order = ["Check", "at least 12 mm in the map", "reason 0", "mend 0", "Photo", "Map before", "Map after",
+             "Map error, expected", "Worth knowing"]  # fmt: skip
+    places = [text.index(words_shown) for words_shown in order]
+    assert places == sorted(places)
+    assert "2 more reasons" in text
+    assert "\N{GREATER-THAN OR EQUAL TO} 12.3" in text
+    assert "95 % of" not in text
+    good = with_verdict(verdict={"level": "good", "summary": "Expect 12 mm.", "reasons": []})
+    good["expected_error"]["at_least"] = False
+    assert "95 % of points below" in report.page(good)
+
+
+def test_figures_of_stages_are_explained_and_costs_that_cannot_be_compared_are_not_shown():
+    text = " ".join(parsed(report.page(with_verdict())).text)
+    assert "What each stage added" in text
+    for value in ("22.40", "24.91", "26.28", "2.51", "1.37"):
+        assert value in text, value
+    assert "Photometric cost" not in text
+    assert "LiDAR cost" not in text
+    assert "1, not settled" in text
+    assert "Weak directions" not in text
+
+
+def test_weak_directions_are_told_in_words():
+    some = facts()
+    some["lidar"] |= {"weak_scans": [0, 1, 0, 3], "weak_directions": [{}]}
+    some["visual"] |= {"weak_directions": {"count": 67, "per_image": [0] * 30 + [3] * 20}}
+    text = " ".join(parsed(report.page(some)).text)
+    assert "Scans that planes hold in every direction 2 of 4" in text
+    assert "see too few surfaces to hold them, where the scans do 20 of 50" in text
+    assert "67" not in text
+
+
+@pytest.fixture(scope="module")
+def browser():
+    yield from browser_or_skip()
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
+def test_the_page_is_accessible_and_read_on_a_phone(browser, tmp_path, width, scheme):
+    shown = pictures()
+    report.write(tmp_path, with_verdict(), replace(shown, best=shown.views[0]))
+    context = browser.new_context(viewport={"width": width, "height": 844}, color_scheme=scheme)
+    page = context.new_page()
+    page.goto(f"file://{tmp_path / 'report.html'}")
+    check_accessible(page)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    letters = page.evaluate(
+        "[...document.querySelectorAll('svg')].map(svg => parseFloat(getComputedStyle(svg.querySelector('text'))"
+        ".fontSize) * svg.getBoundingClientRect().width / svg.viewBox.baseVal.width)"
+    )
+    assert len(letters) >= 5
+    assert min(letters) >= 12
+    context.close()

@@ -44,7 +44,8 @@ def result(tmp_path_factory):
     ply.write_ply(out / "map.ply", map_file.columns(point_map, ORIGIN))
     exposures.write_exposures(out / "exposures.csv", exposures.Exposures(times, np.exp(world.log_exposure)))
     parts = [{"core_scans": [0, 2]}, {"core_scans": [2, 4]}]
-    report = {"dataset": {"path": str(recording)}, "merge": {"parts": parts}}
+    errors = {"scans": {"per_frame_m": [0.001, 0.002, None, 0.004]}, "cameras": None}
+    report = {"dataset": {"path": str(recording)}, "merge": {"parts": parts}, "expected_error": errors}
     (out / "report.json").write_text(json.dumps(report))
     return out
 
@@ -69,6 +70,8 @@ def test_rough_and_refined_poses_are_in_the_frame_of_the_recording(result, tmp_p
     assert facts["camera"]["fx"] == box_world.CAMERA.fx
     assert facts["parts"] == [[0, 2], [2, 4]]
     assert facts["images"]["names"][0] == "100.000000.png"
+    assert facts["scans"]["error"] == [0.001, 0.002, None, 0.004]
+    assert facts["images"]["error"] is None
 
 
 def test_every_point_has_the_scan_that_measured_it(result, tmp_path):

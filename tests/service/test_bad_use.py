@@ -9,7 +9,7 @@ import pytest
 AS_SHELL = "import os, sys; os.execvp('bash', ['bash', '-c', sys.argv[1], sys.executable, *sys.argv[2:]])"
 """A program for `lvba` that runs it below a shell command."""
 
-COMMANDS = ["run", "evaluate", "simulate", "export"]
+COMMANDS = ["run", "evaluate", "simulate", "view", "export"]
 
 
 @pytest.mark.parametrize("command", [(), *((c,) for c in COMMANDS)])
@@ -24,9 +24,9 @@ def test_version(lvba):
 
 
 def assert_one_line(done, *words):
-    lines = done.stderr.splitlines()
-    shown = [line for line in lines if not line.startswith(("[", "warning: "))]
+    shown = [line for line in done.stderr.splitlines() if line.startswith("lvba")]
     assert len(shown) == 1, done.stderr
+    assert "Traceback" not in done.stderr
     for word in words:
         assert word in shown[0]
 
@@ -58,6 +58,9 @@ def assert_one_line(done, *words):
         (["run", "D", "--out", "O", "--config", "typo.yaml"], ["typo.yaml", "lidra", "did you mean lidar?"]),
         (["run", "D", "--out", "O"], ["D: no such", "check the path"]),
         (["evaluate", "D", "--out", "O"], ["D: no such"]),
+        (["view", "D"], ["D: no such", "check the path"]),
+        (["view", "."], ["holds no report.json", "`lvba run` wrote"]),
+        (["view", "bad.yaml"], ["bad.yaml: is no result"]),
         (["run", "empty", "--out", "O"], ["empty"]),
     ],
 )  # fmt: skip
@@ -85,6 +88,44 @@ def test_out_cannot_be_another_recording(lvba, copy, recording):
     assert_one_line(lvba("run", recording, "--out", copy, code=2), "holds a recording")
 
 
+@pytest.mark.parametrize("name", ["map.ply", "image_poses.txt", "report.json", "config.yaml"])
+def test_out_holds_such_a_file_of_somebody_else(lvba, recording, tmp_path, name):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / name).write_text("{}")
+    for command in ("run", "evaluate"):
+        done = lvba(command, recording, "--out", tmp_path / "out", code=2)
+        assert_one_line(done, name, "is not of a result of lvba", "choose another folder")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == [name]
+    assert (tmp_path / "out" / name).read_text() == "{}"
+
+
+def test_a_run_that_makes_nothing_leaves_no_stages(lvba, recording, tmp_path):
+    done = lvba("run", recording, "--out", tmp_path / "out", "--redo", "nothing", code=2)
+    assert_one_line(done, "--redo nothing")
+    assert not (tmp_path / "out" / "stages").exists()
+
+
+@pytest.mark.parametrize("name", ["walk.bag", "walk.mcap", "walk_0.db3", "walk/metadata.yaml"])
+def test_a_bag_is_told_from_a_folder_of_frames(lvba, tmp_path, name):
+    given = tmp_path / name
+    given.parent.mkdir(exist_ok=True)
+    given.write_text("")
+    if given.name == "metadata.yaml":
+        given = given.parent
+        (given / "walk_0.db3").write_text("")
+    done = lvba("run", given, "--out", tmp_path / "out", code=2)
+    assert_one_line(done, str(given), "which is not read", "FAST-LIVO2", "docs/input.md")
+
+
+def test_a_missing_config_is_reported_as_missing(lvba, copy, tmp_path):
+    (copy / "config.yaml").unlink()
+    done = lvba("run", copy, "--out", tmp_path / "out", code=2)
+    assert_one_line(done, "config.yaml: there is no such file, and so the images have no cam_fx")
+    (copy / "other.yaml").write_text("a: 1\n")
+    done = lvba("run", copy, "--out", tmp_path / "out", code=2)
+    assert_one_line(done, "none of its YAML files (other.yaml) has cam_fx")
+
+
 def test_out_is_a_file(lvba, recording, tmp_path):
     (tmp_path / "out").write_text("keep me")
     assert_one_line(lvba("run", recording, "--out", tmp_path / "out", code=2), "out")
@@ -106,7 +147,7 @@ def test_full_disk_loses_nothing_and_the_same_command_goes_on(lvba, recording, u
     done = lvba(*run, program=("-c", AS_SHELL, command), code=2)
     assert_one_line(done, str(out), "file")
     assert not list((out / "stages").glob(".partial*"))
-    kept = {p.name for p in (out / "stages").iterdir() if p.name[0] != "."}
+    kept = {p.name for p in (out / "stages").glob("[!.]*")}
     lvba(*run)
     assert kept < {p.name for p in (out / "stages").iterdir()}
     assert (out / "map.ply").read_bytes() == (undisturbed[0] / "map.ply").read_bytes()

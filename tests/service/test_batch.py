@@ -11,10 +11,11 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import ROOT
 
 from lvba.errors import InputError
 from service import batch_manifest
+
+ROOT = Path(__file__).resolve().parents[2]
 
 GOOD = [f"good-{number:02}" for number in range(18)]
 

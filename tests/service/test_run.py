@@ -2,21 +2,34 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ROOT
 
 from lvba.io import ply, tum
 
+ROOT = Path(__file__).resolve().parents[2]
+
 STAGES = [
     *("lidar", "lidar-gate", "visual-level-2", "visual-level-1", "visual"),
-    *("fusion", "fusion-gate", "evaluate", "visual-gate", "map", "pictures", "facts"),
+    *(
+        "fusion",
+        "fusion-gate",
+        "evaluate",
+        "visual-gate",
+        "expected-error",
+        "map",
+        "planes",
+        "pictures",
+        "facts",
+    ),
 ]
 PRODUCTS = ["lidar_poses.txt", "image_poses.txt", "exposures.csv", "map.ply", "config.yaml"]
 
@@ -95,6 +108,23 @@ def test_writes_everything_that_is_promised(undisturbed, recording):
     assert "report.html" in done.stdout
 
 
+def test_the_report_says_how_many_millimeters_to_expect(undisturbed):
+    out, _ = undisturbed
+    report = report_of(out)
+    expected, error = report["expected_error"], ply.read_ply(out / "map.ply")["error"].astype(float)
+    for part, frames in (("scans", "scans"), ("cameras", "images")):
+        assert len(expected[part]["per_frame_m"]) == report["dataset"][frames]
+        assert expected[part]["position_m"] == pytest.approx(
+            report["reference"][{"scans": "lidar", "cameras": "camera"}[part]]["predicted_ate_m"]
+        )
+    assert expected["map"]["position_m"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-5)
+    assert expected["map"]["position_p95_m"] == pytest.approx(np.quantile(error, 0.95), rel=0.01)
+    assert report["planes"]["thickness_after_m"] < report["planes"]["thickness_before_m"]
+    assert report["verdict"]["level"] in ("good", "check", "bad")
+    assert "mm in the map" in report["verdict"]["summary"]
+    assert report["verdict"]["summary"] in (out / "report.html").read_text().replace("&#x27;", "'")
+
+
 def test_result_is_better_than_the_input_by_every_measure(undisturbed):
     report = report_of(undisturbed[0])
     rough, refined = (report["evaluation"][state] for state in ("rough", "refined"))
@@ -120,6 +150,8 @@ def test_poses_have_the_times_of_the_input_and_the_map_its_fields(undisturbed, r
     columns = ply.read_ply(out / "map.ply")
     assert list(columns)[:6] == ["x", "y", "z", "red", "green", "blue"]
     assert columns["red"].dtype == np.uint8
+    assert columns["error"].dtype == np.float32
+    assert np.isfinite(columns["error"]).all()
     lines = (out / "exposures.csv").read_text().splitlines()
     assert lines[0] == "timestamp,relative_exposure"
     assert float(lines[1].split(",")[1]) == 1.0
@@ -129,7 +161,11 @@ def test_progress_elsewhere_than_on_a_terminal_is_plain_lines(undisturbed):
     _, done = undisturbed
     assert "\r" not in done.stderr
     assert "\x1b" not in done.stderr
-    assert [line for line in done.stderr.splitlines() if line == "[1/12] lidar"]
+    counted = re.findall(r"^\[(\d+)/(\d+)\] (\S+)$", done.stderr, re.MULTILINE)
+    # one count from the first stage to the last: reading the input is the first
+    assert [int(place) for place, _, _ in counted] == list(range(2, len(counted) + 2))
+    assert {int(total) for _, total, _ in counted} == {len(counted) + 1}
+    assert (counted[0][2], counted[-1][2]) == ("lidar", "write")
 
 
 def test_same_command_again_reuses_every_stage(undisturbed, recording, lvba):
@@ -162,10 +198,10 @@ def test_stopped_in_every_stage_in_turn_it_ends_with_the_same_bytes(undisturbed,
         for finished in (out / "stages").glob(f"{name}-{'[0-9a-f]' * 20}"):
             shutil.rmtree(finished)
         script = STOPPED_WRITING if number % 2 else STOPPED_IN
-        done = lvba(f'"{name}"' if number % 2 else name, *run, program=("-c", script), code=1)
-        assert f"[{number + 1}/{len(STAGES)}] {name}" in done.stderr
+        done = lvba(f'"{name}"' if number % 2 else name, *run, program=("-c", script), code=130)
+        assert f"[{number + 2}/{len(STAGES) + 2}] {name}" in done.stderr
         assert done.stderr.splitlines()[-1].startswith("lvba: stopped; finished stages are kept")
-        kept = sorted(p.name.rsplit("-", 1)[0] for p in (out / "stages").iterdir() if p.name[0] != ".")
+        kept = sorted(p.name.rsplit("-", 1)[0] for p in (out / "stages").glob("[!.]*"))
         assert kept in (sorted(STAGES[:number]), sorted(STAGES[: number + 1]))
         assert not (out / "map.ply").exists()
     lvba(*run)
@@ -174,7 +210,7 @@ def test_stopped_in_every_stage_in_turn_it_ends_with_the_same_bytes(undisturbed,
 
 
 def test_interrupt_where_nobody_looks_stops_it_all_the_same(recording, lvba, tmp_path):
-    done = lvba("run", recording, "--out", tmp_path / "out", program=("-c", STOPPED_WHILE_BUSY), code=1)
+    done = lvba("run", recording, "--out", tmp_path / "out", program=("-c", STOPPED_WHILE_BUSY), code=130)
     assert "Traceback" not in done.stderr
     assert done.stderr.splitlines()[-1].startswith("lvba: stopped; finished stages are kept")
 
@@ -188,12 +224,12 @@ def test_signal_from_outside_stops_it_with_one_line(recording, tmp_path, number)
     )
     assert process.stderr is not None
     for line in process.stderr:
-        if line.startswith("[3/12]"):
+        if line.startswith(f"[4/{len(STAGES) + 2}]"):
             break
     time.sleep(0.2)
     process.send_signal(number)
     rest = process.stderr.read()
-    assert process.wait(60) == 1
+    assert process.wait(60) == (130 if number == signal.SIGINT else 1)
     assert "Traceback" not in rest
     assert rest.splitlines()[-1].startswith("lvba: stopped; finished stages are kept in")
     assert len([p for p in (tmp_path / "out" / "stages").iterdir() if p.name[0] != "."]) >= 2
@@ -216,7 +252,7 @@ def test_changed_setting_redoes_only_what_depends_on_it(undisturbed, recording, 
     out = shutil.copytree(undisturbed[0], tmp_path / "out")
     run = ["run", recording, "--out", out, "--reference", recording / "reference"]
     lvba(*run, "--set", "map.voxel_m=0.2")
-    assert [name for name, again in reused(out).items() if not again and name in STAGES] == ["map"]
+    assert [name for name, again in reused(out).items() if not again and name in STAGES] == ["map", "facts"]
     lvba(*run)
     assert all(reused(out)[name] for name in STAGES)
 

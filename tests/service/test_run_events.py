@@ -28,10 +28,10 @@ def test_run_tells_stages_progress_records_and_its_end(undisturbed, recording, l
     assert names[-1] == "write"
     begun = {line["name"]: line["reused"] for line in told if line["event"] == "stage"}
     assert list(begun) == names
-    assert [name for name, reused in begun.items() if reused is False] == ["map"]
+    assert [name for name, reused in begun.items() if reused is False] == ["map", "facts"]
     assert any(line["stage"] == "map" for line in told if line["event"] == "progress")
     recorded = {line["name"]: line["reused"] for line in told if line["event"] == "record"}
-    assert [name for name, reused in recorded.items() if not reused] == ["input", "map"]
+    assert [name for name, reused in recorded.items() if not reused] == ["input", "map", "facts"]
     assert told[-1]["event"] == "end"
     assert told[-1]["code"] == 0
     assert (out / "map.ply").read_bytes() == (undisturbed[0] / "map.ply").read_bytes()
@@ -42,7 +42,7 @@ def test_redo_makes_what_depends_on_the_stage_again(undisturbed, recording, lvba
     lvba("run", recording, "--out", out, "--reference", recording / "reference", "--redo", "visual-gate")
     stages = json.loads((out / "report.json").read_text())["stages"]
     again = [stage["name"] for stage in stages if not stage["reused"]]
-    assert again == ["input", "visual-gate", "map", "pictures", "facts"]
+    assert again == ["input", "visual-gate", "expected-error", "map", "planes", "pictures", "facts"]
 
 
 def test_redo_of_no_stage_names_those_there_are(recording, lvba, tmp_path):

@@ -51,6 +51,16 @@ def add_viewer_gate(module):
     module.export = held
 
 
+def add_digest_gate(module):
+    sha256 = module.sha256
+
+    def held(file):
+        wait_at("digest", lambda *_: None)
+        return sha256(file)
+
+    module.sha256 = held
+
+
 def shift_clock(file):
     """The clock of the wall, as Python asks it, is off by as many seconds as the file says."""
     true = time.time
@@ -64,7 +74,11 @@ def shift_clock(file):
     time.time = shifted
 
 
-GATED = {"lvba.plan": add_gates, "lvba.products.export": add_viewer_gate}
+GATED = {
+    "lvba.plan": add_gates,
+    "lvba.products.export": add_viewer_gate,
+    "service.server.arriving": add_digest_gate,
+}
 if os.environ.get("LVBA_TEST_CLOCK"):
     shift_clock(os.environ["LVBA_TEST_CLOCK"])
 if os.environ.get("LVBA_TEST_GATES"):

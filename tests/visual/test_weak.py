@@ -7,7 +7,7 @@ import textured_planes
 from lvba import geometry
 from lvba.camera import Camera
 from lvba.lidar.plane import Planes
-from lvba.visual import photometric, weak
+from lvba.visual import photometric, scene_points, weak
 from lvba.visual.photometric import PhotometricConfig, PhotometricState
 from lvba.visual.prior import Prior, PriorConfig, Source
 from lvba.visual.scene_points import Observations
@@ -63,6 +63,33 @@ def test_two_directions_of_walls_leave_one_along_both(scene):
     assert len(directions.common) == 1
     along = directions.common[0, 3:] / np.linalg.norm(directions.common[0, 3:])
     assert abs(along @ np.cross(scene[0].normals[3], scene[0].normals[5])) > 0.98
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_points_in_one_place_leave_all_but_the_motion_along_their_normal(scene, count):
+    world, poses, images, points, observations = scene
+    first = np.flatnonzero(points.plane == 3)[0]
+    seen = observations.point == first
+    one = scene_points.take(points, np.full(count, first))
+    target = np.tile(observations.target[seen], count)
+    pairs = Observations(
+        np.repeat(np.arange(count, dtype=np.int32), seen.sum()), target, np.zeros(len(target), bool)
+    )
+    problem = photometric.prepare(
+        images, CAMERA, one, pairs, PhotometricConfig(), offset_sigma=np.full(count, 0.002)
+    )
+    state = PhotometricState(CameraStates(poses, np.zeros(len(poses))), np.zeros(count))
+    directions = weak.find(problem, photometric.linearize(problem, state), planes_of(world))
+    assert len(directions.common) == 5
+    assert np.isfinite(directions.common).all()
+    assert directions.common[:, 3:] @ world.normals[3] == pytest.approx(np.zeros(5), abs=0.05)
+    blind = np.setdiff1d(np.arange(8), [one.reference[0], *target])
+    assert (directions.count[blind] == 6).all()
+    assert (np.delete(directions.count, blind) == 5).all()
+    held = weak.hold(
+        VisualState(CameraStates(poses, np.zeros(8)), Mount(np.eye(4))), prior_at(poses), directions
+    )
+    assert np.isfinite(held.cameras.world_from_camera).all()
 
 
 def prior_at(poses: np.ndarray) -> Prior:

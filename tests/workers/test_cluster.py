@@ -8,6 +8,7 @@ import sys
 import threading
 from pathlib import Path
 
+import httpx
 import numpy as np
 import pytest
 import toy_steps
@@ -289,3 +290,23 @@ def test_no_scheduler(tmp_path, monkeypatch):
     monkeypatch.setattr(connection, "_ATTEMPT_SECONDS", 0.2)
     with pytest.raises(connection.ClusterError, match="no scheduler answers"):
         cluster.run(chain(tmp_path), str(tmp_path), connection.at("tcp://127.0.0.1:9", None))
+
+
+def test_own_cluster_has_no_pages_for_whoever_is_on_this_machine():
+    with connection.local(1, 1) as scheduler:
+        client = scheduler.connect(60.0, lambda: None)
+        client.wait_for_workers(1, timeout=120)
+        found = client.scheduler_info()
+        ports = [found["services"]["dashboard"]]
+        ports += [worker["services"]["dashboard"] for worker in found["workers"].values()]
+        for port in ports:
+            for path in (
+                "/",
+                "/status",
+                "/health",
+                "/metrics",
+                "/json/counts.json",
+                "/info/main/workers.html",
+            ):
+                assert httpx.get(f"http://127.0.0.1:{port}{path}").status_code == 404, path
+        client.close()

@@ -1,23 +1,25 @@
-"""Charts and rows of numbers, from the facts."""
+"""Charts of poses, exposures and scores, from the facts."""
 
-import itertools
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from lvba.products.report import charts, words
+from lvba.products.report import charts
 from lvba.products.report.charts import Line
-from lvba.products.report.html import text
 
 Facts = Mapping[str, Any]
-_COLORS = ("--after", "--before", "--s3", "--s4", "--s5")
 
 
 def paths(facts: Facts) -> str:
-    """Paths from above, how far poses moved, exposures."""
+    """Paths from above, expected errors, how far poses moved, exposures."""
     trajectory = facts.get("trajectory") or {}
-    cards = [_track(trajectory), _moved(trajectory), _exposure(facts.get("exposure") or {})]
+    cards = [
+        _track(trajectory),
+        _errors(facts),
+        _moved(trajectory),
+        _exposure(facts.get("exposure") or {}),
+    ]
     inner = "".join(cards)
     return f'<div class="grid">{inner}</div>' if inner else ""
 
@@ -45,6 +47,23 @@ def _flattest(positions: np.ndarray) -> np.ndarray:
         return np.eye(3)[:2]
     first = int(extent[1] > extent[0])
     return np.eye(3)[[first, 2]]
+
+
+def _errors(facts: Facts) -> str:
+    """Expected error by frame."""
+    expected, trajectory = facts.get("expected_error") or {}, facts.get("trajectory") or {}
+    lines = []
+    for key, of, name, color in (
+        ("scans", "scans", "scans", "--after"),
+        ("cameras", "images", "cameras", "--s3"),
+    ):
+        errors = (expected.get(key) or {}).get("per_frame_m") or []
+        times = (trajectory.get(of) or {}).get("times") or []
+        if errors and len(errors) == len(times):
+            y = np.array([np.nan if value is None else 1000 * value for value in errors], float)
+            lines.append(Line(name, np.asarray(times, float) - _start(trajectory), y, color))
+    least = "At least so much: see the reasons above" if expected.get("at_least") else ""
+    return charts.chart("Expected error by frame", lines, "time, s", "Position, mm", zero=True, note=least)
 
 
 def _moved(trajectory: Facts) -> str:
@@ -101,140 +120,3 @@ def per_image(facts: Facts) -> str:
         )
     inner = "".join(cards)
     return f'<div class="grid">{inner}</div>' if inner else ""
-
-
-def costs(facts: Facts) -> str:
-    """Cost by iteration, one curve per stage or pyramid level, for both adjustments."""
-    cards = [
-        _cost("LiDAR cost", (facts.get("lidar") or {}).get("history") or []),
-        _cost("Photometric cost", (facts.get("visual") or {}).get("history") or []),
-    ]
-    inner = "".join(cards)
-    return f'<div class="grid">{inner}</div>' if inner else ""
-
-
-def _cost(name: str, history: list[Any]) -> str:
-    """Rows with `cost` per iteration, by level or stage; or with `cost_before`, `cost_after` per round of association."""
-    rows = [row for row in history if isinstance(row, Mapping)]
-    rounds = [row for row in rows if _is_number(row.get("cost_before")) and _is_number(row.get("cost_after"))]
-    if rounds:
-        x = np.array([value for k in range(len(rounds)) for value in (k, k + 0.8, np.nan)])
-        y = np.array([value for row in rounds for value in (row["cost_before"], row["cost_after"], np.nan)])
-        note = "Each round finds planes anew, so that only the change within a round counts."
-        return charts.chart(
-            name, [Line("cost", x, y, "--after", dots=True)], "round", "Cost", log=True, note=note
-        )
-    groups: dict[str, list[tuple[float, float]]] = {}
-    for k, row in enumerate(row for row in rows if _is_number(row.get("cost"))):
-        group = next(
-            (f"{word} {row[word]}" for word in ("level", "stage", "round") if row.get(word) is not None), ""
-        )
-        groups.setdefault(group, []).append((float(k), float(row["cost"])))
-    lines = [
-        Line(group, np.array([x for x, _ in points]), np.array([y for _, y in points]), color, dots=True)
-        for (group, points), color in zip(groups.items(), itertools.cycle(_COLORS), strict=False)
-    ]
-    return charts.chart(name, lines, "iteration", "Cost", log=True)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def lidar_rows(facts: Facts) -> list[tuple[str, str]]:
-    """What the LiDAR bundle adjustment found."""
-    stage = facts.get("lidar") or {}
-    rows = _known(
-        stage,
-        (("planes", "Planes", words.count), ("iterations", "Iterations", words.count),
-         ("cost_initial", "Cost before", _cost_words), ("cost_final", "Cost after", _cost_words)),
-    )  # fmt: skip
-    noise = [
-        row["sigma"]
-        for row in stage.get("history") or []
-        if isinstance(row, Mapping) and _is_number(row.get("sigma"))
-    ]
-    if noise:
-        # costs of rounds with other planes cannot be compared, their noise can
-        rows = [row for row in rows if not row[0].startswith("Cost")]
-        rows.append(
-            ("Noise of a point, first and last round", f"{words.length(noise[0])}, {words.length(noise[-1])}")
-        )
-    return rows + _weak(stage)
-
-
-def fusion_rows(facts: Facts) -> list[tuple[str, str]]:
-    """What the cameras changed about the scans."""
-    stage = facts.get("fusion") or {}
-    moved = [value for value in stage.get("moved_m") or [] if _is_number(value)]
-    if not moved:
-        return []
-    return [
-        ("Scans moved by, half of them less than", words.length(float(np.median(moved)))),
-        ("Scans moved by at most", words.length(max(moved))),
-        ("Scans that contradict the cameras, and stay", words.count(stage.get("contradicted"))),
-    ]
-
-
-def visual_rows(facts: Facts) -> list[tuple[str, str]]:
-    """What the visual bundle adjustment found."""
-    stage = facts.get("visual") or {}
-    rows = _known(
-        stage,
-        (("keyframes", "Keyframes", words.count), ("scene_points", "Scene points", words.count),
-         ("global_points", "of them found across the map", words.count), ("observations", "Pairs of views", words.count),
-         ("local_pairs", "of them near in time", words.count), ("global_pairs", "of them across the map", words.count),
-         ("iterations", "Iterations", words.count), ("cost_initial", "Cost before", _cost_words),
-         ("cost_final", "Cost after", _cost_words)),
-    )  # fmt: skip
-    return rows + _extrinsic(stage.get("extrinsic")) + _offset(stage.get("time_offset")) + _weak(stage)
-
-
-def _known(stage: Facts, names: tuple[tuple[str, str, Any], ...]) -> list[tuple[str, str]]:
-    return [
-        (name, write(stage[key])) for key, name, write in names if isinstance(stage.get(key), int | float)
-    ]
-
-
-def _cost_words(value: float) -> str:
-    return words.number(value, 1 if abs(value) >= 100 else 4)
-
-
-def _extrinsic(extrinsic: Any) -> list[tuple[str, str]]:
-    """How the LiDAR-camera extrinsic changed; given as change_m and change_deg (numbers or lists of three)."""
-    if not isinstance(extrinsic, Mapping):
-        return []
-    rows = []
-    for key, name, write in (
-        ("change_m", "Extrinsic moved by", words.length),
-        ("change_deg", "Extrinsic turned by", words.angle),
-    ):
-        value = extrinsic.get(key)
-        if value is not None:
-            rows.append((name, write(float(np.linalg.norm(value)))))
-    return rows
-
-
-def _offset(offset: Any) -> list[tuple[str, str]]:
-    """The time offset, a number in seconds or a mapping with `seconds` and `sigma`."""
-    if isinstance(offset, Mapping):
-        seconds, sigma = offset.get("seconds"), offset.get("sigma")
-    else:
-        seconds, sigma = offset, None
-    if not isinstance(seconds, int | float):
-        return []
-    spread = f" ± {words.number(1000 * sigma, 2)}" if isinstance(sigma, int | float) else ""
-    return [("Time offset of the camera", words.number(1000 * seconds, 2) + spread + "\N{NO-BREAK SPACE}ms")]
-
-
-def _weak(stage: Facts) -> list[tuple[str, str]]:
-    """Weakly determined directions: a number, or a list of descriptions."""
-    weak = stage.get("weak_directions")
-    if weak is None:
-        return []
-    if isinstance(weak, int | float):
-        return [("Weak directions", words.count(weak))]
-    if isinstance(weak, list):
-        shown = [text(item) for item in weak[:3] if isinstance(item, str)]
-        return [("Weak directions", "<br>".join([words.count(len(weak)), *shown]))]
-    return [("Weak directions", words.count(weak.get("count")))] if isinstance(weak, Mapping) else []

@@ -38,6 +38,10 @@ def section(name: str, heading: str, content: str, lead: str = "") -> str:
     return f'<section id="{name}"><h2>{text(heading)}</h2>{intro}{content}</section>'
 
 
+_WIDE = 5
+"""Columns that a phone shows side by side."""
+
+
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], kind: str = "") -> str:
     """A table whose cells are HTML; first column is the row's name."""
     lines = []
@@ -46,9 +50,12 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], kind: str = "") ->
         lines.append(f'<tr><th scope="row">{first}</th>{cells}</tr>')
     if not lines:
         return ""
-    top = "".join(f'<th scope="col">{cell}</th>' for cell in head)
-    inner = f"<thead><tr>{top}</tr></thead><tbody>{''.join(lines)}</tbody>"
-    return f'<div class="scroll"><table class="{kind}">{inner}</table></div>'
+    top = "".join(f'<th scope="col">{cell}</th>' if cell else "<td></td>" for cell in head)
+    named = f"<thead><tr>{top}</tr></thead>" if any(head) else ""
+    # what may be scrolled must be reached by the keyboard
+    reach = ' tabindex="0" role="region" aria-label="Wide table"' if len(head) > _WIDE else ""
+    inner = f"{named}<tbody>{''.join(lines)}</tbody>"
+    return f'<div class="scroll"{reach}><table class="{kind}">{inner}</table></div>'
 
 
 def details(summary: str, content: str) -> str:

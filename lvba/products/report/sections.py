@@ -4,9 +4,10 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from lvba.products.pictures import Picture, Pictures
-from lvba.products.report import figures, parts, words
-from lvba.products.report.html import details, jpeg, section, table, text
+from lvba import part_verdicts
+from lvba.products.pictures import Pictures
+from lvba.products.report import figures, looks, parts, verdict, words, work
+from lvba.products.report.html import details, section, table, text
 
 Facts = Mapping[str, Any]
 
@@ -20,32 +21,29 @@ def body(facts: Facts, pictures: Pictures | None) -> str:
     """Everything between the page's head and its script."""
     shown = pictures or Pictures((), ())
     shown_in_order = [
+        verdict.section(facts),
+        looks.best(shown),
         _tiles(facts),
         section("notes", "Worth knowing", _notes(facts)),
-        section("look", "Photo and map", _sliders(shown), _LOOK),
-        section("crops", "Where it changed most", _crops(shown), _CROPS),
+        section("look", "Photo and map", looks.sliders(shown), looks.SLIDERS),
+        section("crops", "Where it changed most", looks.crops(shown), looks.CROPS),
         section("paths", "Path and exposure", figures.paths(facts), _PATHS),
-        section("quality", "Quality", figures.per_image(facts) + _scores(facts), _QUALITY),
+        section(
+            "quality", "Quality", figures.per_image(facts) + _scores(facts) + _states(facts), _quality(facts)
+        ),
         section("truth", "Against the reference", _reference(facts), _REFERENCE),
         section("parts", "Parts and seams", parts.section(facts), parts.LEAD),
-        section("work", "How it got there", figures.costs(facts) + _stages(facts)),
+        section("work", "How it got there", work.progress(facts) + _stages(facts)),
         section("run", "Time and memory", _times(facts)),
         section("more", "Details", _explanations() + _settings(facts)),
     ]
     return f"{_header(facts)}<main>{''.join(shown_in_order)}</main>{_footer(facts)}"
 
 
-_LOOK = (
-    "Drag the handle, or focus it and use the arrow keys. Each rendering shows only points that <em>other</em> images "
-    "colored, so an image cannot vouch for itself. Shown are the image that gained most, a middling one and the one "
-    "that gained least. Small gaps between points are closed for the eye, not for the figures."
-)
-_CROPS = "Photo, map before, map after. Figures compare map and photo over the pixels that both maps cover."
 _PATHS = "Seen from above, and how far each pose was moved."
-_QUALITY = "How well the colored map explains the photos, image by image and on average."
 _REFERENCE = (
-    "Root mean squares after one rigid alignment; cameras in the frame of the LiDAR map. Expected is what the "
-    "covariances of the result itself promise."
+    "Root mean squares after one rigid alignment, by positions where these determine it; cameras in the frame of "
+    "the LiDAR map. Expected is what the covariances of the result itself promise."
 )
 
 
@@ -66,8 +64,7 @@ def _header(facts: Facts) -> str:
     listed = "".join(f"<li><b>{value}</b> {name}</li>" for value, name in items if value != words.MISSING)
     return (
         '<header class="top"><p class="kicker">LiDAR-visual bundle adjustment</p>'
-        f'<h1>{text(_name(facts))}</h1><p class="verdict">{words.verdict(facts)}</p>'
-        f'<ul class="facts">{listed}</ul></header>'
+        f'<h1>{text(_name(facts))}</h1><ul class="facts">{listed}</ul></header>'
     )
 
 
@@ -79,24 +76,34 @@ def _total(facts: Facts, key: str) -> float | None:
 def _tiles(facts: Facts) -> str:
     evaluation = facts.get("evaluation", {})
     rough, refined = evaluation.get("rough") or {}, evaluation.get("refined") or {}
-    tiles = [
-        _tile(kind.name, words.measure(refined.get(kind.key), kind), words.measure(rough.get(kind.key), kind),
+    tiles = [_tile(name, value, below, "") for name, value, below in verdict.tiles(facts)]
+    tiles += [
+        _tile(kind.name, words.measure(refined.get(kind.key), kind), _before(words.measure(rough.get(kind.key), kind)),
               _gain(rough.get(kind.key), refined.get(kind.key), kind))
         for kind in words.MEASURES[:3]
         if refined.get(kind.key) is not None
     ]  # fmt: skip
     reference = facts.get("reference") or {}
     before = reference.get("rough") or {}
-    for key, name in (("lidar", "Scan error"), ("camera", "Camera error")):
+    for key, name in (
+        ("lidar", "Scans, against the reference"),
+        ("camera", "Cameras, against the reference"),
+    ):
         error, old = reference.get(key), before.get(key) or {}
         if error:
-            tiles.append(_tile(name, words.length(error["ate_m"]), words.length(old.get("ate_m")), ""))
+            tiles.append(
+                _tile(name, words.length(error["ate_m"]), _before(words.length(old.get("ate_m"))), "")
+            )
     return f'<div class="tiles">{"".join(tiles)}</div>' if tiles else ""
 
 
-def _tile(name: str, value: str, before: str, gain: str) -> str:
+def _before(value: str) -> str:
+    return f"before {value}" if value != words.MISSING else ""
+
+
+def _tile(name: str, value: str, below: str, gain: str) -> str:
     main, _, unit = value.partition("\N{NO-BREAK SPACE}")
-    origin = f'<div class="from">before {before} {gain}</div>' if before != words.MISSING else ""
+    origin = f'<div class="from">{below} {gain}</div>' if below else ""
     figure = f'<div class="value">{main} <small>{unit}</small></div>'
     return f'<div class="tile"><div class="name">{name}</div>{figure}{origin}</div>'
 
@@ -114,19 +121,13 @@ def _gain(before: Any, after: Any, kind: words.Measure, unit: bool = True) -> st
 
 
 def _notes(facts: Facts) -> str:
-    notes = [
-        (f"{name}: {stage['reason']}", "")
-        for name, stage in (("Scans", facts.get("lidar") or {}), ("Cameras", facts.get("visual") or {}))
-        if stage.get("accepted") is False and stage.get("reason")
-    ]
-    fusion = facts.get("fusion") or {}
-    if fusion.get("accepted") is False and fusion.get("moved_m"):
-        notes.append((f"Scans with what the cameras know: {fusion.get('reason')}", ""))
+    notes = [] if facts.get("verdict") else _not_used(facts)
     for warning in facts.get("warnings", []):
         if isinstance(warning, Mapping):
             notes.append((str(warning.get("text", "")), str(warning.get("mend", ""))))
         else:
             notes.append((str(warning), ""))
+    notes += [(sentence, "") for sentence in (_image_poses(facts),) if sentence]
     items = "".join(
         f"<li>{text(what)}{f'<span class=mend>{text(mend)}</span>' if mend else ''}</li>"
         for what, mend in notes
@@ -134,53 +135,23 @@ def _notes(facts: Facts) -> str:
     return f'<ul class="notes">{items}</ul>' if items else ""
 
 
-def _sliders(pictures: Pictures) -> str:
-    inner = "".join(_slider(k, picture) for k, picture in enumerate(pictures.views))
-    return f'<div class="views">{inner}</div>' if inner else ""
-
-
-def _slider(number: int, picture: Picture) -> str:
-    choices = (
-        ("raw|after", "photo | after"),
-        ("before|after", "before | after"),
-        ("raw|before", "photo | before"),
-    )
-    picks = "".join(
-        f'<label><input type="radio" name="pair{number}" value="{value}"{" checked" if not k else ""}>'
-        f"<span>{name}</span></label>"
-        for k, (value, name) in enumerate(choices)
-    )
-    images = "".join(
-        f'<img data-name="{name}" alt="{alt}" src="{jpeg(rgb)}" class="{kind}">'
-        for name, alt, rgb, kind in (
-            ("raw", "photo", picture.raw, ""),
-            ("before", "map before", picture.before, ""),
-            ("after", "map after", picture.after, "top"),
-        )
-    )
-    psnr = f"{words.number(picture.psnr_before, 2)} \N{RIGHTWARDS ARROW} {words.number(picture.psnr_after, 2, 'dB')}"
+def _image_poses(facts: Facts) -> str:
+    """What the image poses on file are of, and why that was taken."""
+    found = (facts.get("dataset") or {}).get("image_poses") or {}
+    if not found.get("reason"):
+        return ""
     return (
-        f'<div class="card compare"><div class="head"><p>{text(picture.title)}, {psnr}</p>'
-        f'<fieldset class="pick" aria-label="what to compare">{picks}</fieldset></div><div class="stage">{images}'
-        '<input type="range" min="0" max="100" value="50" step="1" '
-        f'aria-label="position of the divider, {text(picture.title)}">'
-        '<span class="handle"></span><span class="tag left"></span><span class="tag right"></span></div></div>'
+        f"image_poses.txt holds poses of the {found.get('of')}, and so does the result's: {found['reason']}."
     )
 
 
-def _crops(pictures: Pictures) -> str:
-    rows = []
-    for picture in pictures.crops:
-        cells = "".join(
-            f'<div><img alt="{alt}" src="{jpeg(rgb, 480)}">{alt}{value}</div>'
-            for alt, rgb, value in (
-                ("photo", picture.raw, f", {text(picture.title)}"),
-                ("before", picture.before, f", {words.number(picture.psnr_before, 1, 'dB')}"),
-                ("after", picture.after, f", {words.number(picture.psnr_after, 1, 'dB')}"),
-            )
-        )
-        rows.append(f'<figure class="crop">{cells}</figure>')
-    return f'<div class="crops">{"".join(rows)}</div>' if rows else ""
+def _not_used(facts: Facts) -> list[tuple[str, str]]:
+    """Results of stages that were not used, with the reasons; the verdict tells them where there is one."""
+    return [
+        (f"{part.name.capitalize()}: {part.reason}", "")
+        for part in part_verdicts.of_report(facts)
+        if not part.accepted and part.reason and (part.tried or part.name in ("scans", "cameras"))
+    ]
 
 
 def _scores(facts: Facts) -> str:
@@ -196,6 +167,52 @@ def _scores(facts: Facts) -> str:
     head = ("", "before", "after", "change")
     inner = table(head, rows[:7]) + details("All figures", table(head, rows[7:]))
     return f'<div class="card tail">{inner}</div>' if inner else ""
+
+
+def _quality(facts: Facts) -> str:
+    return (
+        f"How well the colored map explains the photos, image by image and on average. {words.verdict(facts)}"
+    )
+
+
+_STATES = {
+    "rough": "The input",
+    "carried": "with refined scan poses; cameras move along",
+    "posed": "with refined camera poses as well",
+    "fused_posed": "with scans that learned from the cameras",
+    "exposed": "with relative exposures as well",
+    "visual": "with relative exposures as well",
+    "fused": "with relative exposures as well",
+}
+_WAYS = {
+    "carried": ("rough", "carried"),
+    "posed": ("rough", "carried", "posed"),
+    "fused_posed": ("rough", "carried", "posed", "fused_posed"),
+    "exposed": ("rough", "carried", "exposed"),
+    "visual": ("rough", "carried", "posed", "visual"),
+    "fused": ("rough", "carried", "posed", "fused_posed", "fused"),
+}
+"""By the state that is the result, those that it was judged through."""
+
+
+def _states(facts: Facts) -> str:
+    """PSNR from the input over what each stage added to the result: one row of figures that reasons quote from."""
+    states = (facts.get("evaluation") or {}).get("states") or {}
+    way = _WAYS.get((facts.get("visual") or {}).get("state") or "", ())
+    known = [(_STATES[name], (states.get(name) or {}).get("psnr_leave_one_out")) for name in way]
+    known = [(name, value) for name, value in known if value is not None]
+    if len(known) < 3:
+        return ""
+    rows = [
+        (name, words.number(value, 2), "" if last is None else words.number(value - last, 2))
+        for (name, value), last in zip(known, [None, *(value for _, value in known)], strict=False)
+    ]
+    note = (
+        "Leave-one-out. Before and after compare the result with the input; a stage is judged by what it adds to the "
+        "state before it, so its reason may start from another figure than the input's."
+    )
+    inner = table(("", "PSNR, dB", "added"), rows)
+    return f'<div class="card tail"><h3>What each stage added</h3><p>{note}</p>{inner}</div>'
 
 
 def _reference(facts: Facts) -> str:
@@ -228,24 +245,24 @@ def _reference(facts: Facts) -> str:
 def _stages(facts: Facts) -> str:
     """Counts, extrinsic, time offset, weak directions: what the two adjustments found."""
     cards = "".join(
-        f'<div class="card"><h3>{name} {_pill(stage)}</h3>{table(("", ""), rows)}</div>'
-        for name, stage, rows in (
-            ("LiDAR bundle adjustment", facts.get("lidar") or {}, figures.lidar_rows(facts)),
-            ("Visual bundle adjustment", facts.get("visual") or {}, figures.visual_rows(facts)),
-            ("Scans with what the cameras know", facts.get("fusion") or {}, figures.fusion_rows(facts)),
+        f'<div class="card"><h3>{name} {_pills(facts, parts_of)}</h3>{table(("", ""), rows)}</div>'
+        for name, parts_of, rows in (
+            ("LiDAR bundle adjustment", ("scans",), work.lidar_rows(facts)),
+            ("Visual bundle adjustment", ("cameras", "exposures"), work.visual_rows(facts)),
+            ("Scans with what the cameras know", ("scans, from the cameras",), work.fusion_rows(facts)),
         )
         if rows
     )
     return f'<div class="grid tail">{cards}</div>' if cards else ""
 
 
-def _pill(stage: Facts) -> str:
-    if stage.get("accepted") is None:
-        return ""
-    return (
-        '<span class="pill good">used</span>'
-        if stage["accepted"]
-        else '<span class="pill bad">input kept</span>'
+def _pills(facts: Facts, names: tuple[str, ...]) -> str:
+    """For each of some parts, whether the result holds what was found; the part is named where there are several."""
+    return " ".join(
+        f'<span class="pill {"good" if part.accepted else "bad"}">{f"{part.name}: " if len(names) > 1 else ""}'
+        f"{'used' if part.accepted else 'input kept'}</span>"
+        for part in part_verdicts.of_report(facts)
+        if part.name in names
     )
 
 

@@ -2,14 +2,14 @@
 
 STYLE = """
 :root{
-  --page:#f7f6f3;--card:#fff;--ink:#1d2126;--soft:#5b6470;--faint:#8a929c;--line:#e3e1db;--hair:#eeece6;
+  --page:#f7f6f3;--card:#fff;--ink:#1d2126;--soft:#5b6470;--faint:#666e78;--line:#e3e1db;--hair:#eeece6;
   --before:#b4690e;--after:#0b7285;--good:#1b7f4b;--bad:#b3261e;--warn-bg:#fff6e0;--warn-line:#e5c064;
-  --tint:#e6f2f4;--s3:#7048a8;--s4:#5f7d1e;--s5:#a33b6b;
+  --tint:#e6f2f4;--check:#8a5a00;--s3:#7048a8;--s4:#5f7d1e;--s5:#a33b6b;
 }
 @media (prefers-color-scheme:dark){:root{
-  --page:#14171a;--card:#1c2024;--ink:#e8eaec;--soft:#a4adb7;--faint:#7c858f;--line:#30363c;--hair:#272c31;
+  --page:#14171a;--card:#1c2024;--ink:#e8eaec;--soft:#a4adb7;--faint:#959ea8;--line:#30363c;--hair:#272c31;
   --before:#e9a55a;--after:#58c4d6;--good:#63cf93;--bad:#ff8a80;--warn-bg:#2c2616;--warn-line:#7d6524;
-  --tint:#173036;--s3:#b99aef;--s4:#a9c65c;--s5:#ef8fb8;
+  --tint:#173036;--check:#f0c05a;--s3:#b99aef;--s4:#a9c65c;--s5:#ef8fb8;
 }}
 *{box-sizing:border-box}
 html{-webkit-text-size-adjust:100%}
@@ -17,20 +17,32 @@ body{margin:0;background:var(--page);color:var(--ink);
   font:16px/1.55 ui-sans-serif,system-ui,-apple-system,"Segoe UI",Roboto,"Helvetica Neue","Noto Sans",sans-serif;
   font-feature-settings:"kern","liga";text-rendering:optimizeLegibility}
 main,header.top,footer{max-width:1080px;margin:0 auto;padding:0 24px}
-header.top{padding-top:56px;padding-bottom:8px}
+header.top{padding-top:32px}
 .kicker{margin:0 0 6px;font-size:13px;letter-spacing:.09em;text-transform:uppercase;color:var(--faint)}
-h1{margin:0;font-size:clamp(28px,5vw,44px);line-height:1.12;letter-spacing:-.022em;font-weight:680;
+h1{margin:0;font-size:clamp(26px,4vw,36px);line-height:1.12;letter-spacing:-.022em;font-weight:680;
   overflow-wrap:anywhere}
-.verdict{margin:16px 0 0;max-width:44em;font-size:clamp(17px,2.2vw,20px);line-height:1.5;color:var(--soft)}
-.verdict strong{color:var(--ink);font-weight:600}
-.facts{display:flex;flex-wrap:wrap;gap:4px 22px;margin:18px 0 0;padding:0;list-style:none;color:var(--soft);
+.lead strong{color:var(--ink);font-weight:600}
+.judged{margin-top:18px;padding:14px 20px;border:1px solid var(--line);border-left:6px solid var(--tone);
+  border-radius:14px;background:var(--card)}
+.judged.good{--tone:var(--good)}.judged.check{--tone:var(--check)}.judged.bad{--tone:var(--bad)}
+.judged .level{margin:0;color:var(--soft);font-size:15px}
+.judged .level strong{margin-right:8px;color:var(--tone);font-size:24px;letter-spacing:-.012em}
+.judged .summary{margin:4px 0 0;max-width:56em;font-size:18px;line-height:1.4}
+#best{margin-top:18px}#best .lead{margin:8px 0 0;max-width:none;font-size:14px}
+.best{display:grid;gap:12px;grid-template-columns:repeat(3,minmax(0,1fr))}
+.best figure{margin:0}.best img{display:block;width:100%;border-radius:10px;background:#000}
+.best figcaption{margin-top:5px;color:var(--soft);font-size:14px}
+.reasons{display:grid;gap:8px;margin:12px 0 0;padding:0 0 0 20px}
+.reasons .mend{display:block;color:var(--soft);font-size:14.5px}
+.judged details,.judged details:last-of-type{margin-top:10px;border:0;padding:0}
+.facts{display:flex;flex-wrap:wrap;gap:4px 22px;margin:8px 0 0;padding:0;list-style:none;color:var(--soft);
   font-size:14px}
 .facts b{color:var(--ink);font-weight:600}
 section{margin:52px 0 0}
 h2{margin:0 0 6px;font-size:22px;letter-spacing:-.012em;line-height:1.25;font-weight:650}
 h3{margin:0 0 2px;font-size:15px;font-weight:620}
 .lead{margin:0 0 18px;max-width:46em;color:var(--soft)}
-.tiles{display:grid;gap:14px;grid-template-columns:repeat(auto-fit,minmax(176px,1fr));margin-top:34px}
+.tiles{display:grid;gap:14px;grid-template-columns:repeat(auto-fit,minmax(176px,1fr));margin-top:22px}
 .tile,.card{background:var(--card);border:1px solid var(--line);border-radius:14px}
 .tile{padding:18px 20px 16px}
 .tile .name{font-size:13.5px;color:var(--soft)}
@@ -62,7 +74,8 @@ svg .mark{fill:none;stroke-width:1.8;stroke-linejoin:round;stroke-linecap:round}
 table{width:100%;border-collapse:collapse;font-size:14.5px;font-variant-numeric:tabular-nums}
 th,td{padding:8px 12px 8px 0;text-align:right;border-bottom:1px solid var(--hair);white-space:nowrap}
 th:first-child{text-align:left;white-space:normal}
-thead th{font-size:12.5px;font-weight:560;color:var(--faint);border-bottom-color:var(--line)}
+thead th,thead td{border-bottom-color:var(--line)}
+thead th{font-size:12.5px;font-weight:560;color:var(--faint)}
 tbody th{font-weight:500}
 tr:last-child>*{border-bottom:0}
 table.text td{text-align:left;white-space:normal}
@@ -126,10 +139,12 @@ footer{margin-top:56px;padding-bottom:48px;color:var(--faint);font-size:13.5px}
   main,header.top,footer{padding-left:16px;padding-right:16px}
   header.top{padding-top:32px}section{margin-top:40px}
   .tiles{grid-template-columns:1fr 1fr;gap:10px}.tile{padding:14px}.tile .value{font-size:23px}
-  table{font-size:13.5px}th,td{padding-right:8px}th:first-child{min-width:8.5em}
+  table{font-size:13.5px}th,td{padding-right:8px}thead th{white-space:normal}th:first-child{min-width:8.5em}
   .pick{font-size:12px}.pick span{padding:5px 8px;white-space:nowrap}
   .card{padding:14px}.compare{padding:10px}
-  svg text{font-size:14.5px}
+  svg text{font-size:18px}
+  .best{grid-template-columns:1fr 1fr}.best .photo{grid-column:1/-1}
+  .judged{padding:14px 16px}.judged .summary{font-size:17px}
   details dl{grid-template-columns:1fr;gap:2px}details dd{margin-bottom:8px}
 }
 @media print{body{background:#fff}.card,.tile{break-inside:avoid}

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from lvba import part_verdicts
+
 MISSING = "\N{EN DASH}"
 
 
@@ -100,10 +102,18 @@ def verdict(facts: Mapping[str, Any]) -> str:
         word = "crisper" if after < before else "less crisp"
         sentences.append(f"Its surfaces are <strong>{word}</strong>.")
     kept = [
-        name
-        for key, name in (("lidar", "scan"), ("visual", "camera"))
-        if facts.get(key, {}).get("accepted") is False
+        _KEPT[part.name]
+        for part in part_verdicts.of_report(facts)
+        if not part.accepted and part.name in _KEPT
     ]
     if kept:
-        sentences.append(f"The input's <strong>{' and '.join(kept)} poses were kept</strong>: see below why.")
+        sentences.append(f"The input's <strong>{_listed(kept)} were kept</strong>: see below why.")
     return " ".join(sentences)
+
+
+_KEPT = {"scans": "scan poses", "cameras": "camera poses", "exposures": "exposures"}
+
+
+def _listed(names: list[str]) -> str:
+    """Names with commas and a last and."""
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

@@ -1,12 +1,36 @@
-// Talking to the server: the key lives in memory only, and problems become errors that say what to do.
+// Talking to the server: the key is kept by the browser, and problems become errors that say what to do.
 
 import type { Page } from "./types";
 
-let key: string | null = null;
+const KEPT = "lvba-key";
+let key: string | null = stored(() => sessionStorage.getItem(KEPT) ?? localStorage.getItem(KEPT));
 
-export function useKey(value: string | null): void {
+/** A browser may refuse to keep anything; then the key is in memory only. */
+function stored<T>(act: () => T): T | null {
+  try {
+    return act();
+  } catch {
+    return null;
+  }
+}
+
+/** Asks with this key from now on, also after a reload of the page; stay: also after the browser was closed. */
+export function useKey(value: string, stay: boolean): void {
+  forgetKey();
   key = value;
+  stored(() => { (stay ? localStorage : sessionStorage).setItem(KEPT, value); });
+}
+
+export function forgetKey(): void {
+  key = null;
   tickets.clear();
+  stored(() => { sessionStorage.removeItem(KEPT); });
+  stored(() => { localStorage.removeItem(KEPT); });
+}
+
+/** Calls `act` when the server does not take the key any more. */
+export function onLocked(act: () => void): void {
+  addEventListener("lvba-locked", act);
 }
 
 export function headers(): Record<string, string> {
@@ -43,6 +67,7 @@ export async function problemOf(response: Response): Promise<Problem> {
 /** The answer of the server. Throws Problem for what it refuses, TypeError where it cannot be reached. */
 export async function request(path: string, init: RequestInit = {}): Promise<Response> {
   const response = await fetch(path, { ...init, headers: { ...headers(), ...(init.headers as Record<string, string> | undefined) } });
+  if (response.status === 401 && key !== null) dispatchEvent(new Event("lvba-locked"));
   if (!response.ok) throw await problemOf(response);
   return response;
 }
@@ -97,8 +122,8 @@ export function withQuery(url: string, ...queries: string[]): string {
 /** What to tell people about an error. */
 export function told(error: unknown): { cause: string; hint: string } {
   if (error instanceof Problem) {
-    const where = error.errors.map((one) => `${one.where}: ${one.message}`).join("; ");
-    return { cause: where === "" ? error.cause_ : `${error.cause_} ${where}`, hint: error.hint };
+    const more = error.errors.filter((one) => !error.cause_.includes(one.message)).map((one) => `${one.where}: ${one.message}`);
+    return { cause: [error.cause_, ...more].join("; "), hint: error.hint };
   }
   if (error instanceof TypeError) return { cause: "The server cannot be reached.", hint: "Check the connection; this page tries again." };
   return { cause: error instanceof Error ? error.message : String(error), hint: "" };

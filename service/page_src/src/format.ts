@@ -21,6 +21,13 @@ export function duration(seconds: number | null | undefined): string {
   return `${Math.floor(minutes / 60).toString()} h ${(minutes % 60).toString()} min`;
 }
 
+/** A time that is estimated, no finer than it can be known. */
+export function about(seconds: number): string {
+  if (seconds < 95) return `about ${String(Math.max(5, Math.round(seconds / (seconds < 30 ? 5 : 10)) * (seconds < 30 ? 5 : 10)))} s`;
+  const minutes = seconds < 3600 ? Math.round(seconds / 60) : Math.round(seconds / 600) * 10;
+  return minutes < 60 ? `about ${String(minutes)} min` : `about ${String(Math.floor(minutes / 60))} h ${String(minutes % 60)} min`;
+}
+
 export function count(value: number): string {
   if (value < 10_000) return value.toString();
   return value < 1e6 ? `${(value / 1e3).toFixed(0)} k` : `${(value / 1e6).toFixed(value < 1e7 ? 2 : 1)} M`;
@@ -47,6 +54,14 @@ export function length(meters: number | null | undefined): string {
   if (meters === null || meters === undefined) return "–";
   if (meters < 0.01) return `${(meters * 1000).toFixed(2)} mm`;
   return meters < 1 ? `${(meters * 100).toFixed(1)} cm` : `${meters.toFixed(1)} m`;
+}
+
+/** A length in mm with two digits, or in m from one meter on. */
+export function millimeters(meters: number | null | undefined): string {
+  if (meters === null || meters === undefined) return "not known";
+  if (meters >= 1) return `${meters.toFixed(meters < 10 ? 1 : 0)} m`;
+  const value = meters * 1000;
+  return `${value.toFixed(value < 1 ? 2 : value < 10 ? 1 : 0)} mm`;
 }
 
 export function plural(number: number, word: string): string {

@@ -4,7 +4,7 @@ import { render } from "preact";
 import { lazy, Suspense } from "preact/compat";
 import { useEffect, useState } from "preact/hooks";
 
-import { get, Problem, useKey } from "./api";
+import { forgetKey, get, onLocked, Problem, useKey } from "./api";
 import { useRoute } from "./hooks";
 import { nextTheme, type Theme, theme, setTheme } from "./theme";
 import type { Me } from "./types";
@@ -25,7 +25,7 @@ function View({ route }: { route: string[] }) {
   if (first === "jobs" && id !== undefined && more === "result") {
     return (
       <Suspense fallback={<p class="quiet">Loading…</p>}>
-        <Result id={id} />
+        <Result job={id} />
       </Suspense>
     );
   }
@@ -58,6 +58,12 @@ function Frame() {
   const [me, setMe] = useState<Me | null>(null);
   const [locked, setLocked] = useState(false);
   const [problem, setProblem] = useState("");
+  const leave = (): void => {
+    forgetKey();
+    setMe(null);
+    setLocked(true);
+    setProblem("");
+  };
   const enter = (): void => {
     get<Me>("/v1/me").then(
       (found) => {
@@ -67,41 +73,44 @@ function Frame() {
       },
       (error: unknown) => {
         const refused = error instanceof Problem && error.status === 401;
-        setLocked(refused);
+        if (refused) leave();
         setProblem(refused ? error.cause_ : "The server cannot be reached.");
         if (!refused) setTimeout(enter, 3000);
       },
     );
   };
   useEffect(enter, []);
+  useEffect(() => { onLocked(() => { enter(); }); }, []);
   useEffect(() => {
     document.getElementById("main")?.focus({ preventScroll: true });
     scrollTo(0, 0);
   }, [route.join("/")]);
+  const alone = me?.result !== undefined;
   return (
     <>
       <a class="skip" href="#main" onClick={(event) => { event.preventDefault(); document.getElementById("main")?.focus(); }}>
         Skip to content
       </a>
       <header class="top">
-        <a class="brand" href="#/jobs">
+        <a class="brand" href={alone ? "#/" : "#/jobs"}>
           <Mark /> lvba
         </a>
-        <nav aria-label="Main">
+        {!alone && <nav aria-label="Main">
           {LINKS.map(([to, word]) => (
             <a key={to} href={`#/${to}`} {...((route[0] ?? "jobs") === to ? { "aria-current": "page" as const } : {})}>
               {word}
             </a>
           ))}
-        </nav>
+        </nav>}
         <div class="top-end">
-          {me?.auth === true && <span class="quiet">{me.owner}</span>}
+          {me?.auth === true && <span class="quiet owner">{me.owner}</span>}
+          {me?.auth === true && <button type="button" onClick={leave}>Sign out</button>}
           <ThemeButton />
         </div>
       </header>
       <main id="main" tabIndex={-1}>
-        {me !== null ? <View route={route} /> : locked ? (
-          <SignIn problem={problem} enter={(key) => { useKey(key); enter(); }} />
+        {alone ? <Suspense fallback={<p class="quiet">Loading…</p>}><Result job={null} /></Suspense> : me !== null ? <View route={route} /> : locked ? (
+          <SignIn problem={problem} enter={(key, stay) => { useKey(key, stay); enter(); }} />
         ) : <p class="quiet" role="status">{problem === "" ? "Loading…" : `${problem} Trying again.`}</p>}
       </main>
     </>

@@ -1,7 +1,7 @@
 // What the server says, as docs/rest.md has it. Unknown fields are ignored.
 
 export type JobState = "queued" | "running" | "canceling" | "done" | "failed" | "canceled";
-export type StageState = "waiting" | "running" | "done" | "failed";
+export type StageState = "waiting" | "running" | "done" | "failed" | "stopped";
 
 export interface Stage {
   name: string;
@@ -28,6 +28,8 @@ export interface JobError {
   stage?: string | null;
   cause: string;
   hint: string;
+  /** Of a recording that is not valid: the file or folder in it that is meant. */
+  path?: string | null;
 }
 
 export interface Estimate {
@@ -45,6 +47,9 @@ export interface Summary {
   entropy_after: number | null;
   accepted_scans: boolean | null;
   accepted_cameras: boolean | null;
+  /** Missing in jobs of earlier versions. */
+  verdict?: Level | null;
+  map_error_m?: number | null;
 }
 
 export interface Job {
@@ -96,6 +101,7 @@ export interface UploadedFile {
   length: number | null;
   received: number;
   complete: boolean;
+  sha256?: string | null;
 }
 
 export interface Batch {
@@ -123,6 +129,8 @@ export interface Artifact {
 export interface Frame {
   index: number;
   time: number;
+  /** Of the image's file; the last part of `raw` where it is not told. */
+  name?: string;
   raw: string | null;
   before: string | null;
   after: string | null;
@@ -140,6 +148,8 @@ export interface Me {
   owner: string;
   scopes: string[];
   auth: boolean;
+  /** Only from `lvba view`: there is this one result, and nothing else. */
+  result?: { name: string };
   quota?: { bytes: number | null; bytes_used: number } | null;
 }
 
@@ -172,7 +182,7 @@ export interface Options {
   defaults: Record<string, unknown>;
 }
 
-interface ScoresFacts {
+export interface ScoresFacts {
   psnr_leave_one_out?: number | null;
   ssim_leave_one_out?: number | null;
   map_entropy?: number | null;
@@ -180,13 +190,26 @@ interface ScoresFacts {
   per_image?: Record<string, (number | null)[]>;
 }
 
+export interface ExpectedError {
+  position_m: number | null;
+  position_p95_m: number | null;
+  rotation_deg?: number | null;
+  per_frame_m?: (number | null)[];
+}
+
+export type Level = "good" | "check" | "bad";
+
 /** report.json, as far as the page reads it. */
 export interface Report {
+  verdict?: { level: Level; summary: string; reasons: { text: string; mend: string }[] };
+  expected_error?: { map: ExpectedError | null; scans: ExpectedError | null; cameras: ExpectedError | null; at_least?: boolean; note?: string };
+  planes?: { thickness_before_m: number | null; thickness_after_m: number | null };
   dataset?: { scans?: number; images?: number; path_length_m?: number; duration_s?: number };
   lidar?: { accepted?: boolean | null; reason?: string };
-  visual?: { accepted?: boolean | null; reason?: string; exposures_accepted?: boolean | null };
+  visual?: { accepted?: boolean | null; reason?: string; exposures_accepted?: boolean | null; exposures_reason?: string; state?: string };
+  fusion?: { accepted?: boolean | null; reason?: string };
   exposure?: { times?: number[]; relative?: (number | null)[]; reference?: (number | null)[] };
-  evaluation?: { rough?: ScoresFacts; refined?: ScoresFacts };
+  evaluation?: { rough?: ScoresFacts; refined?: ScoresFacts; states?: Record<string, ScoresFacts> };
   reference?: {
     lidar?: { ate_m?: number | null };
     camera?: { ate_m?: number | null };

@@ -2,7 +2,7 @@
 
 import { all, Problem, request, send } from "./api";
 import { pause } from "./events";
-import type { UploadedFile } from "./types";
+import type { JobError, UploadedFile } from "./types";
 
 const PIECE_BYTES = 16 * 1024 * 1024;
 const AT_ONCE = 4;
@@ -28,12 +28,23 @@ export function isArchive(items: Item[]): boolean {
   return items.length === 1 && ARCHIVE.test(items[0]?.file.name ?? "");
 }
 
-/** Paths inside the dataset: the folder that was chosen is taken away where all files lie in it. */
-export function withoutCommonFolder(items: Item[]): Item[] {
+/** Paths inside the dataset: the folder that was chosen is taken away where all files lie in it, unless it is `parts` of one. */
+export function withoutCommonFolder(items: Item[], parts: ReadonlySet<string> = new Set()): Item[] {
   const first = items[0]?.path.split("/")[0] ?? "";
-  const common = items.length > 0 && items.every((item) => item.path.startsWith(`${first}/`));
+  const common = items.length > 0 && !parts.has(first) && items.every((item) => item.path.startsWith(`${first}/`));
   const kept = common ? items.map((item) => ({ ...item, path: item.path.slice(first.length + 1) })) : items;
   return kept.filter((item) => !item.path.split("/").some((part) => part.startsWith(".") || part === "__MACOSX"));
+}
+
+/** Paths inside the dataset of files that mend `wrong`: that file itself, what belongs into that folder, or all files again. */
+export function placedAt(items: Item[], wrong: string): Item[] {
+  const loose = items.every((item) => !item.path.includes("/"));
+  if (!loose) return withoutCommonFolder(items, new Set([wrong.split("/")[0] ?? ""]));
+  const [only] = items;
+  const name = wrong.split("/").pop() ?? "";
+  const folder = name.includes(".") ? wrong.slice(0, Math.max(0, wrong.length - name.length)) : `${wrong}/`;
+  if (items.length === 1 && only !== undefined && isArchive(items)) return items;
+  return items.map((item) => ({ ...item, path: item.path === "config.yaml" ? item.path : `${folder}${item.path}` }));
 }
 
 /** Files and folders that were dropped, with their paths. */
@@ -63,6 +74,27 @@ async function walk(entry: FileSystemEntry, above: string, found: Item[]): Promi
   }
 }
 
+const TEXT = /\.(txt|ya?ml)$/i;
+const MOST_TEXT = 8 * 1024 * 1024;
+const MOST_LINES = 15 * 1024 * 1024;
+
+/** What the server's reader finds wrong with names, poses and calibration, before anything is sent; null: nothing, or not known. */
+export async function checkNames(items: Item[], folder: string): Promise<JobError | null> {
+  if (isArchive(items)) return null;
+  const lines = await Promise.all(items.map(async ({ path, file }) =>
+    JSON.stringify(TEXT.test(path) && file.size <= MOST_TEXT ? { path, text: await file.text() } : { path })));
+  const body = new Blob([lines.join("\n")]);
+  if (body.size > MOST_LINES) return null;
+  try {
+    const response = await request(`/v1/checks?name=${encodeURIComponent(folder)}`, { method: "POST", body, headers: { "Content-Type": "application/x-ndjson" } });
+    return ((await response.json()) as { error: JobError | null }).error;
+  } catch (error) {
+    // what cannot be asked now is found out after the upload
+    if (error instanceof Problem && error.status === 401) throw error;
+    return null;
+  }
+}
+
 /** One upload of files into a dataset. `run` may be called again after it failed or was stopped. */
 export class Upload {
   private sent = new Map<string, number>();
@@ -72,6 +104,8 @@ export class Upload {
   constructor(
     readonly dataset: string,
     readonly items: Item[],
+    /** What the server found wrong: sent anew, whatever it has of it. */
+    private readonly wrong: string | null,
     private readonly tell: (progress: Progress) => void,
   ) {}
 
@@ -82,13 +116,15 @@ export class Upload {
       return;
     }
     const known = await all<UploadedFile>(`/v1/datasets/${this.dataset}/files`, 1_000_000);
-    const complete = new Set(known.filter((file) => file.complete).map((file) => `${file.path} ${String(file.length)}`));
-    const begun = new Set(known.map((file) => file.path));
-    const waiting = this.items.filter((item) => {
-      const there = complete.has(`${item.path} ${String(item.file.size)}`);
-      if (there) this.sent.set(item.path, item.file.size);
-      return !there;
-    });
+    const there = new Map(known.map((file) => [file.path, file]));
+    const waiting: Item[] = [];
+    const begun = new Set<string>();
+    for (const item of this.items) {
+      const state = await this.stateOf(item, there.get(item.path));
+      if (state === "there") this.sent.set(item.path, item.file.size);
+      else waiting.push(item);
+      if (state === "begun") begun.add(item.path);
+    }
     this.report();
     const worker = async (): Promise<void> => {
       for (let item = waiting.shift(); item !== undefined && !signal.aborted; item = waiting.shift()) {
@@ -98,6 +134,15 @@ export class Upload {
     };
     await Promise.all(Array.from({ length: AT_ONCE }, worker));
     if (signal.aborted) throw new DOMException("stopped", "AbortError");
+  }
+
+  /** Whether a file is there as it is here, has begun to arrive, or must be sent from its beginning. */
+  private async stateOf(item: Item, known: UploadedFile | undefined): Promise<"there" | "begun" | "new"> {
+    if (known === undefined || known.length !== item.file.size || (known.path === this.wrong && !this.sent.has(item.path))) return "new";
+    if (!known.complete) return "begun";
+    // the same length does not make it the same file; what is large is not read for that alone
+    if (this.wrong === null || item.file.size > PIECE_BYTES || !window.isSecureContext) return "there";
+    return known.sha256 === (await hex(item.file)) ? "there" : "new";
   }
 
   /** Tells the server that all is there. */
@@ -188,4 +233,9 @@ async function contentDigest(piece: Blob): Promise<string> {
   if (!window.isSecureContext) return "";
   const sum = await crypto.subtle.digest("SHA-256", await piece.arrayBuffer());
   return `sha-256=:${btoa(String.fromCharCode(...new Uint8Array(sum)))}:`;
+}
+
+async function hex(file: Blob): Promise<string> {
+  const sum = await crypto.subtle.digest("SHA-256", await file.arrayBuffer());
+  return [...new Uint8Array(sum)].map((byte) => byte.toString(16).padStart(2, "0")).join("");
 }

@@ -2,15 +2,15 @@
 
 import dataclasses
 import os
-import shutil
+from collections.abc import Sequence
 from importlib import metadata
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Depends, Response
+from fastapi import APIRouter, Depends, Query, Response
 from sqlalchemy import func, select, text
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.server import context, estimates, keys, metrics, options, quota
+from service.server import context, disk_space, estimates, keys, metrics, options, quota
 from service.server.context import Context, Reader, needs, who
 from service.server.keys import Principal
 from service.server.problems import Problem
@@ -18,6 +18,7 @@ from service.server.schemas import TicketFor
 from service.server.tables import CANCELING, QUEUED, RUNNING, Job
 
 router = APIRouter(tags=["server"])
+Exclude = Annotated[Sequence[Literal["disk"]], Query()]
 
 
 @router.get("/v1/me")
@@ -26,7 +27,7 @@ def me(server: Context, principal: Annotated[Principal, Depends(who)]) -> dict[s
     mine = select(Job.state, func.count()).where(Job.owner == principal.owner, Job.deleted.is_(False))
     with server.database.read() as session:
         counts = {state: count for state, count in session.execute(mine.group_by(Job.state))}
-        used = quota.used_bytes(session, principal.owner)
+        used = quota.used(session, principal.owner)
     limits = server.settings.limits
     return {
         "owner": principal.owner,
@@ -34,7 +35,9 @@ def me(server: Context, principal: Annotated[Principal, Depends(who)]) -> dict[s
         "auth": server.settings.asks_for_keys,
         "quota": {
             "bytes": limits.owner_bytes,
-            "bytes_used": used,
+            "bytes_used": used.bytes,
+            "files": limits.owner_files,
+            "files_used": used.files,
             "queued_jobs": limits.queued_jobs,
             "queued_jobs_used": counts.get(QUEUED, 0),
             "running_jobs": limits.running_jobs,
@@ -67,7 +70,7 @@ def info(server: Context, principal: Reader) -> dict[str, Any]:
         "version": metadata.version("lvba"),
         "cores": os.cpu_count(),
         "memory_bytes": estimates.memory_bytes(),
-        "disk_free_bytes": shutil.disk_usage(server.places.root).free,
+        "disk_free_bytes": disk_space.free_bytes(server.places.root),
         "concurrency": server.settings.jobs,
         "queued": counts.get(QUEUED, 0),
         "running": counts.get(RUNNING, 0) + counts.get(CANCELING, 0),
@@ -86,8 +89,11 @@ def healthz(server: Context) -> dict[str, str]:
 
 
 @router.get("/readyz")
-def readyz(server: Context) -> dict[str, str]:
-    """Whether requests can be served: the database answers, and files can be written."""
+def readyz(server: Context, exclude: Exclude = ()) -> dict[str, str]:
+    """Whether requests can be served and jobs begun: the database answers, files can be written, the disk has room.
+
+    exclude: `disk` leaves out its room, for who would take away a server whose users must remove something
+    """
     try:
         with server.database.read() as session:
             session.execute(text("SELECT 1"))
@@ -95,6 +101,10 @@ def readyz(server: Context) -> dict[str, str]:
         raise Problem("unavailable", "the database does not answer") from None
     if not os.access(server.places.root, os.W_OK):
         raise Problem("unavailable", "the data folder cannot be written")
+    lack = None if "disk" in exclude else disk_space.lacking(server.places.root)
+    if lack:
+        mend = "remove what is not needed; jobs and uploads go on by themselves"
+        raise Problem("unavailable", f"the disk of the data folder is full: {lack}", mend)
     return {"status": "ready"}
 
 

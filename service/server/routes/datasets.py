@@ -1,7 +1,6 @@
 """Datasets: made, listed, looked into, removed."""
 
 import json
-import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,7 +10,7 @@ from sqlalchemy.orm import Session
 from starlette.responses import FileResponse
 
 from lvba.errors import InputError
-from service.server import finding, names, served, shown, store_urls
+from service.server import finding, names, quota, recording_roots, served, shown, store_urls
 from service.server.context import Context, Reader, Server, Submitter
 from service.server.places import new_id, now
 from service.server.problems import Problem
@@ -37,9 +36,10 @@ def create(body: NewDataset, server: Context, principal: Submitter, response: Re
         updated=now(),
     )
     with server.database.write() as session:
+        quota.check(server.database, session, principal.owner, server.settings.limits, 0, 1)
         session.add(row)
         session.flush()
-        found = shown.dataset(session, row, server.settings)
+        found = shown.dataset(session, row, server.places, server.settings)
     server.supervisor.wake()
     response.headers["Location"] = f"/v1/datasets/{row.id}"
     return found
@@ -55,9 +55,9 @@ def _registered(server: Server, folder: str) -> str:
             )
         return url
     path = Path(folder)
-    roots = [Path(root).resolve() for root in server.settings.roots if not store_urls.is_url(root)]
     resolved = path.resolve()
-    if not path.is_absolute() or not any(resolved.is_relative_to(root) for root in roots):
+    below = any(resolved.is_relative_to(root) for root in recording_roots.roots(server.settings))
+    if not path.is_absolute() or not below:
         # whether it exists is nobody's business outside the roots
         raise Problem("forbidden", "the folder is not below a root of this server", "see `roots` of /v1/info")
     if not resolved.is_dir():
@@ -71,14 +71,19 @@ def listed(server: Context, principal: Reader, limit: Limit = 50, cursor: Cursor
     wanted = select(Dataset).where(Dataset.owner == principal.owner, Dataset.deleted.is_(False))
     with server.database.read() as session:
         rows, more = finding.page(session, Dataset, wanted, limit, cursor)
-        return {"items": [shown.dataset(session, row, server.settings) for row in rows], "next": more}
+        return {
+            "items": [shown.dataset(session, row, server.places, server.settings) for row in rows],
+            "next": more,
+        }
 
 
 @router.get("/{dataset_id}")
 def read(dataset_id: str, server: Context, principal: Reader) -> dict[str, Any]:
     """One dataset."""
     with server.database.read() as session:
-        return shown.dataset(session, finding.one(session, Dataset, dataset_id, principal), server.settings)
+        return shown.dataset(
+            session, finding.one(session, Dataset, dataset_id, principal), server.places, server.settings
+        )
 
 
 @router.delete("/{dataset_id}", status_code=204)
@@ -92,6 +97,7 @@ def remove(dataset_id: str, server: Context, principal: Submitter) -> None:
         if session.scalar(waiting):
             raise Problem("conflict", "jobs that need it wait or run", "cancel them first")
         row.deleted = True
+    server.supervisor.sweep()
 
 
 @router.post("/{dataset_id}/finish", status_code=202)
@@ -101,7 +107,7 @@ def finish(dataset_id: str, server: Context, principal: Submitter) -> dict[str, 
         row = finding.one(session, Dataset, dataset_id, principal, lock=True)
         if row.state in (UPLOADING, INVALID):
             _begin_check(session, row)
-        found = shown.dataset(session, row, server.settings)
+        found = shown.dataset(session, row, server.places, server.settings)
     server.supervisor.wake()
     return found
 
@@ -178,9 +184,7 @@ def file(dataset_id: str, path: str, server: Context, principal: Reader) -> File
         raise Problem("not-ready", f"the dataset is {row.state}", "wait until it is ready")
     root = server.places.recording(row.id, row.folder)
     try:
-        found = names.below(root, path)
-    except InputError:
-        raise Problem("not-found", "there is no such file") from None
-    if not os.path.isfile(found):
-        raise Problem("not-found", "there is no such file")
+        found = names.opened(root, path)
+    except InputError as error:
+        raise Problem("not-found", f"{error.where}: {error.problem}", error.mend) from None
     return served.FileOf(found, path, strange=True)

@@ -3,19 +3,19 @@
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, BinaryIO
 
 from fastapi import APIRouter, Header, Query, Response
 from starlette.responses import FileResponse, StreamingResponse
 
-from lvba.errors import InputError
 from service.server import finding, names, served, words
+from service.server import results as digests
 from service.server.context import Context, Reader, Server
 from service.server.keys import Principal
 from service.server.problems import Problem
 from service.server.routes.datasets import frames_of
 from service.server.streamed_zip import zipped
-from service.server.tables import DONE, ENDED, Dataset, Job
+from service.server.tables import DONE, ENDED, Dataset, Job, Result
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 _STREAM = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
@@ -37,7 +37,9 @@ async def events(
     server: Context, principal: Reader, last_event_id: LastEventId = None, after: After = None
 ) -> StreamingResponse:
     """What happens to all jobs of the owner, as server-sent events without end."""
-    stream = server.broadcaster.stream(_cursor(last_event_id, after), None, principal.owner)
+    stream = server.broadcaster.stream(
+        _cursor(last_event_id, after), None, principal.owner, _key(server, principal)
+    )
     return StreamingResponse(stream, media_type="text/event-stream", headers=_STREAM)
 
 
@@ -51,8 +53,15 @@ async def job_events(
 ) -> StreamingResponse:
     """What happens to one job, as server-sent events until it has ended."""
     await server.broadcaster.ask(_job, server, principal, job_id)
-    stream = server.broadcaster.stream(_cursor(last_event_id, after) or 0, job_id, principal.owner)
+    stream = server.broadcaster.stream(
+        _cursor(last_event_id, after) or 0, job_id, principal.owner, _key(server, principal)
+    )
     return StreamingResponse(stream, media_type="text/event-stream", headers=_STREAM)
+
+
+def _key(server: Server, principal: Principal) -> str | None:
+    """The key that a stream hangs on."""
+    return principal.key_id if server.settings.asks_for_keys else None
 
 
 def _job(server: Server, principal: Principal, job_id: str) -> Job:
@@ -96,19 +105,24 @@ def _whole_lines(data: bytes, *, all_there: bool, full: bool) -> bytes:
 
 @router.get("/jobs/{job_id}/results")
 def results(job_id: str, server: Context, principal: Reader) -> dict[str, Any]:
-    """Names, sizes and types of all results."""
-    out = _out(server, principal, job_id)
-    return {
-        "items": [served.result_shown(job_id, out, name) for name in served.result_names(out)],
-        "next": None,
-    }
+    """Names, sizes, types and digests of all results."""
+    out, made = _made(server, principal, job_id)
+    items = [served.result_shown(_base(job_id), out, name, row) for name, row in made.items()]
+    return {"items": items, "next": None}
 
 
-def _out(server: Server, principal: Principal, job_id: str) -> Any:
-    job = _job(server, principal, job_id)
-    if job.state != DONE:
-        raise Problem("not-ready", f"the job is {job.state}", job_id=job_id)
-    return server.places.out(job_id)
+def _base(job_id: str) -> str:
+    return f"/v1/jobs/{job_id}/results/"
+
+
+def _made(server: Server, principal: Principal, job_id: str) -> tuple[Path, dict[str, Result | None]]:
+    """The result folder of a job that is done, and its files."""
+    with server.database.read() as session:
+        job = finding.one(session, Job, job_id, principal)
+        if job.state != DONE:
+            raise Problem("not-ready", f"the job is {job.state}", job_id=job_id)
+        out = server.places.out(job_id)
+        return out, digests.of_job(session, job_id, out)
 
 
 @router.head("/jobs/{job_id}/results/{name:path}", include_in_schema=False)
@@ -117,38 +131,41 @@ def result(
     job_id: str, name: str, server: Context, principal: Reader, download: bool = False
 ) -> FileResponse:
     """One result."""
-    out = _out(server, principal, job_id)
-    try:
-        file = names.below(out, name)
-    except InputError:
-        raise Problem("not-found", "there is no such result") from None
-    hidden = name.split("/")[0] == "stages" or any(part.startswith(".") for part in name.split("/"))
-    if hidden or not file.is_file():
-        raise Problem("not-found", "there is no such result", "see the list of results")
-    return served.FileOf(file, name, download=download)
+    with server.database.read() as session:
+        job = finding.one(session, Job, job_id, principal)
+        if job.state != DONE:
+            raise Problem("not-ready", f"the job is {job.state}", job_id=job_id)
+        row = digests.one(session, job_id, name)
+    file = server.results.opened(server.places.out(job_id), name, row)
+    return served.FileOf(file, name, download=download, sha256=row.sha256 if row else None)
 
 
 @router.get("/jobs/{job_id}/archive", response_class=StreamingResponse)
 def archive(job_id: str, server: Context, principal: Reader) -> Response:
-    """All results as one zip file."""
-    out = _out(server, principal, job_id)
-    headers = {"Content-Disposition": f'attachment; filename="{job_id}.zip"', "Cache-Control": "no-store"}
-    pieces: Iterator[bytes] = zipped(out, served.result_names(out), zipfile.ZIP_STORED)
+    """All results as one zip file, named after the job, in one folder of that name."""
+    out, made = _made(server, principal, job_id)
+
+    def opened(name: str) -> BinaryIO:
+        return server.results.opened(out, name, made[name])
+
+    # what is damaged is said before anything is sent; what becomes so meanwhile cuts the answer off
+    for name in made:
+        opened(name).close()
+    folder = names.plain(_job(server, principal, job_id).name or "", job_id)
+    headers = {"Content-Disposition": served.attachment(f"{folder}.zip"), "Cache-Control": "no-store"}
+    pieces: Iterator[bytes] = zipped(opened, made, zipfile.ZIP_STORED, folder)
     return StreamingResponse(pieces, media_type="application/zip", headers=headers)
 
 
 @router.get("/jobs/{job_id}/frames")
 def frames(job_id: str, server: Context, principal: Reader) -> dict[str, Any]:
     """Photographs, and the map rendered at their poses."""
-    out = _out(server, principal, job_id)
+    _, there = _made(server, principal, job_id)
     job = _job(server, principal, job_id)
     with server.database.read() as session:
         dataset = finding.one(session, Dataset, job.dataset_id, principal)
-    there = set(served.result_names(out))
-    base = f"/v1/jobs/{job_id}/results/"
     items = []
     for frame in frames_of(server, dataset):
-        made = {state: f"frames/{state}/{frame['index']:06}.jpg" for state in ("photo", "before", "after")}
-        urls = {state: base + name if name in there else None for state, name in made.items()}
-        items.append({"index": frame["index"], "time": frame["time"], "raw": frame["url"], **urls})
+        pictures = served.pictures(_base(job_id), there, frame["index"])
+        items.append({"index": frame["index"], "time": frame["time"], "raw": frame["url"], **pictures})
     return {"items": items}

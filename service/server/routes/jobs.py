@@ -121,6 +121,7 @@ def remove(job_id: str, server: Context, principal: Submitter) -> None:
         if job.state not in ENDED:
             raise Problem("conflict", f"the job is {job.state}", "cancel it first")
         job.deleted = True
+    server.supervisor.sweep()
 
 
 @router.post("/jobs/{job_id}/cancel", status_code=202)
@@ -160,6 +161,7 @@ def restart(
         if job.state not in ENDED:
             raise Problem("conflict", f"the job is {job.state}", "cancel it first, or wait")
         _check_stage(job, wanted.from_stage)
+        submitting.check_restart(server, session, job)
         job.redo = wanted.from_stage
         job.config = job.config if wanted.config is None else wanted.config
         job.state, job.error, job.summary, job.finished, job.started = QUEUED, None, None, None, None

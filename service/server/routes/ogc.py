@@ -8,9 +8,10 @@ from sqlalchemy import select
 from starlette.responses import JSONResponse
 
 from service.server import finding, options, served, shown
+from service.server import results as made
 from service.server.context import Context, Reader, Submitter
 from service.server.places import now
-from service.server.problems import Problem
+from service.server.problems import Problem, first_errors
 from service.server.routes import jobs as native
 from service.server.schemas import Execution, NewJob
 from service.server.tables import CANCELED, CANCELING, DONE, ENDED, FAILED, QUEUED, RUNNING, Job
@@ -86,7 +87,10 @@ def process(process_id: str, request: Request) -> dict[str, Any]:
     outputs = {
         "map": ("colored point cloud, PLY", "application/octet-stream"),
         "lidar_poses": ("refined scan poses, TUM", "text/plain"),
-        "image_poses": ("refined camera poses, TUM", "text/plain"),
+        "image_poses": (
+            "refined poses of the images, TUM: its first line says whether of the camera or the body",
+            "text/plain",
+        ),
         "exposures": ("relative exposures", "text/csv"),
         "report": ("everything that was measured", "application/json"),
     }
@@ -140,10 +144,7 @@ def execute(
     try:
         wanted = NewJob.model_validate(body.inputs)
     except ValidationError as error:
-        found = [
-            {"where": ".".join(["inputs", *map(str, one["loc"])]), "message": one["msg"]}
-            for one in error.errors()
-        ]
+        found = first_errors([{**one, "loc": ("inputs", *one["loc"])} for one in error.errors()])
         raise Problem("invalid", f"{found[0]['where']}: {found[0]['message']}", errors=found) from None
     job_id = native.submit(wanted, server, principal, response)["id"]
     response.headers["Location"] = f"{str(request.base_url).rstrip('/')}/jobs/{job_id}"
@@ -223,13 +224,13 @@ def results(job_id: str, request: Request, server: Context, principal: Reader) -
     """Links to what the job made."""
     with server.database.read() as session:
         row = finding.one(session, Job, job_id, principal)
+        there = made.of_job(session, job_id, server.places.out(job_id))
     if row.state == FAILED:
         raise Problem("conflict", (row.error or {}).get("cause") or "the job failed", job_id=job_id)
     if row.state != DONE:
         problem = Problem("not-found", f"the job is {_WORDS[row.state]}", "wait until it is successful")
         problem.more["type"] = _EXCEPTIONS + "result-not-ready"
         raise problem
-    there = set(served.result_names(server.places.out(job_id)))
     names = {
         "map": "map.ply",
         "lidar_poses": "lidar_poses.txt",

@@ -21,7 +21,7 @@ _NO_PAGE = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>
 @router.get("/")
 def root(request: Request) -> Response:
     """The page for people, the landing page for programs."""
-    return _index() if _prefers_html(request.headers.get("accept", "")) else ogc.landing(request)
+    return index() if _prefers_html(request.headers.get("accept", "")) else ogc.landing(request)
 
 
 def _prefers_html(accept: str) -> bool:
@@ -37,7 +37,8 @@ def _prefers_html(accept: str) -> bool:
     return weights.get("text/html", 0.0) > weights.get("application/json", 0.0)
 
 
-def _index() -> Response:
+def index() -> Response:
+    """The page itself."""
     index = FOLDER / "index.html"
     if not index.is_file():
         return HTMLResponse(_NO_PAGE)
@@ -48,14 +49,18 @@ def _index() -> Response:
 @router.get("/app/{path:path}")
 def app(path: str = "") -> Response:
     """A file of the page; the page itself for its own addresses."""
-    file = (FOLDER / path).resolve()
-    if path and file.is_relative_to(FOLDER) and file.is_file():
+    try:
+        file = (FOLDER / path).resolve()
+        found = path != "" and file.is_relative_to(FOLDER) and file.is_file()
+    except OSError:  # no file has a name as long as that
+        raise Problem("not-found", "there is no such file") from None
+    if found:
         lasting = path.startswith("assets/")  # their names change with their contents
         cached = "public, max-age=31536000, immutable" if lasting else "no-cache"
         return FileResponse(file, headers={"Cache-Control": cached})
     if "." in path.rsplit("/", 1)[-1]:
         raise Problem("not-found", "there is no such file")
-    return _index()
+    return index()
 
 
 @router.get("/docs")

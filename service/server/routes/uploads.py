@@ -1,5 +1,6 @@
 """Uploads: pieces of files, and of archives."""
 
+from contextlib import suppress
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Request, Response
@@ -7,7 +8,8 @@ from sqlalchemy import delete
 from starlette.concurrency import run_in_threadpool
 
 from lvba.errors import InputError
-from service.server import arriving, finding, names
+from lvba.io.files import sync
+from service.server import arriving, finding, names, upload_record
 from service.server.context import Context, Server, Submitter
 from service.server.keys import Principal
 from service.server.problems import Problem, of_input
@@ -57,11 +59,16 @@ async def _put(
     server: Server, principal: Principal, dataset_id: str, path: str, request: Request, response: Response
 ) -> dict[str, Any]:
     wanted = arriving.piece(request.headers)
-    upload = await run_in_threadpool(arriving.admit, server, principal, dataset_id, path, wanted)
-    file = server.places.upload(dataset_id, upload.id)
-    received = await arriving.receive(file, wanted, request.stream())
-    if received == wanted.length:
-        upload = await run_in_threadpool(arriving.complete, server, upload, wanted, file)
+    place = f"{principal.owner}/{dataset_id}/{path}"
+    async with server.active_uploads.begin(place, principal.key_id) as active:
+        upload, stream = await run_in_threadpool(
+            upload_record.begin, server, principal, dataset_id, path, wanted
+        )
+        # held until the record says what the file is: nobody else changes it while its digest is taken
+        with stream:
+            reserve = server.settings.limits.disk_reserve_bytes
+            received = await arriving.receive(stream, wanted, active.of(request.stream()), reserve)
+            upload = await run_in_threadpool(upload_record.end, server, upload, wanted, stream, received)
     response.status_code = 201 if upload.complete else 200
     response.headers["Upload-Offset"] = str(received)
     return upload_shown(server, upload)
@@ -80,7 +87,13 @@ def head_archive(dataset_id: str, server: Context, principal: Submitter) -> Resp
 
 
 def _head(server: Server, principal: Principal, dataset_id: str, path: str) -> Response:
-    found = upload_shown(server, _find(server, principal, dataset_id, path))
+    upload = _find(server, principal, dataset_id, path)
+    found = upload_shown(server, upload)
+    if not upload.complete:
+        # what is said to be there may be forgotten by the client: also if the request that brings it is not answered yet
+        with suppress(FileNotFoundError):
+            sync(server.places.upload(dataset_id, upload.id))
+        upload_record.settle(server, upload)
     headers = {
         "Upload-Offset": str(found["received"]),
         "Upload-Length": str(found["length"]),
@@ -93,7 +106,7 @@ def _head(server: Server, principal: Principal, dataset_id: str, path: str) -> R
 def _find(server: Server, principal: Principal, dataset_id: str, path: str) -> Upload:
     with server.database.read() as session:
         finding.one(session, Dataset, dataset_id, principal)
-        upload = arriving.find(session, dataset_id, path)
+        upload = upload_record.find(session, dataset_id, path)
     if upload is None:
         raise Problem("not-found", "nothing of this file has arrived")
     return upload

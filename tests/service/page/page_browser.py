@@ -1,27 +1,17 @@
 """A real browser in front of a real service, and what must hold whenever a page is looked at."""
 
-import json
 import os
 import re
 import subprocess
 import sys
 import time
-from pathlib import Path
 
+from browsers import check_accessible
 from gates import Gates
 from ports import free_port
 
+NAME = "small yard"
 PATIENCE_MS = 400_000  # the first run on a machine compiles the kernels
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-# WebGL by a renderer in software: test machines have no graphics card
-OPTIONS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-
-
-def launch(playwright, program):
-    """A browser without a window."""
-    return playwright.chromium.launch(
-        executable_path=program, args=[*OPTIONS, "--disable-dev-shm-usage"], timeout=60_000
-    )
 
 
 class Served:
@@ -108,16 +98,7 @@ class Watched:
 
     def accessible(self):
         """No violation that axe finds (WCAG 2.2 A and AA, and its best practices)."""
-        import axe_playwright_python
-
-        source = (Path(axe_playwright_python.__file__).parent / "axe.min.js").read_text()
-        self.page.evaluate(source)
-        found = self.page.evaluate("axe.run(document, {resultTypes: ['violations']})")
-        told = [
-            {"rule": one["id"], "where": [node["target"] for node in one["nodes"]][:4], "help": one["help"]}
-            for one in found["violations"]
-        ]
-        assert told == [], json.dumps(told, indent=1)
+        check_accessible(self.page)
 
 
 def _pixels(png):
@@ -134,9 +115,49 @@ def colors_of(png):
     return len(np.unique(_pixels(png).reshape(-1, 3), axis=0))
 
 
-def alike(png, other):
-    """Whether two pictures are the same: letters over the map come out one gray value off at times."""
+def alike(png, other, *, right=1.0):
+    """Whether two pictures are the same, or this part of them: letters over the map come out one gray value off at
+    times."""
     import cv2
 
-    one, two = _pixels(png), _pixels(other)
+    one, two = (picture[:, round((1 - right) * picture.shape[1]) :] for picture in map(_pixels, (png, other)))
     return one.shape == two.shape and cv2.absdiff(one, two).max() <= 2
+
+
+def choose_folder(page, folder):
+    page.get_by_label("Choose folder").set_input_files(folder)
+
+
+def show_map(watched, job):
+    """Opens the result and waits until the map is there; the canvas."""
+    watched.go(f"jobs/{job}/result")
+    watched.page.wait_for_function(
+        "() => /^[1-9]/.test(document.querySelector('.cloud-status')?.textContent ?? '')"
+    )
+    return watched.page.get_by_role("application", name="Map in 3D")
+
+
+def hide_lines(page):
+    page.get_by_label("Cameras").uncheck()
+    page.get_by_label("Paths").uncheck()
+
+
+def at_rest(canvas):
+    """A picture of the map that is followed by the same one."""
+    picture, end = canvas.screenshot(), time.monotonic() + PATIENCE_MS / 1000
+    while True:
+        canvas.page.wait_for_timeout(300)
+        before, picture = picture, canvas.screenshot()
+        if alike(before, picture):
+            return picture
+        assert time.monotonic() < end, "the map keeps changing"
+
+
+def new_picture(canvas, seen):
+    """Waits until the map looks like none of these."""
+    end = time.monotonic() + PATIENCE_MS / 1000
+    picture = at_rest(canvas)
+    while any(alike(picture, one) for one in seen):
+        assert time.monotonic() < end, "the map looks as before"
+        picture = at_rest(canvas)
+    return picture

@@ -1,131 +1,20 @@
 """The page in a real browser before a real service: from an upload to the map on the screen and the files at home."""
 
 import hashlib
-import time
 
 import pytest
-
-sync_api = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
-
-from page_browser import BROWSERS, PATIENCE_MS, Served, Watched, alike, colors_of, launch  # noqa: E402
-from programs import program_or_skip  # noqa: E402
-
-from lvba import simulate  # noqa: E402
-
-NAME = "small yard"
-
-
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("recordings") / NAME
-    simulate.simulate(
-        "courtyard", folder, frames=8, scans=8, seed=3, width=160, height=120, points_per_scan=6000
-    )
-    return folder
-
-
-@pytest.fixture(scope="module")
-def browser():
-    # before the driver starts: it needs libraries that a browser brings along
-    program = program_or_skip(*BROWSERS)
-    with sync_api.sync_playwright() as playwright:
-        browser = launch(playwright, program)
-        yield browser
-        browser.close()
-
-
-@pytest.fixture(scope="module")
-def served(tmp_path_factory, browser):
-    served = Served(tmp_path_factory.mktemp("served") / "data")
-    yield served
-    served.stop()
-
-
-@pytest.fixture
-def watched(browser, served):
-    watched = Watched(browser, served.url)
-    yield watched
-    watched.context.close()
-
-
-@pytest.fixture(scope="module")
-def job(browser, served, recording):
-    """Id of a job that went through the page from the upload to its end."""
-    watched = Watched(browser, served.url)
-    page = watched.page
-    watched.go("jobs")
-    page.get_by_text("No jobs yet").wait_for()
-    watched.accessible()
-    page.get_by_role("link", name="New job").first.click()
-    choose_folder(page, recording)
-    held = []
-    page.route("**/finish", lambda route: held.append(route))
-    page.get_by_role("button", name="Upload", exact=True).click()
-    page.get_by_role("progressbar", name="Upload").wait_for()
-    page.unroute("**/finish")
-    for route in held:
-        route.continue_()
-    page.get_by_role("radio", name=NAME).wait_for()
-    assert page.get_by_role("radio", name=NAME).is_checked()
-    page.get_by_role("searchbox", name="Search settings").fill("pyramid levels")
-    page.get_by_label("visual levels", exact=True).fill("2")
-    page.get_by_label("visual levels", exact=True).blur()
-    page.get_by_text("1 changed").wait_for()
-    watched.accessible()
-    with served.gates.held("visual"):
-        page.get_by_role("button", name="Start").click()
-        page.get_by_role("progressbar", name="Progress of the job").wait_for()
-        page.locator(".timeline .step").first.wait_for()
-        watched.accessible()
-    page.get_by_role("link", name="See the result").wait_for()
-    assert page.locator(".timeline .step").count() == page.locator(".timeline .step-done").count()
-    page.get_by_role("log").get_by_text("report:").wait_for()
-    page.get_by_text("Settings that were changed").click()
-    page.get_by_text('"levels": 2').wait_for()
-    watched.accessible()
-    job = page.url.rsplit("/", 1)[-1]
-    watched.check()
-    watched.context.close()
-    return job
-
-
-def choose_folder(page, folder):
-    page.get_by_label("Choose folder").set_input_files(folder)
-
-
-def show_map(watched, job):
-    """Opens the result and waits until the map is there; the canvas."""
-    watched.go(f"jobs/{job}/result")
-    watched.page.wait_for_function(
-        "() => /^[1-9]/.test(document.querySelector('.cloud-status')?.textContent ?? '')"
-    )
-    return watched.page.get_by_role("application", name="Map in 3D")
-
-
-def hide_lines(page):
-    page.get_by_label("Cameras").uncheck()
-    page.get_by_label("Paths").uncheck()
-
-
-def at_rest(canvas):
-    """A picture of the map that is followed by the same one."""
-    picture, end = canvas.screenshot(), time.monotonic() + PATIENCE_MS / 1000
-    while True:
-        canvas.page.wait_for_timeout(300)
-        before, picture = picture, canvas.screenshot()
-        if alike(before, picture):
-            return picture
-        assert time.monotonic() < end, "the map keeps changing"
-
-
-def new_picture(canvas, seen):
-    """Waits until the map looks like none of these."""
-    end = time.monotonic() + PATIENCE_MS / 1000
-    picture = at_rest(canvas)
-    while any(alike(picture, one) for one in seen):
-        assert time.monotonic() < end, "the map looks as before"
-        picture = at_rest(canvas)
-    return picture
+from page_browser import (
+    NAME,
+    Served,
+    Watched,
+    alike,
+    at_rest,
+    choose_folder,
+    colors_of,
+    hide_lines,
+    new_picture,
+    show_map,
+)
 
 
 def test_the_map_is_on_the_screen_and_turns_by_keys(watched, job):
@@ -175,10 +64,61 @@ def test_the_slider_goes_between_the_pictures_and_figures_are_shown(watched, job
     page.get_by_role("button", name="Next image").click()
     assert page.get_by_label("Image", exact=True).input_value() == "1"
     page.get_by_role("button", name="View from here").click()
+    canvas = page.get_by_role("application", name="Map in 3D")
+    from_there = at_rest(canvas)
+    hide_lines(page)
+    # frustums and paths do not lie across the view from a camera; on the left are the boxes that were unchecked
+    assert alike(at_rest(canvas), from_there, right=0.5)
     assert page.get_by_role("img", name="PSNR").count() == 1
     assert page.get_by_role("img", name="Relative exposure").count() == 1
     watched.accessible()
     watched.check()
+
+
+def test_photographs_are_compared_without_scrolling_on_a_small_laptop(watched, job):
+    watched.page.set_viewport_size({"width": 1280, "height": 800})
+    show_map(watched, job)
+    button = watched.page.get_by_role("button", name="Compare photographs")
+    assert button.bounding_box()["y"] < 200
+    button.click()
+    box = watched.page.locator(".compare").bounding_box()
+    assert box["y"] >= 0
+    assert box["y"] + box["height"] <= 800
+
+
+def test_on_a_phone_nothing_lies_beside_the_screen_and_letters_can_be_read(browser, served, job):
+    phone = Watched(browser, served.url)
+    page = phone.page
+    page.set_viewport_size({"width": 390, "height": 844})
+    phone.go("jobs")
+    row = page.get_by_role("row").filter(has=page.get_by_role("link", name=NAME, exact=True))
+    for shown in (row.get_by_role("link", name="Result of"), row.locator(".gain-cell")):
+        box = shown.bounding_box()
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= 390
+    phone.accessible()
+    row.get_by_role("link", name="Result of").click()
+    page.locator(".chart .tick").first.wait_for()
+    sizes = page.locator(".chart .tick").evaluate_all(
+        "(all) => all.map((one) => parseFloat(getComputedStyle(one).fontSize) * one.getScreenCTM().a)"
+    )
+    assert min(sizes) >= 12
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    phone.accessible()
+    phone.check()
+    phone.context.close()
+
+
+def test_every_figure_of_a_step_is_explained_by_the_state_before_it(watched, job):
+    show_map(watched, job)
+    kept = watched.page.get_by_role("region", name="What was kept")
+    kept.get_by_text("Each part is compared with the state before it").wait_for()
+    top = (
+        watched.page.get_by_role("list", name="The input and the result").get_by_text("dB").all_inner_texts()
+    )
+    rows = kept.get_by_role("row").all_inner_texts()
+    first, last = (next(row for row in rows if word in row) for word in ("The input", "the result"))
+    assert [row.split()[-2] for row in (first, last)] == [text.split()[0] for text in top]
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -259,7 +199,14 @@ def test_what_the_server_refuses_is_told_beside_the_setting(watched, job):
     page.get_by_label("visual levels", exact=True).fill("77")
     page.get_by_label("visual levels", exact=True).blur()
     page.get_by_role("button", name="Start").click()
-    page.locator(".trouble").filter(has_text="levels").wait_for()
+    page.locator(".trouble").filter(has_text="visual.levels").wait_for()
+    assert page.get_by_text("must be between").count() == 1
+    assert (
+        page.locator(".option", has=page.get_by_label("visual levels", exact=True))
+        .get_by_role("alert")
+        .inner_text()
+        .startswith("levels is 77")
+    )
     watched.check()
 
 
@@ -282,8 +229,13 @@ def test_a_restart_of_the_service_is_survived_by_the_page(watched, served, job):
             job,
         )
         page.get_by_role("link", name="after the restart", exact=True).click()
+        page.locator(
+            ".step-running"
+        ).first.wait_for()  # a job canceled before that has no stage that could be stopped
         page.get_by_role("button", name="Cancel").click()
         page.get_by_text("canceled").first.wait_for()
+        page.locator(".step-stopped").first.wait_for()
+        assert page.locator(".step-failed").count() == 0
     page.get_by_role("button", name="Delete").first.click()
     page.get_by_role("dialog").get_by_role("button", name="Delete").click()
     page.get_by_role("heading", name="Jobs").wait_for()
@@ -314,6 +266,21 @@ def test_a_key_is_asked_for_and_opens_maps_and_files(browser, served, job, tmp_p
         with page.expect_download() as download:
             page.get_by_role("link", name="exposures.csv").click()
         assert download.value.path().read_text().startswith("timestamp")
+        page.reload()
+        page.get_by_role("link", name="exposures.csv").wait_for()
+        assert page.evaluate("localStorage.getItem('lvba-key')") is None
+        page.get_by_role("button", name="Sign out").click()
+        page.reload()
+        page.get_by_label("Keep me signed in on this computer").check()
+        page.get_by_label("API key").fill(locked.key("local"))
+        page.get_by_role("button", name="Sign in").click()
+        page.get_by_role("link", name="exposures.csv").wait_for()
+        another = watched.context.new_page()
+        another.goto(page.url)
+        another.get_by_role("link", name="exposures.csv").wait_for()
+        another.get_by_role("button", name="Sign out").click()
+        another.reload()
+        another.get_by_label("API key").wait_for()
         watched.check()
         watched.context.close()
     finally:

@@ -24,8 +24,9 @@ PATIENCE = 120.0
 class Service:
     """One `lvba serve` over a data folder; it can be killed and started again."""
 
-    def __init__(self, data, *options, environment=None):
-        self.data, self.options = data, options
+    def __init__(self, data, *options, environment=None, below=()):
+        """below: a command line that goes before, such as one that sets limits"""
+        self.data, self.options, self.below = data, options, below
         # services over the same folder share their gates
         self.gates = Gates(data.with_name(f"{data.name}-gates"))
         self.environment = {**os.environ, **self.gates.environment, **(environment or {})}
@@ -34,7 +35,17 @@ class Service:
         self.start()
 
     def start(self):
-        words = [sys.executable, "-m", "service.cli", "serve", "--data", str(self.data), "--port", "0"]
+        words = [
+            *self.below,
+            sys.executable,
+            "-m",
+            "service.cli",
+            "serve",
+            "--data",
+            str(self.data),
+            "--port",
+            "0",
+        ]
         words += ["--threads", "2", *map(str, self.options)]
         with self.log.open("ab") as log:
             begins = log.tell()

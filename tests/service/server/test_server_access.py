@@ -4,6 +4,10 @@ import httpx
 import pytest
 from real_server import Service, upload
 
+from service.server.database import Database
+from service.server.places import now
+from service.server.tables import Key
+
 
 @pytest.fixture(scope="module")
 def guarded(tmp_path_factory):
@@ -13,7 +17,7 @@ def guarded(tmp_path_factory):
         "--auth",
         "--jobs",
         "0",
-        environment={"LVBA_LIMITS_QUEUED_JOBS": "2", "LVBA_LIMITS_OWNER_BYTES": str(3_000_000)},
+        environment={"LVBA_LIMITS_QUEUED_JOBS": "2", "LVBA_LIMITS_OWNER_BYTES": str(100_000_000)},
     )
     yield running
     running.stop()
@@ -112,10 +116,10 @@ def test_key_with_fewer_scopes_may_do_less(guarded, anns_dataset):
 def test_revoked_and_expired_keys_are_worth_nothing(guarded, lvba):
     key = lvba("admin", "key", "create", "cleo", "--data", guarded.data).stdout.strip()
     assert guarded.as_key(key).get("/v1/me").json()["owner"] == "cleo"
-    ticket = guarded.as_key(key).post("/v1/tickets", json={"path": "/v1/jobs/x"}).json()["ticket"]
+    ticket = guarded.as_key(key).post("/v1/tickets", json={"path": "/v1/jobs/job_0"}).json()["ticket"]
     lvba("admin", "key", "revoke", key.split("_")[1], "--data", guarded.data)
     assert guarded.as_key(key).get("/v1/me").status_code == 401
-    assert httpx.get(f"{guarded.url}/v1/jobs/x", params={"ticket": ticket}).status_code == 401
+    assert httpx.get(f"{guarded.url}/v1/jobs/job_0", params={"ticket": ticket}).status_code == 401
     assert guarded.as_key(guarded.key("cleo", days=0)).get("/v1/me").status_code == 401
     listed = lvba("admin", "key", "list", "--data", guarded.data).stdout
     assert "revoked" in next(line for line in listed.splitlines() if line.startswith(key.split("_")[1]))
@@ -145,16 +149,70 @@ def test_quota_of_bytes_is_checked_before_the_body(guarded):
     dora = guarded.as_key(guarded.key("dora"))
     dataset = dora.post("/v1/datasets", json={"name": "big"}).json()["id"]
     answer = dora.put(
-        f"/v1/datasets/{dataset}/archive", content=b"x", headers={"Upload-Length": str(4_000_000)}
+        f"/v1/datasets/{dataset}/archive", content=b"x", headers={"Upload-Length": str(101_000_000)}
     )
     assert (answer.status_code, answer.json()["code"]) == (429, "quota")
+
+
+def revoked(session, key):
+    key.revoked = now()
+
+
+def expired(session, key):
+    key.expires = now()
+
+
+def not_for_reading(session, key):
+    key.scopes = ["metrics"]
+
+
+def of_another(session, key):
+    key.owner = "somebody"
+
+
+@pytest.mark.parametrize("change", [revoked, expired, not_for_reading, of_another])
+def test_open_stream_ends_with_the_right_to_hear_it(guarded, change):
+    key, other = guarded.key("eve"), guarded.key("eve")
+    database = Database(f"sqlite:///{guarded.data / 'lvba.sqlite'}")
+    with (
+        guarded.as_key(key).stream("GET", "/v1/events") as stream,
+        guarded.as_key(other).stream("GET", "/v1/events") as kept,
+    ):
+        heard, others = stream.iter_bytes(), kept.iter_bytes()
+        assert (next(heard), next(others)) == (b": lvba\n\n", b": lvba\n\n")
+        with database.write() as session:
+            change(session, session.get_one(Key, key.split("_")[1]))
+        assert list(heard) == []  # it ends, instead of waiting for events
+        assert next(others).startswith(b": "), "the other key still hears"
+    database.close()
+
+
+def test_restarted_jobs_count_among_those_that_wait(guarded, ann, anns_dataset):
+    first = ann.post("/v1/jobs", json={"dataset": anns_dataset}).json()["id"]
+    ann.post(f"/v1/jobs/{first}/cancel").raise_for_status()
+    waiting = [ann.post("/v1/jobs", json={"dataset": anns_dataset}).json()["id"] for _ in range(2)]
+    refused = ann.post(f"/v1/jobs/{first}/restart")
+    assert (refused.status_code, refused.json()["code"]) == (429, "quota")
+    assert ann.get(f"/v1/jobs/{first}").json()["state"] == "canceled"
+    for job in waiting:
+        ann.post(f"/v1/jobs/{job}/cancel").raise_for_status()
+    assert ann.post(f"/v1/jobs/{first}/restart").status_code == 202
+    ann.post(f"/v1/jobs/{first}/cancel").raise_for_status()
+
+
+@pytest.mark.parametrize("path", ["x" * 300, "x" * 300 + ".js", "assets/" + "x" * 300, "x/" * 3000])
+def test_file_of_the_page_with_a_name_too_long_is_none(guarded, path):
+    answer = httpx.get(f"{guarded.url}/app/{path}")
+    assert (answer.status_code, answer.json()["code"]) == (404, "not-found")
 
 
 def test_guessing_keys_is_slowed_down(tmp_path):
     # of its own: it takes away for a while what others may guess
     guessed = Service(tmp_path / "data", "--auth", "--jobs", "0")
     client = guessed.as_key("lvba_x_y")
-    assert {client.get("/v1/me").status_code for _ in range(60)} == {401, 429}
+    # nobody on this machine is a proxy, unless the service is told so
+    names = [{"X-Forwarded-For": f"10.0.0.{number}"} for number in range(60)]
+    assert {client.get("/v1/me", headers=name).status_code for name in names} == {401, 429}
     assert guessed.stop() == 0
 
 

@@ -13,6 +13,7 @@ import pytest
 
 from lvba.errors import InputError
 from service.server import archives
+from service.server.intake_budget import IntakeBudget
 from service.server.settings import Limits
 
 
@@ -64,7 +65,7 @@ DAMAGED = {
 def test_damaged_archive_is_refused(kind, tmp_path):
     (tmp_path / "archive").write_bytes(DAMAGED[kind]())
     with pytest.raises(InputError, match="pack the files of the recording anew"):
-        archives.unpack(tmp_path / "archive", tmp_path / "out", Limits())
+        archives.unpack(tmp_path / "archive", tmp_path / "out", IntakeBudget(tmp_path, Limits()))
 
 
 @pytest.mark.parametrize("kind", [tarfile.GNUTYPE_LONGNAME, tarfile.XHDTYPE])
@@ -75,7 +76,7 @@ def test_name_as_long_as_a_disk_is_not_read(kind, tmp_path):
     tracemalloc.start()
     try:
         with pytest.raises(InputError):
-            archives.unpack(tmp_path / "archive", tmp_path / "out", Limits())
+            archives.unpack(tmp_path / "archive", tmp_path / "out", IntakeBudget(tmp_path, Limits()))
         assert tracemalloc.get_traced_memory()[1] < 8 << 20
     finally:
         tracemalloc.stop()
@@ -89,5 +90,5 @@ def test_every_usual_compression_of_a_tar_is_unpacked(pack, tmp_path):
         entry.size = 3_000_000
         archive.addfile(entry, io.BytesIO(CONTENT))
     (tmp_path / "archive").write_bytes(pack(stream.getvalue()))
-    archives.unpack(tmp_path / "archive", tmp_path / "out", Limits())
+    archives.unpack(tmp_path / "archive", tmp_path / "out", IntakeBudget(tmp_path, Limits()))
     assert (tmp_path / "out" / "a" / "b.txt").read_bytes() == CONTENT

@@ -225,7 +225,7 @@ def test_database_that_is_away_for_a_moment_ends_no_stream(database, monkeypatch
 
 def test_answers_are_sent_at_once_not_when_the_client_has_acknowledged_their_heads():
     web = uvicorn.Server(uvicorn.Config(lambda: None, host="127.0.0.1", port=0))
-    with serving._listening(web, Settings()) as [listening]:
+    with serving.listening(web, Settings()) as [listening]:
         listening.listen()
         with socket.create_connection(listening.getsockname()):
             accepted, _ = listening.accept()

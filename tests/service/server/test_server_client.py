@@ -100,7 +100,9 @@ def test_answer_that_was_lost_does_not_make_two_jobs(service, ready_dataset, qui
     job = client.post(
         "/v1/jobs", {"dataset": ready_dataset, "name": "lost answer", "priority": -10}, key="lost"
     )
-    named = [found for found in client.every("/v1/jobs", limit=3) if found["name"] == "lost answer"]
+    named = [
+        found for found in client.every("/v1/jobs", query={"limit": 3}) if found["name"] == "lost answer"
+    ]
     assert [found["id"] for found in named] == [job["id"]]
     client.post(f"/v1/jobs/{job['id']}/cancel")
 

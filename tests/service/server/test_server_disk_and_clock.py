@@ -11,7 +11,8 @@ from sqlalchemy import select
 from test_server_faults import assert_done_once_with_the_same_bytes, job_processes, runs
 
 from service.server.database import Database
-from service.server.settings import Settings
+from service.server.intake_budget import IntakeBudget
+from service.server.settings import Limits, Settings
 from service.server.tables import Job
 
 
@@ -54,8 +55,21 @@ def test_full_disk_holds_up_a_job_until_there_is_room(small_disk, tiny_recording
     with service.held("visual"):
         job_id = submit(service.http, dataset)["id"]
         until(service.http, f"/v1/jobs/{job_id}", runs("visual"))
+        behind = submit(service.http, dataset)["id"]
+        assert service.http.get(f"/v1/jobs/{behind}").json()["error"] is None
         filler = fill(small_disk)
     until_no_job_runs(service.data)
+    error = service.http.get(f"/v1/jobs/{behind}").json()["error"]
+    assert (error["code"], error["cause"]) == (
+        "disk-full",
+        "waits for disk space: 0 bytes are free, 67.1 MB are needed",
+    )
+    unready = service.http.get("/readyz")
+    assert (unready.status_code, unready.json()["code"]) == (503, "unavailable")
+    assert "67.1 MB are needed" in unready.json()["detail"]
+    assert service.http.get("/readyz?exclude=disk").json() == {"status": "ready"}
+    with pytest.raises(OSError, match="No space left"):  # nor is anything unpacked there
+        IntakeBudget(small_disk, Limits(disk_reserve_bytes=0)).add_file("scan")
     if on_database:  # SQLite could not note it on a full disk
         waiting = until(service.http, f"/v1/jobs/{job_id}", lambda job: job["state"] == "queued")
         assert waiting["error"]["code"] == "disk-full"
@@ -63,7 +77,9 @@ def test_full_disk_holds_up_a_job_until_there_is_room(small_disk, tiny_recording
         assert waiting["attempts"][0]["message"] == "the disk was full"
     assert service.http.post("/v1/jobs", json={"dataset": dataset}).status_code in (503, 507)
     filler.unlink()
+    assert service.http.get("/readyz").json() == {"status": "ready"}
     job = ended(service.http, job_id)
+    service.http.post(f"/v1/jobs/{behind}/cancel")
     assert job["error"] is None
     assert len(job["attempts"]) == 2
     assert_done_once_with_the_same_bytes(service.http, job, tiny_result)

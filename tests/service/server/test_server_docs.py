@@ -1,4 +1,4 @@
-"""docs/rest.md names every path, event and problem, and no other."""
+"""What docs say of the interface and the settings of the server is what the code has."""
 
 import re
 from pathlib import Path
@@ -32,3 +32,11 @@ def test_options_of_the_command_line_that_operations_name_exist():
     for option in named:
         words = ["serve", option, "1"] if option not in ("--auth", "--webhooks") else ["serve", option]
         parser().parse_args(words)
+
+
+def test_reference_of_settings_is_what_the_server_reads():
+    from service.server import settings_reference
+
+    mend = "python -m service.server.settings_reference > docs/server_settings.md"
+    assert (DOCS / "server_settings.md").read_text() == settings_reference.text(), mend
+    assert "`LVBA_HOSTS` | `--host-name` |" in settings_reference.text()

@@ -11,6 +11,7 @@ import schemathesis
 
 from service.server.problems import KINDS
 
+schemathesis.serializer.alias("application/x-ndjson", "application/octet-stream")
 EXAMPLES = int(os.environ.get("LVBA_FUZZ_EXAMPLES", "5"))
 
 

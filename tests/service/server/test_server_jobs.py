@@ -9,6 +9,8 @@ import httpx
 import pytest
 from real_server import ended, submit, until
 
+from service.server import names, served
+
 PRODUCTS = ["lidar_poses.txt", "image_poses.txt", "exposures.csv", "map.ply", "config.yaml"]
 
 
@@ -80,12 +82,36 @@ def test_results_are_listed_and_come_whole_or_in_parts(service, done_job, tiny_r
         assert beyond.headers["content-range"] == f"bytes */{len(whole)}"
 
 
-def test_archive_holds_all_results(service, done_job, tiny_result):
-    archive = zipfile.ZipFile(io.BytesIO(service.http.get(done_job["links"]["archive"]).content))
+def test_archive_holds_all_results_in_a_folder_named_after_the_job(service, done_job, tiny_result):
+    answer = service.http.get(done_job["links"]["archive"])
+    archive = zipfile.ZipFile(io.BytesIO(answer.content))
     assert archive.testzip() is None
-    assert archive.read("map.ply") == (tiny_result / "map.ply").read_bytes()
+    assert archive.read("first/map.ply") == (tiny_result / "map.ply").read_bytes()
     items = service.http.get(done_job["links"]["results"]).json()["items"]
-    assert sorted(archive.namelist()) == [item["name"] for item in items]
+    assert sorted(archive.namelist()) == [f"first/{item['name']}" for item in items]
+    assert 'filename="first.zip"' in answer.headers["content-disposition"]
+
+
+@pytest.mark.parametrize(
+    ("name", "plain"),
+    [
+        ("Lange Straße 4", "Lange Straße 4"), ("../../etc", "_.._etc"), ("a/b\\c", "a_b_c"), (".hidden", "hidden"),
+        ("..", "job_1"), ("", "job_1"), ("nul.txt", "_nul.txt"), ("yard\u202egpj", "yard_gpj"),
+        ("x" * 150, "x" * 100),
+    ],
+)  # fmt: skip
+def test_names_of_archives_are_plain(name, plain):
+    assert names.plain(name, "job_1") == plain
+    disposition = served.attachment(f"{names.plain(name, 'job_1')}.zip")
+    assert disposition.isascii()
+    assert disposition.count('"') == 2
+
+
+def test_report_has_the_name_of_the_recording(service, done_job):
+    page = service.http.get(f"/v1/jobs/{done_job['id']}/results/report.html").text
+    recording = service.http.get(f"/v1/datasets/{done_job['dataset']}").json()["name"]
+    assert f"<title>{recording} - " in page
+    assert recording != "files"
 
 
 @pytest.mark.parametrize(
@@ -140,11 +166,11 @@ def test_restart_makes_only_what_is_asked_for_and_what_depends_on_it(service, do
     job = ended(service.http, done_job["id"])
     assert job["state"] == "done"
     again = [stage["name"] for stage in job["stages"][1:-2] if not stage["reused"]]
-    assert again == ["visual-gate", "map", "pictures", "facts"]
+    assert again == ["visual-gate", "expected-error", "map", "planes", "pictures", "facts"]
     assert service.http.get(f"/v1/jobs/{job['id']}/results/map.ply").content == before
     service.http.post(f"/v1/jobs/{job['id']}/restart", json={"config": {"map": {"voxel_m": 0.3}}})
     job = ended(service.http, done_job["id"])
-    assert [stage["name"] for stage in job["stages"][1:-2] if not stage["reused"]] == ["map"]
+    assert [stage["name"] for stage in job["stages"][1:-2] if not stage["reused"]] == ["map", "facts"]
     assert service.http.get(f"/v1/jobs/{job['id']}/results/map.ply").content != before
     assert [attempt["number"] for attempt in job["attempts"]] == [1, 2, 3]
     # others compare with the result as it was
@@ -192,6 +218,7 @@ def test_running_job_is_canceled_and_goes_on_later(service, ready_dataset):
         stopped = ended(service.http, job["id"])
     assert stopped["state"] == "canceled"
     assert stopped["attempts"][-1]["outcome"] == "canceled"
+    assert "failed" not in {stage["state"] for stage in stopped["stages"]}
     told = [kind for _, kind, _ in events(service.http.get(f"/v1/jobs/{job['id']}/events").text)]
     assert told[-1] == "end"
     assert "progress" not in told
@@ -203,6 +230,9 @@ def test_setting_that_does_not_exist_is_refused_with_what_was_meant(service, rea
     )
     assert answer.status_code == 422
     assert answer.json()["hint"] == "did you mean visual.levels?"
+    wrong = {"dataset": ready_dataset, "config": {"visual": {"levels": 77}}}
+    [error] = service.http.post("/v1/jobs", json=wrong).json()["errors"]
+    assert error == {"where": "config.visual.levels", "message": "levels is 77, must be between 1 and 6"}
 
 
 def test_run_that_fails_says_why_and_what_to_do(service, ready_dataset):

@@ -2,13 +2,13 @@
 
 import hashlib
 import io
-import select
 import socket
 import tarfile
+import time
 
 import httpx
 import pytest
-from real_server import Service, ended, submit, until
+from real_server import PATIENCE, Service, ended, submit, until
 from test_server_faults import assert_done_once_with_the_same_bytes, runs
 
 from lvba import simulate
@@ -90,14 +90,14 @@ def _arrives(service, data):
 
 
 def _taken_in(service, dataset, data, offset):
-    """A connection of which the service takes in an unfinished upload right now."""
-    while True:
-        connection = unfinished_put(service, dataset, data, offset, len(data))
-        # one that does not fit is told whether another is being taken in, and changes nothing ...
-        while not select.select([connection], [], [], 0)[0]:
-            if put(service.http, dataset, b"x", len(data) - 1, len(data)).status_code == 423:
-                return connection
-        connection.close()  # ... but the other one is refused if it comes at the very moment of the question
+    """A connection of which the service takes in an unfinished upload right now: what has come of it is there."""
+    connection = unfinished_put(service, dataset, data, offset, len(data))
+    end = time.monotonic() + PATIENCE
+    path = f"/v1/datasets/{dataset}/archive"
+    while int(service.http.head(path).headers["Upload-Offset"]) <= offset:
+        assert time.monotonic() < end, "nothing of the upload has arrived"
+        time.sleep(0.02)
+    return connection
 
 
 def _leaves(service, path):

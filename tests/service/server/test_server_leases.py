@@ -1,5 +1,7 @@
 """The queue at the level of its tables, on SQLite and PostgreSQL: who gets what, loses it, and nobody gets it twice."""
 
+import errno
+import os
 import threading
 import time
 
@@ -10,7 +12,9 @@ from service.server import journal, leases
 from service.server.database import Database
 from service.server.instance import Instance, Watch
 from service.server.leases import Lease
-from service.server.places import new_id, now
+from service.server.places import Places, new_id, now
+from service.server.settings import Settings
+from service.server.supervisor import Supervisor
 from service.server.tables import Attempt, Dataset, Event, Job
 
 
@@ -225,7 +229,17 @@ def test_upgrade_keeps_what_is_there(database):
 
     with database.engine.execution_options(immediate=True).connect() as connection, connection.begin():
         # back to an empty database, which the fixture has brought to this version already
-        for table in ("deliveries", "events", "attempts", "jobs", "uploads", "datasets", "batches", "keys"):
+        for table in (
+            "results",
+            "deliveries",
+            "events",
+            "attempts",
+            "jobs",
+            "uploads",
+            "datasets",
+            "batches",
+            "keys",
+        ):
             connection.execute(text(f"DROP TABLE {table}"))
         connection.execute(text("DROP TABLE alembic_version"))
     database.migrate("0001")
@@ -242,3 +256,54 @@ def test_upgrade_keeps_what_is_there(database):
     assert claim(database) == "job_1"
     with database.read() as session:
         assert session.get_one(Job, "job_1").webhook is None
+
+
+@pytest.mark.parametrize("number", [errno.ENOMEM, errno.EAGAIN, errno.EMFILE, errno.ENOSPC])
+def test_job_whose_process_cannot_be_started_goes_back_as_it_was(database, tmp_path, monkeypatch, number):
+    def fail(*_, **__):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("service.server.child.subprocess.Popen", fail)
+    [job_id] = add_jobs(database, ("x", 0))
+    places = Places(tmp_path / "data")
+    places.make()
+    supervisor = Supervisor(database, places, Settings())
+    for _ in range(3):
+        supervisor._idle_until = 0.0
+        supervisor._claim()
+        with database.read() as session:
+            job = session.get_one(Job, job_id)
+            assert (job.state, job.lease_owner, job.losses, job.crashes) == ("queued", None, 0, 0)
+            assert job.error["cause"].endswith(os.strerror(number))
+            assert session.scalars(select(Attempt)).all() == []
+    supervisor._claim()
+    with database.read() as session:
+        assert session.get_one(Job, job_id).attempt == 3, "it waits a while before it tries again"
+
+
+def test_files_of_dead_services_are_removed_but_for_those_that_others_must_know_of(tmp_path):
+    living, needed, *dead = (Instance(tmp_path) for _ in range(5))
+    for instance in (needed, *dead):
+        instance._file.close()  # as when it is killed: the system lets its lock go
+    for name in ("elsewhere+old", "elsewhere+new"):
+        (tmp_path / name).touch()
+    os.utime(tmp_path / "elsewhere+old", (1.0, 1.0))
+    me = Instance(tmp_path)
+    me.sweep({needed.name})
+    assert {file.name for file in tmp_path.iterdir()} == {living.name, needed.name, me.name, "elsewhere+new"}
+    assert me.knows_dead(needed.name)
+    assert not me.knows_dead(living.name)
+
+
+def test_supervisor_sweeps_what_holds_no_lease(database, tmp_path):
+    [job_id] = add_jobs(database, ("x", 0))
+    places = Places(tmp_path / "data")
+    places.make()
+    holder, idle = Instance(places.instances), Instance(places.instances)
+    assert claim(database, owner=holder.name) == job_id
+    for instance in (holder, idle):
+        instance._file.close()
+    supervisor = Supervisor(database, places, Settings())
+    supervisor._sweep_instances()
+    assert holder.name in {file.name for file in places.instances.iterdir()}
+    assert idle.name not in {file.name for file in places.instances.iterdir()}

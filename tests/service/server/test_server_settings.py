@@ -38,6 +38,7 @@ def guess(http, who):
 
 def test_proxy_is_believed_who_asks_and_nobody_else_is(tmp_path):
     service = Service(tmp_path / "data", "--host", "0.0.0.0", "--proxy", "127.0.0.2/31", "--jobs", "0")
+    assert "without TLS" not in service.log.read_text(), "TLS is the proxy's business"
     port = httpx.URL(service.url).port
 
     def coming_from(address):
@@ -58,4 +59,19 @@ def test_workers_of_jobs_have_the_memory_that_the_service_gives_them(tiny_record
     job = ended(service.http, submit(service.http, upload(service.http, tiny_recording))["id"])
     assert job["state"] == "failed"
     assert job["error"]["cause"].startswith("--memory-limit 0.1GB: the recording takes about")
+    service.stop()
+
+
+def test_server_that_others_reach_says_that_keys_and_tls_are_missing(tmp_path):
+    service = Service(tmp_path / "data", "--host", "0.0.0.0", "--jobs", "0")
+    said = service.log.read_text()
+    assert (
+        "warning: 0.0.0.0 is served without TLS: keys and recordings cross the network as plain text" in said
+    )
+    assert f"Make one: lvba admin key create NAME --data {tmp_path / 'data'}" in said
+    service.key("survey")
+    service.stop()
+    service.start()
+    assert "without TLS" in service.log.read_text()[len(said) :]
+    assert "Make one" not in service.log.read_text()[len(said) :]
     service.stop()

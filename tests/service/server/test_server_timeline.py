@@ -1,6 +1,7 @@
 """Stages, progress and time left, from what a run tells; options from its dataclasses; rates."""
 
 import dataclasses
+import itertools
 
 import pytest
 
@@ -58,19 +59,54 @@ def test_time_left_comes_from_the_shares_of_earlier_runs():
         "input": 0.0,
         "write": 0.0,
     }
-    timeline, _ = run_of((0.0, NAMES), (0.0, begin("lidar")), (30.0, begin("map")), weights=weights)
+    timeline, _ = run_of(
+        (0.0, NAMES), (0.0, begin("lidar")), (30.0, begin("map")), weights=weights, estimate=40.0
+    )
     assert timeline.eta_s(30.0) == pytest.approx(10.0)
 
 
-def test_before_anything_is_known_time_left_is_the_estimate():
-    timeline, _ = run_of(estimate=100.0)
+def test_before_a_run_says_anything_time_left_is_the_estimate():
+    timeline, _ = run_of(weights={"lidar": 1.0})
     assert timeline.eta_s(40.0) == 60.0
-    assert Timeline({}, 0.0, 0.0).eta_s(1.0) is None
+    assert timeline.eta_s(140.0) == 0.0
+
+
+def test_no_time_left_is_told_where_no_run_was_finished():
+    """Equal shares of stages and counts of files told 15 s, and a stage later 101 s."""
+    timeline, _ = run_of((0.0, NAMES), (0.0, begin("lidar")), (30.0, begin("map")))
+    assert timeline.eta_s(30.0) is None
+
+
+def test_time_left_does_not_jump_where_a_run_is_slower_than_those_before():
+    """A run that takes three times the estimate: what is told rises slowly and ends at nothing."""
+    weights = {"input": 0.0, "lidar": 0.5, "map": 0.4, "write": 0.1}
+    timeline, seen = Timeline(weights, 100.0, 0.0), []
+    timeline.take(NAMES, 0.0)
+    for second in range(300):
+        if second in (0, 150, 270):
+            timeline.take(begin({0: "lidar", 150: "map", 270: "write"}[second]), float(second))
+        if second < 150:
+            timeline.take(count("lidar", second, 150), float(second))
+        seen.append(timeline.eta_s(float(second)))
+    assert seen[0] == 100.0
+    # passing from one stage to the next it may change by what that stage was off, not more
+    assert max(after - before for before, after in itertools.pairwise(seen)) < 15.0
+    assert max(seen) < 130.0
+    assert seen[-1] < 15.0
+
+
+def test_time_left_falls_while_a_stage_counts_nothing():
+    weights = {"input": 0.0, "lidar": 0.9, "map": 0.1, "write": 0.0}
+    timeline, _ = run_of((0.0, NAMES), (0.0, begin("lidar")), weights=weights)
+    left = [timeline.eta_s(now) for now in (0.0, 20.0, 40.0, 60.0)]
+    assert left == sorted(left, reverse=True)
+    assert left[-1] < 60.0
 
 
 def test_reused_stages_do_not_make_the_rest_look_short():
     timeline, _ = run_of(
-        (0.0, NAMES), (0.0, begin("lidar", reused=True)), (0.1, begin("map")), (10.1, count("map", 1, 2))
+        *((0.0, NAMES), (0.0, begin("lidar", reused=True)), (0.1, begin("map")), (10.1, count("map", 1, 2))),
+        weights={"lidar": 0.5, "map": 0.4, "write": 0.1},
     )
     assert timeline.eta_s(10.1) > 5.0
 
@@ -82,6 +118,16 @@ def test_stage_that_runs_at_a_failure_has_failed():
     assert timeline.stages[1]["state"] == "failed"
     assert told[-1][1]["state"] == "failed"
     assert timeline.end["message"] == "x"
+
+
+@pytest.mark.parametrize("told", [True, False], ids=["it said so", "it was killed"])
+def test_stage_that_runs_when_a_job_is_canceled_has_not_failed(told):
+    timeline, _ = run_of((0.0, NAMES), (0.0, begin("lidar")))
+    if told:
+        timeline.take({"event": "end", "code": 1, "message": "stopped; finished stages are kept"}, 2.0)
+        assert timeline.stages[1]["state"] == "stopped"
+    timeline.stop(3.0)
+    assert [stage["state"] for stage in timeline.stages] == ["done", "stopped", "waiting", "waiting"]
 
 
 def test_options_have_every_setting_with_default_and_help():

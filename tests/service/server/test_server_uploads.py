@@ -1,6 +1,7 @@
 """Uploads: cut anywhere, sent twice, lied about; and archives of people who mean no good."""
 
 import base64
+import fcntl
 import hashlib
 import io
 import random
@@ -8,13 +9,16 @@ import socket
 import stat
 import tarfile
 import threading
+import time
 import zipfile
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from real_server import until
 
 from lvba.errors import InputError
 from service.server import archives, names
+from service.server.intake_budget import IntakeBudget
 from service.server.settings import Limits
 
 PATH = "all_image/1.5.png"
@@ -36,11 +40,11 @@ def put(service, dataset, data, path=f"files/{PATH}", **headers):
     )
 
 
-def put_and_cut(service, dataset, data, offset, cut):
+def put_and_cut(service, dataset, data, offset, cut, path=PATH):
     """Begin to send the rest of a file, and go away after some bytes of it."""
     host, port = service.url.removeprefix("http://").split(":")
     head = (
-        f"PUT /v1/datasets/{dataset}/files/{PATH} HTTP/1.1\r\nHost: {host}:{port}\r\n"
+        f"PUT /v1/datasets/{dataset}/files/{path} HTTP/1.1\r\nHost: {host}:{port}\r\n"
         f"Content-Length: {len(data) - offset}\r\nUpload-Offset: {offset}\r\nUpload-Length: {len(data)}\r\n\r\n"
     )
     with socket.create_connection((host, int(port))) as line:
@@ -101,6 +105,53 @@ def test_digests_that_do_not_fit_begin_the_piece_or_the_file_anew(service):
     assert put(service, dataset, b"abcdef", Repr_Digest=digest(b"abcdef")).status_code == 201
 
 
+def upload_files(service, dataset):
+    """What lies on disk of the uploads of a dataset."""
+    return sorted((service.data / "datasets" / dataset / "uploads").glob("*"))
+
+
+def test_request_that_is_refused_as_locked_changes_nothing(service):
+    dataset = new_dataset(service)
+    assert put(service, dataset, b"abc", Upload_Length=6).status_code == 200
+    [file] = upload_files(service, dataset)
+    with file.open("ab") as held:  # as by another service on the same folder
+        fcntl.flock(held, fcntl.LOCK_EX)
+        for body, headers in ((b"", {}), (b"xy", {}), (b"def", {"Upload_Offset": 3, "Upload_Length": 6})):
+            refused = put(service, dataset, body, **headers)
+            assert (refused.status_code, refused.json()["code"]) == (423, "locked")
+        head = service.http.head(f"/v1/datasets/{dataset}/files/{PATH}").headers
+        assert [head[f"Upload-{name}"] for name in ("Offset", "Length", "Complete")] == ["3", "6", "?0"]
+    right = put(service, dataset, b"def", Upload_Offset=3, Upload_Length=6)
+    assert (right.status_code, right.json()["sha256"]) == (201, hashlib.sha256(b"abcdef").hexdigest())
+    assert file.read_bytes() == b"abcdef"
+
+
+def test_file_whose_digest_is_taken_does_not_change(service):
+    dataset, data = new_dataset(service), b"a" * 1000
+    with ThreadPoolExecutor(1) as threads, service.held("digest"):
+        first = threads.submit(put, service, dataset, data)
+        while arrived(service, dataset) < len(data):
+            time.sleep(0.02)
+        other = put(service, dataset, b"b" * 1000)
+        assert (other.status_code, other.json()["code"]) == (423, "locked")
+    assert (first.result().status_code, first.result().json()["sha256"]) == (
+        201,
+        hashlib.sha256(data).hexdigest(),
+    )
+    assert [file.read_bytes() for file in upload_files(service, dataset)] == [data]
+
+
+def test_other_content_replaces_the_file_and_what_is_refused_leaves_none(service):
+    dataset = new_dataset(service)
+    assert put(service, dataset, b"abc").status_code == 201
+    wrong = put(service, dataset, b"xyz", path="files/other", Upload_Offset=3, Upload_Length=6)
+    assert (wrong.status_code, wrong.headers["Upload-Offset"]) == (409, "0")
+    assert put(service, dataset, b"other", Upload_Length=9).json()["complete"] is False
+    assert [file.read_bytes() for file in upload_files(service, dataset)] == [b"other"]
+    assert put(service, dataset, b"", path="files/other", Upload_Length=10**14).status_code == 413
+    assert len(upload_files(service, dataset)) == 1
+
+
 @pytest.mark.parametrize(
     ("headers", "status"),
     [
@@ -149,8 +200,12 @@ def test_names_that_lead_elsewhere_are_refused(path):
 def test_name_through_a_link_leads_nowhere(tmp_path):
     (tmp_path / "inside").mkdir()
     (tmp_path / "inside" / "link").symlink_to(tmp_path)
-    with pytest.raises(InputError):
-        names.below(tmp_path / "inside", "link/secret")
+    (tmp_path / "secret").write_text("x")
+    with names.opened(tmp_path, "secret") as file:
+        assert file.read() == b"x"
+    for root, path in (("inside", "link/secret"), ("inside/link", "secret"), ("", "inside")):
+        with pytest.raises(InputError):
+            names.opened(tmp_path / root, path)
 
 
 def test_archive_of_a_recording_becomes_ready(service, tiny_recording):
@@ -263,7 +318,7 @@ def test_hostile_archive_is_refused_and_nothing_is_written_outside(kind, tmp_pat
     folder.mkdir(parents=True)
     limits = Limits(archive_entries=100, archive_bytes=80_000_000)
     with pytest.raises(InputError):
-        archives.unpack(archive, folder, limits)
+        archives.unpack(archive, folder, IntakeBudget(folder, limits))
     assert {path.name for path in tmp_path.rglob("*") if not path.is_relative_to(folder)} == {
         "archive",
         "deep",

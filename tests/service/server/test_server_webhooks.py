@@ -3,14 +3,17 @@
 import json
 import socket
 import threading
+import time
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
 from lvba.errors import InputError
-from service.server import webhooks
+from service.server import webhook_delivery, webhooks
 from service.server.database import Database
 from service.server.places import now
+from service.server.public_addresses import is_public
 from service.server.settings import Settings
 from service.server.tables import Dataset, Delivery, Job
 
@@ -126,7 +129,12 @@ def test_addresses_of_other_kinds_are_refused(url):
     "address",
     [
         "127.0.0.1", "10.0.0.1", "172.16.3.4", "192.168.1.1", "169.254.169.254", "0.0.0.0", "100.64.0.1",
-        "224.0.0.1", "255.255.255.255", "::1", "fe80::1", "fc00::1", "::ffff:127.0.0.1", "::ffff:10.1.2.3",
+        "192.0.0.8", "192.0.2.1", "192.88.99.1", "198.19.0.1", "198.51.100.1", "203.0.113.1",
+        "224.0.0.1", "240.0.0.1", "255.255.255.255", "::", "::1", "::10.0.0.1", "::8.8.8.8", "::ffff:127.0.0.1",
+        "::ffff:10.1.2.3", "::ffff:8.8.8.8", "::ffff:0:10.0.0.1", "64:ff9b::7f00:1", "64:ff9b:1::a00:1", "100::1",
+        "2001::1", "2001:0:4136:e378:8000:63bf:3fff:fdd2", "2001:20::1", "2001:db8::1", "2002:7f00:1::1", "3fff::1",
+        "5f00::1", "fc00::1", "fd12:3456::1", "fe80::1", "fe80::1%lo", "fec0::1", "ff02::1", "ff0e::1",
+        "2a00:1450::5efe:10.0.0.1", "2a00:1450::200:5efe:a00:1",
     ],
 )  # fmt: skip
 def test_address_that_is_not_public_is_never_connected_to(address, database, monkeypatch):
@@ -162,11 +170,76 @@ def test_connection_goes_to_the_address_that_was_checked(database, monkeypatch):
     assert connected == [("93.184.216.34", 443)]
 
 
+@pytest.mark.parametrize("address", ["93.184.216.34", "8.8.8.8", "2606:4700::1111", "2a00:1450:4001::200e"])
+def test_address_of_the_internet_is_public(address):
+    assert is_public(address)
+
+
+class Drip:
+    """A receiver that answers a byte at a time, and never comes to an end."""
+
+    def __init__(self):
+        self.line = socket.create_server(("127.0.0.1", 0))
+        self.origin = f"http://127.0.0.1:{self.line.getsockname()[1]}"
+        self.came = 0
+        threading.Thread(target=self.accept, daemon=True).start()
+
+    def accept(self):
+        with suppress(OSError):
+            while True:
+                line, _ = self.line.accept()
+                self.came += 1
+                threading.Thread(target=self.drip, args=(line,), daemon=True).start()
+
+    def drip(self, line):
+        with suppress(OSError), line:
+            line.sendall(b"HTTP/1.1 200 OK\r\nX: ")
+            while True:
+                line.sendall(b"x")
+                time.sleep(0.1)
+
+
+def test_receivers_that_drip_stop_neither_others_nor_the_one_who_tells(database, stub):
+    drip = Drip()
+    urls = [f"{drip.origin}/{number}" for number in range(6)] + [f"{stub.origin}/hook"]
+    with database.write() as session:
+        session.add(Dataset(id="ds_1", owner="x", name="x", state="ready", created=0, updated=0))
+        session.flush()
+        for number, url in enumerate(urls):
+            job = Job(
+                id=f"job_{number}", owner="x", name="yard", dataset_id="ds_1", config={}, state="done",
+                created=0, updated=0, webhook={"url": url, "secret": SECRET},
+            )  # fmt: skip
+            session.add(job)
+            session.flush()
+            webhooks.enqueue(session, job)
+    allow = (drip.origin, stub.origin)
+    messenger = webhooks.Messenger(
+        database, Settings(webhooks=True, webhook_allow=allow, webhook_timeout_s=2.0)
+    )
+    messenger.start()
+    end, first = time.monotonic() + 60, None
+    while True:
+        with database.read() as session:
+            rows = {row.job_id: (row.status, row.message) for row in session.query(Delivery)}
+        if stub.told and first is None:
+            first = dict(rows)
+        if all(message for _, message in list(rows.values())[:6]):
+            break
+        assert time.monotonic() < end, rows
+        time.sleep(0.05)
+    messenger.stop()
+    drip.line.close()
+    assert rows.pop("job_6") == ("delivered", "")
+    assert set(rows.values()) == {("retrying", "took too long")}
+    assert "" in {first[name][1] for name in rows}, "it was told while others dripped"
+
+
 def test_one_address_among_several_that_is_not_public_is_enough(monkeypatch):
     found = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", (a, 443)) for a in ("93.184.216.34", "10.0.0.1")]
     monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
     with pytest.raises(InputError):
-        webhooks.public_address("two.example", 443)
+        webhook_delivery.public_address("two.example", 443)
 
 
 def test_server_without_webhooks_refuses_them(service, ready_dataset):

@@ -152,6 +152,7 @@ uniform float toRough;
 out vec3 shade;
 void main() {
   shade = tint;
+  gl_PointSize = 11.0; // of marks; lines have none
   gl_Position = projectionMatrix * modelViewMatrix * vec4(mix(position, rough, toRough), 1.0);
 }`;
 
@@ -161,6 +162,21 @@ export function lineMaterial(): ShaderMaterial {
     glslVersion: GLSL3,
     vertexShader: LINE_VERTEX,
     fragmentShader: "precision highp float; in vec3 shade; out vec4 color; void main() { color = vec4(shade, 1.0); }",
+    uniforms: { toRough: { value: 0 } },
+  });
+}
+
+/** Points like the lines of `lineMaterial`, with a ring that sets them off from what lies behind. */
+export function markMaterial(): ShaderMaterial {
+  return new ShaderMaterial({
+    glslVersion: GLSL3,
+    vertexShader: LINE_VERTEX,
+    fragmentShader: `precision highp float; in vec3 shade; out vec4 color;
+void main() {
+  float away = length(gl_PointCoord - 0.5);
+  if (away > 0.5) discard;
+  color = vec4(away > 0.42 ? vec3(0.0) : away > 0.3 ? vec3(1.0) : shade, 1.0);
+}`,
     uniforms: { toRough: { value: 0 } },
   });
 }

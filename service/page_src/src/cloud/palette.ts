@@ -1,9 +1,10 @@
 // How numbers become colors, in the shader and in the legend alike.
 
-export type ColorBy = "rgb" | "height" | "views" | "spread" | "part" | "scan" | "plane_error";
+export type ColorBy = "rgb" | "error" | "height" | "views" | "spread" | "part" | "scan" | "plane_error";
 
 export const LABELS: Record<ColorBy, string> = {
   rgb: "Color",
+  error: "Expected error",
   height: "Height",
   views: "Number of views",
   spread: "Color spread",
@@ -14,6 +15,7 @@ export const LABELS: Record<ColorBy, string> = {
 
 export const UNITS: Record<ColorBy, string> = {
   rgb: "",
+  error: "mm",
   height: "m",
   views: "images",
   spread: "gray values",
@@ -23,7 +25,7 @@ export const UNITS: Record<ColorBy, string> = {
 };
 
 /** Values are multiplied by this for the legend. */
-export const LEGEND_FACTOR: Partial<Record<ColorBy, number>> = { plane_error: 1000 };
+export const LEGEND_FACTOR: Partial<Record<ColorBy, number>> = { plane_error: 1000, error: 1000 };
 
 /** Names, not amounts: neighbors get colors that differ. */
 export const CATEGORIES: ReadonlySet<ColorBy> = new Set<ColorBy>(["part"]);

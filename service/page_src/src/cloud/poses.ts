@@ -9,6 +9,8 @@ export type Pose = number[];
 
 export interface PosePairs {
   times: number[];
+  /** Expected error of each refined position, m; null where, or if, it is not known. */
+  error?: (number | null)[] | null;
   rough: Pose[];
   refined: Pose[];
 }

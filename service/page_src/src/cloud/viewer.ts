@@ -6,7 +6,7 @@ import {
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 
 import { choose } from "./choose";
-import { Cameras, trajectories } from "./lines";
+import { Cameras, ErrorMarks, trajectories } from "./lines";
 import { nodesTexture, paletteTexture, pointMaterial, SCANS_WIDTH, scansTexture, screenMaterial } from "./material";
 import { Nodes, table } from "./nodes";
 import type { Octree } from "./octree";
@@ -43,10 +43,13 @@ export class Viewer {
   private readonly nodes: Nodes;
   private readonly frustums: Cameras | null;
   private readonly paths: ReturnType<typeof trajectories>;
+  private readonly marks: ErrorMarks | null;
   private readonly origin: Vector3;
   private readonly resizing: ResizeObserver;
   private looks: Looks;
   private frame = 0;
+  /** Where an image was taken, while the view is from there: what is drawn of cameras and paths would lie across it. */
+  private standsAt: Vector3 | null = null;
   private morph = { from: 0, to: 0, start: 0 };
   private readonly still = window.matchMedia("(prefers-reduced-motion: reduce)");
 
@@ -56,6 +59,8 @@ export class Viewer {
     private readonly facts: CloudFacts | null,
     looks: Looks,
     private readonly tell: (status: Status) => void,
+    /** Expected error at the end of its colors, m: what most points stay below; null: the greatest. */
+    private mostError: number | null = null,
   ) {
     this.looks = looks;
     this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true, powerPreference: "high-performance" });
@@ -74,6 +79,8 @@ export class Viewer {
     this.paths = facts === null ? [] : trajectories(facts, this.origin);
     if (this.frustums !== null) this.lines.add(this.frustums.object);
     for (const path of this.paths) this.lines.add(path);
+    this.marks = facts === null ? null : ErrorMarks.of(facts, this.origin);
+    if (this.marks !== null) this.lines.add(this.marks.object);
     if (facts !== null && octree.range("scan") !== null) {
       this.uniform("rough", scansTexture(roughFromRefined(facts.scans, this.origin, SCANS_WIDTH)));
       this.uniform("hasScans", 1);
@@ -102,10 +109,11 @@ export class Viewer {
     this.uniform("range", new Vector2(low, high));
     (this.material.uniforms["palette"]?.value as Texture | null)?.dispose();
     this.uniform("palette", paletteTexture(ramp(looks.colorBy)));
+    const paint = looks.colorBy === "error" ? { ramp: ramp("error"), most: high } : null;
+    this.frustums?.setPaint(paint);
+    if (paint !== null) this.marks?.setPaint(paint);
     this.uniform("sizeFactor", looks.size);
     this.uniform("onlyColored", looks.onlyColored && this.octree.range("views") !== null ? 1 : 0);
-    if (this.frustums !== null) this.frustums.object.visible = looks.cameras;
-    for (const path of this.paths) path.visible = looks.trajectories;
     this.redraw();
   }
 
@@ -117,11 +125,17 @@ export class Viewer {
       return [low[2], high[2]];
     }
     const [low, high] = this.octree.range(by) ?? [0, 1];
+    if (by === "error") return [0, this.mostError ?? high];
     if (SIGNED.has(by)) {
       const most = Math.min(0.05, Math.max(Math.abs(low), Math.abs(high)));
       return [-most, most];
     }
     return by === "spread" ? [0, Math.min(high, 40)] : [low, high];
+  }
+
+  setMostError(most: number | null): void {
+    this.mostError = most;
+    this.setLooks(this.looks);
   }
 
   choose(image: number | null): void {
@@ -150,6 +164,8 @@ export class Viewer {
     const center = new Vector3().setFromMatrixPosition(world);
     const ahead = new Vector3(0, 0, 1).transformDirection(world);
     this.camera.position.copy(center).addScaledVector(ahead, -0.02);
+    this.standsAt = center;
+    this.canvas.scrollIntoView({ block: "nearest" });
     this.controls.target.copy(center).addScaledVector(ahead, 3);
     this.controls.update();
     this.redraw();
@@ -171,7 +187,7 @@ export class Viewer {
 
   /** The image whose camera is drawn nearest to a place on the canvas, px; null where none is near. */
   cameraAt(x: number, y: number): number | null {
-    if (this.frustums === null || !this.looks.cameras) return null;
+    if (this.frustums === null || !this.looks.cameras || this.standsAt !== null) return null;
     const places = this.looks.rough ? this.frustums.rough : this.frustums.refined;
     let best: number | null = null;
     let least = 16;
@@ -194,9 +210,21 @@ export class Viewer {
     return this.morph.from + (this.morph.to - this.morph.from) * eased;
   }
 
+  /** Shows cameras and paths as asked for, but not across the view of a camera: until the eye has left its frustum. */
+  private showLines(): void {
+    const size = this.frustums?.size ?? 0;
+    if (this.standsAt !== null && this.standsAt.distanceTo(this.camera.position) > Math.max(size, 0.1)) this.standsAt = null;
+    if (this.frustums !== null) this.frustums.object.visible = this.looks.cameras && this.standsAt === null;
+    const paths = this.looks.trajectories && this.standsAt === null;
+    for (const path of this.paths) path.visible = paths;
+    // marks are where the refined scans are
+    if (this.marks !== null) this.marks.object.visible = paths && this.looks.colorBy === "error" && !this.looks.rough;
+  }
+
   private readonly draw = (): void => {
     this.frame = 0;
     if (!this.fitSize()) return;
+    this.showLines();
     const toRough = this.toRough();
     this.uniform("toRough", toRough);
     if (this.frustums !== null) setUniform(this.frustums.object.material, "toRough", toRough);

@@ -7,7 +7,7 @@ import type { JobState, StageState } from "../types";
 
 const STATE_WORDS: Record<string, string> = {
   queued: "queued", running: "running", canceling: "canceling", done: "done", failed: "failed", canceled: "canceled",
-  uploading: "uploading", validating: "checking", ready: "ready", invalid: "invalid", waiting: "waiting",
+  uploading: "uploading", validating: "checking", ready: "ready", invalid: "invalid", waiting: "waiting", stopped: "stopped",
 };
 
 /** A state as a colored word; the color is never all that tells it. */

@@ -15,15 +15,17 @@ interface Props {
   url: (name: string) => string;
   /** Whether there is a cloud.json with cameras and trajectories. */
   cameras: boolean;
+  /** Expected error that most points stay below, m; null where it is not known. */
+  most: number | null;
   chosen: number | null;
   choose: (image: number) => void;
   control: (viewer: Viewer | null) => void;
 }
 
 const FIRST: Looks = { colorBy: "rgb", rough: false, onlyColored: false, cameras: true, trajectories: true, size: 1, budget: 1_500_000 };
-const ALL: ColorBy[] = ["rgb", "height", "views", "spread", "part", "scan", "plane_error"];
+const ALL: ColorBy[] = ["rgb", "error", "height", "views", "spread", "part", "scan", "plane_error"];
 
-export function CloudView({ url, cameras, chosen, choose, control }: Props) {
+export function CloudView({ url, cameras, most, chosen, choose, control }: Props) {
   const canvas = useRef<HTMLCanvasElement>(null);
   const frame = useRef<HTMLDivElement>(null);
   const [viewer, setViewer] = useState<Viewer | null>(null);
@@ -42,7 +44,7 @@ export function CloudView({ url, cameras, chosen, choose, control }: Props) {
           setProblem("this browser has no WebGL 2, or it is switched off.");
           return;
         }
-        made = new Viewer(canvas.current, tree, facts, FIRST, setStatus);
+        made = new Viewer(canvas.current, tree, facts, FIRST, setStatus, most);
         setOctree(tree);
         setViewer(made);
         control(made);
@@ -53,6 +55,7 @@ export function CloudView({ url, cameras, chosen, choose, control }: Props) {
   }, []);
   useEffect(() => { viewer?.setLooks(looks); }, [looks]);
   useEffect(() => { viewer?.choose(chosen); }, [viewer, chosen]);
+  useEffect(() => { viewer?.setMostError(most); }, [viewer, most]);
   const set = (some: Partial<Looks>): void => { setLooks((old) => ({ ...old, ...some })); };
   if (problem !== "") return <div class="cloud cloud-problem"><p role="alert">The map cannot be shown: {problem}</p></div>;
   return (
@@ -118,7 +121,8 @@ function keys(viewer: Viewer, event: KeyboardEvent): boolean {
 }
 
 function Panel({ looks, set, viewer, octree }: { looks: Looks; set: (some: Partial<Looks>) => void; viewer: Viewer; octree: Octree }) {
-  const usable = ALL.filter((by) => by === "rgb" || by === "height" || octree.range(by) !== null);
+  const known = (by: ColorBy): boolean => octree.range(by) !== null && (by !== "error" || (octree.range(by)?.[1] ?? 0) > 0);
+  const usable = ALL.filter((by) => by === "rgb" || by === "height" || known(by));
   return (
     <details class="cloud-panel" open={matchMedia("(min-width: 821px)").matches}>
       <summary>View</summary>
@@ -152,10 +156,12 @@ function Legend({ by, viewer, octree }: { by: ColorBy; viewer: Viewer; octree: O
   if (by === "rgb" || CATEGORIES.has(by)) return null;
   const factor = LEGEND_FACTOR[by] ?? 1;
   const shift = by === "height" ? octree.metadata.offset[2] : 0;
-  const [low, high] = viewer.range(by).map((value) => ((value + shift) * factor).toFixed(by === "height" ? 1 : 0));
+  const show = (value: number): string => value.toFixed(by === "height" ? 1 : by === "error" && value < 10 ? (value < 1 ? 2 : 1) : 0);
+  const [low, most] = viewer.range(by).map((value) => show((value + shift) * factor));
+  const high = by === "error" && viewer.range(by)[1] < (octree.range(by)?.[1] ?? 0) ? `≥ ${most ?? ""}` : most;
   return (
     <div class="cloud-legend" aria-label={`${LABELS[by]} from ${low ?? ""} to ${high ?? ""} ${UNITS[by]}`} role="img">
-      <span class="small">{LABELS[by]}</span>
+      <span class="small">{LABELS[by]}{by === "error" && " (gray: not known)"}</span>
       <span class="legend-bar" style={{ backgroundImage: gradient(by) }} />
       <span class="legend-ends small"><span>{low}</span><span>{high} {UNITS[by]}</span></span>
     </div>

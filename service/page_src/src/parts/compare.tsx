@@ -1,6 +1,6 @@
 // Two pictures of one view over each other, with a slider between them.
 
-import { useEffect, useState } from "preact/hooks";
+import { useEffect, useRef, useState } from "preact/hooks";
 
 export type Kind = "photo" | "before" | "after";
 const WORDS: Record<Kind, string> = { photo: "Photograph", before: "Map before", after: "Map after" };
@@ -23,10 +23,15 @@ export function Compare(props: Props) {
   const [left, setLeft] = useState<Kind>("before");
   const [right, setRight] = useState<Kind>("after");
   const [part, setPart] = useState(50);
+  const section = useRef<HTMLElement>(null);
+  useEffect(() => {
+    section.current?.focus({ preventScroll: true });
+    section.current?.scrollIntoView({ block: "nearest" });
+  }, []);
   const pick = (wanted: Kind, fallback: Kind | undefined): Kind | null => (kinds.includes(wanted) ? wanted : (fallback ?? null));
   const [one, two] = [pick(left, kinds[0]), pick(right, kinds.at(-1))];
   return (
-    <section class="compare" aria-label={`Image ${String(image)}`}>
+    <section class="compare" ref={section} tabIndex={-1} aria-label={`Image ${String(image)}`}>
       <header class="compare-head">
         <div class="stepper">
           <button type="button" class="icon-button" aria-label="Previous image" onClick={() => { props.step(-1); }}>‹</button>

@@ -2,6 +2,7 @@
 
 import { useMemo, useState } from "preact/hooks";
 
+import { Problem, told } from "../api";
 import type { Options, Schema } from "../types";
 
 export type Changes = Record<string, unknown>;
@@ -51,6 +52,15 @@ export function nested(changes: Changes): Record<string, unknown> {
   return out;
 }
 
+/** What a refusal says of single settings, to be shown beside them, and what is left to say elsewhere. */
+export function placed(error: unknown, options: Options | null): { errors: Record<string, string>; trouble: { cause: string; hint: string } } {
+  const known = new Set(options === null ? [] : fieldsOf(options).map((field) => field.name));
+  const found = error instanceof Problem ? error.errors.map((one): [string, string] => [one.where.replace(/^(body\.)?config\./, ""), one.message]) : [];
+  if (found.length === 0 || !found.every(([name]) => known.has(name))) return { errors: {}, trouble: told(error) };
+  const names = found.map(([name]) => name).join(", ");
+  return { errors: Object.fromEntries(found), trouble: { cause: `Among the settings, mend ${names}.`, hint: "What is wrong is said beside it." } };
+}
+
 /** The other way round, for the settings of an earlier job. */
 export function flat(config: unknown, fields: Field[]): Changes {
   const out: Changes = {};
@@ -68,7 +78,7 @@ export function OptionsForm(props: { options: Options; changes: Changes; set: (c
   const wanted = words.toLowerCase().split(/\s+/).filter((word) => word !== "");
   const shown = fields.filter(({ name, schema }) => {
     const text = `${name} ${schema.description ?? ""}`.toLowerCase();
-    return wanted.every((word) => text.includes(word));
+    return name in errors || wanted.every((word) => text.includes(word));
   });
   const groups = new Map<string, Field[]>();
   for (const field of shown) {

@@ -2,11 +2,11 @@
 
 import { useMemo, useRef, useState } from "preact/hooks";
 
-import { Problem, send, told } from "../api";
+import { send } from "../api";
 import { useFetched } from "../hooks";
 import type { Job, Options } from "../types";
 import { Trouble } from "./basic";
-import { type Changes, fieldsOf, flat, nested, OptionsForm } from "./options";
+import { type Changes, fieldsOf, flat, nested, OptionsForm, placed } from "./options";
 import { grouped } from "./stages";
 
 export function Restart({ job, done }: { job: Job; done: () => void }) {
@@ -36,8 +36,9 @@ function Form({ job, close, done }: { job: Job; close: () => void; done: () => v
       close();
       done();
     } catch (error) {
-      setTrouble(told(error));
-      if (error instanceof Problem) setErrors(Object.fromEntries(error.errors.map((one) => [one.where.replace(/^(body\.)?config\./, ""), one.message])));
+      const { trouble: rest, errors: found } = placed(error, options.data);
+      setTrouble(rest);
+      setErrors(found);
     }
   };
   return (

@@ -1,6 +1,6 @@
 // What a run does: the line of stages, and the parts of stages that come in parts.
 
-import { duration } from "../format";
+import { about, duration } from "../format";
 import type { Stage } from "../types";
 import { Bar } from "./basic";
 
@@ -39,6 +39,7 @@ export function grouped(stages: Stage[]): Group[] {
 export function stateOf(group: Group): string {
   const members = [...group.parts, ...(group.whole === null ? [] : [group.whole])];
   if (members.some((stage) => stage.state === "failed")) return "failed";
+  if (members.some((stage) => stage.state === "stopped")) return "stopped";
   if (members.every((stage) => stage.state === "done")) return "done";
   return members.some((stage) => stage.state !== "waiting") ? "running" : "waiting";
 }
@@ -64,12 +65,13 @@ function Step({ group, longest }: { group: Group; longest: number }) {
   const reused = members.length > 0 && members.every((stage) => stage.reused);
   return (
     <li class={`step step-${state}`} {...(state === "running" ? { "aria-current": "step" as const } : {})}>
-      <span class="step-mark" aria-hidden="true">{{ done: "✓", failed: "!", running: "", waiting: "" }[state]}</span>
+      <span class="step-mark" aria-hidden="true">{{ done: "✓", failed: "!", stopped: "■", running: "", waiting: "" }[state]}</span>
       <div class="step-body">
         <div class="step-head">
           <span class="step-name">{group.name}</span>
           <span class="visually-hidden">{state}</span>
           {reused && <span class="tag">reused</span>}
+          {state === "stopped" && <span class="quiet small" aria-hidden="true">stopped</span>}
           {group.parts.length > 0 && <span class="quiet small">{group.parts.filter((part) => part.state === "done").length} of {group.parts.length} parts</span>}
           <span class="quiet small step-time">{state === "done" || took > 0 ? duration(took) : ""}</span>
         </div>
@@ -88,7 +90,7 @@ function Now({ stage }: { stage: Stage | null }) {
     <>
       <Bar fraction={known ? (stage.done ?? 0) / (stage.total ?? 1) : null} label={`Stage ${stage.name}`} />
       <span class="quiet small">
-        {stage.what ?? ""}{known && ` ${String(stage.done ?? 0)} of ${String(stage.total)}`}{stage.eta_s !== null && `, ${duration(stage.eta_s)} left`}
+        {stage.what ?? ""}{known && ` ${String(stage.done ?? 0)} of ${String(stage.total)}`}{stage.eta_s !== null && `, ${about(stage.eta_s)} left`}
       </span>
     </>
   );

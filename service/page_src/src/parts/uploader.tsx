@@ -6,15 +6,16 @@ import { get, send, told } from "../api";
 import { pause } from "../events";
 import { bytes, count, duration, percent, plural } from "../format";
 import type { Dataset } from "../types";
-import { dropped, isArchive, type Item, type Progress, Upload, withoutCommonFolder } from "../upload";
+import { checkNames, dropped, isArchive, type Item, placedAt, type Progress, Upload, withoutCommonFolder } from "../upload";
 import { Bar, Trouble } from "./basic";
 
 type Phase = "choose" | "sending" | "paused" | "checking" | "ended";
 
-export function Uploader({ unfinished, ready }: { unfinished: Dataset | null; ready: (dataset: Dataset) => void }) {
+export function Uploader({ unfinished, ready, failed }: { unfinished: Dataset | null; ready: (dataset: Dataset) => void; failed: (dataset: Dataset) => void }) {
   const [phase, setPhase] = useState<Phase>("choose");
   const [items, setItems] = useState<Item[]>([]);
   const [name, setName] = useState("");
+  const [folder, setFolder] = useState("");
   const [progress, setProgress] = useState<Progress | null>(null);
   const [trouble, setTrouble] = useState<{ cause: string; hint: string } | null>(null);
   const upload = useRef<Upload | null>(null);
@@ -27,10 +28,12 @@ export function Uploader({ unfinished, ready }: { unfinished: Dataset | null; re
     return () => { removeEventListener("beforeunload", warn); };
   }, [phase]);
 
+  const wrong = unfinished?.state === "invalid" ? (unfinished.error?.path ?? null) : null;
   const take = (found: Item[]): void => {
-    const kept = withoutCommonFolder(found);
+    const kept = wrong === null ? withoutCommonFolder(found) : placedAt(found, wrong);
     const folder = found[0]?.path.includes("/") === true ? found[0].path.split("/")[0] : found[0]?.file.name.replace(/\.(zip|tar.*|tgz)$/i, "");
     setItems(kept);
+    setFolder(folder ?? "");
     setName(unfinished?.name ?? folder ?? "");
     setTrouble(null);
   };
@@ -40,9 +43,15 @@ export function Uploader({ unfinished, ready }: { unfinished: Dataset | null; re
     setPhase("sending");
     stop.current = new AbortController();
     try {
+      const found = unfinished === null && upload.current === null ? await checkNames(items, folder) : null;
+      if (found !== null) {
+        setPhase("choose");
+        setTrouble(found);
+        return;
+      }
       if (upload.current === null) {
         const dataset = unfinished ?? (await send<Dataset>("POST", "/v1/datasets", { name }));
-        upload.current = new Upload(dataset.id, items, setProgress);
+        upload.current = new Upload(dataset.id, items, unfinished?.state === "invalid" ? (wrong ?? "") : null, setProgress);
       }
       await upload.current.run(stop.current.signal);
       setPhase("checking");
@@ -56,6 +65,7 @@ export function Uploader({ unfinished, ready }: { unfinished: Dataset | null; re
         upload.current = null;
         setPhase("choose");
         setTrouble({ cause, hint });
+        failed(dataset);
       }
     } catch (error) {
       setPhase("paused");
@@ -67,8 +77,10 @@ export function Uploader({ unfinished, ready }: { unfinished: Dataset | null; re
   if (phase === "choose") {
     return (
       <>
-        {unfinished !== null && <p>Choose the same files as before: only what is missing from <strong>{unfinished.name}</strong> is sent.</p>}
-        <Chooser take={take} />
+        {unfinished !== null && (wrong === null || wrong === "" ? <p>Choose the same files as before: only what is missing from <strong>{unfinished.name}</strong>, or differs, is sent.</p> : (
+          <p>In <strong>{unfinished.name}</strong>, <code>{wrong}</code> is missing or wrong: {unfinished.error?.hint}. Choose it alone, or the whole folder again: only what differs is sent.</p>
+        ))}
+        <Chooser take={take} single={wrong !== null && wrong !== ""} />
         <Trouble trouble={trouble} />
         {items.length > 0 && (
           <div class="chosen">
@@ -126,7 +138,8 @@ async function checked(id: string, signal: AbortSignal): Promise<Dataset> {
   throw new DOMException("stopped", "AbortError");
 }
 
-function Chooser({ take }: { take: (items: Item[]) => void }) {
+/** single: files may be chosen, too, not only folders and archives. */
+function Chooser({ take, single }: { take: (items: Item[]) => void; single: boolean }) {
   const [over, setOver] = useState(false);
   const list = (files: FileList | null): Item[] =>
     [...(files ?? [])].map((file) => ({ path: file.webkitRelativePath === "" ? file.name : file.webkitRelativePath, file }));
@@ -147,6 +160,12 @@ function Chooser({ take }: { take: (items: Item[]) => void }) {
           Choose folder
           <input type="file" class="visually-hidden" ref={(input) => { input?.setAttribute("webkitdirectory", ""); }} onChange={(event) => { take(list(event.currentTarget.files)); }} />
         </label>
+        {single && (
+          <label class="button file-button">
+            Choose files
+            <input type="file" multiple class="visually-hidden" onChange={(event) => { take(list(event.currentTarget.files)); }} />
+          </label>
+        )}
         <label class="button file-button">
           Choose archive
           <input type="file" class="visually-hidden" accept=".zip,.tar,.tgz,.gz,.bz2,.xz" onChange={(event) => { take(list(event.currentTarget.files)); }} />

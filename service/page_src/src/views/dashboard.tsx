@@ -3,9 +3,10 @@
 import { useMemo, useState } from "preact/hooks";
 
 import { all } from "../api";
-import { ago, bytes, duration, moment, percent } from "../format";
+import { about, ago, bytes, duration, moment, percent } from "../format";
 import { useEvents, useEvery, useFetched, useThrottled, useTitle } from "../hooks";
 import { Badge, Bar, Empty, Segments, Trouble } from "../parts/basic";
+import { LevelBadge } from "../parts/verdict";
 import type { Dataset, Info, Job, JobState } from "../types";
 
 type Filter = "all" | "active" | "done" | "failed";
@@ -74,11 +75,12 @@ export function Table({ jobs }: { jobs: Job[] }) {
   const names = new Map((datasets.data ?? []).map((dataset) => [dataset.id, dataset.name]));
   return (
     <div class="table-frame">
-      <table class="jobs">
-        <thead>
-          <tr><th scope="col">Job</th><th scope="col">State</th><th scope="col">Progress</th><th scope="col">Better by</th><th scope="col">Created</th><td /></tr>
+      {/* roles: on a phone the rows are laid out as cards, and browsers then take the table for none */}
+      <table class="jobs" role="table">
+        <thead role="rowgroup">
+          <tr role="row"><th role="columnheader" scope="col">Job</th><th role="columnheader" scope="col">State</th><th role="columnheader" scope="col">Progress</th><th role="columnheader" scope="col">Better by</th><th role="columnheader" scope="col">Verdict</th><th role="columnheader" scope="col">Created</th><td role="cell" /></tr>
         </thead>
-        <tbody>
+        <tbody role="rowgroup">
           {jobs.map((job) => <Row key={job.id} job={job} dataset={names.get(job.dataset) ?? job.dataset} />)}
         </tbody>
       </table>
@@ -89,19 +91,20 @@ export function Table({ jobs }: { jobs: Job[] }) {
 function Row({ job, dataset }: { job: Job; dataset: string }) {
   const active = MATCHES.active(job.state);
   return (
-    <tr>
-      <th scope="row">
+    <tr role="row">
+      <th role="rowheader" scope="row">
         <a class="row-link" href={`#/jobs/${job.id}`}>{job.name === "" ? job.id : job.name}</a>
         <span class="quiet small">{dataset}</span>
       </th>
-      <td><Badge state={job.state} /></td>
-      <td class="progress-cell">
+      <td role="cell" class="state-cell"><Badge state={job.state} /></td>
+      <td role="cell" class="progress-cell">
         {active && <Bar fraction={job.state === "queued" ? 0 : job.progress} label={`Progress of ${job.name}`} />}
         <span class="quiet small">{rest(job)}</span>
       </td>
-      <td class="number">{gain(job)}</td>
-      <td class="quiet" title={moment(job.created)}>{ago(job.created)}</td>
-      <td>{job.state === "done" && <a href={`#/jobs/${job.id}/result`} aria-label={`Result of ${job.name}`}>Result</a>}</td>
+      <td role="cell" class="number gain-cell">{gain(job)}</td>
+      <td role="cell" class="level-cell">{job.summary?.verdict && <LevelBadge level={job.summary.verdict} />}</td>
+      <td role="cell" class="quiet created-cell" title={moment(job.created)}>{ago(job.created)}</td>
+      <td role="cell" class="result-cell">{job.state === "done" && <a href={`#/jobs/${job.id}/result`} aria-label={`Result of ${job.name}`}>Result</a>}</td>
     </tr>
   );
 }
@@ -109,7 +112,7 @@ function Row({ job, dataset }: { job: Job; dataset: string }) {
 function rest(job: Job): string {
   if (job.state === "queued") return job.position ? `${String(job.position)} before it` : "next";
   if (job.state === "running" && job.progress >= 1) return "finishing";
-  if (job.state === "running") return job.eta_s === null ? percent(job.progress) : `${percent(job.progress)}, ${duration(job.eta_s)} left`;
+  if (job.state === "running") return job.eta_s === null ? percent(job.progress) : `${percent(job.progress)}, ${about(job.eta_s)} left`;
   if (job.state === "failed") return job.error?.cause ?? "";
   return job.elapsed_s === null ? "" : `took ${duration(job.elapsed_s)}`;
 }

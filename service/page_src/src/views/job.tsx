@@ -4,12 +4,13 @@ import { useEffect, useRef, useState } from "preact/hooks";
 
 import { send, told } from "../api";
 import type { ServerEvent } from "../events";
-import { bytes, duration, moment, percent } from "../format";
+import { about, bytes, duration, millimeters, moment, percent } from "../format";
 import { go, useEvents, useEvery, useFetched, useThrottled, useTitle } from "../hooks";
 import { Badge, Bar, Card, Facts, Trouble } from "../parts/basic";
 import { Log } from "../parts/log";
 import { Restart } from "../parts/restart";
-import { Timeline } from "../parts/stages";
+import { LevelBadge } from "../parts/verdict";
+import { grouped, stateOf, Timeline } from "../parts/stages";
 import type { Dataset, Job, Stage } from "../types";
 
 const ENDED = new Set(["done", "failed", "canceled"]);
@@ -44,7 +45,7 @@ export function JobView({ id }: { id: string }) {
   useEvery(ended ? null : up ? 5000 : 2000, fetched.again);
   if (fetched.data === null) return <Trouble trouble={fetched.trouble} />;
   const log_bytes = Math.max(fetched.data.log_bytes ?? 0, live.log_bytes ?? 0);
-  const job: Job = { ...fetched.data, ...live, log_bytes, stages: fetched.data.stages ?? [] };
+  const job: Job = { ...fetched.data, ...live, log_bytes, stages: shownStages(fetched.data) };
   const again = (): void => {
     setTrouble(null);
     fetched.again();
@@ -94,6 +95,12 @@ function patch(event: ServerEvent): LiveJob {
   };
 }
 
+/** Nothing of a canceled job has failed, whatever earlier versions of the server wrote down. */
+function shownStages(job: Job): Stage[] {
+  const stages = job.stages ?? [];
+  return job.state === "canceled" ? stages.map((stage) => (stage.state === "failed" ? { ...stage, state: "stopped" } : stage)) : stages;
+}
+
 function withLive(stages: Stage[], live: LiveJob): Stage[] {
   const { now } = live;
   if (now === undefined) return stages;
@@ -108,9 +115,12 @@ function Head({ job, up }: { job: Job; up: boolean }) {
       {active && <Bar fraction={job.state === "queued" ? 0 : job.progress} label="Progress of the job" />}
       <div class="big-facts">
         {active && <Big name="Done" value={percent(job.progress)} />}
-        {active && <Big name="Left" value={duration(job.eta_s)} />}
+        {job.state === "running" && <Step job={job} />}
+        {active && job.eta_s !== null && <Big name="Left" value={about(job.eta_s)} />}
         <Big name={active ? "Running for" : "Took"} value={duration(job.elapsed_s)} />
-        {job.state === "queued" && <Big name="Before it" value={String(job.position ?? 0)} />}
+        {job.state === "queued" && <Big name="In the queue" value={job.position ? `${String(job.position)} before it` : "next"} />}
+        {job.summary?.verdict && <div class="big"><span class="big-value"><LevelBadge level={job.summary.verdict} /></span><span class="quiet small">Verdict</span></div>}
+        {typeof job.summary?.map_error_m === "number" && <Big name="Map, expected error" value={millimeters(job.summary.map_error_m)} />}
         {job.summary && <Gains job={job} />}
         {job.state === "done" && <a class="button primary large" href={`#/jobs/${job.id}/result`}>See the result</a>}
       </div>
@@ -118,6 +128,13 @@ function Head({ job, up }: { job: Job; up: boolean }) {
       <p class="visually-hidden" role="status">{active ? `${job.state}, ${String(told10)} percent` : `The job is ${job.state}`}</p>
     </section>
   );
+}
+
+/** Which stage it is at: the count of the timeline. */
+function Step({ job }: { job: Job }) {
+  const groups = grouped(job.stages ?? []);
+  const at = groups.findIndex((group) => stateOf(group) === "running");
+  return at < 0 ? null : <Big name="Stage" value={`${String(at + 1)} of ${String(groups.length)}`} />;
 }
 
 function Gains({ job }: { job: Job }) {
@@ -159,7 +176,7 @@ function About({ job, dataset }: { job: Job; dataset: string }) {
         rows={[
           ["Recording", <a href={`#/new/${job.dataset}`} title="New job with it">{dataset}</a>],
           ["Created", moment(job.created)], ["Started", moment(job.started)], ["Ended", moment(job.finished)],
-          ...(estimate ? [["Estimated", `${duration(estimate.seconds)}, ${bytes(estimate.memory_bytes)} memory`] as [string, string]] : []),
+          ...(estimate ? [["Estimated", `${duration(estimate.seconds)}, ${bytes(estimate.memory_bytes)} memory${estimate.basis === undefined ? "" : `, from ${estimate.basis}`}`] as [string, string]] : []),
         ]}
       />
       {changed && <details class="more"><summary>Settings that were changed</summary><pre class="small">{JSON.stringify(job.config, null, 1)}</pre></details>}

@@ -3,11 +3,12 @@
 import type { ComponentChildren } from "preact";
 import { useEffect, useMemo, useState } from "preact/hooks";
 
-import { all, Problem, send, told } from "../api";
-import { ago, bytes, duration, plural } from "../format";
+import { all, send, told } from "../api";
+import { about, bytes } from "../format";
 import { go, useFetched, useTitle } from "../hooks";
 import { Card, Facts, Trouble } from "../parts/basic";
-import { type Changes, nested, OptionsForm } from "../parts/options";
+import { type Changes, nested, OptionsForm, placed } from "../parts/options";
+import { Choice, Unfinished } from "../parts/recordings";
 import { Uploader } from "../parts/uploader";
 import type { Dataset, Estimate, Info, Job, Options } from "../types";
 
@@ -19,6 +20,7 @@ export function Submit({ dataset: wanted }: { dataset: string | null }) {
   const [unfinished, setUnfinished] = useState<Dataset | null>(null);
   const ready = (datasets.data ?? []).filter((dataset) => dataset.state === "ready");
   const open = (datasets.data ?? []).filter((dataset) => dataset.state === "uploading" || dataset.state === "invalid");
+  const gone = (): void => { setUnfinished(null); datasets.again(); };
   const dataset = ready.find((one) => one.id === chosen) ?? null;
   return (
     <>
@@ -29,41 +31,18 @@ export function Submit({ dataset: wanted }: { dataset: string | null }) {
             {ready.length > 0 && (
               <fieldset class="choices">
                 <legend>On the server</legend>
-                {ready.map((one) => <Choice key={one.id} dataset={one} checked={one.id === chosen} choose={() => { setChosen(one.id); }} />)}
+                {ready.map((one) => <Choice key={one.id} dataset={one} checked={one.id === chosen} choose={() => { setChosen(one.id); }} gone={gone} />)}
               </fieldset>
             )}
             <details open={ready.length === 0 || unfinished !== null} key={unfinished?.id ?? "new"} class="more">
               <summary>{ready.length === 0 ? "Upload" : "Upload another"}</summary>
-              <Uploader key={unfinished?.id ?? "new"} unfinished={unfinished} ready={(one) => { setUnfinished(null); setChosen(one.id); datasets.again(); }} />
+              <Uploader key={unfinished?.id ?? "new"} unfinished={unfinished} ready={(one) => { setUnfinished(null); setChosen(one.id); datasets.again(); }} failed={(one) => { setUnfinished(one); datasets.again(); }} />
             </details>
             {(info.data?.roots ?? []).length > 0 && <Register roots={info.data?.roots ?? []} done={datasets.again} />}
-            {open.length > 0 && (
-              <ul class="unfinished" aria-label="Unfinished uploads">
-                {open.map((one) => (
-                  <li key={one.id}>
-                    {one.name}: {one.state === "invalid" ? (one.error?.cause ?? "invalid") : `${bytes(one.bytes)} there`} <button type="button" class="link" onClick={() => { setUnfinished(one); }}>go on</button>
-                  </li>
-                ))}
-              </ul>
-            )}
+            {open.length > 0 && <Unfinished datasets={open} goOn={setUnfinished} gone={gone} />}
           </Card>
       </JobForm>
     </>
-  );
-}
-
-function Choice({ dataset, checked, choose }: { dataset: Dataset; checked: boolean; choose: () => void }) {
-  const { facts } = dataset;
-  return (
-    <label class={`choice${checked ? " choice-on" : ""}`}>
-      <input type="radio" name="dataset" checked={checked} onChange={choose} />
-      <span>
-        <strong>{dataset.name}</strong>
-        <span class="quiet small">
-          {facts === null ? "" : `${plural(facts.scans, "scan")}, ${plural(facts.images, "image")}, ${duration(facts.duration_s)} · `}{dataset.source === "folder" ? "a folder on the server" : bytes(dataset.bytes)} · {ago(dataset.created)}
-        </span>
-      </span>
-    </label>
   );
 }
 
@@ -113,8 +92,9 @@ function JobForm({ dataset, children }: { dataset: Dataset | null; children: Com
       go("jobs", job.id);
     } catch (error) {
       setMark(crypto.getRandomValues(new Uint32Array(4)).join("-"));
-      setTrouble(told(error));
-      if (error instanceof Problem) setErrors(Object.fromEntries(error.errors.map((one) => [one.where.replace(/^(body\.)?config\./, ""), one.message])));
+      const { trouble: rest, errors: found } = placed(error, options.data);
+      setTrouble(rest);
+      setErrors(found);
       setSending(false);
     }
   };
@@ -164,7 +144,8 @@ function Cost({ body }: { body: object }) {
   if (estimate === null) return null;
   return (
     <>
-      <Facts rows={[["Takes about", duration(estimate.seconds)], ["Memory", bytes(estimate.memory_bytes)], ["Disk", bytes(estimate.disk_bytes)]]} />
+      <Facts rows={[["Takes", estimate.seconds === null ? "–" : about(estimate.seconds)], ["Memory", bytes(estimate.memory_bytes)], ["Disk", bytes(estimate.disk_bytes)]]} />
+      {estimate.basis !== undefined && <p class="quiet small">Estimated from {estimate.basis}.</p>}
       {(estimate.warnings ?? []).map((warning) => <p key={warning} class="field-problem">{warning}</p>)}
     </>
   );

@@ -1,0 +1,78 @@
+"""The verdict at the top of the page: a word, the millimeters to expect, and the reasons."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from lvba.products.report import words
+from lvba.products.report.html import details, text
+
+Facts = Mapping[str, Any]
+
+_WORDS = {"good": "Good", "check": "Check", "bad": "Bad"}
+_MEANING = {
+    "good": "nothing speaks against the expected errors",
+    "check": "use it, but look at the reasons first",
+    "bad": "do not rely on it",
+}
+_SHOWN = 3
+"""Reasons that are seen without opening anything."""
+
+
+def section(facts: Facts) -> str:
+    """The verdict with its reasons, and the expected errors; nothing where the facts have none."""
+    found = facts.get("verdict")
+    if not found:
+        return ""
+    level = found["level"] if found.get("level") in _WORDS else "check"
+    return (
+        f'<section id="verdict" class="judged {level}" aria-label="Verdict">'
+        f'<p class="level"><strong>{_WORDS[level]}</strong> <span>{_MEANING[level]}</span></p>'
+        f'<p class="summary">{text(found.get("summary", ""))}</p>'
+        f"{_reasons(found.get('reasons') or [])}</section>"
+    )
+
+
+def _reasons(reasons: list[Facts]) -> str:
+    items = [
+        f"<li>{text(reason.get('text', ''))} <span class=mend>{text(reason.get('mend', ''))}</span></li>"
+        for reason in reasons
+    ]
+    if not items:
+        return ""
+    more = _list(items[_SHOWN:])
+    name = f"{len(items) - _SHOWN} more reason{'s' if len(items) > _SHOWN + 1 else ''}"
+    return _list(items[:_SHOWN]) + (details(name, more) if more else "")
+
+
+def _list(items: list[str]) -> str:
+    return f'<ul class="reasons">{"".join(items)}</ul>' if items else ""
+
+
+def tiles(facts: Facts) -> list[tuple[str, str, str]]:
+    """Name, value and what stands below it: expected errors of map, scans and cameras, and thickness of planes."""
+    expected, planes = facts.get("expected_error") or {}, facts.get("planes") or {}
+    sign = "\N{GREATER-THAN OR EQUAL TO} " if expected.get("at_least") else ""
+    found = [
+        (
+            f"{name} error, expected",
+            sign + words.length(part.get("position_m")),
+            f"95 % of {kind} below {words.length(part.get('position_p95_m'))}"
+            if not sign
+            else "at least; see the reasons",
+        )
+        for key, name, kind in (
+            ("map", "Map", "points"),
+            ("scans", "Scan", "scans"),
+            ("cameras", "Camera", "cameras"),
+        )
+        if (part := expected.get(key))
+    ]
+    if planes:
+        found.append(
+            (
+                "Thickness of planes",
+                words.length(planes["thickness_after_m"]),
+                f"before {words.length(planes['thickness_before_m'])}",
+            )
+        )
+    return found

@@ -1,0 +1,302 @@
+"""Whether a result is good, in words: figures in, level and reasons out. Nothing here looks at the recording.
+
+The limits of the alarms are those above which promises were found to be wrong, whatever the scene: of 89 runs, most with
+one disturbance of the sensors each, one of the three was raised in 30 of the 36 whose errors were far above the promised
+ones, and in 3 of the 53 others.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Literal
+
+Level = Literal["good", "check", "bad"]
+
+MOST_INFLATION, MOST_SPLINE_ERROR, MOST_DISAGREEMENT = 4.5, 0.8, 1.2
+_FEWEST_FRAMES = 10
+"""With fewer, one rigid alignment takes up much of what could be compared."""
+_FEW = 0.05
+"""Part of the frames that may be less certain than the others: the 95th percentile leaves them out."""
+VAGUE = 3.0
+"""Times the median expected error from which a frame counts as known less well than the others."""
+_UNSURE = 3.0
+"""Standard deviations of the calibrated mount by which the one found may differ from it."""
+_PROMISE_KEPT = 3.0
+"""Times the promised error up to which a promise counts as kept."""
+_WORSE = 1.1
+"""Times the input's error up to which a result counts as no worse: references have errors of their own."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A part of the result that was judged against its input. accepted: None if there is nothing to judge"""
+
+    accepted: bool | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """An error against the reference, of the result and of the input, and the promised one (None: nothing promised).
+
+    what: scans or cameras; unit: m or degrees
+    """
+
+    what: str
+    unit: Literal["m", "degrees"]
+    error: float
+    rough: float | None = None
+    promised: float | None = None
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What the verdict is made from; None or 0 where there is none.
+
+    inflation: how many times the pixels' information overstated itself
+    spline_error: how far the path through the cameras misses the scans, as part of the error of leaving a camera out
+    disagreement: how many times scans and cameras are further apart, squared, than both promise
+    vague_scans, vague_cameras: frames expected to be off by VAGUE times the median and more, or by nobody knows what
+    moved_m: how far a scan moved at most in the last round that did not settle; scan_p95_m: what 95 % of the scans are
+        expected to be off by less
+    jumps: frames after which the rough poses jump; jump_m, jump_deg: by at most; jump_left: whether one is still there
+    mount_sigmas: by how many standard deviations the mount found differs from the calibrated one
+    ssim: of images predicted from the map, before and after, where the loss is beyond chance
+    """
+
+    scans: int = 0
+    images: int = 0
+    scan_poses: Judged = field(default_factory=Judged)
+    camera_poses: Judged = field(default_factory=Judged)
+    exposures: Judged = field(default_factory=Judged)
+    scans_with_cameras: Judged = field(default_factory=Judged)
+    inflation: float | None = None
+    spline_error: float | None = None
+    disagreement: float | None = None
+    common_weak: int = 0
+    weak_scans: int = 0
+    loose_steps: int = 0
+    vague_scans: int = 0
+    vague_cameras: int = 0
+    moved_m: float | None = None
+    scan_p95_m: float | None = None
+    cameras_settled: bool = True
+    jumps: int = 0
+    jump_m: float = 0.0
+    jump_deg: float = 0.0
+    jump_left: bool = False
+    mount_sigmas: float | None = None
+    mount_m: float = 0.0
+    mount_deg: float = 0.0
+    ssim: tuple[float, float] | None = None
+    thickness: tuple[float, float] | None = None
+    truth: tuple[Truth, ...] = ()
+
+
+@dataclass(frozen=True)
+class Reason:
+    """Why a result is not simply good, and what to do about it.
+
+    level: what it makes of the result at best; more: whether errors are likely larger than the covariances promise
+    """
+
+    text: str
+    mend: str
+    level: Level = "check"
+    more: bool = False
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """level: good, check (use it, but look at the reasons first) or bad (do not rely on it)
+    at_least: whether the expected errors are lower bounds only
+    """
+
+    level: Level
+    reasons: tuple[Reason, ...]
+    at_least: bool
+
+
+def judge(figures: Figures) -> Verdict:
+    """The verdict on a result: as good as the worst of its reasons allows."""
+    reasons = [reason for rule in _RULES for reason in rule(figures)]
+    reasons.sort(key=lambda reason: (reason.level != "bad", not reason.more))
+    order: tuple[Level, ...] = ("good", "check", "bad")
+    level: Level = max((reason.level for reason in reasons), key=order.index, default="good")
+    return Verdict(level, tuple(reasons), any(reason.more for reason in reasons))
+
+
+def _rejected(figures: Figures) -> Iterator[Reason]:
+    nothing = figures.scan_poses.accepted is False and figures.camera_poses.accepted in (False, None)
+    for part, name, mend in (
+        (figures.scan_poses, "scan poses",
+         "Make sure that scans overlap, and that rough poses are within a few decimeters from scan to scan."),
+        (figures.camera_poses, "camera poses",
+         "Check focal length, distortion, extrinsic and time stamps; images need texture, and overlap."),
+        (figures.exposures, "relative exposures",
+         "Nothing to do if all images were exposed alike; else check that neighboring images overlap."),
+        (figures.scans_with_cameras, "scan poses as the cameras have them",
+         "Scans are as the LiDAR has them. Check time stamps and extrinsic if cameras should know better."),
+    ):  # fmt: skip
+        if part.accepted is False:
+            yield Reason(
+                f"Not used: refined {name} ({part.reason}).",
+                mend,
+                "bad" if nothing and part in (figures.scan_poses, figures.camera_poses) else "check",
+            )
+
+
+def _alarms(figures: Figures) -> Iterator[Reason]:
+    if figures.scan_poses.accepted is False:
+        return  # nothing is promised
+    for value, limit, text, mend in (
+        (figures.inflation, MOST_INFLATION,
+         "Images contradict each other {value:.1f} times more than their noise explains (limit {limit})",
+         "Check focal length, principal point and distortion in config.yaml; rolling shutter and blur do the same."),
+        (figures.spline_error, MOST_SPLINE_ERROR,
+         "Between frames, cameras and scans do not move alike (spline error {value:.2f}, limit {limit})",
+         "Check that scans were undistorted for the motion within them, that clocks agree, and for gaps in time."),
+        (figures.disagreement, MOST_DISAGREEMENT,
+         "Scans and cameras are further apart than both promise ({value:.2f} times, squared; limit {limit})",
+         "Check extrinsic, time stamps and camera calibration."),
+    ):  # fmt: skip
+        if value is not None and value > limit:
+            words = text.format(value=value, limit=limit)
+            yield Reason(f"{words}: errors are likely larger than the expected ones.", mend, more=True)
+
+
+def _odometry(figures: Figures) -> Iterator[Reason]:
+    if figures.jumps:
+        sizes = [f"{figures.jump_m:.2f} m"] if figures.jump_m else []
+        size = " and ".join(sizes + ([f"{figures.jump_deg:.1f} degrees"] if figures.jump_deg else []))
+        still = "; the result still has a jump there" if figures.jump_left else ""
+        yield Reason(
+            f"The rough poses jump {figures.jumps} times, by up to {size}{still}.",
+            "Look at the map on both sides of the jump; if surfaces are double there, cut the recording in two.",
+            more=figures.jump_left,
+        )
+    if figures.loose_steps:
+        yield Reason(
+            f"{figures.loose_steps} motions from scan to scan rest on the odometry alone: the scans before and after "
+            "hold together by little else.",
+            "Look at the map there; a slower motion, or scans that overlap more, would hold them.",
+        )
+    if figures.common_weak:
+        yield Reason(
+            f"Surfaces leave {figures.common_weak} motions of the whole map open (as along a corridor): there it is as "
+            "the odometry has it.",
+            "Nothing to do if that is good enough there; else record surfaces that face the open direction.",
+        )
+    elif figures.weak_scans > _FEW * figures.scans:
+        yield Reason(
+            f"{figures.weak_scans} of {figures.scans} scans see too few surfaces to be held in every direction: there "
+            "they follow the odometry or the cameras.",
+            "Look at these frames: they are among those with the largest expected errors.",
+        )
+
+
+def _frames(figures: Figures) -> Iterator[Reason]:
+    for count, total, kind in (
+        (figures.vague_scans, figures.scans, "scans"),
+        (figures.vague_cameras, figures.images, "cameras"),
+    ):
+        if count > _FEW * total:
+            yield Reason(
+                f"{count} of {total} {kind} are known {VAGUE:.0f} times less well than the others, or not at all.",
+                "See the expected error by frame.",
+            )
+    few = [
+        f"{count} {kind}"
+        for count, kind in ((figures.scans, "scans"), (figures.images, "images"))
+        if 0 < count < _FEWEST_FRAMES
+    ]
+    if few:
+        yield Reason(
+            f"Only {' and '.join(few)}: expected errors of so few frames mean little.", "Use more frames."
+        )
+
+
+def _settled(figures: Figures) -> Iterator[Reason]:
+    if figures.moved_m is not None:
+        yield Reason(
+            f"Scan poses had not settled: they still moved by {1000 * figures.moved_m:.1f} mm in the last round.",
+            "Give more rounds (lidar.stages, in parts merge.scan_rounds).",
+            # covariances hold where the solution is; what still moves by more than they say is not there
+            more=figures.scan_p95_m is not None and figures.moved_m > figures.scan_p95_m,
+        )
+    if not figures.cameras_settled:
+        yield Reason(
+            "Camera poses had not settled at full resolution.",
+            "Give more iterations (visual.adjustment.solver.max_iterations).",
+        )
+
+
+def _mount(figures: Figures) -> Iterator[Reason]:
+    if figures.mount_sigmas is not None and figures.mount_sigmas > _UNSURE:
+        yield Reason(
+            f"The camera's mount was found {100 * figures.mount_m:.1f} cm and {figures.mount_deg:.2f} degrees off its "
+            "calibration.",
+            "If you trust the calibration, doubt the camera poses; else put the mount found (report.json) there.",
+        )
+
+
+def _looks(figures: Figures) -> Iterator[Reason]:
+    if figures.ssim is not None:
+        before, after = figures.ssim
+        yield Reason(
+            f"Images predicted from the map have lost structure (SSIM {before:.3f} before, {after:.3f} after).",
+            "Look at the pictures below, at edges above all.",
+        )
+    if figures.thickness is not None and figures.thickness[1] > figures.thickness[0]:
+        before, after = (1000 * value for value in figures.thickness)
+        yield Reason(
+            f"Planes have become thicker ({before:.1f} mm before, {after:.1f} mm after).",
+            "Look at the map from the side of a wall or the floor.",
+        )
+
+
+def _truth(figures: Figures) -> Iterator[Reason]:
+    for what in dict.fromkeys(one.what for one in figures.truth):
+        mine = [one for one in figures.truth if one.what == what]
+        broken = [(one, one.promised) for one in mine if one.promised is not None]
+        broken = [(one, promised) for one, promised in broken if one.error > _PROMISE_KEPT * promised]
+        if broken:
+            told = " and ".join(
+                f"{_amount(one.error, one.unit)} (expected: {_amount(promised, one.unit)})"
+                for one, promised in broken
+            )
+            yield Reason(
+                f"Against the reference, {what} are off by {told}.",
+                "Go by the error against the reference, unless that is no better itself.",
+                more=True,
+            )
+        worse = [(one, one.rough) for one in mine if one.rough is not None]
+        worse = [(one, rough) for one, rough in worse if one.error > _WORSE * rough]
+        if worse:
+            told = " and ".join(
+                f"{_amount(one.error, one.unit)} instead of {_amount(rough, one.unit)}"
+                for one, rough in worse
+            )
+            spoiled = any(one.unit == "m" and one.error > (one.promised or 0.0) for one, _ in worse)
+            yield Reason(
+                f"Against the reference, {what} are worse than the input: {told}.",
+                f"Keep the input's {what}, unless the reference is no better itself.",
+                "bad" if spoiled else "check",
+            )
+
+
+def _amount(value: float, unit: str) -> str:
+    if unit == "m":
+        return f"{1000 * value:.1f} mm" if value < 1 else f"{value:.2f} m"
+    return f"{value:.2f} degrees"
+
+
+_RULES: tuple[Callable[[Figures], Iterator[Reason]], ...] = (
+    _rejected,
+    _truth,
+    _alarms,
+    _odometry,
+    _frames,
+    _settled,
+    _mount,
+    _looks,
+)

@@ -1,0 +1,37 @@
+"""What the disk has left, and whether that is enough to begin something."""
+
+import os
+from pathlib import Path
+
+LEAST_FREE = 64 << 20
+"""Bytes of disk without which nothing is begun."""
+LEAST_FREE_FILES = 1000
+"""Files that the disk must be able to take beside."""
+
+
+def free_bytes(folder: Path) -> int:
+    """What the disk of a folder has left for this user."""
+    found = os.statvfs(folder)
+    return found.f_bavail * found.f_frsize
+
+
+def lacking(place: Path | int, needed: int = LEAST_FREE) -> str | None:
+    """What the disk of a folder or open file lacks, in words; None: it has so many bytes left, and some files.
+
+    Where a file system does not count its files, they never run out.
+    """
+    found = os.statvfs(place)
+    free = found.f_bavail * found.f_frsize
+    if free < needed:
+        return f"{size(free)} are free, {size(needed)} are needed"
+    if found.f_files and found.f_favail < LEAST_FREE_FILES:
+        return f"the file system can take {found.f_favail} more files, {LEAST_FREE_FILES} are needed"
+    return None
+
+
+def size(count: float) -> str:
+    """Bytes in words, such as 1.5 GB."""
+    for power, unit in ((12, "TB"), (9, "GB"), (6, "MB"), (3, "kB")):
+        if count >= 10**power:
+            return f"{count / 10**power:.3g} {unit}"
+    return f"{count:.0f} bytes"
