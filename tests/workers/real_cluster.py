@@ -74,6 +74,7 @@ class Cluster:
         return process
 
     def end(self):
+        """Stops everything; what each process said is shown with a test that failed."""
         for process in reversed(self.processes):
             process.terminate()
         for process in reversed(self.processes):
@@ -82,3 +83,5 @@ class Cluster:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+        for log in sorted(self.folder.glob("*.log")):
+            print(f"{log.name}:", log.read_text(errors="replace")[-3000:])

@@ -1,5 +1,6 @@
 """What dies while a job runs: the service, one of two, the database. Each job ends done, once, with the same bytes."""
 
+import json
 import os
 import signal
 import time
@@ -30,7 +31,7 @@ def runs(name):
 
 
 def assert_done_once_with_the_same_bytes(http, job, result):
-    assert job["state"] == "done", job
+    assert job["state"] == "done", json.dumps(job["error"])
     outcomes = [attempt["outcome"] for attempt in job["attempts"]]
     assert outcomes[-1] == "done"
     assert outcomes.count("done") == 1
