@@ -129,7 +129,7 @@ class Execution:
         """Take back what still runs; workers notice at their next report of progress."""
         if self._running and self._client.status == "running":
             self._client.cancel(list(self._running.values()), force=True, asynchronous=False)
-        self._client.close(timeout=1)
+        self._disconnect()
 
     # the frontier
 
@@ -227,11 +227,16 @@ class Execution:
         client.subscribe_topic(topic(self._place), lambda event: self._news.put(event[1]))
         return client
 
+    def _disconnect(self) -> None:
+        # on a busy machine a client may need longer, most of all one whose scheduler is gone: it ends with this process
+        with suppress(TimeoutError):
+            self._client.close(timeout=1)
+
     def _start_over(self) -> None:
         """The scheduler is gone, and with it everything that it knew."""
         _log.warning("lost the scheduler at %s; waiting for it to come back", self._scheduler.address)
         waiting, self._running = list(self._running), {}
-        self._client.close(timeout=1)
+        self._disconnect()
         self._client = self._connect(RECONNECT_SECONDS)
         self._heard = time.monotonic()
         for key in waiting:

@@ -147,6 +147,22 @@ def test_scheduler_killed_in_the_midst_of_a_step(toy_cluster, expected, tmp_path
     assert len(said(tmp_path, "began")) == 5
 
 
+def test_scheduler_killed_and_its_client_too_busy_to_close(toy_cluster, expected, tmp_path, monkeypatch):
+    close = cluster.Client.close
+
+    def slow(client, timeout=None):
+        close(client, timeout)
+        raise TimeoutError("timed out after 1 s.")
+
+    monkeypatch.setattr(cluster.Client, "close", slow)
+    background = Background(toy_cluster, tmp_path)
+    toy_cluster.kill_scheduler()
+    toy_cluster.start_scheduler()
+    wait_for(lambda: len(said(tmp_path, "began bb")) == 2)
+    background.release()
+    assert contents(tmp_path / "store") == expected
+
+
 def test_driver_killed_in_the_midst_of_a_step(toy_cluster, expected, tmp_path):
     (tmp_path / "hold-bb").touch()
     environment = {"PYTHONPATH": f"{Path(toy_steps.__file__).parent}:{Path(connection.__file__).parents[1]}"}
