@@ -13,10 +13,12 @@ import numba
 import numpy as np
 from bench_photometric import best_seconds
 
-from lvba import solver, trajectory
+from lvba import trajectory
 from lvba.camera import Camera
 from lvba.kernels.homography import center_jacobian, patch_warp, plane_in_reference, relative_pose
-from lvba.solver import NormalEquations, SolverConfig
+from lvba.optim import levenberg_marquardt, normal_equations
+from lvba.optim.levenberg_marquardt import SolverConfig
+from lvba.optim.normal_equations import NormalEquations
 from lvba.visual import photometric
 from lvba.visual.photometric import PhotometricConfig, PhotometricState, Problem
 from lvba.visual.states import CameraStates
@@ -115,7 +117,7 @@ def linearize_exactly(problem: Problem, state: PhotometricState) -> NormalEquati
     rows = np.concatenate([pairs.reference, pairs.target, pairs.reference])
     columns = np.concatenate([pairs.reference, pairs.target, pairs.target])
     value = photometric.cost(problem, photometric.sums(problem, state))
-    return solver.from_blocks(rows, columns, blocks.reshape(-1, 7, 7), gradient, value)
+    return normal_equations.from_blocks(rows, columns, blocks.reshape(-1, 7, 7), gradient, value)
 
 
 def linearize_by_centers(problem: Problem, state: PhotometricState) -> NormalEquations:
@@ -135,12 +137,14 @@ def room(patch: int) -> tuple[Problem, PhotometricState, np.ndarray]:
     return problem, PhotometricState(CameraStates(rough, np.zeros(IMAGES)), np.zeros(len(points))), poses
 
 
-def solved(problem: Problem, start: PhotometricState, exact: bool) -> solver.Solution[PhotometricState]:
+def solved(
+    problem: Problem, start: PhotometricState, exact: bool
+) -> levenberg_marquardt.Solution[PhotometricState]:
     """Where Levenberg-Marquardt ends; exposures stay."""
     free = np.ones((IMAGES, 7), bool)
     free[:, 6] = False
     work = linearize_exactly if exact else linearize_by_centers
-    return solver.levenberg_marquardt(
+    return levenberg_marquardt.levenberg_marquardt(
         start,
         lambda state: work(problem, state),
         lambda state, step: PhotometricState(photometric.moved(state.cameras, step), state.offset),

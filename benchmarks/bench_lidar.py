@@ -25,10 +25,10 @@ from lvba.io.dataset import open_dataset
 from lvba.io.pcd import read_pcd
 from lvba.lidar import voxel_map
 from lvba.lidar.bundle_adjustment import LidarResult, balm2, refine
+from lvba.lidar.damped_newton import Solution, solve
 from lvba.lidar.normal_equations import Problem, linearize
 from lvba.lidar.plane_feature import PlaneFeatures, fit
 from lvba.lidar.scan import Scans, gather
-from lvba.lidar.solver import Solution, solve
 
 ROOT = Path(__file__).resolve().parent.parent
 RECORDING = Path(os.environ.get("LVBA_DATA", ROOT.parent / "shared" / "data")) / "balm_realworld"

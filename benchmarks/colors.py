@@ -21,7 +21,7 @@ from lvba.io.dataset import load_scan, open_dataset
 from lvba.io.reference import read_reference
 from lvba.products import cloud as clouds
 from lvba.products import map_file
-from lvba.recorded_images import views_of
+from lvba.products.recorded_images import views_of
 
 _OFF_M = 0.06
 """Points further than this from what their beam met are no measurement of it: mixed from two surfaces."""

@@ -11,8 +11,8 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 import yaml
 
-from lvba import plain_yaml
 from lvba.errors import InputError
+from lvba.io import plain_yaml
 
 Config = TypeVar("Config")
 _MOST = 1 << 63

@@ -2,20 +2,25 @@
 
 from dataclasses import dataclass, field
 
-from lvba import expected_error, facts, plane_change, result_stages, scan_gates, stages
+from lvba.blocks import plan as blocks_plan
+from lvba.blocks import survey
+from lvba.blocks.config import MergeConfig
+from lvba.blocks.split import SplitConfig, parts
 from lvba.dataset import Dataset
-from lvba.fusion import FusionConfig
-from lvba.gate import GateConfig
 from lvba.io.reference import Reference, of_cameras
 from lvba.lidar.bundle_adjustment import LidarConfig
-from lvba.parts import plan as parts_plan
-from lvba.parts import survey
-from lvba.parts.config import MergeConfig
 from lvba.plan import Passing, Plan, Ref
 from lvba.products.evaluate import EvaluateConfig
 from lvba.products.map_file import MapConfig
-from lvba.split import SplitConfig, parts
-from lvba.stages import VisualLevel
+from lvba.steps import evaluate as evaluate_steps
+from lvba.steps import expected_error, plane_thickness, report_data, scan_acceptance
+from lvba.steps.acceptance import GateConfig
+from lvba.steps.fusion import solve_fusion
+from lvba.steps.lidar import solve_lidar
+from lvba.steps.outcomes import VisualLevel
+from lvba.steps.pose_fusion import FusionConfig
+from lvba.steps.products import color_map, make_pictures
+from lvba.steps.visual import solve_visual, solve_visual_level, visual_levels
 from lvba.visual.refine import VisualConfig
 
 
@@ -58,40 +63,44 @@ def refine(
     plan = Plan(version)
     cores = parts(dataset, config.split, survey.load_of(dataset))
     if len(cores) > 1:
-        return parts_plan.refine(plan, dataset, cores, config, reference)
-    lidar = plan.add("lidar", stages.solve_lidar, dataset, config.lidar, config.refine_scans)
-    scans = plan.add("lidar-gate", scan_gates.judge_lidar, dataset, lidar, config.evaluate, config.gate)
+        return blocks_plan.refine(plan, dataset, cores, config, reference)
+    lidar = plan.add("lidar", solve_lidar, dataset, config.lidar, config.refine_scans)
+    scans = plan.add("lidar-gate", scan_acceptance.judge_lidar, dataset, lidar, config.evaluate, config.gate)
     coarser: Ref | VisualLevel = VisualLevel(None)
-    for level in range(stages.visual_levels(dataset, config.visual) - 1, 0, -1):
+    for level in range(visual_levels(dataset, config.visual) - 1, 0, -1):
         coarser = plan.add(
             f"visual-level-{level}",
-            stages.solve_visual_level,
+            solve_visual_level,
             *(dataset, lidar, scans, coarser, config.lidar, config.visual, config.refine_cameras),
         )
     visual = plan.add(
         "visual",
-        stages.solve_visual,
+        solve_visual,
         *(dataset, lidar, scans, coarser, config.lidar, config.visual, config.refine_cameras),
     )
-    fusion = plan.add(
-        "fusion", stages.solve_fusion, dataset, lidar, scans, visual, config.lidar, config.fusion
-    )
+    fusion = plan.add("fusion", solve_fusion, dataset, lidar, scans, visual, config.lidar, config.fusion)
     fused = plan.add(
-        "fusion-gate", scan_gates.judge_fusion, dataset, scans, fusion, config.evaluate.entropy, config.gate
+        "fusion-gate",
+        scan_acceptance.judge_fusion,
+        dataset,
+        scans,
+        fusion,
+        config.evaluate.entropy,
+        config.gate,
     )
     scores = plan.add(
-        "evaluate", result_stages.evaluate, dataset, scans, fused, visual, config.evaluate, config.gate
+        "evaluate", evaluate_steps.evaluate, dataset, scans, fused, visual, config.evaluate, config.gate
     )
     accepted = plan.add(
-        "visual-gate", result_stages.decide, dataset, scans, fused, visual, scores, config.gate
+        "visual-gate", evaluate_steps.decide, dataset, scans, fused, visual, scores, config.gate
     )
     expected = plan.add("expected-error", expected_error.of_result, lidar, fusion, visual, accepted)
-    colored = plan.add("map", result_stages.color_map, dataset, accepted, expected, config.map)
-    planes = plan.add("planes", plane_change.measure, dataset, accepted)
-    plan.add("pictures", result_stages.make_pictures, dataset, accepted, scores, config.evaluate)
+    colored = plan.add("map", color_map, dataset, accepted, expected, config.map)
+    planes = plan.add("planes", plane_thickness.measure, dataset, accepted)
+    plan.add("pictures", make_pictures, dataset, accepted, scores, config.evaluate)
     plan.add(
         "facts",
-        facts.collect,
+        report_data.collect,
         *(dataset, lidar, scans, visual, fusion, scores, accepted),
         *(expected, [Passing(colored.key)], [planes], reference),
     )

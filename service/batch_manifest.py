@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lvba import plain_yaml
 from lvba.errors import InputError
-from lvba.io import files
+from lvba.io import files, plain_yaml
 
 _FIELDS = {"dataset", "name", "config", "set", "reference", "group"}
 MAX_BYTES = 4 * 1024**2

@@ -2,7 +2,7 @@
 
 import argparse
 
-from lvba import judge
+from lvba import evaluation
 from lvba.io import result_folder
 from lvba.io.dataset import open_dataset
 from lvba.io.reference import read_reference
@@ -20,11 +20,11 @@ def evaluate(arguments: argparse.Namespace, display: Display) -> None:
     display.stage("input", 0, 2)
     dataset = open_dataset(arguments.dataset)
     reference = read_reference(arguments.reference) if arguments.reference else None
-    given = judge.read_given(dataset, arguments.lidar_poses, arguments.image_poses, arguments.exposures)
+    given = evaluation.read_given(dataset, arguments.lidar_poses, arguments.image_poses, arguments.exposures)
     result_folder.prepare(arguments.out)
     first_run.announce(display, images=bool(dataset.image_paths))
     display.stage("evaluate", 1, 2)
-    report = judge.report(given, config, reference, display.progress)
+    report = evaluation.report(given, config, reference, display.progress)
     report["versions"] = versions.versions()
     page.write(arguments.out, report)
     display.clear()

@@ -3,10 +3,9 @@
 import argparse
 import os
 
-from lvba import split
+from lvba.blocks import split, survey
 from lvba.dataset import Dataset
 from lvba.errors import InputError
-from lvba.parts import survey
 from lvba.pipeline import Config
 from service import clusters
 from service.progress import Display

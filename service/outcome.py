@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from lvba import part_verdicts
+from lvba.products import part_verdicts
 
 Row = tuple[str, Any, Any, str]
 

@@ -5,8 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from lvba import plain_yaml
-from lvba.io import files
+from lvba.io import files, plain_yaml
 
 MAX_BYTES = 64 * 1024
 """Longest configuration file read; real ones have some kilobytes."""

@@ -16,14 +16,14 @@ import numpy as np
 from lvba import geometry
 from lvba.errors import DegenerateProblemError
 from lvba.lidar import covariance as uncertainty
-from lvba.lidar import density, doubt, surface, voxel_map, weak
+from lvba.lidar import degeneracy, density, noise_information, surface, voxel_map
 from lvba.lidar.config import LidarConfig, StageConfig, balm2
+from lvba.lidar.damped_newton import Solution, solve
 from lvba.lidar.normal_equations import Problem
+from lvba.lidar.odometry_factor import OdometryPrior, odometry_prior, reestimated
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.lidar.plane_feature import fit
-from lvba.lidar.prior import OdometryPrior, odometry_prior, reestimated
 from lvba.lidar.scan import Scans, gather
-from lvba.lidar.solver import Solution, solve
 from lvba.lidar.voxel_map import Association, VoxelMap
 from lvba.lidar.weights import observation_weights
 from lvba.progress import Progress, silent
@@ -86,7 +86,7 @@ class LidarResult:
     cost_final: float
     iterations: int
     converged: bool
-    weak_directions: tuple[weak.WeakDirection, ...]
+    weak_directions: tuple[degeneracy.WeakDirection, ...]
     weak_scans: np.ndarray
     loose: np.ndarray
     warnings: tuple[str, ...]
@@ -137,7 +137,7 @@ def refine(
         grid = None if grid is None or _stale(grid, poses, stage) else grid
         grid = grid or _grid(points, poses, config, stage)
         problem, weakness = _associate(grid, poses, sensor, config, stage, prior)
-        found = doubt.solve(problem, poses, config.prior_sigmas)
+        found = noise_information.solve(problem, poses, config.prior_sigmas)
         history.append(_round(problem, weakness, poses, found))
         _log.info("round %d, noise taken off: %s", len(history), history[-1])
         poses = found.world_from_scan
@@ -192,14 +192,14 @@ _DOUBTED_ROUNDS = 6
 """Associations in which planes count by what they say beyond noise: poses that noise led astray are back by then."""
 
 
-def _doubtful(weakness: weak.Weakness, stage: StageConfig) -> bool:
+def _doubtful(weakness: degeneracy.Weakness, stage: StageConfig) -> bool:
     """Whether some scans are held so little that noise may have led them, and others with them, astray. Where all
     together are open in a direction, holding it says all there is to say."""
     return (
         stage.hold
         and bool(weakness.count.any())
         and not weakness.common
-        and len(weakness.count) <= doubt.MOST_SCANS
+        and len(weakness.count) <= noise_information.MOST_SCANS
     )
 
 
@@ -234,12 +234,12 @@ def _associate(
     config: LidarConfig,
     stage: StageConfig,
     prior: OdometryPrior,
-) -> tuple[Problem, weak.Weakness]:
+) -> tuple[Problem, degeneracy.Weakness]:
     """The planes at the poses so far, with weights and weak directions: a problem to solve."""
     features = _planes(grid, poses, sensor, stage).features
     weights = observation_weights(features, poses, config.weights, stage.systematic)
     features = features.with_weight(weights.weight)
-    weakness = weak.find(features, fit(features, poses), poses, weights.sigma, config.prior_sigmas)
+    weakness = degeneracy.find(features, fit(features, poses), poses, weights.sigma, config.prior_sigmas)
     projector = weakness.projector if stage.hold and weakness.count.any() else None
     return Problem(features, weights.sigma, prior, projector), weakness
 
@@ -254,7 +254,7 @@ def _metric(config: LidarConfig) -> np.ndarray:
     return np.asarray(2.0 / config.prior_sigmas**2)
 
 
-def _round(problem: Problem, weakness: weak.Weakness, before: np.ndarray, found: Solution) -> Round:
+def _round(problem: Problem, weakness: degeneracy.Weakness, before: np.ndarray, found: Solution) -> Round:
     features = problem.features
     points = _points(problem)
     moved = np.linalg.norm(found.world_from_scan[:, :3, 3] - before[:, :3, 3], axis=1)
@@ -319,7 +319,7 @@ def loose_steps(loose: np.ndarray, weak_scans: np.ndarray) -> np.ndarray:
 
 
 def _of_loose_steps(
-    loose: np.ndarray, weakness: weak.Weakness, prior: OdometryPrior | None
+    loose: np.ndarray, weakness: degeneracy.Weakness, prior: OdometryPrior | None
 ) -> tuple[str, ...]:
     """What a user should know about groups of scans that hang together by the odometry only, though each is well held."""
     if prior is None or not len(loose):

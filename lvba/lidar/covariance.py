@@ -14,10 +14,10 @@ import scipy.linalg
 
 from lvba import geometry
 from lvba.kernels import lidar as kernel
-from lvba.lidar import doubt, panels
+from lvba.lidar import noise_information, panels
 from lvba.lidar.normal_equations import Problem, linearize
+from lvba.lidar.odometry_factor import OdometryPrior
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
-from lvba.lidar.prior import OdometryPrior
 
 
 @dataclass(frozen=True)
@@ -61,9 +61,11 @@ def estimate(problem: Problem, world_from_scan: np.ndarray) -> Covariance:
     step = _of_steps(inverse, world_from_scan)
     loose = np.zeros(0)
     if problem.prior is not None and told is not None:
-        feigned = doubt.feigned_information(problem.features, fits, world_from_scan, problem.sigma)[6:, 6:]
+        feigned = noise_information.feigned_information(
+            problem.features, fits, world_from_scan, problem.sigma
+        )[6:, 6:]
         odometry = _prior_information(problem.prior, world_from_scan)
-        certain = doubt.certain(told - odometry, feigned, odometry)
+        certain = noise_information.certain(told - odometry, feigned, odometry)
         inverse = _inverse(certain / excess + odometry)
         loose = _narrowed(_of_steps(inverse, world_from_scan), problem.prior.information)
     conditional = np.stack([excess * _inverse(block) for block in own])

@@ -8,9 +8,9 @@ import scipy.linalg
 from lvba import geometry
 from lvba.kernels import lidar as kernel
 from lvba.lidar import panels
+from lvba.lidar.odometry_factor import OdometryPrior
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
 from lvba.lidar.point_cluster import split
-from lvba.lidar.prior import OdometryPrior
 
 HESSIAN_BYTES_PER_POSE_SQUARED = 6 * 6 * 8
 """Memory of the dense Hessian: this times the square of the number of scans."""
@@ -28,7 +28,7 @@ class Problem:
     sigma: float
     prior: OdometryPrior | None
     projector: np.ndarray | None = None
-    """(S, 6, 6), keeps of a motion what the planes determine (see `weak`); None: all of it."""
+    """(S, 6, 6), keeps of a motion what the planes determine (see `degeneracy`); None: all of it."""
 
     def cost(self, world_from_scan: np.ndarray, fits: PlaneFits | None = None) -> float:
         """The sum of squared errors over their variances at poses (S, 4, 4); fits: of the planes there, if at hand."""

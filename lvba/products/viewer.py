@@ -17,9 +17,9 @@ from lvba.parallel import in_order
 from lvba.products import evaluate, pictures
 from lvba.products.cloud import Cloud, assemble
 from lvba.products.evaluate import State
+from lvba.products.recorded_images import views_of
 from lvba.products.views import Views
 from lvba.progress import Progress, silent
-from lvba.recorded_images import views_of
 from lvba.trajectory import Trajectory
 
 MAX_PICTURES = 400

@@ -7,17 +7,18 @@ import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from lvba import solver
 from lvba.camera import Camera
-from lvba.solver import Iteration, NormalEquations, SolverConfig
-from lvba.visual import covariance, mount_prior, noise, photometric, prior_sigmas
-from lvba.visual import prior as priors
+from lvba.optim import levenberg_marquardt, linear_solver
+from lvba.optim.levenberg_marquardt import Iteration, SolverConfig
+from lvba.optim.normal_equations import NormalEquations
+from lvba.visual import covariance, extrinsic_prior, noise, photometric, trajectory_sigmas
+from lvba.visual import trajectory_prior as priors
 from lvba.visual.covariance import Shares
 from lvba.visual.noise import NoiseModel
 from lvba.visual.photometric import Linearization, PhotometricConfig, PhotometricState, Problem
-from lvba.visual.prior import Prior, Source
 from lvba.visual.scene_points import Observations, ScenePoints
 from lvba.visual.states import Mount, VisualState
+from lvba.visual.trajectory_prior import Prior, Source
 
 logger = logging.getLogger(__name__)
 
@@ -104,7 +105,7 @@ def solve(
         problem = replace(problem, sigma=scatter.sigma(noise.gradients(sums)))
         model = _Model(problem, prior)
         how = config.solver if last else quick
-        solution = solver.levenberg_marquardt(at, model.linearize, model.retract, how, free)
+        solution = levenberg_marquardt.levenberg_marquardt(at, model.linearize, model.retract, how, free)
         at, history = solution.state, history + solution.history
         linearization = model.at(at)
         sums = linearization.sums
@@ -212,11 +213,11 @@ def _reweighted(
     inflation = max(problem.inflation * ratio, 1.0)
     if prior is not None:
         total = joint(linearization.equations, prior, at.visual)
-        own, with_mount = solver.covariance_blocks(total, free)
+        own, with_mount = linear_solver.covariance_blocks(total, free)
         undecided = tuple(_undecided(prior, source, at.visual, own, with_mount) for source in prior.sources)
         clusters = covariance.bias_reduced_gradients(problem, linearization, at.photometric, shares, total)
         counts = _mount_information(prior, at, clusters, own[-1], with_mount, problem.inflation / inflation)
-        prior = prior_sigmas.reestimated(replace(prior, mount_information=counts), at.visual, undecided)
+        prior = trajectory_sigmas.reestimated(replace(prior, mount_information=counts), at.visual, undecided)
     return replace(problem, inflation=inflation), prior
 
 
@@ -236,7 +237,7 @@ def _mount_information(
     every = np.linalg.inv(covariance_mount)
     now, _, _ = priors.linearize_mount(prior, at.mount)
     gradients = clusters @ covariance_with_mount[:-1].reshape(-1, len(every)) @ every
-    return mount_prior.weighed(
+    return extrinsic_prior.weighed(
         deflated * (every - now),
         deflated**2 * (gradients.T @ gradients),
         priors.claimed_information(prior.config),

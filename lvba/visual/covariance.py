@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from lvba import geometry, solver
+from lvba import geometry
 from lvba.kernels import plane_offsets as offset_kernels
-from lvba.solver import NormalEquations
+from lvba.optim import linear_solver
+from lvba.optim.normal_equations import NormalEquations
 from lvba.trajectory import Trajectory
 from lvba.visual import photometric
 from lvba.visual.photometric import Linearization, PhotometricState, Problem
@@ -177,10 +178,11 @@ def camera_covariance(
     """The sandwich covariance of the free unknowns as (I + 1, 7, 7) diagonal blocks; the last block is the mount.
 
     total: photometric equations plus prior, over I + 1 blocks; clusters: (clusters, 7 I)
-    prior_spread: M of the prior's share (`prior.spread`): its Hessian, as its sigmas were estimated; None: no prior
+    prior_spread: M of the prior's share (`trajectory_prior.spread`): its Hessian, as its sigmas were estimated; None: no
+        prior
     """
     index = np.flatnonzero(free)
-    inverse = solver.inverse_columns(total, index, 10**9)(np.arange(index.size))
+    inverse = linear_solver.inverse_columns(total, index, 10**9)(np.arange(index.size))
     scaled = clusters[:, index[index < clusters.shape[1]]]
     spread = inverse[:, : scaled.shape[1]] @ scaled.T
     count = len(total.gradient)

@@ -5,12 +5,13 @@ from typing import Literal
 
 import numpy as np
 
-from lvba import geometry, solver
+from lvba import geometry
 from lvba.camera import Camera
 from lvba.kernels import photometric as kernels
 from lvba.kernels import photometric_moving as moving_kernels
 from lvba.kernels import plane_offsets as offset_kernels
-from lvba.solver import NormalEquations
+from lvba.optim import normal_equations
+from lvba.optim.normal_equations import NormalEquations
 from lvba.visual.scene_points import Observations, ScenePoints
 from lvba.visual.states import CameraStates
 
@@ -284,7 +285,7 @@ def linearize(
     rows = np.concatenate([pairs.reference, pairs.target, pairs.reference])
     columns = np.concatenate([pairs.reference, pairs.target, pairs.target])
     parts = np.concatenate([blocks[:, :7, :7], blocks[:, 7:, 7:], blocks[:, :7, 7:]])
-    equations = solver.from_blocks(rows, columns, parts, gradient, cost(problem, s))
+    equations = normal_equations.from_blocks(rows, columns, parts, gradient, cost(problem, s))
     if problem.elimination is None or problem.offset_sigma is None:
         none = np.zeros(0)
         return Linearization(equations, s, single, none, none, none)

@@ -13,19 +13,19 @@ from lvba.lidar.covariance import Covariance
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.progress import Progress, silent
 from lvba.trajectory import Trajectory
-from lvba.visual import bundle_adjustment, covariance, exposure, scene_points, visibility, weak
-from lvba.visual import prior as priors
+from lvba.visual import bundle_adjustment, covariance, degeneracy, exposure, scene_points, visibility
 from lvba.visual import result as results
+from lvba.visual import trajectory_prior as priors
 from lvba.visual.bundle_adjustment import BundleAdjustmentConfig, LevelSolution
+from lvba.visual.degeneracy import WeakDirections
 from lvba.visual.exposure import ExposureConfig
 from lvba.visual.image import ImageConfig, Pyramid
 from lvba.visual.keyframes import KeyframeConfig
-from lvba.visual.prior import Prior, PriorConfig
 from lvba.visual.result import LevelReport, VisualResult
 from lvba.visual.scene_points import PointsConfig
 from lvba.visual.states import CameraStates, VisualState
+from lvba.visual.trajectory_prior import Prior, PriorConfig
 from lvba.visual.visibility import DepthBuffers, VisibilityConfig, VisibilityMap
-from lvba.visual.weak import WeakDirections
 
 __all__ = [
     "Coarser",
@@ -232,10 +232,10 @@ def _solved(
     config = one_patch_size(config)
     level = len(scene.pyramid) - 1 - coarser.levels
     solution = _solve_level(scene, level, coarser, config, progress)
-    directions = weak.find(solution.problem, solution.linearization, scene.planes)
+    directions = degeneracy.find(solution.problem, solution.linearization, scene.planes)
     prior, state = solution.prior, solution.state
     if prior is not None:
-        state = weak.hold(state, prior, directions)
+        state = degeneracy.hold(state, prior, directions)
     report = results.level_report(level, solution)
     logger.info("%s", report)
     left = Coarser(state, prior, solution.problem.inflation, (*coarser.reports, report), coarser.levels + 1)

@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lvba.solver import Iteration
-from lvba.visual import bundle_adjustment, photometric, weak
-from lvba.visual import prior as priors
+from lvba.optim.levenberg_marquardt import Iteration
+from lvba.visual import bundle_adjustment, degeneracy, photometric
+from lvba.visual import trajectory_prior as priors
 from lvba.visual.bundle_adjustment import LevelSolution
+from lvba.visual.degeneracy import WeakDirections
 from lvba.visual.photometric import PhotometricState
-from lvba.visual.prior import Prior
 from lvba.visual.states import CameraStates, VisualState
-from lvba.visual.weak import WeakDirections
+from lvba.visual.trajectory_prior import Prior
 
 _NAMED = 12
 """At most so many frames are named in a warning."""
@@ -118,7 +118,7 @@ def collect(
     """
     blocks = bundle_adjustment.covariance_of(last)
     if last.prior is not None:
-        blocks[:-1, :6, :6] += weak.held_covariance(state, last.prior, directions)
+        blocks[:-1, :6, :6] += degeneracy.held_covariance(state, last.prior, directions)
     solved = priors.take(prior, keyframes) if last.prior is None else last.prior
     poses, between = priors.fill(prior, solved, state, keyframes, times)
     nearest = np.abs(times[keyframes][None] - times[:, None]).argmin(axis=1)

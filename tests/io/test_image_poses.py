@@ -8,7 +8,7 @@ import pytest
 import small_recording
 from small_recording import START
 
-from lvba import geometry, judge
+from lvba import evaluation, geometry
 from lvba.dataset import BODY, CAMERA
 from lvba.errors import InputError
 from lvba.io import camera_config, image_poses, result_folder, tum
@@ -192,7 +192,7 @@ def test_a_result_holds_what_the_input_holds_and_comes_back(tmp_path: Path, kind
     assert written.read_text().startswith(f"# image_poses: {kind} - ")
     expected = image_poses.from_camera(moved, kind, dataset.camera_from_scan)
     np.testing.assert_allclose(tum.read_trajectory(written).world_from_sensor, expected, atol=2e-9)
-    given = judge.read_given(dataset, None, written, None)
+    given = evaluation.read_given(dataset, None, written, None)
     np.testing.assert_allclose(given.world_from_camera, moved, atol=2e-9)
     read = result_folder.read_cameras(tmp_path, dataset)
     np.testing.assert_allclose(read.world_from_sensor, moved, atol=2e-9)
@@ -237,7 +237,7 @@ def test_a_reference_whose_images_do_not_belong_to_its_scans_is_refused(tmp_path
         of_cameras(reference, dataset)
     tum.write_trajectory(tmp_path / "turned.txt", Trajectory(dataset.images.times, turned))
     with pytest.raises(InputError, match=r"turned\.txt"):
-        judge.read_given(dataset, None, tmp_path / "turned.txt", None)
+        evaluation.read_given(dataset, None, tmp_path / "turned.txt", None)
 
 
 def test_results_of_versions_that_said_nothing_hold_the_camera_s(tmp_path: Path):

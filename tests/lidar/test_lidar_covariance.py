@@ -6,9 +6,9 @@ import pytest
 import scipy.linalg
 
 from lvba import geometry
-from lvba.lidar import covariance, doubt, normal_equations, voxel_map
+from lvba.lidar import covariance, noise_information, normal_equations, voxel_map
+from lvba.lidar.odometry_factor import odometry_prior
 from lvba.lidar.plane_feature import fit
-from lvba.lidar.prior import odometry_prior
 from lvba.lidar.scan import gather
 
 SIGMA = 0.005
@@ -46,8 +46,8 @@ def dense(problem, poses, doubted):
         by_both[:, 6 * i + 6 : 6 * i + 12] = np.eye(6)
         step.append(by_both @ in_local @ by_both.T)
     if doubted:
-        feigned = doubt.feigned_information(problem.features, fits, poses, SIGMA)[6:, 6:]
-        certain = doubt.certain(planes[6:, 6:], feigned, odometry)
+        feigned = noise_information.feigned_information(problem.features, fits, poses, SIGMA)[6:, 6:]
+        certain = noise_information.certain(planes[6:, 6:], feigned, odometry)
         whole[6:, 6:] = np.linalg.inv(certain / excess + odometry)
     motion, pick = covariance.alignment(poses)
     free = np.eye(6 * scans) - motion @ np.linalg.inv(pick.T @ motion) @ pick.T

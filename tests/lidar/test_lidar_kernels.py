@@ -8,7 +8,15 @@ import pytest
 from lvba import geometry
 from lvba.kernels import lidar as kernel
 from lvba.kernels import point_cluster, voxel
-from lvba.lidar import covariance, doubt, normal_equations, panels, plane_feature, voxel_map, weak
+from lvba.lidar import (
+    covariance,
+    degeneracy,
+    noise_information,
+    normal_equations,
+    panels,
+    plane_feature,
+    voxel_map,
+)
 from lvba.lidar.plane_feature import PlaneFeatures
 from lvba.lidar.point_cluster import PointClusters, split
 from lvba.lidar.scan import Scans, gather
@@ -322,7 +330,7 @@ def test_information_kernel_against_its_twin(problem):
     clusters = features.clusters.weighted(features.weight)
     args = (features.feature, clusters.count, clusters.mean, clusters.scatter)
     told, feigned = kernel.information(
-        split(poses)[0], starts, by_scan, *args, fits.eigenvectors, weak.normal_variance(fits)
+        split(poses)[0], starts, by_scan, *args, fits.eigenvectors, degeneracy.normal_variance(fits)
     )
     points = [points for feature in plain for _, points, _ in feature]
     expected = naive.information(
@@ -335,8 +343,8 @@ def test_information_kernel_against_its_twin(problem):
 
 def test_what_noise_feigns_about_all_poses_against_its_twin(several_tiles):
     poses, plain, features = several_tiles
-    got = doubt.feigned_information(features, plane_feature.fit(features, poses), poses, 0.02)
-    expected = naive.feigned(poses, plain, 0.02, weak.TRUSTED_POINTS)
+    got = noise_information.feigned_information(features, plane_feature.fit(features, poses), poses, 0.02)
+    expected = naive.feigned(poses, plain, 0.02, degeneracy.TRUSTED_POINTS)
     np.testing.assert_allclose(got, expected, atol=1e-9 * np.abs(expected).max())
 
 

@@ -14,10 +14,10 @@ import pytest
 
 from lvba import geometry
 from lvba.lidar import normal_equations, plane_feature
+from lvba.lidar.damped_newton import solve
 from lvba.lidar.normal_equations import Problem
 from lvba.lidar.plane_feature import PlaneFeatures
 from lvba.lidar.point_cluster import PointClusters
-from lvba.lidar.solver import solve
 
 FOLDER = (
     Path(os.environ.get("LVBA_DATA", Path(__file__).parents[3] / "shared" / "data"))

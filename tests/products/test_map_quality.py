@@ -4,10 +4,10 @@ import naive_products as naive
 import numpy as np
 import pytest
 
-from lvba import plane_change
 from lvba.kernels import map_entropy as kernels
 from lvba.products import map_quality
 from lvba.products.cloud import Cloud
+from lvba.steps import plane_thickness
 
 
 def test_entropies_match_the_plain_twin():
@@ -147,10 +147,10 @@ def test_planes_that_are_planar_before_or_after_count_so_that_neither_map_is_fav
     noise = rng.normal(0, 1, 60000)
     thick, thin = (cloud_of(wall + np.outer(noise, [0, 0, sigma])) for sigma in (0.03, 0.01))
     cubes = [map_quality.planar_cubes(cloud) for cloud in (thick, thin, cloud_of(np.zeros((0, 3))))]
-    there, back = plane_change.compare(cubes[0], cubes[1]), plane_change.compare(cubes[1], cubes[0])
-    found = plane_change.facts([there])
+    there, back = plane_thickness.compare(cubes[0], cubes[1]), plane_thickness.compare(cubes[1], cubes[0])
+    found = plane_thickness.facts([there])
     assert found["thickness_before_m"] == pytest.approx(0.03, rel=0.05)
     assert found["thickness_after_m"] == pytest.approx(0.01, rel=0.05)
     assert (back.before, back.after, back.cubes) == (there.after, there.before, there.cubes)
-    assert plane_change.facts([there, there])["count_after"] == 2 * found["count_after"]
-    assert plane_change.facts([plane_change.compare(cubes[2], cubes[1])]) is None
+    assert plane_thickness.facts([there, there])["count_after"] == 2 * found["count_after"]
+    assert plane_thickness.facts([plane_thickness.compare(cubes[2], cubes[1])]) is None

@@ -12,8 +12,8 @@ from lvba.kernels import zbuffer
 from lvba.products import cloud as clouds
 from lvba.products import colorize, map_file
 from lvba.products.cloud import Cloud
+from lvba.products.recorded_images import views_of
 from lvba.products.views import Views
-from lvba.recorded_images import views_of
 from lvba.simulate import cabinet, known, simulate
 
 OFF_M = 0.06

@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from lvba import split
+from lvba.blocks import split, survey
+from lvba.blocks.split import SplitConfig
 from lvba.errors import InputError
 from lvba.io.dataset import open_dataset
-from lvba.parts import survey
 from lvba.pipeline import Config
-from lvba.split import SplitConfig
 from service import clusters, memory
 from service.progress import Display
 

@@ -8,12 +8,12 @@ import textured_planes
 
 from lvba import geometry, trajectory
 from lvba.camera import Camera
-from lvba.solver import NormalEquations
-from lvba.visual import bundle_adjustment, covariance, mount_prior, prior
+from lvba.optim.normal_equations import NormalEquations
+from lvba.visual import bundle_adjustment, covariance, extrinsic_prior, trajectory_prior
 from lvba.visual.bundle_adjustment import BundleAdjustmentConfig
 from lvba.visual.photometric import PhotometricState
-from lvba.visual.prior import Prior, PriorConfig, Source
 from lvba.visual.states import CameraStates, Mount, VisualState
+from lvba.visual.trajectory_prior import Prior, PriorConfig, Source
 
 CAMERA = Camera(320, 240, 190.0, 190.0, 159.5, 119.5)
 COUNT = 10
@@ -94,11 +94,11 @@ def test_walls_that_contradict_each_other_do_not_draw_the_mount_from_where_it_wa
     scene, monkeypatch
 ):
     images, points, observations, poses, _ = scene
-    claims = prior.claimed_information(PriorConfig())
+    claims = trajectory_prior.claimed_information(PriorConfig())
     config = BundleAdjustmentConfig(plane_offsets=False)
     off, counts = [], []
-    for weighed in (mount_prior.weighed, lambda *_: claims):
-        monkeypatch.setattr(mount_prior, "weighed", weighed)
+    for weighed in (extrinsic_prior.weighed, lambda *_: claims):
+        monkeypatch.setattr(extrinsic_prior, "weighed", weighed)
         found = bundle_adjustment.solve(
             images, CAMERA, bent(points, poses), observations, start(poses), still(poses, 0.005, 0.1), config
         )
@@ -119,7 +119,7 @@ def test_over_one_bare_plane_the_cameras_stay_at_the_prior(scene):
     )
     truth = still(poses)
     found = bundle_adjustment.solve(images, CAMERA, points, only, start(poses), truth)
-    deviation = prior.residuals(truth, truth.sources[0], found.state)
+    deviation = trajectory_prior.residuals(truth, truth.sources[0], found.state)
     rotation, position = deviation[:, :3], deviation[:, 3:]
     # 5 mm per axis at the start; along the plane the common motion is the prior's
     assert np.abs(position.mean(axis=0)).max() < 2e-3

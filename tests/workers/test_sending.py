@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from lvba import plan
+from lvba.blocks.split import Part
 from lvba.camera import Camera
 from lvba.dataset import Dataset
 from lvba.lidar.config import LidarConfig
 from lvba.plan import Plan, Ref
-from lvba.split import Part
 from lvba.trajectory import Trajectory
 from workers import sending, task
 from workers.sending import Sender

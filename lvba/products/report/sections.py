@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from lvba import part_verdicts
+from lvba.products import part_verdicts
 from lvba.products.pictures import Pictures
 from lvba.products.report import figures, looks, parts, verdict, words, work
 from lvba.products.report.html import details, section, table, text

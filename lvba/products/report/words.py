@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from lvba import part_verdicts
+from lvba.products import part_verdicts
 
 MISSING = "\N{EN DASH}"
 

@@ -1,0 +1,300 @@
+"""A share of one large LiDAR bundle adjustment: the cells of one region of space, seen by whatever scans see it.
+
+The cost is a sum over planes, a plane lies in one cell, and a cell belongs to one region: the normal equations of all
+regions add up to those of the whole recording. Points are read once and kept as clusters of the finest cells; rounds of
+association and linearization then need no points.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from lvba import geometry
+from lvba.kernels import voxel as kernel
+from lvba.lidar import degeneracy, voxel_map
+from lvba.lidar.config import StageConfig
+from lvba.lidar.normal_equations import linearize_planes
+from lvba.lidar.plane_feature import fit
+from lvba.lidar.point_cluster import PointClusters, split
+from lvba.lidar.scan import Scans, gather
+from lvba.lidar.voxel_map import Level, VoxelMap
+from lvba.lidar.weights import WeightConfig, observation_weights
+from lvba.optim import normal_equations
+from lvba.optim.normal_equations import NormalEquations
+from lvba.progress import Progress, silent
+
+_CHUNK = 16
+"""Scans whose points are in memory at a time."""
+
+
+@dataclass(frozen=True)
+class Regions:
+    """Which part of the recording owns which piece of space: that of the scan taken nearest to it.
+
+    position: (S, 3) float64, m, world frame, where each scan was taken from; owner: (S,) int64, its part
+    """
+
+    position: np.ndarray
+    owner: np.ndarray
+
+    def of(self, points: np.ndarray) -> np.ndarray:
+        """The owner (N,) of points (N, 3)."""
+        return np.asarray(self.owner[cKDTree(self.position).query(points)[1]])
+
+
+@dataclass(frozen=True)
+class Share:
+    """The finest cells of one region.
+
+    scans: (L,) int64, ascending, the recording's scans that have points here
+    size: m, edge of a cell; key (C,), starts (C + 1,), entry_scan (E,) int32 (into `scans`), clusters: as in `Level`
+    grid_from_world: (4, 4), turn of the grid
+    """
+
+    scans: np.ndarray
+    size: float
+    key: np.ndarray
+    starts: np.ndarray
+    entry_scan: np.ndarray
+    clusters: PointClusters
+    grid_from_world: np.ndarray
+
+    def grid(self, world_from_scan: np.ndarray, largest: float) -> VoxelMap:
+        """All levels up to cells of edge `largest`, for the poses (L, 4, 4) of `scans`."""
+        level = Level(self.size, self.key, self.starts, self.entry_scan, self.clusters, np.zeros(0, np.int64))
+        none = np.zeros(len(self.scans) + 1, np.int64)
+        return VoxelMap((level,), world_from_scan, np.zeros(0, np.int32), none).up_to(largest)
+
+
+@dataclass(frozen=True)
+class ShareEquations:
+    """What one share says about the poses of its scans.
+
+    scans: (L,) as in `Share`; equations: over these, 6 unknowns each, world axes about each sensor
+    told, feigned: (L, 6, 6), what the planes say about each scan and what of it noise feigns, over sigma^2
+        (see `degeneracy`)
+    planes, observations, points: how many; sigma: m, of a point about its plane
+    """
+
+    scans: np.ndarray
+    equations: NormalEquations
+    told: np.ndarray
+    feigned: np.ndarray
+    planes: int
+    observations: int
+    points: float
+    sigma: float
+
+
+def candidates(regions: Regions, part: int, reach: float) -> np.ndarray:
+    """Scans that may have points in a part's region, ascending: taken within twice the LiDAR's reach (m) of its path."""
+    path = cKDTree(regions.position[regions.owner == part])
+    near = path.query(regions.position, distance_upper_bound=2.0 * reach)[0]
+    return np.flatnonzero(np.isfinite(near))
+
+
+def collect(
+    load: Callable[[list[int]], list[np.ndarray]],
+    scans: np.ndarray,
+    world_from_scan: np.ndarray,
+    regions: Regions,
+    part: int,
+    *,
+    size: float,
+    largest: float,
+    grid_from_world: np.ndarray,
+    progress: Progress = silent,
+) -> Share:
+    """The share of a part.
+
+    load: numbers of scans -> their points (N, 3) float32, scan frame
+    scans: those to look at; world_from_scan: (S, 4, 4) of the whole recording
+    size, largest: m, edges of the finest cells and of the coarsest (owned as a whole), powers of two apart
+    """
+    levels = round(np.log2(largest / size))
+    poses = grid_from_world @ world_from_scan[scans]
+    origin = voxel_map.grid_origin(poses[:, :3, 3], size)
+    world_from_grid = geometry.inverse(grid_from_world[None])[0]
+    found: list[tuple[np.ndarray, np.ndarray, PointClusters]] = []
+    for begin, points in _chunks(load, scans):
+        progress("collecting cells", begin, len(scans))
+        here = slice(begin, begin + len(points))
+        rotation, translation = split(poses[here])
+        local, keys, cells = kernel.assign(
+            points.points, points.offsets, rotation, translation - origin, size
+        )
+        key = np.concatenate([keys[o : o + n] for o, n in zip(points.offsets[:-1], cells, strict=True)])
+        scan = np.repeat(np.arange(begin, begin + len(points), dtype=np.int32), cells)
+        mine = _owned(key, levels, largest, origin, world_from_grid, regions, part)
+        clusters = PointClusters(
+            *kernel.accumulate(
+                points.points, points.offsets, local, _starts(cells), np.arange(len(key), dtype=np.int64)
+            )
+        )
+        found.append((key[mine], scan[mine], clusters.take(mine)))
+    return _share(found, scans, size, grid_from_world)
+
+
+def _chunks(load: Callable[[list[int]], list[np.ndarray]], scans: np.ndarray) -> Iterator[tuple[int, Scans]]:
+    for begin in range(0, len(scans), _CHUNK):
+        yield begin, gather(load([int(scan) for scan in scans[begin : begin + _CHUNK]]))
+
+
+def _starts(counts: np.ndarray) -> np.ndarray:
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
+def _owned(
+    key: np.ndarray,
+    levels: int,
+    largest: float,
+    origin: np.ndarray,
+    world_from_grid: np.ndarray,
+    regions: Regions,
+    part: int,
+) -> np.ndarray:
+    """Which cells (N,) lie in a coarsest cell whose middle the part owns."""
+    coarse, inverse = np.unique(key >> (3 * levels), return_inverse=True)
+    middle = (kernel.cell_of(coarse) + 0.5) * largest + origin
+    middle = middle @ world_from_grid[:3, :3].T + world_from_grid[:3, 3]
+    return np.asarray((regions.of(middle) == part)[inverse])
+
+
+def _share(
+    found: list[tuple[np.ndarray, np.ndarray, PointClusters]],
+    scans: np.ndarray,
+    size: float,
+    grid_from_world: np.ndarray,
+) -> Share:
+    """One share of what all chunks of scans brought, by cell and scan; scans without points in it are left out."""
+    key = np.concatenate([np.zeros(0, np.int64), *(part[0] for part in found)])
+    scan = np.concatenate([np.zeros(0, np.int32), *(part[1] for part in found)])
+    order = np.lexsort((scan, key))
+    key, scan = key[order], scan[order]
+    seen, local = np.unique(scan, return_inverse=True)
+    cells, first = np.unique(key, return_index=True)
+    clusters = PointClusters(
+        *(
+            np.concatenate([getattr(part[2], name) for part in found])[order]
+            for name in ("count", "mean", "scatter")
+        )
+    )
+    return Share(
+        scans[seen],
+        size,
+        cells,
+        np.append(first, len(key)).astype(np.int64),
+        local.astype(np.int32),
+        clusters,
+        grid_from_world,
+    )
+
+
+def linearize(
+    share: Share, world_from_scan: np.ndarray, sensor: np.ndarray, stage: StageConfig, weights: WeightConfig
+) -> ShareEquations:
+    """The planes of a share found at poses (S, 4, 4) of the whole recording, and their normal equations there.
+
+    sensor: (3,), m, where the LiDAR is in the scan frame. Gauss-Newton, planes eliminated.
+    """
+    poses = np.ascontiguousarray(world_from_scan[share.scans])
+    count = len(share.scans)
+    features = (
+        voxel_map.find_planes(share.grid(poses, stage.sizes[-1]), poses, sensor, stage.plane_test).features
+        if count
+        else None
+    )
+    if features is None or len(features) == 0:
+        none = np.zeros((count, 6, 6))
+        return ShareEquations(share.scans, _no_equations(count), none, none, 0, 0, 0.0, 0.0)
+    found = observation_weights(features, poses, weights, stage.systematic)
+    features = features.with_weight(found.weight)
+    fits = fit(features, poses)
+    dense = linearize_planes(features, poses, found.sigma, fits, exact=False)
+    told, feigned = degeneracy.information(features, fits, poses)
+    return ShareEquations(
+        share.scans,
+        _sparse(dense.hessian, dense.gradient, dense.cost),
+        told / found.sigma**2,
+        feigned / found.sigma**2,
+        len(features),
+        len(features.scan),
+        float(features.clusters.count.sum()),
+        found.sigma,
+    )
+
+
+def _no_equations(count: int) -> NormalEquations:
+    none = np.zeros(0, np.int32)
+    return NormalEquations(none, none, np.zeros((0, 6, 6)), np.zeros((count, 6)), 0.0)
+
+
+def _sparse(hessian: np.ndarray, gradient: np.ndarray, cost: float) -> NormalEquations:
+    """The blocks on and above the diagonal in which there is anything."""
+    count = len(gradient) // 6
+    blocks = hessian.reshape(count, 6, count, 6).swapaxes(1, 2)
+    filled = np.triu(np.einsum("ijab,ijab->ij", blocks, blocks) > 0)
+    rows, columns = np.nonzero(filled)
+    return NormalEquations(
+        rows.astype(np.int32),
+        columns.astype(np.int32),
+        np.ascontiguousarray(blocks[rows, columns]),
+        gradient.reshape(count, 6),
+        cost,
+    )
+
+
+def summed(found: Iterable[ShareEquations]) -> ShareEquations | None:
+    """What all shares say together, the planes' noise as of a typical point; None: there are none.
+
+    Shares are asked for one after another and added up in pairs, then pairs of pairs: in a fixed order, few of them are
+    in memory at a time, and each block is copied as often as the logarithm of their number.
+    """
+    sums: list[tuple[int, ShareEquations]] = []
+    for each in found:
+        sums.append((0, each))
+        while len(sums) > 1 and sums[-1][0] == sums[-2][0]:
+            (_, later), (rank, earlier) = sums.pop(), sums.pop()
+            sums.append((rank + 1, _both(earlier, later)))
+    while len(sums) > 1:
+        (_, later), (rank, earlier) = sums.pop(), sums.pop()
+        sums.append((rank, _both(earlier, later)))
+    return sums[0][1] if sums else None
+
+
+def _both(a: ShareEquations, b: ShareEquations) -> ShareEquations:
+    scans = np.union1d(a.scans, b.scans)
+    places = [np.searchsorted(scans, each.scans) for each in (a, b)]
+    told, feigned = np.zeros((2, len(scans), 6, 6))
+    for place, each in zip(places, (a, b), strict=True):
+        told[place] += each.told
+        feigned[place] += each.feigned
+    points = a.points + b.points
+    return ShareEquations(
+        scans,
+        normal_equations.scattered([(places[0], a.equations), (places[1], b.equations)], len(scans)),
+        told,
+        feigned,
+        a.planes + b.planes,
+        a.observations + b.observations,
+        points,
+        (a.sigma * a.points + b.sigma * b.points) / max(points, 1.0),
+    )
+
+
+def over_all(found: ShareEquations, count: int) -> ShareEquations:
+    """The same over all of `count` scans; those that no plane sees do not occur in the equations."""
+    if len(found.scans) == count:
+        return found
+    told, feigned = np.zeros((2, count, 6, 6))
+    told[found.scans], feigned[found.scans] = found.told, found.feigned
+    equations = normal_equations.scattered([(found.scans, found.equations)], count)
+    return replace(
+        found,
+        scans=np.arange(count, dtype=found.scans.dtype),
+        equations=equations,
+        told=told,
+        feigned=feigned,
+    )

@@ -1,0 +1,213 @@
+"""One LiDAR bundle adjustment over all parts of a recording: their shares add up, one sparse solve moves all scans.
+
+The shares' normal equations are those of the whole recording, so this is its solution, not an approximation by parts; the
+memory of a share is that of its region, and no dense system is ever made.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lvba.blocks import lidar_block
+from lvba.blocks.lidar_block import ShareEquations
+from lvba.errors import DegenerateProblemError
+from lvba.lidar import degeneracy
+from lvba.lidar.config import LidarConfig, StageConfig
+from lvba.lidar.covariance import alignment, local
+from lvba.lidar.degeneracy import Weakness
+from lvba.lidar.normal_equations import retract
+from lvba.lidar.odometry_factor import OdometryPrior, odometry_prior, reestimated
+from lvba.optim import linear_solver, normal_equations
+from lvba.optim.normal_equations import NormalEquations
+
+_GROWTH = 2.0
+"""A step that is this many times longer than the one before it is refused: steps of a solve that converges shrink. Costs
+do not tell, for each round has planes and weights of its own."""
+_FIRST_DAMPING = 1.0
+_MOST_COVARIANCES = 150
+"""Scans whose covariance is solved for; the others have that of the nearest one."""
+
+
+@dataclass(frozen=True)
+class JointRound:
+    """One association over all shares and the step that followed it.
+
+    cost: squared errors over their variances per point; moved: m, the furthest that a scan moved; refused: that it was to
+    move, but did not
+    """
+
+    stage: int
+    planes: int
+    observations: int
+    cost: float
+    sigma: float
+    moved: float
+    weak_scans: int
+    refused: bool
+
+
+@dataclass(frozen=True)
+class JointState:
+    """Where all scans are, and what the next round needs.
+
+    world_from_scan: (S, 4, 4); prior: odometry; damping: of the next step
+    settled: the last stage whose poses stand still, -1: none
+    """
+
+    world_from_scan: np.ndarray
+    prior: OdometryPrior
+    damping: float = 0.0
+    settled: int = -1
+    history: tuple[JointRound, ...] = ()
+
+
+def begin(rough: np.ndarray, world_from_scan: np.ndarray, config: LidarConfig) -> JointState:
+    """The state of merged poses (S, 4, 4); odometry from the rough ones (S, 4, 4)."""
+    prior = odometry_prior(rough, config.prior_rotation, config.prior_translation)
+    everything = np.ones(len(rough), bool)
+    prior = reestimated(prior, world_from_scan, everything, config.prior_sigmas)
+    return JointState(world_from_scan, prior)
+
+
+def step(
+    state: JointState, found: ShareEquations, number: int, stage: StageConfig, config: LidarConfig
+) -> JointState:
+    """The state after one round: the sum of all shares, solved.
+
+    number: of the stage. A state that stands still in this stage comes back as it is.
+    """
+    if state.settled >= number:
+        return state
+    scans = len(state.world_from_scan)
+    equations, weakness = assemble(state, found, config)
+    cost = found.equations.cost / max(found.points, 1.0)
+    facts = (number, found.planes, found.observations, cost, found.sigma)
+    weak_scans = int(np.count_nonzero(weakness.count))
+    change = _solve(equations, state.damping, config)
+    moved = retract(state.world_from_scan, change)
+    distance = _moved(moved, state.world_from_scan)
+    if _grows(state, distance, number, stage):
+        entry = JointRound(*facts, distance, weak_scans, True)
+        damping = max(10.0 * state.damping, _FIRST_DAMPING)
+        return replace(state, damping=damping, history=(*state.history, entry))
+    gain = 0.5 * abs(float(np.sum(equations.gradient * change))) / (6 * scans)
+    still = distance < stage.settled or gain < stage.least_gain
+    held = weakness.count == 0
+    prior = reestimated(state.prior, moved, held, config.prior_sigmas) if still else state.prior
+    return JointState(
+        moved,
+        prior,
+        state.damping / 100,
+        number if still else state.settled,
+        (*state.history, JointRound(*facts, distance, weak_scans, False)),
+    )
+
+
+def _grows(state: JointState, distance: float, number: int, stage: StageConfig) -> bool:
+    """Whether a step of this length (m) is much longer than the last one of the same stage."""
+    if not state.history or state.history[-1].stage != number or distance < 10 * stage.settled:
+        return False
+    return distance > _GROWTH * state.history[-1].moved
+
+
+def assemble(
+    state: JointState, found: ShareEquations, config: LidarConfig
+) -> tuple[NormalEquations, Weakness]:
+    """The equations of the sum of all shares and of the prior, weak directions held at the odometry."""
+    whole = lidar_block.over_all(found, len(state.world_from_scan))
+    weakness = degeneracy.judge(whole.told, whole.feigned, config.prior_sigmas)
+    planes = _projected(whole.equations, weakness.projector)
+    return planes + _of_prior(state.prior, state.world_from_scan), weakness
+
+
+def _moved(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.linalg.norm(a[:, :3, 3] - b[:, :3, 3], axis=1).max())
+
+
+def _projected(equations: NormalEquations, projector: np.ndarray) -> NormalEquations:
+    """The equations with what they say about weak directions taken out."""
+    if not np.any(projector - np.eye(6)):
+        return equations
+    left = np.swapaxes(projector, -1, -2)
+    return replace(
+        equations,
+        blocks=left[equations.rows] @ equations.blocks @ projector[equations.columns],
+        gradient=np.einsum("nij,nj->ni", left, equations.gradient),
+    )
+
+
+def _of_prior(prior: OdometryPrior, world_from_scan: np.ndarray) -> NormalEquations:
+    gradient, diagonal, upper = prior.linearize(world_from_scan)
+    here = np.arange(len(world_from_scan))
+    return normal_equations.from_blocks(
+        np.concatenate([here, here[:-1]]),
+        np.concatenate([here, here[1:]]),
+        np.concatenate([diagonal, upper]),
+        gradient,
+        prior.cost(world_from_scan),
+    )
+
+
+def _solve(equations: NormalEquations, damping: float, config: LidarConfig) -> np.ndarray:
+    """The step (S, 6); the first scan stays. More damping where the equations are not positive."""
+    scans = len(equations.gradient)
+    free = np.ones((scans, 6), bool)
+    free[0] = False
+    for _ in range(8):
+        found = linear_solver.solve_step(equations, 0.0, free, added=damping * 2.0 / config.prior_sigmas**2)
+        if found is not None:
+            return found
+        damping = max(10.0 * damping, _FIRST_DAMPING)
+    return np.zeros((scans, 6))
+
+
+@dataclass(frozen=True)
+class JointCovariance:
+    """How certain the poses are, as in `covariance.Covariance`, and what the planes leave open."""
+
+    marginal: np.ndarray
+    conditional: np.ndarray
+    weakness: Weakness
+
+
+def covariance(
+    state: JointState, found: ShareEquations, config: LidarConfig, excess: float
+) -> JointCovariance:
+    """Of all poses, from the equations at them; excess: by what the parts found their information to promise too much."""
+    equations, weakness = assemble(state, found, config)
+    poses = state.world_from_scan
+    scans = len(poses)
+    own = equations.rows == equations.columns
+    diagonal = np.zeros((scans, 6, 6))
+    diagonal[equations.rows[own]] = equations.blocks[own]
+    conditional = 2.0 * excess * np.linalg.inv(diagonal + 1e-9 * np.eye(6) * diagonal.max())
+    free = np.ones((scans, 6), bool)
+    free[0] = False
+    factor = linear_solver.factorize(equations, 1e-12, free)
+    if factor is None:
+        raise DegenerateProblemError("the planes and the odometry do not determine the scans")
+
+    def columns(right: np.ndarray) -> np.ndarray:
+        """Covariance (6 S, 6 S) times (6 S, n)."""
+        return 2.0 * excess * factor(right)
+
+    chosen = np.unique(np.linspace(0, scans - 1, min(scans, _MOST_COVARIANCES)).astype(int))
+    motion, pick = alignment(poses)
+    gain = np.linalg.inv(pick.T @ motion)
+    through = columns(pick)
+    middle = pick.T @ through
+    blocks = []
+    for scan in chosen:
+        rows = slice(6 * scan, 6 * scan + 6)
+        unit = np.zeros((6 * scans, 6))
+        unit[rows] = np.eye(6)
+        lever = motion[rows] @ gain
+        cross = lever @ through[rows].T
+        blocks.append(columns(unit)[rows] - cross - cross.T + lever @ middle @ lever.T)
+    nearest = chosen[np.abs(np.arange(scans)[:, None] - chosen).argmin(1)] if scans < 2000 else None
+    index = (
+        np.searchsorted(chosen, nearest)
+        if nearest is not None
+        else np.clip(np.searchsorted(chosen, np.arange(scans)), 0, len(chosen) - 1)
+    )
+    return JointCovariance(local(np.stack(blocks)[index], poses), local(conditional, poses), weakness)

@@ -1,0 +1,209 @@
+"""Parts that were solved on their own, put together: a pose graph over all scans, tied in the overlaps and by loops."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from lvba import geometry, trajectory
+from lvba.loop_closure.registration import Loop
+from lvba.optim import pose_graph
+from lvba.optim.pose_graph import Edges, PoseGraph, PoseGraphConfig
+
+
+@dataclass(frozen=True)
+class PartPoses:
+    """What one part says about its scans.
+
+    scans: (n,) int64, ascending, indices of its scans in the whole
+    world_from_scan: (n, 4, 4) float64, refined in the part, or rough where it could not be solved; its world frame may be
+        off that of others by any rigid motion
+    step_covariance: (n - 1, 6, 6) float64, of the relative pose of each scan and the next in the part, rad and m, local
+        tangent [rotation | translation] at the later scan; that of the odometry where the part could not be solved
+    """
+
+    scans: np.ndarray
+    world_from_scan: np.ndarray
+    step_covariance: np.ndarray
+
+
+@dataclass(frozen=True)
+class Seam:
+    """Two parts that share scans.
+
+    first, second: the parts; scans: how many they share; length: m, of the path through these
+    jump_m, jump_deg: rigid motion between the two parts' poses of the shared scans before merging
+    apart_m, apart_deg: root mean squares of what is left between these when the rigid motion is taken out
+    left_m, left_deg: largest difference of the step from one shared scan to the next in the merged trajectory and in
+        either part
+    """
+
+    first: int
+    second: int
+    scans: int
+    length: float
+    jump_m: float
+    jump_deg: float
+    apart_m: float
+    apart_deg: float
+    left_m: float
+    left_deg: float
+
+
+@dataclass(frozen=True)
+class LoopRow:
+    """What became of a loop between two parts.
+
+    first, second: parts; first_scan, second_scan: scans in the whole, -1 where none was found
+    used: whether it is in the merged trajectory; reason: why, or why not
+    before_m, before_deg: by how much it was missed before merging; after_m, after_deg: afterwards
+    overlap: part of what could be seen in both that agrees; residual: m, typical distance of surfaces
+    """
+
+    first: int
+    second: int
+    first_scan: int
+    second_scan: int
+    used: bool
+    reason: str
+    before_m: float
+    before_deg: float
+    after_m: float
+    after_deg: float
+    overlap: float
+    residual: float
+
+
+@dataclass(frozen=True)
+class MergedScans:
+    """One trajectory of all parts.
+
+    world_from_scan: (S, 4, 4) float64, world frame of the part with the first scan, whose pose is unchanged
+    parts_of_scan: (S,) int64, how many parts hold each scan
+    seams, loops: one row each
+    cost_before, cost_after: squared errors over variances of the edges that are used
+    """
+
+    world_from_scan: np.ndarray
+    parts_of_scan: np.ndarray
+    seams: tuple[Seam, ...]
+    loops: tuple[LoopRow, ...]
+    cost_before: float
+    cost_after: float
+    converged: bool
+
+
+def merge(
+    parts: tuple[PartPoses, ...], loops: tuple[Loop, ...] = (), *, config: PoseGraphConfig | None = None
+) -> MergedScans:
+    """All scans in one world frame.
+
+    Raises DegenerateProblemError: the parts do not overlap.
+    """
+    count = 1 + max(int(part.scans[-1]) for part in parts)
+    steps = pose_graph.concatenate([_steps(part) for part in parts])
+    found = [loop for loop in loops if loop.accepted]
+    edges = pose_graph.concatenate([steps, _closings(found)])
+    first = min(parts, key=lambda part: int(part.scans[0]))
+    root = int(first.scans[0])
+    start = pose_graph.propagate(count, steps, root, first.world_from_scan[0])
+    graph = pose_graph.solve(start, edges, fixed=root, config=config or PoseGraphConfig())
+    return MergedScans(
+        graph.world_from_node,
+        np.bincount(np.concatenate([part.scans for part in parts]), minlength=count),
+        tuple(_seams(parts, graph.world_from_node)),
+        tuple(_rows(loops, graph, len(steps))),
+        graph.cost_before,
+        graph.cost_after,
+        graph.converged,
+    )
+
+
+def _steps(part: PartPoses) -> Edges:
+    """From each scan of a part to its next."""
+    poses = part.world_from_scan
+    measured = geometry.inverse(poses[:-1]) @ poses[1:]
+    information = _inverse(part.step_covariance)
+    return Edges(part.scans[:-1], part.scans[1:], measured, information, np.zeros(len(measured), bool))
+
+
+def _inverse(covariance: np.ndarray) -> np.ndarray:
+    """Inverses (n, 6, 6) that are symmetric to the last bit."""
+    inverse = np.linalg.inv(covariance)
+    return np.asarray(0.5 * (inverse + np.swapaxes(inverse, -1, -2)))
+
+
+def _closings(loops: list[Loop]) -> Edges:
+    return Edges(
+        np.array([loop.first_scan for loop in loops], np.int64),
+        np.array([loop.second_scan for loop in loops], np.int64),
+        np.array([loop.first_from_second for loop in loops]).reshape(-1, 4, 4),
+        np.array([loop.information for loop in loops]).reshape(-1, 6, 6),
+        np.ones(len(loops), bool),
+    )
+
+
+def _seams(parts: tuple[PartPoses, ...], merged: np.ndarray) -> Iterator[Seam]:
+    """Of all pairs of parts that share scans."""
+    for second, part in enumerate(parts):
+        for first, earlier in enumerate(parts[:second]):
+            shared, mine, other = np.intersect1d(earlier.scans, part.scans, return_indices=True)
+            if len(shared):
+                poses = earlier.world_from_scan[mine], part.world_from_scan[other]
+                yield _seam(first, second, *poses, merged[shared])
+
+
+def _seam(first: int, second: int, earlier: np.ndarray, later: np.ndarray, merged: np.ndarray) -> Seam:
+    """earlier, later, merged: (n, 4, 4), poses of the shared scans in either part and after merging."""
+    earlier_from_later = trajectory.align(later, earlier)
+    middle = later[:, :3, 3].mean(0)
+    jump = geometry.transform_points(earlier_from_later, middle[None])[0] - middle
+    apart = geometry.inverse(earlier) @ (earlier_from_later @ later)
+    left = [_step_differences(poses, merged) for poses in (earlier, later)]
+    return Seam(
+        first,
+        second,
+        len(merged),
+        float(np.linalg.norm(np.diff(merged[:, :3, 3], axis=0), axis=1).sum()),
+        float(np.linalg.norm(jump)),
+        float(geometry.rotation_angle_deg(earlier_from_later)),
+        float(np.sqrt(np.mean(np.sum(apart[:, :3, 3] ** 2, axis=1)))),
+        float(np.sqrt(np.mean(geometry.rotation_angle_deg(apart) ** 2))),
+        max(meters for meters, _ in left),
+        max(degrees for _, degrees in left),
+    )
+
+
+def _step_differences(poses: np.ndarray, merged: np.ndarray) -> tuple[float, float]:
+    """Largest difference (m, degrees) of the steps between neighbors (n, 4, 4) in two trajectories."""
+    steps, others = (geometry.inverse(p[:-1]) @ p[1:] for p in (poses, merged))
+    difference = geometry.inverse(steps) @ others
+    meters = np.linalg.norm(difference[:, :3, 3], axis=1).max(initial=0.0)
+    return float(meters), float(geometry.rotation_angle_deg(difference).max(initial=0.0))
+
+
+def _rows(loops: tuple[Loop, ...], graph: PoseGraph, steps: int) -> Iterator[LoopRow]:
+    """One for each loop; graph: its edges after the first `steps` are the accepted ones, in order."""
+    edge = steps
+    for loop in loops:
+        missed, reason, used = np.full((2, 6), np.nan), loop.reason, False
+        if loop.accepted:
+            missed = np.stack([graph.residual_before[edge], graph.residual_after[edge]])
+            reason, used = graph.loop_reason[edge], bool(graph.loop_weight[edge])
+            edge += 1
+        meters = np.linalg.norm(missed[:, 3:], axis=1).tolist()
+        degrees = np.degrees(np.linalg.norm(missed[:, :3], axis=1)).tolist()
+        yield LoopRow(
+            loop.first,
+            loop.second,
+            loop.first_scan,
+            loop.second_scan,
+            used,
+            reason,
+            meters[0],
+            degrees[0],
+            meters[1],
+            degrees[1],
+            loop.overlap,
+            loop.residual,
+        )

@@ -1,0 +1,68 @@
+"""What all parts of a recording must agree on before any of them is solved."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lvba.blocks.split import Frames, Load
+from lvba.dataset import Dataset
+from lvba.io import dataset as recordings
+from lvba.lidar import density
+from lvba.lidar.config import LidarConfig
+from lvba.lidar.scan import gather
+from lvba.visual import keyframes
+from lvba.visual.keyframes import KeyframeConfig
+
+_SAMPLED_SCANS = 16
+
+
+@dataclass(frozen=True)
+class Survey:
+    """Found once, from some scans and the rough poses.
+
+    range_m: median distance of points from the LiDAR; reach_m: further than that is one in a thousand
+    keyframes: (K,) int64, images that the visual part solves for
+    lidar: settings with cells as fine as the scans allow
+    """
+
+    range_m: float
+    reach_m: float
+    keyframes: np.ndarray
+    lidar: LidarConfig
+
+
+def survey(dataset: Dataset, lidar: LidarConfig, frames: KeyframeConfig) -> Survey:
+    """The survey of a recording."""
+    chosen = sampled(dataset)
+    scans = recordings.load_scans(dataset, chosen)
+    distance = np.concatenate(
+        [np.linalg.norm(points - dataset.sensor_position_scan, axis=1) for points in scans]
+    )
+    distance = distance[np.isfinite(distance)]
+    middle, furthest = (
+        (float(q) for q in np.quantile(distance, [0.5, 0.999])) if len(distance) else (1.0, 1.0)
+    )
+    return Survey(
+        middle,
+        furthest,
+        keyframes.select(dataset.images.times, dataset.images.world_from_sensor, middle, frames),
+        density.adapted(lidar, gather(scans)),
+    )
+
+
+def load_of(dataset: Dataset) -> Load:
+    """How much memory the recording's frames take, from a few scans."""
+    few = recordings.load_scans(dataset, sampled(dataset)[::4])
+    pixels = dataset.camera.width * dataset.camera.height if dataset.image_paths else 0
+    return Load(float(np.mean([len(points) for points in few])), float(pixels))
+
+
+def sampled(dataset: Dataset) -> list[int]:
+    """A few scans all over the recording."""
+    last = len(dataset.scan_paths) - 1
+    return [int(scan) for scan in np.unique(np.linspace(0, last, _SAMPLED_SCANS).astype(int))]
+
+
+def keyframes_of(found: Survey, frames: Frames) -> np.ndarray:
+    """The keyframes among some images, as indices into these, (k,) int64."""
+    return np.flatnonzero(np.isin(frames.images, found.keyframes))

@@ -1,0 +1,181 @@
+"""A share of one large visual bundle adjustment: the scene points of some images, and all images that see them.
+
+The photometric cost is a sum over scene points, and a scene point belongs to its reference image: the normal equations of
+all shares add up to those of the whole recording.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lvba.camera import Camera
+from lvba.optim.normal_equations import NormalEquations
+from lvba.visual import bundle_adjustment, exposure, photometric, scene_points, visibility
+from lvba.visual import noise as noise_models
+from lvba.visual.bundle_adjustment import LevelSolution
+from lvba.visual.exposure_graph import Edges
+from lvba.visual.noise import NoiseModel
+from lvba.visual.photometric import PhotometricState
+from lvba.visual.refine import Inputs, VisualConfig, one_patch_size, scene_of
+from lvba.visual.scene_points import Observations, ScenePoints
+from lvba.visual.states import VisualState
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """What the solve of one part found about noise, kept by the shares.
+
+    noise: of residuals; inflation: how many times the pixels' information overstates itself
+    offset_scale: how many times further than the LiDAR says planes are off
+    sigma_rotation, sigma_position: (sources, k) of each source of the prior, rad and m; memory: (sources, 2)
+    mount_information: (7, 7), what the calibrated mount counts beside the images; None: there is no prior
+    """
+
+    noise: NoiseModel
+    inflation: float
+    offset_scale: float
+    sigma_rotation: np.ndarray
+    sigma_position: np.ndarray
+    memory: np.ndarray
+    mount_information: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class CameraPoints:
+    """The scene points of one share, fixed for all rounds.
+
+    images: (n,) int64, keyframes of the whole; points and observations number their images as in `images`
+    sigma: (O,) standard deviation of the residuals of each observation, of 255
+    offset_sigma: (P,) m, how far the plane at each point may be off; None: planes are exact
+    edges: brightness of pairs of images, numbered as in the whole; None where not asked for
+    """
+
+    images: np.ndarray
+    points: ScenePoints
+    observations: Observations
+    sigma: np.ndarray
+    offset_sigma: np.ndarray | None
+    edges: Edges | None
+
+
+@dataclass(frozen=True)
+class CameraShare:
+    """What one share says about its images.
+
+    images: (n,) int64, keyframes of the whole; equations: over these, 7 unknowns each
+    points, observations: how many
+    """
+
+    images: np.ndarray
+    equations: NormalEquations
+    points: int
+    observations: int
+
+
+def tuning(solution: LevelSolution, config: VisualConfig) -> Tuning:
+    """The tuning that a level was solved with last."""
+    problem, sources = solution.problem, () if solution.prior is None else solution.prior.sources
+    scale = 1.0
+    if problem.offset_sigma is not None and len(problem.points):
+        first = bundle_adjustment.offset_sigma(problem.points, config.adjustment.plane_floor_m)
+        scale = float(problem.offset_sigma[0] / first[0])
+    return Tuning(
+        solution.noise,
+        problem.inflation,
+        scale,
+        np.array([source.sigma_rotation for source in sources]),
+        np.array([source.sigma_position for source in sources]),
+        np.array([source.memory for source in sources]),
+        None if solution.prior is None else solution.prior.mount_information,
+    )
+
+
+def lay_out(
+    given: Inputs,
+    state: VisualState,
+    images: np.ndarray,
+    core: np.ndarray,
+    known: Tuning,
+    config: VisualConfig,
+) -> CameraPoints:
+    """The scene points whose reference is in the core, who sees them, and how bright they are, at the finest level.
+
+    state: of the keyframes of `given`; images: (k,) int64, their numbers in the whole; core: (k,) bool
+    """
+    config = one_patch_size(config)
+    scene = scene_of(given, config)
+    levels, camera = scene.pyramid.levels, scene.pyramid.camera
+    noise, poses = float(scene.pyramid.noise[0]), state.cameras.world_from_camera
+    points = scene_points.select(
+        levels[0], camera, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, noise,
+        config.points,
+    )  # fmt: skip
+    depth = visibility.depth_buffers(
+        camera, poses, scene.image_times, scene.plane_points, scene.scan_times, config.points.time_window_s
+    )
+    points, observations = visibility.find(
+        levels[0], camera, poses, points, scene.seen, noise, config.visibility, depth
+    )
+    mine, off = core[points.reference], None
+    if config.adjustment.plane_offsets:
+        off = bundle_adjustment.offset_sigma(points, config.adjustment.plane_floor_m)
+        off = (off * known.offset_scale)[mine]
+    points, observations = _of_points(points, observations, mine)
+    problem = photometric.prepare(levels[0], camera, points, observations, config.adjustment.photometric)
+    sums = photometric.sums(problem, PhotometricState(state.cameras, np.zeros(len(points))))
+    sigma = known.noise.sigma(noise_models.gradients(sums))
+    edges = None
+    if config.exposures == "means":
+        ratios = exposure.ratios_at(
+            scene.pyramid, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, scene.seen,
+            config.exposure, depth,
+        )  # fmt: skip
+        edges = exposure.edges_of(_of_core(ratios, core), len(images), config.exposure)
+        edges = replace(edges, first=images[edges.first], second=images[edges.second])
+    return CameraPoints(images, points, observations, sigma, off, edges)
+
+
+def linearize(
+    images: np.ndarray,
+    camera: Camera,
+    laid: CameraPoints,
+    state: VisualState,
+    known: Tuning,
+    config: VisualConfig,
+) -> CameraShare:
+    """The photometric normal equations of the laid out points.
+
+    images: (n, H, W, C) uint8, the share's keyframes at full size; camera: theirs; state: of these keyframes
+    """
+    config = one_patch_size(config)
+    problem = photometric.prepare(
+        images, camera, laid.points, laid.observations, config.adjustment.photometric,
+        offset_sigma=laid.offset_sigma, sigma=laid.sigma, inflation=known.inflation,
+    )  # fmt: skip
+    at = PhotometricState(state.cameras, np.zeros(len(laid.points)))
+    found = photometric.linearize(problem, at)
+    if laid.offset_sigma is not None:
+        # the planes' offsets at these poses first: the equations hold about them
+        at = photometric.retract(problem, at, found, np.zeros((len(images), 7)))
+        found = photometric.linearize(problem, at)
+    return CameraShare(laid.images, found.equations, len(laid.points), len(laid.observations))
+
+
+def _of_points(
+    points: ScenePoints, observations: Observations, mine: np.ndarray
+) -> tuple[ScenePoints, Observations]:
+    kept = mine[observations.point]
+    number = np.cumsum(mine) - 1
+    return scene_points.take(points, mine), Observations(
+        number[observations.point[kept]].astype(np.int32),
+        observations.target[kept],
+        observations.is_global[kept],
+    )
+
+
+def _of_core(ratios: exposure.Ratios, core: np.ndarray) -> exposure.Ratios:
+    """The ratios of patches that were laid out in core images."""
+    mine = core[ratios.first]
+    return exposure.Ratios(
+        ratios.first[mine], ratios.second[mine], ratios.value[mine], ratios.sigma[mine], ratios.block[mine]
+    )

@@ -1,0 +1,141 @@
+"""One visual bundle adjustment over all parts of a recording: their shares add up, one sparse solve moves all cameras."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lvba import geometry
+from lvba.blocks.visual_block import CameraShare
+from lvba.optim import linear_solver, normal_equations
+from lvba.optim.normal_equations import NormalEquations
+from lvba.visual import exposure_graph, photometric
+from lvba.visual import trajectory_prior as priors
+from lvba.visual.exposure_graph import Edges, Exposures
+from lvba.visual.states import VisualState
+from lvba.visual.trajectory_prior import Prior
+
+_RISE = 0.01
+_FIRST_DAMPING = 1e-4
+_SETTLED_M = 1e-4
+_SETTLED_DEG = 1e-3
+
+
+@dataclass(frozen=True)
+class JointCameraRound:
+    """One round. cost: of images and prior, per observation; moved_m, moved_deg: of the camera that moved furthest."""
+
+    points: int
+    observations: int
+    cost: float
+    moved_m: float
+    moved_deg: float
+    taken_back: bool
+
+
+@dataclass(frozen=True)
+class JointCameras:
+    """All keyframes, and what the next round needs.
+
+    state: poses (K, 4, 4), log exposures (K,) and the mount; before: the same before the last step
+    exposure_sigma: (K,); settled: nothing moves any more
+    """
+
+    state: VisualState
+    before: VisualState
+    prior: Prior | None
+    exposure_sigma: np.ndarray
+    damping: float = _FIRST_DAMPING
+    cost: float = float("inf")
+    settled: bool = False
+    history: tuple[JointCameraRound, ...] = ()
+
+
+def step(now: JointCameras, found: Sequence[CameraShare], *, solve_exposures: bool) -> JointCameras:
+    """After one round: shares and prior added up and solved."""
+    if now.settled or not found:
+        return now
+    count = len(now.state.cameras)
+    equations = total(found, count)
+    observations = sum(each.observations for each in found)
+    joint = equations.padded(count + 1)
+    if now.prior is not None:
+        joint = joint + priors.linearize(now.prior, now.state)
+    cost = joint.cost / max(observations, 1)
+    facts = (sum(each.points for each in found), observations, cost)
+    if cost > now.cost * (1 + _RISE) and not now.history[-1].taken_back:
+        entry = JointCameraRound(*facts, *_moved(now.before, now.state), True)
+        return replace(
+            now, state=now.before, damping=max(100 * now.damping, 1.0), history=(*now.history, entry)
+        )
+    change = linear_solver.solve_step(
+        joint, now.damping, _free(equations, now.prior is not None, solve_exposures)
+    )
+    if change is None:
+        return replace(now, damping=max(100 * now.damping, 1.0))
+    cameras = photometric.moved(now.state.cameras, change[:-1])
+    state = VisualState(cameras, priors.retract(now.state.mount, change[-1]))
+    meters, degrees = _moved(now.state, state)
+    still = meters < _SETTLED_M and degrees < _SETTLED_DEG
+    entry = JointCameraRound(*facts, meters, degrees, False)
+    return replace(
+        now,
+        state=state,
+        before=now.state,
+        damping=max(now.damping / 10, 1e-9),
+        cost=cost,
+        settled=still,
+        history=(*now.history, entry),
+    )
+
+
+def total(found: Sequence[CameraShare], count: int) -> NormalEquations:
+    """The equations of all shares, in their order, over `count` keyframes."""
+    return normal_equations.scattered([(each.images, each.equations) for each in found], count)
+
+
+def with_exposures(now: JointCameras, edges: Sequence[Edges]) -> JointCameras:
+    """The same cameras with exposures from the edges of all shares, where there are any."""
+    exposures = tie(edges, len(now.state.cameras))
+    if exposures is None:
+        return now
+    cameras = replace(now.state.cameras, log_exposure=exposures.log_exposure)
+    return replace(now, state=replace(now.state, cameras=cameras), exposure_sigma=exposures.sigma)
+
+
+def tie(edges: Sequence[Edges], images: int) -> Exposures | None:
+    """The exposures of all images from the edges of all shares; None: there are none."""
+    if not sum(len(each.mean) for each in edges):
+        return None
+    together = Edges(
+        first=np.concatenate([each.first for each in edges]),
+        second=np.concatenate([each.second for each in edges]),
+        mean=np.concatenate([each.mean for each in edges]),
+        sigma=np.concatenate([each.sigma for each in edges]),
+        changes=np.concatenate([each.changes for each in edges]),
+        pairs=sum(each.pairs for each in edges),
+        spread=float(np.median([each.spread for each in edges if len(each.mean)])),
+    )
+    return exposure_graph.solve_edges(together, images)
+
+
+def _free(equations: NormalEquations, with_prior: bool, solve_exposures: bool) -> np.ndarray:
+    """(K + 1, 7) bool: what may move; the first exposure is the scale's."""
+    count = len(equations.gradient)
+    seen = np.zeros(count, bool)
+    seen[equations.rows] = seen[equations.columns] = True
+    free = np.ones((count + 1, 7), bool)
+    free[:count, 6] = seen & solve_exposures
+    free[np.flatnonzero(seen)[:1], 6] = False
+    free[count] = with_prior
+    if not with_prior:
+        free[:count, :6] &= seen[:, None]
+    return free
+
+
+def _moved(before: VisualState, after: VisualState) -> tuple[float, float]:
+    """Largest change of a camera, m and degrees."""
+    a, b = before.cameras.world_from_camera, after.cameras.world_from_camera
+    meters = np.linalg.norm(a[:, :3, 3] - b[:, :3, 3], axis=1)
+    degrees = geometry.rotation_angle_deg(geometry.inverse(a) @ b)
+    return float(meters.max(initial=0.0)), float(degrees.max(initial=0.0))

@@ -1,0 +1,155 @@
+"""Any method's poses and exposures, evaluated as this package evaluates its own."""
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lvba import config as settings
+from lvba.dataset import Dataset
+from lvba.io import image_poses as kinds
+from lvba.io import timestamps
+from lvba.io.exposures import Exposures, read_exposures
+from lvba.io.image_poses import Statement
+from lvba.io.reference import Reference, of_cameras
+from lvba.io.tum import read_pose_file, read_trajectory
+from lvba.pipeline import Config
+from lvba.products import evaluate as evaluation
+from lvba.products import map_quality
+from lvba.products import reference as references
+from lvba.products.evaluate import State
+from lvba.products.recorded_images import views_of
+from lvba.progress import Progress, silent
+from lvba.steps import report_data
+from lvba.steps.acceptance import ROUGH, VISUAL, Verdict
+from lvba.steps.lidar import cloud_of
+from lvba.steps.outcomes import ScanPoses
+from lvba.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class Given:
+    """The frames that are judged, and what is claimed about them.
+
+    dataset: the recording, without the frames that the files say nothing about
+    world_from_scan: (S, 4, 4), world_from_camera: (I, 4, 4), in the dataset's frame; log_exposure: (I,)
+    """
+
+    dataset: Dataset
+    world_from_scan: np.ndarray
+    world_from_camera: np.ndarray
+    log_exposure: np.ndarray
+    warnings: tuple[str, ...]
+
+
+def read_given(
+    dataset: Dataset, scan_poses: Path | None, image_poses: Path | None, exposures: Path | None
+) -> Given:
+    """Poses and exposures from files; where no file is given, those of the dataset (all equally exposed).
+
+    Raises InputError: a file is malformed, or its times are of another clock.
+    """
+    scans, scan_index = _poses(dataset.scans, scan_poses, dataset.origin)
+    images, image_index, more = _cameras(
+        dataset, image_poses, Trajectory(dataset.scans.times[scan_index], scans)
+    )
+    log_exposure = np.zeros(len(dataset.images))
+    if exposures is not None:
+        known = read_exposures(exposures)
+        log_exposure = np.interp(dataset.images.times, known.times, np.log(known.relative))
+    missing = (len(dataset.scans) - len(scan_index), len(dataset.images) - len(image_index))
+    warnings = tuple(
+        f"{count} {kind} are left out: the poses given say nothing about them."
+        for count, kind in zip(missing, ("scans", "images"), strict=True)
+        if count
+    )
+    return Given(
+        _subset(dataset, scan_index, image_index), scans, images, log_exposure[image_index], more + warnings
+    )
+
+
+def report(
+    given: Given, config: Config, reference: Reference | None, progress: Progress = silent
+) -> dict[str, Any]:
+    """report.json of the judgement: `rough` is the dataset, `refined` is what is given."""
+    dataset = given.dataset
+    rough = cloud_of(dataset, dataset.scans.world_from_sensor, progress)
+    refined = cloud_of(dataset, given.world_from_scan, progress)
+    before, after = (map_quality.entropy_blocks(cloud, config.evaluate.entropy) for cloud in (rough, refined))
+    scores = {}
+    if dataset.image_paths:
+        views = views_of(dataset)
+        claimed = dataclasses.replace(
+            views, world_from_camera=given.world_from_camera, log_exposure=given.log_exposure
+        )
+        states = {ROUGH: State(rough, views), VISUAL: State(refined, claimed)}
+        scores = evaluation.evaluate(states, config.evaluate, progress=progress)
+    given_verdict = Verdict(True, "given")
+    scans = ScanPoses(given.world_from_scan, given_verdict, before.mean, after.mean, after)
+    found: dict[str, Any] = {
+        "schema": 1,
+        "dataset": {"path": dataset.root, **report_data.of_dataset(dataset)},
+        "config": settings.to_dict(config),
+        "evaluation": report_data.of_evaluation(scans, scores, VISUAL),
+        "warnings": [*dataset.warnings, *given.warnings],
+    }
+    if reference is not None:
+        found["reference"] = _against(given, of_cameras(reference, dataset))
+    return dict(report_data.plain(found))
+
+
+def _against(given: Given, reference: Reference) -> dict[str, Any]:
+    dataset = given.dataset
+    found = references.compare(
+        reference,
+        Trajectory(dataset.scans.times, given.world_from_scan),
+        Trajectory(dataset.images.times, given.world_from_camera),
+        Exposures(dataset.images.times, np.exp(given.log_exposure)),
+    )
+    equal = Exposures(dataset.images.times, np.ones(len(dataset.images)))
+    rough = references.compare(reference, dataset.scans, dataset.images, equal)
+    return {**found, "rough": rough}
+
+
+def _cameras(
+    dataset: Dataset, path: Path | None, scans: Trajectory
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """world_from_camera (M, 4, 4) of the images that the file says something about, their indices (M,), and warnings.
+
+    scans: in whose world the file's poses are
+    """
+    if path is None or not len(dataset.images):
+        return dataset.images.world_from_sensor, np.arange(len(dataset.images)), ()
+    file = read_pose_file(path)
+    found = timestamps.match(dataset.images.times, file.trajectory, path)
+    poses = found.poses.world_from_sensor.copy()
+    poses[:, :3, 3] -= dataset.origin
+    mount = dataset.camera_from_scan
+    said = Statement(kinds.stated(file.comments), "the file")
+    given = Trajectory(found.poses.times, poses)
+    reading = kinds.decide(given, scans, mount, said, path, dataset.image_poses, kinds.FOREIGN_MOUNT)
+    return kinds.to_camera(poses, reading.kind, mount), found.files, file.warnings + reading.warnings
+
+
+def _poses(frames: Trajectory, path: Path | None, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (M, 4, 4) of the frames that the file says something about, and their indices (M,)."""
+    if path is None or not len(frames):
+        return frames.world_from_sensor, np.arange(len(frames))
+    found = timestamps.match(frames.times, read_trajectory(path), path)
+    poses = found.poses.world_from_sensor.copy()
+    poses[:, :3, 3] -= origin
+    return poses, found.files
+
+
+def _subset(dataset: Dataset, scans: np.ndarray, images: np.ndarray) -> Dataset:
+    return dataclasses.replace(
+        dataset,
+        scan_paths=tuple(dataset.scan_paths[i] for i in scans),
+        scans=Trajectory(dataset.scans.times[scans], dataset.scans.world_from_sensor[scans]),
+        image_paths=tuple(dataset.image_paths[i] for i in images),
+        images=Trajectory(dataset.images.times[images], dataset.images.world_from_sensor[images]),
+        scan_stamps=(),
+        image_stamps=(),
+    )

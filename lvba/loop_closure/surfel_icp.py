@@ -1,0 +1,169 @@
+"""Two patches of surfels, point to plane: the alignment, how well it is known, and which surfels agree."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from lvba import geometry
+from lvba.loop_closure.submap import Patch
+
+_NEIGHBORS = 6
+_STEP_M, _STEP_RAD = 1e-5, 1e-6
+"""An alignment stands still below."""
+_WEAK_SHARE = 0.0015
+"""A direction is open when surfels tell less about it than this part of what they tell together: normals scatter by a
+degree or two about a common one, and that is no information."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """A patch, and where its surfels are."""
+
+    patch: Patch
+    tree: cKDTree
+
+    @staticmethod
+    def of(patch: Patch) -> "Target":
+        """Ready to be aligned to."""
+        return Target(patch, cKDTree(patch.center))
+
+
+@dataclass(frozen=True)
+class Matches:
+    """Pairs of surfels that face the same way and are near each other.
+
+    source, target: (M,) int64
+    distance: (M,) float64, m, of the source's center from the target's plane, along its normal
+    """
+
+    source: np.ndarray
+    target: np.ndarray
+    distance: np.ndarray
+
+
+@dataclass(frozen=True)
+class Stage:
+    """reach: m, furthest match; angle_deg: largest between normals; steps: at most; robust: m, scale of the kernel."""
+
+    reach: float
+    angle_deg: float
+    steps: int
+    robust: float
+
+
+COARSE = (Stage(2.0, 40.0, 4, 0.5), Stage(1.2, 35.0, 4, 0.3), Stage(0.7, 30.0, 6, 0.15))
+FINE = (Stage(0.7, 25.0, 8, 0.08), Stage(0.5, 20.0, 12, 0.03))
+
+
+def match(target: Target, source: Patch, a_from_b: np.ndarray, reach: float, angle_deg: float) -> Matches:
+    """The nearest surfel of the target that faces the same way, for each surfel of the source that has one."""
+    moved = source.moved(a_from_b)
+    away, near = target.tree.query(moved.center, k=_NEIGHBORS, distance_upper_bound=reach)
+    there = np.isfinite(away)
+    near = np.where(there, near, 0)
+    cosine = np.einsum("kni,ki->kn", target.patch.normal[near], moved.normal)
+    alike = there & (cosine > np.cos(np.radians(angle_deg)))
+    first = np.argmax(alike, axis=1)
+    index = np.flatnonzero(alike.any(axis=1))
+    found = near[index, first[index]]
+    normal = target.patch.normal[found]
+    distance = np.einsum("mi,mi->m", normal, moved.center[index] - target.patch.center[found])
+    return Matches(index, found, distance)
+
+
+def align(
+    target: Target,
+    source: Patch,
+    a_from_b: np.ndarray,
+    stages: tuple[Stage, ...],
+    expected: np.ndarray,
+    prior: np.ndarray,
+) -> np.ndarray:
+    """`a_from_b` (4, 4) that brings the source's surfels onto the target's planes; Cauchy kernel.
+
+    a_from_b: where to begin; expected: (4, 4), where the odometry has it, with information `prior` (6, 6), local tangent:
+        decides what surfaces leave open, and no more
+    """
+    pose = a_from_b
+    for stage in stages:
+        for _ in range(stage.steps):
+            found = match(target, source, pose, stage.reach, stage.angle_deg)
+            if len(found.source) < 6:
+                return pose
+            jacobian = jacobians(target, source, pose, found)
+            weight = 1 / (1 + (found.distance / stage.robust) ** 2) / stage.robust**2
+            behind = geometry.log(geometry.inverse(expected) @ pose)
+            hessian = jacobian.T @ (weight[:, None] * jacobian) + prior
+            step = -np.linalg.solve(hessian, jacobian.T @ (weight * found.distance) + prior @ behind)
+            pose = geometry.retract(pose, step)
+            if np.abs(step[:3]).max() < _STEP_RAD and np.abs(step[3:]).max() < _STEP_M:
+                break
+    return pose
+
+
+def jacobians(target: Target, source: Patch, a_from_b: np.ndarray, found: Matches) -> np.ndarray:
+    """(M, 6), derivatives of the distances by a right perturbation of a_from_b."""
+    normal_b = target.patch.normal[found.target] @ a_from_b[:3, :3]
+    return np.concatenate([np.cross(source.center[found.source], normal_b), normal_b], axis=1)
+
+
+@dataclass(frozen=True)
+class Certainty:
+    """How well an alignment is known.
+
+    information: (6, 6), local tangent [rotation | translation] of a_from_b, zero in open directions
+    open: (W, 6), motions that the surfaces leave open, local tangent, unit length (rotation times lever)
+    sigma: m, typical distance of matched surfels from each other's plane (robust)
+    """
+
+    information: np.ndarray
+    open: np.ndarray
+    sigma: float
+
+
+def certainty(
+    target: Target, source: Patch, a_from_b: np.ndarray, found: Matches, floor: np.ndarray, weak_sigma: float
+) -> Certainty:
+    """What the matched surfels tell about an alignment.
+
+    Errors of neighboring surfels go together (they are bits of one plane), so the spread of the gradients of whole groups
+    widens the covariance where it is larger than independent errors would make it (as in `lidar.covariance`).
+    floor: (6,), rad and m, no direction is known better: maps bend a little
+    weak_sigma: m, a direction known worse than this (rotation times the lever of the surfels) is open, too
+    """
+    if len(found.source) == 0:
+        return Certainty(np.zeros((6, 6)), np.eye(6), float("inf"))
+    sigma = max(1.4826 * float(np.median(np.abs(found.distance))), 1e-4)
+    near = np.abs(found.distance) < 3 * sigma
+    jacobian, distance = jacobians(target, source, a_from_b, found)[near], found.distance[near]
+    center = source.center[found.source[near]]
+    lever = max(float(np.sqrt(np.mean(np.sum((center - center.mean(0)) ** 2, axis=1)))), 1e-3)
+    scale = np.array([1 / lever] * 3 + [1.0] * 3)
+    scaled = jacobian * scale
+    hessian = scaled.T @ scaled
+    group = _groups(center, target.patch.normal[found.target[near]])
+    gradient = np.stack([np.bincount(group, scaled[:, k] * distance) for k in range(6)], axis=-1)
+    values, vectors = np.linalg.eigh(hessian)
+    trust = vectors / np.maximum(values, 1e-9 * max(values[-1], 1e-9))
+    spread = float(np.einsum("gi,ij,gj->", gradient, trust @ vectors.T, gradient)) / 6
+    variance = max(sigma**2, spread)
+    known = (values > _WEAK_SHARE * values.sum()) & (values > variance / weak_sigma**2)
+    basis, tells = vectors[:, known], values[known]
+    covariance = np.diag(variance / tells) + basis.T @ np.diag((floor / scale) ** 2) @ basis
+    information = basis @ np.linalg.inv(covariance) @ basis.T
+    information = 0.5 * (information + information.T) / np.outer(scale, scale)
+    return Certainty(information, (vectors[:, ~known] * scale[:, None]).T, sigma)
+
+
+_GROUP_M = 3.0
+
+
+def _groups(center: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Numbers (M,) of groups of surfels that are near each other and face the same way."""
+    cell = np.floor(center / _GROUP_M).astype(np.int64)
+    facing = 2 * np.abs(normal).argmax(axis=1) + (
+        normal[np.arange(len(normal)), np.abs(normal).argmax(1)] > 0
+    )
+    _, group = np.unique(np.concatenate([cell, facing[:, None]], axis=1), axis=0, return_inverse=True)
+    return np.asarray(group).ravel()

@@ -1,0 +1,90 @@
+"""How far off scans, cameras and map points are expected to be, from the covariances of the result.
+
+All of it is error within the result, after one rigid alignment with the truth: where the whole stands in the world, and
+how it is turned there, is as the input has it.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from lvba.products.map_error import Tally
+from lvba.products.map_file import PointMap
+from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, VisualStage
+from lvba.steps.uncertainty import Expected
+
+
+def of_result(lidar: LidarStage, fused: FusionStage, visual: VisualStage, accepted: Accepted) -> Expected:
+    """What is known of the poses that are the result.
+
+    Nothing is known of poses that are the input's. Nor of cameras where the scans are the input's: their covariances
+    count from the map that these make.
+    """
+    scans = scan_covariance(lidar, fused, accepted)
+    cameras = None
+    if scans is not None and visual.result is not None and accepted.cameras.accepted:
+        cameras = _known(visual.result.covariance)
+    return Expected(None if scans is None else _known(scans), cameras)
+
+
+def scan_covariance(lidar: LidarStage, fused: FusionStage, accepted: Accepted) -> np.ndarray | None:
+    """(S, 6, 6) of the scan poses that are the result; None where these are the input's."""
+    if lidar.result is None or not accepted.scans.accepted:
+        return None
+    if fused.result is not None and accepted.fusion.accepted:
+        return fused.result.covariance
+    return lidar.result.covariance
+
+
+def _known(covariance: np.ndarray) -> np.ndarray:
+    """The same with NaN where a frame has none (not finite, or all zero)."""
+    known = np.isfinite(covariance).all((1, 2)) & (np.trace(covariance, axis1=1, axis2=2) > 0)
+    return np.where(known[:, None, None], covariance, np.nan)
+
+
+def collect(
+    expected: Expected, pieces: Sequence[Callable[[], PointMap]], range_noise_m: float | None = None
+) -> dict[str, Any]:
+    """The `expected_error` part of report.json.
+
+    pieces: read the map, one piece at a time; range_noise_m: how far single points are off their surface
+    """
+    tally = Tally()
+    for piece in pieces:
+        error = piece().error
+        if error is not None:
+            tally.add(error)
+    return {
+        "scans": of_poses(expected.scans),
+        "cameras": of_poses(expected.cameras),
+        "map": tally.facts(),
+        "note": _note(range_noise_m),
+    }
+
+
+def of_poses(covariance: np.ndarray | None) -> dict[str, Any] | None:
+    """Expected errors of poses with covariances (N, 6, 6); None where nothing is known.
+
+    position_m, rotation_deg: root mean square over the frames; position_p95_m: 95 of 100 frames are expected to be off by
+    less; per_frame_m: by frame, NaN where not known
+    """
+    if covariance is None or not np.isfinite(covariance[:, 0, 0]).any():
+        return None
+    rotation, position = (np.trace(covariance[:, s, s], axis1=1, axis2=2) for s in (slice(3), slice(3, 6)))
+    known = np.isfinite(position)
+    return {
+        "position_m": float(np.sqrt(position[known].mean())),
+        "position_p95_m": float(np.sqrt(np.quantile(position[known], 0.95))),
+        "rotation_deg": float(np.degrees(np.sqrt(rotation[known].mean()))),
+        "per_frame_m": np.sqrt(position),
+    }
+
+
+def _note(range_noise_m: float | None) -> str:
+    scatter = f" (here {1000 * range_noise_m:.1f} mm)" if range_noise_m is not None else ""
+    return (
+        "Root mean squares from the covariances of the refined poses, after one rigid alignment: errors within the map, "
+        "not of its place in the world. They do not contain what all frames have in common (a wrong calibration, lens or "
+        f"clock), nor the noise of a single point about its surface{scatter}."
+    )

@@ -1,0 +1,44 @@
+"""The step that fuses refined scans and cameras."""
+
+from lvba.dataset import Dataset
+from lvba.lidar.bundle_adjustment import LidarConfig
+from lvba.steps import pose_fusion
+from lvba.steps.outcomes import FusionStage, LidarStage, ScanPoses, VisualStage, scan_covariance
+from lvba.steps.pose_fusion import FusionConfig
+from lvba.trajectory import Trajectory
+
+
+def solve_fusion(
+    dataset: Dataset,
+    lidar: LidarStage,
+    scans: ScanPoses,
+    visual: VisualStage,
+    lidar_config: LidarConfig,
+    config: FusionConfig,
+) -> FusionStage:
+    """The scans with what the refined cameras know about them."""
+    if not config.enabled:
+        return FusionStage(None, "scans do not learn from the cameras (fusion.enabled is false)")
+    covariance = scan_covariance(lidar, scans)
+    if lidar.result is None or covariance is None:
+        return FusionStage(None, "the scans were not refined")
+    if visual.result is None:
+        return FusionStage(None, f"there are no refined cameras: {visual.problem}")
+    found, known = visual.result, visual.result.keyframes
+    cameras = pose_fusion.seen_from(
+        found.world_from_camera[known],
+        dataset.images.times[known],
+        found.covariance_on_map[known],
+        found.scan_from_camera,
+        found.time_offset,
+        found.mount_sigma,
+    )
+    fused = pose_fusion.fuse(
+        Trajectory(dataset.scans.times, scans.world_from_scan),
+        covariance,
+        cameras,
+        lidar.result.weak_directions,
+        lidar_config.prior_sigmas,
+        config,
+    )
+    return FusionStage(fused, "" if fused else "too few cameras")

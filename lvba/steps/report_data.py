@@ -1,0 +1,256 @@
+"""The facts of a run, as plain data: report.json without what only the runner knows (seconds, memory, versions)."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from lvba import geometry
+from lvba.dataset import Dataset
+from lvba.io.reference import Reference
+from lvba.products.evaluate import Scores
+from lvba.products.map_file import PointMap
+from lvba.steps import (
+    expected_error,
+    plane_thickness,
+    reference_data,
+    trajectory_jumps,
+    uncertainty,
+    verdict_data,
+)
+from lvba.steps.acceptance import ROUGH
+from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, ScanPoses, VisualStage
+from lvba.steps.plane_thickness import PlaneChange
+from lvba.steps.uncertainty import Expected
+from lvba.trajectory import Trajectory
+
+
+def collect(
+    dataset: Dataset,
+    lidar: LidarStage,
+    scans: ScanPoses,
+    visual: VisualStage,
+    fused: FusionStage,
+    scores: Mapping[str, Scores],
+    accepted: Accepted,
+    expected: Expected,
+    pieces: Sequence[Callable[[], PointMap]],
+    planes: Sequence[PlaneChange],
+    reference: Reference | None,
+) -> dict[str, Any]:
+    """Everything the report says about the dataset, the stages, the evaluation and the reference, and the verdict on it.
+
+    pieces: read the map, one piece at a time; planes: of all regions of space
+    """
+    facts: dict[str, Any] = {
+        "dataset": of_dataset(dataset),
+        "lidar": of_lidar(lidar, scans, accepted),
+        "visual": of_visual(dataset, visual, accepted),
+        "fusion": of_fusion(fused, accepted),
+        "trajectory": of_trajectories(dataset, accepted),
+        "exposure": of_exposure(dataset, accepted, reference),
+        "evaluation": of_evaluation(scans, scores, accepted.state),
+    }
+    if reference is not None:
+        facts["reference"] = reference_data.collect(dataset, lidar, scans, visual, fused, accepted, reference)
+    facts["warnings"] = _warnings(dataset, lidar, visual, accepted)
+    noise = lidar.result.history[-1].sigma if lidar.result is not None and lidar.result.history else None
+    facts["expected_error"] = expected_error.collect(expected, pieces, noise)
+    facts["planes"] = plane_thickness.facts(planes)
+    facts["odometry"] = of_odometry(dataset, accepted)
+    return verdict_data.add(plain(facts))
+
+
+def of_odometry(dataset: Dataset, accepted: Accepted) -> dict[str, Any]:
+    """Where the rough scan poses jump, and whether the result still does there."""
+    rough = trajectory_jumps.find(dataset.scans)
+    left = trajectory_jumps.find(Trajectory(dataset.scans.times, accepted.world_from_scan))
+    return {
+        "jumps_after": rough.after,
+        "jumps_m": rough.meters,
+        "jumps_deg": rough.degrees,
+        "jump_left": bool(np.isin(rough.after, left.after).any()),
+    }
+
+
+def of_dataset(dataset: Dataset) -> dict[str, Any]:
+    """Counts, times and camera of the input."""
+    times = np.concatenate([dataset.scans.times, dataset.images.times])
+    positions = dataset.scans.world_from_sensor[:, :3, 3]
+    return {
+        "digest": dataset.digest,
+        "scans": len(dataset.scan_paths),
+        "images": len(dataset.image_paths),
+        "duration_s": float(times.max() - times.min()),
+        "path_length_m": float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()),
+        "camera": dataclasses.asdict(dataset.camera) if dataset.image_paths else None,
+        "image_poses": {"of": dataset.image_poses, "reason": dataset.image_poses_reason}
+        if dataset.image_paths
+        else None,
+        "origin": dataset.origin,
+        "warnings": list(dataset.warnings),
+    }
+
+
+def of_lidar(lidar: LidarStage, scans: ScanPoses, accepted: Accepted) -> dict[str, Any]:
+    """What the LiDAR stage did."""
+    facts: dict[str, Any] = {
+        "accepted": accepted.scans.accepted,
+        "reason": accepted.scans.reason,
+        "judged": accepted.scans.figures,
+        "entropy_rough": scans.entropy_rough,
+        "entropy_refined": scans.entropy_refined,
+    }
+    if lidar.result is not None:
+        facts |= _fields(
+            lidar.result,
+            but=(
+                *("world_from_scan", "planes", "plane_points"),
+                *("covariance", "conditional_covariance", "step_covariance"),
+            ),
+        )
+        facts["planes"] = len(lidar.result.planes)
+    return facts
+
+
+def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict[str, Any]:
+    """What the visual stage did; the mount is compared with the calibration."""
+    if not dataset.image_paths:
+        return {"accepted": None, "problem": visual.problem}
+    facts: dict[str, Any] = {
+        "accepted": accepted.cameras.accepted,
+        "reason": accepted.cameras.reason,
+        "judged": accepted.cameras.figures,
+        "exposures_accepted": accepted.exposures.accepted,
+        "exposures_reason": accepted.exposures.reason,
+        "exposures_judged": accepted.exposures.figures,
+        "state": accepted.state,
+    }
+    result = visual.result
+    if result is None:
+        return facts | {"problem": visual.problem}
+    change = geometry.log(dataset.camera_from_scan @ result.scan_from_camera)
+    facts |= _fields(
+        result,
+        but=(
+            *("world_from_camera", "covariance", "covariance_on_map"),
+            *("scan_from_camera", "weak", "log_exposure"),
+        ),
+    )
+    facts["history"] = _history(visual)
+    facts["iterations"] = len(facts["history"])
+    facts["time_offset"] = {"seconds": result.time_offset, "sigma": float(result.mount_sigma[6])}
+    facts["extrinsic"] = {
+        "scan_from_camera": result.scan_from_camera,
+        "change_deg": float(np.degrees(np.linalg.norm(change[:3]))),
+        "change_m": float(np.linalg.norm(change[3:])),
+    }
+    facts["keyframes"] = len(result.keyframes)
+    last = result.levels[-1]
+    facts["observations"] = last.local_pairs + last.global_pairs
+    facts |= {
+        name: getattr(last, name) for name in ("scene_points", "global_points", "local_pairs", "global_pairs")
+    }
+    facts["weak_directions"] = {"count": int(np.sum(result.weak)), "per_image": result.weak}
+    return facts
+
+
+def of_fusion(fused: FusionStage, accepted: Accepted) -> dict[str, Any]:
+    """What the cameras changed about the scans."""
+    facts: dict[str, Any] = {
+        "accepted": accepted.fusion.accepted,
+        "reason": accepted.fusion.reason,
+        "judged": accepted.fusion.figures,
+    }
+    if fused.result is not None:
+        facts |= _fields(fused.result, but=("world_from_scan", "covariance"))
+    return facts
+
+
+def _history(visual: VisualStage) -> list[dict[str, Any]]:
+    """One row per iteration, with its pyramid level."""
+    levels = () if visual.result is None else visual.result.levels
+    return [{"level": level.level, **dataclasses.asdict(row)} for level in levels for row in level.iterations]
+
+
+def of_trajectories(dataset: Dataset, accepted: Accepted) -> dict[str, Any]:
+    """Positions before and after, in the input's world frame."""
+    pairs = {
+        "scans": (dataset.scans, accepted.world_from_scan),
+        "images": (dataset.images, accepted.world_from_camera),
+    }
+    return {
+        name: {
+            "times": rough.times,
+            "rough": rough.world_from_sensor[:, :3, 3] + dataset.origin,
+            "refined": refined[:, :3, 3] + dataset.origin,
+        }
+        for name, (rough, refined) in pairs.items()
+    }
+
+
+def of_exposure(dataset: Dataset, accepted: Accepted, reference: Reference | None) -> dict[str, Any]:
+    """Relative exposures by image, and the reference's where it has one for the same time."""
+    if not dataset.image_paths:
+        return {}
+    times = dataset.images.times
+    facts: dict[str, Any] = {
+        "times": times,
+        "relative": np.exp(accepted.log_exposure - accepted.log_exposure[0]),
+    }
+    if reference is not None and reference.exposures is not None:
+        pairs = uncertainty.matched(times, reference.exposures.times)
+        known = np.full(len(times), np.nan)
+        known[pairs[:, 0]] = reference.exposures.relative[pairs[:, 1]]
+        facts["reference"] = known
+    return facts
+
+
+def of_evaluation(scans: ScanPoses, scores: Mapping[str, Scores], state: str) -> dict[str, Any]:
+    """Scores of the input and of the result, and of the states between them."""
+    if not scores:
+        return {
+            "rough": {**_NOTHING, "map_entropy": scans.entropy_rough},
+            "refined": {**_NOTHING, "map_entropy": scans.entropy},
+        }
+    judged = {name: score.facts() for name, score in scores.items()}
+    return {"rough": judged[ROUGH], "refined": judged[state], "states": judged}
+
+
+_NOTHING = dict.fromkeys(("psnr", "ssim", "coverage", "psnr_leave_one_out", "ssim_leave_one_out"))
+
+
+def _warnings(dataset: Dataset, lidar: LidarStage, visual: VisualStage, accepted: Accepted) -> list[str]:
+    """What a user should know beside the verdicts of the stages, with what to do."""
+    found = list(dataset.warnings)
+    if lidar.result is not None:
+        found += list(lidar.result.warnings)
+    if visual.result is not None:
+        found += list(visual.result.warnings)
+    if dataset.image_paths and not accepted.exposures.accepted:
+        found.append(f"Exposures: {accepted.exposures.reason}.")
+    if accepted.remark:
+        found.append(f"Result: {accepted.remark}.")
+    return list(dict.fromkeys(found))
+
+
+def _fields(value: Any, but: tuple[str, ...]) -> dict[str, Any]:
+    return {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.name not in but}
+
+
+def plain(value: Any) -> Any:
+    """The value as JSON holds it: arrays as lists, dataclasses as objects, what is not finite as null."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return plain(_fields(value, ()))
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, Mapping):
+        return {str(name): plain(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,366 @@
+"""The prior that holds cameras where images do not: the LiDAR trajectory through one mount and one time offset.
+
+p enters the homography (Li et al., eq. 7) only through n^T p, so cameras can slide along directions in which no plane
+faces them: three over one bare plane, one in a corridor. The paper has no term against that; without this prior
+(`PriorConfig.enabled = False`) its form comes back.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from lvba import geometry, spline, trajectory
+from lvba.optim import normal_equations
+from lvba.optim.normal_equations import NormalEquations
+from lvba.trajectory import Trajectory
+from lvba.visual import extrinsic_prior
+from lvba.visual.states import Mount, VisualState
+
+_FRAME_HUBER = 2.5
+_RATE_STEP_S = 0.02
+
+
+@dataclass(frozen=True)
+class PriorConfig:
+    """How strongly camera poses are held to the LiDAR trajectory."""
+
+    enabled: bool = True
+    """False: no prior at all, as in the paper."""
+    sigma_position_m: float = 0.02
+    """First guess of how far eq. (1) is off in a frame, m; estimated from the data afterwards; 1e-4 to 10."""
+    sigma_rotation_deg: float = 0.3
+    """The same in rotation, degrees; 1e-3 to 90."""
+    between_scans: float = 0.3
+    """First guess of the spline's error between scans, as a part of what leaving a scan out changes; 0.01 to 10."""
+    floor_position_m: float = 0.001
+    """No estimate falls below this, m; 1e-6 to 1."""
+    floor_rotation_deg: float = 0.01
+    """No estimate falls below this, degrees; 1e-5 to 10."""
+    ceiling_position_m: float = 0.02
+    """No estimate of a frame's own error rises above this, m; 1e-4 to 100. Images alone drift; a prior that followed
+    would allow it."""
+    ceiling_rotation_deg: float = 0.3
+    """No estimate rises above this, degrees; 1e-3 to 180."""
+    mount_position_m: float = 0.01
+    """How far the calibrated mount may be off, m, one standard deviation; 1e-4 to 10."""
+    mount_rotation_deg: float = 0.3
+    """How far the calibrated mount may be off, degrees, one standard deviation; 1e-3 to 90."""
+    time_offset_s: float = 0.02
+    """How far the clocks may be apart, s, one standard deviation; 1e-6 to 10."""
+
+    def __post_init__(self) -> None:
+        limits = {
+            "sigma_position_m": (1e-4, 10.0),
+            "sigma_rotation_deg": (1e-3, 90.0),
+            "between_scans": (0.01, 10.0),
+            "floor_position_m": (1e-6, 1.0),
+            "floor_rotation_deg": (1e-5, 10.0),
+            "ceiling_position_m": (1e-4, 100.0),
+            "ceiling_rotation_deg": (1e-3, 180.0),
+            "mount_position_m": (1e-4, 10.0),
+            "mount_rotation_deg": (1e-3, 90.0),
+            "time_offset_s": (1e-6, 10.0),
+        }
+        for name, (low, high) in limits.items():
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name} is {getattr(self, name)}, must be between {low} and {high}")
+
+
+@dataclass(frozen=True)
+class Source:
+    """One way to tell from the LiDAR trajectory where each camera is.
+
+    world_from_scan: (I, 4, 4) float64, the LiDAR at the images' stamps
+    sigma_rotation, sigma_position: (I,) of one component of what a frame deviates by itself, rad and m
+    scan_rotation, scan_position: (I,) of one component of the error of the scans' poses, rad and m
+    memory: by what the variances of the latter (rotation, position) grow because neighboring frames share them
+    """
+
+    world_from_scan: np.ndarray
+    sigma_rotation: np.ndarray
+    sigma_position: np.ndarray
+    scan_rotation: np.ndarray
+    scan_position: np.ndarray
+    memory: tuple[float, float] = (1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Where the LiDAR trajectory expects each camera.
+
+    sources: each an expectation of its own, all through the same mount and time offset
+    velocity_world: (I, 3) float64, m/s; rate_scan: (I, 3) float64, rad/s, about the LiDAR's axes
+    mount: the calibrated one
+    mount_information: (7, 7), what the calibration and clocks that agree count beside the images, see
+        `extrinsic_prior.weighed`; None: as much as `config` claims
+    """
+
+    sources: tuple[Source, ...]
+    velocity_world: np.ndarray
+    rate_scan: np.ndarray
+    mount: Mount
+    config: PriorConfig
+    mount_information: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.velocity_world)
+
+
+def build(
+    scans: Trajectory,
+    refined: np.ndarray,
+    images: Trajectory,
+    camera_from_scan: np.ndarray,
+    config: PriorConfig = PriorConfig(),
+    scan_covariance: np.ndarray | None = None,
+) -> Prior:
+    """The prior of I images from the rough trajectories and the (S, 4, 4) refined scan poses.
+
+    scan_covariance: (S, 6, 6), how far each refined pose may be off the map around it, tangent `[rotation |
+        translation]`, rad and m; None: as far as a frame may be at most
+
+    Two sources. The rough camera carried by the interpolated LiDAR correction (Li et al., eq. 1) follows every motion,
+    but has the odometry's noise of each frame. A spline through the refined scans has none, but does not know what
+    happened between them; how much that can be is read, scan by scan, off the error of predicting it from its
+    neighbors. Which of the two is better depends on the motion, so both count, each by its own sigma.
+    """
+    scan_from_camera = geometry.inverse(camera_from_scan)
+    carried = trajectory.interpolate_corrections(scans, refined, images.times) @ images.world_from_sensor
+    count = len(images)
+    off = _scan_sigmas(scans.times, scan_covariance, images.times, config)
+    by_eq1 = Source(
+        carried @ camera_from_scan,
+        np.full(count, np.radians(config.sigma_rotation_deg)),
+        np.full(count, config.sigma_position_m),
+        *off,
+    )
+    moving = Trajectory(scans.times, refined)
+    sources: tuple[Source, ...] = (by_eq1,)
+    if len(scans) >= spline.FEWEST_SAMPLES:
+        pose, sigma = _spline(moving, images.times, config)
+        sources = (by_eq1, Source(pose, *sigma, *off))
+    return Prior(sources, *_rates(moving, images.times), Mount(scan_from_camera), config)
+
+
+def take(prior: Prior, index: np.ndarray) -> Prior:
+    """The prior of some of the images."""
+    sources = tuple(
+        replace(
+            s,
+            world_from_scan=s.world_from_scan[index],
+            sigma_rotation=s.sigma_rotation[index],
+            sigma_position=s.sigma_position[index],
+            scan_rotation=s.scan_rotation[index],
+            scan_position=s.scan_position[index],
+        )
+        for s in prior.sources
+    )
+    return replace(
+        prior, sources=sources, velocity_world=prior.velocity_world[index], rate_scan=prior.rate_scan[index]
+    )
+
+
+def fill(
+    prior: Prior, solved: Prior, state: VisualState, keyframes: np.ndarray, times: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (I, 4, 4) of all images from those of the keyframes, and the covariance (I, 6, 6) that this adds.
+
+    Between keyframes an image is where the best source puts it, moved by the deviations of the keyframes about it.
+    prior: of all I images; solved: of the K keyframes, with the sigmas found; times: (I,) s
+    """
+    order = [float(np.median(s.sigma_rotation)) + float(np.median(s.sigma_position)) for s in solved.sources]
+    best = int(np.argmin(order))
+    source = prior.sources[best]
+    predicted = predict(prior, source, state.mount)
+    deviation = geometry.log(geometry.inverse(predicted[keyframes]) @ state.cameras.world_from_camera)
+    moved = np.stack([np.interp(times, times[keyframes], deviation[:, n]) for n in range(6)], axis=1)
+    poses = geometry.retract(predicted, moved)
+    poses[keyframes] = state.cameras.world_from_camera
+    # the sigmas were rescaled in the solve: so are those of the images between
+    scale = np.median(sigmas(solved.sources[best]) / sigmas(source)[keyframes], axis=0)
+    added = np.zeros((len(times), 6, 6))
+    added[:, np.arange(6), np.arange(6)] = np.square(scale * sigmas(source))
+    added[keyframes] = 0.0
+    return poses, added
+
+
+def _scan_sigmas(
+    scan_times: np.ndarray, covariance: np.ndarray | None, times: np.ndarray, config: PriorConfig
+) -> tuple[np.ndarray, np.ndarray]:
+    """(I,) rad and (I,) m: how far the less certain of the scans about each image may be off, in its worst direction."""
+    if covariance is None:
+        return (
+            np.full(len(times), np.radians(config.ceiling_rotation_deg)),
+            np.full(len(times), config.ceiling_position_m),
+        )
+    before, _ = trajectory.bracket(scan_times, times)
+    after = np.minimum(before + 1, len(scan_times) - 1)
+    worst = [np.linalg.eigvalsh(covariance[:, part, part])[:, -1] for part in (slice(3), slice(3, 6))]
+    rotation, position = (np.sqrt(np.maximum(np.maximum(w[before], w[after]), 0.0)) for w in worst)
+    return rotation, position
+
+
+def _spline(
+    scans: Trajectory, times: np.ndarray, config: PriorConfig
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """The scans' poses at the images' times by splines, and what these may miss (rad, m)."""
+    floors = [np.radians(config.floor_rotation_deg), config.floor_position_m]
+    sigma = config.between_scans * spline.missed(scans, times) + floors
+    # beyond the scans there is nothing to interpolate: what is extrapolated counts for nothing
+    sigma[spline.outside(scans, times)] *= 1e3
+    return spline.through(scans, times), (sigma[:, 0], sigma[:, 1])
+
+
+def _rates(scans: Trajectory, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Velocity in the world (Q, 3) m/s and angular rate in the sensor's frame (Q, 3) rad/s."""
+    if len(scans) < 2:
+        return np.zeros((len(times), 3)), np.zeros((len(times), 3))
+    clamped = np.clip(times, scans.times[0] + _RATE_STEP_S, scans.times[-1] - _RATE_STEP_S)
+    before = trajectory.sample(scans, clamped - _RATE_STEP_S)
+    after = trajectory.sample(scans, clamped + _RATE_STEP_S)
+    turn = np.swapaxes(before[:, :3, :3], 1, 2) @ after[:, :3, :3]
+    rate = Rotation.from_matrix(turn).as_rotvec() / (2 * _RATE_STEP_S)
+    if len(scans) > 2:
+        return CubicSpline(scans.times, scans.world_from_sensor[:, :3, 3])(clamped, 1), rate
+    return (after[:, :3, 3] - before[:, :3, 3]) / (2 * _RATE_STEP_S), rate
+
+
+def predict(prior: Prior, source: Source, mount: Mount) -> np.ndarray:
+    """world_from_camera of all images if they sat on the trajectory exactly, (I, 4, 4)."""
+    turn = Rotation.from_rotvec(prior.rate_scan * mount.time_offset).as_matrix()
+    shifted = source.world_from_scan.copy()
+    shifted[:, :3, :3] = shifted[:, :3, :3] @ turn
+    shifted[:, :3, 3] += prior.velocity_world * mount.time_offset
+    return shifted @ mount.scan_from_camera
+
+
+def residuals(prior: Prior, source: Source, state: VisualState) -> np.ndarray:
+    """(I, 6): deviation of each camera from its prediction, in the predicted camera's axes, rad and m."""
+    predicted, actual = predict(prior, source, state.mount), state.cameras.world_from_camera
+    back = np.swapaxes(predicted[:, :3, :3], 1, 2)
+    rotation = Rotation.from_matrix(back @ actual[:, :3, :3]).as_rotvec()
+    position = (back @ (actual[:, :3, 3:] - predicted[:, :3, 3:]))[..., 0]
+    return np.concatenate([rotation, position], axis=1)
+
+
+def jacobians(prior: Prior, source: Source, state: VisualState) -> tuple[np.ndarray, np.ndarray]:
+    """Of `[rotation | position]` residuals: (I, 6, 6) by the camera's pose, (I, 6, 7) by mount and time offset."""
+    deviation = residuals(prior, source, state)
+    rotation, position = deviation[:, :3], deviation[:, 3:]
+    predicted, actual = predict(prior, source, state.mount), state.cameras.world_from_camera
+    back = np.swapaxes(predicted[:, :3, :3], 1, 2)
+    by_camera, by_mount = np.zeros((len(prior), 6, 6)), np.zeros((len(prior), 6, 7))
+    by_camera[:, :3, :3] = geometry.inverse_right_jacobian(rotation)
+    by_camera[:, 3:, 3:] = back @ actual[:, :3, :3]
+    by_mount[:, :3, :3] = -geometry.inverse_right_jacobian(-rotation)
+    by_mount[:, 3:, :3] = geometry.hat(position)
+    by_mount[:, 3:, 3:6] = -np.eye(3)
+    mount = state.mount.scan_from_camera
+    # turning the LiDAR about its own axes commutes with turning it about them by the offset so far
+    rate_camera = prior.rate_scan @ mount[:3, :3]
+    by_mount[:, :3, 6] = (by_mount[:, :3, :3] @ rate_camera[..., None])[..., 0]
+    lever = predicted[:, :3, :3] @ (mount[:3, :3].T @ np.cross(prior.rate_scan, mount[:3, 3])[..., None])
+    velocity = prior.velocity_world[..., None] + lever
+    by_mount[:, 3:, 6] = np.cross(position, rate_camera) - (back @ velocity)[..., 0]
+    return by_camera, by_mount
+
+
+def linearize(prior: Prior, state: VisualState) -> NormalEquations:
+    """Normal equations over I + 1 blocks of 7: the images (their log exposures untouched), then mount and offset.
+
+    A frame's deviation in rotation and in position each have a robust (Huber) weight: a few frames may be off.
+    """
+    parts = [_linearize_source(prior, source, state) for source in prior.sources]
+    count = len(prior)
+    hessian, own_gradient, cost = linearize_mount(prior, state.mount)
+    gradient = np.zeros((count + 1, 7))
+    gradient[count] = own_gradient
+    total = normal_equations.from_blocks(np.array([count]), np.array([count]), hessian[None], gradient, cost)
+    for part in parts:
+        total = part + total
+    return total
+
+
+def spread(prior: Prior, state: VisualState) -> NormalEquations:
+    """What the prior's gradient varies by: its Hessian, but for a mount that counts for more than is claimed.
+
+    Blocks as in `linearize`; cost and gradient mean nothing.
+    """
+    hessian = linearize(prior, state)
+    if prior.mount_information is None:
+        return hessian
+    count, claimed = len(prior), claimed_information(prior.config)
+    counted = prior.mount_information
+    varies = counted @ np.linalg.solve(claimed, counted)
+    jacobian = extrinsic_prior.jacobian(prior.mount, state.mount)
+    more = jacobian.T @ (varies - counted) @ jacobian
+    at = np.array([count])
+    return hessian + normal_equations.from_blocks(at, at, more[None], np.zeros((count + 1, 7)), 0.0)
+
+
+def claimed_information(config: PriorConfig) -> np.ndarray:
+    """(7, 7): of the calibrated mount and of clocks that agree, as the settings claim."""
+    return extrinsic_prior.claimed(config.mount_rotation_deg, config.mount_position_m, config.time_offset_s)
+
+
+def linearize_mount(prior: Prior, mount: Mount) -> tuple[np.ndarray, np.ndarray, float]:
+    """Hessian (7, 7), gradient (7,) and cost of what the mount and the time offset deviate from the calibrated ones."""
+    claims = claimed_information(prior.config)
+    counts = claims if prior.mount_information is None else prior.mount_information
+    return extrinsic_prior.linearize(prior.mount, mount, counts)
+
+
+def _linearize_source(prior: Prior, source: Source, state: VisualState) -> NormalEquations:
+    count = len(prior)
+    deviation = residuals(prior, source, state)
+    by_camera, mount = jacobians(prior, source, state)
+    sigma = sigmas(source)
+    weight, cost = _robust(deviation / sigma)
+    scaled = weight / sigma**2
+    camera = np.zeros((count, 6, 7))
+    camera[:, :, :6] = by_camera
+    gradient = np.zeros((count + 1, 7))
+    gradient[:count] = np.einsum("nki,nk->ni", camera, scaled * deviation)
+    gradient[count] = np.einsum("nki,nk->i", mount, scaled * deviation)
+    index, shared = np.arange(count), np.full(count, count)
+    weighted_camera, weighted_mount = camera * scaled[..., None], mount * scaled[..., None]
+    blocks = [
+        np.einsum("nki,nkj->nij", weighted_camera, camera),
+        np.einsum("nki,nkj->nij", weighted_camera, mount),
+        np.einsum("nki,nkj->ij", weighted_mount, mount)[None],
+    ]
+    rows, columns = np.concatenate([index, index, [count]]), np.concatenate([index, shared, [count]])
+    return normal_equations.from_blocks(rows, columns, np.concatenate(blocks), gradient, cost)
+
+
+def sigmas(source: Source) -> np.ndarray:
+    """(I, 6), of `[rotation | position]`: a frame's own deviation and the scans' errors together."""
+    rotation = np.hypot(source.sigma_rotation, np.sqrt(source.memory[0]) * source.scan_rotation)
+    position = np.hypot(source.sigma_position, np.sqrt(source.memory[1]) * source.scan_position)
+    return by_component(rotation, position)
+
+
+def by_component(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """(I, 6), of `[rotation | position]`, from sigmas (I,) of one component each."""
+    return np.repeat(np.stack([rotation, position], axis=1), 3, axis=1)
+
+
+def _robust(normalized: np.ndarray) -> tuple[np.ndarray, float]:
+    """Huber weights (I, 6), one per frame for its rotation and one for its position, and the cost."""
+    size = np.linalg.norm(normalized.reshape(-1, 2, 3), axis=2)
+    limit = _FRAME_HUBER * np.sqrt(3.0)
+    clipped = np.minimum(size, limit)
+    weight = limit / np.maximum(size, limit)
+    return np.repeat(weight, 3, axis=1), float((clipped * (size - 0.5 * clipped)).sum())
+
+
+def retract(mount: Mount, step: np.ndarray) -> Mount:
+    """The mount moved by a (7,) step `[rotation | translation | time offset]`."""
+    rotation = mount.scan_from_camera[:3, :3] @ Rotation.from_rotvec(step[:3]).as_matrix()
+    translation = mount.scan_from_camera[:3, 3] + mount.scan_from_camera[:3, :3] @ step[3:6]
+    return Mount(
+        geometry.orthonormalize(geometry.from_rotation_translation(rotation, translation)),
+        mount.time_offset + float(step[6]),
+    )

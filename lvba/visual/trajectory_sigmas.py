@@ -1,0 +1,94 @@
+"""How far cameras deviate from the LiDAR trajectory, estimated from the deviations themselves.
+
+Two things make a camera deviate from where a scan pose puts it. One is its own: interpolation between scans, the noise
+of the odometry in a frame, jitter of the clocks. It shows in the differences between neighboring frames. The other is
+the error of the scans' poses, which neighbors share; how large that can be, the LiDAR bundle adjustment says. A slow
+deviation larger than both is none that a rigid mount allows: images alone drift, and then the prior must not give way.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from lvba.visual.states import VisualState
+from lvba.visual.trajectory_prior import Prior, PriorConfig, Source, by_component, residuals, sigmas
+
+
+def reestimated(prior: Prior, state: VisualState, undecided: tuple[np.ndarray, ...]) -> Prior:
+    """The prior with the sigmas of each source scaled to fit the frames' deviations (robust, within limits).
+
+    undecided: per source (I, 6), how much of each deviation the data left undecided: the posterior variances of the
+        deviations. A deviation that only the prior decides is zero by construction and must not count as agreement:
+        each component's vote is weighed by the part of it that the images decided (variance components, Helmert).
+    """
+    return replace(
+        prior,
+        sources=tuple(
+            _rescaled(source, residuals(prior, source, state), posterior, prior.config)
+            for source, posterior in zip(prior.sources, undecided, strict=True)
+        ),
+    )
+
+
+def _rescaled(source: Source, deviation: np.ndarray, posterior: np.ndarray, config: PriorConfig) -> Source:
+    own = by_component(source.sigma_rotation, source.sigma_position)
+    share = np.clip(1 - posterior / sigmas(source) ** 2, 0.0, 1.0)
+    rotation, position = (_own_scale(deviation, own, share, part) for part in (slice(3), slice(3, 6)))
+    return replace(
+        source,
+        sigma_rotation=_within(
+            rotation * source.sigma_rotation,
+            source.sigma_rotation,
+            np.radians([config.floor_rotation_deg, config.ceiling_rotation_deg]),
+        ),
+        sigma_position=_within(
+            position * source.sigma_position,
+            source.sigma_position,
+            np.array([config.floor_position_m, config.ceiling_position_m]),
+        ),
+        memory=(_memory(deviation[:, :3] / own[:, :3]), _memory(deviation[:, 3:] / own[:, 3:])),
+    )
+
+
+def _own_scale(deviation: np.ndarray, own: np.ndarray, share: np.ndarray, part: slice) -> float:
+    """By what factor frames deviate more than their own sigmas (I, 6); shared deviations must not count as own.
+
+    Both the deviations and the differences of neighbors have at least a frame's own spread: the smaller one tells more.
+    """
+    step = np.square(np.diff(deviation, axis=0)) / (own[1:] ** 2 + own[:-1] ** 2)
+    by_steps = _scale(step[:, part], np.minimum(share[1:], share[:-1])[:, part])
+    return min(by_steps, _scale(np.square(deviation / own)[:, part], share[:, part]))
+
+
+def _within(sigma: np.ndarray, before: np.ndarray, limits: np.ndarray) -> np.ndarray:
+    """Estimates (I,) between floor and ceiling; one that began above the ceiling (far from any scan) may stay there."""
+    return np.clip(sigma, limits[0], np.maximum(before, limits[1]))
+
+
+def _memory(normalized: np.ndarray) -> float:
+    """By what factor the variance of shared deviations grows, >= 1.
+
+    N frames whose deviations have lag-one correlation r tell of their common part only what N (1 - r) / (1 + r)
+    independent ones do.
+    """
+    clipped = np.clip(normalized, -3, 3)
+    total = float(np.square(clipped).mean()) if clipped.size else 0.0
+    if len(clipped) <= 10 or total == 0:
+        return 1.0
+    correlation = min(max(float((clipped[1:] * clipped[:-1]).mean()) / total, 0.0), 0.95)
+    return (1 + correlation) / (1 - correlation)
+
+
+def _scale(normalized: np.ndarray, share: np.ndarray) -> float:
+    """By what factor deviations exceed their sigmas, robust (Huber's proposal 2); 1 where the images decided too few."""
+    if share.sum() < 6:
+        return 1.0
+    scale = 1.0
+    for _ in range(20):
+        clip = (2.0 * scale) ** 2
+        # 0.9205 is the mean of a chi-square of one degree of freedom clipped at 4
+        new = float(np.sqrt(np.minimum(normalized, clip).sum() / (0.9205 * share.sum())))
+        if abs(new - scale) < 1e-3 * scale:
+            break
+        scale = new
+    return float(np.clip(scale, 0.1, 10.0))

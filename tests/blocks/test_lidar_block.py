@@ -1,0 +1,177 @@
+"""Shares of one LiDAR bundle adjustment: together they are the whole problem, and one solve moves all scans."""
+
+from dataclasses import replace
+
+import numpy as np
+import plane_world
+import pytest
+
+from lvba import geometry
+from lvba.blocks import lidar_block, lidar_joint
+from lvba.kernels import voxel as kernel
+from lvba.lidar import bundle_adjustment, voxel_map
+from lvba.lidar.config import LidarConfig
+from lvba.lidar.normal_equations import linearize_planes
+from lvba.lidar.scan import gather
+from lvba.lidar.weights import WeightConfig
+from lvba.optim import normal_equations
+from lvba.trajectory import pose_error
+
+CONFIG = LidarConfig(dense_points=0)
+STAGE = CONFIG.stages[-1]
+PLAIN = WeightConfig(passes=0)
+SENSOR = np.zeros(3)
+
+
+@pytest.fixture(scope="module")
+def world():
+    return plane_world.recording("courtyard", scans=24, points=6400, seed=3)
+
+
+def regions(poses, parts):
+    return lidar_block.Regions(poses[:, :3, 3], np.arange(len(poses)) * parts // len(poses))
+
+
+def shares(scans, poses, parts):
+    owned = regions(poses, parts)
+    return [
+        lidar_block.collect(
+            lambda numbers: [scans[n] for n in numbers],
+            lidar_block.candidates(owned, part, 100.0),
+            poses,
+            owned,
+            part,
+            size=STAGE.sizes[0],
+            largest=STAGE.sizes[-1],
+            grid_from_world=bundle_adjustment.OBLIQUE,
+        )
+        for part in range(parts)
+    ]
+
+
+def test_a_morton_code_gives_its_cell_back():
+    cells = np.random.default_rng(0).integers(0, kernel.AXIS_CELLS, (500, 3))
+    keys = np.array([kernel.morton(*cell) for cell in cells])
+    assert np.array_equal(kernel.cell_of(keys), cells)
+
+
+def test_every_point_is_in_one_share(world):
+    scans, _, rough = world
+    found = shares(scans, rough, 3)
+    whole = shares(scans, rough, 1)[0]
+    assert sum(each.clusters.count.sum() for each in found) == whole.clusters.count.sum()
+    assert whole.clusters.count.sum() == sum(len(scan) for scan in scans)
+    assert min(len(each.key) for each in found) > 0
+
+
+@pytest.mark.parametrize("parts", [1, 3])
+def test_the_equations_of_all_shares_add_up_to_those_of_the_whole(world, parts):
+    scans, _, rough = world
+    found = [lidar_block.linearize(each, rough, SENSOR, STAGE, PLAIN) for each in shares(scans, rough, parts)]
+    # every share has its own noise: compare the sums of squares, which do not depend on it
+    grid = voxel_map.build(gather(scans), rough, STAGE.sizes, bundle_adjustment.OBLIQUE)
+    features = voxel_map.find_planes(grid, rough, SENSOR, STAGE.plane_test).features
+    whole = linearize_planes(features, rough, 1.0, exact=False)
+    scaled = [
+        lidar_block.ShareEquations(
+            each.scans, each.equations.scaled(each.sigma**2), each.told, each.feigned, 0, 0, each.points, 1.0
+        )
+        for each in found
+    ]
+    together = lidar_block.over_all(lidar_block.summed(scaled), len(scans)).equations
+    assert sum(each.planes for each in found) == len(features)
+    assert sum(each.observations for each in found) == len(features.scan)
+    assert together.cost == pytest.approx(whole.cost, rel=1e-12)
+    np.testing.assert_allclose(
+        together.gradient.ravel(), whole.gradient, atol=1e-9 * np.abs(whole.gradient).max()
+    )
+    np.testing.assert_allclose(together.dense(), whole.hessian, atol=1e-9 * np.abs(whole.hessian).max())
+
+
+@pytest.mark.parametrize("parts", [1, 2, 5, 8])
+def test_shares_are_added_up_one_after_another_to_what_they_are_together(world, parts):
+    scans, _, rough = world
+    found = [lidar_block.linearize(each, rough, SENSOR, STAGE, PLAIN) for each in shares(scans, rough, parts)]
+    asked = []
+    at_once = lidar_block.summed(asked.append(number) or each for number, each in enumerate(found))
+    assert asked == list(range(parts))
+    count = len(scans)
+    together = normal_equations.scattered([(each.scans, each.equations) for each in found], count)
+    whole = lidar_block.over_all(at_once, count)
+    dense = together.dense()
+    np.testing.assert_allclose(whole.equations.dense(), dense, atol=1e-14 * np.abs(dense).max())
+    assert whole.equations.cost == pytest.approx(together.cost, rel=1e-12)
+    told = np.zeros((count, 6, 6))
+    for each in found:
+        told[each.scans] += each.told
+    np.testing.assert_allclose(whole.told, told, rtol=1e-12, atol=1e-9)
+    assert whole.planes == sum(each.planes for each in found)
+    points = sum(each.points for each in found)
+    assert whole.points == pytest.approx(points)
+    assert whole.sigma == pytest.approx(sum(each.sigma * each.points for each in found) / points)
+
+
+def test_no_shares_are_no_sum():
+    assert lidar_block.summed([]) is None
+
+
+def rounds(scans, rough, start, parts, stages):
+    """stages: (number of the stage, rounds) in turn, points put into cells anew for each."""
+    state = lidar_joint.begin(rough, start, CONFIG)
+    for number, count in stages:
+        cells = shares(scans, state.world_from_scan, parts)
+        stage = CONFIG.stages[number]
+        for _ in range(count):
+            found = lidar_block.summed(
+                lidar_block.linearize(each, state.world_from_scan, SENSOR, stage, CONFIG.weights)
+                for each in cells
+            )
+            state = lidar_joint.step(state, found, number, stage, CONFIG)
+    return state, found
+
+
+def test_joint_rounds_end_where_the_undivided_problem_does(world):
+    scans, truth, rough = world
+    whole = bundle_adjustment.refine(scans, rough, config=CONFIG).world_from_scan
+    # parts that do not fit: a step of 1 cm and 0.1 degrees half way
+    start = whole.copy()
+    start[12:] = geometry.exp(np.array([0, 0, 0.002, 0.01, -0.005, 0.0])) @ start[12:]
+    state, _ = rounds(scans, rough, start, 3, ((1, 3), (2, 4)))
+    before, after = pose_error(start, whole), pose_error(state.world_from_scan, whole)
+    assert after.ate_max_m < 0.001 < 0.01 < before.ate_max_m
+    assert after.rotation_max_deg < 0.01
+    assert np.array_equal(state.world_from_scan[0], start[0])
+    assert pose_error(state.world_from_scan, truth).ate_m < 1.1 * pose_error(whole, truth).ate_m
+
+
+def test_a_settled_state_comes_back_as_it_is(world):
+    scans, _, rough = world
+    state, found = rounds(scans, rough, rough, 2, ((2, 1),))
+    state = replace(state, settled=2)
+    assert lidar_joint.step(state, found, 2, STAGE, CONFIG) is state
+
+
+def test_a_step_longer_than_the_one_before_is_refused_and_damped(world):
+    scans, _, rough = world
+    state, found = rounds(scans, rough, rough, 2, ((2, 1),))
+    shorter = replace(state.history[-1], moved=1e-6)
+    again = lidar_joint.step(replace(state, history=(shorter,)), found, 2, STAGE, CONFIG)
+    assert again.history[-1].refused
+    assert np.array_equal(again.world_from_scan, state.world_from_scan)
+    assert again.damping > state.damping
+
+
+def test_covariances_are_those_of_the_dense_inverse(world):
+    scans, _, rough = world
+    state, found = rounds(scans, rough, rough, 3, ((2, 4),))
+    sparse = lidar_joint.covariance(state, found, CONFIG, 1.5)
+    equations, _ = lidar_joint.assemble(state, found, CONFIG)
+    count = len(scans)
+    dense = np.zeros((6 * count, 6 * count))
+    dense[6:, 6:] = 2 * 1.5 * np.linalg.inv(equations.dense()[6:, 6:])
+    motion, pick = lidar_joint.alignment(state.world_from_scan)
+    free = np.eye(6 * count) - motion @ np.linalg.solve(pick.T @ motion, pick.T)
+    here = np.arange(count)
+    blocks = (free @ dense @ free.T).reshape(count, 6, count, 6)[here, :, here]
+    expected = lidar_joint.local(blocks, state.world_from_scan)
+    np.testing.assert_allclose(sparse.marginal, expected, atol=1e-6 * np.abs(expected).max())

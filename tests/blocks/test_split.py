@@ -1,0 +1,98 @@
+"""Cutting a recording into parts: everything in exactly one core, overlaps as asked for, limits said with numbers."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from lvba.blocks.split import Load, SplitConfig, memory_bytes, parts, subset
+from lvba.camera import Camera
+from lvba.dataset import Dataset
+from lvba.errors import InputError
+from lvba.trajectory import Trajectory
+
+LOAD = Load(30_000, 640 * 480)
+
+
+def recording(scans=100, images=150, step=1.0):
+    poses = np.broadcast_to(np.eye(4), (scans, 4, 4)).copy()
+    poses[:, 0, 3] = step * np.arange(scans)
+    stamps = np.linspace(0.2, 0.5 * scans - 0.3, images)
+    cameras = np.broadcast_to(np.eye(4), (images, 4, 4)).copy()
+    return Dataset(
+        root="street",
+        scan_paths=tuple(f"{k}.pcd" for k in range(scans)),
+        scans=Trajectory(0.5 * np.arange(scans), poses),
+        image_paths=tuple(f"{k}.png" for k in range(images)),
+        images=Trajectory(stamps, cameras),
+        camera=Camera(640, 480, 500.0, 500.0, 320.0, 240.0),
+        camera_from_scan=np.eye(4),
+        digest="d",
+    )
+
+
+WAYS = {
+    "length": SplitConfig(by="length", size=25.0),
+    "time": SplitConfig(by="time", size=12.0),
+    "count": SplitConfig(by="count", size=20),
+    "own": SplitConfig(starts=(8.0, 31.5)),
+    "memory": SplitConfig(by="memory", memory_gb=0.7),
+    "overlap": SplitConfig(by="length", size=25.0, overlap=6.0),
+}
+
+
+@pytest.mark.parametrize("config", WAYS.values(), ids=WAYS.keys())
+def test_every_frame_is_in_one_core_and_neighbors_overlap(config):
+    dataset = recording()
+    found = parts(dataset, config, LOAD)
+    assert len(found) > 1
+    assert np.concatenate([np.arange(*part.core_scans) for part in found]).tolist() == list(range(100))
+    assert np.concatenate([np.arange(*part.core_images) for part in found]).tolist() == list(range(150))
+    for part in found:
+        assert part.scans[0] <= part.core_scans[0] < part.core_scans[1] <= part.scans[1]
+        assert part.images[0] <= part.core_images[0] < part.core_images[1] <= part.images[1]
+        assert part.scan_numbers[part.core_of_scans].tolist() == list(range(*part.core_scans))
+    for left, right in pairwise(found):
+        assert left.scans[1] - right.scans[0] >= 12
+
+
+def test_the_overlap_reaches_as_far_as_asked_on_either_side():
+    found = parts(recording(), SplitConfig(by="length", size=25.0, overlap=6.0), LOAD)
+    middle = found[1]
+    assert (middle.core_scans[0] - middle.scans[0], middle.scans[1] - middle.core_scans[1]) == (6, 6)
+
+
+def test_what_fits_into_memory_is_not_cut_and_what_does_not_fits_in_its_parts():
+    dataset = recording()
+    assert len(parts(dataset, SplitConfig(), LOAD)) == 1
+    found = parts(dataset, SplitConfig(memory_gb=0.7), LOAD)
+    needs = [memory_bytes(LOAD, np.ptp(part.scans), np.ptp(part.images)) for part in found]
+    assert max(needs) <= 0.7e9 * 1.02 < memory_bytes(LOAD, 100, 150)
+    assert len(parts(dataset, SplitConfig(by="none"), LOAD)) == 1
+
+
+def test_too_short_parts_and_too_little_overlap_are_errors_with_the_numbers():
+    with pytest.raises(InputError, match=r"would hold 5 scans of its own; at least 10"):
+        parts(recording(), SplitConfig(by="count", size=5), LOAD)
+    with pytest.raises(InputError, match=r"would share 2 scans with an overlap of 1; at least 3"):
+        parts(recording(), SplitConfig(by="count", size=20, overlap=1), LOAD)
+    with pytest.raises(InputError, match=r"0.5 GB hold not even 30 scans"):
+        parts(recording(), SplitConfig(memory_gb=0.5), Load(3_000_000, 640 * 480))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"by": "weight"}, {"by": "count"}, {"overlap": -1.0}, {"memory_gb": 0.1}, {"starts": (5.0, 4.0)}],
+)
+def test_settings_out_of_range_are_refused(wrong):
+    with pytest.raises(ValueError, match="split"):
+        SplitConfig(**wrong)
+
+
+def test_a_subset_is_a_recording_of_its_own():
+    whole = recording()
+    some = subset(whole, np.arange(10, 20), np.arange(5, 25))
+    assert some.scan_paths == whole.scan_paths[10:20]
+    assert np.array_equal(some.images.times, whole.images.times[5:25])
+    assert some.digest not in ("", whole.digest)
+    assert some.digest != subset(whole, np.arange(10, 20), np.arange(5, 24)).digest

@@ -1,0 +1,32 @@
+"""YAML of strangers: plain values or one error."""
+
+import pytest
+
+from lvba.errors import InputError
+from lvba.io import plain_yaml
+
+
+def test_plain_values_and_what_opencv_writes():
+    text = "%YAML:1.0\na: [1, 2.5, x, null]\nm: !!opencv-matrix\n  rows: 1\n  data: [3]\n"
+    assert plain_yaml.load(text, "f") == {"a": [1, 2.5, "x", None], "m": {"rows": 1, "data": [3]}}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a: [1", r"f:1: not YAML"),
+        ("a: &x [1]\nb: *x\n", r"f:2: not YAML \(aliases"),
+        ("a: !!python/object/apply:os.system [true]", r"f:1: not YAML"),
+        ("a: \x01", "not YAML"),
+        ("a: 2021-13-45", "a value that is none: month must be in"),
+        ("a: !!binary ä", "not YAML"),
+        ("a: !!int x", "a value that is none"),
+        ("[" * 3000, "nested too deep"),
+        ("{[1]: 2}", "not YAML"),
+        ("a: !!opencv-matrix 3", "a matrix must be a mapping"),
+    ],
+)
+def test_all_else_is_one_error_of_little_length(text, said):
+    with pytest.raises(InputError, match=said) as caught:
+        plain_yaml.load(text, "f")
+    assert len(str(caught.value)) < 400

@@ -1,0 +1,55 @@
+"""How wrong the odometry is, read off its errors where planes hold the scans."""
+
+import numpy as np
+import pytest
+
+from lvba import geometry
+from lvba.lidar.odometry_factor import odometry_prior, reestimated
+
+CEILING = np.repeat([0.01, 0.05], 3)
+
+
+def walk(count: int = 200, rotation: float = 0.002, translation: float = 0.008, seed: int = 0):
+    """Refined poses (S, 4, 4), and rough ones whose steps are off by these standard deviations (rad, m)."""
+    rng = np.random.default_rng(seed)
+    step = geometry.exp(np.tile([0.0, 0.0, 0.02, 0.3, 0.0, 0.0], (count, 1)))
+    off = rng.normal(size=(count, 6)) * np.repeat([rotation, translation], 3)
+    refined, rough = [np.eye(4)], [np.eye(4)]
+    for one, wrong in zip(step, geometry.exp(off), strict=True):
+        refined.append(refined[-1] @ one)
+        rough.append(rough[-1] @ one @ wrong)
+    return np.stack(refined), np.stack(rough)
+
+
+def sigmas(prior) -> np.ndarray:
+    return 1 / np.sqrt(np.diagonal(prior.information, axis1=1, axis2=2))
+
+
+def test_it_is_found_in_spite_of_slips():
+    refined, rough = walk()
+    for at in (50, 100, 150):
+        slip = (
+            rough[at] @ geometry.exp(np.array([0.3, 0.0, 0.0, 1.0, 0.0, 0.0])) @ geometry.inverse(rough[at])
+        )
+        rough[at:] = slip @ rough[at:]
+    prior = odometry_prior(rough, 0.01, 0.05)
+    found = sigmas(reestimated(prior, refined, np.ones(201, bool), CEILING))
+    assert found == pytest.approx(np.tile(np.repeat([0.002, 0.008], 3), (200, 1)), rel=0.15)
+
+
+def test_scans_that_planes_do_not_hold_have_no_vote():
+    refined, rough = walk()
+    held = np.arange(201) >= 120
+    # these sit at the odometry for want of anything better, and so agree with it
+    refined[:120] = refined[120] @ geometry.inverse(rough[120]) @ rough[:120]
+    found = sigmas(reestimated(odometry_prior(rough, 0.01, 0.05), refined, held, CEILING))
+    assert found[0] == pytest.approx(np.repeat([0.002, 0.008], 3), rel=0.25)
+
+
+def test_few_scans_change_nothing_and_no_estimate_passes_its_limits():
+    refined, rough = walk(rotation=0.5, translation=0.5)
+    prior = odometry_prior(rough, 0.01, 0.05)
+    assert reestimated(prior, refined, np.arange(201) < 9, CEILING) is prior
+    assert sigmas(reestimated(prior, refined, np.ones(201, bool), CEILING))[0] == pytest.approx(CEILING)
+    perfect = sigmas(reestimated(odometry_prior(refined, 0.01, 0.05), refined, np.ones(201, bool), CEILING))
+    assert (perfect > 1e-4).all()

@@ -1,0 +1,252 @@
+"""The gate judges each part by itself: gains are accepted; losses, chance and what cannot be judged are not."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from lvba.products.evaluate import Scores
+from lvba.products.map_quality import EntropyBlocks, EntropyChange
+from lvba.steps import acceptance
+from lvba.steps import evaluate as evaluate_steps
+from lvba.steps.acceptance import (
+    CARRIED,
+    EXPOSED,
+    FUSED,
+    FUSED_POSED,
+    POSED,
+    ROUGH,
+    VISUAL,
+    Figure,
+    GateConfig,
+    Verdict,
+)
+from lvba.steps.outcomes import ScanPoses, VisualStage
+
+CONFIG = GateConfig()
+BASE = np.array([20.0, 22.0, 24.0, 21.0, 25.0])
+CHANCE = np.array([0.5, -0.4, 0.3, -0.5, 0.2])
+
+
+def _mean(values):
+    return float(np.nanmean(values)) if np.isfinite(values).any() else np.nan
+
+
+def scores(psnr, common=None, ssim=0.5):
+    psnr = np.asarray(psnr, float)
+    common = psnr if common is None else np.asarray(common, float)
+    ssim = np.broadcast_to(np.asarray(ssim, float), psnr.shape)
+    per_image = {
+        "psnr_leave_one_out": psnr,
+        "psnr_common": common,
+        "ssim_leave_one_out": ssim,
+        "ssim_common": ssim,
+    }
+    given = {name: _mean(values) for name, values in per_image.items()}
+    given |= {"images": np.arange(len(psnr)), "per_image": per_image}
+    return Scores(**{f.name: given.get(f.name, 0.0) for f in fields(Scores)})
+
+
+def entropy(before, after, error=0.005):
+    return acceptance.entropy_figure(EntropyChange(before, after, before - after, error), CONFIG)
+
+
+def images(before, after):
+    return acceptance.image_figures(before, after, CONFIG)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "error", "accepted", "word"),
+    [
+        (-3.0, -3.1, 0.005, True, "accepted"),
+        (-3.0, -3.1, np.nan, True, "accepted"),
+        (-3.0, -3.1, 0.06, False, "chance"),
+        (-3.0, -3.0, 0.005, False, "not crisper"),
+        (-3.0, -3.019, 0.001, False, "not crisper"),
+        (-3.0, -2.9, 0.005, False, "not crisper"),
+        (np.nan, -3.0, np.nan, False, "too thin"),
+        (-3.0, np.nan, np.nan, False, "too thin"),
+    ],
+)
+def test_scans_without_images(before, after, error, accepted, word):
+    verdict = acceptance.judge_scans(entropy(before, after, error), (), CONFIG)
+    assert verdict.accepted is accepted
+    assert word in verdict.reason
+
+
+@pytest.mark.parametrize(
+    ("psnr", "common", "ssim", "accepted"),
+    [
+        (1.0, 1.0, 0.5, True),
+        (-0.09, -0.09, 0.496, True),
+        (-1.0, -1.0, 0.5, False),
+        (-1.0, 0.0, 0.5, True),
+        (1.0, 1.0, 0.4, False),
+    ],
+)
+def test_images_may_contradict_a_crisper_map(psnr, common, ssim, accepted):
+    """By PSNR over own and common pixels, or by SSIM, whatever the other says; losses that mean nothing do not."""
+    told = images(scores(BASE), scores(BASE + psnr, BASE + common, ssim))
+    verdict = acceptance.judge_scans(entropy(-3.0, -3.1), told, CONFIG)
+    assert verdict.accepted is accepted
+    assert accepted or "predicted worse" in verdict.reason
+    assert [figure.name for figure in verdict.figures][:2] == ["map_entropy", "psnr_leave_one_out"]
+
+
+@pytest.mark.parametrize(
+    ("after", "error", "psnr", "common", "ssim", "accepted"),
+    [
+        (-3.1, 0.06, 1.0, 1.0, 0.5, True),
+        (-3.1, 0.06, 1.0, 0.0, 0.5, False),
+        (-3.1, 0.06, CHANCE, CHANCE, 0.5, False),
+        (-3.1, 0.06, 1.0, 1.0, 0.4, False),
+        (-3.1, 0.06, 0.0, 0.0, 0.6, False),
+        (-3.015, 0.001, 1.0, 1.0, 0.5, False),
+        (-2.9, 0.06, 1.0, 1.0, 0.5, False),
+        (-2.9, 0.005, 1.0, 1.0, 0.5, False),
+    ],
+)
+def test_images_may_speak_for_a_map_that_is_crisper_within_chance(after, error, psnr, common, ssim, accepted):
+    """By PSNR over own and common pixels, not against SSIM; not for a map that gains too little, or loses."""
+    told = images(scores(BASE), scores(BASE + psnr, BASE + common, ssim))
+    verdict = acceptance.judge_scans(entropy(-3.0, after, error), told, CONFIG)
+    assert verdict.accepted is accepted
+    assert verdict.reason.startswith("accepted") is accepted
+
+
+def test_images_that_cannot_be_judged_contradict_nothing():
+    nothing = scores(np.full(5, np.nan), ssim=np.nan)
+    assert acceptance.judge_scans(entropy(-3.0, -3.1), images(nothing, nothing), CONFIG).accepted
+
+
+@pytest.mark.parametrize(
+    ("rough_gain", "before", "after", "error", "accepted"),
+    [
+        (0.4, -3.0, -3.1, 0.005, True),
+        (0.4, -3.0, -3.0, 0.005, True),
+        (0.4, -3.0, -2.981, 0.005, True),
+        (0.4, -3.0, -2.979, 0.005, False),
+        (0.0, -2.6, -2.5995, 0.0005, True),
+        (0.0, -2.6, -2.598, 0.0005, False),
+        (0.4, np.nan, -3.0, np.nan, False),
+        (0.4, -3.0, np.nan, np.nan, False),
+    ],
+)
+def test_scans_that_cameras_moved(rough_gain, before, after, error, accepted):
+    """A twentieth of what refining gained may be lost, or what is chance."""
+    verdict = acceptance.judge_fusion(rough_gain, entropy(before, after, error), (), CONFIG)
+    assert verdict.accepted is accepted
+    assert ("accepted" if accepted else "less crisp") in verdict.reason
+
+
+def test_scans_that_cameras_moved_may_be_contradicted_by_images():
+    told = images(scores(BASE), scores(BASE - 1))
+    assert not acceptance.judge_fusion(0.4, entropy(-3.0, -3.0), told, CONFIG).accepted
+
+
+def poses(figures=(), accepted=False):
+    blocks = EntropyBlocks(np.arange(2), np.array([[-3.0, 1.0], [-3.0, 1.0]]))
+    return ScanPoses(np.eye(4)[None], Verdict(accepted, "", figures), -2.6, -3.0, blocks)
+
+
+def choose(carried=BASE, exposed=BASE + 1, posed=BASE + 1, visual=BASE + 2, fused=None, config=CONFIG):
+    """The choice among states given by PSNR, or by scores."""
+    given = {ROUGH: BASE, CARRIED: carried, EXPOSED: exposed, POSED: posed, VISUAL: visual}
+    if fused is not None:
+        given |= {FUSED_POSED: fused, FUSED: fused}
+    states = {name: each if isinstance(each, Scores) else scores(each) for name, each in given.items()}
+    with_cameras = poses((entropy(-3.0, -3.0),), accepted=fused is not None)
+    return evaluate_steps.choose(states, poses(accepted=True), with_cameras, VisualStage(object()), config)
+
+
+def verdicts(**states):
+    found = choose(**states)
+    return found.cameras.accepted, found.exposures.accepted, found.state
+
+
+def test_gains_are_accepted():
+    assert verdicts() == (True, True, VISUAL)
+
+
+def test_exposures_do_not_hide_what_cameras_lose():
+    """Better than the input without exposures in every state that has them, and yet the poses only lose."""
+    assert verdicts(exposed=BASE + 5, posed=BASE - 1, visual=BASE + 3) == (False, True, EXPOSED)
+
+
+def test_cameras_are_not_dropped_with_exposures():
+    assert verdicts(exposed=BASE - 3, posed=BASE + 2, visual=BASE + 1) == (True, False, POSED)
+
+
+def test_exposures_are_judged_at_the_poses_in_use():
+    """They gain at poses that are refused, and lose at the carried ones."""
+    assert verdicts(exposed=BASE - 1, posed=BASE - 4, visual=BASE - 2) == (False, False, CARRIED)
+
+
+def test_losses_are_refused():
+    assert verdicts(exposed=BASE - 1, posed=BASE - 1, visual=BASE - 2) == (False, False, CARRIED)
+
+
+def test_gain_within_chance_is_refused():
+    assert verdicts(posed=BASE + CHANCE, visual=BASE + 1 + CHANCE) == (False, True, EXPOSED)
+    assert CHANCE.mean() > 0
+
+
+def test_gain_only_by_covering_less_is_refused():
+    visual = scores(BASE + 2, BASE + 0.5)
+    assert verdicts(posed=scores(BASE + 1, BASE - 0.5), visual=visual)[0] is False
+
+
+def test_gain_by_psnr_that_ssim_contradicts_is_refused():
+    worse = {"posed": scores(BASE + 1, ssim=0.4), "visual": scores(BASE + 2, ssim=0.4)}
+    assert verdicts(**worse) == (False, True, EXPOSED)
+    assert "worse by SSIM" in choose(**worse).cameras.reason
+
+
+def test_fusion_is_judged_with_equal_cameras_and_exposures():
+    assert choose(fused=BASE + 2).state == FUSED
+    assert choose(fused=BASE + 1).state == VISUAL
+    assert choose(fused=BASE + 2, exposed=BASE - 1, posed=BASE + 2, visual=BASE + 1).state == FUSED_POSED
+    refused = choose(fused=BASE, exposed=BASE + 5, posed=BASE - 1, visual=BASE + 3).fusion
+    assert not refused.accepted
+    assert "cameras were not accepted" in refused.reason
+
+
+def test_nothing_to_judge_by():
+    nothing = scores(np.full(5, np.nan))
+    none = dict.fromkeys(("carried", "exposed", "posed", "visual"), nothing)
+    assert verdicts(**none) == (False, False, CARRIED)
+    single = {name: scores([20.0 + k]) for k, name in enumerate(none)}
+    assert verdicts(**single) == (False, False, CARRIED)
+
+
+def test_switched_off_everything_is_accepted():
+    config = GateConfig(enabled=False)
+    found = choose(exposed=BASE - 1, posed=BASE - 1, visual=BASE - 2, fused=BASE - 5, config=config)
+    assert found.state == FUSED
+    assert acceptance.judge_scans(entropy(-3.0, -2.0), (), config).accepted
+
+
+def test_every_verdict_tells_its_figures():
+    (psnr, *_) = choose().cameras.figures
+    assert (psnr.name, psnr.finding) == ("psnr_leave_one_out", "better")
+    assert (psnr.before, psnr.after, psnr.gain) == pytest.approx((23.4, 24.4, 1.0))
+    assert isinstance(choose(fused=BASE + 2).fusion.figures[0], Figure)
+
+
+def test_standard_error_counts_neighbors_that_are_alike_once():
+    """Runs of five equal values tell as much as one of each; independent ones as much as they are."""
+    rng = np.random.default_rng(1)
+    independent = rng.normal(size=400)
+    assert acceptance.standard_error(independent) == pytest.approx(1 / 20, rel=0.2)
+    alike = np.repeat(rng.normal(size=80), 5)
+    naive = alike.std(ddof=1) / np.sqrt(len(alike))
+    assert acceptance.standard_error(alike) > 1.6 * naive
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["min_entropy_gain", "confidence", "contradiction", "min_psnr_loss", "min_ssim_loss", "scan_images"],
+)
+def test_ranges(name):
+    with pytest.raises(ValueError, match=name):
+        GateConfig(**{name: -1.0})

@@ -1,0 +1,338 @@
+"""Scans and cameras on one path: what the one does not know it takes from the other, and not more."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from lvba import geometry, spline
+from lvba.lidar.covariance import Covariance
+from lvba.lidar.degeneracy import WeakDirection
+from lvba.steps import pose_fusion
+from lvba.steps.pose_fusion import FusionConfig
+from lvba.trajectory import Trajectory
+
+MOUNT = geometry.exp(np.array([0.4, -1.2, 0.3, 0.05, -0.08, 0.12]))
+OFFSET = 0.007
+SCAN_TIMES = np.arange(60) * 0.1
+IMAGE_TIMES = np.arange(58) * 0.1 + 0.13
+TIGHT = np.repeat([2e-4, 5e-4], 3)
+"""rad and m, of a scan that planes hold and of a camera."""
+
+
+def path(times):
+    """world_from_scan (N, 4, 4) of somebody who walks and looks around."""
+    t = np.asarray(times)
+    turn = np.stack([0.1 * np.sin(0.9 * t), 0.08 * np.cos(0.7 * t), 0.5 * t], axis=1)
+    place = np.stack([1.2 * t, 0.4 * np.sin(0.8 * t), 0.05 * np.cos(1.1 * t)], axis=1)
+    rotation = geometry.exp(np.concatenate([turn, np.zeros_like(turn)], axis=1))[:, :3, :3]
+    return geometry.from_rotation_translation(rotation, place)
+
+
+def blocks(sigmas):
+    """(N, 6, 6) from sigmas (N, 6)."""
+    return np.square(sigmas)[:, :, None] * np.eye(6)
+
+
+def scans(rng, loose=(), along=5, off=0.03):
+    """Refined scans, their covariance, and the truth; those in `loose` are off along one of their own axes."""
+    truth = path(SCAN_TIMES)
+    sigma = np.tile(TIGHT, (len(SCAN_TIMES), 1))
+    error = rng.normal(size=sigma.shape) * sigma
+    for index in loose:
+        sigma[index, along] = off
+        error[index, along] = off * np.sign(error[index, along])
+    found = geometry.retract(truth, error)
+    return Trajectory(SCAN_TIMES, found), Covariance(blocks(sigma), blocks(sigma)), truth
+
+
+def cameras(rng, sigma=TIGHT, mount_sigma=None):
+    truth = path(IMAGE_TIMES + OFFSET) @ MOUNT
+    spread = np.tile(sigma, (len(IMAGE_TIMES), 1))
+    poses = geometry.retract(truth, rng.normal(size=spread.shape) * spread)
+    mount_sigma = np.zeros(7) if mount_sigma is None else mount_sigma
+    return pose_fusion.seen_from(poses, IMAGE_TIMES, blocks(spread), MOUNT, OFFSET, mount_sigma)
+
+
+def lifted(given, which, by):
+    """Some of the cameras higher by so many metres."""
+    poses = given.world_from_scan.world_from_sensor.copy()
+    poses[which, 2, 3] += by
+    return replace(given, world_from_scan=replace(given.world_from_scan, world_from_sensor=poses))
+
+
+def errors(poses, truth):
+    return np.linalg.norm(geometry.log(geometry.inverse(truth) @ poses)[:, 3:], axis=1)
+
+
+def test_loose_scans_go_where_the_cameras_have_them():
+    rng = np.random.default_rng(0)
+    loose = np.arange(10, 50, 6)
+    given, covariance, truth = scans(rng, loose)
+    found = pose_fusion.fuse(given, covariance, cameras(rng))
+    assert errors(given.world_from_sensor, truth)[loose].min() > 0.029
+    assert errors(found.world_from_scan, truth)[loose].max() < 0.003
+    others = np.setdiff1d(np.arange(len(SCAN_TIMES)), loose)
+    before, after = (
+        errors(poses, truth)[others] for poses in (given.world_from_sensor, found.world_from_scan)
+    )
+    assert np.sqrt((after**2).mean()) < np.sqrt((before**2).mean())
+    assert found.contradicted == 0
+    assert found.moved_m[loose].min() > 0.025
+
+
+def test_a_group_that_is_off_together_goes_where_its_cameras_have_it():
+    """Each of its scans would be well held if the others were known; within the trajectory all of them are vague."""
+    rng = np.random.default_rng(9)
+    given, covariance, truth = scans(rng)
+    group = slice(26, 33)
+    poses = given.world_from_sensor.copy()
+    poses[group, 2, 3] += 0.02
+    marginal = covariance.marginal.copy()
+    marginal[group] += np.diag([0, 0, 0, 0, 0, 0.02**2])
+    given = replace(given, world_from_sensor=poses)
+    found = pose_fusion.fuse(given, Covariance(marginal, covariance.conditional), cameras(rng))
+    assert errors(found.world_from_scan, truth)[group].max() < 0.003 < errors(poses, truth)[group].min()
+    # what grows slowly along a path is no group: relative to the map around them these scans are as certain as ever
+    drifting = covariance.conditional * np.linspace(1, 8, len(SCAN_TIMES))[:, None, None]
+    usual = pose_fusion.fuse(given, covariance, cameras(np.random.default_rng(1)))
+    slow = pose_fusion.fuse(
+        given, Covariance(drifting, covariance.conditional), cameras(np.random.default_rng(1))
+    )
+    np.testing.assert_allclose(slow.world_from_scan, usual.world_from_scan, atol=1e-6)
+
+
+def chain_of(count, rng):
+    """Poses, covariances of errors that are alike, and of the motions between them, which are known better."""
+
+    def spread(size):
+        root = rng.normal(size=(6, 9)) * size
+        return root @ root.T
+
+    own = spread(1.0)
+    poses = geometry.exp(0.3 * rng.normal(size=(count, 6)))
+    carried = [own]
+    for a, b in pairwise(poses):
+        move = geometry.adjoint(geometry.inverse(b) @ a)
+        carried.append(move @ carried[-1] @ move.T + spread(0.1))
+    step = np.stack([later - _moved(before, a, b) for before, later, a, b in zip(
+        carried, carried[1:], poses, poses[1:], strict=False)])  # fmt: skip
+    return poses, np.stack(carried), step
+
+
+def _moved(covariance, a, b):
+    move = geometry.adjoint(geometry.inverse(b) @ a)
+    return move @ covariance @ move.T
+
+
+def dense(diagonal, upper):
+    count = len(diagonal)
+    full = np.zeros((count, 6, count, 6))
+    for k in range(count):
+        full[k, :, k] = diagonal[k]
+    for k in range(count - 1):
+        full[k, :, k + 1], full[k + 1, :, k] = upper[k], upper[k].T
+    return full.reshape(6 * count, 6 * count)
+
+
+def test_the_chain_has_the_covariances_that_it_is_made_from():
+    poses, own, step = chain_of(6, np.random.default_rng(10))
+    covariance = np.linalg.inv(dense(*pose_fusion._chain(own, step, poses)))
+    for k in range(6):
+        here = slice(6 * k, 6 * k + 6)
+        np.testing.assert_allclose(covariance[here, here], own[k], rtol=1e-6, atol=1e-6)
+    for k in range(5):
+        pair = covariance[6 * k : 6 * k + 12, 6 * k : 6 * k + 12]
+        both = np.concatenate(
+            [-geometry.adjoint(geometry.inverse(poses[k + 1]) @ poses[k]), np.eye(6)], axis=1
+        )
+        # wider where neighbors would have more than 0.999 of their error in common
+        found = both @ pair @ both.T
+        assert np.trace(found) == pytest.approx(np.trace(step[k]), rel=0.15)
+
+
+def test_the_chain_is_solved_as_the_dense_equations_are():
+    rng = np.random.default_rng(11)
+    diagonal, upper = pose_fusion._chain(*(chain_of(7, rng)[i] for i in (1, 2, 0)))
+    diagonal, right = diagonal + np.eye(6), rng.normal(size=(7, 6))
+    found = pose_fusion._solve_chain(diagonal, upper, right)
+    np.testing.assert_allclose(
+        found.ravel(), np.linalg.solve(dense(diagonal, upper), right.ravel()), rtol=1e-8
+    )
+
+
+def test_a_group_moves_as_one():
+    """What the motion within it is known by keeps its scans together, though each camera has noise of its own."""
+    scatter = []
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        given, covariance, truth = scans(rng)
+        group = np.arange(26, 33)
+        poses = given.world_from_sensor.copy()
+        poses[group, 2, 3] += 0.02
+        marginal = covariance.marginal.copy()
+        marginal[group] += np.diag([0, 0, 0, 0, 0, 0.02**2])
+        step = covariance.conditional[1:] + covariance.conditional[:-1]
+        step[[25, 32]] += np.diag([0, 0, 0, 0, 0, 0.02**2])
+        vague = cameras(rng, np.repeat([2e-3, 5e-3], 3))
+        given = replace(given, world_from_sensor=poses)
+        found = [
+            pose_fusion.fuse(given, Covariance(marginal, covariance.conditional, steps), vague)
+            for steps in (np.zeros((0, 6, 6)), step)
+        ]
+        scatter.append([(each.world_from_scan - truth)[group, 2, 3].std() for each in found])
+        assert np.abs((found[1].world_from_scan - truth)[group, 2, 3]).max() < 0.01
+    apart, together = np.mean(scatter, axis=0)
+    assert together < 0.8 * apart
+
+
+def test_the_covariance_is_honest():
+    nees = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        given, covariance, truth = scans(rng, range(5, 55, 4))
+        found = pose_fusion.fuse(given, covariance, cameras(rng))
+        wrong = geometry.log(geometry.inverse(found.world_from_scan) @ truth)
+        whitened = np.linalg.solve(found.covariance, wrong[..., None])[..., 0]
+        nees.append((wrong * whitened).sum(1).mean() / 6)
+    assert 0.5 < np.mean(nees) < 1.5
+
+
+def test_vague_cameras_change_nothing():
+    rng = np.random.default_rng(1)
+    given, covariance, _ = scans(rng)
+    found = pose_fusion.fuse(given, covariance, cameras(rng, np.repeat([0.02, 0.05], 3)))
+    assert found.moved_m.max() < 1e-4
+
+
+def test_scans_before_the_first_and_after_the_last_image_stay():
+    rng = np.random.default_rng(2)
+    given, covariance, _ = scans(rng, loose=(0, 1, 59))
+    found = pose_fusion.fuse(given, covariance, cameras(rng))
+    assert (found.world_from_scan[[0, 1, 59]] == given.world_from_sensor[[0, 1, 59]]).all()
+    np.testing.assert_allclose(found.covariance[[0, 1, 59]], covariance.marginal[[0, 1, 59]], atol=1e-11)
+
+
+def test_a_camera_that_jumps_moves_no_scan():
+    """What is missed about it is large, so nobody trusts the spline there."""
+    rng = np.random.default_rng(3)
+    given, covariance, truth = scans(rng)
+    found = pose_fusion.fuse(given, covariance, lifted(cameras(rng), slice(30, 31), 0.5))
+    assert errors(found.world_from_scan, truth).max() < 0.003
+
+
+def test_cameras_that_are_off_together_beyond_all_promises_move_no_scan():
+    rng = np.random.default_rng(3)
+    given, covariance, truth = scans(rng)
+    found = pose_fusion.fuse(given, covariance, lifted(cameras(rng), slice(25, 40), 0.05))
+    assert found.contradicted >= 8
+    assert errors(found.world_from_scan, truth).max() < 0.003
+
+
+def test_what_the_mount_leaves_open_is_no_news_to_the_scans():
+    """All cameras off together, as far as the mount may be: scans must not follow."""
+    rng = np.random.default_rng(4)
+    given, covariance, truth = scans(rng)
+    good = cameras(rng, mount_sigma=np.array([0, 0, 0, 0.01, 0.01, 0.01, 0]))
+    poses = good.world_from_scan.world_from_sensor @ geometry.exp(np.array([0, 0, 0, 0.01, 0, 0]))
+    found = pose_fusion.fuse(
+        given,
+        covariance,
+        replace(good, world_from_scan=replace(good.world_from_scan, world_from_sensor=poses)),
+    )
+    assert errors(found.world_from_scan, truth).max() < errors(given.world_from_sensor, truth).max() + 1e-4
+
+
+def test_what_all_scans_leave_open_stays_at_the_odometry():
+    """A corridor: the whole trajectory may slide along x; scans and cameras slid apart, and neither knows better."""
+    rng = np.random.default_rng(5)
+    given, covariance, _ = scans(rng)
+    wide = covariance.conditional + np.diag([0, 0, 0, 0.05**2, 0.05**2, 0.05**2])
+    slid = cameras(rng)
+    poses = slid.world_from_scan.world_from_sensor.copy()
+    poses[:, 0, 3] += 0.03
+    slid = replace(slid, world_from_scan=replace(slid.world_from_scan, world_from_sensor=poses))
+    prior = np.repeat([0.01, 0.05], 3)
+    along = WeakDirection(np.array([0, 0, 0, 1.0, 0, 0]), 0.1)
+    free = pose_fusion.fuse(given, Covariance(wide, wide), slid)
+    held = pose_fusion.fuse(given, Covariance(wide, wide), slid, [along], prior)
+    change = held.world_from_scan[:, :3, 3] - given.world_from_sensor[:, :3, 3]
+    assert np.abs(change[:, 0]).max() < 1e-4
+    assert (free.world_from_scan[5:-5, 0, 3] - given.world_from_sensor[5:-5, 0, 3]).min() > 0.02
+
+
+def test_covariances_that_promise_too_much_are_widened():
+    rng = np.random.default_rng(6)
+    given, covariance, truth = scans(rng)
+    sure = Covariance(covariance.marginal / 400, covariance.conditional / 400)
+    good = cameras(rng)
+    found = pose_fusion.fuse(given, sure, replace(good, covariance=good.covariance / 400))
+    assert found.between == pytest.approx(1.0)
+    honest = pose_fusion.fuse(given, covariance, good)
+    assert honest.disagreement < 1.2
+    assert np.trace(found.covariance[30]) * found.disagreement > np.trace(sure.marginal[30])
+    assert errors(found.world_from_scan, truth).max() < 0.003
+
+
+def test_too_few_cameras_tell_nothing():
+    rng = np.random.default_rng(7)
+    given, covariance, _ = scans(rng)
+    spread = blocks(np.tile(TIGHT, (6, 1)))
+    spread[:3] = np.nan
+    few = pose_fusion.seen_from(
+        path(IMAGE_TIMES[:6]) @ MOUNT, IMAGE_TIMES[:6], spread, MOUNT, OFFSET, np.zeros(7)
+    )
+    assert len(few.world_from_scan) == 3
+    assert pose_fusion.fuse(given, covariance, few) is None
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_few_scans_that_alignment_leaves_no_error_are_no_trouble(count):
+    rng = np.random.default_rng(13)
+    given, covariance, _ = scans(rng)
+    few = slice(20, 20 + count)
+    given = Trajectory(SCAN_TIMES[few], given.world_from_sensor[few])
+    none = Covariance(np.zeros((count, 6, 6)), covariance.conditional[few], np.zeros((count - 1, 6, 6)))
+    found = pose_fusion.fuse(given, none, cameras(rng))
+    assert np.isfinite(found.world_from_scan).all()
+    assert np.isfinite(found.covariance).all()
+    assert found.moved_m.max() < 0.005
+
+
+def test_images_that_all_lie_outside_the_scans_move_none():
+    rng = np.random.default_rng(8)
+    given, covariance, _ = scans(rng)
+    later = cameras(rng)
+    times = later.world_from_scan.times + 100.0
+    later = replace(later, world_from_scan=replace(later.world_from_scan, times=times))
+    found = pose_fusion.fuse(given, covariance, later)
+    assert (found.world_from_scan == given.world_from_sensor).all()
+    assert found.disagreement == 1.0
+
+
+def test_splines_are_off_by_a_part_of_what_is_missed_and_by_more_at_their_ends():
+    times = np.linspace(-0.5, 6.2, 400)
+    samples = Trajectory(SCAN_TIMES, path(SCAN_TIMES))
+    inside = ~spline.outside(samples, times)
+    wrong = geometry.log(geometry.inverse(path(times)) @ spline.through(samples, times))[inside]
+    missed, end = spline.missed(samples, times)[inside], spline.end_effect(samples, times)[inside]
+    for part, column in ((slice(3), 0), (slice(3, 6), 1)):
+        off = np.linalg.norm(wrong[:, part], axis=1) / np.sqrt(3.0)
+        for where, share in ((end > 0.2, 1.0), (end < 0.001, 0.1)):
+            assert off[where].max() < share * missed[where, column].max()
+
+
+def test_splines_meet_their_samples_and_stand_still_beyond_the_ends():
+    """Half a turn and more, so that quaternions change their sign on the way."""
+    times = np.arange(90) * 0.1
+    samples = Trajectory(times, path(times))
+    assert np.allclose(spline.through(samples, times), samples.world_from_sensor, atol=1e-12)
+    ends = spline.through(samples, np.array([-3.0, 99.0]))
+    assert np.allclose(ends, samples.world_from_sensor[[0, -1]], atol=1e-12)
+
+
+@pytest.mark.parametrize("contradiction", [0.5, 101.0, np.nan])
+def test_settings_out_of_range_are_refused(contradiction):
+    with pytest.raises(ValueError, match=r"fusion\.contradiction"):
+        FusionConfig(contradiction=contradiction)

@@ -1,0 +1,211 @@
+"""The prior: its Jacobians, its prediction, what it estimates, and how it treats frames that are off."""
+
+import numpy as np
+import pytest
+
+from lvba import geometry
+from lvba.trajectory import Trajectory
+from lvba.visual import trajectory_prior as priors
+from lvba.visual import trajectory_sigmas
+from lvba.visual.states import CameraStates, Mount, VisualState
+from lvba.visual.trajectory_prior import Prior, PriorConfig
+
+
+def handheld(times: np.ndarray) -> np.ndarray:
+    """A smooth walk with turns."""
+    s = times
+    position = np.stack([0.8 * s, 0.3 * np.sin(0.7 * s), 0.05 * np.sin(2.0 * s)], axis=1)
+    rotation = np.stack([0.1 * np.sin(1.1 * s), 0.05 * np.cos(0.9 * s), 0.3 * s], axis=1)
+    return geometry.from_rotation_translation(
+        geometry.exp(np.concatenate([rotation, np.zeros_like(rotation)], axis=1))[:, :3, :3], position
+    )
+
+
+MOUNT = geometry.inverse(geometry.exp(np.array([1.2, -1.1, 1.0, 0.05, -0.1, 0.08])))
+
+
+def problem(seed: int = 0, offset: float = 0.013, scatter: float = 0.0):
+    """A prior whose calibrated mount and clock are wrong by a known amount, and the true state."""
+    rng = np.random.default_rng(seed)
+    times = np.sort(rng.uniform(0.3, 9.7, 30))
+    scan_times = np.arange(0, 10.05, 0.1)
+    calibrated = MOUNT @ geometry.exp(np.array([0.01, -0.02, 0.015, 0.02, -0.01, 0.03]))
+    truth = handheld(times + offset) @ MOUNT
+    rough = handheld(times) @ calibrated
+    prior = priors.build(
+        Trajectory(scan_times, handheld(scan_times)), handheld(scan_times), Trajectory(times, rough),
+        geometry.inverse(calibrated),
+    )  # fmt: skip
+    truth = geometry.retract(truth, scatter * rng.normal(size=(30, 6)))
+    return prior, VisualState(CameraStates(truth, np.zeros(30)), Mount(MOUNT, offset))
+
+
+def moved(state: VisualState, camera: np.ndarray, mount: np.ndarray) -> VisualState:
+    cameras = CameraStates(
+        geometry.retract(state.cameras.world_from_camera, camera), state.cameras.log_exposure
+    )
+    return VisualState(cameras, priors.retract(state.mount, mount))
+
+
+def stacked(prior: Prior, state: VisualState, source: int = 1) -> np.ndarray:
+    return priors.residuals(prior, prior.sources[source], state)
+
+
+def test_cameras_on_the_trajectory_have_no_residual():
+    prior, state = problem()
+    assert np.abs(stacked(prior, state, 0)).max() < 2e-4
+    assert np.abs(stacked(prior, state, 1)).max() < 1e-4  # splines; second order in the time offset
+
+
+def test_the_jacobians_agree_with_differences():
+    prior, state = problem()
+    rng = np.random.default_rng(1)
+    state = moved(state, 0.1 * rng.normal(size=(30, 6)), 0.1 * rng.normal(size=7))
+    by_camera, by_mount = priors.jacobians(prior, prior.sources[1], state)
+    h = 1e-6
+    for n in range(6):
+        step = np.zeros((30, 6))
+        step[:, n] = h
+        ahead, behind = (
+            stacked(prior, moved(state, step, np.zeros(7))),
+            stacked(prior, moved(state, -step, np.zeros(7))),
+        )
+        assert by_camera[:, :, n] == pytest.approx((ahead - behind) / (2 * h), abs=1e-7)
+    for n in range(7):
+        step = np.zeros(7)
+        step[n] = h
+        still = np.zeros((30, 6))
+        ahead, behind = stacked(prior, moved(state, still, step)), stacked(prior, moved(state, still, -step))
+        assert by_mount[:, :, n] == pytest.approx((ahead - behind) / (2 * h), abs=1e-6)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 5e-4, 2e-3, 0.7, 3.0])
+def test_the_inverse_right_jacobian_agrees_with_differences(angle):
+    axis = np.array([0.6, -0.64, 0.48])
+    r = angle * axis
+    turn = geometry.exp(np.append(r, np.zeros(3)))
+    slopes = []
+    for n in range(3):
+        d = np.zeros(6)
+        d[n] = 1e-6
+        slopes.append(
+            (geometry.log(turn @ geometry.exp(d)) - geometry.log(turn @ geometry.exp(-d)))[:3] / 2e-6
+        )
+    assert geometry.inverse_right_jacobian(r) == pytest.approx(np.array(slopes).T, abs=1e-6)
+
+
+def test_the_normal_equations_are_the_derivatives_of_the_cost():
+    prior, state = problem(scatter=0.004)
+    equations = priors.linearize(prior, state)
+    assert equations.gradient.shape == (31, 7)
+    rng = np.random.default_rng(2)
+    for _ in range(5):
+        step = rng.normal(size=(31, 7))
+        h = 1e-6
+        ahead = priors.linearize(prior, moved(state, h * step[:30, :6], h * step[30])).cost
+        behind = priors.linearize(prior, moved(state, -h * step[:30, :6], -h * step[30])).cost
+        assert (ahead - behind) / (2 * h) == pytest.approx((equations.gradient * step).sum(), rel=1e-5)
+
+
+def test_one_frame_far_off_pulls_no_harder_than_a_bounded_amount():
+    prior, state = problem()
+    pulls = []
+    for distance in (0.1, 1.0, 5.0):
+        step = np.zeros((30, 6))
+        step[7, 3] = distance
+        pulls.append(np.abs(priors.linearize(prior, moved(state, step, np.zeros(7))).gradient[7, 3]))
+    assert pulls[2] == pytest.approx(pulls[1], rel=0.05)
+    assert pulls[1] < 3 * pulls[0]
+
+
+def test_sigmas_are_estimated_from_the_deviations_and_resist_a_few_bad_frames():
+    prior, state = problem(scatter=0.0)
+    rng = np.random.default_rng(3)
+    step = np.concatenate([0.002 * rng.normal(size=(30, 3)), 0.008 * rng.normal(size=(30, 3))], axis=1)
+    step[[4, 20]] *= 30
+    none = (np.zeros((30, 6)), np.zeros((30, 6)))
+    found = trajectory_sigmas.reestimated(prior, moved(state, step, np.zeros(7)), none)
+    for source in found.sources:
+        assert np.median(source.sigma_rotation) == pytest.approx(0.002, rel=0.4)
+        assert np.median(source.sigma_position) == pytest.approx(0.008, rel=0.4)
+
+
+def test_deviations_that_only_the_prior_decided_do_not_count_as_agreement():
+    prior, state = problem()
+    rng = np.random.default_rng(4)
+    step = np.zeros((30, 6))
+    # along two of the camera's axes the images see nothing: there it sits exactly on the prior
+    step[:, 3] = 0.01 * rng.normal(size=30)
+    undecided = np.zeros((30, 6))
+    undecided[:, 4:] = priors.sigmas(prior.sources[0])[:, 4:] ** 2
+    found = trajectory_sigmas.reestimated(prior, moved(state, step, np.zeros(7)), (undecided, undecided))
+    assert found.sources[0].sigma_position[0] == pytest.approx(0.01, rel=0.35)
+
+
+def drifted(count: int = 30) -> np.ndarray:
+    """A slow deviation of all cameras, 6 cm from end to end, that no single step shows."""
+    step = np.zeros((count, 6))
+    step[:, 3] = np.linspace(-0.03, 0.03, count)
+    return step
+
+
+@pytest.mark.parametrize(("scan_m", "free"), [(0.001, False), (0.05, True)])
+def test_a_slow_deviation_is_allowed_only_as_far_as_the_scans_may_be_off(scan_m, free):
+    sure = np.tile(np.diag([1e-8] * 3 + [scan_m**2] * 3), (101, 1, 1))
+    scans = Trajectory(np.arange(0, 10.05, 0.1), handheld(np.arange(0, 10.05, 0.1)))
+    times = np.linspace(0.5, 9.5, 30)
+    cameras = Trajectory(times, handheld(times) @ MOUNT)
+    prior = priors.build(
+        scans, scans.world_from_sensor, cameras, geometry.inverse(MOUNT), scan_covariance=sure
+    )
+    none = (np.zeros((30, 6)), np.zeros((30, 6)))
+    off = moved(
+        VisualState(CameraStates(cameras.world_from_sensor, np.zeros(30)), Mount(MOUNT, 0.0)),
+        drifted(),
+        np.zeros(7),
+    )
+    found = trajectory_sigmas.reestimated(prior, off, none)
+    for source in found.sources:
+        assert source.sigma_position.max() < 0.004
+        assert (priors.sigmas(source)[:, 3].min() > 0.03) == free
+
+
+def test_a_spline_is_sure_of_itself_at_the_scans():
+    times = np.arange(0, 10.05, 0.5)
+    at = np.array([2.0, 2.25, 2.5])
+    images = Trajectory(at, handheld(at) @ MOUNT)
+    source = priors.build(
+        Trajectory(times, handheld(times)), handheld(times), images, geometry.inverse(MOUNT)
+    ).sources[1]
+    assert source.sigma_position[0] == pytest.approx(PriorConfig().floor_position_m)
+    assert source.sigma_position[1] > 1.5 * source.sigma_position[[0, 2]].max()
+
+
+def test_a_spline_trusts_itself_where_motion_is_smooth_and_not_where_it_is_jerky():
+    times = np.arange(0, 10.05, 0.5)
+    smooth = handheld(times)
+    jerky = smooth.copy()
+    jerky[8:13] = jerky[8:13] @ geometry.exp(0.05 * np.random.default_rng(0).normal(size=(5, 6)))
+    at = np.array([2.3, 5.3])
+    images = Trajectory(at, handheld(at) @ MOUNT)
+    build = [priors.build(Trajectory(times, s), s, images, geometry.inverse(MOUNT)) for s in (smooth, jerky)]
+    calm, shaken = (prior.sources[1] for prior in build)
+    assert shaken.sigma_rotation[1] > 5 * calm.sigma_rotation[1]
+    assert shaken.sigma_position[1] > 5 * calm.sigma_position[1]
+    assert shaken.sigma_rotation[0] < 3 * calm.sigma_rotation[0]
+
+
+def test_beyond_the_scans_the_spline_says_nothing():
+    times = np.arange(0, 5.05, 0.5)
+    images = Trajectory(np.array([2.0, 7.0]), handheld(np.array([2.0, 7.0])) @ MOUNT)
+    prior = priors.build(Trajectory(times, handheld(times)), handheld(times), images, geometry.inverse(MOUNT))
+    assert prior.sources[1].sigma_position[1] > 100 * prior.sources[1].sigma_position[0]
+    assert np.isfinite(prior.sources[0].world_from_scan).all()
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"sigma_position_m": 0.0}, {"time_offset_s": 100.0}, {"floor_rotation_deg": -1.0}]
+)
+def test_settings_out_of_range_are_refused_by_name(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        PriorConfig(**wrong)
