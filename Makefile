@@ -21,7 +21,7 @@ install: .venv/.installed-simulate,laz
 	@touch $@
 
 demo: install
-	@$(BIN)/python -m service.demo $(DEMO)
+	@$(BIN)/python -m service.cli.demo $(DEMO)
 
 test: .venv/.installed-dev
 	$(BIN)/python -m pytest $(PYTEST)

@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from service.cli import limit_threads
+from service.system.threads import limit_threads
 
 limit_threads(None)  # before numpy is imported
 

@@ -10,10 +10,10 @@ from deployed import DEPLOY
 from programs import program_or_skip
 from real_server import Service, _programs, ended, submit, until, upload
 
-from service.server import keys
-from service.server.database import Database
-from service.server.places import Places
-from service.server.settings import Settings
+from service.db import keys
+from service.db.database import Database
+from service.settings import Settings
+from service.system.paths import Paths
 
 PRODUCTS = ["lidar_poses.txt", "image_poses.txt", "exposures.csv", "map.ply"]
 
@@ -80,13 +80,13 @@ def finished(job, name):
 @pytest.fixture
 def data(new_database, tmp_path):
     """A data folder with a dataset, a job and a key, as a service leaves it, and the URL of its database."""
-    places, url = Places(tmp_path / "data"), new_database()
-    places.make()
+    paths, url = Paths(tmp_path / "data"), new_database()
+    paths.make()
     for name in ("datasets/ds_1/files/a.pcd", "jobs/job_1/out/map.ply", "trash/old/file", "secret"):
-        (places.root / name).parent.mkdir(parents=True, exist_ok=True)
-        (places.root / name).write_text(name)
-    keys_of(places.root, url, "first")
-    return places.root, url
+        (paths.root / name).parent.mkdir(parents=True, exist_ok=True)
+        (paths.root / name).write_text(name)
+    keys_of(paths.root, url, "first")
+    return paths.root, url
 
 
 def keys_of(folder, url, new=None):
@@ -128,14 +128,14 @@ def test_backup_that_is_cut_short_leaves_the_one_before(data, tmp_path):
 
 
 def test_damaged_database_is_not_taken_for_a_backup(tmp_path):
-    places = Places(tmp_path / "data")
-    places.make()
-    keys_of(places.root, "", "first")
-    file = places.root / "lvba.sqlite"
+    paths = Paths(tmp_path / "data")
+    paths.make()
+    keys_of(paths.root, "", "first")
+    file = paths.root / "lvba.sqlite"
     content = bytearray(file.read_bytes())
     content[8192:12288] = b"x" * 4096
     file.write_bytes(content)
-    script("backup", places.root, tmp_path / "backup", code=1)
+    script("backup", paths.root, tmp_path / "backup", code=1)
     assert not (tmp_path / "backup" / "database.sqlite").exists()
 
 
@@ -145,7 +145,7 @@ def test_mistakes_are_said_and_nothing_is_overwritten(postgres, tmp_path):
     assert "usage" in script("backup", tmp_path / "empty", code=2)
     assert "is it a copy of another kind" in script("restore", tmp_path / "empty", tmp_path / "new", code=1)
     database, target = postgres.new_database(), postgres.new_database()
-    Places(tmp_path / "data").make()
+    Paths(tmp_path / "data").make()
     keys_of(tmp_path / "data", database)
     script("backup", tmp_path / "data", tmp_path / "backup", database=database)
     used = script("restore", tmp_path / "backup", tmp_path / "new", database=database, code=1)

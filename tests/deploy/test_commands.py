@@ -9,8 +9,8 @@ from distributed.cli.dask_scheduler import main as dask_scheduler
 from manifests import containers, generated, pods
 from test_units import UNITS, command, environment
 
-from service import cli
-from service.server.settings import Limits, Settings, load
+from service.cli import main
+from service.settings import Limits, Settings, load
 
 EXAMPLE = DEPLOY / "lvba.env.example"
 NOT_OF_THE_SERVICE = {
@@ -40,7 +40,7 @@ def test_command_is_understood(where):
     words = commands()[where]
     program, _ = part(words)
     if program.startswith("lvba "):
-        cli.parser().parse_args(words[1:])
+        main.parser().parse_args(words[1:])
     elif program == "dask scheduler":
         known = [each.opts + each.secondary_opts for each in dask_scheduler.params]
         assert part(words)[1] <= {option for options in known for option in options}

@@ -9,7 +9,7 @@ import yaml
 from deployed import DEPLOY, compose
 from prometheus_client.parser import text_string_to_metric_families
 
-from service.server.tables import JOB_STATES
+from service.db.tables import JOB_STATES
 
 FOLDER = DEPLOY / "monitoring"
 OF_PROMETHEUS = {"up": {"job", "instance"}}

@@ -10,9 +10,9 @@ from deployed import DEPLOY, ROOT
 from programs import program_or_skip
 from real_server import Service, _programs, postgres_or_skip
 
-from service.server.database import Database
-from service.server.places import Places, now
-from service.server.settings import Settings
+from service.db.database import Database
+from service.settings import Settings
+from service.system.paths import Paths, now
 
 
 @pytest.fixture(params=["sqlite", "postgres"])
@@ -39,8 +39,8 @@ def run(database, *words, **more):
 
 def first_version(folder, url):
     """A data folder as the first version left it: one job that ended today, one that ended long ago."""
-    places = Places(folder)
-    places.make()
+    paths = Paths(folder)
+    paths.make()
     database = Database(Settings(data=folder, database=url).database_url)
     database.migrate("0001")
     tables = sqlalchemy.MetaData()
@@ -51,8 +51,8 @@ def first_version(folder, url):
         connection.execute(tables.tables["datasets"].insert(), dataset | {"attempt": 1})
         for name, finished in (("job_old", 1000.0), ("job_new", now())):
             connection.execute(tables.tables["jobs"].insert(), job(name, finished))
-            places.out(name).mkdir(parents=True)
-            (places.out(name) / "map.ply").write_text(name)
+            paths.out(name).mkdir(parents=True)
+            (paths.out(name) / "map.ply").write_text(name)
     database.close()
 
 

@@ -21,10 +21,10 @@ from lvba.io import camera_config, exposures, images, pcd, ply, reference, tum
 from lvba.io.dataset import load_image, load_scans, open_dataset
 from lvba.pipeline import Config
 from lvba.trajectory import Trajectory
-from service import batch_manifest
-from service.server import archives
-from service.server.intake_budget import IntakeBudget
-from service.server.settings import Limits
+from service.cli import batch_manifest
+from service.datasets import archives
+from service.datasets.intake_budget import IntakeBudget
+from service.settings import Limits
 
 
 @dataclass(frozen=True)

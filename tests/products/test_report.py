@@ -13,7 +13,7 @@ from browsers import browser_or_skip, check_accessible
 from lvba.products import report
 from lvba.products.pictures import Picture, Pictures
 from lvba.products.report import charts, words
-from service import outcome
+from service.cli import result_table
 
 EVIL = '</script><script>alert(1)</script>"<img src=http://example.org/x.png onerror=alert(2)>&'
 
@@ -205,7 +205,7 @@ def test_each_part_has_its_own_verdict():
     )
     said = []
     some["verdict"] = {"level": "check", "summary": "Expect 12 mm.", "reasons": []}
-    outcome.show(some, Path("out"), said.append)
+    result_table.show(some, Path("out"), said.append)
     assert "check: Expect 12 mm.\n" in said
     assert "scans: crisper\n" in said
     assert "exposures: darker by chance\n" in said

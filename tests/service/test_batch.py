@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from lvba.errors import InputError
-from service import batch_manifest
+from service.cli import batch_manifest
 
 ROOT = Path(__file__).resolve().parents[2]
 

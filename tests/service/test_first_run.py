@@ -3,7 +3,7 @@
 import importlib.util
 import os
 
-from service import first_run
+from service.cli import first_run
 
 NOTICE = "the first run on this machine compiles the numerical kernels"
 ANNOUNCE = "from service import first_run, progress; first_run.announce(progress.Display(), images=True)"

@@ -11,8 +11,8 @@ from lvba.blocks.split import SplitConfig
 from lvba.errors import InputError
 from lvba.io.dataset import open_dataset
 from lvba.pipeline import Config
-from service import clusters, memory
-from service.progress import Display
+from service.cli import clusters, memory_estimate
+from service.cli.progress import Display
 
 
 def asked(**options):
@@ -30,7 +30,7 @@ def said(dataset, parts=None, **options):
     stream = io.StringIO()
     config = Config() if parts is None else replace(Config(), split=parts)
     display = Display(stream, quiet=options.get("quiet", False))
-    memory.announce(asked(**options), dataset, config, display)
+    memory_estimate.announce(asked(**options), dataset, config, display)
     return stream.getvalue()
 
 

@@ -4,8 +4,8 @@ import io
 
 import pytest
 
-from service import progress
-from service.progress import Display
+from service.cli import progress
+from service.cli.progress import Display
 
 
 class Terminal(io.StringIO):

@@ -42,7 +42,7 @@ def compute(step, store, progress):
         os.kill(os.getpid(), signal.SIGINT)
     return real(step, store, progress)
 plan.compute = compute
-from service.cli import main
+from service.cli.main import main
 sys.exit(main(sys.argv[2:]))
 """
 """The command, with a real SIGINT while the named stage runs."""
@@ -55,7 +55,7 @@ def compute(step, store, progress):
     while True:
         pass
 plan.compute = compute
-from service.cli import main
+from service.cli.main import main
 sys.exit(main(sys.argv[1:]))
 """
 """The command, with a SIGINT in a stage that never says how far it is."""
@@ -69,7 +69,7 @@ def sync(folder):
         os.kill(os.getpid(), signal.SIGINT)
     return real(folder)
 store._sync = sync
-from service.cli import main
+from service.cli.main import main
 sys.exit(main(sys.argv[2:]))
 """
 """The command, with a real SIGINT while the named stage's artifact is half-written."""

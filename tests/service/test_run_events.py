@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from lvba.errors import InputError
-from service.run_events import TellingDisplay
+from service.cli.event_display import EventDisplay
 
 
 def lines(path):
@@ -55,14 +55,14 @@ def test_redo_of_no_stage_names_those_there_are(recording, lvba, tmp_path):
 
 def test_events_go_on_in_a_file_that_is_there(tmp_path):
     for number in range(2):
-        display = TellingDisplay(tmp_path / "events", quiet=True)
+        display = EventDisplay(tmp_path / "events", quiet=True)
         display.stage("lidar", number, 2)
     assert [line["index"] for line in lines(tmp_path / "events")] == [0, 1]
 
 
 def test_progress_of_one_count_is_told_a_few_times_a_second(tmp_path):
     now = [0.0]
-    display = TellingDisplay(tmp_path / "events", clock=lambda: now[0], quiet=True)
+    display = EventDisplay(tmp_path / "events", clock=lambda: now[0], quiet=True)
     for done in range(100):
         now[0] += 0.01
         display.progress("points", done, 100)
@@ -77,4 +77,4 @@ def test_events_that_cannot_be_written_are_one_line(recording, lvba, tmp_path):
     assert done.stderr.count("\n") == 1
     assert "give --events another file" in done.stderr
     with pytest.raises(InputError):
-        TellingDisplay(tmp_path / "no" / "file")
+        EventDisplay(tmp_path / "no" / "file")

@@ -77,7 +77,7 @@ def shift_clock(file):
 GATED = {
     "lvba.plan": add_gates,
     "lvba.products.export": add_viewer_gate,
-    "service.server.arriving": add_digest_gate,
+    "service.datasets.file_upload": add_digest_gate,
 }
 if os.environ.get("LVBA_TEST_CLOCK"):
     shift_clock(os.environ["LVBA_TEST_CLOCK"])

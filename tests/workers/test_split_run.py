@@ -25,7 +25,7 @@ from toy_steps import wait_for
 
 from lvba import pipeline
 from lvba.io.dataset import open_dataset
-from service import settings_files
+from service.cli import settings_files
 from workers import cluster, connection, versions
 
 

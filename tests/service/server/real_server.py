@@ -15,8 +15,8 @@ import pytest
 from gates import Gates
 
 from lvba import simulate
-from service.server import keys
-from service.server.database import Database
+from service.db import keys
+from service.db.database import Database
 
 PATIENCE = 120.0
 

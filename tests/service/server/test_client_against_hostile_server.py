@@ -8,8 +8,8 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
-from service import cli, client, commands
-from service.server import names
+from service.cli import client, dispatch, main
+from service.datasets import file_names
 
 JOB = "job_0"
 CODES = "\x1b]0;owned\x07\x1b[2J\x9b31m\u202e\r"
@@ -86,7 +86,7 @@ def ask(hostile, capsys):
     """Runs a command against the hostile server: exit code, stdout, stderr; no control code is in them."""
 
     def run(*words):
-        code = commands.main(cli.parser().parse_args([*map(str, words), "--server", hostile.url]))
+        code = dispatch.main(main.parser().parse_args([*map(str, words), "--server", hostile.url]))
         out, err = capsys.readouterr()
         for letter in "\x1b\x07\x9b\u202e\r":
             assert letter not in out + err
@@ -291,9 +291,9 @@ def test_server_takes_no_name_that_could_lead_elsewhere(service, ready_dataset, 
     assert service.http.post("/v1/jobs", json=job).status_code == 422
     batch = {"name": name, "jobs": [{"dataset": ready_dataset}]}
     assert service.http.post("/v1/batches", json=batch).status_code == 422
-    assert names.is_plain(names.plain(name, "x"))
+    assert file_names.is_plain(file_names.plain(name, "x"))
 
 
 def test_ordinary_names_stay_as_they_are():
     for name in ("yard", "Hof 3 (neu)", "2026-11-23 10:15", "été", "街道", "a.b", "v1.0", "x" * 200):
-        assert names.is_plain(name), name
+        assert file_names.is_plain(name), name

@@ -4,9 +4,9 @@ import httpx
 import pytest
 from real_server import Service, upload
 
-from service.server.database import Database
-from service.server.places import now
-from service.server.tables import Key
+from service.db.database import Database
+from service.db.tables import Key
+from service.system.paths import now
 
 
 @pytest.fixture(scope="module")
@@ -254,7 +254,7 @@ def test_long_bodies_are_refused_unread(service):
 
 def test_no_keys_are_needed_on_loopback_only(lvba, tmp_path, guarded):
     assert httpx.get(f"{guarded.url}/v1/me").status_code == 401
-    from service.server.settings import Settings
+    from service.settings import Settings
 
     assert not Settings().asks_for_keys
     assert Settings(host="0.0.0.0").asks_for_keys

@@ -12,9 +12,9 @@ import zipfile
 import pytest
 
 from lvba.errors import InputError
-from service.server import archives
-from service.server.intake_budget import IntakeBudget
-from service.server.settings import Limits
+from service.datasets import archives
+from service.datasets.intake_budget import IntakeBudget
+from service.settings import Limits
 
 
 def packed_zip(method):

@@ -9,12 +9,14 @@ from contextlib import asynccontextmanager
 import pytest
 import uvicorn
 
-from service.server import broadcast, journal, serving
-from service.server.broadcast import Broadcaster
-from service.server.database import Database
-from service.server.places import new_id, now
-from service.server.settings import Settings
-from service.server.tables import Dataset, Job
+from service.api import serving
+from service.db import journal
+from service.db.database import Database
+from service.db.tables import Dataset, Job
+from service.jobs import broadcast
+from service.jobs.broadcast import Broadcaster
+from service.settings import Settings
+from service.system.paths import new_id, now
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ import httpx
 import pytest
 
 from lvba.errors import InputError, LvbaError
-from service import client as clients
-from service.client import Client
+from service.cli import client as clients
+from service.cli.client import Client
 
 PRODUCTS = ["lidar_poses.txt", "image_poses.txt", "exposures.csv", "map.ply", "config.yaml"]
 

@@ -15,9 +15,9 @@ import pytest
 from real_server import Service, ended, submit, upload
 
 from lvba.errors import InputError
-from service.server import descriptors
-from service.server.connection_slots import ConnectionSlots
-from service.server.repeat_filter import RepeatFilter
+from service.api.connection_slots import ConnectionSlots
+from service.system import descriptors
+from service.system.repeat_filter import RepeatFilter
 
 PORTS = 200
 """Connections of the crowd."""
@@ -253,6 +253,6 @@ def test_check_without_enough_memory_blames_the_memory(tmp_path, tiny_recording)
 
 
 def test_check_takes_no_more_memory_than_the_service_itself_may():
-    code = "from service.server.check_process import _limit, Limits; _limit(Limits())"
+    code = "from service.datasets.check_process import _limit, Limits; _limit(Limits())"
     words = ["sh", "-c", 'ulimit -v 2000000; exec "$@"', "sh", sys.executable, "-c", code]
     assert subprocess.run(words, check=False).returncode == 0

@@ -10,10 +10,10 @@ from real_server import PATIENCE, Service, ended, submit, until, upload
 from sqlalchemy import select
 from test_server_faults import assert_done_once_with_the_same_bytes, job_processes, runs
 
-from service.server.database import Database
-from service.server.intake_budget import IntakeBudget
-from service.server.settings import Limits, Settings
-from service.server.tables import Job
+from service.datasets.intake_budget import IntakeBudget
+from service.db.database import Database
+from service.db.tables import Job
+from service.settings import Limits, Settings
 
 
 @pytest.fixture

@@ -3,9 +3,10 @@
 import re
 from pathlib import Path
 
-from service.server import journal, problems
-from service.server.routes import about, batches, datasets, job_files, jobs, ogc, uploads
-from service.server.tables import JOB_STATES
+from service import problems
+from service.api.routes import about, batches, datasets, job_files, jobs, ogc, uploads
+from service.db import journal
+from service.db.tables import JOB_STATES
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
 WORDS = (DOCS / "rest.md").read_text()
@@ -25,7 +26,7 @@ def test_every_event_state_and_problem_is_described():
 
 
 def test_options_of_the_command_line_that_operations_name_exist():
-    from service.cli import parser
+    from service.cli.main import parser
 
     named = set(re.findall(r"lvba serve[^\n|]*?(--[a-z-]+)", (DOCS / "operations.md").read_text()))
     assert named
@@ -35,8 +36,8 @@ def test_options_of_the_command_line_that_operations_name_exist():
 
 
 def test_reference_of_settings_is_what_the_server_reads():
-    from service.server import settings_reference
+    from service.cli import settings_reference
 
-    mend = "python -m service.server.settings_reference > docs/server_settings.md"
+    mend = "python -m service.cli.settings_reference > docs/server_settings.md"
     assert (DOCS / "server_settings.md").read_text() == settings_reference.text(), mend
     assert "`LVBA_HOSTS` | `--host-name` |" in settings_reference.text()

@@ -20,7 +20,7 @@ def job_processes(data):
             words = entry.read_bytes().split(b"\0")
         except OSError:
             continue
-        if b"service.server.job_process" in words and any(str(data).encode() in word for word in words):
+        if b"service.cli.job_process" in words and any(str(data).encode() in word for word in words):
             found.append(int(entry.parent.name))
     return found
 

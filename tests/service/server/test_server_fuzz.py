@@ -9,7 +9,7 @@ import hypothesis
 import pytest
 import schemathesis
 
-from service.server.problems import KINDS
+from service.problems import KINDS
 
 schemathesis.serializer.alias("application/x-ndjson", "application/octet-stream")
 EXAMPLES = int(os.environ.get("LVBA_FUZZ_EXAMPLES", "5"))

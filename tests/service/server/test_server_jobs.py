@@ -9,7 +9,8 @@ import httpx
 import pytest
 from real_server import ended, submit, until
 
-from service.server import names, served
+from service.api import file_responses
+from service.datasets import file_names
 
 PRODUCTS = ["lidar_poses.txt", "image_poses.txt", "exposures.csv", "map.ply", "config.yaml"]
 
@@ -101,8 +102,8 @@ def test_archive_holds_all_results_in_a_folder_named_after_the_job(service, done
     ],
 )  # fmt: skip
 def test_names_of_archives_are_plain(name, plain):
-    assert names.plain(name, "job_1") == plain
-    disposition = served.attachment(f"{names.plain(name, 'job_1')}.zip")
+    assert file_names.plain(name, "job_1") == plain
+    disposition = file_responses.attachment(f"{file_names.plain(name, 'job_1')}.zip")
     assert disposition.isascii()
     assert disposition.count('"') == 2
 

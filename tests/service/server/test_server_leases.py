@@ -8,14 +8,14 @@ import time
 import pytest
 from sqlalchemy import select
 
-from service.server import journal, leases
-from service.server.database import Database
-from service.server.instance import Instance, Watch
-from service.server.leases import Lease
-from service.server.places import Places, new_id, now
-from service.server.settings import Settings
-from service.server.supervisor import Supervisor
-from service.server.tables import Attempt, Dataset, Event, Job
+from service.db import journal, leases
+from service.db.database import Database
+from service.db.instance import Instance, Watch
+from service.db.leases import Lease
+from service.db.tables import Attempt, Dataset, Event, Job
+from service.jobs.supervisor import Supervisor
+from service.settings import Settings
+from service.system.paths import Paths, new_id, now
 
 
 @pytest.fixture(params=["sqlite", "postgres"])
@@ -217,7 +217,7 @@ def test_tables_are_those_that_the_migrations_make(database):
     from alembic.autogenerate import compare_metadata
     from alembic.migration import MigrationContext
 
-    from service.server.tables import Base
+    from service.db.tables import Base
 
     with database.engine.connect() as connection:
         assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
@@ -263,11 +263,11 @@ def test_job_whose_process_cannot_be_started_goes_back_as_it_was(database, tmp_p
     def fail(*_, **__):
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr("service.server.child.subprocess.Popen", fail)
+    monkeypatch.setattr("service.system.child_process.subprocess.Popen", fail)
     [job_id] = add_jobs(database, ("x", 0))
-    places = Places(tmp_path / "data")
-    places.make()
-    supervisor = Supervisor(database, places, Settings())
+    paths = Paths(tmp_path / "data")
+    paths.make()
+    supervisor = Supervisor(database, paths, Settings())
     for _ in range(3):
         supervisor._idle_until = 0.0
         supervisor._claim()
@@ -297,13 +297,13 @@ def test_files_of_dead_services_are_removed_but_for_those_that_others_must_know_
 
 def test_supervisor_sweeps_what_holds_no_lease(database, tmp_path):
     [job_id] = add_jobs(database, ("x", 0))
-    places = Places(tmp_path / "data")
-    places.make()
-    holder, idle = Instance(places.instances), Instance(places.instances)
+    paths = Paths(tmp_path / "data")
+    paths.make()
+    holder, idle = Instance(paths.instances), Instance(paths.instances)
     assert claim(database, owner=holder.name) == job_id
     for instance in (holder, idle):
         instance._file.close()
-    supervisor = Supervisor(database, places, Settings())
+    supervisor = Supervisor(database, paths, Settings())
     supervisor._sweep_instances()
-    assert holder.name in {file.name for file in places.instances.iterdir()}
-    assert idle.name not in {file.name for file in places.instances.iterdir()}
+    assert holder.name in {file.name for file in paths.instances.iterdir()}
+    assert idle.name not in {file.name for file in paths.instances.iterdir()}

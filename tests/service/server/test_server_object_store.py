@@ -7,8 +7,9 @@ import pytest
 from real_server import Service, until
 
 from lvba.errors import InputError
-from service.server import object_store, store_urls
-from service.server.settings import Limits, load
+from service.datasets import object_store
+from service.settings import Limits, load
+from service.system import store_urls
 
 ROOTS = ("s3://maps/recordings",)
 

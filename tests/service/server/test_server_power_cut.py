@@ -11,7 +11,7 @@ from sqlalchemy import text
 from test_server_faults import assert_done_once_with_the_same_bytes
 from test_server_uploads import put_and_cut
 
-from service.server.database import Database
+from service.db.database import Database
 
 NO_RESERVE = {"LVBA_LIMITS_DISK_RESERVE_BYTES": "0"}
 

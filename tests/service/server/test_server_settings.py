@@ -5,7 +5,7 @@ import pytest
 from real_server import Service, ended, submit, upload
 
 from lvba.errors import InputError
-from service.server.settings import load
+from service.settings import load
 
 PATIENCE = 2000
 """Requests after which one must have been refused: thirty are allowed at once, and one a second."""

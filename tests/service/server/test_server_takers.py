@@ -10,10 +10,11 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from real_server import Service, until, upload
 
-from service.server import leftovers, lifeline
-from service.server.database import Database
-from service.server.places import Places
-from service.server.tables import Dataset, Job, Upload
+from service.datasets import leftovers
+from service.db.database import Database
+from service.db.tables import Dataset, Job, Upload
+from service.system import file_lock
+from service.system.paths import Paths
 
 QUOTA = 5_000_000
 LIMITS = {
@@ -148,36 +149,36 @@ def database(tmp_path, on_database):
     database.close()
 
 
-def add_dataset(database, places, name, state, folder=None, **more):
+def add_dataset(database, paths, name, state, folder=None, **more):
     with database.write() as session:
         row = Dataset(id=name, owner="x", name=name, state=state, folder=folder, created=0, updated=0, **more)
         session.add(row)
-    for part in (places.files(name), places.partial(name), places.uploads(name)):
+    for part in (paths.files(name), paths.partial(name), paths.uploads(name)):
         part.mkdir(parents=True)
         (part / "big").write_bytes(b"x")
 
 
 def test_what_an_end_of_the_machine_left_is_swept(database, tmp_path):
-    places = Places(tmp_path / "data")
-    places.make()
-    add_dataset(database, places, "refused", "invalid")
-    add_dataset(database, places, "arrives", "uploading")
-    add_dataset(database, places, "ready", "ready")
-    add_dataset(database, places, "fetched", "invalid", "s3://bucket/one", bytes=1)
-    add_dataset(database, places, "checked", "validating")
-    add_dataset(database, places, "locked", "invalid")
-    (places.root / "datasets" / "unknown" / "files.partial").mkdir(parents=True)
+    paths = Paths(tmp_path / "data")
+    paths.make()
+    add_dataset(database, paths, "refused", "invalid")
+    add_dataset(database, paths, "arrives", "uploading")
+    add_dataset(database, paths, "ready", "ready")
+    add_dataset(database, paths, "fetched", "invalid", "s3://bucket/one", bytes=1)
+    add_dataset(database, paths, "checked", "validating")
+    add_dataset(database, paths, "locked", "invalid")
+    (paths.root / "datasets" / "unknown" / "files.partial").mkdir(parents=True)
     with database.write() as session:
         session.add(Upload(id="big", dataset_id="arrives", path="", length=1))
         ended = {"state": "failed", "attempt": 1, "created": 0, "updated": 0, "config": {}}
         session.add(Job(id="job_1", owner="x", name="x", dataset_id="ready", **ended))
-    places.out("job_1").mkdir(parents=True)
-    (places.out("job_1") / "map.ply").write_bytes(b"12345")
-    with lifeline.alone(places.dataset("locked") / ".lock"):  # by a check that has just begun
-        leftovers.sweep(database, places, uploads=False)
+    paths.out("job_1").mkdir(parents=True)
+    (paths.out("job_1") / "map.ply").write_bytes(b"12345")
+    with file_lock.exclusive(paths.dataset("locked") / ".lock"):  # by a check that has just begun
+        leftovers.sweep(database, paths, uploads=False)
     left = {
         folder.name: sorted(part.name for part in folder.iterdir() if part.is_dir())
-        for folder in (places.root / "datasets").iterdir()
+        for folder in (paths.root / "datasets").iterdir()
     }
     assert left == {
         "refused": ["uploads"],
@@ -188,15 +189,15 @@ def test_what_an_end_of_the_machine_left_is_swept(database, tmp_path):
         "locked": ["files", "files.partial", "uploads"],
         "unknown": ["files.partial"],
     }
-    assert list(places.trash.iterdir()) == []
+    assert list(paths.trash.iterdir()) == []
     with database.read() as session:
         assert session.get(Job, "job_1").bytes == 5
     for dataset in ("refused", "arrives"):
         for name, age in (("old", 7200), ("big", 7200), ("young", 0)):
-            make_old(places.uploads(dataset) / name, age)
-    leftovers.sweep(database, places, uploads=True)
-    assert sorted(path.name for path in places.uploads("refused").iterdir()) == ["young"]
-    assert sorted(path.name for path in places.uploads("arrives").iterdir()) == ["big", "young"]
+            make_old(paths.uploads(dataset) / name, age)
+    leftovers.sweep(database, paths, uploads=True)
+    assert sorted(path.name for path in paths.uploads("refused").iterdir()) == ["young"]
+    assert sorted(path.name for path in paths.uploads("arrives").iterdir()) == ["big", "young"]
 
 
 def make_old(file, seconds):

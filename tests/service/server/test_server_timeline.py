@@ -7,9 +7,9 @@ import pytest
 
 from lvba import config
 from lvba.pipeline import Config
-from service.server import options, rates
-from service.server.problems import Problem
-from service.server.timeline import Timeline, shares
+from service.api import options_schema, rate_limits
+from service.jobs.timeline import Timeline, shares
+from service.problems import Problem
 
 
 def run_of(*lines, weights=None, estimate=100.0):
@@ -131,7 +131,7 @@ def test_stage_that_runs_when_a_job_is_canceled_has_not_failed(told):
 
 
 def test_options_have_every_setting_with_default_and_help():
-    described = options.describe()
+    described = options_schema.describe()
     flat = {option["name"]: option for option in described["options"]}
     assert list(flat) == config.names(Config)
     assert all(option["help"] for option in flat.values())
@@ -146,7 +146,7 @@ def test_options_have_every_setting_with_default_and_help():
 
 def test_schema_takes_what_the_dataclasses_take():
     jsonschema = pytest.importorskip("jsonschema")
-    described = options.describe()
+    described = options_schema.describe()
     validator = jsonschema.Draft202012Validator(described["schema"])
     jsonschema.Draft202012Validator.check_schema(described["schema"])
     validator.validate(described["defaults"])
@@ -156,7 +156,7 @@ def test_schema_takes_what_the_dataclasses_take():
 
 
 def test_bucket_is_emptied_by_requests_and_fills_again():
-    bucket = rates.Rates()
+    bucket = rate_limits.Rates()
     for _ in range(5):
         bucket.take("key", 0.001, 5)
     with pytest.raises(Problem) as refused:

@@ -17,9 +17,9 @@ import pytest
 from real_server import until
 
 from lvba.errors import InputError
-from service.server import archives, names
-from service.server.intake_budget import IntakeBudget
-from service.server.settings import Limits
+from service.datasets import archives, file_names
+from service.datasets.intake_budget import IntakeBudget
+from service.settings import Limits
 
 PATH = "all_image/1.5.png"
 
@@ -194,18 +194,18 @@ def test_many_files_at_once(service):
 )
 def test_names_that_lead_elsewhere_are_refused(path):
     with pytest.raises(InputError):
-        names.checked(path)
+        file_names.checked(path)
 
 
 def test_name_through_a_link_leads_nowhere(tmp_path):
     (tmp_path / "inside").mkdir()
     (tmp_path / "inside" / "link").symlink_to(tmp_path)
     (tmp_path / "secret").write_text("x")
-    with names.opened(tmp_path, "secret") as file:
+    with file_names.opened(tmp_path, "secret") as file:
         assert file.read() == b"x"
     for root, path in (("inside", "link/secret"), ("inside/link", "secret"), ("", "inside")):
         with pytest.raises(InputError):
-            names.opened(tmp_path / root, path)
+            file_names.opened(tmp_path / root, path)
 
 
 def test_archive_of_a_recording_becomes_ready(service, tiny_recording):

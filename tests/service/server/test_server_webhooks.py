@@ -10,12 +10,12 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 import pytest
 
 from lvba.errors import InputError
-from service.server import webhook_delivery, webhooks
-from service.server.database import Database
-from service.server.places import now
-from service.server.public_addresses import is_public
-from service.server.settings import Settings
-from service.server.tables import Dataset, Delivery, Job
+from service.db.database import Database
+from service.db.tables import Dataset, Delivery, Job
+from service.jobs import webhook_delivery, webhooks
+from service.jobs.public_addresses import is_public
+from service.settings import Settings
+from service.system.paths import now
 
 SECRET = "a secret of many letters"
 

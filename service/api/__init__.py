@@ -1,0 +1,1 @@
+"""What the network calls: the HTTP interface, and the web server around it."""

@@ -1,0 +1,153 @@
+"""What the commands do, and how every way to fail ends: one line on stderr and an exit code."""
+
+import argparse
+import errno
+import logging
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from lvba.errors import InputError, LvbaError
+from lvba.io import files
+from service.cli import server_parser, stopping
+from service.cli.progress import Display
+from service.system.printable import printable
+
+_USERS_TO_MEND = {errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS, errno.EFBIG}
+"""Failures of the system that whoever started the command can do something about."""
+
+
+def main(arguments: argparse.Namespace) -> int:
+    """The exit code of a command."""
+    try:
+        display = _display(arguments)
+    except InputError as error:
+        return _end(Display(), str(error), 2)
+    stopping.say_at_last(lambda: _end(display, _stopped(arguments), stopping.code()))
+    try:
+        return _run(arguments, display)
+    finally:
+        stopping.heard()
+        display.clear()
+
+
+def _display(arguments: argparse.Namespace) -> Display:
+    events = getattr(arguments, "events", None)
+    if events is None:
+        return Display(quiet=arguments.quiet, check=stopping.check)
+    from service.cli.event_display import EventDisplay
+
+    return EventDisplay(events, quiet=arguments.quiet, check=stopping.check)
+
+
+def _run(arguments: argparse.Namespace, display: Display) -> int:
+    try:
+        with _log_to(display, arguments.verbose):
+            _command(arguments.command)(arguments, display)
+        display.end(0, "", None)
+        return 0
+    except KeyboardInterrupt:
+        return _end(display, _stopped(arguments), stopping.code())
+    except InputError as error:
+        return _end(display, str(error), 2, error)
+    except LvbaError as error:
+        return _end(display, str(error), 1, error)
+    except MemoryError:
+        return _end(display, "out of memory: finished stages are kept; free memory or use fewer frames", 1)
+    except BrokenPipeError:
+        return 1
+    except OSError as error:
+        if error.errno not in _USERS_TO_MEND:
+            display.end(1, f"{type(error).__name__}: {error}", None)
+            raise
+        where = error.filename or getattr(arguments, "out", None) or "output"
+        mended = files.input_error(where, error)
+        return _end(display, str(mended), 2, mended)
+    except Exception as error:
+        # nobody foresaw it: whoever listens learns it here, whoever reads the log finds where it comes from
+        display.end(1, f"{type(error).__name__}: {error}", None)
+        raise
+
+
+def _command(name: str) -> Callable[[argparse.Namespace, Display], None]:
+    # imported by name: `simulate` must not load what only `run` needs
+    if name == "run":
+        from service.cli import run_command
+
+        return run_command.run
+    if name == "batch":
+        from service.cli import batch_command
+
+        return batch_command.batch
+    if name == "worker":
+        from service.cli import worker_command
+
+        return worker_command.work
+    if name == "evaluate":
+        from service.cli import evaluate_command
+
+        return evaluate_command.evaluate
+    if name == "simulate":
+        from service.cli import simulate_command
+
+        return simulate_command.simulate
+    if name == "view":
+        from service.cli import view_command
+
+        return view_command.view
+    if name == "serve":
+        from service.cli import serve_command
+
+        return serve_command.serve
+    if name == "admin":
+        from service.cli import admin_command
+
+        return admin_command.admin
+    if server_parser.is_asked(name):
+        from service.cli import client_commands
+
+        return client_commands.ask
+    from service.cli import export_command
+
+    return export_command.export
+
+
+def _stopped(arguments: argparse.Namespace) -> str:
+    if arguments.command == "run":
+        return f"stopped; finished stages are kept in {arguments.out}: the same command goes on from there"
+    return "stopped"
+
+
+def _end(display: Display, message: str, code: int, error: LvbaError | None = None) -> int:
+    display.clear()
+    one_line = printable(" ".join(message.split()))
+    sys.stderr.write(f"lvba: {one_line}\n")
+    display.end(code, one_line, error)
+    return code
+
+
+@contextmanager
+def _log_to(display: Display, verbose: bool) -> Iterator[None]:
+    """What the library logs, as lines between the progress."""
+    handler = _Lines(display)
+    logger = logging.getLogger()
+    before = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(logging.WARNING)
+    for name in ("lvba", "workers", "service"):
+        logging.getLogger(name).setLevel(logging.DEBUG if verbose else logging.WARNING)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(before)
+
+
+class _Lines(logging.Handler):
+    def __init__(self, display: Display) -> None:
+        super().__init__()
+        self._display = display
+
+    def emit(self, record: logging.LogRecord) -> None:
+        kind = "warning: " if record.levelno >= logging.WARNING else ""
+        self._display.note(f"{kind}{record.getMessage()}")

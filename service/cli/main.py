@@ -1,0 +1,320 @@
+"""The command line: `lvba run | batch | worker | evaluate | simulate | view | export`; with a server, `server_parser`.
+
+Nothing heavy is imported before a command runs, so that `lvba --help` answers at once.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import NoReturn
+
+from service.cli import server_parser, stopping
+from service.system.threads import limit_threads
+
+_EPILOG = """\
+examples:
+  lvba simulate courtyard --out demo
+  lvba run demo --out result --reference demo/reference
+  lvba export result laz --out map.laz
+
+Each command has its own help: lvba run --help"""
+
+_RUN = """\
+Refine the scan poses, camera poses and exposures of a recording, and color its map.
+
+OUT holds the result (poses, exposures, map.ply, report.html, report.json, config.yaml) and, in OUT/stages, what every
+stage made. A run that was stopped goes on from the finished stages when the same command is given again."""
+
+_RUN_EXAMPLES = """\
+examples:
+  lvba run recording --out result
+  lvba run recording --out result --set visual.levels=2 --set visual.exposures=none
+  lvba run recording --out result --config settings.yaml --reference truth
+  lvba run recording --out result --workers 4
+  lvba run recording --out result --scheduler tcp://head:8786 --store s3://bucket/recording
+
+Every setting with its value is in OUT/config.yaml, which can be given as --config."""
+
+_BATCH = """\
+Refine many recordings, a few at a time, and say in one table how each went.
+
+MANIFEST is a YAML list; each entry has `dataset`, and may have `name`, `config`, `set` (a list), `reference` and
+`group`. Paths are relative to MANIFEST. Groups take turns, so that a long list does not hold up a short one. One that
+fails does not stop the others. The same command goes on after an interruption."""
+
+_BATCH_EXAMPLES = """\
+examples:
+  lvba batch recordings.yaml --out results
+  lvba batch recordings.yaml --out results --jobs 4 --scheduler tcp://head:8786
+  lvba batch recordings.yaml --out results --server http://host:8080
+
+OUT/NAME is the result of a recording, OUT/NAME.log what it said; OUT/summary.json and OUT/summary.csv are the table.
+Exit code 1: some failed."""
+
+_WORKER = """\
+Work for the Dask scheduler at ADDRESS until stopped: one step at a time, with --threads threads.
+
+Start one on each machine, or several with --threads and --memory-limit. A worker that loses its scheduler waits for it
+to come back. Whoever can talk to a scheduler can run code on its workers: use tls:// outside a trusted network."""
+
+_WORKER_EXAMPLES = """\
+examples:
+  lvba worker tcp://127.0.0.1:8786 --threads 4 --memory-limit 8GB
+  lvba worker tls://head:8786 --tls-ca ca.pem --tls-cert node.pem --tls-key node.key"""
+
+_EVALUATE = """\
+Judge poses and exposures made by any method, as `lvba run` judges its own.
+
+"rough" in the report is the dataset as it is, "refined" is with the files given here in its place."""
+
+_EVALUATE_EXAMPLES = """\
+examples:
+  lvba evaluate recording --out judged
+  lvba evaluate recording --out judged --lidar-poses other/lidar_poses.txt --image-poses other/image_poses.txt
+  lvba evaluate recording --out judged --reference truth"""
+
+_SIMULATE = """\
+Make a recording of a made-up place, with known truth in OUT/reference."""
+
+_SIMULATE_EXAMPLES = """\
+examples:
+  lvba simulate courtyard --out yard
+  lvba simulate rooms --out rooms --frames 60 --seed 3 --difficulty hard --lidar non_repetitive
+  lvba simulate street --out street --length 400 --frames 400 --motion-blur
+  lvba simulate block --out block --length 400 --frames 200 --closing 1 2"""
+
+_VIEW = """\
+Show a result in the browser: the map in 3D, photographs beside the map, figures and files. Only this machine can ask, and
+nothing is written. The address goes to stdout; Ctrl-C ends it."""
+
+_VIEW_EXAMPLES = """\
+examples:
+  lvba view result
+  lvba view result --port 8090 --no-browser
+
+Where a run was made without --viewer, the map is prepared first, in a temporary folder; `lvba export RESULT lod` keeps
+what is prepared."""
+
+_EXPORT = """\
+Write the map or the poses of a result in another format; lod: the map with levels of detail, and what a viewer shows
+beside it, into cloud/ and frames/ of RESULT."""
+
+_EXPORT_EXAMPLES = """\
+examples:
+  lvba export result laz
+  lvba export result laz --crs EPSG:25833+7837 --out yard.laz
+  lvba export result colmap --out colmap_model"""
+
+
+class Parser(argparse.ArgumentParser):
+    """Usage mistakes are one line on stderr, and exit code 2."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs a command. 0: done; 2: bad input or usage, one line on stderr; 130: Ctrl-C; 1: anything else."""
+    arguments = parser().parse_args(argv)
+    limit_threads(arguments.threads)
+    stopping.install()
+    try:
+        from service.cli import dispatch
+
+        return dispatch.main(arguments)
+    except KeyboardInterrupt:
+        # so early or so late that nothing is lost
+        sys.stderr.write("lvba: stopped\n")
+        return stopping.code()
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of all commands."""
+    top = Parser(
+        prog="lvba",
+        description="LiDAR-visual bundle adjustment: from rough odometry poses to a colored map.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    top.add_argument("--version", action="version", version=f"lvba {metadata.version('lvba')}")
+    commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    _add_run(commands)
+    _add_batch(commands)
+    _add_worker(commands)
+    _add_evaluate(commands)
+    _add_simulate(commands)
+    _add_view(commands)
+    _add_export(commands)
+    server_parser.add(commands, _command)
+    return top
+
+
+def _add_run(commands: "argparse._SubParsersAction[Parser]") -> None:
+    run = _command(commands, "run", "refine a recording", _RUN, _RUN_EXAMPLES)
+    _add_dataset_and_out(run)
+    _add_settings(run)
+    run.add_argument("--reference", type=Path, metavar="DIR", help="folder of true poses to compare with")
+    run.add_argument(
+        "--store", metavar="URL", help="folder or URL for what stages make (default: OUT/stages)"
+    )
+    run.add_argument("--redo", metavar="STAGE", help="make this stage and all that depends on it again")
+    run.add_argument("--name", help="what the report calls the recording (default: its folder)")
+    run.add_argument("--events", type=Path, metavar="FILE", help="add what happens to FILE, as JSON lines")
+    run.add_argument("--viewer", action="store_true", help="at last what `lvba export OUT lod` writes")
+    _add_cluster(run)
+
+
+def _add_batch(commands: "argparse._SubParsersAction[Parser]") -> None:
+    batch = _command(commands, "batch", "refine many recordings", _BATCH, _BATCH_EXAMPLES)
+    batch.add_argument("manifest", type=Path, metavar="MANIFEST", help="YAML list of recordings")
+    batch.add_argument(
+        "--out", type=Path, required=True, metavar="OUT", help="folder for results and summary"
+    )
+    batch.add_argument(
+        "--jobs", type=_count, default=1, metavar="N", help="recordings at a time (default: 1)"
+    )
+    batch.add_argument("--store", metavar="URL", help="folder or URL for what stages make (default: in OUT)")
+    server_parser.add_server(batch, asked=False)
+    _add_cluster(batch)
+
+
+def _add_worker(commands: "argparse._SubParsersAction[Parser]") -> None:
+    worker = _command(commands, "worker", "work for a cluster's scheduler", _WORKER, _WORKER_EXAMPLES)
+    worker.add_argument("address", metavar="ADDRESS", help="scheduler: tcp://HOST:PORT or tls://HOST:PORT")
+    worker.add_argument("--memory-limit", metavar="GB", help="for example 8GB (default: all there is)")
+    _add_tls(worker)
+
+
+def _add_evaluate(commands: "argparse._SubParsersAction[Parser]") -> None:
+    evaluate = _command(commands, "evaluate", "judge poses and exposures", _EVALUATE, _EVALUATE_EXAMPLES)
+    _add_dataset_and_out(evaluate)
+    _add_settings(evaluate)
+    evaluate.add_argument("--lidar-poses", type=Path, metavar="FILE", help="TUM, world from scan")
+    evaluate.add_argument("--image-poses", type=Path, metavar="FILE", help="TUM, world from camera or body")
+    evaluate.add_argument("--exposures", type=Path, metavar="FILE", help="CSV: timestamp,relative_exposure")
+    evaluate.add_argument(
+        "--reference", type=Path, metavar="DIR", help="folder of true poses to compare with"
+    )
+
+
+def _add_simulate(commands: "argparse._SubParsersAction[Parser]") -> None:
+    simulate = _command(
+        commands, "simulate", "make a recording with known truth", _SIMULATE, _SIMULATE_EXAMPLES
+    )
+    simulate.add_argument(
+        "scene", metavar="SCENE", help="courtyard, rooms, corridor, street, plane, block, terrace, cabinet"
+    )
+    simulate.add_argument("--out", type=Path, required=True, metavar="DATASET", help="folder to write")
+    simulate.add_argument("--frames", type=int, metavar="N", help="images (default: the scene's)")
+    simulate.add_argument("--seed", type=int, default=0, metavar="S", help="of all randomness (default: 0)")
+    simulate.add_argument(
+        "--difficulty", choices=["easy", "medium", "hard"], default="medium", help="of the drift"
+    )
+    simulate.add_argument(
+        "--lidar", choices=["spinning", "non_repetitive"], default="spinning", help="its scan pattern"
+    )
+    simulate.add_argument("--scans", type=int, metavar="N", help="scans (default: as many as images)")
+    simulate.add_argument(
+        "--points", type=int, default=30_000, metavar="N", help="beams of a scan (default: 30000)"
+    )
+    simulate.add_argument("--width", type=int, default=640, metavar="PX", help="of the images (default: 640)")
+    simulate.add_argument(
+        "--height", type=int, default=480, metavar="PX", help="of the images (default: 480)"
+    )
+    simulate.add_argument(
+        "--length", type=float, metavar="M", help="of a street, a corridor, a flight or a way around, m"
+    )
+    simulate.add_argument(
+        "--closing",
+        type=float,
+        nargs=2,
+        metavar=("M", "DEG"),
+        help="by how much the rough ends of a loop miss each other, beside the difficulty",
+    )
+    simulate.add_argument(
+        "--image-poses",
+        choices=["camera", "body"],
+        default="camera",
+        help="what image_poses.txt holds: camera to world, or body to world as FAST-LIVO2 writes (default: camera)",
+    )
+    simulate.add_argument("--vignetting", action="store_true", help="images darker towards their corners")
+    simulate.add_argument("--motion-blur", action="store_true", help="the shutter is open for a while")
+    simulate.add_argument("--shot-noise", action="store_true", help="image noise grows with brightness")
+
+
+def _add_view(commands: "argparse._SubParsersAction[Parser]") -> None:
+    view = _command(commands, "view", "show a result in the browser", _VIEW, _VIEW_EXAMPLES)
+    view.add_argument("result", type=Path, metavar="RESULT", help="the OUT folder of a run")
+    view.add_argument("--port", type=int, default=0, metavar="PORT", help="to listen on (default: any)")
+    view.add_argument("--no-browser", action="store_true", help="print the address, open nothing")
+
+
+def _add_export(commands: "argparse._SubParsersAction[Parser]") -> None:
+    export = _command(commands, "export", "write a result in another format", _EXPORT, _EXPORT_EXAMPLES)
+    export.add_argument("result", type=Path, metavar="RESULT", help="the OUT folder of a run")
+    export.add_argument("format", metavar="FORMAT", help="ply, las, laz, colmap, nerfstudio, lod")
+    export.add_argument(
+        "--out", type=Path, metavar="PATH", help="file or folder to write (default: in RESULT)"
+    )
+    export.add_argument(
+        "--crs",
+        default="",
+        metavar="CRS",
+        help="las, laz: what the coordinates are of, as a file of WKT (.prj) or EPSG:CODE; nothing is converted",
+    )
+
+
+def _command(
+    commands: "argparse._SubParsersAction[Parser]", name: str, summary: str, description: str, examples: str
+) -> Parser:
+    command = commands.add_parser(
+        name,
+        help=summary,
+        description=description,
+        epilog=examples,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    command.add_argument("--threads", type=_count, metavar="N", help="threads to use (default: all cores)")
+    talk = command.add_mutually_exclusive_group()
+    talk.add_argument("--quiet", action="store_true", help="no progress on stderr")
+    talk.add_argument("--verbose", action="store_true", help="say more on stderr")
+    return command
+
+
+def _add_dataset_and_out(command: Parser) -> None:
+    command.add_argument("dataset", type=Path, metavar="DATASET", help="folder of the recording")
+    command.add_argument("--out", type=Path, required=True, metavar="OUT", help="folder for the result")
+
+
+def _add_settings(command: Parser) -> None:
+    command.add_argument("--config", type=Path, metavar="FILE", help="settings, YAML")
+    command.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="one setting; may be repeated"
+    )
+
+
+def _add_cluster(command: Parser) -> None:
+    cluster = command.add_mutually_exclusive_group()
+    cluster.add_argument("--workers", type=_count, metavar="N", help="run in N worker processes")
+    cluster.add_argument(
+        "--scheduler", metavar="ADDRESS", help="run on a Dask cluster: tcp://HOST:PORT or tls://HOST:PORT"
+    )
+    command.add_argument(
+        "--memory-limit", metavar="GB", help="of each of the --workers (default: an even share)"
+    )
+    _add_tls(command)
+
+
+def _add_tls(command: Parser) -> None:
+    command.add_argument("--tls-ca", type=Path, metavar="FILE", help="PEM: authority of the cluster")
+    command.add_argument("--tls-cert", type=Path, metavar="FILE", help="PEM: own certificate")
+    command.add_argument("--tls-key", type=Path, metavar="FILE", help="PEM: its key")
+
+
+def _count(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not 1 or more")
+    return number

@@ -1,0 +1,52 @@
+"""What a run will take of memory, said before it begins."""
+
+import argparse
+import os
+
+from lvba.blocks import split, survey
+from lvba.dataset import Dataset
+from lvba.errors import InputError
+from lvba.pipeline import Config
+from service.cli import clusters
+from service.cli.progress import Display
+
+_LEAST_PART_GB = 0.5
+"""What split.memory_gb may be at least."""
+
+
+def announce(arguments: argparse.Namespace, dataset: Dataset, config: Config, display: Display) -> None:
+    """Say in one line what a part will take, and of what.
+
+    Raises InputError: more than --memory-limit gives.
+    """
+    load = survey.load_of(dataset)
+    cores = split.parts(dataset, config.split, load)
+    needed = max(split.memory_bytes(load, len(part.scan_numbers), len(part.image_numbers)) for part in cores)
+    given = clusters.memory_bytes(arguments)
+    if given is not None and needed > given:
+        raise _too_little(needed, given, len(cores))
+    what = "memory" if len(cores) == 1 else f"memory for each of {len(cores)} parts"
+    limit = _limit(arguments, given)
+    display.tell(f"{what}: about {needed / 1e9:.1f} GB{limit}")
+
+
+def _limit(arguments: argparse.Namespace, given: int | None) -> str:
+    if arguments.scheduler is not None:
+        return ", on workers whose limit is their own"
+    if arguments.workers is None:
+        return f", of {os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES') / 1e9:.1f} GB"
+    # Dask takes a moment to import, and is not needed by who runs in one process
+    from workers import limits
+
+    return f", of {(given or limits.memory_share(arguments.workers)) / 1e9:.1f} GB for each worker"
+
+
+def _too_little(needed: float, given: int, parts: int) -> InputError:
+    what = "the recording" if parts == 1 else f"the largest of {parts} parts"
+    mend = f"give each worker {needed / 1e9 + 0.05:.1f} GB or more"
+    smaller = given / 1e9
+    if smaller >= _LEAST_PART_GB:
+        mend += f", or make the parts smaller (--set split.by=memory --set split.memory_gb={smaller:.3g})"
+    return InputError(
+        f"--memory-limit {given / 1e9:.3g}GB", f"{what} takes about {needed / 1e9:.2f} GB", mend
+    )

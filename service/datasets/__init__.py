@@ -1,0 +1,1 @@
+"""Recordings of the service: uploads, archives, checks, names, quotas."""

@@ -1,0 +1,1 @@
+"""Jobs of the service: queue, processes, progress, results, webhooks, retention."""

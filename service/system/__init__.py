@@ -1,0 +1,1 @@
+"""Files, paths, processes and limits of the machine."""
