@@ -6,7 +6,7 @@ import os
 from service.cli import first_run
 
 NOTICE = "the first run on this machine compiles the numerical kernels"
-ANNOUNCE = "from service import first_run, progress; first_run.announce(progress.Display(), images=True)"
+ANNOUNCE = "from service.cli import first_run, progress; first_run.announce(progress.Display(), images=True)"
 KERNELS = "from numba import njit\n\n\n@njit(cache=True)\ndef next_of(x):\n    return x + 1\n"
 
 
