@@ -6,6 +6,8 @@ LvbaError
 └── ArtifactError            an intermediate result is missing, truncated or altered
 """
 
+from enum import StrEnum
+
 
 class LvbaError(Exception):
     """Base of all errors raised on purpose; str(error) is one line for the user."""
@@ -20,18 +22,29 @@ def _shortened(text: object) -> str:
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
 
 
-class InputError(LvbaError):
-    """Bad input. The message names the file (and line), says what is wrong, and how to mend it."""
+class Lack(StrEnum):
+    """What the machine lacks, where the input is not to blame."""
 
-    def __init__(self, where: object, problem: str, mend: str) -> None:
+    DISK = "disk"
+    MEMORY = "memory"
+
+
+class InputError(LvbaError):
+    """Bad input. The message names the file (and line), says what is wrong, and how to mend it.
+
+    lack: what the machine lacked while it worked on this file; None: the file itself is wrong
+    """
+
+    def __init__(self, where: object, problem: str, mend: str, lack: Lack | None = None) -> None:
+        self.lack = lack
         self.where, self.problem, self.mend = map(_shortened, (where, problem, mend))
         line = " ".join(f"{self.where}: {self.problem}; {self.mend}".splitlines())
         super().__init__(
             line.encode("utf-8", "backslashreplace").decode()
         )  # names of files may hold any bytes
 
-    def __reduce__(self) -> tuple[type["InputError"], tuple[str, str, str]]:
-        return type(self), (self.where, self.problem, self.mend)
+    def __reduce__(self) -> tuple[type["InputError"], tuple[str, str, str, Lack | None]]:
+        return type(self), (self.where, self.problem, self.mend, self.lack)
 
 
 class DegenerateProblemError(LvbaError):

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from io import BufferedReader
 from pathlib import Path
 
-from lvba.errors import InputError
+from lvba.errors import InputError, Lack
 from lvba.io import no_links
 
 MAX_TEXT_BYTES = 64 * 1024**2
@@ -32,13 +32,16 @@ _MENDS = {
     errno.ELOOP: "remove the symbolic link that points at itself",
     errno.ENAMETOOLONG: "choose a shorter path",
 }
+_LACKS = {errno.ENOSPC: Lack.DISK, errno.EDQUOT: Lack.DISK, errno.ENOMEM: Lack.MEMORY}
 
 
 def input_error(path: object, error: OSError | ValueError) -> InputError:
     """The InputError that tells of a failed system call on a path."""
     if isinstance(error, OSError):
         problem = (error.strerror or str(error)).lower()
-        return InputError(path, problem, _MENDS.get(error.errno or 0, "check the disk and the path"))
+        number = error.errno or 0
+        mend = _MENDS.get(number, "check the disk and the path")
+        return InputError(path, problem, mend, _LACKS.get(number))
     return InputError(repr(str(path)), "not a path that the system accepts", "check the path")
 
 
@@ -50,7 +53,7 @@ def as_input_error(path: object) -> Iterator[None]:
     except OSError as error:
         raise input_error(path, error) from error
     except ValueError as error:
-        if not isinstance(error, UnicodeError) and "null" not in str(error):
+        if not isinstance(error, UnicodeError) and "\0" not in str(path):
             raise
         raise input_error(path, error) from error
 

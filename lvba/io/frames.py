@@ -111,7 +111,7 @@ def split_bad(
     if 2 * len(bad) > len(frames):
         first = bad[0][1]
         others = f" (and {len(bad) - 1} more of {len(frames)} {kind}s are bad)" if len(bad) > 1 else ""
-        raise InputError(first.where, first.problem + others, first.mend)
+        raise InputError(first.where, first.problem + others, first.mend, first.lack)
     unusable = {index for index, _ in bad}
     good = [index for index in range(len(frames)) if index not in unusable]
     told = [f"{error.where}: left out this {kind}: {error.problem}." for _, error in bad[:_NAMED]]

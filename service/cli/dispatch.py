@@ -7,14 +7,17 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from lvba.errors import InputError, LvbaError
+from lvba.errors import InputError, Lack, LvbaError
 from lvba.io import files
 from service.cli import server_parser, stopping
 from service.cli.progress import Display
+from service.jobs.run_events import EndReason
 from service.system.printable import printable
 
 _USERS_TO_MEND = {errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS, errno.EFBIG}
 """Failures of the system that whoever started the command can do something about."""
+_REASONS = {None: EndReason.INPUT, Lack.DISK: EndReason.DISK_FULL, Lack.MEMORY: EndReason.OUT_OF_MEMORY}
+_OUT_OF_MEMORY = "out of memory: finished stages are kept; free memory or use fewer frames"
 
 
 def main(arguments: argparse.Namespace) -> int:
@@ -22,8 +25,8 @@ def main(arguments: argparse.Namespace) -> int:
     try:
         display = _display(arguments)
     except InputError as error:
-        return _end(Display(), str(error), 2)
-    stopping.say_at_last(lambda: _end(display, _stopped(arguments), stopping.code()))
+        return _end(Display(), str(error), 2, _why(error))
+    stopping.say_at_last(lambda: _end(display, _stopped(arguments), stopping.code(), EndReason.STOPPED))
     try:
         return _run(arguments, display)
     finally:
@@ -44,28 +47,28 @@ def _run(arguments: argparse.Namespace, display: Display) -> int:
     try:
         with _log_to(display, arguments.verbose):
             _command(arguments.command)(arguments, display)
-        display.end(0, "", None)
+        display.end(0, EndReason.DONE, "", None)
         return 0
     except KeyboardInterrupt:
-        return _end(display, _stopped(arguments), stopping.code())
+        return _end(display, _stopped(arguments), stopping.code(), EndReason.STOPPED)
     except InputError as error:
-        return _end(display, str(error), 2, error)
+        return _end(display, str(error), 2, _why(error), error)
     except LvbaError as error:
-        return _end(display, str(error), 1, error)
+        return _end(display, str(error), 1, EndReason.FAILED, error)
     except MemoryError:
-        return _end(display, "out of memory: finished stages are kept; free memory or use fewer frames", 1)
+        return _end(display, _OUT_OF_MEMORY, 1, EndReason.OUT_OF_MEMORY)
     except BrokenPipeError:
         return 1
     except OSError as error:
         if error.errno not in _USERS_TO_MEND:
-            display.end(1, f"{type(error).__name__}: {error}", None)
+            display.end(1, EndReason.UNEXPECTED, f"{type(error).__name__}: {error}", None)
             raise
         where = error.filename or getattr(arguments, "out", None) or "output"
         mended = files.input_error(where, error)
-        return _end(display, str(mended), 2, mended)
+        return _end(display, str(mended), 2, _why(mended), mended)
     except Exception as error:
         # nobody foresaw it: whoever listens learns it here, whoever reads the log finds where it comes from
-        display.end(1, f"{type(error).__name__}: {error}", None)
+        display.end(1, EndReason.UNEXPECTED, f"{type(error).__name__}: {error}", None)
         raise
 
 
@@ -118,11 +121,16 @@ def _stopped(arguments: argparse.Namespace) -> str:
     return "stopped"
 
 
-def _end(display: Display, message: str, code: int, error: LvbaError | None = None) -> int:
+def _why(error: InputError) -> EndReason:
+    """The machine, where it lacked something; else the input."""
+    return _REASONS[error.lack]
+
+
+def _end(display: Display, message: str, code: int, reason: EndReason, error: LvbaError | None = None) -> int:
     display.clear()
     one_line = printable(" ".join(message.split()))
     sys.stderr.write(f"lvba: {one_line}\n")
-    display.end(code, one_line, error)
+    display.end(code, reason, one_line, error)
     return code
 
 

@@ -8,6 +8,7 @@ from typing import Any, TextIO
 
 from lvba.errors import InputError
 from service.cli.progress import Display
+from service.jobs.run_events import EndReason
 
 _WAIT = 0.25
 """Seconds between two progress lines of one count."""
@@ -51,11 +52,11 @@ class EventDisplay(Display):
     def record(self, name: str, seconds: float, peak_memory_mb: float, reused: bool) -> None:
         self._tell("record", name=name, seconds=seconds, peak_memory_mb=peak_memory_mb, reused=reused)
 
-    def end(self, code: int, message: str, error: BaseException | None) -> None:
+    def end(self, code: int, reason: EndReason, message: str, error: BaseException | None) -> None:
         named = {"where": "", "problem": "", "mend": ""}
         if isinstance(error, InputError):
             named = {"where": error.where, "problem": error.problem, "mend": error.mend}
-        self._tell("end", code=code, message=message, **named)
+        self._tell("end", code=code, reason=reason, message=message, **named)
 
     def _tell(self, event: str, **facts: Any) -> None:
         # one write a line: whoever reads along sees whole lines, but for the last

@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Sequence
 from typing import TextIO
 
+from service.jobs.run_events import EndReason
+
 _BAR = 24
 _REDRAW = 0.1
 _PLAIN = 10.0
@@ -80,8 +82,8 @@ class Display:
     def record(self, name: str, seconds: float, peak_memory_mb: float, reused: bool) -> None:
         """How a stage went, told when all have ended."""
 
-    def end(self, code: int, message: str, error: BaseException | None) -> None:
-        """The command has ended: its exit code and last words."""
+    def end(self, code: int, reason: EndReason, message: str, error: BaseException | None) -> None:
+        """The command has ended: its exit code, why, and its last words."""
 
     def note(self, text: str) -> None:
         """A line that stays."""

@@ -22,19 +22,19 @@ def address_space(limits: Limits) -> int:
     return most if hard == resource.RLIM_INFINITY else min(most, hard)
 
 
-def shows_in(text: str) -> bool:
-    """Whether that is what an error says."""
-    return any(sign in text.lower() for sign in _SIGNS)
-
-
 def ended(code: int, log: Path, begin: int) -> bool:
-    """Whether that is what ended a process which could not say so itself, but in its log from `begin` on."""
+    """Whether too little memory ended a process that could not say so itself.
+
+    A check that lives says it by type. One that died in the loader or in a library left nothing but what that wrote into
+    the log, from `begin` on.
+    """
     if code == -signal.SIGKILL:  # what the system does when memory runs out
         return True
     try:
         with log.open("rb") as stream:
             stream.seek(max(log.stat().st_size - _TAIL, begin))
-            return shows_in(stream.read().decode("utf-8", "replace"))
+            said_last = stream.read().decode("utf-8", "replace").lower()
+            return any(sign in said_last for sign in _SIGNS)
     except OSError:
         return False
 

@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from lvba.errors import InputError
+from lvba.errors import InputError, Lack
 from lvba.io import no_links
 from lvba.io.files import sync
 from service.datasets import archives, check_memory, object_store
@@ -59,7 +59,7 @@ def _answer(task: dict[str, Any], limits: Limits) -> dict[str, Any]:
         root = _recording(task, limits)
         return _facts(root, own=root == Path(task["files"]))
     except InputError as error:
-        if check_memory.shows_in(error.problem):
+        if error.lack is Lack.MEMORY:
             return {"error": check_memory.said(limits)}
         cause, mend = (_hidden(text, task) for text in (f"{error.where}: {error.problem}", error.mend))
         return _refused("input", cause, mend, path=_inside(error.where, task))

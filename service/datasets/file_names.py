@@ -99,7 +99,9 @@ def _descriptor(file: Path, path: str) -> int:
     try:
         handle = no_links.descriptor(file)
     except InputError as error:
-        raise InputError(_shown(path), error.problem, error.mend) from None  # without folders of the server
+        raise InputError(
+            _shown(path), error.problem, error.mend, error.lack
+        ) from None  # without folders of the server
     if stat.S_ISDIR(os.fstat(handle).st_mode):
         os.close(handle)
         raise InputError(_shown(path), "is a folder", "name a file")

@@ -25,6 +25,7 @@ from service.db.tables import (
     Dataset,
     Job,
     Leased,
+    Outcome,
 )
 from service.system.paths import now
 
@@ -234,12 +235,12 @@ def _back_to_queue(database: Database, session: Session, job: Job, why: str, cou
         }
     else:
         job.state = QUEUED
-    close_attempt(session, job, CANCELED if job.state == CANCELED else "lost", why)
+    close_attempt(session, job, Outcome.CANCELED if job.state == CANCELED else Outcome.LOST, why)
     database.order_events(session)
     journal.state(session, job)
 
 
-def close_attempt(session: Session, job: Job, outcome: str, message: str = "") -> None:
+def close_attempt(session: Session, job: Job, outcome: Outcome, message: str = "") -> None:
     """Write down how the present attempt ended."""
     session.execute(
         update(Attempt)

@@ -1,5 +1,6 @@
 """The tables of the job service. Times are seconds since 1970 UTC."""
 
+from enum import StrEnum
 from typing import Any
 
 from sqlalchemy import JSON, BigInteger, ForeignKey, Index, Integer, MetaData, String, Text, UniqueConstraint
@@ -158,6 +159,27 @@ class Result(Base):
     """Inode, size and times then: while they are the same, nobody has touched the file."""
 
 
+class Outcome(StrEnum):
+    """How an attempt ended."""
+
+    DONE = "done"
+    FAILED = "failed"
+    CANCELED = "canceled"
+    CRASHED = "crashed"
+    """Its process was ended from outside, or had no room; the job may be tried again."""
+    LOST = "lost"
+    """Its service was lost, or gave it back."""
+
+
+class DeliveryStatus(StrEnum):
+    """What became of a delivery so far."""
+
+    WAITING = "waiting"
+    DELIVERED = "delivered"
+    RETRYING = "retrying"
+    GIVEN_UP = "given up"
+
+
 class Attempt(Base):
     """One time that a job was taken up."""
 
@@ -170,6 +192,7 @@ class Attempt(Base):
     started: Mapped[float]
     finished: Mapped[float | None]
     outcome: Mapped[str | None]
+    """An Outcome; None: it runs."""
     message: Mapped[str] = mapped_column(default="")
 
 
@@ -197,5 +220,6 @@ class Delivery(Base):
     tries: Mapped[int] = mapped_column(default=0)
     next_try: Mapped[float | None] = mapped_column(index=True)
     """None: delivered, or given up."""
-    status: Mapped[str] = mapped_column(default="waiting")
+    status: Mapped[str] = mapped_column(default=DeliveryStatus.WAITING.value)
+    """A DeliveryStatus."""
     message: Mapped[str] = mapped_column(default="")

@@ -3,7 +3,7 @@
 from service.db import journal, leases
 from service.db.database import Database
 from service.db.leases import Lease
-from service.db.tables import CANCELED, CANCELING, FAILED, INVALID, Dataset
+from service.db.tables import CANCELED, CANCELING, FAILED, INVALID, Dataset, Outcome
 from service.jobs import webhooks
 from service.system.paths import now
 
@@ -26,7 +26,7 @@ def fail(database: Database, lease: Lease, cause: str) -> None:
             "hint": "ask who runs the server to look at its folder, then restart it",
         }
         row.finished = now()
-        leases.close_attempt(session, row, row.state, error["cause"])
+        leases.close_attempt(session, row, Outcome(row.state), error["cause"])
         database.order_events(session)
         journal.state(session, row)
         webhooks.enqueue(session, row)

@@ -1,9 +1,7 @@
 """One job that runs: its process, what it tells, and how it ends."""
 
-import errno
 import json
 import logging
-import os
 import signal
 import time
 from pathlib import Path
@@ -20,9 +18,9 @@ from service.datasets import recording_roots
 from service.db import journal, leases
 from service.db.database import Database
 from service.db.leases import Lease
-from service.db.tables import CANCELED, CANCELING, DONE, FAILED, QUEUED, RUNNING, Dataset, Job
+from service.db.tables import CANCELED, CANCELING, DONE, FAILED, QUEUED, RUNNING, Dataset, Job, Outcome
 from service.jobs import results, tail, timeline, webhooks
-from service.jobs.run_events import VIEWER
+from service.jobs.run_events import VIEWER, EndReason
 from service.settings import Settings
 from service.system import durable, messages
 from service.system.child_process import Child
@@ -35,8 +33,6 @@ _log = logging.getLogger(__name__)
 _TELL_S = 1.0
 """Seconds between two events of progress of a job."""
 _HISTORY = 20
-_DISK_FULL = [os.strerror(number).lower() for number in (errno.ENOSPC, errno.EDQUOT)]
-"""What a run says of it."""
 
 
 class JobRun:
@@ -177,13 +173,13 @@ class JobRun:
     def _end(self, code: int) -> None:
         """What becomes of the job, after its process has ended."""
         end = self._timeline.end
-        told_to_stop = end is not None and end["message"].startswith("stopped")
+        told_to_stop = end is not None and end.reason is EndReason.STOPPED
         if code == EXIT_LOCKED:
             leases.lose(self._database, self.lease, "the attempt before was still at it", counts=False)
         elif code == EXIT_LEASE_EXPIRED or self._stopping:
             why = "the service was stopped" if self._stopping else "the service lost its lease"
             leases.lose(self._database, self.lease, why, counts=code == EXIT_LEASE_EXPIRED)
-        elif (code < 0 and (end is None or end["code"] == 0)) or told_to_stop or self._disk_was_full:
+        elif (code < 0 and (end is None or end.code == 0)) or told_to_stop or self._disk_was_full:
             # somebody ended it, such as the system for want of memory; what fails by itself would fail again
             self._settle(code, crashed=True)
         else:
@@ -225,54 +221,55 @@ class JobRun:
 
     def _show_end(
         self, job: Job, code: int, crashed: bool, summary: dict[str, Any] | None
-    ) -> tuple[str, str]:
+    ) -> tuple[Outcome, str]:
         """Outcome and message of the attempt, after the job's fields are set."""
         message = self._hidden(self._why_crashed(code) if crashed else self._last_words())
         if job.state == CANCELING:
-            job.state, outcome = CANCELED, CANCELED
+            job.state, outcome = CANCELED, Outcome.CANCELED
             self._timeline.stop(time.monotonic())
         elif self._lost:
             message = self._hidden(self._lost)
             self._timeline.give_up(time.monotonic())
-            job.state, job.error, outcome = FAILED, _lost(message), FAILED
+            job.state, job.error, outcome = FAILED, _lost(message), Outcome.FAILED
         elif crashed and (summary is None or job.crashes + 1 < self._settings.limits.attempts):
             job.crashes += 1
             job.state = FAILED if job.crashes >= self._settings.limits.attempts else QUEUED
             job.error = self._crash(job, code)
-            outcome = "crashed"
+            outcome = Outcome.CRASHED
         elif summary is not None:
             if crashed:
                 message = f"nothing for the page: {message}"
                 self._timeline.give_up(time.monotonic())
-            job.state, job.summary, job.progress, outcome = DONE, summary, 1.0, DONE
+            job.state, job.summary, job.progress, outcome = DONE, summary, 1.0, Outcome.DONE
         else:
-            job.state, job.error, outcome = FAILED, self._failure(message), FAILED
+            job.state, job.error, outcome = FAILED, self._failure(message), Outcome.FAILED
         job.finished = None if job.state in (QUEUED, RUNNING) else now()
         job.stages = [dict(stage) for stage in self._timeline.stages]
         return outcome, message
 
     def _last_words(self) -> str:
         """What it said last: as an event, or where an error that nobody foresaw cut it short, in the log."""
-        if self._timeline.end is not None and self._timeline.end["code"] != 0:
-            return str(self._timeline.end["message"])
+        if self._timeline.end is not None and self._timeline.end.code != 0:
+            return self._timeline.end.message
         return tail.last_line(self._log) or "it said nothing"
 
     def _failure(self, message: str) -> dict[str, Any]:
-        end = self._timeline.end or {}
+        end = self._timeline.end
         failed = next((s["name"] for s in self._timeline.stages if s["state"] == timeline.FAILED), None)
-        if end.get("mend"):
-            cause = self._hidden(f"{end['where']}: {end['problem']}")
-            return {"code": "input", "stage": failed, "cause": cause, "hint": self._hidden(end["mend"])}
-        if message.startswith("out of memory"):
+        if end is not None and end.reason is EndReason.OUT_OF_MEMORY:
             hint = "use a machine with more memory, or fewer frames; then restart the job: finished stages are kept"
             return {"code": "out-of-memory", "stage": failed, "cause": "out of memory", "hint": hint}
+        if end is not None and end.mend:
+            cause = self._hidden(f"{end.where}: {end.problem}")
+            return {"code": "input", "stage": failed, "cause": cause, "hint": self._hidden(end.mend)}
         return {"code": "failed", "stage": failed, "cause": message, "hint": "the log may say more"}
 
     def _disk_is_full(self, code: int) -> bool:
         """Whether that is what ended it."""
-        problem = (self._timeline.end or {}).get("problem")
-        silent = not problem and free_bytes(self._paths.root) < LEAST_FREE
-        return code > 0 and (problem in _DISK_FULL or silent)
+        end = self._timeline.end
+        said = end is not None and end.reason is EndReason.DISK_FULL
+        silent = (end is None or not end.problem) and free_bytes(self._paths.root) < LEAST_FREE
+        return code > 0 and (said or silent)
 
     def _why_crashed(self, code: int) -> str:
         return "the disk was full" if self._disk_was_full else messages.of_exit(code)

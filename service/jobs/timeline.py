@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from service.db.journal import PROGRESS, STAGE, STAGES
+from service.jobs.run_events import EndReason, RunEnd, run_end
 
 Told = tuple[str, dict[str, Any]]
 """Kind and data of an event for the journal."""
@@ -20,8 +21,8 @@ class Timeline:
 
     def __init__(self, weights: Mapping[str, float], estimate_s: float, now: float) -> None:
         self.stages: list[dict[str, Any]] = []
-        self.end: dict[str, Any] | None = None
-        """The last line of the run: exit code and message; None: it has not come."""
+        self.end: RunEnd | None = None
+        """The last line of the run; None: it has not come."""
         self._weights, self._estimate_s, self._began = weights, estimate_s, now
         self._other = sum(weights.values()) / len(weights) if weights else 1.0
         self._stage_began = self._count_began = now
@@ -138,10 +139,10 @@ class Timeline:
                 stage.update({name: line[name] for name in ("seconds", "peak_memory_mb", "reused")})
 
     def _finish(self, line: Mapping[str, Any], now: float) -> list[Told]:
-        self.end = dict(line)
-        stopped = str(line["message"]).startswith("stopped")
-        told = self._end_running(DONE if line["code"] == 0 else STOPPED if stopped else FAILED, now)
-        if line["code"] == 0:
+        self.end = run_end(line)
+        states = {EndReason.DONE: DONE, EndReason.STOPPED: STOPPED}
+        told = self._end_running(states.get(self.end.reason, FAILED), now)
+        if self.end.reason is EndReason.DONE:
             self._fraction = 1.0
         return told
 

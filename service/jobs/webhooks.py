@@ -16,7 +16,7 @@ from sqlalchemy.orm import Session
 
 from lvba.errors import InputError
 from service.db.database import Database
-from service.db.tables import Delivery, Job
+from service.db.tables import Delivery, DeliveryStatus, Job
 from service.jobs import webhook_delivery
 from service.settings import Settings
 from service.system.paths import new_id, now
@@ -126,16 +126,18 @@ def deliver_due(database: Database, settings: Settings) -> None:
 
 def deliver(database: Database, settings: Settings, delivery: Delivery, webhook: dict[str, str]) -> None:
     """Try one delivery, and write down what became of it."""
+    delivered = False
     try:
         status = _post(delivery, webhook, settings)
-        message = "" if 200 <= status < 300 else f"answered {status}"
+        delivered = 200 <= status < 300
+        message = "" if delivered else f"answered {status}"
     except InputError as error:
         message = error.problem
     except TimeoutError:
         message = "took too long"
     except (OSError, http.client.HTTPException, ValueError) as error:
         message = type(error).__name__
-    _write_down(database, delivery.id, message)
+    _write_down(database, delivery.id, delivered, message)
 
 
 def _take_due(database: Database, under_way: _UnderWay) -> tuple[Delivery, dict[str, str]] | None:
@@ -161,18 +163,18 @@ def _take_due(database: Database, under_way: _UnderWay) -> tuple[Delivery, dict[
         return None
 
 
-def _write_down(database: Database, delivery_id: str, message: str) -> None:
+def _write_down(database: Database, delivery_id: str, delivered: bool, message: str) -> None:
     with database.write() as session:
         delivery = session.get(Delivery, delivery_id)
         if delivery is None:
             return
         delivery.message = message
-        if not message:
-            delivery.status, delivery.next_try = "delivered", None
+        if delivered:
+            delivery.status, delivery.next_try = DeliveryStatus.DELIVERED, None
         elif delivery.tries >= TRIES:
-            delivery.status, delivery.next_try = "given up", None
+            delivery.status, delivery.next_try = DeliveryStatus.GIVEN_UP, None
         else:
-            delivery.status, delivery.next_try = "retrying", now() + _WAITS_S[delivery.tries - 1]
+            delivery.status, delivery.next_try = DeliveryStatus.RETRYING, now() + _WAITS_S[delivery.tries - 1]
 
 
 def signature(secret: str, name: str, timestamp: str, body: str) -> str:

@@ -1,11 +1,16 @@
 """`lvba run --events` and `--redo`: what programs read along, and stages made again on demand."""
 
+import errno
 import json
+import pickle
 import shutil
+from contextlib import nullcontext
 
 import pytest
 
-from lvba.errors import InputError
+from lvba.errors import DegenerateProblemError, InputError, Lack
+from lvba.io import files
+from service.cli import dispatch, main
 from service.cli.event_display import EventDisplay
 
 
@@ -33,7 +38,7 @@ def test_run_tells_stages_progress_records_and_its_end(undisturbed, recording, l
     recorded = {line["name"]: line["reused"] for line in told if line["event"] == "record"}
     assert [name for name, reused in recorded.items() if not reused] == ["input", "map", "facts"]
     assert told[-1]["event"] == "end"
-    assert told[-1]["code"] == 0
+    assert (told[-1]["code"], told[-1]["reason"]) == (0, "done")
     assert (out / "map.ply").read_bytes() == (undisturbed[0] / "map.ply").read_bytes()
 
 
@@ -51,6 +56,38 @@ def test_redo_of_no_stage_names_those_there_are(recording, lvba, tmp_path):
     assert "there is no such stage; one of these: lidar," in done.stderr
     end = lines(events)[-1]
     assert (end["code"], end["where"], end["problem"]) == (2, "--redo colour", "there is no such stage")
+    assert end["reason"] == "input"
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "reason"),
+    [
+        (InputError("map.ply", "cannot be read", "check it"), 2, "input"),
+        (files.input_error("map.ply", OSError(errno.ENOSPC, "pas d'espace disponible")), 2, "disk-full"),
+        (files.input_error("map.ply", OSError(errno.ENOMEM, "x")), 2, "out-of-memory"),
+        (OSError(errno.EDQUOT, "x", "map.ply"), 2, "disk-full"),
+        (DegenerateProblemError("out of memory is not what this is"), 1, "failed"),
+        (MemoryError(), 1, "out-of-memory"),
+        (KeyboardInterrupt(), 1, "stopped"),
+        (ZeroDivisionError(), 1, "unexpected"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else type(value).__name__,
+)
+def test_end_tells_why_by_a_word_for_programs(monkeypatch, tmp_path, error, code, reason):
+    def fail(*_):
+        raise error
+
+    monkeypatch.setattr(dispatch, "_command", lambda name: fail)
+    events = tmp_path / "events.jsonl"
+    arguments = main.parser().parse_args(["run", "x", "--out", str(tmp_path), "--events", str(events)])
+    with pytest.raises(ZeroDivisionError) if reason == "unexpected" else nullcontext():
+        assert dispatch.main(arguments) == code
+    assert (lines(events)[-1]["code"], lines(events)[-1]["reason"]) == (code, reason)
+
+
+def test_error_of_a_worker_keeps_what_the_machine_lacked():
+    error = pickle.loads(pickle.dumps(files.input_error("map.ply", OSError(errno.ENOSPC, "x"))))
+    assert error.lack is Lack.DISK
 
 
 def test_events_go_on_in_a_file_that_is_there(tmp_path):

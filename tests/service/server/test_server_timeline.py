@@ -8,8 +8,12 @@ import pytest
 from lvba import config
 from lvba.pipeline import Config
 from service.api import options_schema, rate_limits
+from service.db.leases import Lease
+from service.db.tables import Job
+from service.jobs.job_run import JobRun
 from service.jobs.timeline import Timeline, shares
 from service.problems import Problem
+from service.system.paths import Paths
 
 
 def run_of(*lines, weights=None, estimate=100.0):
@@ -117,17 +121,62 @@ def test_stage_that_runs_at_a_failure_has_failed():
     )
     assert timeline.stages[1]["state"] == "failed"
     assert told[-1][1]["state"] == "failed"
-    assert timeline.end["message"] == "x"
+    assert timeline.end.message == "x"
 
 
 @pytest.mark.parametrize("told", [True, False], ids=["it said so", "it was killed"])
 def test_stage_that_runs_when_a_job_is_canceled_has_not_failed(told):
     timeline, _ = run_of((0.0, NAMES), (0.0, begin("lidar")))
     if told:
-        timeline.take({"event": "end", "code": 1, "message": "stopped; finished stages are kept"}, 2.0)
+        timeline.take({"event": "end", "code": 1, "reason": "stopped", "message": "x"}, 2.0)
         assert timeline.stages[1]["state"] == "stopped"
     timeline.stop(3.0)
     assert [stage["state"] for stage in timeline.stages] == ["done", "stopped", "waiting", "waiting"]
+
+
+@pytest.mark.parametrize(
+    ("line", "state"),
+    [
+        ({"code": 1, "reason": "failed", "message": "stopped by too few planes"}, "failed"),
+        ({"code": 1, "reason": "stopped", "message": "interrupted"}, "stopped"),
+        ({"code": 130, "message": "stopped; finished stages are kept"}, "stopped"),  # of earlier versions
+        ({"code": 1, "message": "x"}, "failed"),
+        ({"code": 1, "reason": "of a later version", "message": "x"}, "failed"),
+    ],
+)
+def test_state_of_the_stage_at_the_end_comes_from_the_reason_and_never_from_the_sentence(line, state):
+    timeline, _ = run_of((0.0, NAMES), (0.0, begin("lidar")), (1.0, {"event": "end", **line}))
+    assert timeline.stages[1]["state"] == state
+
+
+@pytest.mark.parametrize(
+    ("line", "code"),
+    [
+        ({"code": 1, "reason": "out-of-memory", "message": "no room in memory"}, "out-of-memory"),
+        (
+            {"code": 2, "reason": "out-of-memory", "message": "a", "problem": "b", "mend": "c"},
+            "out-of-memory",
+        ),
+        ({"code": 1, "reason": "failed", "message": "out of memory of the LiDAR's clock"}, "failed"),
+        ({"code": 2, "reason": "input", "message": "a", "where": "a", "problem": "b", "mend": "c"}, "input"),
+    ],
+)
+def test_error_of_a_job_comes_from_the_reason_and_never_from_the_sentence(tmp_path, line, code):
+    run = JobRun.__new__(JobRun)
+    run.lease, run._paths, run._recording = Lease(Job, "job_1", "me", 1), Paths(tmp_path), tmp_path
+    run._timeline = run_of((0.0, NAMES), (0.0, begin("lidar")), (1.0, {"event": "end", **line}))[0]
+    error = run._failure(line["message"])
+    assert (error["code"], error["stage"]) == (code, "lidar")
+
+
+@pytest.mark.parametrize("problem", ["no space left on device", "pas d'espace disponible"])
+def test_full_disk_is_told_by_the_reason_in_every_language(tmp_path, problem):
+    run = JobRun.__new__(JobRun)
+    run._paths = Paths(tmp_path)
+    for reason in ("disk-full", "input"):
+        line = {"event": "end", "code": 2, "reason": reason, "message": problem, "problem": problem}
+        run._timeline = run_of((0.0, NAMES), (1.0, line))[0]
+        assert run._disk_is_full(2) == (reason == "disk-full")
 
 
 def test_options_have_every_setting_with_default_and_help():
