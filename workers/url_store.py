@@ -216,7 +216,11 @@ def _as_input_error(url: str) -> Iterator[None]:
     except InputError:
         raise
     except ImportError as error:
-        raise InputError(url, f"needs a package that is not here ({error})", "install lvba[s3]") from None
+        raise InputError(
+            url,
+            f"needs a package that is not here ({error})",
+            "pip install it; for s3: pip install 'lvba[s3]'",
+        ) from None
     except Exception as error:  # every file system has errors of its own
         problem = f"cannot be used ({type(error).__name__}: {error})"
         raise InputError(url, problem, "check the address and who may write there") from error

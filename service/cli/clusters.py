@@ -24,8 +24,6 @@ def check(arguments: argparse.Namespace) -> None:
     """
     if arguments.scheduler is not None:
         connections().at(arguments.scheduler, tls(arguments))
-    elif arguments.workers is not None:
-        connections()
     if arguments.scheduler is None and _tls_files(arguments) != [None, None, None]:
         raise InputError("--tls-ca", "means nothing without --scheduler", "give --scheduler tls://HOST:PORT")
     if memory_bytes(arguments) is not None and arguments.workers is None:
@@ -36,7 +34,7 @@ def check(arguments: argparse.Namespace) -> None:
 def scheduler(arguments: argparse.Namespace) -> "Iterator[Scheduler]":
     """The scheduler of --workers or --scheduler, for as long as the block runs.
 
-    Raises InputError: Dask is not installed, or options that do not fit together.
+    Raises InputError: options that do not fit together.
     """
     connection = connections()
     if arguments.scheduler is not None:
@@ -85,12 +83,7 @@ def _tls_files(arguments: argparse.Namespace) -> list[Path | None]:
 
 
 def connections() -> ModuleType:
-    """`workers.connection`.
+    """`workers.connection`, imported when a cluster is asked for: Dask takes its time."""
+    from workers import connection
 
-    Raises InputError: Dask is not installed.
-    """
-    try:
-        from workers import connection
-    except ImportError as error:
-        raise InputError("a cluster", f"needs Dask ({error})", "install lvba[cluster]") from None
     return connection

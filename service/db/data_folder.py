@@ -19,7 +19,12 @@ def open_database(settings: Settings, paths: Paths) -> Database:
         raise InputError(
             settings.data, f"cannot be used ({error.strerror})", "give --data another folder"
         ) from None
-    database = Database(settings.database_url)
+    try:
+        database = Database(settings.database_url)
+    except ImportError as error:
+        raise InputError(
+            "--database", f"needs a package that is not here ({error})", "pip install 'lvba[postgres]'"
+        ) from None
     try:
         database.migrate()
     except SQLAlchemyError as error:
