@@ -32,7 +32,7 @@ _MOST_COVARIANCES = 150
 class JointRound:
     """One association over all shares and the step that followed it.
 
-    cost: squared errors over their variances per point; moved: m, the furthest that a scan moved; refused: that it was to
+    cost: squared normalized residuals per point; moved: m, the furthest that a scan moved; refused: that it was to
     move, but did not
     """
 
@@ -80,7 +80,7 @@ def step(
         return state
     scans = len(state.world_from_scan)
     equations, weakness = assemble(state, found, config)
-    cost = found.equations.cost / max(found.points, 1.0)
+    cost = 2.0 * found.equations.cost / max(found.points, 1.0)
     facts = (number, found.planes, found.observations, cost, found.sigma)
     weak_scans = int(np.count_nonzero(weakness.count))
     change = _solve(equations, state.damping, config)
@@ -90,7 +90,7 @@ def step(
         entry = JointRound(*facts, distance, weak_scans, True)
         damping = max(10.0 * state.damping, _FIRST_DAMPING)
         return replace(state, damping=damping, history=(*state.history, entry))
-    gain = 0.5 * abs(float(np.sum(equations.gradient * change))) / (6 * scans)
+    gain = abs(float(np.sum(equations.gradient * change))) / (6 * scans)
     still = distance < stage.settled or gain < stage.least_gain
     held = weakness.count == 0
     prior = reestimated(state.prior, moved, held, config.prior_sigmas) if still else state.prior
@@ -154,7 +154,7 @@ def _solve(equations: NormalEquations, damping: float, config: LidarConfig) -> n
     free = np.ones((scans, 6), bool)
     free[0] = False
     for _ in range(8):
-        found = linear_solver.solve_step(equations, 0.0, free, added=damping * 2.0 / config.prior_sigmas**2)
+        found = linear_solver.solve_step(equations, 0.0, free, added=damping / config.prior_sigmas**2)
         if found is not None:
             return found
         damping = max(10.0 * damping, _FIRST_DAMPING)
@@ -180,7 +180,7 @@ def covariance(
     own = equations.rows == equations.columns
     diagonal = np.zeros((scans, 6, 6))
     diagonal[equations.rows[own]] = equations.blocks[own]
-    conditional = 2.0 * excess * np.linalg.inv(diagonal + 1e-9 * np.eye(6) * diagonal.max())
+    conditional = excess * np.linalg.inv(diagonal + 1e-9 * np.eye(6) * diagonal.max())
     free = np.ones((scans, 6), bool)
     free[0] = False
     factor = linear_solver.factorize(equations, 1e-12, free)
@@ -189,7 +189,7 @@ def covariance(
 
     def columns(right: np.ndarray) -> np.ndarray:
         """Covariance (6 S, 6 S) times (6 S, n)."""
-        return 2.0 * excess * factor(right)
+        return excess * factor(right)
 
     chosen = np.unique(np.linspace(0, scans - 1, min(scans, _MOST_COVARIANCES)).astype(int))
     motion, pick = alignment(poses)

@@ -248,7 +248,7 @@ def finish_scans(
         plane_points=PlanePoints(np.zeros((0, 3), np.float32), np.zeros(0, np.int32), np.zeros(1, np.int64)),
         history=(*(entry for part in parts for entry in part.history[:1]), *history),
         cost_initial=float(np.mean([part.history[0].cost_before for part in parts if part.history])),
-        cost_final=final.equations.cost / max(final.points, 1.0),
+        cost_final=2.0 * final.equations.cost / max(final.points, 1.0),
         iterations=len(state.history) + sum(len(part.history) for part in parts),
         converged=settled,
         weak_directions=uncertainty.weakness.common,

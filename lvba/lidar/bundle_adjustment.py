@@ -40,7 +40,7 @@ OBLIQUE = geometry.exp(np.array([0.31, 0.47, 0.58, 0.0, 0.0, 0.0]))
 class Round:
     """One association and the steps that followed it.
 
-    planes, observations: how many; cost_before, cost_after: squared errors over their variances per point, same planes;
+    planes, observations: how many; cost_before, cost_after: squared normalized residuals per point, same planes;
     sigma: m, typical distance of a point to its plane; moved: m, the furthest that a scan moved;
     weak_scans: scans with a weak direction
     """
@@ -66,7 +66,7 @@ class LidarResult:
         map around it
     step_covariance: (S - 1, 6, 6) float64, the same of the motion from each scan to the next, in the later one's tangent
     excess: how many times the planes' information promised too much; the covariances are wider by it
-    cost_initial, cost_final: squared errors over their variances per point, of the last association's planes at the
+    cost_initial, cost_final: squared normalized residuals per point, of the last association's planes at the
         rough poses and at the refined ones
     weak_directions: motions of all scans together that the planes leave open: held at the odometry
     weak_scans: (S,) int64, how many such directions each scan has
@@ -154,8 +154,8 @@ def refine(
         planes,
         plane_points,
         tuple(history),
-        problem.cost(rough) / _points(problem),
-        problem.cost(poses) / _points(problem),
+        2.0 * problem.cost(rough) / _points(problem),
+        2.0 * problem.cost(poses) / _points(problem),
         sum(entry.steps for entry in history),
         settled,
         weakness.common,
@@ -246,12 +246,13 @@ def _associate(
 
 def _settled(found: Solution, last: Round, stage: StageConfig) -> bool:
     """Whether the poses stand still after a round."""
-    gain = abs(found.cost_before - found.cost_after) / (6 * len(found.world_from_scan))
+    # costs are half the sums of squares
+    gain = 2.0 * abs(found.cost_before - found.cost_after) / (6 * len(found.world_from_scan))
     return last.moved < stage.settled or gain < stage.least_gain
 
 
 def _metric(config: LidarConfig) -> np.ndarray:
-    return np.asarray(2.0 / config.prior_sigmas**2)
+    return np.asarray(1.0 / config.prior_sigmas**2)
 
 
 def _round(problem: Problem, weakness: degeneracy.Weakness, before: np.ndarray, found: Solution) -> Round:
@@ -261,8 +262,8 @@ def _round(problem: Problem, weakness: degeneracy.Weakness, before: np.ndarray, 
     return Round(
         len(features),
         len(features.scan),
-        found.cost_before / points,
-        found.cost_after / points,
+        2.0 * found.cost_before / points,
+        2.0 * found.cost_after / points,
         problem.sigma,
         float(moved.max()),
         found.steps,

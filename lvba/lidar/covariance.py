@@ -49,7 +49,6 @@ def estimate(problem: Problem, world_from_scan: np.ndarray) -> Covariance:
     """How certain poses (S, 4, 4) that solve a problem are. No more than two matrices of all pairs of poses at once."""
     fits = fit(problem.features, world_from_scan)
     information = linearize(problem, world_from_scan, exact=False, fits=fits).hessian
-    information *= 0.5
     own = _blocks(information, 0)
     doubted = problem.prior is not None and len(world_from_scan) <= MOST_DOUBTED
     told = information[6:, 6:] if doubted else None
@@ -177,8 +176,8 @@ def _spread_by_covariance(
     found = float(np.einsum("ij,ij->", covariance, spread[6:, 6:]))
     if problem.prior is not None:
         _, diagonal, upper = problem.prior.linearize(world_from_scan)
-        found += 0.5 * float(np.sum(_blocks(covariance, 0) * diagonal[1:]))
-        found += float(np.sum(_blocks(covariance, 1) * upper[1:]))
+        found += float(np.sum(_blocks(covariance, 0) * diagonal[1:]))
+        found += 2.0 * float(np.sum(_blocks(covariance, 1) * upper[1:]))
     return found
 
 
@@ -215,9 +214,9 @@ def _prior_information(prior: OdometryPrior, world_from_scan: np.ndarray) -> np.
     total = np.zeros((scans, 6, scans, 6))
     _, diagonal, upper = prior.linearize(world_from_scan)
     here = np.arange(scans)
-    total[here, :, here, :] += 0.5 * diagonal
-    total[here[:-1], :, here[1:], :] += 0.5 * upper
-    total[here[1:], :, here[:-1], :] += 0.5 * np.swapaxes(upper, -1, -2)
+    total[here, :, here, :] += diagonal
+    total[here[:-1], :, here[1:], :] += upper
+    total[here[1:], :, here[:-1], :] += np.swapaxes(upper, -1, -2)
     return total.reshape(6 * scans, 6 * scans)[6:, 6:]
 
 

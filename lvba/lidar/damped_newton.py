@@ -7,8 +7,8 @@ import numpy as np
 from lvba.lidar.normal_equations import Problem, damped_step, linearize, retract
 from lvba.lidar.plane_feature import PlaneFits, fit
 
-_NOISE_OF_COST = 20.0
-"""A change of the cost (squared errors over variances) that means nothing. Weak directions are held against what the
+_COST_NOISE = 10.0
+"""A change of the cost that means nothing. Weak directions are held against what the
 planes' noise would have them do, so the cost of the planes may rise by about as much."""
 
 
@@ -41,7 +41,7 @@ def solve(
     poses, damping = world_from_scan, 0.0
     fits = fit(problem.features, poses)
     start = cost = problem.cost(poses, fits)
-    slack = 0.0 if problem.projector is None else _NOISE_OF_COST
+    slack = 0.0 if problem.projector is None else _COST_NOISE
     for taken in range(steps):
         trial = _trial(problem, poses, fits, cost + slack, damping, damping_metric, exact)
         if trial is None:

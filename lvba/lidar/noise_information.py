@@ -52,7 +52,7 @@ def feigned_information(
         axes[:, 0] = fits.eigenvectors[:, tangent]
         turned = replace(fits, total=fits.total * variance, eigenvectors=axes)
         found += linearize_planes(weighed, world_from_scan, sigma, turned, exact=False).hessian
-    return 0.5 * found
+    return found
 
 
 def certain(told: np.ndarray, feigned: np.ndarray, odometry: np.ndarray) -> np.ndarray:
@@ -96,7 +96,7 @@ def solve(problem: Problem, world_from_scan: np.ndarray, prior_sigmas: np.ndarra
     """
     fits = fit(problem.features, world_from_scan)
     planes = linearize_planes(problem.features, world_from_scan, problem.sigma, fits, exact=False)
-    feigned = 2.0 * feigned_information(problem.features, fits, world_from_scan, problem.sigma)
+    feigned = feigned_information(problem.features, fits, world_from_scan, problem.sigma)
     scale = np.tile(prior_sigmas, len(world_from_scan))
     both = np.outer(scale, scale)
     scaled = NormalEquations((planes.hessian * both)[6:, 6:], (planes.gradient * scale)[6:], planes.cost)

@@ -31,9 +31,9 @@ class Problem:
     """(S, 6, 6), keeps of a motion what the planes determine (see `degeneracy`); None: all of it."""
 
     def cost(self, world_from_scan: np.ndarray, fits: PlaneFits | None = None) -> float:
-        """The sum of squared errors over their variances at poses (S, 4, 4); fits: of the planes there, if at hand."""
+        """Half the sum of squared normalized residuals at poses (S, 4, 4); fits: of the planes there, if at hand."""
         fits = fit(self.features, world_from_scan) if fits is None else fits
-        planes = fits.cost / self.sigma**2
+        planes = 0.5 * fits.cost / self.sigma**2
         return planes + (self.prior.cost(world_from_scan) if self.prior else 0.0)
 
 
@@ -82,7 +82,7 @@ def linearize_planes(
         len(laid.feature),
         exact,
     )
-    scale = 1.0 / sigma**2
+    scale = 0.5 / sigma**2  # the kernel's cost is the sum of squares
     hessian = kernel.hessian(laid.starts, laid.feature, laid.seen, diagonal, columns)
     hessian *= scale
     return NormalEquations(hessian, gradient.ravel() * scale, fits.cost * scale)

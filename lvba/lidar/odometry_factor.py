@@ -26,9 +26,9 @@ class OdometryPrior:
     information: np.ndarray
 
     def cost(self, world_from_scan: np.ndarray) -> float:
-        """Sum of squared errors over their variances."""
+        """Half the sum of squared normalized residuals."""
         error = self._error(world_from_scan)
-        return float(np.einsum("ni,nij,nj->", error, self.information, error))
+        return 0.5 * float(np.einsum("ni,nij,nj->", error, self.information, error))
 
     def _error(self, world_from_scan: np.ndarray) -> np.ndarray:
         relative = geometry.inverse(world_from_scan[:-1]) @ world_from_scan[1:]
@@ -49,11 +49,11 @@ class OdometryPrior:
         gradient = np.zeros((scans, 6))
         diagonal = np.zeros((scans, 6, 6))
         pull = np.einsum("nij,nj->ni", self.information, error)
-        gradient[1:] += 2 * np.einsum("nji,nj->ni", later, pull)
-        gradient[:-1] += 2 * np.einsum("nji,nj->ni", earlier, pull)
-        diagonal[1:] += 2 * np.swapaxes(later, -1, -2) @ self.information @ later
-        diagonal[:-1] += 2 * np.swapaxes(earlier, -1, -2) @ self.information @ earlier
-        return gradient, diagonal, 2 * np.swapaxes(earlier, -1, -2) @ self.information @ later
+        gradient[1:] += np.einsum("nji,nj->ni", later, pull)
+        gradient[:-1] += np.einsum("nji,nj->ni", earlier, pull)
+        diagonal[1:] += np.swapaxes(later, -1, -2) @ self.information @ later
+        diagonal[:-1] += np.swapaxes(earlier, -1, -2) @ self.information @ earlier
+        return gradient, diagonal, np.swapaxes(earlier, -1, -2) @ self.information @ later
 
 
 def odometry_prior(

@@ -28,10 +28,8 @@ def dense(problem, poses, doubted):
     """(marginal, conditional, step, excess) by whole matrices."""
     scans = len(poses)
     fits = fit(problem.features, poses)
-    information = 0.5 * normal_equations.linearize(problem, poses, exact=False, fits=fits).hessian
-    planes = (
-        0.5 * normal_equations.linearize_planes(problem.features, poses, SIGMA, fits, exact=False).hessian
-    )
+    information = normal_equations.linearize(problem, poses, exact=False, fits=fits).hessian
+    planes = normal_equations.linearize_planes(problem.features, poses, SIGMA, fits, exact=False).hessian
     odometry = (information - planes)[6:, 6:]
     spread = covariance._gradient_spread(problem, poses, fits)[6:, 6:] + odometry
     inverse = np.linalg.inv(information[6:, 6:])

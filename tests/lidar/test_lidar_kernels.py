@@ -222,7 +222,7 @@ def test_gradient_and_hessian_against_differences_of_the_cost(problem):
     poses, _, features = problem
 
     def cost(step):
-        return plane_feature.fit(features, normal_equations.retract(poses, step)).cost
+        return 0.5 * plane_feature.fit(features, normal_equations.retract(poses, step)).cost
 
     equations = normal_equations.linearize_planes(features, poses, 1.0)
     rng = np.random.default_rng(3)
@@ -306,7 +306,7 @@ def test_distances_against_the_points(problem):
 def test_gradients_of_observations_add_up_to_those_of_the_scans(problem):
     poses, _, features = problem
     each = covariance.observation_gradients(features, plane_feature.fit(features, poses), poses)
-    total = np.stack([np.bincount(features.scan, 2 * each[:, k], len(poses)) for k in range(6)], 1)
+    total = np.stack([np.bincount(features.scan, each[:, k], len(poses)) for k in range(6)], 1)
     np.testing.assert_allclose(
         total.ravel(), normal_equations.linearize_planes(features, poses, 1.0).gradient, rtol=1e-9, atol=1e-9
     )
