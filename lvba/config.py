@@ -13,9 +13,26 @@ import yaml
 
 from lvba.errors import InputError
 from lvba.io import plain_yaml
+from lvba.settings import RangeError
 
 Config = TypeVar("Config")
 _MOST = 1 << 63
+
+
+class SettingError(InputError):
+    """A setting that does not exist, or a value that it cannot have.
+
+    setting: its dotted name, or that of its group, such as visual.levels
+    """
+
+    def __init__(self, where: str, path: str, problem: str, mend: str, name: str = "") -> None:
+        """path: as the message has it; name: of the setting in the group at path, if it is known."""
+        self.setting = f"{path}{name}".partition("[")[0].rstrip(".")
+        self._made_from = (where, path, problem, mend, name)
+        super().__init__(_at(where, path), problem, mend)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._made_from
 
 
 def load(kind: type[Config], text: str, overrides: Sequence[str] = (), where: str = "config") -> Config:
@@ -89,8 +106,9 @@ def names(kind: Any, prefix: str = "") -> list[str]:
 def _build(kind: Any, values: Any, where: str, path: str, base: Any) -> Any:
     if not isinstance(values, Mapping):
         example = f"{path.rstrip('.')}.{dataclasses.fields(kind)[0].name}"
-        raise InputError(
-            _at(where, path),
+        raise SettingError(
+            where,
+            path,
             f"{_quoted(values)} is a single value, but this is a group",
             f"set {example} or others in it",
         )
@@ -105,7 +123,18 @@ def _build(kind: Any, values: Any, where: str, path: str, base: Any) -> Any:
     try:
         return dataclasses.replace(base, **given) if base is not None else kind(**given)
     except ValueError as error:
-        raise InputError(_at(where, path), str(error), "choose a value in the range given") from None
+        name = error.name if isinstance(error, RangeError) else _culprit(kind, given, base)
+        raise SettingError(where, path, str(error), "choose a value in the range given", name) from None
+
+
+def _culprit(kind: Any, given: Mapping[str, Any], base: Any) -> str:
+    """The first setting of a group that is refused also alone; empty: they are refused together only."""
+    for name, value in given.items():
+        try:
+            dataclasses.replace(kind() if base is None else base, **{name: value})
+        except ValueError:
+            return name
+    return ""
 
 
 def coerce(value: Any, hint: Any, where: str, path: str, base: Any = None) -> Any:
@@ -123,8 +152,9 @@ def coerce(value: Any, hint: Any, where: str, path: str, base: Any = None) -> An
     try:
         return _coerce(value, hint)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(
-            _at(where, path),
+        raise SettingError(
+            where,
+            path,
             f"{_quoted(value)} is not {_words(hint)}",
             "see the default in config.yaml of any result",
         ) from None
@@ -206,7 +236,7 @@ def _put(values: dict[str, Any], names: list[str], value: Any, where: str) -> No
     values[names[-1]] = value
 
 
-def _unknown(kind: Any, name: str, where: str, path: str, known: list[str]) -> InputError:
+def _unknown(kind: Any, name: str, where: str, path: str, known: list[str]) -> SettingError:
     every = [path + other for other in names(kind)]
     close = difflib.get_close_matches(name, known, 1) or [
         # right name in the wrong group, or a misspelling further down
@@ -214,7 +244,7 @@ def _unknown(kind: Any, name: str, where: str, path: str, known: list[str]) -> I
         for other in difflib.get_close_matches(path + name, every, 1)
     ]
     mend = f"did you mean {path}{close[0]}?" if close else f"known here: {', '.join(known)}"
-    return InputError(_at(where, path + name), "no such setting", mend)
+    return SettingError(where, path + name, "no such setting", mend)
 
 
 def _at(where: str, path: str) -> str:

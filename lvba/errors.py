@@ -7,6 +7,7 @@ LvbaError
 """
 
 from enum import StrEnum
+from typing import Any
 
 
 class LvbaError(Exception):
@@ -43,7 +44,7 @@ class InputError(LvbaError):
             line.encode("utf-8", "backslashreplace").decode()
         )  # names of files may hold any bytes
 
-    def __reduce__(self) -> tuple[type["InputError"], tuple[str, str, str, Lack | None]]:
+    def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.where, self.problem, self.mend, self.lack)
 
 

@@ -13,6 +13,14 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 _KEY = "lvba.setting"
 
 
+class RangeError(ValueError):
+    """A value that a setting cannot have. name: of the field in its group."""
+
+    def __init__(self, name: str, message: str) -> None:
+        self.name = name
+        super().__init__(message)
+
+
 @dataclass(frozen=True)
 class About:
     """What a user is told of one setting.
@@ -32,6 +40,12 @@ class About:
     choices: tuple[Any, ...]
     change_when: str
     advanced: bool
+
+    @property
+    def text(self) -> str:
+        """Meaning, range and when to change it, as one text."""
+        allowed = " ".join(part for part in (self.allowed, self.unit) if part)
+        return " ".join(part for part in (self.meaning, allowed and f"{allowed}.", self.change_when) if part)
 
     @property
     def allowed(self) -> str:
@@ -78,9 +92,21 @@ def setting(
     choices: tuple[Any, ...] = (),
     advanced: bool = False,
 ) -> Any:
-    """A dataclass field with its description; see `About`."""
+    """A dataclass field with its description; see `About`.
+
+    The metadata also has the names under which pydantic looks for a description and limits: a service that is given the
+    dataclass describes it with these.
+    """
     about = About(meaning, unit, low, high, also, odd, choices, change_when, advanced)
-    return dataclasses.field(default=default, metadata={_KEY: about})
+    return dataclasses.field(default=default, metadata={_KEY: about, **_for_pydantic(about)})
+
+
+def _for_pydantic(about: About) -> dict[str, Any]:
+    limits = {} if about.also else {"ge": about.low, "le": about.high}
+    more: dict[str, Any] = {"level": "advanced" if about.advanced else "basic"}
+    more |= {"unit": about.unit} if about.unit else {}
+    found = {name: value for name, value in limits.items() if value is not None}
+    return {"description": about.text, "json_schema_extra": more, **found}
 
 
 def about(field: "dataclasses.Field[Any]") -> About | None:
@@ -90,7 +116,7 @@ def about(field: "dataclasses.Field[Any]") -> About | None:
 
 
 def check(config: Any) -> None:
-    """Raises ValueError: a setting of this group that is out of its range or none of its choices."""
+    """Raises RangeError: a setting of this group that is out of its range or none of its choices."""
     for field in dataclasses.fields(config):
         known = about(field)
         if known is None:
@@ -100,7 +126,7 @@ def check(config: Any) -> None:
             continue
         allowed = f"one of {known.allowed}" if known.choices else known.allowed
         unit = f" {known.unit}" if known.unit else ""
-        raise ValueError(f"{field.name} is {value!r}, must be {allowed}{unit}")
+        raise RangeError(field.name, f"{field.name} is {value!r}, must be {allowed}{unit}")
 
 
 def _is_allowed(value: Any, known: About) -> bool:

@@ -3,8 +3,17 @@
 import math
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    model_validator,
+)
 
+from lvba.pipeline import Config
 from service.datasets import file_names
 from service.system.printable import printable
 
@@ -27,6 +36,10 @@ def _plain_name(text: str) -> str:
             "is no name: it begins with . or ~ or a space, holds / or \\, or is that of a device"
         )
     return text
+
+
+def _as_given(value: Any, check: ValidatorFunctionWrapHandler) -> Any:
+    return check(value)
 
 
 def _plain(value: dict[str, Any]) -> dict[str, Any]:
@@ -54,14 +67,20 @@ def _check_plain(value: Any, depth: int) -> None:
 
 Text = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_clean)]
 Name = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_plain_name)]
-Settings = Annotated[dict[str, Any], AfterValidator(_plain)]
+Inputs = Annotated[dict[str, Any], AfterValidator(_plain)]
+RunSettings = Annotated[
+    dict[str, Any], WrapValidator(_as_given, json_schema_input_type=Config), AfterValidator(_plain)
+]
+"""Settings of a run: described by their dataclasses, kept as they are given, and checked as on the command line
+(`config.from_mapping`, in `submission`), so that every mistake has one text everywhere."""
 Days = Annotated[float, Field(gt=0, le=36500, allow_inf_nan=False)]
 Priority = Annotated[int, Field(ge=-10, le=10)]
 DatasetId = Annotated[str, Field(pattern=r"^ds_[0-9a-f]{1,40}$")]
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
+    # docstrings of fields are their descriptions where they have no others
+    model_config = ConfigDict(extra="forbid", strict=True, use_attribute_docstrings=True)
 
     @model_validator(mode="before")
     @classmethod
@@ -92,7 +111,7 @@ class NewJob(_Strict):
 
     dataset: DatasetId
     name: Name | None = None
-    config: Settings = Field(default_factory=dict)
+    config: RunSettings = Field(default_factory=dict)
     priority: Priority = 0
     reference: bool = False
     keep_days: Days | None = None
@@ -112,7 +131,7 @@ class Restart(_Strict):
 
     model_config = ConfigDict(extra="forbid", strict=True, populate_by_name=True)
     from_stage: Text | None = Field(default=None, alias="from")
-    config: Settings | None = None
+    config: RunSettings | None = None
 
 
 class NewBatch(_Strict):
@@ -135,4 +154,4 @@ class TicketFor(_Strict):
 class Execution(BaseModel):
     """An OGC execute request; what is not ours is ignored."""
 
-    inputs: Settings = Field(default_factory=dict)
+    inputs: Inputs = Field(default_factory=dict)

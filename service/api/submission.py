@@ -81,19 +81,12 @@ def check_config(values: dict[str, Any]) -> None:
     """Raises Problem: settings that do not exist or have wrong values."""
     try:
         config.from_mapping(Config, values)
-    except InputError as error:
+    except config.SettingError as error:
         problem = of_input(error)
-        problem.more["errors"] = [{"where": f"config.{_setting(error)}", "message": error.problem}]
+        problem.more["errors"] = [{"where": f"config.{error.setting}", "message": error.problem}]
         raise problem from None
     except (TypeError, ValueError, OverflowError) as error:
         raise Problem("invalid", f"config: {error}") from None
-
-
-def _setting(error: InputError) -> str:
-    """Name of the setting, or of the group of settings, that an error is about."""
-    group, word = str(error.where).partition(": ")[2], error.problem.split()[0]
-    known = config.names(Config)
-    return next((name for name in (f"{group}.{word}", word) if name in known), group)
 
 
 def _check(server: Server, session: Session, principal: Principal, wanted: NewJob) -> Dataset:

@@ -9,7 +9,8 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
-from service.api.options_schema import field_helps
+from pydantic import BaseModel, ConfigDict
+
 from service.cli import main
 from service.settings import GB, PREFIX, Limits, Settings
 
@@ -45,8 +46,24 @@ def _options() -> dict[str, str]:
     return {action.dest: action.option_strings[-1] for action in commands.choices["serve"]._actions}
 
 
+class _Described(BaseModel):
+    """Has pydantic find the text of each field."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+    settings: Settings
+
+
+def _helps(kind: Any) -> dict[str, str]:
+    groups = _Described.model_json_schema()["$defs"]
+    return {
+        name: " ".join(one["description"].split())
+        for name, one in groups[kind.__name__]["properties"].items()
+        if "description" in one
+    }
+
+
 def _rows(kind: Any, prefix: str, options: dict[str, str]) -> Iterator[tuple[str, str, str, str]]:
-    helps = field_helps(kind)
+    helps = _helps(kind)
     for field in dataclasses.fields(kind):
         if field.name == "limits":  # have a table of their own
             continue

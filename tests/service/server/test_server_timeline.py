@@ -4,10 +4,12 @@ import dataclasses
 import itertools
 
 import pytest
+from fastapi import FastAPI
 
 from lvba import config
 from lvba.pipeline import Config
 from service.api import options_schema, rate_limits
+from service.api.routes import jobs
 from service.db.leases import Lease
 from service.db.tables import Job
 from service.jobs.job_run import JobRun
@@ -202,6 +204,48 @@ def test_schema_takes_what_the_dataclasses_take():
     assert not validator.is_valid({"visual": {"levls": 2}})
     assert not validator.is_valid({"refine_scans": "yes"})
     assert {item.name for item in dataclasses.fields(Config)} == set(described["schema"]["properties"])
+
+
+def outside(option):
+    """Values on either side of what a setting takes."""
+    step = 1 if "integer" in option["type"] else 1e-3
+    if "minimum" in option:
+        yield option["minimum"] - step
+    if "maximum" in option:
+        yield option["maximum"] + step * max(1, abs(option["maximum"]))
+
+
+def test_limits_of_the_schema_are_those_that_are_kept():
+    limited = [option for option in options_schema.describe()["options"] if list(outside(option))]
+    for option in limited:
+        for value in outside(option):
+            nested = value
+            for part in reversed(option["name"].split(".")):
+                nested = {part: nested}
+            with pytest.raises(config.SettingError) as refused:
+                config.from_mapping(Config, nested)
+            assert refused.value.setting == option["name"]
+
+
+def test_schema_of_requests_holds_the_same_settings_as_the_options():
+    application = FastAPI()
+    application.include_router(jobs.router)
+    schemas = application.openapi()["components"]["schemas"]
+    names, texts = [], {}
+
+    def walk(schema, prefix):
+        for name, one in schema["properties"].items():
+            inner = schemas[one["$ref"].rsplit("/", 1)[1]] if "$ref" in one else one
+            if "properties" in inner:
+                walk(inner, f"{prefix}{name}.")
+            else:
+                names.append(prefix + name)
+                texts[prefix + name] = " ".join(one["description"].split())
+
+    walk(schemas[schemas["NewJob"]["properties"]["config"]["$ref"].rsplit("/", 1)[1]], "")
+    options = options_schema.describe()["options"]
+    assert names == [option["name"] for option in options] == config.names(Config)
+    assert texts == {option["name"]: option["help"] for option in options}
 
 
 def test_bucket_is_emptied_by_requests_and_fills_again():
