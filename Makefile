@@ -31,6 +31,7 @@ check: .venv/.installed-dev
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/check-jsonschema --quiet --builtin-schema vendor.citation-file-format CITATION.cff
 	PATH="$(CURDIR)/$(BIN):$$PATH" sh deploy/check.sh
 
 bench: .venv/.installed-dev

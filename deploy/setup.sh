@@ -53,7 +53,7 @@ fi
 say "installing lvba[$extras] into $venv"
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --editable ".[$extras]"
 
-if ! "$venv/bin/python" -c 'import open3d' 2>/dev/null; then
+if ls -d "$venv"/lib/python*/site-packages/open3d >/dev/null 2>&1 && ! "$venv/bin/python" -c 'import open3d' 2>/dev/null; then
     # shellcheck disable=SC2086
     system_install "Open3D lacks system libraries" $open3d_packages
     "$venv/bin/python" -c 'import open3d' || { say "Open3D cannot be imported: see the error above"; exit 1; }
