@@ -1,6 +1,6 @@
 """The whole API under requests that a machine makes up from its description: no server error, problems as promised.
 
-LVBA_FUZZ_EXAMPLES: requests of each operation (here few; the long run in docs/operations.md takes 200).
+LVBA_FUZZ_EXAMPLES: requests of each operation (here few; the long run in docs/evidence.md takes 200).
 """
 
 import os
