@@ -82,6 +82,10 @@ def missing(found, allowed):
     }
 
 
+def test_each_distribution_is_asked_for_once():
+    assert len(asked_for()) == len(PROJECT["dependencies"])
+
+
 def test_what_is_imported_at_once_comes_with_a_plain_install():
     found = imported(late=False)
     assert {"numpy", "distributed", "fastapi"} <= set(found)  # it looks where it should
