@@ -91,10 +91,11 @@ def entropy_figure(change: EntropyChange, config: GateConfig) -> Figure:
     return Figure("map_entropy", change.before, change.after, change.gain, change.error, found)
 
 
+_PSNR, _SSIM = "psnr_leave_one_out", "ssim_leave_one_out"
 _LOSSES = {
-    "psnr_leave_one_out": "min_psnr_loss",
+    _PSNR: "min_psnr_loss",
     "psnr_common": "min_psnr_loss",
-    "ssim_leave_one_out": "min_ssim_loss",
+    _SSIM: "min_ssim_loss",
     "ssim_common": "min_ssim_loss",
 }
 
@@ -150,8 +151,11 @@ def judge_scans(entropy: Figure, images: Sequence[Figure], config: GateConfig) -
     """Whether map and images together speak for refined scan poses: one gains beyond chance, the other does not deny it.
 
     images: from cameras carried along with the scans, without exposures on both sides; none where there are no images
-    Scan poses may make the map crisper and still be wrong, by sliding where planes leave it open: images see that. In a
-    small room few blocks of space make the error of the entropy's gain large; there the images may decide.
+    Scan poses may make the map crisper and still be wrong, by sliding where planes leave it open: images see that, by
+    PSNR. SSIM alone contradicts nothing here: the cameras are not refined yet, and where they are centimeters off, SSIM
+    punishes a crisp map for structure in the wrong place, and a blurred one less. In a simulated courtyard, scans that
+    come from 56 to 0.4 mm change PSNR by +0.05 +- 0.11 dB and SSIM by -0.019 +- 0.004. In a small room few blocks of space
+    make the error of the entropy's gain large; there the images may decide, if both of their figures allow it.
     """
     figures = (entropy, *images)
     change = _words(entropy)
@@ -160,13 +164,15 @@ def judge_scans(entropy: Figure, images: Sequence[Figure], config: GateConfig) -
     if entropy.finding == "unknown":
         return Verdict(False, "input poses kept: the map is too thin to be judged by its entropy", figures)
     asked = images if may_be_crisper(entropy, config) else ()
-    if lost := _agreed(asked, "worse"):
+    lost, gained = ([each.name for each in _agreed(asked, way)] for way in ("worse", "better"))
+    if _PSNR in lost and _SSIM not in gained:
         return Verdict(
             False,
-            f"input poses kept: the refined map is crisper ({change}), but images are predicted worse ({_words(*lost)})",
+            f"input poses kept: the refined map is crisper ({change}), "
+            f"but images are predicted worse ({_words(*_leading(images))})",
             figures,
         )
-    seen = any(figure.name.startswith("psnr") for figure in _agreed(asked, "better"))
+    seen = _PSNR in gained and _SSIM not in lost
     if entropy.finding != "better" and not seen:
         why = "not crisper" if entropy.gain <= 0 else "not crisper by more than chance"
         return Verdict(
@@ -248,7 +254,7 @@ _STAY = "scans stay where the LiDAR has them"
 def _agreed(figures: Sequence[Figure], finding: Finding) -> list[Figure]:
     """Those of PSNR and SSIM for which the pixels of their own and the common ones agree on a finding."""
     by_name = {figure.name: figure for figure in figures}
-    pairs = (("psnr_leave_one_out", "psnr_common"), ("ssim_leave_one_out", "ssim_common"))
+    pairs = ((_PSNR, "psnr_common"), (_SSIM, "ssim_common"))
     return [
         by_name[own]
         for own, common in pairs
@@ -257,13 +263,13 @@ def _agreed(figures: Sequence[Figure], finding: Finding) -> list[Figure]:
 
 
 def _leading(figures: Sequence[Figure]) -> list[Figure]:
-    return [figure for figure in figures if figure.name in ("psnr_leave_one_out", "ssim_leave_one_out")]
+    return [figure for figure in figures if figure.name in (_PSNR, _SSIM)]
 
 
 _IN_WORDS = {
     "map_entropy": ("mean map entropy", 4, ""),
-    "psnr_leave_one_out": ("leave-one-out PSNR", 3, " dB"),
-    "ssim_leave_one_out": ("leave-one-out SSIM", 4, ""),
+    _PSNR: ("leave-one-out PSNR", 3, " dB"),
+    _SSIM: ("leave-one-out SSIM", 4, ""),
 }
 
 

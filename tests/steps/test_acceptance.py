@@ -80,12 +80,18 @@ def test_scans_without_images(before, after, error, accepted, word):
         (1.0, 1.0, 0.5, True),
         (-0.09, -0.09, 0.496, True),
         (-1.0, -1.0, 0.5, False),
+        (-1.0, -1.0, 0.4, False),
+        (-1.0, -1.0, 0.6, True),
         (-1.0, 0.0, 0.5, True),
-        (1.0, 1.0, 0.4, False),
+        (1.0, 1.0, 0.4, True),
+        (CHANCE, CHANCE, 0.4, True),
     ],
 )
 def test_images_may_contradict_a_crisper_map(psnr, common, ssim, accepted):
-    """By PSNR over own and common pixels, or by SSIM, whatever the other says; losses that mean nothing do not."""
+    """By PSNR over own and common pixels, not against SSIM; losses that mean nothing do not.
+
+    SSIM alone may not: at cameras that are not refined it punishes a crisp map more than a blurred one.
+    """
     told = images(scores(BASE), scores(BASE + psnr, BASE + common, ssim))
     verdict = acceptance.judge_scans(entropy(-3.0, -3.1), told, CONFIG)
     assert verdict.accepted is accepted
