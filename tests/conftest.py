@@ -27,11 +27,12 @@ def pytest_addoption(parser):
 
 
 def pytest_collection_modifyitems(items):
-    """Deployments late: what they run is compiled by then, for which a slow machine takes minutes.
+    """The longest files first, so that none of them is left for one of several processes at the end.
 
-    The page at the very end: its browser's driver keeps an event loop running in this thread, in which no other can be.
+    Deployments late: what they run is compiled by then, for which a slow machine takes minutes. The page at the very end:
+    its browser's driver keeps an event loop running in this thread, in which no other can be.
     """
-    order = {"deploy": 1, "page": 2}
+    order = {"workers": -1, "deploy": 1, "page": 2}
     items.sort(key=lambda item: order.get(item.path.parent.name, 0))
 
 

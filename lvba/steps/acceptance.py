@@ -154,7 +154,7 @@ def judge_scans(entropy: Figure, images: Sequence[Figure], config: GateConfig) -
     Scan poses may make the map crisper and still be wrong, by sliding where planes leave it open: images see that, by
     PSNR. SSIM alone contradicts nothing here: the cameras are not refined yet, and where they are centimeters off, SSIM
     punishes a crisp map for structure in the wrong place, and a blurred one less. In a simulated courtyard, scans that
-    come from 56 to 0.4 mm change PSNR by +0.05 +- 0.11 dB and SSIM by -0.019 +- 0.004. In a small room few blocks make the
+    come from 56 to 0.4 mm change PSNR by +0.05 +- 0.11 dB and SSIM by -0.019 +- 0.004. In small rooms few blocks make the
     error of the entropy large; there the images may decide, if both of their figures allow it.
     """
     figures = (entropy, *images)
