@@ -173,7 +173,7 @@ def run(patches: tuple[int, ...] = (7, 9, 11)) -> dict[str, Any]:
                         "linearize_ms": 1e3
                         * best_seconds(lambda work=work, at=problem, state=start: work(at, state), 5),
                         "steps": len(found.history),
-                        "cost": found.equations.cost,
+                        "cost": found.cost,
                         "position_error_mm": 1e3 * error.ate_m,
                         "rotation_error_deg": error.rotation_deg,
                     }

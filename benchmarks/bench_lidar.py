@@ -25,9 +25,8 @@ from lvba.io.dataset import open_dataset
 from lvba.io.pcd import read_pcd
 from lvba.lidar import voxel_map
 from lvba.lidar.bundle_adjustment import LidarResult, balm2, refine
-from lvba.lidar.damped_newton import Solution, solve
-from lvba.lidar.normal_equations import Problem, linearize
 from lvba.lidar.plane_feature import PlaneFeatures, fit
+from lvba.lidar.problem import LidarSolution, Problem, solve
 from lvba.lidar.scan import Scans, gather
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -103,14 +102,14 @@ def as_balm2(folder: Path, repeats: int = 8) -> dict[str, Any]:
     """BALM2's method: planes once, then Newton's method to a relative change of 1e-6."""
     recording = Recording(folder)
 
-    def loop(features: PlaneFeatures) -> Solution:
+    def loop(features: PlaneFeatures) -> LidarSolution:
         problem = Problem(features, 1.0, None)
         return solve(problem, recording.rough, np.ones(6), steps=10, exact=True, tolerance=1e-6)
 
     read_s, _, scans = best(lambda: gather(recording.read()), repeats)
     planes_s, _, features = best(lambda: features_of(scans, recording.rough), repeats)
     loop_s, _, found = best(lambda: loop(features), repeats)
-    hessian_s, _, _ = best(lambda: linearize(Problem(features, 1.0, None), recording.rough), repeats)
+    hessian_s, _, _ = best(lambda: Problem(features, 1.0, None).linearize(recording.rough), repeats)
     total, processor_s, _ = best(
         lambda: loop(features_of(gather(recording.read()), recording.rough)), repeats
     )

@@ -1,7 +1,9 @@
 """Rigid transforms as (..., 4, 4) float64 arrays, named `a_from_b`: `x_a = a_from_b @ x_b`.
 
-Tangent vectors are `[rotation (rad) | translation (m)]`, 6 numbers, and act on the right (local perturbation):
-`retract(a_from_b, delta) = a_from_b @ exp(delta)`. Leading axes broadcast as in numpy.
+Tangent vectors are `[rotation (rad) | translation (m)]`, 6 numbers, and act on the right: `retract(a_from_b, delta) =
+a_from_b @ exp(delta)`. So both parts are in the axes of b (the sensor's own), the rotation is about b's origin, and to
+first order `R <- R (1 + [rotation]x)`, `t <- t + R translation`. All steps, Jacobians, normal equations and covariances
+of poses, LiDAR's and visual ones, are in this tangent. Leading axes broadcast as in numpy.
 Source of the closed forms: Sola et al. 2018, "A micro Lie theory", appendix D.
 """
 
@@ -106,8 +108,23 @@ def inverse_right_jacobian(rotation: np.ndarray) -> np.ndarray:
 
 
 def retract(a_from_b: np.ndarray, delta: np.ndarray) -> np.ndarray:
-    """`a_from_b @ exp(delta)`, with the rotation part made orthonormal again, (..., 4, 4)."""
-    return orthonormalize(a_from_b @ exp(delta))
+    """`a_from_b @ exp(delta)`, (..., 4, 4), with the rotation part made orthonormal again.
+
+    What does not move stays as it is, to the last bit.
+    """
+    delta = np.asarray(delta, float)
+    still = np.all(delta == 0, axis=-1)[..., None, None]
+    return np.asarray(np.where(still, a_from_b, orthonormalize(a_from_b @ exp(delta))))
+
+
+def turn_tangent(blocks: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """(..., 6, 6) covariances, information or projectors of `[rotation | translation]`, in turned axes: T blocks T^T.
+
+    rotation: (..., 3, 3), new axes from old ones; both parts are turned by it
+    """
+    turn = np.zeros((*rotation.shape[:-2], 6, 6))
+    turn[..., :3, :3] = turn[..., 3:, 3:] = rotation
+    return np.asarray(turn @ blocks @ np.swapaxes(turn, -1, -2))
 
 
 def orthonormalize(transform: np.ndarray) -> np.ndarray:

@@ -13,9 +13,8 @@ from scipy.spatial import cKDTree
 
 from lvba import geometry
 from lvba.kernels import voxel as kernel
-from lvba.lidar import degeneracy, voxel_map
+from lvba.lidar import degeneracy, plane_factor, voxel_map
 from lvba.lidar.config import StageConfig
-from lvba.lidar.normal_equations import linearize_planes
 from lvba.lidar.plane_feature import fit
 from lvba.lidar.point_cluster import PointClusters, split
 from lvba.lidar.scan import Scans, gather
@@ -72,16 +71,15 @@ class Share:
 class ShareEquations:
     """What one share says about the poses of its scans.
 
-    scans: (L,) as in `Share`; equations: over these, 6 unknowns each, world axes about each sensor
-    told, feigned: (L, 6, 6), what the planes say about each scan and what of it noise feigns, over sigma^2
-        (see `degeneracy`)
+    scans: (L,) as in `Share`; equations: over these, 6 unknowns each, local tangent
+    information, noise_information: (L, 6, 6), of the planes about each scan, over sigma^2, world axes (see `degeneracy`)
     planes, observations, points: how many; sigma: m, of a point about its plane
     """
 
     scans: np.ndarray
     equations: NormalEquations
-    told: np.ndarray
-    feigned: np.ndarray
+    information: np.ndarray
+    noise_information: np.ndarray
     planes: int
     observations: int
     points: float
@@ -212,13 +210,12 @@ def linearize(
     found = observation_weights(features, poses, weights, stage.systematic)
     features = features.with_weight(found.weight)
     fits = fit(features, poses)
-    dense = linearize_planes(features, poses, found.sigma, fits, exact=False)
-    told, feigned = degeneracy.information(features, fits, poses)
+    information, noise = degeneracy.information(features, fits, poses)
     return ShareEquations(
         share.scans,
-        _sparse(dense.hessian, dense.gradient, dense.cost),
-        told / found.sigma**2,
-        feigned / found.sigma**2,
+        plane_factor.linearize(features, poses, found.sigma, fits, exact=False),
+        information / found.sigma**2,
+        noise / found.sigma**2,
         len(features),
         len(features.scan),
         float(features.clusters.count.sum()),
@@ -229,21 +226,6 @@ def linearize(
 def _no_equations(count: int) -> NormalEquations:
     none = np.zeros(0, np.int32)
     return NormalEquations(none, none, np.zeros((0, 6, 6)), np.zeros((count, 6)), 0.0)
-
-
-def _sparse(hessian: np.ndarray, gradient: np.ndarray, cost: float) -> NormalEquations:
-    """The blocks on and above the diagonal in which there is anything."""
-    count = len(gradient) // 6
-    blocks = hessian.reshape(count, 6, count, 6).swapaxes(1, 2)
-    filled = np.triu(np.einsum("ijab,ijab->ij", blocks, blocks) > 0)
-    rows, columns = np.nonzero(filled)
-    return NormalEquations(
-        rows.astype(np.int32),
-        columns.astype(np.int32),
-        np.ascontiguousarray(blocks[rows, columns]),
-        gradient.reshape(count, 6),
-        cost,
-    )
 
 
 def summed(found: Iterable[ShareEquations]) -> ShareEquations | None:
@@ -267,16 +249,16 @@ def summed(found: Iterable[ShareEquations]) -> ShareEquations | None:
 def _both(a: ShareEquations, b: ShareEquations) -> ShareEquations:
     scans = np.union1d(a.scans, b.scans)
     places = [np.searchsorted(scans, each.scans) for each in (a, b)]
-    told, feigned = np.zeros((2, len(scans), 6, 6))
+    information, noise = np.zeros((2, len(scans), 6, 6))
     for place, each in zip(places, (a, b), strict=True):
-        told[place] += each.told
-        feigned[place] += each.feigned
+        information[place] += each.information
+        noise[place] += each.noise_information
     points = a.points + b.points
     return ShareEquations(
         scans,
         normal_equations.scattered([(places[0], a.equations), (places[1], b.equations)], len(scans)),
-        told,
-        feigned,
+        information,
+        noise,
         a.planes + b.planes,
         a.observations + b.observations,
         points,
@@ -288,13 +270,13 @@ def over_all(found: ShareEquations, count: int) -> ShareEquations:
     """The same over all of `count` scans; those that no plane sees do not occur in the equations."""
     if len(found.scans) == count:
         return found
-    told, feigned = np.zeros((2, count, 6, 6))
-    told[found.scans], feigned[found.scans] = found.told, found.feigned
+    information, noise = np.zeros((2, count, 6, 6))
+    information[found.scans], noise[found.scans] = found.information, found.noise_information
     equations = normal_equations.scattered([(found.scans, found.equations)], count)
     return replace(
         found,
         scans=np.arange(count, dtype=found.scans.dtype),
         equations=equations,
-        told=told,
-        feigned=feigned,
+        information=information,
+        noise_information=noise,
     )

@@ -13,17 +13,13 @@ from lvba.blocks.lidar_block import ShareEquations
 from lvba.errors import DegenerateProblemError
 from lvba.lidar import degeneracy
 from lvba.lidar.config import LidarConfig, StageConfig
-from lvba.lidar.covariance import alignment, local
+from lvba.lidar.covariance import alignment
 from lvba.lidar.degeneracy import Weakness
-from lvba.lidar.normal_equations import retract
 from lvba.lidar.odometry_factor import OdometryPrior, odometry_prior, reestimated
-from lvba.optim import linear_solver, normal_equations
+from lvba.lidar.problem import retract
+from lvba.optim import levenberg_marquardt, linear_solver
 from lvba.optim.normal_equations import NormalEquations
 
-_GROWTH = 2.0
-"""A step that is this many times longer than the one before it is refused: steps of a solve that converges shrink. Costs
-do not tell, for each round has planes and weights of its own."""
-_FIRST_DAMPING = 1.0
 _MOST_COVARIANCES = 150
 """Scans whose covariance is solved for; the others have that of the nearest one."""
 
@@ -88,7 +84,7 @@ def step(
     distance = _moved(moved, state.world_from_scan)
     if _grows(state, distance, number, stage):
         entry = JointRound(*facts, distance, weak_scans, True)
-        damping = max(10.0 * state.damping, _FIRST_DAMPING)
+        damping = levenberg_marquardt.raised(state.damping)
         return replace(state, damping=damping, history=(*state.history, entry))
     gain = abs(float(np.sum(equations.gradient * change))) / (6 * scans)
     still = distance < stage.settled or gain < stage.least_gain
@@ -97,7 +93,7 @@ def step(
     return JointState(
         moved,
         prior,
-        state.damping / 100,
+        levenberg_marquardt.eased(state.damping),
         number if still else state.settled,
         (*state.history, JointRound(*facts, distance, weak_scans, False)),
     )
@@ -107,7 +103,7 @@ def _grows(state: JointState, distance: float, number: int, stage: StageConfig) 
     """Whether a step of this length (m) is much longer than the last one of the same stage."""
     if not state.history or state.history[-1].stage != number or distance < 10 * stage.settled:
         return False
-    return distance > _GROWTH * state.history[-1].moved
+    return levenberg_marquardt.step_grows(distance, state.history[-1].moved)
 
 
 def assemble(
@@ -115,37 +111,15 @@ def assemble(
 ) -> tuple[NormalEquations, Weakness]:
     """The equations of the sum of all shares and of the prior, weak directions held at the odometry."""
     whole = lidar_block.over_all(found, len(state.world_from_scan))
-    weakness = degeneracy.judge(whole.told, whole.feigned, config.prior_sigmas)
-    planes = _projected(whole.equations, weakness.projector)
-    return planes + _of_prior(state.prior, state.world_from_scan), weakness
+    weakness = degeneracy.judge(
+        whole.information, whole.noise_information, state.world_from_scan, config.prior_sigmas
+    )
+    planes = whole.equations.projected(weakness.projector)
+    return planes + state.prior.linearize(state.world_from_scan), weakness
 
 
 def _moved(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.linalg.norm(a[:, :3, 3] - b[:, :3, 3], axis=1).max())
-
-
-def _projected(equations: NormalEquations, projector: np.ndarray) -> NormalEquations:
-    """The equations with what they say about weak directions taken out."""
-    if not np.any(projector - np.eye(6)):
-        return equations
-    left = np.swapaxes(projector, -1, -2)
-    return replace(
-        equations,
-        blocks=left[equations.rows] @ equations.blocks @ projector[equations.columns],
-        gradient=np.einsum("nij,nj->ni", left, equations.gradient),
-    )
-
-
-def _of_prior(prior: OdometryPrior, world_from_scan: np.ndarray) -> NormalEquations:
-    gradient, diagonal, upper = prior.linearize(world_from_scan)
-    here = np.arange(len(world_from_scan))
-    return normal_equations.from_blocks(
-        np.concatenate([here, here[:-1]]),
-        np.concatenate([here, here[1:]]),
-        np.concatenate([diagonal, upper]),
-        gradient,
-        prior.cost(world_from_scan),
-    )
 
 
 def _solve(equations: NormalEquations, damping: float, config: LidarConfig) -> np.ndarray:
@@ -153,12 +127,8 @@ def _solve(equations: NormalEquations, damping: float, config: LidarConfig) -> n
     scans = len(equations.gradient)
     free = np.ones((scans, 6), bool)
     free[0] = False
-    for _ in range(8):
-        found = linear_solver.solve_step(equations, 0.0, free, added=damping / config.prior_sigmas**2)
-        if found is not None:
-            return found
-        damping = max(10.0 * damping, _FIRST_DAMPING)
-    return np.zeros((scans, 6))
+    step, _ = levenberg_marquardt.damped_step(equations, damping, free, 1.0 / config.prior_sigmas**2)
+    return np.zeros((scans, 6)) if step is None else step
 
 
 @dataclass(frozen=True)
@@ -177,9 +147,7 @@ def covariance(
     equations, weakness = assemble(state, found, config)
     poses = state.world_from_scan
     scans = len(poses)
-    own = equations.rows == equations.columns
-    diagonal = np.zeros((scans, 6, 6))
-    diagonal[equations.rows[own]] = equations.blocks[own]
+    diagonal = equations.diagonal_blocks()
     conditional = excess * np.linalg.inv(diagonal + 1e-9 * np.eye(6) * diagonal.max())
     free = np.ones((scans, 6), bool)
     free[0] = False
@@ -210,4 +178,4 @@ def covariance(
         if nearest is not None
         else np.clip(np.searchsorted(chosen, np.arange(scans)), 0, len(chosen) - 1)
     )
-    return JointCovariance(local(np.stack(blocks)[index], poses), local(conditional, poses), weakness)
+    return JointCovariance(np.stack(blocks)[index], conditional, weakness)

@@ -7,7 +7,7 @@ import numpy as np
 
 from lvba import geometry
 from lvba.blocks.visual_block import CameraShare
-from lvba.optim import linear_solver, normal_equations
+from lvba.optim import levenberg_marquardt, normal_equations
 from lvba.optim.normal_equations import NormalEquations
 from lvba.visual import exposure_graph, photometric
 from lvba.visual import trajectory_prior as priors
@@ -15,7 +15,6 @@ from lvba.visual.exposure_graph import Edges, Exposures
 from lvba.visual.states import VisualState
 from lvba.visual.trajectory_prior import Prior
 
-_RISE = 0.01
 _FIRST_DAMPING = 1e-4
 _SETTLED_M = 1e-4
 _SETTLED_DEG = 1e-3
@@ -63,16 +62,18 @@ def step(now: JointCameras, found: Sequence[CameraShare], *, solve_exposures: bo
         joint = joint + priors.linearize(now.prior, now.state)
     cost = joint.cost / max(observations, 1)
     facts = (sum(each.points for each in found), observations, cost)
-    if cost > now.cost * (1 + _RISE) and not now.history[-1].taken_back:
+    if levenberg_marquardt.cost_rises(cost, now.cost) and not now.history[-1].taken_back:
         entry = JointCameraRound(*facts, *_moved(now.before, now.state), True)
         return replace(
-            now, state=now.before, damping=max(100 * now.damping, 1.0), history=(*now.history, entry)
+            now,
+            state=now.before,
+            damping=levenberg_marquardt.raised(now.damping),
+            history=(*now.history, entry),
         )
-    change = linear_solver.solve_step(
-        joint, now.damping, _free(equations, now.prior is not None, solve_exposures)
-    )
+    free = _free(equations, now.prior is not None, solve_exposures)
+    change, damping = levenberg_marquardt.damped_step(joint, now.damping, free)
     if change is None:
-        return replace(now, damping=max(100 * now.damping, 1.0))
+        return replace(now, damping=damping)
     cameras = photometric.moved(now.state.cameras, change[:-1])
     state = VisualState(cameras, priors.retract(now.state.mount, change[-1]))
     meters, degrees = _moved(now.state, state)
@@ -82,7 +83,7 @@ def step(now: JointCameras, found: Sequence[CameraShare], *, solve_exposures: bo
         now,
         state=state,
         before=now.state,
-        damping=max(now.damping / 10, 1e-9),
+        damping=levenberg_marquardt.eased(now.damping),
         cost=cost,
         settled=still,
         history=(*now.history, entry),

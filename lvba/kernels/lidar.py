@@ -233,31 +233,107 @@ def _tile_product(
     return block
 
 
+@njit(cache=True, nogil=True)
+def coupled(starts: np.ndarray, feature: np.ndarray, seen: np.ndarray, scans: int) -> np.ndarray:
+    """(S, S) bool: which scans, the first not after the second, see a feature together; each scan with itself.
+
+    starts, feature, seen: as in `hessian`
+    """
+    out = np.zeros((scans, scans), np.bool_)
+    tiles = len(starts) - 1
+    for i in range(tiles):
+        for j in range(i, tiles):
+            masks = np.zeros(TILE, np.int64)
+            a, b = starts[i], starts[j]
+            while a < starts[i + 1] and b < starts[j + 1]:
+                if feature[a] < feature[b]:
+                    a += 1
+                elif feature[a] > feature[b]:
+                    b += 1
+                else:
+                    for s in range(TILE):
+                        if (seen[a] >> s) & 1:
+                            masks[s] |= seen[b]
+                    a += 1
+                    b += 1
+            for s in range(min(TILE, scans - TILE * i)):
+                for u in range(min(TILE, scans - TILE * j)):
+                    row, column = TILE * i + s, TILE * j + u
+                    out[row, column] = row == column or (row < column and ((masks[s] >> u) & 1) == 1)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _turn_block(
+    block: np.ndarray, x: int, y: int, left: np.ndarray, right: np.ndarray, out: np.ndarray
+) -> None:
+    """out (6, 6) = L' B R, where B is 6 x 6 from (x, y) on, and L, R have the rotations left and right twice on their
+    diagonal."""
+    half = np.empty((6, 6))
+    for a in range(6):
+        for c in range(6):
+            first, turn = 3 * (c // 3), c % 3
+            half[a, c] = (
+                block[x + a, y + first] * right[0, turn]
+                + block[x + a, y + first + 1] * right[1, turn]
+                + block[x + a, y + first + 2] * right[2, turn]
+            )
+    for a in range(6):
+        first, turn = 3 * (a // 3), a % 3
+        for c in range(6):
+            out[a, c] = (
+                left[0, turn] * half[first, c]
+                + left[1, turn] * half[first + 1, c]
+                + left[2, turn] * half[first + 2, c]
+            )
+
+
 @parallel
 def hessian(
-    starts: np.ndarray, feature: np.ndarray, seen: np.ndarray, diagonal: np.ndarray, columns: np.ndarray
+    starts: np.ndarray,
+    feature: np.ndarray,
+    seen: np.ndarray,
+    diagonal: np.ndarray,
+    columns: np.ndarray,
+    rotation: np.ndarray,
+    slot: np.ndarray,
+    blocks: int,
 ) -> np.ndarray:
-    """The dense H = D - W W', (6 S, 6 S), both triangles.
+    """Blocks (M, 6, 6) of H = D - W W' on and above its diagonal, each pose in its own axes.
 
-    diagonal: (S, 6, 6) and columns: (P, 3, 6 TILE) of `linearize`. Tile t of TILE scans owns panels starts[t] to
-    starts[t + 1], ascending in feature (P,) int32; seen: (P,) int64, bit s is set where scan s of the tile sees it.
-    Pairs of tiles are outputs of one thread each, and small enough to stay in its cache.
+    diagonal: (S, 6, 6) and columns: (P, 3, 6 TILE) of `linearize`, world axes; rotation: (S, 3, 3), world from scan.
+    Tile t of TILE scans owns panels starts[t] to starts[t + 1], ascending in feature (P,) int32; seen: (P,) int64, bit
+    s is set where scan s of the tile sees it. slot: (S, S) int32, where the block of a pair of scans is written, -1:
+    nowhere;
+    blocks: M. Pairs of tiles are outputs of one thread each, and small enough to stay in its cache.
     """
-    tiles, size = len(starts) - 1, 6 * len(diagonal)
-    out = np.empty((size, size))
+    tiles, scans = len(starts) - 1, len(diagonal)
+    out = np.zeros((blocks, 6, 6))
     pairs = np.array([(i, i + d) for d in range(tiles) for i in range(tiles - d)])
     for h in prange((len(pairs) + 1) // 2):
         # near pairs have more in common than far ones: a thread's static share gets of both alike
         for turn in range(2):
             n = np.int64(h) if turn == 0 else np.int64(len(pairs) - 1 - h)
             i, j = pairs[n, 0], pairs[n, 1]
+            if turn == 1 and n == h:
+                continue
             block = _tile_product(i, j, starts, feature, seen, columns)
-            for x in range(min(_WIDTH, size - _WIDTH * i)):
-                for y in range(min(_WIDTH, size - _WIDTH * j)):
-                    out[_WIDTH * i + x, _WIDTH * j + y] = -block[x, y]
-                    out[_WIDTH * j + y, _WIDTH * i + x] = -block[x, y]
-    for s in range(len(diagonal)):
-        out[6 * s : 6 * s + 6, 6 * s : 6 * s + 6] += diagonal[s]
+            for s in range(min(TILE, scans - TILE * i)):
+                row = TILE * i + s
+                for u in range(min(TILE, scans - TILE * j)):
+                    column = TILE * j + u
+                    at = slot[row, column] if row <= column else -1
+                    if at < 0:
+                        continue
+                    for a in range(6):
+                        for c in range(6):
+                            own = diagonal[row, a, c] if row == column else 0.0
+                            block[6 * s + a, 6 * u + c] = own - block[6 * s + a, 6 * u + c]
+                    _turn_block(block, 6 * s, 6 * u, rotation[row], rotation[column], out[at])
+                    if row == column:
+                        for a in range(6):
+                            for c in range(a):
+                                out[at, a, c] = out[at, c, a]
     return out
 
 
@@ -273,15 +349,15 @@ def information(
     vectors: np.ndarray,
     variance: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What each scan's observations say about its pose, planes held fixed: (S, 6, 6), and what of it the planes' own
-    uncertainty feigns, (S, 6, 6): a normal that is off by noise measures a motion along its plane that nothing tells.
+    """Information of each scan's observations about its pose, planes held fixed: (S, 6, 6), and the part of it that is
+    due to the noise of the normals alone, (S, 6, 6): a normal that is off seems to measure a motion along its plane.
 
     variance: (F, 2), rad^2, of each plane's normal towards its two tangents. World axes about each sensor; sums of
     weights, that is times sigma^2.
     """
     scans = len(scan_starts) - 1
-    told = np.zeros((scans, 6, 6))
-    feigned = np.zeros((scans, 6, 6))
+    found = np.zeros((scans, 6, 6))
+    of_noise = np.zeros((scans, 6, 6))
     for s in prange(scans):
         r = rotation[s]
         lever = np.empty(3)
@@ -306,7 +382,7 @@ def information(
                 row[1] = lever[2] * u[0] - lever[0] * u[2]
                 row[2] = lever[0] * u[1] - lever[1] * u[0]
                 row[3], row[4], row[5] = u[0], u[1], u[2]
-                out = told[s] if j == 0 else feigned[s]
+                out = found[s] if j == 0 else of_noise[s]
                 scale = weight * count[o]
                 for a in range(6):
                     for c in range(6):
@@ -320,4 +396,4 @@ def information(
                 out[2, 0] += weight * turned[2]
                 out[2, 1] += weight * turned[4]
                 out[2, 2] += weight * turned[5]
-    return told, feigned
+    return found, of_noise

@@ -18,11 +18,10 @@ from lvba.errors import DegenerateProblemError
 from lvba.lidar import covariance as uncertainty
 from lvba.lidar import degeneracy, density, noise_information, surface, voxel_map
 from lvba.lidar.config import LidarConfig, StageConfig, balm2
-from lvba.lidar.damped_newton import Solution, solve
-from lvba.lidar.normal_equations import Problem
 from lvba.lidar.odometry_factor import OdometryPrior, odometry_prior, reestimated
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.lidar.plane_feature import fit
+from lvba.lidar.problem import LidarSolution, Problem, solve
 from lvba.lidar.scan import Scans, gather
 from lvba.lidar.voxel_map import Association, VoxelMap
 from lvba.lidar.weights import observation_weights
@@ -244,7 +243,7 @@ def _associate(
     return Problem(features, weights.sigma, prior, projector), weakness
 
 
-def _settled(found: Solution, last: Round, stage: StageConfig) -> bool:
+def _settled(found: LidarSolution, last: Round, stage: StageConfig) -> bool:
     """Whether the poses stand still after a round."""
     # costs are half the sums of squares
     gain = 2.0 * abs(found.cost_before - found.cost_after) / (6 * len(found.world_from_scan))
@@ -255,7 +254,9 @@ def _metric(config: LidarConfig) -> np.ndarray:
     return np.asarray(1.0 / config.prior_sigmas**2)
 
 
-def _round(problem: Problem, weakness: degeneracy.Weakness, before: np.ndarray, found: Solution) -> Round:
+def _round(
+    problem: Problem, weakness: degeneracy.Weakness, before: np.ndarray, found: LidarSolution
+) -> Round:
     features = problem.features
     points = _points(problem)
     moved = np.linalg.norm(found.world_from_scan[:, :3, 3] - before[:, :3, 3], axis=1)

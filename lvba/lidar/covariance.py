@@ -13,11 +13,10 @@ import numpy as np
 import scipy.linalg
 
 from lvba import geometry
-from lvba.kernels import lidar as kernel
-from lvba.lidar import noise_information, panels
-from lvba.lidar.normal_equations import Problem, linearize
-from lvba.lidar.odometry_factor import OdometryPrior
+from lvba.lidar import noise_information, panels, plane_factor
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
+from lvba.lidar.problem import Problem
+from lvba.optim.normal_equations import NormalEquations
 
 
 @dataclass(frozen=True)
@@ -42,16 +41,16 @@ class Covariance:
 
 
 MOST_DOUBTED = 400
-"""Scans: what noise feigns about more of them together is not looked at, for it takes an eigenproblem of all."""
+"""Scans: the noise information about more of them together is not looked at, for it takes an eigenproblem of all."""
 
 
 def estimate(problem: Problem, world_from_scan: np.ndarray) -> Covariance:
     """How certain poses (S, 4, 4) that solve a problem are. No more than two matrices of all pairs of poses at once."""
     fits = fit(problem.features, world_from_scan)
-    information = linearize(problem, world_from_scan, exact=False, fits=fits).hessian
+    information = problem.linearize(world_from_scan, exact=False, fits=fits).dense()
     own = _blocks(information, 0)
     doubted = problem.prior is not None and len(world_from_scan) <= MOST_DOUBTED
-    told = information[6:, 6:] if doubted else None
+    whole = information[6:, 6:] if doubted else None
     inverse = _inverse(information[6:, 6:])
     del information
     # the mean, over all motions, of what the robust covariance would be relative to the plain one
@@ -59,19 +58,14 @@ def estimate(problem: Problem, world_from_scan: np.ndarray) -> Covariance:
     inverse *= excess
     step = _of_steps(inverse, world_from_scan)
     loose = np.zeros(0)
-    if problem.prior is not None and told is not None:
-        feigned = noise_information.feigned_information(
-            problem.features, fits, world_from_scan, problem.sigma
-        )[6:, 6:]
-        odometry = _prior_information(problem.prior, world_from_scan)
-        certain = noise_information.certain(told - odometry, feigned, odometry)
+    if problem.prior is not None and whole is not None:
+        noise = noise_information.linearize(problem.features, fits, world_from_scan, problem.sigma)
+        odometry = problem.prior.linearize(world_from_scan).dense()[6:, 6:]
+        certain = noise_information.certain(whole - odometry, noise.dense()[6:, 6:], odometry)
         inverse = _inverse(certain / excess + odometry)
         loose = _narrowed(_of_steps(inverse, world_from_scan), problem.prior.information)
     conditional = np.stack([excess * _inverse(block) for block in own])
-    marginal = _aligned(inverse, world_from_scan)
-    return Covariance(
-        local(marginal, world_from_scan), local(conditional, world_from_scan), step, excess, loose
-    )
+    return Covariance(_aligned(inverse, world_from_scan), conditional, step, excess, loose)
 
 
 def _blocks(matrix: np.ndarray, apart: int) -> np.ndarray:
@@ -96,20 +90,12 @@ def _of_steps(covariance: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray
     each = np.concatenate([none, _blocks(covariance, 0)])
     upper = np.concatenate([none, _blocks(covariance, 1)])
     relative = geometry.inverse(world_from_scan[1:]) @ world_from_scan[:-1]
-    turn = np.zeros((len(world_from_scan), 6, 6))
-    turn[:, :3, :3] = turn[:, 3:, 3:] = np.swapaxes(world_from_scan[:, :3, :3], -1, -2)
-    by_both = np.concatenate([-geometry.adjoint(relative) @ turn[:-1], turn[1:]], axis=2)
+    later = np.broadcast_to(np.eye(6), (len(relative), 6, 6))
+    by_both = np.concatenate([-geometry.adjoint(relative), later], axis=2)
     pairs = np.empty((len(upper), 12, 12))
     pairs[:, :6, :6], pairs[:, 6:, 6:] = each[:-1], each[1:]
     pairs[:, :6, 6:], pairs[:, 6:, :6] = upper, np.swapaxes(upper, -1, -2)
     return np.asarray(by_both @ pairs @ np.swapaxes(by_both, -1, -2))
-
-
-def local(blocks: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray:
-    """Blocks (S, 6, 6) of world axes about each sensor, in the sensor's own axes."""
-    turn = np.zeros(blocks.shape)
-    turn[:, :3, :3] = turn[:, 3:, 3:] = np.swapaxes(world_from_scan[:, :3, :3], -1, -2)
-    return np.asarray(turn @ blocks @ np.swapaxes(turn, -1, -2))
 
 
 LEAST = 1e-12
@@ -128,12 +114,13 @@ def off_map(covariance: Covariance, world_from_scan: np.ndarray) -> np.ndarray:
     the others by little is off together, but its cameras see the map of the others too.
     """
     conditional = covariance.conditional + LEAST * np.eye(6)
-    marginal = local(covariance.marginal, geometry.inverse(world_from_scan)) + LEAST * np.eye(6)
+    rotation = world_from_scan[:, :3, :3]
+    marginal = geometry.turn_tangent(covariance.marginal, rotation) + LEAST * np.eye(6)
     information = np.concatenate([np.zeros((1, 6, 6)), np.cumsum(np.linalg.inv(marginal), axis=0)])
     here = np.arange(len(marginal))
     first, last = np.maximum(here - _WAY, 0), np.minimum(here + _WAY + 1, len(marginal))
     mean = (information[last] - information[first]) / (last - first)[:, None, None]
-    beyond = local(marginal - _ORDINARY * np.linalg.inv(mean), world_from_scan)
+    beyond = geometry.turn_tangent(marginal - _ORDINARY * np.linalg.inv(mean), np.swapaxes(rotation, -1, -2))
     return np.asarray(conditional + positive(beyond - conditional))
 
 
@@ -172,25 +159,35 @@ def _spread_by_covariance(
 ) -> float:
     """The trace of the product of the spread of all gradients, of planes and odometry, and a covariance
     (6 S - 6, 6 S - 6) of all poses but the first."""
-    spread = _gradient_spread(problem, world_from_scan, fits)
-    found = float(np.einsum("ij,ij->", covariance, spread[6:, 6:]))
+    found = _trace_of_product(_gradient_spread(problem, world_from_scan, fits), covariance)
     if problem.prior is not None:
-        _, diagonal, upper = problem.prior.linearize(world_from_scan)
-        found += float(np.sum(_blocks(covariance, 0) * diagonal[1:]))
-        found += 2.0 * float(np.sum(_blocks(covariance, 1) * upper[1:]))
+        found += _trace_of_product(problem.prior.linearize(world_from_scan), covariance)
     return found
 
 
-def _gradient_spread(problem: Problem, world_from_scan: np.ndarray, fits: PlaneFits) -> np.ndarray:
-    """Sum over planes of the outer products of their gradients, (6 S, 6 S), world axes about each sensor."""
+def _trace_of_product(equations: NormalEquations, covariance: np.ndarray) -> float:
+    """tr(H C) of a Hessian and a covariance (6 S - 6, 6 S - 6) of all blocks but the first."""
+    free = len(equations.gradient) - 1
+    pairs = covariance.reshape(free, 6, free, 6)
+    mine = equations.rows > 0
+    rows, columns, blocks = equations.rows[mine] - 1, equations.columns[mine] - 1, equations.blocks[mine]
+    traces = np.einsum("mab,mab->m", pairs[rows, :, columns], blocks)
+    return float(np.where(rows == columns, 1.0, 2.0) @ traces)
+
+
+def _gradient_spread(problem: Problem, world_from_scan: np.ndarray, fits: PlaneFits) -> NormalEquations:
+    """Sum over planes of the outer products of their gradients, as the Hessian; no gradient, no cost."""
     features = problem.features
     gradient = observation_gradients(features, fits, world_from_scan) / problem.sigma**2
     if problem.projector is not None:
-        gradient = np.einsum("oji,oj->oi", problem.projector[features.scan], gradient)
+        in_world = geometry.turn_tangent(problem.projector, world_from_scan[:, :3, :3])
+        gradient = np.einsum("oji,oj->oi", in_world[features.scan], gradient)
     scans = len(world_from_scan)
     laid = panels.lay_out(features, scans)
     columns = panels.fill(laid, features, gradient)
-    return -np.asarray(kernel.hessian(laid.starts, laid.feature, laid.seen, np.zeros((scans, 6, 6)), columns))
+    rotation = np.ascontiguousarray(world_from_scan[:, :3, :3])
+    rows, others, blocks = plane_factor.hessian_blocks(laid, np.zeros((scans, 6, 6)), columns, rotation)
+    return NormalEquations(rows, others, -blocks, np.zeros((scans, 6)), 0.0)
 
 
 def observation_gradients(
@@ -206,18 +203,6 @@ def observation_gradients(
     turned = np.stack([xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z], 1)
     turned += height[:, None] * lever
     return np.concatenate([np.cross(turned, normal), height[:, None] * normal], axis=1)
-
-
-def _prior_information(prior: OdometryPrior, world_from_scan: np.ndarray) -> np.ndarray:
-    """The prior's information about all poses but the first, (6 S - 6, 6 S - 6)."""
-    scans = len(world_from_scan)
-    total = np.zeros((scans, 6, scans, 6))
-    _, diagonal, upper = prior.linearize(world_from_scan)
-    here = np.arange(scans)
-    total[here, :, here, :] += diagonal
-    total[here[:-1], :, here[1:], :] += upper
-    total[here[1:], :, here[:-1], :] += np.swapaxes(upper, -1, -2)
-    return total.reshape(6 * scans, 6 * scans)[6:, 6:]
 
 
 def _aligned(covariance: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray:
@@ -237,7 +222,7 @@ def _aligned(covariance: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray:
 
 
 def alignment(world_from_scan: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rigid motions (6 S, 6) of all poses, and what picks them out of a motion of all poses, (6 S, 6)."""
+    """Rigid motions (6 S, 6) of all poses, local tangents, and what picks them out of a motion of all poses, (6 S, 6)."""
     arm = world_from_scan[:, :3, 3] - world_from_scan[:, :3, 3].mean(0)
     rigid = np.zeros((len(arm), 6, 6))
     rigid[:, :3, :3] = rigid[:, 3:, 3:] = np.eye(3)
@@ -247,4 +232,6 @@ def alignment(world_from_scan: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     # positions on a line leave the rotation about it open: the orientations decide, as in `trajectory.align`
     lever = max(1e-3 * float(np.sqrt((arm**2).sum(1).mean())), 1e-6)
     seen[:, :3, :3] = lever**2 * np.eye(3)
-    return rigid.reshape(-1, 6), seen.reshape(-1, 6)
+    turn = np.zeros_like(rigid)
+    turn[:, :3, :3] = turn[:, 3:, 3:] = np.swapaxes(world_from_scan[:, :3, :3], -1, -2)
+    return (turn @ rigid).reshape(-1, 6), (turn @ seen).reshape(-1, 6)

@@ -1,7 +1,7 @@
 """Directions in which the planes do not hold a scan: found, held at the odometry, and reported.
 
 One plane leaves a scan three free directions, a corridor one. The cost is not quite flat there: the noise of the fitted
-normals feigns information, and following it lets a scan slide along its walls by much more than the odometry is off.
+normals makes up information, and following it lets a scan slide along its walls by much more than the odometry is off.
 """
 
 from dataclasses import dataclass
@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
+from lvba import geometry
 from lvba.kernels import lidar as kernel
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits
 from lvba.lidar.point_cluster import split
@@ -16,7 +17,7 @@ from lvba.lidar.point_cluster import split
 TRUSTED_POINTS = 50.0
 """A normal is never trusted better than one of this many independent points: surfaces have edges and bumps."""
 SIGNAL_TO_NOISE = 4.0
-"""Information below this multiple of what noise feigns is not followed."""
+"""Information below this multiple of what noise alone makes up is not followed."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class WeakDirection:
 class Weakness:
     """What the planes leave open.
 
-    projector: (S, 6, 6), world axes about each sensor: keeps of a motion what the planes determine
+    projector: (S, 6, 6), local tangent: keeps of a motion what the planes determine
     count: (S,) int64, weak directions of each scan
     common: those of all scans together
     """
@@ -53,27 +54,36 @@ def find(
     prior_sigmas: np.ndarray,
 ) -> Weakness:
     """The weak directions at poses (S, 4, 4); prior_sigmas: (6,), rad and m, of the odometry from scan to scan."""
-    told, feigned = information(features, fits, world_from_scan)
-    return judge(told / sigma**2, feigned / sigma**2, prior_sigmas)
+    found, noise = information(features, fits, world_from_scan)
+    return judge(found / sigma**2, noise / sigma**2, world_from_scan, prior_sigmas)
 
 
-def judge(told: np.ndarray, feigned: np.ndarray, prior_sigmas: np.ndarray) -> Weakness:
-    """The weak directions of what planes say about each scan (S, 6, 6) and what of it noise feigns (S, 6, 6), both over
-    the variance of a point; prior_sigmas: as in `find`."""
+def judge(
+    information: np.ndarray,
+    noise_information: np.ndarray,
+    world_from_scan: np.ndarray,
+    prior_sigmas: np.ndarray,
+) -> Weakness:
+    """The weak directions of the planes' information about each scan (S, 6, 6).
+
+    information, noise_information: as `information` finds them, over the variance of a point; world_from_scan: (S, 4, 4);
+    prior_sigmas: as in `find`
+    """
     scale = np.outer(prior_sigmas, prior_sigmas)
-    told, noise = told * scale, SIGNAL_TO_NOISE * feigned * scale + np.eye(6)
-    scans = len(told)
+    found, noise = information * scale, SIGNAL_TO_NOISE * noise_information * scale + np.eye(6)
+    scans = len(found)
     projector = np.broadcast_to(np.eye(6), (scans, 6, 6)).copy()
     count = np.zeros(scans, np.int64)
     for index in range(scans):
-        values, vectors = scipy.linalg.eigh(told[index], noise[index], check_finite=False)
+        values, vectors = scipy.linalg.eigh(found[index], noise[index], check_finite=False)
         weak = vectors[:, values < 1.0]
         count[index] = weak.shape[1]
         if count[index]:
             basis = np.linalg.qr(weak)[0]
             inside = np.eye(6) - basis @ basis.T
-            projector[index] = inside * np.outer(prior_sigmas, 1.0 / prior_sigmas)
-    values, vectors = scipy.linalg.eigh(told.mean(0), noise.mean(0), check_finite=False)
+            inside *= np.outer(prior_sigmas, 1.0 / prior_sigmas)
+            projector[index] = geometry.turn_tangent(inside, world_from_scan[index, :3, :3].T)
+    values, vectors = scipy.linalg.eigh(found.mean(0), noise.mean(0), check_finite=False)
     common = tuple(
         WeakDirection(vector / np.linalg.norm(vector), float(value))
         for value, vector in zip(values, vectors.T, strict=True)
@@ -85,8 +95,11 @@ def judge(told: np.ndarray, feigned: np.ndarray, prior_sigmas: np.ndarray) -> We
 def information(
     features: PlaneFeatures, fits: PlaneFits, world_from_scan: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What the planes say about each scan (S, 6, 6) and what of it noise feigns (S, 6, 6), both times the variance of a
-    point; see `kernels.lidar.information`."""
+    """The planes' information about each scan (S, 6, 6), and the part of it due to normal noise alone (S, 6, 6).
+
+    Both times the variance of a point, in world axes about each sensor, in which scans can be compared; see
+    `kernels.lidar.information`.
+    """
     clusters = features.clusters.weighted(features.weight)
     by_scan = np.argsort(features.scan, kind="stable")
     starts = np.searchsorted(features.scan[by_scan], np.arange(len(world_from_scan) + 1))

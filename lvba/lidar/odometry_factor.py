@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lvba import geometry
+from lvba.optim import normal_equations
+from lvba.optim.normal_equations import NormalEquations
 
 _FEWEST_STEPS = 10
 _FLOOR_ROTATION, _FLOOR_TRANSLATION = 2e-4, 1e-3
@@ -34,26 +36,26 @@ class OdometryPrior:
         relative = geometry.inverse(world_from_scan[:-1]) @ world_from_scan[1:]
         return geometry.log(geometry.inverse(self.previous_from_next) @ relative)
 
-    def linearize(self, world_from_scan: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Gradient (S, 6), diagonal blocks (S, 6, 6) and blocks (S - 1, 6, 6) of (scan, next scan) of the cost.
-
-        Perturbation in world axes about each sensor, as in `kernels.lidar`; Gauss-Newton.
-        """
+    def linearize(self, world_from_scan: np.ndarray) -> NormalEquations:
+        """The normal equations at poses (S, 4, 4); Gauss-Newton."""
         error = self._error(world_from_scan)
         scans = len(world_from_scan)
-        turn = np.zeros((scans, 6, 6))
-        turn[:, :3, :3] = turn[:, 3:, 3:] = np.swapaxes(world_from_scan[:, :3, :3], -1, -2)
-        relative = geometry.inverse(world_from_scan[1:]) @ world_from_scan[:-1]
-        later = turn[1:]
-        earlier = -geometry.adjoint(relative) @ turn[:-1]
-        gradient = np.zeros((scans, 6))
-        diagonal = np.zeros((scans, 6, 6))
+        earlier = -geometry.adjoint(geometry.inverse(world_from_scan[1:]) @ world_from_scan[:-1])
+        earlier_t = np.swapaxes(earlier, -1, -2)
         pull = np.einsum("nij,nj->ni", self.information, error)
-        gradient[1:] += np.einsum("nji,nj->ni", later, pull)
-        gradient[:-1] += np.einsum("nji,nj->ni", earlier, pull)
-        diagonal[1:] += np.swapaxes(later, -1, -2) @ self.information @ later
-        diagonal[:-1] += np.swapaxes(earlier, -1, -2) @ self.information @ earlier
-        return gradient, diagonal, np.swapaxes(earlier, -1, -2) @ self.information @ later
+        gradient, diagonal = np.zeros((scans, 6)), np.zeros((scans, 6, 6))
+        gradient[1:] += pull
+        gradient[:-1] += np.einsum("nij,nj->ni", earlier_t, pull)
+        diagonal[1:] += self.information
+        diagonal[:-1] += earlier_t @ self.information @ earlier
+        here = np.arange(scans)
+        return normal_equations.from_blocks(
+            np.concatenate([here, here[:-1]]),
+            np.concatenate([here, here[1:]]),
+            np.concatenate([diagonal, earlier_t @ self.information]),
+            gradient,
+            0.5 * float(np.sum(pull * error)),
+        )
 
 
 def odometry_prior(

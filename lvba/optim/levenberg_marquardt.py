@@ -1,4 +1,14 @@
-"""Levenberg-Marquardt over anything that can linearize itself."""
+"""The one step strategy: Levenberg-Marquardt over anything that can linearize itself, and single damped steps.
+
+`levenberg_marquardt` solves a cost that stays the same from step to step: a step is accepted if the cost falls, that is
+if its gain ratio (achieved over predicted decrease) is positive, or if the cost rises by less than its own noise.
+
+Joint rounds find planes, scene points and weights anew before every step, so the costs of two rounds are those of two
+problems. They take one `damped_step` per round, and refuse what a round that converges never does: a cost per observation
+that rises by more than COST_RISE (`cost_rises`; scene points are many, and much the same from round to round), or a step
+that is more than STEP_GROWTH times as long as the last one (`step_grows`; planes come and go). After a refusal the
+damping is `raised`, after a step `eased`.
+"""
 
 import logging
 from collections.abc import Callable
@@ -22,7 +32,7 @@ class SolverConfig:
     max_iterations: int = 20
     """Steps tried at most, accepted or not; 1 to 1000."""
     initial_damping: float = 1e-4
-    """First damping, relative to the Hessian's diagonal; 1e-12 to 1e3."""
+    """First damping, relative to the Hessian's diagonal; 0 to 1e3."""
     relative_decrease: float = 1e-6
     """Stop when a step lowers the cost by less than this fraction; 0 to 0.1."""
     refusals: int = 3
@@ -34,7 +44,7 @@ class SolverConfig:
 
     def __post_init__(self) -> None:
         _check("max_iterations", self.max_iterations, 1, 1000)
-        _check("initial_damping", self.initial_damping, 1e-12, 1e3)
+        _check("initial_damping", self.initial_damping, 0.0, 1e3)
         _check("relative_decrease", self.relative_decrease, 0.0, 0.1)
         _check("refusals", self.refusals, 1, 100)
         _check("step_tolerance", self.step_tolerance, 0.0, 1e-2)
@@ -65,11 +75,19 @@ class Solution(Generic[State]):
     """Where Levenberg-Marquardt ended. Not to converge is a result, not an error."""
 
     state: State
-    equations: NormalEquations
-    """At `state`, without damping."""
     cost_initial: float
+    cost: float
+    """At `state`."""
     converged: bool
     history: tuple[Iteration, ...] = field(default=())
+
+
+DAMPING_TRIES = 8
+"""Dampings, each ten times the one before, until normal equations count as not positive."""
+COST_RISE = 0.01
+"""Part of the cost per observation by which it may rise from round to round."""
+STEP_GROWTH = 2.0
+"""Times the length of the last step that a step of a round may have."""
 
 
 def levenberg_marquardt(
@@ -78,44 +96,111 @@ def levenberg_marquardt(
     retract: Callable[[State, np.ndarray], State],
     config: SolverConfig = SolverConfig(),
     free: np.ndarray | None = None,
+    *,
+    cost: Callable[[State], float] | None = None,
+    convex: Callable[[State], NormalEquations] | None = None,
+    metric: np.ndarray | None = None,
+    cost_noise: float = 0.0,
+    most_accepted: int | None = None,
 ) -> Solution[State]:
-    """The state of least cost that was reached, with its equations and the history of steps.
+    """The state of least cost that was reached, and the history of steps.
 
     linearize: state -> NormalEquations, with its cost
     retract: (state, (B, b) step) -> state
+    free: (B, b) bool, what may move; None: all
+    cost: state -> cost, where that takes less than to linearize
+    convex: a linearization that is never indefinite (Gauss-Newton), for where `linearize` (Newton) is
+    metric: (b,), what one unit of damping adds to the diagonal of every block: slow motions common to many blocks are
+        damped by no more than the motion of one. None: damping relative to the diagonal
+    cost_noise: a rise of the cost that means nothing
+    most_accepted: stop after so many accepted steps
     Damping by gain ratio (Nielsen 1999; Madsen et al. 2004, section 3.2).
     """
     equations = linearize(state)
     cost_initial, damping, growth = equations.cost, config.initial_damping, 2.0
+    now = cost_initial
     history: list[Iteration] = []
-    converged, refused = False, 0
+    converged, refused, accepted_steps = False, 0, 0
+    current = True
     for _ in range(config.max_iterations):
-        step = solve_step(equations, damping, free, config.dense_limit)
+        if not current:
+            equations, current = linearize(state), True
+        step = solve_step(equations, damping, free, config.dense_limit, metric)
+        if step is None and convex is not None:
+            equations = convex(state)
+            step = solve_step(equations, damping, free, config.dense_limit, metric)
         if step is None:
-            damping, growth = damping * growth, growth * 2
-            history.append(Iteration(equations.cost, 0.0, damping, -1.0, False))
+            damping, growth = _grown(damping, growth), growth * 2
+            history.append(Iteration(now, 0.0, damping, -1.0, False))
             continue
         size = float(np.abs(step).max(initial=0.0))
         trial = retract(state, step)
-        at_trial = linearize(trial)
+        at_trial = linearize(trial) if cost is None else None
+        trial_cost = at_trial.cost if at_trial is not None else cost(trial) if cost is not None else np.nan
         predicted = _predicted(equations, step)
-        decrease = equations.cost - at_trial.cost
+        decrease = now - trial_cost
         gain = decrease / predicted if predicted > 0 else -1.0
-        accepted = decrease > 0 and np.isfinite(at_trial.cost)
-        small = size <= config.step_tolerance or predicted <= config.relative_decrease * abs(equations.cost)
-        done = small or (accepted and decrease <= config.relative_decrease * abs(equations.cost))
+        accepted = bool(decrease > -cost_noise and np.isfinite(trial_cost))
+        small = size <= config.step_tolerance or predicted <= config.relative_decrease * abs(now)
+        done = small or (accepted and decrease <= config.relative_decrease * abs(now))
         if accepted:
-            state, equations = trial, at_trial
+            state, now, current = trial, trial_cost, at_trial is not None
+            equations = equations if at_trial is None else at_trial
             damping, growth, refused = damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), 2.0, 0
+            accepted_steps += 1
         else:
-            damping, growth, refused = damping * growth, growth * 2, refused + 1
-        history.append(Iteration(equations.cost, size, damping, gain, accepted))
-        logger.debug("cost %.6g step %.2g damping %.2g gain %.2f", equations.cost, size, damping, gain)
+            damping, growth, refused = _grown(damping, growth), growth * 2, refused + 1
+        history.append(Iteration(now, size, damping, gain, accepted))
+        logger.debug("cost %.6g step %.2g damping %.2g gain %.2f", now, size, damping, gain)
         # a step that promised little and was refused: the cost's own noise (samples that come and go) is reached
-        if done or (refused >= config.refusals and predicted <= 1e-3 * abs(equations.cost)):
+        if done or (refused >= config.refusals and predicted <= 1e-3 * abs(now)):
             converged = True
             break
-    return Solution(state, equations, cost_initial, converged, tuple(history))
+        if accepted_steps == most_accepted:
+            break
+    return Solution(state, cost_initial, now, converged, tuple(history))
+
+
+def damped_step(
+    equations: NormalEquations,
+    damping: float,
+    free: np.ndarray | None = None,
+    metric: np.ndarray | None = None,
+) -> tuple[np.ndarray | None, float]:
+    """One step (B, b), and its damping: more than the given one where the equations are not positive without.
+
+    None: they are not with any of DAMPING_TRIES dampings. free, metric: as in `levenberg_marquardt`
+    """
+    for _ in range(DAMPING_TRIES):
+        step = solve_step(equations, damping, free, metric=metric)
+        if step is not None:
+            return step, damping
+        damping = raised(damping)
+    return None, damping
+
+
+def raised(damping: float) -> float:
+    """The damping after a round that was refused."""
+    return max(10.0 * damping, 1.0)
+
+
+def eased(damping: float) -> float:
+    """The damping after a round's step was taken."""
+    return damping / 100.0
+
+
+def cost_rises(cost: float, before: float) -> bool:
+    """Whether the cost per observation of a round says that the step before it was wrong."""
+    return cost > before * (1.0 + COST_RISE)
+
+
+def step_grows(length: float, before: float) -> bool:
+    """Whether a round's step is so much longer than the last one that it leads away."""
+    return length > STEP_GROWTH * before
+
+
+def _grown(damping: float, growth: float) -> float:
+    return damping * growth if damping > 0 else 1.0
 
 
 def _predicted(equations: NormalEquations, step: np.ndarray) -> float:

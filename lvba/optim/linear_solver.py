@@ -10,65 +10,90 @@ from scipy.sparse.linalg import splu
 from lvba.optim import banded_cholesky
 from lvba.optim.normal_equations import NormalEquations
 
+_FULL = 0.25
+"""Part of all pairs of blocks above which a pattern has no band: dense Cholesky, however many unknowns."""
+
 
 def solve_step(
     equations: NormalEquations,
     damping: float,
     free: np.ndarray | None = None,
     dense_limit: int = 2500,
-    added: np.ndarray | None = None,
+    metric: np.ndarray | None = None,
 ) -> np.ndarray | None:
-    """The damped step (B, b), `-(H + damping diag(H))^-1 g` over the free unknowns; None where H is not positive.
+    """The damped step (B, b), `-(H + damping D)^-1 g` over the free unknowns; None where that matrix is not positive.
 
     free: (B, b) bool; unknowns that are not free do not move. None: all are.
-    added: (b,), to the diagonal of every block of H beside the damping
+    dense_limit: most unknowns for which a sparse pattern is solved by dense Cholesky
+    metric: (b,), the diagonal of D for every block, absolute: what one unit of damping adds; None: the diagonal of H
     """
-    gradient = equations.gradient.ravel()
-    index = np.arange(gradient.size) if free is None else np.flatnonzero(free)
-    step = np.zeros(gradient.size)
-    if index.size <= dense_limit:
-        hessian = equations.dense()[np.ix_(index, index)]
-        diagonal = _damped(np.diag(hessian))
-        more = 0.0 if added is None else np.tile(added, len(equations.gradient))[index]
-        hessian[np.diag_indices_from(hessian)] += damping * diagonal + more
+    free = np.ones(equations.gradient.shape, bool) if free is None else free
+    gradient = np.where(free, equations.gradient, 0.0)
+    if _is_dense(equations, int(free.sum()), dense_limit):
+        hessian = _upper(equations, free)
+        hessian[np.diag_indices_from(hessian)] += _damped_diagonal(equations, damping, free, metric).ravel()
         try:
-            step[index] = cho_solve(cho_factor(hessian, lower=True, overwrite_a=True), -gradient[index])
+            # the transpose of rows is columns, as LAPACK has it in memory: factored in place
+            factor = cho_factor(hessian.T, lower=True, overwrite_a=True, check_finite=False)
         except np.linalg.LinAlgError:
             return None
+        step = -cho_solve(factor, gradient.ravel(), check_finite=False)
     else:
-        solve = factorize(equations, damping, free, added)
+        solve = factorize(equations, damping, free, metric)
         if solve is None:
             return None
-        step = -solve(gradient[:, None])[:, 0]
+        step = -solve(gradient.reshape(-1, 1))[:, 0]
     return step.reshape(equations.gradient.shape) if np.all(np.isfinite(step)) else None
+
+
+def _is_dense(equations: NormalEquations, unknowns: int, limit: int) -> bool:
+    blocks = len(equations.gradient)
+    return unknowns <= limit or len(equations.rows) > _FULL * blocks * (blocks + 1) / 2
+
+
+def _upper(equations: NormalEquations, free: np.ndarray) -> np.ndarray:
+    """(B b, B b), of which the upper triangle is the Hessian over the free unknowns; the others are apart, with zeros."""
+    count, size = free.shape
+    blocks = np.zeros((count, size, count, size))
+    blocks[equations.rows, :, equations.columns] = equations.blocks
+    full = blocks.reshape(count * size, count * size)
+    held = np.flatnonzero(~free)
+    full[held], full[:, held] = 0.0, 0.0
+    return full
+
+
+def _damped_diagonal(
+    equations: NormalEquations, damping: float, free: np.ndarray, metric: np.ndarray | None
+) -> np.ndarray:
+    """(B, b): what damping adds to the diagonal of the free unknowns, and 1 for those that are not free."""
+    own = equations.rows == equations.columns
+    diagonal = np.zeros(free.shape)
+    diagonal[equations.rows[own]] = np.diagonal(equations.blocks[own], axis1=1, axis2=2)
+    added = np.ones(free.shape)
+    if metric is None:
+        added[free] = damping * _damped(diagonal[free])
+    else:
+        added[free] = np.broadcast_to(damping * metric, free.shape)[free]
+    return added
 
 
 def factorize(
     equations: NormalEquations,
     damping: float,
     free: np.ndarray | None = None,
-    added: np.ndarray | None = None,
+    metric: np.ndarray | None = None,
 ) -> banded_cholesky.Solve | None:
-    """A function that solves `(H + damping diag(H)) x = r` for (B b, n) right sides; None where H is not positive.
+    """A function that solves `(H + damping D) x = r` for (B b, n) right sides; None where the matrix is not positive.
 
     free: (B, b) bool; unknowns that are not free are zero. None: all are. By a band where there is one, else sparse LU.
-    added: as in `solve_step`
+    metric: as in `solve_step`
     """
-    count, size = equations.gradient.shape
-    free = np.ones((count, size), bool) if free is None else free
-    own = equations.rows == equations.columns
-    diagonal = np.zeros((count, size))
-    diagonal[equations.rows[own]] = np.diagonal(equations.blocks[own], axis1=1, axis2=2)
-    index = np.flatnonzero(free)
-    more = np.zeros(count * size)
-    more[index] = damping * _damped(diagonal.ravel()[index])
-    more = more.reshape(count, size)
-    if added is not None:
-        more += added * free
+    free = np.ones(equations.gradient.shape, bool) if free is None else free
+    more = _damped_diagonal(equations, damping, free, metric)
     try:
         return banded_cholesky.factor(equations.rows, equations.columns, equations.blocks, more, free)
     except MemoryError:
-        return _sparse_lu(equations, more, index)
+        return _sparse_lu(equations, more, np.flatnonzero(free))
 
 
 def _sparse_lu(

@@ -1,4 +1,8 @@
-"""Block-sparse normal equations that add up."""
+"""Block-sparse normal equations that add up: what every term of a cost, LiDAR or visual, is linearized to.
+
+A term is half the sum of its squared normalized residuals. Its unknowns are increments as in `lvba.geometry`: a pose
+takes six, [rotation | translation] on its right side.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +15,7 @@ from lvba.kernels.plane_offsets import add_blocks
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """A cost linearized at a state: `cost + gradient . d + d . hessian . d / 2`. Sums over parts of the cost.
+    """A cost linearized at a state: `cost + gradient . d + d . hessian . d / 2`, d (B, b) the step. Terms add with `+`.
 
     rows, columns: (M,) int32, block indices with rows <= columns, ascending by (row, column), no pair twice
     blocks: (M, b, b) float64; the lower triangle of the Hessian is the transpose of what is stored
@@ -55,6 +59,33 @@ class NormalEquations:
         gradient[: len(self.gradient)] = self.gradient
         return replace(self, gradient=gradient)
 
+    def projected(self, jacobian: np.ndarray) -> "NormalEquations":
+        """The same equations by other unknowns d', d = J d' for each block; (B, b, b') float64.
+
+        A projector J takes out what the equations say about the directions that it removes. An adjoint carries poses of
+        one sensor to those of another that it is fixed to.
+        """
+        left = np.swapaxes(jacobian, -1, -2)
+        gradient = np.einsum("nij,nj->ni", left, self.gradient)
+        size = self.gradient.shape[1]
+        square = jacobian.shape[-1] == size
+        changed = np.any(jacobian != np.eye(size), (1, 2)) if square else np.ones(len(jacobian), bool)
+        at = np.flatnonzero(changed[self.rows] | changed[self.columns])
+        rows, columns = self.rows[at], self.columns[at]
+        found = left[rows] @ self.blocks[at] @ jacobian[columns]
+        if len(at) < len(self.rows):
+            blocks = self.blocks.copy()
+            blocks[at] = found
+            found = blocks
+        return replace(self, blocks=found, gradient=gradient)
+
+    def diagonal_blocks(self) -> np.ndarray:
+        """(B, b, b) float64; zero where the pattern has none."""
+        own = self.rows == self.columns
+        found = np.zeros((*self.gradient.shape, self.gradient.shape[1]))
+        found[self.rows[own]] = self.blocks[own]
+        return found
+
     def dense(self) -> np.ndarray:
         """The whole Hessian, (B b, B b) float64."""
         count, size = self.gradient.shape
@@ -81,6 +112,14 @@ def from_blocks(
 ) -> NormalEquations:
     """Normal equations of (M,) block indices in any order, repeated or below the diagonal, summed in that order."""
     return _summed([(rows, columns, blocks)], gradient, cost)
+
+
+def from_dense(hessian: np.ndarray, gradient: np.ndarray, cost: float) -> NormalEquations:
+    """Normal equations of a whole symmetric Hessian (B b, B b) and a gradient (B, b): blocks of all pairs."""
+    count, size = gradient.shape
+    rows, columns = np.triu_indices(count)
+    blocks = np.ascontiguousarray(hessian.reshape(count, size, count, size)[rows, :, columns])
+    return NormalEquations(rows.astype(np.int32), columns.astype(np.int32), blocks, gradient, cost)
 
 
 def _summed(

@@ -65,23 +65,23 @@ def hessian(diagonal, columns, offsets, scan):
 
 
 def information(rotations, feature, scan, points, weight, eigenvalues, eigenvectors, total, trusted):
-    """Planes held fixed: (S, 6, 6) from every point, and the part feigned by the normals' noise, from the clusters."""
-    told = np.zeros((len(rotations), 6, 6))
-    feigned = np.zeros((len(rotations), 6, 6))
+    """Planes held fixed: (S, 6, 6) from every point, and the part due to the normals' noise alone, from the clusters."""
+    found = np.zeros((len(rotations), 6, 6))
+    noise = np.zeros((len(rotations), 6, 6))
     for f, s, p, w in zip(feature, scan, points, weight, strict=True):
         lever = p @ rotations[s].T
         for k in range(3):
             u = eigenvectors[f, k]
             rows = np.concatenate([np.cross(lever, u), np.broadcast_to(u, lever.shape)], axis=1)
             if k == 0:
-                told[s] += w * rows.T @ rows
+                found[s] += w * rows.T @ rows
             else:
                 gap = eigenvalues[f, k] - eigenvalues[f, 0]
-                feigned[s] += w * eigenvalues[f, 0] / (min(total[f], trusted) * gap) * rows.T @ rows
-    return told, feigned
+                noise[s] += w * eigenvalues[f, 0] / (min(total[f], trusted) * gap) * rows.T @ rows
+    return found, noise
 
 
-def feigned(poses, features, sigma, trusted):
+def noise_information(poses, features, sigma, trusted):
     """Of all poses together: each plane's points with a tangent for its normal, what planes could absorb taken out."""
     total = np.zeros((6 * len(poses), 6 * len(poses)))
     for feature in features:

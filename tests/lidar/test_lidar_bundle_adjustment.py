@@ -9,7 +9,7 @@ import pytest
 
 from lvba import geometry, trajectory
 from lvba.errors import DegenerateProblemError
-from lvba.lidar import normal_equations, voxel_map
+from lvba.lidar import voxel_map
 from lvba.lidar.bundle_adjustment import LidarConfig, find_planes, refine
 from lvba.lidar.config import StageConfig
 from lvba.lidar.plane_feature import fit
@@ -279,7 +279,7 @@ def test_points_stay_in_their_cells_while_they_hardly_move(yard):
     assert grid.shift(rough) == pytest.approx(0.0, abs=1e-9)
     step = np.zeros((6, 6))
     step[2, 5], step[4, 2] = 0.003, 1e-3
-    moved = normal_equations.retract(rough, step)
+    moved = geometry.retract(rough, step)
     away = [
         np.sqrt(np.mean((geometry.transform_points(a, scan) - geometry.transform_points(b, scan)) ** 2) * 3)
         for a, b, scan in zip(rough, moved, scans, strict=True)

@@ -6,9 +6,10 @@ import pytest
 import scipy.linalg
 
 from lvba import geometry
-from lvba.lidar import covariance, noise_information, normal_equations, voxel_map
+from lvba.lidar import covariance, noise_information, plane_factor, voxel_map
 from lvba.lidar.odometry_factor import odometry_prior
 from lvba.lidar.plane_feature import fit
+from lvba.lidar.problem import Problem
 from lvba.lidar.scan import gather
 
 SIGMA = 0.005
@@ -21,39 +22,37 @@ def yard():
     scans, truth, rough = plane_world.recording("courtyard", scans=9, points=3200, seed=3)
     grid = voxel_map.build(gather(scans), truth, (0.5, 1.0), None)
     features = voxel_map.find_planes(grid, truth, np.zeros(3), voxel_map.PlaneTest()).features
-    return truth, normal_equations.Problem(features, SIGMA, odometry_prior(rough, 0.01, 0.05))
+    return truth, Problem(features, SIGMA, odometry_prior(rough, 0.01, 0.05))
 
 
 def dense(problem, poses, doubted):
     """(marginal, conditional, step, excess) by whole matrices."""
     scans = len(poses)
     fits = fit(problem.features, poses)
-    information = normal_equations.linearize(problem, poses, exact=False, fits=fits).hessian
-    planes = normal_equations.linearize_planes(problem.features, poses, SIGMA, fits, exact=False).hessian
+    information = problem.linearize(poses, exact=False, fits=fits).dense()
+    planes = plane_factor.linearize(problem.features, poses, SIGMA, fits, exact=False).dense()
     odometry = (information - planes)[6:, 6:]
-    spread = covariance._gradient_spread(problem, poses, fits)[6:, 6:] + odometry
+    spread = covariance._gradient_spread(problem, poses, fits).dense()[6:, 6:] + odometry
     inverse = np.linalg.inv(information[6:, 6:])
     excess = max(1.0, np.trace(inverse @ spread) / len(inverse))
     whole = scipy.linalg.block_diag(np.zeros((6, 6)), excess * inverse)
-    world_from_local = scipy.linalg.block_diag(*(part for pose in poses for part in [pose[:3, :3]] * 2))
-    in_local = world_from_local.T @ whole @ world_from_local
     step = []
     for i in range(scans - 1):
         by_both = np.zeros((6, 6 * scans))
         by_both[:, 6 * i : 6 * i + 6] = -geometry.adjoint(geometry.inverse(poses[i + 1]) @ poses[i])
         by_both[:, 6 * i + 6 : 6 * i + 12] = np.eye(6)
-        step.append(by_both @ in_local @ by_both.T)
+        step.append(by_both @ whole @ by_both.T)
     if doubted:
-        feigned = noise_information.feigned_information(problem.features, fits, poses, SIGMA)[6:, 6:]
-        certain = noise_information.certain(planes[6:, 6:], feigned, odometry)
+        noise = noise_information.linearize(problem.features, fits, poses, SIGMA).dense()[6:, 6:]
+        certain = noise_information.certain(planes[6:, 6:], noise, odometry)
         whole[6:, 6:] = np.linalg.inv(certain / excess + odometry)
     motion, pick = covariance.alignment(poses)
     free = np.eye(6 * scans) - motion @ np.linalg.inv(pick.T @ motion) @ pick.T
-    aligned = world_from_local.T @ free @ whole @ free.T @ world_from_local
+    aligned = free @ whole @ free.T
     own = scipy.linalg.block_diag(
         *(np.linalg.inv(information[6 * i : 6 * i + 6, 6 * i : 6 * i + 6]) for i in range(scans))
     )
-    conditional = excess * world_from_local.T @ own @ world_from_local
+    conditional = excess * own
 
     def blocks(matrix):
         return [matrix[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i in range(scans)]

@@ -1,4 +1,4 @@
-"""Groups of scans that hold fast to each other and hang on the others by what noise feigns."""
+"""Groups of scans that hold fast to each other and hang on the others by what noise makes up."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,8 @@ from plane_world import drift, look
 from lvba import geometry, trajectory
 from lvba.lidar import noise_information, voxel_map
 from lvba.lidar.bundle_adjustment import LidarConfig, refine
-from lvba.lidar.normal_equations import NormalEquations, Problem
 from lvba.lidar.odometry_factor import odometry_prior
+from lvba.lidar.problem import Problem
 from lvba.lidar.scan import gather
 
 GROUP = 8
@@ -68,7 +68,7 @@ def test_no_group_is_promised_more_than_it_keeps(apart):
     axis = result.world_from_scan[:, 2, :3]
     promised = np.sqrt(np.einsum("ni,nij,nj->n", axis, result.covariance[:, 3:, 3:], axis))
     assert np.all(np.abs(height) < 4 * promised)
-    assert promised.min() > 5.5e-3, "half of what a step of the odometry is off by; noise feigns 4.3 mm"
+    assert promised.min() > 5.5e-3, "half of what a step of the odometry is off by; noise makes up 4.3 mm"
 
 
 def test_a_floor_that_all_see_leaves_nothing_loose():
@@ -83,29 +83,27 @@ def test_what_is_certain_is_the_positive_part():
     rng = np.random.default_rng(0)
     basis = rng.normal(size=(5, 5))
     odometry = basis.T @ basis * 0.5
-    feigned = basis.T @ basis * 0.5 / noise_information.PROMISED
-    told = basis.T @ np.diag([0.0, 0.5, 1.0, 3.0, 100.0]) @ basis
+    noise = basis.T @ basis * 0.5 / noise_information.COVARIANCE_FACTOR
+    information = basis.T @ np.diag([0.0, 0.5, 1.0, 3.0, 100.0]) @ basis
     expected = basis.T @ np.diag([0.0, 0.0, 0.0, 2.0, 99.0]) @ basis
-    np.testing.assert_allclose(noise_information.certain(told, feigned, odometry), expected, atol=1e-9)
+    np.testing.assert_allclose(noise_information.certain(information, noise, odometry), expected, atol=1e-9)
     strong = basis.T @ np.diag([2.0, 3.0, 4.0, 5.0, 6.0]) @ basis
     np.testing.assert_allclose(
-        noise_information.certain(strong, feigned, odometry), strong - basis.T @ basis, atol=1e-9
+        noise_information.certain(strong, noise, odometry), strong - basis.T @ basis, atol=1e-9
     )
 
 
-def test_what_is_told_counts_by_how_much_more_it_is_than_noise_feigns():
-    """In the basis in which noise is the unit, a direction told mu times as much keeps mu / (mu + FOLLOWED) of it."""
+def test_information_counts_by_how_much_more_it_is_than_that_of_noise():
+    """In the basis in which noise is the unit, a direction of mu times as much keeps mu / (mu + STEP_FACTOR) of it."""
     rng = np.random.default_rng(1)
     basis = rng.normal(size=(4, 4))
-    feigned = basis.T @ basis - 1e-3 * np.eye(4)
-    mu = np.array([0.0, noise_information.FOLLOWED, 3 * noise_information.FOLLOWED, 1e9])
+    noise = basis.T @ basis - 1e-3 * np.eye(4)
+    mu = np.array([0.0, noise_information.STEP_FACTOR, 3 * noise_information.STEP_FACTOR, 1e9])
     part = np.array([0.0, 0.5, 0.75, 1.0])
     gradient = rng.normal(size=4)
-    told = NormalEquations(basis.T @ np.diag(mu) @ basis, basis.T @ gradient, 7.0)
-    found = noise_information.weighed(told, feigned)
-    np.testing.assert_allclose(found.hessian, basis.T @ np.diag(mu * part) @ basis, rtol=1e-6)
-    np.testing.assert_allclose(found.gradient, basis.T @ (part * gradient), atol=1e-6)
-    assert found.cost == 7.0
+    found, pull = noise_information.weighed(basis.T @ np.diag(mu) @ basis, basis.T @ gradient, noise)
+    np.testing.assert_allclose(found, basis.T @ np.diag(mu * part) @ basis, rtol=1e-6)
+    np.testing.assert_allclose(pull, basis.T @ (part * gradient), atol=1e-6)
 
 
 @pytest.mark.parametrize(("one_floor", "lift"), [(False, 0.06), (True, 0.02)])

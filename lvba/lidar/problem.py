@@ -1,0 +1,134 @@
+"""The planes of one association and the odometry as one least-squares problem over the poses of the scans."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lvba import geometry
+from lvba.lidar import plane_factor
+from lvba.lidar.odometry_factor import OdometryPrior
+from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
+from lvba.optim.levenberg_marquardt import SolverConfig, levenberg_marquardt
+from lvba.optim.normal_equations import NormalEquations
+
+_COST_NOISE = 10.0
+"""A change of the cost that means nothing. Weak directions are held against what the planes' noise would have them do, so
+the cost of the planes may rise by about as much."""
+_REFUSALS = 8
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Planes, how sharply they are measured, and the prior.
+
+    features: the plane observations
+    sigma: m, standard deviation of a point's distance to its plane at weight 1
+    """
+
+    features: PlaneFeatures
+    sigma: float
+    prior: OdometryPrior | None
+    projector: np.ndarray | None = None
+    """(S, 6, 6), local tangent, keeps of a motion what the planes determine (see `degeneracy`); None: all of it."""
+
+    def cost(self, world_from_scan: np.ndarray, fits: PlaneFits | None = None) -> float:
+        """Half the sum of squared normalized residuals at poses (S, 4, 4); fits: of the planes there, if at hand."""
+        fits = fit(self.features, world_from_scan) if fits is None else fits
+        planes = 0.5 * fits.cost / self.sigma**2
+        return planes + (self.prior.cost(world_from_scan) if self.prior else 0.0)
+
+    def linearize(
+        self, world_from_scan: np.ndarray, exact: bool = True, fits: PlaneFits | None = None
+    ) -> NormalEquations:
+        """The normal equations at poses (S, 4, 4); exact: second derivatives, not Gauss-Newton's; fits: as in `cost`."""
+        equations = plane_factor.linearize(self.features, world_from_scan, self.sigma, fits, exact)
+        if self.projector is not None:
+            equations = equations.projected(self.projector)
+        return equations + self.prior.linearize(world_from_scan) if self.prior else equations
+
+
+@dataclass(frozen=True)
+class LidarSolution:
+    """Poses (S, 4, 4), the cost before and after, and the accepted steps."""
+
+    world_from_scan: np.ndarray
+    cost_before: float
+    cost_after: float
+    steps: int
+
+
+def solve(
+    problem: Problem,
+    world_from_scan: np.ndarray,
+    damping_metric: np.ndarray,
+    *,
+    steps: int = 10,
+    exact: bool = True,
+    tolerance: float = 1e-9,
+) -> LidarSolution:
+    """At most `steps` accepted steps, fewer where the cost stands still. The first pose stays.
+
+    damping_metric: (6,), information about each scan's motion that one unit of damping adds; see `levenberg_marquardt`
+    exact: Newton steps, where the Hessian is positive; else Gauss-Newton's
+    tolerance: decrease of the cost, relative to it, that ends it
+    """
+    free = np.ones((len(world_from_scan), 6), bool)
+    free[0] = False
+    at = _Linearizer(problem)
+    found = levenberg_marquardt(
+        world_from_scan,
+        lambda poses: at.linearize(poses, exact),
+        retract,
+        SolverConfig(
+            max_iterations=steps + _REFUSALS,
+            initial_damping=0.0,
+            relative_decrease=tolerance,
+            refusals=_REFUSALS,
+            step_tolerance=0.0,
+        ),
+        free,
+        cost=at.cost,
+        convex=(lambda poses: at.linearize(poses, False)) if exact else None,
+        metric=damping_metric,
+        cost_noise=0.0 if problem.projector is None else _COST_NOISE,
+        most_accepted=steps,
+    )
+    accepted = sum(entry.accepted for entry in found.history)
+    return LidarSolution(found.state, found.cost_initial, found.cost, accepted)
+
+
+def retract(world_from_scan: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Poses (S, 4, 4) moved by (S, 6) in the tangent of `lvba.geometry`: `R exp(rotation)`, `t + R translation`.
+
+    This is `geometry.retract` to first order. The planes' exact second derivatives are those along it, and the first
+    steps
+    from poses that are far off change the planes that are found: so it stays, though equations do not know the
+        difference.
+    """
+    turned = step.copy()
+    turned[:, 3:] = 0.0
+    moved = geometry.retract(world_from_scan, turned)
+    moved[:, :3, 3] += np.einsum("nij,nj->ni", world_from_scan[:, :3, :3], step[:, 3:])
+    return np.asarray(moved)
+
+
+class _Linearizer:
+    """Cost and equations of a problem; planes fitted for the one are not fitted again for the other."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        self._known: list[tuple[np.ndarray, PlaneFits]] = []
+
+    def cost(self, poses: np.ndarray) -> float:
+        return self._problem.cost(poses, self._fits(poses))
+
+    def linearize(self, poses: np.ndarray, exact: bool) -> NormalEquations:
+        return self._problem.linearize(poses, exact, self._fits(poses))
+
+    def _fits(self, poses: np.ndarray) -> PlaneFits:
+        for known, fits in self._known:
+            if known is poses:
+                return fits
+        fits = fit(self._problem.features, poses)
+        self._known = [*self._known[-1:], (poses, fits)]
+        return fits
