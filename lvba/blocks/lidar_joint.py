@@ -20,9 +20,6 @@ from lvba.lidar.problem import retract
 from lvba.optim import levenberg_marquardt, linear_solver
 from lvba.optim.normal_equations import NormalEquations
 
-_MOST_COVARIANCES = 150
-"""Scans whose covariance is solved for; the others have that of the nearest one."""
-
 
 @dataclass(frozen=True)
 class JointRound:
@@ -151,31 +148,14 @@ def covariance(
     conditional = excess * np.linalg.inv(diagonal + 1e-9 * np.eye(6) * diagonal.max())
     free = np.ones((scans, 6), bool)
     free[0] = False
-    factor = linear_solver.factorize(equations, 1e-12, free)
-    if factor is None:
+    factors = linear_solver.factorize(equations, 1e-12, free)
+    if factors is None:
         raise DegenerateProblemError("the planes and the odometry do not determine the scans")
 
-    def columns(right: np.ndarray) -> np.ndarray:
-        """Covariance (6 S, 6 S) times (6 S, n)."""
-        return excess * factor(right)
-
-    chosen = np.unique(np.linspace(0, scans - 1, min(scans, _MOST_COVARIANCES)).astype(int))
     motion, pick = alignment(poses)
-    gain = np.linalg.inv(pick.T @ motion)
-    through = columns(pick)
-    middle = pick.T @ through
-    blocks = []
-    for scan in chosen:
-        rows = slice(6 * scan, 6 * scan + 6)
-        unit = np.zeros((6 * scans, 6))
-        unit[rows] = np.eye(6)
-        lever = motion[rows] @ gain
-        cross = lever @ through[rows].T
-        blocks.append(columns(unit)[rows] - cross - cross.T + lever @ middle @ lever.T)
-    nearest = chosen[np.abs(np.arange(scans)[:, None] - chosen).argmin(1)] if scans < 2000 else None
-    index = (
-        np.searchsorted(chosen, nearest)
-        if nearest is not None
-        else np.clip(np.searchsorted(chosen, np.arange(scans)), 0, len(chosen) - 1)
-    )
-    return JointCovariance(np.stack(blocks)[index], conditional, weakness)
+    through = excess * factors.solve(pick)
+    lever = (motion @ np.linalg.inv(pick.T @ motion)).reshape(scans, 6, 6)
+    cross = lever @ np.swapaxes(through.reshape(scans, 6, 6), 1, 2)
+    own = lever @ (pick.T @ through) @ np.swapaxes(lever, 1, 2)
+    marginal = excess * factors.inverse_blocks() - cross - np.swapaxes(cross, 1, 2) + own
+    return JointCovariance(marginal, conditional, weakness)

@@ -1,14 +1,45 @@
 """Damped steps, factors and covariances of block-sparse normal equations: dense, as a band, or by sparse LU."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import diags
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 from lvba.optim import banded_cholesky
+from lvba.optim.banded_cholesky import BandedCholesky
 from lvba.optim.normal_equations import NormalEquations
+
+
+@dataclass(frozen=True)
+class SparseFactor:
+    """Sparse LU factors over the unknowns `index` of blocks of `shape` (B, b)."""
+
+    lu: SuperLU
+    index: np.ndarray
+    shape: tuple[int, ...]
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """The solution (B b, n) for right sides (B b, n); zero for unknowns that are not in `index`."""
+        found = np.zeros_like(right)
+        found[self.index] = self.lu.solve(np.ascontiguousarray(right[self.index]))
+        return found
+
+    def inverse_blocks(self) -> np.ndarray:
+        """The diagonal blocks (B, b, b) of the inverse, from its columns."""
+        count, size = self.shape
+        found = np.zeros((count, size, size))
+        free = np.zeros(count * size, bool)
+        free[self.index] = True
+        for block in range(count):
+            mine = slice(size * block, size * block + size)
+            unit = np.zeros((count * size, size))
+            unit[mine] = np.diag(free[mine].astype(float))
+            found[block] = self.solve(unit)[mine]
+        return found
+
 
 _FULL = 0.25
 """Part of all pairs of blocks above which a pattern has no band: dense Cholesky, however many unknowns."""
@@ -39,10 +70,10 @@ def solve_step(
             return None
         step = -cho_solve(factor, gradient.ravel(), check_finite=False)
     else:
-        solve = factorize(equations, damping, free, metric)
-        if solve is None:
+        factors = factorize(equations, damping, free, metric)
+        if factors is None:
             return None
-        step = -solve(gradient.reshape(-1, 1))[:, 0]
+        step = -factors.solve(gradient.reshape(-1, 1))[:, 0]
     return step.reshape(equations.gradient.shape) if np.all(np.isfinite(step)) else None
 
 
@@ -82,8 +113,8 @@ def factorize(
     damping: float,
     free: np.ndarray | None = None,
     metric: np.ndarray | None = None,
-) -> banded_cholesky.Solve | None:
-    """A function that solves `(H + damping D) x = r` for (B b, n) right sides; None where the matrix is not positive.
+) -> BandedCholesky | SparseFactor | None:
+    """The factors of `H + damping D`; None where the matrix is not positive.
 
     free: (B, b) bool; unknowns that are not free are zero. None: all are. By a band where there is one, else sparse LU.
     metric: as in `solve_step`
@@ -96,21 +127,14 @@ def factorize(
         return _sparse_lu(equations, more, np.flatnonzero(free))
 
 
-def _sparse_lu(
-    equations: NormalEquations, added: np.ndarray, index: np.ndarray
-) -> banded_cholesky.Solve | None:
+def _sparse_lu(equations: NormalEquations, added: np.ndarray, index: np.ndarray) -> SparseFactor | None:
     matrix = (equations.sparse() + diags(added.ravel()))[index][:, index].tocsc()
     try:
-        factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        return SparseFactor(
+            splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}), index, added.shape
+        )
     except RuntimeError:
         return None
-
-    def solve(right: np.ndarray) -> np.ndarray:
-        found = np.zeros_like(right)
-        found[index] = factor.solve(right[index])
-        return found
-
-    return solve
 
 
 def _damped(diagonal: np.ndarray) -> np.ndarray:
@@ -128,6 +152,8 @@ def covariance_blocks(
     count, size = equations.gradient.shape
     index = np.arange(count * size) if free is None else np.flatnonzero(free)
     own, last = np.zeros((count, size, size)), np.zeros((count, size, size))
+    if index.size > dense_limit:
+        return _selected_blocks(equations, index)
     inverse = inverse_columns(equations, index, dense_limit)
     final = np.flatnonzero(index >= (count - 1) * size)
     with_last = np.zeros((count * size, size))
@@ -139,6 +165,20 @@ def covariance_blocks(
         local = index[mine] - block * size
         own[block][np.ix_(local, local)] = inverse(mine)[mine]
     return own, last
+
+
+def _selected_blocks(equations: NormalEquations, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """As `covariance_blocks`, without the inverse as a whole."""
+    count, size = equations.gradient.shape
+    free = np.zeros(count * size, bool)
+    free[index] = True
+    free = free.reshape(count, size)
+    factors = factorize(equations, 1e-10, free)
+    if factors is None:
+        raise np.linalg.LinAlgError("the normal equations are not positive")
+    unit = np.zeros((count * size, size))
+    unit[-size:] = np.diag(free[-1].astype(float))
+    return factors.inverse_blocks(), factors.solve(unit).reshape(count, size, size)
 
 
 def inverse_columns(
@@ -153,13 +193,13 @@ def inverse_columns(
     count, size = equations.gradient.shape
     free = np.zeros(count * size, bool)
     free[index] = True
-    factor = factorize(equations, 1e-10, free.reshape(count, size))
+    factors = factorize(equations, 1e-10, free.reshape(count, size))
 
     def solve(columns: np.ndarray) -> np.ndarray:
-        if factor is None:
+        if factors is None:
             raise np.linalg.LinAlgError("the normal equations are not positive")
         unit = np.zeros((count * size, len(columns)))
         unit[index[columns], np.arange(len(columns))] = 1.0
-        return np.asarray(factor(unit)[index])
+        return np.asarray(factors.solve(unit)[index])
 
     return solve

@@ -56,6 +56,35 @@ def test_columns_of_the_inverse_are_those_of_the_dense_one(case):
     np.testing.assert_allclose(sparse, dense, rtol=1e-6, atol=1e-8 * np.abs(dense).max())
 
 
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())
+def test_selected_blocks_of_the_inverse_are_those_of_the_dense_one(case):
+    equations = path(size=6, **case)
+    free = np.random.default_rng(1).random(equations.gradient.shape) > 0.1
+    free[0] = False
+    factors = linear_solver.factorize(equations, 1e-3, free)
+    assert isinstance(factors, banded_cholesky.BandedCholesky)
+    hessian = equations.dense()
+    hessian += 1e-3 * np.diag(np.diag(hessian))
+    index = np.flatnonzero(free)
+    inverse = np.zeros_like(hessian)
+    inverse[np.ix_(index, index)] = np.linalg.inv(hessian[np.ix_(index, index)])
+    here = np.arange(len(free))
+    expected = inverse.reshape(len(here), 6, len(here), 6)[here, :, here]
+    np.testing.assert_allclose(factors.inverse_blocks(), expected, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())
+@pytest.mark.parametrize("most_bytes", [banded_cholesky.MOST_BYTES, 1e3], ids=["band", "sparse LU"])
+def test_covariances_are_those_of_the_dense_inverse(case, most_bytes, monkeypatch):
+    monkeypatch.setattr(banded_cholesky, "MOST_BYTES", most_bytes)
+    equations = path(size=6, **case)
+    free = np.ones(equations.gradient.shape, bool)
+    free[0], free[5, 2], free[-1, 4] = False, False, False
+    dense, selected = (linear_solver.covariance_blocks(equations, free, limit) for limit in (10**6, 0))
+    for found, wanted in zip(selected, dense, strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-7 * np.abs(wanted).max())
+
+
 def test_a_band_that_would_be_too_large_is_solved_otherwise(monkeypatch):
     equations = path(120, 4, 6)
     expected = linear_solver.solve_step(equations, 1e-3, dense_limit=0)
