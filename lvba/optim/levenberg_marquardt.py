@@ -12,7 +12,7 @@ damping is `raised`, after a step `eased`.
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -116,49 +116,70 @@ def levenberg_marquardt(
     most_accepted: stop after so many accepted steps
     Damping by gain ratio (Nielsen 1999; Madsen et al. 2004, section 3.2).
     """
-    equations = linearize(state)
-    cost_initial, damping, growth = equations.cost, config.initial_damping, 2.0
-    now = cost_initial
+    at = _evaluated(state, linearize, None)
+    cost_initial, damping = at.cost, _Damping(config.initial_damping)
     history: list[Iteration] = []
-    converged, refused, accepted_steps = False, 0, 0
-    current = True
-    for _ in range(config.max_iterations):
-        if not current:
-            equations, current = linearize(state), True
-        step = solve_step(equations, damping, free, config.dense_limit, metric)
+    refused = 0
+    while len(history) < config.max_iterations:
+        equations = at.equations or linearize(at.state)
+        step = solve_step(equations, damping.value, free, config.dense_limit, metric)
         if step is None and convex is not None:
-            equations = convex(state)
-            step = solve_step(equations, damping, free, config.dense_limit, metric)
+            equations = convex(at.state)
+            step = solve_step(equations, damping.value, free, config.dense_limit, metric)
         if step is None:
-            damping, growth = _grown(damping, growth), growth * 2
-            history.append(Iteration(now, 0.0, damping, -1.0, False))
+            at, damping = replace(at, equations=equations), damping.refused()
+            history.append(Iteration(at.cost, 0.0, damping.value, -1.0, False))
             continue
-        size = float(np.abs(step).max(initial=0.0))
-        trial = retract(state, step)
-        at_trial = linearize(trial) if cost is None else None
-        trial_cost = at_trial.cost if at_trial is not None else cost(trial) if cost is not None else np.nan
-        predicted = _predicted(equations, step)
-        decrease = now - trial_cost
+        trial = _evaluated(retract(at.state, step), linearize, cost)
+        predicted, decrease = _predicted(equations, step), at.cost - trial.cost
         gain = decrease / predicted if predicted > 0 else -1.0
-        accepted = bool(decrease > -cost_noise and np.isfinite(trial_cost))
-        small = size <= config.step_tolerance or predicted <= config.relative_decrease * abs(now)
-        done = small or (accepted and decrease <= config.relative_decrease * abs(now))
+        accepted = bool(decrease > -cost_noise and np.isfinite(trial.cost))
+        size, least = float(np.abs(step).max(initial=0.0)), config.relative_decrease * abs(at.cost)
+        done = size <= config.step_tolerance or predicted <= least or (accepted and decrease <= least)
         if accepted:
-            state, now, current = trial, trial_cost, at_trial is not None
-            equations = equations if at_trial is None else at_trial
-            damping, growth, refused = damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), 2.0, 0
-            accepted_steps += 1
+            at, damping, refused = trial, damping.accepted(gain), 0
         else:
-            damping, growth, refused = _grown(damping, growth), growth * 2, refused + 1
-        history.append(Iteration(now, size, damping, gain, accepted))
-        logger.debug("cost %.6g step %.2g damping %.2g gain %.2f", now, size, damping, gain)
+            at, damping, refused = replace(at, equations=equations), damping.refused(), refused + 1
+        history.append(Iteration(at.cost, size, damping.value, gain, accepted))
+        logger.debug("cost %.6g step %.2g damping %.2g gain %.2f", at.cost, size, damping.value, gain)
         # a step that promised little and was refused: the cost's own noise (samples that come and go) is reached
-        if done or (refused >= config.refusals and predicted <= 1e-3 * abs(now)):
-            converged = True
+        if done or (refused >= config.refusals and predicted <= 1e-3 * abs(at.cost)):
+            return Solution(at.state, cost_initial, at.cost, True, tuple(history))
+        if most_accepted is not None and sum(entry.accepted for entry in history) >= most_accepted:
             break
-        if accepted_steps == most_accepted:
-            break
-    return Solution(state, cost_initial, now, converged, tuple(history))
+    return Solution(at.state, cost_initial, at.cost, False, tuple(history))
+
+
+@dataclass(frozen=True)
+class _Evaluated(Generic[State]):
+    """A state, its cost, and its equations if they are known."""
+
+    state: State
+    cost: float
+    equations: NormalEquations | None
+
+
+def _evaluated(
+    state: State, linearize: Callable[[State], NormalEquations], cost: Callable[[State], float] | None
+) -> _Evaluated[State]:
+    if cost is not None:
+        return _Evaluated(state, cost(state), None)
+    equations = linearize(state)
+    return _Evaluated(state, equations.cost, equations)
+
+
+@dataclass(frozen=True)
+class _Damping:
+    """The damping, and by how much it grows at the next refusal."""
+
+    value: float
+    growth: float = 2.0
+
+    def accepted(self, gain: float) -> "_Damping":
+        return _Damping(self.value * max(1 / 3, 1 - (2 * gain - 1) ** 3))
+
+    def refused(self) -> "_Damping":
+        return _Damping(self.value * self.growth if self.value > 0 else 1.0, 2 * self.growth)
 
 
 def damped_step(
@@ -197,10 +218,6 @@ def cost_rises(cost: float, before: float) -> bool:
 def step_grows(length: float, before: float) -> bool:
     """Whether a round's step is so much longer than the last one that it leads away."""
     return length > STEP_GROWTH * before
-
-
-def _grown(damping: float, growth: float) -> float:
-    return damping * growth if damping > 0 else 1.0
 
 
 def _predicted(equations: NormalEquations, step: np.ndarray) -> float:
