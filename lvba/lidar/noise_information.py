@@ -24,9 +24,8 @@ MOST_SCANS = 250
 COVARIANCE_FACTOR = 16.0
 """Multiple of the noise information that the covariance does not count: four times that which is not followed of a
 single scan (`degeneracy.SIGNAL_TO_NOISE`). Normals are off by twice what `degeneracy.TRUSTED_POINTS` have it, in
-simulated rooms of
-known walls: cells hold bits of other surfaces, and their faces cut the noise off at a slant. 32 is too modest in the
-open."""
+simulated rooms of known walls: cells hold bits of other surfaces, and their faces cut the noise off at a slant. 32 is too
+modest in the open."""
 STEP_FACTOR = 16.0
 """Multiple of the noise information at which the planes' information counts half in a step. Of 1, 4, 16 and 64 in six
 simulated rooms, 16 brought groups back (four: half of the way) without giving up what planes do know (64)."""
