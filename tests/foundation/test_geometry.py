@@ -95,3 +95,23 @@ def test_leading_axes_broadcast():
     assert a.shape == (2, 3, 4, 4)
     assert geometry.adjoint(a).shape == (2, 3, 6, 6)
     assert geometry.retract(a, np.zeros(6)).shape == (2, 3, 4, 4)
+
+
+def test_what_does_not_move_stays_to_the_last_bit():
+    rng = np.random.default_rng(11)
+    poses = geometry.exp(rng.normal(size=(3, 6)))
+    step = rng.normal(size=(3, 6))
+    step[1] = 0.0
+    moved = geometry.retract(poses, step)
+    assert np.array_equal(moved[1], poses[1])
+    np.testing.assert_allclose(moved, poses @ geometry.exp(step), atol=1e-12)
+
+
+def test_a_covariance_in_turned_axes_is_that_of_turned_errors():
+    rng = np.random.default_rng(12)
+    rotation = geometry.exp(rng.normal(size=6))[:3, :3]
+    errors = rng.normal(size=(50, 6))
+    turned = np.concatenate([errors[:, :3] @ rotation.T, errors[:, 3:] @ rotation.T], axis=1)
+    np.testing.assert_allclose(
+        geometry.turn_tangent(errors.T @ errors, rotation), turned.T @ turned, atol=1e-10
+    )

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 from lvba.optim import levenberg_marquardt, linear_solver, normal_equations
 from lvba.optim.levenberg_marquardt import SolverConfig
@@ -147,3 +148,121 @@ def test_a_cost_that_is_not_a_number_is_never_accepted():
 def test_settings_out_of_range_are_refused_by_name(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         SolverConfig(**wrong)
+
+
+def test_a_cost_by_itself_leads_to_the_same_state_with_fewer_linearizations():
+    config = SolverConfig(max_iterations=100, relative_decrease=0.0, step_tolerance=1e-9)
+    start, calls = np.array([-1.2, 1.0]), []
+
+    def counted(x):
+        calls.append(x)
+        return rosenbrock(x)
+
+    def moved(x, d):
+        return x + d[0]
+
+    plain = levenberg_marquardt.levenberg_marquardt(start, rosenbrock, moved, config)
+    found = levenberg_marquardt.levenberg_marquardt(
+        start, counted, moved, config, cost=lambda x: rosenbrock(x).cost
+    )
+    assert np.array_equal(found.state, plain.state)
+    assert found.history == plain.history
+    refused = sum(not entry.accepted for entry in found.history)
+    assert refused > 0
+    assert len(calls) <= len(found.history) + 1 - refused
+
+
+def bowl(x):
+    """An indefinite Newton Hessian at 0 of a cost with minima at +-1; Gauss-Newton's of (x^2 - 1)."""
+    cost = 0.5 * float((x[0] ** 2 - 1) ** 2)
+    gradient = 2 * x[0] * (x[0] ** 2 - 1)
+    return cost, gradient, 6 * x[0] ** 2 - 2, 4 * x[0] ** 2
+
+
+def equations_of(cost, gradient, hessian):
+    at = np.zeros(1, int)
+    return NormalEquations(at, at, np.array([[[hessian]]]), np.array([[gradient]]), cost)
+
+
+def test_where_the_hessian_is_indefinite_a_convex_one_takes_over():
+    def newton(x):
+        cost, gradient, hessian, _ = bowl(x)
+        return equations_of(cost, gradient, hessian)
+
+    def convex(x):
+        used.append(float(x[0]))
+        cost, gradient, _, hessian = bowl(x)
+        return equations_of(cost, gradient, hessian)
+
+    used: list[float] = []
+    config = SolverConfig(initial_damping=0.0, step_tolerance=1e-12, relative_decrease=0.0)
+    found = levenberg_marquardt.levenberg_marquardt(
+        np.array([0.5]), newton, lambda x, d: x + d[0], config, convex=convex, metric=np.ones(1)
+    )
+    assert used == [0.5]
+    assert found.state == pytest.approx([1.0], abs=1e-9)
+
+
+@pytest.mark.parametrize("most", [1, 3])
+def test_no_more_steps_are_taken_than_asked_for(most):
+    found = levenberg_marquardt.levenberg_marquardt(
+        np.array([-1.2, 1.0]), rosenbrock, lambda x, d: x + d[0], SolverConfig(), most_accepted=most
+    )
+    assert sum(entry.accepted for entry in found.history) == most
+
+
+@pytest.mark.parametrize("noise", [0.0, 10.0])
+def test_a_rise_within_the_noise_of_the_cost_is_accepted(noise):
+    def wrong(x):
+        """A gradient of the wrong sign: the cost rises by 1.5 over the first step."""
+        return equations_of(0.5 * float(x[0] ** 2), -float(x[0]), 1.0)
+
+    found = levenberg_marquardt.levenberg_marquardt(
+        np.ones(1), wrong, lambda x, d: x + d[0], SolverConfig(initial_damping=0.0),
+        metric=np.ones(1), cost_noise=noise, most_accepted=1,
+    )  # fmt: skip
+    assert found.history[0].accepted == (noise > 0)
+
+
+def test_a_single_step_is_damped_until_its_equations_are_positive():
+    metric = np.array([0.5])
+    step, damping = levenberg_marquardt.damped_step(equations_of(1.0, 2.0, 4.0), 0.0, metric=metric)
+    assert step == pytest.approx(np.array([[-0.5]]))
+    assert damping == 0.0
+    step, damping = levenberg_marquardt.damped_step(equations_of(1.0, 2.0, -4.0), 0.0, metric=metric)
+    assert damping == 10.0
+    assert step == pytest.approx(np.array([[-2.0]]))
+    step, _ = levenberg_marquardt.damped_step(equations_of(1.0, 2.0, -1e12), 0.0, metric=metric)
+    assert step is None
+
+
+def test_a_pattern_of_all_pairs_is_solved_densely_and_like_any_other():
+    rng = np.random.default_rng(8)
+    root = rng.normal(size=(30, 40))
+    equations = normal_equations.from_dense(root @ root.T, rng.normal(size=(10, 3)), 1.0)
+    np.testing.assert_allclose(equations.dense(), root @ root.T)
+    step = linear_solver.solve_step(equations, 0.0, dense_limit=0)
+    expected = -np.linalg.solve(root @ root.T, equations.gradient.ravel())
+    np.testing.assert_allclose(step.ravel(), expected, rtol=1e-8, atol=1e-10)
+
+
+@pytest.mark.parametrize("size", [3, 2])
+def test_projected_equations_are_those_by_other_unknowns(size):
+    rng = np.random.default_rng(9)
+    equations, dense = random_equations(rng)
+    jacobian = rng.normal(size=(6, 3, size))
+    if size == 3:
+        jacobian[1:4] = np.eye(3)
+    found = equations.projected(jacobian)
+    whole = scipy.linalg.block_diag(*jacobian)
+    np.testing.assert_allclose(found.dense(), whole.T @ dense @ whole, atol=1e-12 * np.abs(dense).max())
+    np.testing.assert_allclose(found.gradient.ravel(), whole.T @ equations.gradient.ravel())
+    assert found.cost == equations.cost
+
+
+def test_diagonal_blocks_are_zero_where_there_are_none():
+    at = np.array([1], np.int32)
+    equations = NormalEquations(at, at, np.full((1, 2, 2), 3.0), np.zeros((3, 2)), 0.0)
+    found = equations.diagonal_blocks()
+    assert np.array_equal(found[1], np.full((2, 2), 3.0))
+    assert not found[[0, 2]].any()
