@@ -55,3 +55,11 @@ def test_page_has_no_version_of_its_own():
     lock = json.loads((folder / "package-lock.json").read_text())
     assert all("version" not in each for each in (json.loads((folder / "package.json").read_text()), lock))
     assert "version" not in lock["packages"][""]
+
+
+def test_files_that_contributing_names_exist():
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    found = set(re.findall(r"`((?:lvba|workers|service|tests|benchmarks|docs|deploy)/[\w/.]+)`", text))
+    assert len(found) > 20
+    made_up = {"lvba/kernels/x.py", "service/cli/x_command.py", "lvba/kernels/__pycache__"}
+    assert [name for name in sorted(found - made_up) if not (ROOT / name).exists()] == []
