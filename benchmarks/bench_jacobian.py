@@ -20,7 +20,7 @@ from lvba.optim import levenberg_marquardt, normal_equations
 from lvba.optim.levenberg_marquardt import SolverConfig
 from lvba.optim.normal_equations import NormalEquations
 from lvba.visual import photometric
-from lvba.visual.photometric import PhotometricConfig, PhotometricState, Problem
+from lvba.visual.photometric import PhotometricState, Problem
 from lvba.visual.states import CameraStates
 
 sys.path.append(str(Path(__file__).resolve().parent.parent / "tests" / "visual"))
@@ -132,7 +132,7 @@ def room(patch: int) -> tuple[Problem, PhotometricState, np.ndarray]:
     world, poses = textured_planes.room(), textured_planes.walk(IMAGES)
     images = textured_planes.render(world, poses, CAMERA, np.ones(IMAGES), noise=2.0)
     points, observations = textured_planes.scene_points(world, poses, CAMERA, step=14, radius=patch // 2)
-    problem = photometric.prepare(images, CAMERA, points, observations, PhotometricConfig(patch=patch))
+    problem = photometric.prepare(images, CAMERA, points, observations, patch)
     rough = textured_planes.disturbed(poses, 0.005, 0.1, 0)
     return problem, PhotometricState(CameraStates(rough, np.zeros(IMAGES)), np.zeros(len(points))), poses
 

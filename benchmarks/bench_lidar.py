@@ -19,12 +19,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from ablations import balm2
 
 from lvba import geometry, trajectory
 from lvba.io.dataset import open_dataset
 from lvba.io.pcd import read_pcd
 from lvba.lidar import voxel_map
-from lvba.lidar.bundle_adjustment import LidarResult, balm2, refine
+from lvba.lidar.bundle_adjustment import LidarResult, refine
 from lvba.lidar.plane_feature import PlaneFeatures, fit
 from lvba.lidar.problem import LidarSolution, Problem, solve
 from lvba.lidar.scan import Scans, gather
@@ -81,7 +82,7 @@ def read_poses(path: Path) -> np.ndarray:
 
 def features_of(scans: Scans, poses: np.ndarray) -> PlaneFeatures:
     """BALM2's planes at some poses."""
-    stage = balm2().stages[0]
+    stage = balm2.stage()
     grid = voxel_map.build(scans, poses, stage.sizes)
     return voxel_map.find_planes(grid, poses, np.zeros(3), stage.plane_test).features
 

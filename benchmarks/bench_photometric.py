@@ -14,7 +14,7 @@ import numpy as np
 from lvba import geometry
 from lvba.camera import Camera
 from lvba.visual import photometric
-from lvba.visual.photometric import PhotometricConfig, PhotometricState, Problem
+from lvba.visual.photometric import PhotometricState, Problem
 from lvba.visual.scene_points import Observations, ScenePoints
 from lvba.visual.states import CameraStates
 
@@ -47,9 +47,7 @@ def problem(
         point.astype(np.int32), target[inside].astype(np.int32), np.zeros(inside.sum(), bool)
     )
     states = CameraStates(poses, 0.1 * rng.normal(size=images))
-    task = photometric.prepare(
-        level, camera, scene, pairs, PhotometricConfig(patch=patch), offset_sigma=np.full(len(pixel), 0.005)
-    )
+    task = photometric.prepare(level, camera, scene, pairs, patch, offset_sigma=np.full(len(pixel), 0.005))
     return task, PhotometricState(states, np.zeros(len(pixel)))
 
 

@@ -12,6 +12,7 @@ Each command adds its rows to docs/results.json (one object per row, keyed by ta
 
 import argparse
 import json
+import os
 import re
 import subprocess
 import sys
@@ -19,6 +20,8 @@ import tempfile
 import time
 from pathlib import Path
 from typing import Any
+
+from ablations import ABLATIONS
 
 ROOT = Path(__file__).resolve().parent.parent
 JSON = ROOT / "docs" / "results.json"
@@ -33,18 +36,7 @@ COLORED = (
     *((scene, "spinning", 30) for scene in SCENES),
 )
 """Scene, LiDAR and frames of the table of colors."""
-ABLATIONS: dict[str, list[str]] = {
-    "full": [],
-    "without global scene points": ["visual.visibility.use_global=false"],
-    "without exposures": ["visual.exposures=none"],
-    "as-printed score (4)": ["visual.visibility.score=as printed"],
-    "without the pose prior": ["visual.prior.enabled=false"],
-    "without LiDAR BA": ["refine_scans=false"],
-    "without plane offsets": ["visual.adjustment.plane_offsets=false"],
-    "reference pixels that move, as in the paper": ["visual.adjustment.photometric.reference_pixels=moving"],
-    "without visual BA": ["refine_cameras=false"],
-    "without scans learning from cameras": ["fusion.enabled=false"],
-}
+SIDE_BY_SIDE = "parts side by side"
 
 
 _PATH = re.compile(r"(?<!\S)/(?:[^\s/]+/)*([^\s/]+)")
@@ -61,10 +53,24 @@ def run_lvba(dataset: Path, out: Path, options: list[str], reference: Path | Non
     return report_of(command, out)
 
 
+def run_ablation(name: str, dataset: Path, out: Path, options: list[str], reference: Path) -> dict[str, Any]:
+    """As `run_lvba`, by the method with a part of it left out."""
+    command = [sys.executable, "-m", "benchmarks.ablations", name, str(dataset), "--out", str(out)]
+    for option in options:
+        command += ["--set", option]
+    return report_of([*command, "--reference", str(reference)], out)
+
+
 def report_of(command: list[str], out: Path) -> dict[str, Any]:
     """The report in `out` of a command that writes one, with its wall seconds added; why there is none, if it failed."""
     started = time.monotonic()
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
     seconds = time.monotonic() - started
     if done.returncode != 0:
         return {"failed": done.stderr.strip().splitlines()[-1] if done.stderr else f"exit {done.returncode}"}
@@ -197,9 +203,11 @@ def ablations(seeds: list[int], scenes: list[str], work: Path) -> None:
         for scene in scenes:
             dataset = work / f"{scene}_{seed}"
             simulate(scene, dataset, seed=seed)
-            for name, options in ABLATIONS.items():
+            for name in ABLATIONS:
+                if name == SIDE_BY_SIDE:  # of recordings in parts, see results_split
+                    continue
                 out = work / f"{scene}_{seed}_{name.replace(' ', '_').replace('/', '_')}"
-                report = run_lvba(dataset, out, options, dataset / "reference")
+                report = run_ablation(name, dataset, out, [], dataset / "reference")
                 save("ablations", f"{scene}, seed {seed}: {name}", figures(report))
 
 

@@ -25,11 +25,12 @@ from lvba.trajectory import align, pose_error  # noqa: E402
 
 CUT = ["split.by=count", "split.size=80"]
 NO_ROUNDS = ["merge.coarse_rounds=0", "merge.scan_rounds=0", "merge.image_rounds=0"]
+NOT_MERGED = "in 5 parts, side by side, not merged"
 WAYS = {
     "undivided": ["split.by=none"],
     "in 5 parts": CUT,
     "in 5 parts, merged, without joint rounds": [*CUT, *NO_ROUNDS],
-    "in 5 parts, side by side, not merged": [*CUT, *NO_ROUNDS, "merge.align=false"],
+    NOT_MERGED: [*CUT, *NO_ROUNDS],
 }
 LOOPS = {
     "block, easy drift": ("block", "easy", ("--closing", "0", "0")),
@@ -46,7 +47,11 @@ def street(work: Path) -> None:
     for name, options in WAYS.items():
         # one folder for all in parts: what they share is made once
         out = undivided if name == "undivided" else work / "parts"
-        report = results.run_lvba(dataset, out, options, dataset / "reference")
+        truth = dataset / "reference"
+        if name == NOT_MERGED:
+            report = results.run_ablation(results.SIDE_BY_SIDE, dataset, out, options, truth)
+        else:
+            report = results.run_lvba(dataset, out, options, truth)
         row = results.figures(report)
         if name != "undivided" and "failed" not in row:
             row["undivided"] = differences(undivided, out)

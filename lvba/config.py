@@ -5,17 +5,21 @@ Every mistake is one InputError that names the setting and, for a misspelt name,
 
 import dataclasses
 import difflib
+import logging
+import textwrap
 import types
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import yaml
 
+from lvba import retired_settings, settings
 from lvba.errors import InputError
 from lvba.io import plain_yaml
 from lvba.settings import RangeError
 
 Config = TypeVar("Config")
+_log = logging.getLogger(__name__)
 _MOST = 1 << 63
 
 
@@ -78,9 +82,24 @@ def from_mapping(
 ) -> Config:
     """A config of this kind from nested mappings; what they do not name is as in `base`, or the default.
 
+    Settings of an earlier version are passed over with a warning where they have the default that they had.
+
     Raises InputError: a name that is no setting, a value of another type or out of range.
     """
+    if getattr(kind, "KNOWS_RETIRED", False) and isinstance(values, Mapping):
+        values = _without_retired(values, where)
     return _build(kind, values, where, "", base)
+
+
+def _without_retired(values: Mapping[str, Any], where: str) -> Mapping[str, Any]:
+    old = dict(retired_settings.found(values))
+    for name, value in old.items():
+        if not retired_settings.is_default(name, value):
+            problem = f"{_quoted(value)}: this setting is none any more"
+            raise SettingError(where, name, problem, retired_settings.mend(name))
+    if old:
+        _log.warning("%s: passed over, being settings no more: %s", where, ", ".join(old))
+    return retired_settings.without(values) if old else values
 
 
 def to_dict(config: Any) -> dict[str, Any]:
@@ -89,8 +108,30 @@ def to_dict(config: Any) -> dict[str, Any]:
 
 
 def to_yaml(config: Any) -> str:
-    """Every setting as YAML text, in the order of declaration."""
-    return yaml.safe_dump(to_dict(config), sort_keys=False, allow_unicode=True)
+    """Every setting as YAML text, in the order of declaration, with what each means as a comment."""
+    return "\n".join(_yaml_lines(config, "")) + "\n"
+
+
+def _yaml_lines(config: Any, indent: str) -> Iterator[str]:
+    for item in dataclasses.fields(config):
+        value = getattr(config, item.name)
+        if dataclasses.is_dataclass(value) and not isinstance(value, type):
+            yield from _comment(settings.summary(type(value)), indent)
+            yield f"{indent}{item.name}:"
+            yield from _yaml_lines(value, indent + "  ")
+            continue
+        known = settings.about(item)
+        if known is not None:
+            unit = f" Unit: {known.unit}." if known.unit else ""
+            allowed = f" Allowed: {known.allowed}." if known.allowed else ""
+            yield from _comment(f"{known.meaning}{unit}{allowed}", indent)
+        text = yaml.safe_dump({item.name: _plain(value)}, sort_keys=False, allow_unicode=True)
+        yield from (indent + line for line in text.splitlines())
+
+
+def _comment(text: str, indent: str) -> list[str]:
+    mark = f"{indent}# "
+    return textwrap.wrap(text, 100, initial_indent=mark, subsequent_indent=mark, break_on_hyphens=False)
 
 
 def names(kind: Any, prefix: str = "") -> list[str]:
@@ -156,7 +197,7 @@ def coerce(value: Any, hint: Any, where: str, path: str, base: Any = None) -> An
             where,
             path,
             f"{_quoted(value)} is not {_words(hint)}",
-            "see the default in config.yaml of any result",
+            "see docs/settings.md, or config.yaml of any result",
         ) from None
 
 

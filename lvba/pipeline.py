@@ -1,6 +1,7 @@
 """The whole chain, from a recording to its colored map and report: the only place that says what follows what."""
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 from lvba.blocks import plan as blocks_plan
 from lvba.blocks import survey
@@ -12,6 +13,7 @@ from lvba.lidar.bundle_adjustment import LidarConfig
 from lvba.plan import Passing, Plan, Ref
 from lvba.products.evaluate import EvaluateConfig
 from lvba.products.map_file import MapConfig
+from lvba.settings import setting
 from lvba.steps import evaluate as evaluate_steps
 from lvba.steps import expected_error, plane_thickness, report_data, scan_acceptance
 from lvba.steps.acceptance import GateConfig
@@ -22,48 +24,58 @@ from lvba.steps.pose_fusion import FusionConfig
 from lvba.steps.products import color_map, make_pictures
 from lvba.steps.visual import solve_visual, solve_visual_level, visual_levels
 from lvba.visual.refine import VisualConfig
+from lvba.visual.variant import PRODUCT, Variant
 
 
 @dataclass(frozen=True)
 class Config:
     """Every setting of a run, stage by stage."""
 
-    refine_scans: bool = True
-    """False: no LiDAR bundle adjustment, scan poses stay as they are (for ablations)."""
-    refine_cameras: bool = True
-    """False: no visual bundle adjustment, cameras only move along with the scans (for ablations)."""
+    KNOWS_RETIRED: ClassVar[bool] = True
+    """Settings of version 0.1 that are none any more are passed over, see `lvba.retired_settings`."""
+
+    refine_scans: bool = setting(
+        True,
+        meaning="Do the LiDAR bundle adjustment. false: scan poses stay as they are.",
+        change_when="The scan poses are better than a LiDAR bundle adjustment could make them, as from a total station.",
+    )
+    refine_cameras: bool = setting(
+        True,
+        meaning="Do the visual bundle adjustment. false: cameras only move along with the scans.",
+        change_when="Only the LiDAR map is wanted: this saves most of the time.",
+    )
     split: SplitConfig = field(default_factory=SplitConfig)
-    """How a long recording is cut into parts."""
     merge: MergeConfig = field(default_factory=MergeConfig)
-    """How parts become one."""
     lidar: LidarConfig = field(default_factory=LidarConfig)
-    """LiDAR bundle adjustment."""
     visual: VisualConfig = field(default_factory=VisualConfig)
-    """Visual bundle adjustment."""
     fusion: FusionConfig = field(default_factory=FusionConfig)
-    """How scan poses learn from the refined cameras."""
     gate: GateConfig = field(default_factory=GateConfig)
-    """What a stage must gain to be accepted."""
     map: MapConfig = field(default_factory=MapConfig)
-    """The colored map that users keep."""
     evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
-    """How input and result are judged."""
 
 
 def refine(
-    dataset: Dataset, config: Config | None = None, reference: Reference | None = None, version: str = ""
+    dataset: Dataset,
+    config: Config | None = None,
+    reference: Reference | None = None,
+    version: str = "",
+    *,
+    variant: Variant = PRODUCT,
+    align_parts: bool = True,
 ) -> Plan:
     """From a recording to scan poses, camera poses, exposures, a colored map and the facts of the report.
 
     reference: poses to compare with, which decide nothing
     version: of the code, as far as it changes results
+    variant, align_parts: other than by default for comparisons of the method with parts of it; a recording in parts knows
+        `align_parts` only, an undivided one the variant
     """
     config = config or Config()
     reference = None if reference is None else of_cameras(reference, dataset)
     plan = Plan(version)
     cores = parts(dataset, config.split, survey.load_of(dataset))
     if len(cores) > 1:
-        return blocks_plan.refine(plan, dataset, cores, config, reference)
+        return blocks_plan.refine(plan, dataset, cores, config, reference, align_parts)
     lidar = plan.add("lidar", solve_lidar, dataset, config.lidar, config.refine_scans)
     scans = plan.add("lidar-gate", scan_acceptance.judge_lidar, dataset, lidar, config.evaluate, config.gate)
     coarser: Ref | VisualLevel = VisualLevel(None)
@@ -71,12 +83,12 @@ def refine(
         coarser = plan.add(
             f"visual-level-{level}",
             solve_visual_level,
-            *(dataset, lidar, scans, coarser, config.lidar, config.visual, config.refine_cameras),
+            *(dataset, lidar, scans, coarser, config.lidar, config.visual, config.refine_cameras, variant),
         )
     visual = plan.add(
         "visual",
         solve_visual,
-        *(dataset, lidar, scans, coarser, config.lidar, config.visual, config.refine_cameras),
+        *(dataset, lidar, scans, coarser, config.lidar, config.visual, config.refine_cameras, variant),
     )
     fusion = plan.add("fusion", solve_fusion, dataset, lidar, scans, visual, config.lidar, config.fusion)
     fused = plan.add(

@@ -70,7 +70,7 @@ class Result:
             if len(self.relative_exposure):
                 result_folder.write_exposures(folder, self.dataset, self.relative_exposure)
             self._write_map(folder / result_folder.MAP)
-            result_folder.write_config(folder, settings.to_dict(self.config))
+            result_folder.write_config(folder, settings.to_yaml(self.config))
             report.write(folder, self.report, self.pictures)
 
     def _write_map(self, path: Path) -> None:

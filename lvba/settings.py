@@ -45,7 +45,8 @@ class About:
     def text(self) -> str:
         """Meaning, range and when to change it, as one text."""
         allowed = " ".join(part for part in (self.allowed, self.unit) if part)
-        return " ".join(part for part in (self.meaning, allowed and f"{allowed}.", self.change_when) if part)
+        advice = self.change_when and f"Change it when: {self.change_when}"
+        return " ".join(part for part in (self.meaning, allowed and f"{allowed}.", advice) if part)
 
     @property
     def allowed(self) -> str:

@@ -7,7 +7,6 @@ import numpy as np
 
 from lvba import geometry
 from lvba.blocks import visual_block, visual_joint
-from lvba.blocks.config import MergeConfig
 from lvba.blocks.lidar_steps import JointScans
 from lvba.blocks.split import Frames, Part
 from lvba.blocks.survey import Survey, keyframes_of
@@ -63,14 +62,14 @@ def merge_cameras(
     scans: ScanPoses,
     survey: Survey,
     config: VisualConfig,
-    merging: MergeConfig,
+    align: bool = True,
 ) -> MergedCameras:
     """Each keyframe as the part has it whose core it is in; one scale of exposures; the mount all parts agree on."""
     solved = [part for part in found if part.result is not None]
     if not solved:
         return MergedCameras(None, (), found[0].problem)
     scale, seams = _exposure_scales(cores, found)
-    if not merging.align:
+    if not align:
         scale = np.zeros(len(cores))
     carried = carry_cameras(dataset, scans.world_from_scan)
     poses, log_exposure = carried.copy(), np.zeros(len(carried))
@@ -87,9 +86,7 @@ def merge_cameras(
         CameraStates(poses[keyframes], log_exposure[keyframes] - log_exposure[keyframes[0]]),
         _common_mount(dataset, [part.result for part in solved if part.result is not None]),
     )
-    prior = (
-        _prior(dataset, cores, found, joint_scans, scans, survey, config) if config.prior.enabled else None
-    )
+    prior = _prior(dataset, cores, found, joint_scans, scans, survey, config)
     settled = all(part.result is not None and len(part.result.weak_common) for part in solved)
     return MergedCameras(JointCameras(state, state, prior, sigma[keyframes], settled=settled), seams)
 
@@ -260,16 +257,12 @@ def linearize_cameras(
     return visual_block.linearize(read_pictures(), camera, laid, state, found.tuning, config)
 
 
-def step_cameras(
-    merged: MergedCameras, found: Sequence[CameraShare | None], config: VisualConfig
-) -> MergedCameras:
+def step_cameras(merged: MergedCameras, found: Sequence[CameraShare | None]) -> MergedCameras:
     """One round of the joint problem."""
     known = [each for each in found if each is not None]
     if merged.cameras is None or not known:
         return merged
-    return replace(
-        merged, cameras=visual_joint.step(merged.cameras, known, solve_exposures=config.exposures == "joint")
-    )
+    return replace(merged, cameras=visual_joint.step(merged.cameras, known))
 
 
 def finish_cameras(

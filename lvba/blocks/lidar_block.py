@@ -14,12 +14,12 @@ from scipy.spatial import cKDTree
 from lvba import geometry
 from lvba.kernels import voxel as kernel
 from lvba.lidar import degeneracy, plane_factor, voxel_map
-from lvba.lidar.config import StageConfig
+from lvba.lidar.config import Stage
 from lvba.lidar.plane_feature import fit
 from lvba.lidar.point_cluster import PointClusters, split
 from lvba.lidar.scan import Scans, gather
 from lvba.lidar.voxel_map import Level, VoxelMap
-from lvba.lidar.weights import WeightConfig, observation_weights
+from lvba.lidar.weights import observation_weights
 from lvba.optim import normal_equations
 from lvba.optim.normal_equations import NormalEquations
 from lvba.progress import Progress, silent
@@ -190,9 +190,7 @@ def _share(
     )
 
 
-def linearize(
-    share: Share, world_from_scan: np.ndarray, sensor: np.ndarray, stage: StageConfig, weights: WeightConfig
-) -> ShareEquations:
+def linearize(share: Share, world_from_scan: np.ndarray, sensor: np.ndarray, stage: Stage) -> ShareEquations:
     """The planes of a share found at poses (S, 4, 4) of the whole recording, and their normal equations there.
 
     sensor: (3,), m, where the LiDAR is in the scan frame. Gauss-Newton, planes eliminated.
@@ -207,7 +205,7 @@ def linearize(
     if features is None or len(features) == 0:
         none = np.zeros((count, 6, 6))
         return ShareEquations(share.scans, _no_equations(count), none, none, 0, 0, 0.0, 0.0)
-    found = observation_weights(features, poses, weights, stage.systematic)
+    found = observation_weights(features, poses, stage.systematic, stage.weight_passes)
     features = features.with_weight(found.weight)
     fits = fit(features, poses)
     information, noise = degeneracy.information(features, fits, poses)

@@ -12,7 +12,7 @@ from lvba.blocks import lidar_block
 from lvba.blocks.lidar_block import ShareEquations
 from lvba.errors import DegenerateProblemError
 from lvba.lidar import degeneracy
-from lvba.lidar.config import LidarConfig, StageConfig
+from lvba.lidar.config import LidarConfig, Stage
 from lvba.lidar.covariance import alignment
 from lvba.lidar.degeneracy import Weakness
 from lvba.lidar.odometry_factor import OdometryPrior, odometry_prior, reestimated
@@ -63,7 +63,7 @@ def begin(rough: np.ndarray, world_from_scan: np.ndarray, config: LidarConfig) -
 
 
 def step(
-    state: JointState, found: ShareEquations, number: int, stage: StageConfig, config: LidarConfig
+    state: JointState, found: ShareEquations, number: int, stage: Stage, config: LidarConfig
 ) -> JointState:
     """The state after one round: the sum of all shares, solved.
 
@@ -96,7 +96,7 @@ def step(
     )
 
 
-def _grows(state: JointState, distance: float, number: int, stage: StageConfig) -> bool:
+def _grows(state: JointState, distance: float, number: int, stage: Stage) -> bool:
     """Whether a step of this length (m) is much longer than the last one of the same stage."""
     if not state.history or state.history[-1].stage != number or distance < 10 * stage.settled:
         return False

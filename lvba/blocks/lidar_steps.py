@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lvba.blocks import lidar_block, lidar_joint, merge
-from lvba.blocks.config import MergeConfig
 from lvba.blocks.lidar_block import Share, ShareEquations
 from lvba.blocks.lidar_joint import JointState
 from lvba.blocks.merge import MergedScans, PartPoses
@@ -109,18 +108,21 @@ def merge_parts(
     found: Sequence[PartScans],
     closed: Sequence[Loop | None],
     survey: Survey,
-    config: MergeConfig,
+    align: bool = True,
 ) -> MergedStage:
-    """The parts tied in their overlaps and by loops."""
+    """The parts tied in their overlaps and by loops.
+
+    align: False: every scan is where the part whose core it is in put it, with steps at the seams (for comparison)
+    """
     merged = merge.merge(
         tuple(part.poses for part in found), tuple(loop for loop in closed if loop is not None)
     )
     poses = merged.world_from_scan
-    if not config.align:
+    if not align:
         poses = _side_by_side(cores, found, dataset.scans.world_from_sensor)
     state = lidar_joint.begin(dataset.scans.world_from_sensor, poses, survey.lidar)
     if all(part.problem for part in found):
-        state = replace(state, settled=len(survey.lidar.stages))
+        state = replace(state, settled=len(survey.stages))
     return MergedStage(merged, state)
 
 
@@ -150,7 +152,7 @@ def collect_share(
     if state.settled >= number:
         return None
     owned = regions(dataset, cores, state.world_from_scan)
-    sizes = survey.lidar.stages[-1].sizes
+    sizes = survey.stages[-1].sizes
     return lidar_block.collect(
         lambda scans: recordings.load_scans(dataset, scans),
         lidar_block.candidates(owned, part, survey.reach_m),
@@ -158,8 +160,8 @@ def collect_share(
         owned,
         part,
         size=sizes[0],
-        largest=max(stage.sizes[-1] for stage in survey.lidar.stages[-2:]),
-        grid_from_world=lidar_ba.OBLIQUE if survey.lidar.oblique_grid else np.eye(4),
+        largest=max(stage.sizes[-1] for stage in survey.stages[-2:]),
+        grid_from_world=lidar_ba.OBLIQUE if survey.stages[-1].oblique_grid else np.eye(4),
         progress=progress,
     )
 
@@ -182,8 +184,7 @@ def linearize_share(
         cells,
         state.world_from_scan,
         dataset.sensor_position_scan,
-        survey.lidar.stages[number],
-        survey.lidar.weights,
+        survey.stages[number],
     )
 
 
@@ -194,9 +195,7 @@ def step_scans(
     if state.settled >= number:
         return state
     known = lidar_block.summed(each for read in read_shares if (each := read()) is not None)
-    return (
-        lidar_joint.step(state, known, number, survey.lidar.stages[number], survey.lidar) if known else state
-    )
+    return lidar_joint.step(state, known, number, survey.stages[number], survey.lidar) if known else state
 
 
 @dataclass(frozen=True)
@@ -236,7 +235,7 @@ def finish_scans(
         Round(r.planes, r.observations, r.cost, r.cost, r.sigma, r.moved, 1, r.weak_scans)
         for r in state.history
     )
-    last = len(survey.lidar.stages) - 1
+    last = len(survey.stages) - 1
     settled = state.settled >= last or not state.history
     result = LidarResult(
         world_from_scan=state.world_from_scan,

@@ -10,7 +10,7 @@ from lvba.blocks.config import MergeConfig
 from lvba.blocks.split import Frames, Part
 from lvba.dataset import Dataset
 from lvba.io.reference import Reference
-from lvba.lidar.config import LidarConfig
+from lvba.lidar.config import STAGES, LidarConfig
 from lvba.loop_closure import candidates
 from lvba.plan import Late, Passing, Plan, Ref
 from lvba.products.evaluate import EvaluateConfig
@@ -49,11 +49,19 @@ class Settings(Protocol):
 
 
 def refine(
-    plan: Plan, dataset: Dataset, cores: Sequence[Part], config: Settings, reference: Reference | None
+    plan: Plan,
+    dataset: Dataset,
+    cores: Sequence[Part],
+    config: Settings,
+    reference: Reference | None,
+    align: bool = True,
 ) -> Plan:
-    """The plan with all steps added, under the names that an undivided recording has for what all parts give together."""
+    """The plan with all steps added, under the names that an undivided recording has for what all parts give together.
+
+    align: False: parts stay as each of them was solved, with steps at the seams (for comparison)
+    """
     cores = tuple(cores)  # one and the same for all steps: it is looked at, and sent, once
-    chain = _Chain(plan, dataset, cores, config)
+    chain = _Chain(plan, dataset, cores, config, align)
     found, scans = chain.scans()
     images, tied = chain.cameras(found, scans)
     fusion, fused = chain.fuse(found["lidar"], scans, images)
@@ -90,8 +98,11 @@ def _passing(found: list[Ref]) -> list[Ref]:
 class _Chain:
     """Adds the steps of one recording to a plan."""
 
-    def __init__(self, plan: Plan, dataset: Dataset, cores: Sequence[Part], config: Settings) -> None:
+    def __init__(
+        self, plan: Plan, dataset: Dataset, cores: Sequence[Part], config: Settings, align: bool
+    ) -> None:
         self._plan, self._dataset, self._cores, self._config = plan, dataset, cores, config
+        self._align = align
         self._subsets = [split.subset(dataset, part.scan_numbers, part.image_numbers) for part in cores]
         self._survey = plan.add("survey", survey.survey, dataset, config.lidar, config.visual.keyframes)
 
@@ -104,10 +115,10 @@ class _Chain:
         ]
         merged = add(
             "lidar-merge", lidar_steps.merge_parts,
-            *(self._dataset, self._cores, solved, self._loops(solved), self._survey, config.merge),
+            *(self._dataset, self._cores, solved, self._loops(solved), self._survey, self._align),
         )  # fmt: skip
         state, cells = add("lidar-start", lidar_steps.start, merged), []
-        last = len(config.lidar.stages) - 1
+        last = len(STAGES) - 1
         for stage, rounds in ((last - 1, config.merge.coarse_rounds), (last, config.merge.scan_rounds)):
             if stage < 0 or (rounds == 0 and stage < last):
                 continue
@@ -200,7 +211,7 @@ class _Chain:
             solved.append(self._part_cameras(part, below[-1]))
         merged = add(
             "visual-merge", camera_steps.merge_cameras,
-            *(self._dataset, self._cores, solved, found["joint"], scans, self._survey, config.visual, config.merge),
+            *(self._dataset, self._cores, solved, found["joint"], scans, self._survey, config.visual, self._align),
         )  # fmt: skip
         merged = self._joint_cameras(below, solved, merged, found["joint"], scans)
         whole = add(
@@ -249,7 +260,7 @@ class _Chain:
                 )
                 for number, ((near, found), points) in enumerate(zip(both, laid, strict=True))
             ]  # fmt: skip
-            merged = add(f"visual-step-{turn}", camera_steps.step_cameras, merged, shares, config.visual)
+            merged = add(f"visual-step-{turn}", camera_steps.step_cameras, merged, shares)
         return merged
 
     def _with_near(self, part: Part, own: "_Below", joint: Ref, scans: Ref) -> "_Below":

@@ -85,7 +85,7 @@ def compare_part(
 
     dataset: of the part's frames; images: of the whole
     """
-    core = _in_core(scan_acceptance.asked_images(images, gates), part)
+    core = _in_core(scan_acceptance.asked_images(images), part)
     if lidar.result is None or not gates.enabled or not len(core):
         return {}
     refined = lidar.result.world_from_scan[slice(*part.scans)]

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from lvba.dataset import Dataset
 from lvba.errors import InputError
+from lvba.settings import check, setting
 from lvba.trajectory import Trajectory
 
 FEWEST_SCANS = 10
@@ -27,32 +28,54 @@ LEAST_OVERLAP = 3
 class SplitConfig:
     """How a long recording is cut into parts."""
 
-    by: Literal["memory", "length", "time", "count", "none"] = "memory"
-    """"memory": as many parts as keep one within `memory_gb`, one where all fits; "length": parts of `size` meters of
-    path; "time": of `size` seconds; "count": of `size` scans; "none": never split."""
-    size: float = 0.0
-    """How long the core of a part is, in m, s or scans, for "length", "time" and "count"; above 0."""
-    overlap: float = 0.0
-    """How far a part reaches over its core on each side, in the unit of `size` (scans for "memory"); 0: a quarter of
-    the core, and at least 10 scans."""
-    memory_gb: float = 4.0
-    """Memory that one part may take, GB, for "memory"; 0.5 to 1000."""
-    starts: tuple[float, ...] = ()
-    """Your own cuts: where the second and later parts begin, s after the first scan, ascending; used instead of `by`."""
+    by: Literal["memory", "length", "time", "count", "none"] = setting(
+        "memory",
+        meaning="memory: as many parts as keep one within `split.memory_gb`, one where all fits; length: parts of "
+        "`split.size` meters of path; time: of `split.size` seconds; count: of `split.size` scans; none: never split.",
+        choices=("memory", "length", "time", "count", "none"),
+        change_when="Parts should have a size of their own, as for a cluster with many small machines.",
+    )
+    size: float = setting(
+        0.0,
+        meaning="How long the core of a part is, for `split.by` length, time and count.",
+        unit="m, s or scans",
+        low=0,
+        change_when="`split.by` is length, time or count: then it must be above 0.",
+    )
+    overlap: float = setting(
+        0.0,
+        meaning="How far a part reaches over its core on each side, in the unit of `split.size` (scans for memory). 0: a "
+        "quarter of the core, and at least 10 scans.",
+        unit="m, s or scans",
+        low=0,
+        change_when="The report shows seams between parts (larger).",
+        advanced=True,
+    )
+    memory_gb: float = setting(
+        4.0,
+        meaning="Memory that one part may take, for `split.by` memory.",
+        unit="GB",
+        low=0.5,
+        high=1000,
+        change_when="The machine, or a worker of the cluster, has less or much more.",
+    )
+    starts: tuple[float, ...] = setting(
+        (),
+        meaning="Your own cuts: where the second and later parts begin, after the first scan, ascending. Used instead of "
+        "`split.by`.",
+        unit="s",
+        change_when="Cuts should lie at certain places, as at stops.",
+        advanced=True,
+    )
 
     def __post_init__(self) -> None:
-        if self.by not in ("memory", "length", "time", "count", "none"):
-            raise ValueError(
-                f'split.by is {self.by!r}, must be "memory", "length", "time", "count" or "none"'
-            )
+        check(self)
         if self.by in ("length", "time", "count") and not self.starts and not 0 < self.size < np.inf:
-            raise ValueError(f"split.size is {self.size}, must be above 0 with split.by {self.by}")
-        if not 0 <= self.overlap < np.inf:
-            raise ValueError(f"split.overlap is {self.overlap}, must be 0 or more")
-        if not 0.5 <= self.memory_gb <= 1000:
-            raise ValueError(f"split.memory_gb is {self.memory_gb}, must be within 0.5 to 1000")
+            raise ValueError(f"size is {self.size}, must be above 0 with split.by {self.by}")
+        if not self.overlap < np.inf:
+            raise ValueError(f"overlap is {self.overlap}, must be finite")
         if any(b <= a for a, b in zip((0.0, *self.starts), self.starts, strict=False)):
-            raise ValueError(f"split.starts are {self.starts}, must be ascending and above 0")
+            raise ValueError(f"starts are {self.starts}, must be ascending and above 0")
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from lvba.blocks.split import Frames, Load
 from lvba.dataset import Dataset
 from lvba.io import dataset as recordings
 from lvba.lidar import density
-from lvba.lidar.config import LidarConfig
+from lvba.lidar.config import STAGES, LidarConfig, Stage
 from lvba.lidar.scan import gather
 from lvba.visual import keyframes
 from lvba.visual.keyframes import KeyframeConfig
@@ -22,13 +22,14 @@ class Survey:
 
     range_m: median distance of points from the LiDAR; reach_m: further than that is one in a thousand
     keyframes: (K,) int64, images that the visual part solves for
-    lidar: settings with cells as fine as the scans allow
+    lidar: settings; stages: with cells as fine as the scans allow
     """
 
     range_m: float
     reach_m: float
     keyframes: np.ndarray
     lidar: LidarConfig
+    stages: tuple[Stage, ...] = STAGES
 
 
 def survey(dataset: Dataset, lidar: LidarConfig, frames: KeyframeConfig) -> Survey:
@@ -46,7 +47,8 @@ def survey(dataset: Dataset, lidar: LidarConfig, frames: KeyframeConfig) -> Surv
         middle,
         furthest,
         keyframes.select(dataset.images.times, dataset.images.world_from_sensor, middle, frames),
-        density.adapted(lidar, gather(scans)),
+        lidar,
+        density.adapted(lidar.stages, gather(scans), lidar.dense_points),
     )
 
 

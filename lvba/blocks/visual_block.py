@@ -16,8 +16,8 @@ from lvba.visual.bundle_adjustment import LevelSolution
 from lvba.visual.exposure_graph import Edges
 from lvba.visual.noise import NoiseModel
 from lvba.visual.photometric import PhotometricState
-from lvba.visual.refine import Inputs, VisualConfig, one_patch_size, scene_of
-from lvba.visual.scene_points import Observations, ScenePoints
+from lvba.visual.refine import Inputs, VisualConfig, scene_of
+from lvba.visual.scene_points import Observations, PatchRules, ScenePoints
 from lvba.visual.states import VisualState
 
 
@@ -72,12 +72,12 @@ class CameraShare:
     observations: int
 
 
-def tuning(solution: LevelSolution, config: VisualConfig) -> Tuning:
+def tuning(solution: LevelSolution) -> Tuning:
     """The tuning that a level was solved with last."""
     problem, sources = solution.problem, () if solution.prior is None else solution.prior.sources
     scale = 1.0
     if problem.offset_sigma is not None and len(problem.points):
-        first = bundle_adjustment.offset_sigma(problem.points, config.adjustment.plane_floor_m)
+        first = bundle_adjustment.offset_sigma(problem.points, bundle_adjustment.PLANE_FLOOR_M)
         scale = float(problem.offset_sigma[0] / first[0])
     return Tuning(
         solution.noise,
@@ -102,36 +102,32 @@ def lay_out(
 
     state: of the keyframes of `given`; images: (k,) int64, their numbers in the whole; core: (k,) bool
     """
-    config = one_patch_size(config)
     scene = scene_of(given, config)
     levels, camera = scene.pyramid.levels, scene.pyramid.camera
     noise, poses = float(scene.pyramid.noise[0]), state.cameras.world_from_camera
     points = scene_points.select(
         levels[0], camera, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, noise,
-        config.points,
+        config.points, PatchRules(size=config.patch),
     )  # fmt: skip
     depth = visibility.depth_buffers(
         camera, poses, scene.image_times, scene.plane_points, scene.scan_times, config.points.time_window_s
     )
     points, observations = visibility.find(
-        levels[0], camera, poses, points, scene.seen, noise, config.visibility, depth
+        levels[0], camera, poses, points, scene.seen, noise, config.visibility, depth, patch=config.patch
     )
-    mine, off = core[points.reference], None
-    if config.adjustment.plane_offsets:
-        off = bundle_adjustment.offset_sigma(points, config.adjustment.plane_floor_m)
-        off = (off * known.offset_scale)[mine]
+    mine = core[points.reference]
+    off = bundle_adjustment.offset_sigma(points, bundle_adjustment.PLANE_FLOOR_M)
+    off = (off * known.offset_scale)[mine]
     points, observations = _of_points(points, observations, mine)
-    problem = photometric.prepare(levels[0], camera, points, observations, config.adjustment.photometric)
+    problem = photometric.prepare(levels[0], camera, points, observations, config.patch)
     sums = photometric.sums(problem, PhotometricState(state.cameras, np.zeros(len(points))))
     sigma = known.noise.sigma(noise_models.gradients(sums))
-    edges = None
-    if config.exposures == "means":
-        ratios = exposure.ratios_at(
-            scene.pyramid, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, scene.seen,
-            config.exposure, depth,
-        )  # fmt: skip
-        edges = exposure.edges_of(_of_core(ratios, core), len(images), config.exposure)
-        edges = replace(edges, first=images[edges.first], second=images[edges.second])
+    ratios = exposure.ratios_at(
+        scene.pyramid, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, scene.seen,
+        depth=depth,
+    )  # fmt: skip
+    edges = exposure.edges_of(_of_core(ratios, core), len(images))
+    edges = replace(edges, first=images[edges.first], second=images[edges.second])
     return CameraPoints(images, points, observations, sigma, off, edges)
 
 
@@ -147,9 +143,8 @@ def linearize(
 
     images: (n, H, W, C) uint8, the share's keyframes at full size; camera: theirs; state: of these keyframes
     """
-    config = one_patch_size(config)
     problem = photometric.prepare(
-        images, camera, laid.points, laid.observations, config.adjustment.photometric,
+        images, camera, laid.points, laid.observations, config.patch,
         offset_sigma=laid.offset_sigma, sigma=laid.sigma, inflation=known.inflation,
     )  # fmt: skip
     at = PhotometricState(state.cameras, np.zeros(len(laid.points)))

@@ -50,7 +50,7 @@ class JointCameras:
     history: tuple[JointCameraRound, ...] = ()
 
 
-def step(now: JointCameras, found: Sequence[CameraShare], *, solve_exposures: bool) -> JointCameras:
+def step(now: JointCameras, found: Sequence[CameraShare]) -> JointCameras:
     """After one round: shares and prior added up and solved."""
     if now.settled or not found:
         return now
@@ -70,7 +70,7 @@ def step(now: JointCameras, found: Sequence[CameraShare], *, solve_exposures: bo
             damping=levenberg_marquardt.raised(now.damping),
             history=(*now.history, entry),
         )
-    free = _free(equations, now.prior is not None, solve_exposures)
+    free = _free(equations, now.prior is not None)
     change, damping = levenberg_marquardt.damped_step(joint, now.damping, free)
     if change is None:
         return replace(now, damping=damping)
@@ -120,14 +120,13 @@ def tie(edges: Sequence[Edges], images: int) -> Exposures | None:
     return exposure_graph.solve_edges(together, images)
 
 
-def _free(equations: NormalEquations, with_prior: bool, solve_exposures: bool) -> np.ndarray:
-    """(K + 1, 7) bool: what may move; the first exposure is the scale's."""
+def _free(equations: NormalEquations, with_prior: bool) -> np.ndarray:
+    """(K + 1, 7) bool: what may move; exposures stay as measured."""
     count = len(equations.gradient)
     seen = np.zeros(count, bool)
     seen[equations.rows] = seen[equations.columns] = True
     free = np.ones((count + 1, 7), bool)
-    free[:count, 6] = seen & solve_exposures
-    free[np.flatnonzero(seen)[:1], 6] = False
+    free[:count, 6] = False
     free[count] = with_prior
     if not with_prior:
         free[:count, :6] &= seen[:, None]

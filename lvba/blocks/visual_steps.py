@@ -131,7 +131,7 @@ def solve_part(
         result, last = refine.finest(given, coarser.found, config, progress)
     except DegenerateProblemError as error:
         return PartCameras(None, None, str(error))
-    return PartCameras(result, visual_block.tuning(last, config))
+    return PartCameras(result, visual_block.tuning(last))
 
 
 def _why_not(dataset: Dataset, below: Ground, enabled: bool) -> str:

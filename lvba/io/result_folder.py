@@ -2,13 +2,11 @@
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import yaml
 
 from lvba.dataset import CAMERA, Dataset
 from lvba.errors import InputError
@@ -134,14 +132,8 @@ def write_exposures(out: str | Path, dataset: Dataset, relative: np.ndarray) -> 
     exposures.write_exposures(folder / EXPOSURES, table, durable=True, stamps=dataset.image_stamps)
 
 
-def write_config(out: str | Path, config: Mapping[str, Any]) -> None:
-    """Writes config.yaml: nested plain values (numbers, texts, lists, mappings), in their order.
-
-    Raises: InputError if the file cannot be written.
-    """
-    text = yaml.safe_dump(
-        dict(config), sort_keys=False, allow_unicode=True, default_flow_style=None, width=100
-    )
+def write_config(out: str | Path, text: str) -> None:
+    """Writes config.yaml. Raises: InputError if the file cannot be written."""
     files.write_text(files.make_folder(out) / CONFIG, text, durable=True)
 
 

@@ -17,7 +17,7 @@ from lvba import geometry
 from lvba.errors import DegenerateProblemError
 from lvba.lidar import covariance as uncertainty
 from lvba.lidar import degeneracy, density, noise_information, surface, voxel_map
-from lvba.lidar.config import LidarConfig, StageConfig, balm2
+from lvba.lidar.config import LidarConfig, Stage
 from lvba.lidar.odometry_factor import OdometryPrior, odometry_prior, reestimated
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.lidar.plane_feature import fit
@@ -27,7 +27,7 @@ from lvba.lidar.voxel_map import Association, VoxelMap
 from lvba.lidar.weights import observation_weights
 from lvba.progress import Progress, silent
 
-__all__ = ["LidarConfig", "LidarResult", "Round", "StageConfig", "balm2", "find_planes", "refine"]
+__all__ = ["LidarConfig", "LidarResult", "Round", "Stage", "find_planes", "refine"]
 
 _log = logging.getLogger(__name__)
 
@@ -97,6 +97,7 @@ def refine(
     *,
     sensor_position: np.ndarray | None = None,
     config: LidarConfig | None = None,
+    stages: tuple[Stage, ...] | None = None,
     progress: Progress = silent,
 ) -> LidarResult:
     """Poses at which the scans agree on their planes, and those planes.
@@ -104,23 +105,24 @@ def refine(
     scans: S arrays (N, 3) float32, m, scan frame; NaN rows are passed over
     world_from_scan: (S, 4, 4), rough; the first pose stays
     sensor_position: (3,), m, where the LiDAR is in the scan frame
+    stages: others than those of the settings, for comparisons
     Raises DegenerateProblemError: no plane is seen by two scans.
     """
     config = config or LidarConfig()
     sensor = np.zeros(3) if sensor_position is None else np.asarray(sensor_position, float)
     points = gather(scans)
-    config = density.adapted(config, points)
+    stages = density.adapted(stages or config.stages, points, config.dense_points)
     rough = np.array(world_from_scan, float)
     prior = odometry_prior(rough, config.prior_rotation, config.prior_translation)
-    total = sum(stage.rounds for stage in config.stages)
+    total = sum(stage.rounds for stage in stages)
     poses, history, done = rough, [], 0
     grid: VoxelMap | None = None
-    for stage in config.stages:
+    for stage in stages:
         settled = False
         for turn in range(stage.rounds):
             progress("aligning scans", done + turn, total)
             grid = None if grid is None or _stale(grid, poses, stage) else grid  # never two at a time
-            grid = grid.up_to(stage.sizes[-1]) if grid else _grid(points, poses, config, stage)
+            grid = grid.up_to(stage.sizes[-1]) if grid else _grid(points, poses, stage)
             problem, weakness = _associate(grid, poses, sensor, config, stage, prior)
             found = solve(problem, poses, _metric(config), steps=stage.steps, exact=stage.exact)
             history.append(_round(problem, weakness, poses, found))
@@ -134,7 +136,7 @@ def refine(
     for turn in range(_DOUBTED_ROUNDS if _doubtful(weakness, stage) else 0):
         progress("weighing scans against the odometry", turn, _DOUBTED_ROUNDS)
         grid = None if grid is None or _stale(grid, poses, stage) else grid
-        grid = grid or _grid(points, poses, config, stage)
+        grid = grid or _grid(points, poses, stage)
         problem, weakness = _associate(grid, poses, sensor, config, stage, prior)
         found = noise_information.solve(problem, poses, config.prior_sigmas)
         history.append(_round(problem, weakness, poses, found))
@@ -142,7 +144,7 @@ def refine(
         poses = found.world_from_scan
     grid = None
     progress("aligning scans", total, total)
-    planes, plane_points = find_planes(points, poses, sensor_position=sensor, config=config)
+    planes, plane_points = _planes_of_stage(points, poses, sensor, stages[-1])
     covariance = uncertainty.estimate(problem, poses)
     return LidarResult(
         poses,
@@ -160,7 +162,7 @@ def refine(
         weakness.common,
         weakness.count,
         covariance.loose,
-        _warnings(points, history[-1], config, settled, problem)
+        _warnings(points, history[-1], stages, settled, problem)
         + _of_loose_steps(covariance.loose, weakness, problem.prior),
     )
 
@@ -171,6 +173,7 @@ def find_planes(
     *,
     sensor_position: np.ndarray | None = None,
     config: LidarConfig | None = None,
+    stages: tuple[Stage, ...] | None = None,
 ) -> tuple[Planes, PlanePoints]:
     """The planes of the map at given poses (S, 4, 4), and every point with the plane it lies on.
 
@@ -179,11 +182,16 @@ def find_planes(
     config = config or LidarConfig()
     sensor = np.zeros(3) if sensor_position is None else np.asarray(sensor_position, float)
     points = scans if isinstance(scans, Scans) else gather(scans)
-    config = density.adapted(config, points)
-    stage = config.stages[-1]
-    grid = _grid(points, world_from_scan, config, stage)
+    stages = density.adapted(stages or config.stages, points, config.dense_points)
+    return _planes_of_stage(points, world_from_scan, sensor, stages[-1])
+
+
+def _planes_of_stage(
+    points: Scans, world_from_scan: np.ndarray, sensor: np.ndarray, stage: Stage
+) -> tuple[Planes, PlanePoints]:
+    grid = _grid(points, world_from_scan, stage)
     found = _planes(grid, world_from_scan, sensor, stage)
-    weights = observation_weights(found.features, world_from_scan, config.weights, stage.systematic)
+    weights = observation_weights(found.features, world_from_scan, stage.systematic, stage.weight_passes)
     return surface.extract(points, grid, found, weights, world_from_scan, sensor)
 
 
@@ -191,7 +199,7 @@ _DOUBTED_ROUNDS = 6
 """Associations in which planes count by what they say beyond noise: poses that noise led astray are back by then."""
 
 
-def _doubtful(weakness: degeneracy.Weakness, stage: StageConfig) -> bool:
+def _doubtful(weakness: degeneracy.Weakness, stage: Stage) -> bool:
     """Whether some scans are held so little that noise may have led them, and others with them, astray. Where all
     together are open in a direction, holding it says all there is to say."""
     return (
@@ -207,17 +215,17 @@ _STALE = 0.02
 spares rounds: points that change cells at each come and go, and poses never quite stand still."""
 
 
-def _stale(grid: VoxelMap, poses: np.ndarray, stage: StageConfig) -> bool:
+def _stale(grid: VoxelMap, poses: np.ndarray, stage: Stage) -> bool:
     """Whether points have left their cells, or a stage has others."""
     finest = stage.sizes[0]
     return grid.levels[0].size != finest or grid.shift(poses) > _STALE * finest
 
 
-def _grid(points: Scans, poses: np.ndarray, config: LidarConfig, stage: StageConfig) -> VoxelMap:
-    return voxel_map.build(points, poses, stage.sizes, OBLIQUE if config.oblique_grid else None)
+def _grid(points: Scans, poses: np.ndarray, stage: Stage) -> VoxelMap:
+    return voxel_map.build(points, poses, stage.sizes, OBLIQUE if stage.oblique_grid else None)
 
 
-def _planes(grid: VoxelMap, poses: np.ndarray, sensor: np.ndarray, stage: StageConfig) -> Association:
+def _planes(grid: VoxelMap, poses: np.ndarray, sensor: np.ndarray, stage: Stage) -> Association:
     found = voxel_map.find_planes(grid, poses, sensor, stage.plane_test)
     if len(found.features) == 0:
         raise DegenerateProblemError(
@@ -231,19 +239,19 @@ def _associate(
     poses: np.ndarray,
     sensor: np.ndarray,
     config: LidarConfig,
-    stage: StageConfig,
+    stage: Stage,
     prior: OdometryPrior,
 ) -> tuple[Problem, degeneracy.Weakness]:
     """The planes at the poses so far, with weights and weak directions: a problem to solve."""
     features = _planes(grid, poses, sensor, stage).features
-    weights = observation_weights(features, poses, config.weights, stage.systematic)
+    weights = observation_weights(features, poses, stage.systematic, stage.weight_passes)
     features = features.with_weight(weights.weight)
     weakness = degeneracy.find(features, fit(features, poses), poses, weights.sigma, config.prior_sigmas)
     projector = weakness.projector if stage.hold and weakness.count.any() else None
     return Problem(features, weights.sigma, prior, projector), weakness
 
 
-def _settled(found: LidarSolution, last: Round, stage: StageConfig) -> bool:
+def _settled(found: LidarSolution, last: Round, stage: Stage) -> bool:
     """Whether the poses stand still after a round."""
     # costs are half the sums of squares
     gain = 2.0 * abs(found.cost_before - found.cost_after) / (6 * len(found.world_from_scan))
@@ -279,7 +287,7 @@ def _points(problem: Problem) -> float:
 def _warnings(
     points: Scans,
     last: Round,
-    config: LidarConfig,
+    stages: tuple[Stage, ...],
     settled: bool,
     problem: Problem,
 ) -> tuple[str, ...]:
@@ -294,7 +302,7 @@ def _warnings(
         told.append(
             f"planes leave directions of {last.weak_scans} of {len(points)} scans open: these stay at the odometry"
         )
-    single = len(config.stages) == 1 and config.stages[0].rounds == 1
+    single = len(stages) == 1 and stages[0].rounds == 1
     if not settled and not single:
         told.append(f"scan poses still moved by {last.moved * 1e3:.2f} mm in the last round of association")
     return tuple(told)

@@ -1,16 +1,17 @@
 """Settings of LiDAR bundle adjustment."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 
-from lvba.lidar.voxel_map import BALM2_TEST, PlaneTest
-from lvba.lidar.weights import WeightConfig
+from lvba.lidar.voxel_map import PlaneTest
+from lvba.lidar.weights import WEIGHT_PASSES
+from lvba.settings import check, setting
 
 
 @dataclass(frozen=True)
-class StageConfig:
+class Stage:
     """One setting of the voxel map, used until the poses stand still."""
 
     sizes: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0, 4.0)
@@ -34,6 +35,11 @@ class StageConfig:
     observations of many points, in standard deviations of a point; 0 to 10. Large while poses are rough."""
     hold: bool = True
     """Keep weak directions at the odometry."""
+    oblique_grid: bool = True
+    """Turn the grid out of the axes of the world. Walls are often parallel to those, and then lie on faces of cells:
+    noise throws their points to both sides, and two copies of a wall never meet in one cell."""
+    weight_passes: int = WEIGHT_PASSES
+    """How often planes and the weights of observations are found in turn; 0 to 10; 0: all points weigh the same."""
 
     def __post_init__(self) -> None:
         sizes = self.sizes
@@ -46,19 +52,20 @@ class StageConfig:
             ("least_gain", 0.0, 1.0),
             ("steps", 1, 50),
             ("systematic", 0.0, 10.0),
+            ("weight_passes", 0, 10),
         ):
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"lidar stage {name} = {getattr(self, name)}; allowed: {low} to {high}")
 
 
-_COARSE = StageConfig(
+_COARSE = Stage(
     sizes=(0.5, 1.0, 2.0),
     plane_test=PlaneTest(ratio=0.15, finest_ratio=0.15, excess=np.inf),
     rounds=5,
     settled=0.01,
     systematic=1.0,
 )
-_MIDDLE = StageConfig(
+_MIDDLE = Stage(
     sizes=(0.25, 0.5, 1.0),
     plane_test=PlaneTest(ratio=0.08, finest_ratio=0.1, excess=0.5),
     rounds=4,
@@ -67,60 +74,62 @@ _MIDDLE = StageConfig(
 )
 
 
+STAGES = (_COARSE, _MIDDLE, Stage())
+"""Coarse cells first: they join what the rough poses left apart; fine ones then see which planes are none."""
+
+
 @dataclass(frozen=True)
 class LidarConfig:
-    """How scan poses are refined."""
+    """LiDAR bundle adjustment: how scan poses are refined."""
 
-    stages: tuple[StageConfig, ...] = (_COARSE, _MIDDLE, StageConfig())
-    """Coarse cells first: they join what the rough poses left apart; fine ones then see which planes are none."""
-    weights: WeightConfig = field(default_factory=WeightConfig)
-    """How observations that do not fit are held back."""
-    prior_translation: float = 0.05
-    """m, standard deviation of the rough motion from scan to scan; 0.001 to 10. Matters only where planes say nothing."""
-    prior_rotation: float = 0.01
-    """rad, the same for its rotation; 1e-4 to 1."""
-    oblique_grid: bool = True
-    """Turn the grid out of the axes of the world. Walls are often parallel to those, and then lie on faces of cells:
-    noise throws their points to both sides, and two copies of a wall never meet in one cell."""
+    prior_translation: float = setting(
+        0.05,
+        meaning="Standard deviation of the rough motion from scan to scan. It decides only where planes leave a "
+        "scan open.",
+        unit="m",
+        low=0.001,
+        high=10,
+        change_when="The odometry is known to be much better or worse, as from wheel encoders or a hand-held camera.",
+    )
+    prior_rotation: float = setting(
+        0.01,
+        meaning="The same for its rotation.",
+        unit="rad",
+        low=1e-4,
+        high=1,
+        change_when="As `lidar.prior_translation`.",
+    )
+    dense_points: int = setting(
+        64,
+        meaning="Every stage gets cells of half the size, and half again, as long as these hold this many points of a "
+        "single scan: depth cameras and dense scans at close range. 0: never.",
+        unit="points",
+        low=4,
+        high=10_000,
+        also=(0,),
+        change_when="Small surfaces of a dense scan are missed (lower), or fine cells cost too much time (higher, or 0).",
+        advanced=True,
+    )
 
-    dense_points: int = 64
-    """Every stage gets cells of half the size, and half again, as long as these hold this many points of a single scan:
-    depth cameras and dense scans at close range; 4 to 10000, 0 never."""
+    rounds: int = setting(
+        8,
+        meaning="Most associations of points with planes at the finest cells; rounds end when poses stand still.",
+        unit="rounds",
+        low=1,
+        high=100,
+        change_when="The report says that scan poses had not settled (more).",
+        advanced=True,
+    )
 
     def __post_init__(self) -> None:
-        if self.dense_points != 0 and not 4 <= self.dense_points <= 10_000:
-            raise ValueError(f"lidar.dense_points = {self.dense_points}; allowed: 4 to 10000, or 0 for never")
-        for name, low, high in (("prior_translation", 0.001, 10.0), ("prior_rotation", 1e-4, 1.0)):
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"lidar.{name} = {getattr(self, name)}; allowed: {low} to {high}")
-        if not self.stages:
-            raise ValueError("lidar.stages is empty; at least one is needed")
+        check(self)
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """The stages that a run goes through, before finer cells are added."""
+        return (*STAGES[:-1], replace(STAGES[-1], rounds=self.rounds))
 
     @property
     def prior_sigmas(self) -> np.ndarray:
         """(6,), rad and m, of the odometry from scan to scan."""
         return np.array([self.prior_rotation] * 3 + [self.prior_translation] * 3)
-
-
-def balm2(root: float = 2.0) -> LidarConfig:
-    """The method as the public BALM2 runs it, for comparison: one association, three levels, no weights.
-
-    root: m, edge of the coarsest cells.
-    """
-    stage = StageConfig(
-        sizes=(root / 4, root / 2, root),
-        plane_test=BALM2_TEST,
-        rounds=1,
-        steps=10,
-        exact=True,
-        systematic=0.0,
-        hold=False,
-    )
-    return LidarConfig(
-        stages=(stage,),
-        weights=WeightConfig(passes=0),
-        prior_translation=10.0,
-        prior_rotation=1.0,
-        oblique_grid=False,
-        dense_points=0,
-    )

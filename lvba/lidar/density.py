@@ -1,37 +1,35 @@
 """How fine the cells may be: as fine as single scans still fill them."""
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 
-from lvba.lidar.config import LidarConfig
+from lvba.lidar.config import Stage
 from lvba.lidar.scan import Scans
 
 _SAMPLED_SCANS = 10
 _MOST_HALVINGS = 2
 
 
-def adapted(config: LidarConfig, scans: Scans) -> LidarConfig:
-    """The settings with finer cells added to every stage where the scans are dense enough for them.
+def adapted(stages: tuple[Stage, ...], scans: Scans, dense_points: int) -> tuple[Stage, ...]:
+    """The stages with finer cells added to each where the scans are dense enough for them.
+
+    dense_points: fewest points of a single scan that a finer cell must hold; 0: never finer
 
     A depth camera over a desk puts hundreds of points of one scan into a cell of 0.25 m, and surfaces there are smaller
     than the cell; a spinning LiDAR in the open puts five there, and a finer cell would hold no plane at all.
     """
-    if config.dense_points == 0 or not len(scans.points):
-        return config
-    finest = min(stage.sizes[0] for stage in config.stages)
+    if dense_points == 0 or not len(scans.points):
+        return stages
+    finest = min(stage.sizes[0] for stage in stages)
     halvings = 0
-    while (
-        halvings < _MOST_HALVINGS
-        and points_per_cell(scans, finest / 2 ** (halvings + 1)) >= config.dense_points
-    ):
+    while halvings < _MOST_HALVINGS and points_per_cell(scans, finest / 2 ** (halvings + 1)) >= dense_points:
         halvings += 1
     finer = [0.5 ** (halvings - k) for k in range(halvings)]
-    stages = tuple(
-        dataclasses.replace(stage, sizes=(*(stage.sizes[0] * factor for factor in finer), *stage.sizes))
-        for stage in config.stages
+    return tuple(
+        replace(stage, sizes=(*(stage.sizes[0] * factor for factor in finer), *stage.sizes))
+        for stage in stages
     )
-    return dataclasses.replace(config, stages=stages, dense_points=0)
 
 
 def points_per_cell(scans: Scans, size: float) -> float:

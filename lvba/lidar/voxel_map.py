@@ -192,10 +192,6 @@ class PlaneTest:
             )
 
 
-BALM2_TEST = PlaneTest(excess=np.inf, spread=0.0, max_tilt=np.inf, two_sided=False)
-"""The test of the public BALM2, for comparison."""
-
-
 def find_planes(
     voxel_map: VoxelMap,
     world_from_scan: np.ndarray,

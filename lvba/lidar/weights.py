@@ -8,22 +8,11 @@ from lvba.kernels import lidar as kernel
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
 from lvba.lidar.point_cluster import split
 
-
-@dataclass(frozen=True)
-class WeightConfig:
-    """How observations that do not fit are held back."""
-
-    cutoff: float = 4.0
-    """Distance to the plane, in expected standard deviations, at which an observation's weight falls to a quarter;
-    2 to 100, infinity trusts all."""
-    passes: int = 2
-    """How often planes and weights are found in turn; 0 to 10; 0: all points weigh the same, as in BALM2."""
-
-    def __post_init__(self) -> None:
-        if not self.cutoff >= 1.0 or not 0 <= self.passes <= 10:
-            raise ValueError(
-                f"lidar.weights: cutoff {self.cutoff} (at least 1), passes {self.passes} (0 to 10)"
-            )
+WEIGHT_CUTOFF = 4.0
+"""Distance to the plane, in expected standard deviations, at which an observation's weight falls to a quarter: noise
+alone hardly gets there, a second surface does."""
+WEIGHT_PASSES = 2
+"""How often planes and weights are found in turn; a third pass changes neither."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +30,7 @@ class Weights:
 
 
 def observation_weights(
-    features: PlaneFeatures, world_from_scan: np.ndarray, config: WeightConfig, systematic: float
+    features: PlaneFeatures, world_from_scan: np.ndarray, systematic: float, passes: int = WEIGHT_PASSES
 ) -> Weights:
     """Weights from the distances of observations to the planes at poses (S, 4, 4).
 
@@ -49,20 +38,21 @@ def observation_weights(
     estimated from the data, robustly, so that one cutoff serves rough and refined poses. Geman-McClure weights, times
     the information that such an observation has.
     systematic: largest disagreement, in sigma, that counts as an error of the surface and lowers the information.
+    passes: how often planes and weights are found in turn; 0: all points weigh the same, as in BALM2
     """
     weight = np.ones(len(features.scan))
     count = features.clusters.count
-    for turn in range(max(config.passes, 1)):
+    for turn in range(max(passes, 1)):
         fits = fit(features.with_weight(weight), world_from_scan)
         distance, within = _distances(features, fits, world_from_scan)
         if turn == 0:
             sigma = _within_scan_sigma(within, count)
         own = _own_variance(features, within, sigma)
         disagreement = _disagreement(distance, count, own)
-        if config.passes == 0:
+        if passes == 0:
             break
         expected = own / count + disagreement**2
-        robust = 1.0 / (1.0 + distance**2 / (expected * config.cutoff**2)) ** 2
+        robust = 1.0 / (1.0 + distance**2 / (expected * WEIGHT_CUTOFF**2)) ** 2
         surface = min(disagreement, systematic * sigma)
         weight = robust * sigma**2 / (own + count * surface**2)
     return Weights(weight, sigma, disagreement)

@@ -14,6 +14,8 @@ from lvba.parallel import in_order
 from lvba.products.cloud import Blocks, Cloud, Origins, sort_into_blocks, surfaces
 from lvba.products.views import Views, nearest_in_time
 from lvba.progress import Progress, silent
+from lvba.settings import check, setting
+from lvba.visual.image import SATURATED
 
 logger = logging.getLogger(__name__)
 
@@ -23,36 +25,41 @@ _LOOSE = 3.0
 
 @dataclass(frozen=True)
 class ColorizeConfig:
-    """How the map that users keep is colored."""
+    """How several views of a point are blended."""
 
-    max_views: int = 8
-    """Views blended per point, the best ones; 1 to 32."""
-    max_angle_deg: float = 80.0
-    """No color from a view that is further than this off the normal of a point's surface; 1 to 90."""
-    tolerance: float = 6.0
-    """A point is hidden when it is more than this behind another surface, and that one as much before its own, in
-    standard deviations of points across the surface; 0 to 100."""
-    cell_px: int = 4
-    """Cells of the occlusion z-buffer, px; larger closes gaps between points, and leaves out more near edges; 1 to 32."""
-    darkest: float = 5.0
-    """Samples whose brightest channel is at most this gray value are left out as black; 0 to 100."""
-    brightest: float = 250.0
-    """Samples that touch a channel value of this or more are left out as saturated; 128 to 256."""
-    noise: float = 2.0
-    """Noise of a gray value (0..255): differences below it never count as outliers; above 0 to 50."""
+    max_views: int = setting(
+        8,
+        meaning="Views blended per point, the best ones.",
+        low=1,
+        high=32,
+        change_when="Colors are noisy (more), or details should stay as sharp as in one image (fewer).",
+        advanced=True,
+    )
+    max_angle_deg: float = setting(
+        80.0,
+        meaning="No color from a view that is further than this off the normal of a point's surface.",
+        unit="degrees",
+        low=1,
+        high=90,
+        change_when="Surfaces seen at a slant only stay gray (larger), or are smeared (smaller).",
+        advanced=True,
+    )
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("max_views", 1, 32),
-            ("max_angle_deg", 1, 90),
-            ("tolerance", 0, 100),
-            ("cell_px", 1, 32),
-            ("darkest", 0, 100),
-            ("brightest", 128, 256),
-            ("noise", 1e-6, 50),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"colorize.{name} is {getattr(self, name)}, must be within {low} to {high}")
+        check(self)
+
+
+TOLERANCE = 6.0
+"""A point is hidden when it is more than this behind another surface, and that one as much before its own, in standard
+deviations of points across the surface: two points of one surface are each within three of it."""
+CELL_PX = 4
+"""Cells of the occlusion z-buffer, px; larger closes gaps between points, and leaves out more near edges."""
+DARKEST = 5.0
+"""Samples whose brightest channel is at most this gray value are left out as black."""
+BRIGHTEST = float(SATURATED)
+"""Samples that touch a channel value of this or more are left out as saturated."""
+NOISE = 2.0
+"""Noise of a gray value (0..255): differences below it never count as outliers."""
 
 
 @dataclass(frozen=True)
@@ -198,7 +205,7 @@ def _collect(
 ) -> None:
     """Adds the samples of some images to the lists of the best views, in place. numbers: of the pictures."""
     poses, mask = views.kernel_poses()[numbers], views.mask
-    tolerance = np.array([config.tolerance, _LOOSE], np.float32)
+    tolerance = np.array([TOLERANCE, _LOOSE], np.float32)
     first_seen, front = occlusion.first_points(
         points,
         surface,
@@ -207,13 +214,13 @@ def _collect(
         blocks.spheres,
         poses,
         views.intrinsics,
-        config.cell_px,
+        CELL_PX,
         *mask.shape,
     )
     kernels.collect_views(
         points, surface, tolerance, blocks.start, blocks.spheres, poses, views.intrinsics,
-        pictures, numbers, mask, first_seen, front, config.cell_px,
-        np.array([config.darkest, config.brightest], np.float32),
+        pictures, numbers, mask, first_seen, front, CELL_PX,
+        np.array([DARKEST, BRIGHTEST], np.float32),
         samples.ranks, samples.gray, samples.images,
     )  # fmt: skip
 
@@ -223,7 +230,7 @@ def blend(samples: Samples, log_exposure: np.ndarray, config: ColorizeConfig) ->
     count = len(samples.ranks)
     radiance, spread = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
     number = np.zeros(count, np.uint8)
-    gains, floor = np.exp(-log_exposure).astype(np.float32), np.float32(config.noise)
+    gains, floor = np.exp(-log_exposure).astype(np.float32), np.float32(NOISE)
     kernels.blend_views(samples.ranks, samples.gray, samples.images, gains, floor, radiance, number, spread)
     seen = np.count_nonzero(number)
     logger.info("colored %d of %d points from %.1f views each", seen, count, number.sum() / max(seen, 1))

@@ -16,6 +16,7 @@ from lvba.products.colorize import ColorizeConfig
 from lvba.products.render import ALL, OTHERS, ColoredCloud, RenderConfig, Rendering
 from lvba.products.views import Views
 from lvba.progress import Progress, silent
+from lvba.settings import check, setting
 
 _SUFFIX = {ALL: "", OTHERS: "_leave_one_out"}
 _FIGURES = (
@@ -32,20 +33,19 @@ _FIGURES = (
 class EvaluateConfig:
     """What is judged, and how."""
 
-    colors: Literal["paper", "blended"] = "paper"
-    """paper: a point has the color of one image, eq. (10); blended: of several, as in the map that users keep (slow)."""
     render: RenderConfig = field(default_factory=RenderConfig)
-    """How points become pixels."""
     entropy: map_quality.EntropyConfig = field(default_factory=map_quality.EntropyConfig)
-    """Mean map entropy."""
-    max_images: int = 400
-    """Images judged, spread evenly over longer recordings; 1 to 1000000. All images always color the map."""
+    max_images: int = setting(
+        400,
+        meaning="Images judged, spread evenly over longer recordings. All images always color the map.",
+        unit="images",
+        low=1,
+        high=1_000_000,
+        change_when="Judging takes too long (fewer), or every image should have its figures (more).",
+    )
 
     def __post_init__(self) -> None:
-        if not 1 <= self.max_images <= 1_000_000:
-            raise ValueError(f"evaluate.max_images is {self.max_images}, must be within 1 to 1000000")
-        if self.colors == "blended" and self.render.guard_images:
-            raise ValueError("evaluate.render.guard_images needs evaluate.colors = paper")
+        check(self)
 
 
 @dataclass(frozen=True)
@@ -114,6 +114,7 @@ def evaluate(
     entropies: Mapping[str, float] | None = None,
     brief: Collection[str] = (),
     images: np.ndarray | None = None,
+    colors: Literal["paper", "blended"] = "paper",
     progress: Progress = silent,
 ) -> dict[str, Scores]:
     """The scores of each state, all judged on the same images.
@@ -124,11 +125,12 @@ def evaluate(
     entropies: mean map entropies by state that are known already.
     brief: states of which only the leave-one-out figures and coverage are wanted; the rest of their figures is NaN.
     images: (J,) int32, those to judge; None: chosen evenly.
+    colors: paper: a point has the color of one image, eq. (10); blended: of several, as in the map (slow).
     """
     config = config or EvaluateConfig()
     out_of_color = np.unique(np.asarray([] if held_out is None else held_out, np.int32))
-    geometries = _geometries(states, config)
-    clouds = [_colored(states[names[0]], config, out_of_color, progress) for names in geometries]
+    geometries = _geometries(states, colors)
+    clouds = [_colored(states[names[0]], colors, out_of_color, progress) for names in geometries]
     first = next(iter(states.values())).views
     if images is None:
         images = judged_images(len(first), out_of_color, config.max_images)
@@ -175,11 +177,11 @@ def completed(brief: Scores, full: Scores) -> Scores:
     return replace(brief, per_image=per_image, **{name: getattr(full, name) for name in lacks})
 
 
-def _geometries(states: Mapping[str, State], config: EvaluateConfig) -> list[list[str]]:
+def _geometries(states: Mapping[str, State], colors: str) -> list[list[str]]:
     """Names of the states, those with the same cloud and camera poses together (blended colors need exposures, too)."""
     groups: dict[tuple[int, bytes], list[str]] = {}
     for name, state in states.items():
-        exposures = state.views.log_exposure.tobytes() if config.colors == "blended" else b""
+        exposures = state.views.log_exposure.tobytes() if colors == "blended" else b""
         key = id(state.cloud), state.views.world_from_camera.tobytes() + exposures
         groups.setdefault(key, []).append(name)
     return list(groups.values())
@@ -196,8 +198,8 @@ def _entropies(
     return {name: found[id(state.cloud)] for name, state in states.items()}
 
 
-def _colored(state: State, config: EvaluateConfig, held_out: np.ndarray, progress: Progress) -> ColoredCloud:
-    if config.colors == "paper":
+def _colored(state: State, colors: str, held_out: np.ndarray, progress: Progress) -> ColoredCloud:
+    if colors == "paper":
         return color_by_paper(state, held_out, progress)
     return render.blended_cloud(state.cloud, state.views, ColorizeConfig(), held_out)
 

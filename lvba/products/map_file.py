@@ -12,6 +12,7 @@ from lvba.products.cloud import Cloud, thin
 from lvba.products.colorize import ColorizeConfig
 from lvba.products.views import Views
 from lvba.progress import Progress, silent
+from lvba.settings import check, setting
 
 logger = logging.getLogger(__name__)
 
@@ -20,18 +21,32 @@ logger = logging.getLogger(__name__)
 class MapConfig:
     """The map that users keep."""
 
-    colors: Literal["blended", "paper"] = "blended"
-    """blended: several views per point, nothing hidden; paper: one view per point, eq. (10), no occlusion test."""
+    colors: Literal["blended", "paper"] = setting(
+        "blended",
+        meaning="blended: several views per point, none where a point is hidden; paper: one view per point, eq. (10), "
+        "without a test of occlusion.",
+        choices=("blended", "paper"),
+        change_when="The colors are to be compared with those of the paper.",
+    )
     blend: ColorizeConfig = field(default_factory=ColorizeConfig)
-    """Blending of several views."""
-    voxel_m: float = -1.0
-    """One point is kept per voxel of this edge, m; 0 keeps every point; -1: two image pixels at the median range."""
-    keep_uncolored: bool = True
-    """Keep points that no image sees; they are gray and have views = 0."""
+    voxel_m: float = setting(
+        -1.0,
+        meaning="One point is kept per voxel of this edge. 0 keeps every point; -1: two image pixels at the "
+        "median range.",
+        unit="m",
+        low=0,
+        high=100,
+        also=(-1,),
+        change_when="The map is too large (larger), or should be denser (smaller, or 0).",
+    )
+    keep_uncolored: bool = setting(
+        True,
+        meaning="Keep points that no image sees; they are gray and have views = 0.",
+        change_when="The map should hold colored points only.",
+    )
 
     def __post_init__(self) -> None:
-        if self.voxel_m != -1 and not 0 <= self.voxel_m <= 100:
-            raise ValueError(f"map.voxel_m is {self.voxel_m}, must be -1 or within 0 to 100")
+        check(self)
 
 
 UNCOLORED = 128

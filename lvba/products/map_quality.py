@@ -7,26 +7,31 @@ import numpy as np
 
 from lvba.kernels import map_entropy as kernels
 from lvba.products.cloud import Cloud
+from lvba.settings import check, setting
 
 
 @dataclass(frozen=True)
 class EntropyConfig:
     """Mean map entropy."""
 
-    radius_m: float = 0.3
-    """Neighborhood of each map point, m; 0.01 to 100."""
-    voxel_m: float = 0.1
-    """The map is thinned to the mean of the points in each voxel of this edge, m; 0.001 to 100."""
-    min_neighbors: int = 10
-    """Points with fewer neighbors (itself counted) are left out; 4 to 1000."""
+    radius_m: float = setting(
+        0.3,
+        meaning="Neighborhood of each map point that its entropy is computed over.",
+        unit="m",
+        low=0.01,
+        high=100,
+        change_when="Points are sparser than this, as from the air (larger).",
+        advanced=True,
+    )
 
     def __post_init__(self) -> None:
-        if not 0.01 <= self.radius_m <= 100:
-            raise ValueError(f"entropy.radius_m is {self.radius_m}, must be within 0.01 to 100")
-        if not 0.001 <= self.voxel_m <= 100:
-            raise ValueError(f"entropy.voxel_m is {self.voxel_m}, must be within 0.001 to 100")
-        if not 4 <= self.min_neighbors <= 1000:
-            raise ValueError(f"entropy.min_neighbors is {self.min_neighbors}, must be within 4 to 1000")
+        check(self)
+
+
+ENTROPY_VOXEL_M = 0.1
+"""m: the map is thinned to the mean of the points in each voxel of this edge, so that dense places do not outvote."""
+MIN_NEIGHBORS = 10
+"""Points with fewer neighbors (itself counted) are left out: of fewer the entropy is chance."""
 
 
 def mean_map_entropy(cloud: Cloud, config: EntropyConfig | None = None) -> float:
@@ -73,8 +78,8 @@ class EntropyChange:
 def entropy_blocks(cloud: Cloud, config: EntropyConfig | None = None) -> EntropyBlocks:
     """The entropies of a map by block, from which means and differences are taken."""
     config = config or EntropyConfig()
-    centers = voxel_means(cloud.points_world, config.voxel_m)
-    values = point_entropies(centers, config.radius_m, config.min_neighbors)
+    centers = voxel_means(cloud.points_world, ENTROPY_VOXEL_M)
+    values = point_entropies(centers, config.radius_m, MIN_NEIGHBORS)
     known = np.isfinite(values)
     cells = np.floor(centers[known] / BLOCK_M).astype(np.int64)
     keys = ((cells[:, 0] << 21) + cells[:, 1] << 21) + cells[:, 2]

@@ -7,8 +7,9 @@ import numpy as np
 from lvba.kernels import colorize as color_kernels
 from lvba.kernels import zbuffer as kernels
 from lvba.products.cloud import Blocks, Cloud, sort_into_blocks
-from lvba.products.colorize import ColorizeConfig, Samples, blend, collect
+from lvba.products.colorize import NOISE, ColorizeConfig, Samples, blend, collect
 from lvba.products.views import Views
+from lvba.settings import check, setting
 
 SEVERAL = -(1 << 30)
 """Source of a point that several images colored: it remains when one of them is left out."""
@@ -21,16 +22,19 @@ ALL, OTHERS = 0, 1
 class RenderConfig:
     """How points become pixels."""
 
-    splat_px: int = 3
-    """Edge of the square that a point fills, px, odd; 1 to 15. Larger covers more and blurs more."""
-    guard_images: int = 0
-    """Leave-one-out also leaves out the points of this many images before and after; 0 to 1000."""
+    splat_px: int = setting(
+        3,
+        meaning="Edge of the square of pixels that a point fills. Larger covers more and blurs more.",
+        unit="px",
+        low=1,
+        high=15,
+        odd=True,
+        change_when="Points are much sparser than pixels and coverage is low (larger).",
+        advanced=True,
+    )
 
     def __post_init__(self) -> None:
-        if not (1 <= self.splat_px <= 15 and self.splat_px % 2 == 1):
-            raise ValueError(f"render.splat_px is {self.splat_px}, must be odd and within 1 to 15")
-        if not 0 <= self.guard_images <= 1000:
-            raise ValueError(f"render.guard_images is {self.guard_images}, must be within 0 to 1000")
+        check(self)
 
 
 @dataclass(frozen=True)
@@ -86,18 +90,27 @@ def blended_cloud(
     source = np.where(first == last, first, SEVERAL).astype(np.int32)
     # a point that no image colors is nowhere: it neither shows nor hides anything
     points[:, last < 0] = np.nan
-    return ColoredCloud(points, radiance, source, blocks, samples, config.noise)
+    return ColoredCloud(points, radiance, source, blocks, samples, NOISE)
 
 
-def nearest(cloud: ColoredCloud, views: Views, image: int, config: RenderConfig | None = None) -> np.ndarray:
+def nearest(
+    cloud: ColoredCloud,
+    views: Views,
+    image: int,
+    config: RenderConfig | None = None,
+    guard_images: int = 0,
+) -> np.ndarray:
     """What each pixel of an image sees, ALL and OTHERS: entries (2, H, W) int64 for `shade` and `depth`.
 
     Each point fills `splat_px` x `splat_px` pixels round its projection; the nearest point wins.
+    guard_images: OTHERS leaves out the points of this many images before and after, too
     """
+    if guard_images and cloud.samples is not None:
+        raise ValueError("guard_images needs colors of one image each")
     config = config or RenderConfig()
     return kernels.splat(
         cloud.points_world, cloud.source, cloud.blocks.start, cloud.blocks.spheres, views.kernel_pose(image),
-        views.intrinsics, image, config.guard_images, config.splat_px // 2, views.camera.height, views.camera.width,
+        views.intrinsics, image, guard_images, config.splat_px // 2, views.camera.height, views.camera.width,
     )  # fmt: skip
 
 
@@ -137,6 +150,8 @@ def depth(entries: np.ndarray) -> np.ndarray:
     return kernels.split(entries)[0]
 
 
-def render(cloud: ColoredCloud, views: Views, image: int, config: RenderConfig | None = None) -> Rendering:
-    """One image, rendered from all points and from those of other images."""
-    return shade(nearest(cloud, views, image, config), cloud, views.log_exposure, image)
+def render(
+    cloud: ColoredCloud, views: Views, image: int, config: RenderConfig | None = None, guard_images: int = 0
+) -> Rendering:
+    """One image, rendered from all points and from those of other images; guard_images: as of `nearest`."""
+    return shade(nearest(cloud, views, image, config, guard_images), cloud, views.log_exposure, image)

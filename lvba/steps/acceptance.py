@@ -12,6 +12,7 @@ import numpy as np
 
 from lvba.products.evaluate import Scores
 from lvba.products.map_quality import EntropyChange
+from lvba.settings import check, setting
 
 ROUGH, CARRIED, EXPOSED = "rough", "carried", "exposed"
 POSED, VISUAL = "posed", "visual"
@@ -25,32 +26,47 @@ Finding = Literal["better", "worse", "neither", "unknown"]
 
 @dataclass(frozen=True)
 class GateConfig:
-    """What a part must gain to be accepted, and what it must lose to be refused."""
+    """What a stage must gain to be accepted, and what it must lose to be refused."""
 
-    enabled: bool = True
-    """False: accept every stage's result, whatever it is worth (for ablations)."""
-    min_entropy_gain: float = 0.02
-    """How much lower the map entropy must be with refined scans, nats; 0 to 10. Smaller differences mean little."""
-    fusion_loss: float = 0.05
-    """What part of the map entropy that refined scans gained may be given back where cameras move them; 0 to 1."""
-    confidence: float = 2.0
-    """Standard errors (over blocks of space, or over images) that a gain must exceed; 0 to 100."""
-    contradiction: float = 3.0
-    """Standard errors that a loss must exceed for a gain in another figure to be given up; 0 to 100."""
-    min_psnr_loss: float = 0.1
-    """Losses of leave-one-out PSNR up to this, dB, contradict nothing; 0 to 100."""
-    min_ssim_loss: float = 0.005
-    """Losses of leave-one-out SSIM up to this contradict nothing; 0 to 1."""
-    scan_images: int = 60
-    """So many images, spread evenly, are asked whether they contradict refined scans; 3 to 1000000."""
+    enabled: bool = setting(
+        True,
+        meaning="Keep a stage's result only where it gains. false: accept every result, whatever it is worth.",
+        change_when="You want to see what a refused stage had made of the recording.",
+    )
+    min_entropy_gain: float = setting(
+        0.02,
+        meaning="How much lower the map entropy must be with refined scans. Smaller differences mean little.",
+        unit="nats",
+        low=0,
+        high=10,
+        change_when="The input is good already and small gains count (smaller).",
+        advanced=True,
+    )
+    confidence: float = setting(
+        2.0,
+        meaning="Standard errors (over blocks of space, or over images) that a gain must exceed.",
+        low=0,
+        high=100,
+        change_when="A wrong acceptance is worse for you than a missed one (larger).",
+        advanced=True,
+    )
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("min_entropy_gain", 0, 10), ("fusion_loss", 0, 1), ("confidence", 0, 100), ("contradiction", 0, 100),
-            ("min_psnr_loss", 0, 100), ("min_ssim_loss", 0, 1), ("scan_images", 3, 1_000_000),
-        ):  # fmt: skip
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name} is {getattr(self, name)}, must be within {low} to {high}")
+        check(self)
+
+
+FUSION_LOSS = 0.05
+"""What part of the map entropy that refined scans gained may be given back where cameras move them: the poses before are
+those at which the planes are thinnest, which are not the true ones where planes leave scans open."""
+CONTRADICTION = 3.0
+"""Standard errors that a loss must exceed for a gain in another figure to be given up: more than a gain, for there are
+several figures, and any of them may lose by chance."""
+MIN_PSNR_LOSS = 0.1
+"""Losses of leave-one-out PSNR up to this, dB, contradict nothing: rendering alone makes such differences."""
+MIN_SSIM_LOSS = 0.005
+"""Losses of leave-one-out SSIM up to this contradict nothing."""
+SCAN_IMAGES = 60
+"""So many images, spread evenly, are asked whether they contradict refined scans: enough for standard errors."""
 
 
 @dataclass(frozen=True)
@@ -93,10 +109,10 @@ def entropy_figure(change: EntropyChange, config: GateConfig) -> Figure:
 
 _PSNR, _SSIM = "psnr_leave_one_out", "ssim_leave_one_out"
 _LOSSES = {
-    _PSNR: "min_psnr_loss",
-    "psnr_common": "min_psnr_loss",
-    _SSIM: "min_ssim_loss",
-    "ssim_common": "min_ssim_loss",
+    _PSNR: MIN_PSNR_LOSS,
+    "psnr_common": MIN_PSNR_LOSS,
+    _SSIM: MIN_SSIM_LOSS,
+    "ssim_common": MIN_SSIM_LOSS,
 }
 
 
@@ -112,7 +128,7 @@ def _image_figure(before: Scores, after: Scores, name: str, config: GateConfig) 
         found = "unknown"
     elif gain > config.confidence * error:
         found = "better"
-    elif -gain > max(getattr(config, _LOSSES[name]), config.contradiction * error):
+    elif -gain > max(_LOSSES[name], CONTRADICTION * error):
         found = "worse"
     return Figure(name, getattr(before, name), getattr(after, name), gain, error, found)
 
@@ -229,7 +245,7 @@ def fused_entropy_allowed(rough_gain: float, entropy: Figure, config: GateConfig
     if entropy.finding == "unknown":
         return False
     error = entropy.error if np.isfinite(entropy.error) else 0.0
-    return -entropy.gain <= max(config.confidence * error, config.fusion_loss * rough_gain)
+    return -entropy.gain <= max(config.confidence * error, FUSION_LOSS * rough_gain)
 
 
 def judge_fusion(rough_gain: float, entropy: Figure, images: Sequence[Figure], config: GateConfig) -> Verdict:

@@ -39,6 +39,5 @@ def solve_fusion(
         cameras,
         lidar.result.weak_directions,
         lidar_config.prior_sigmas,
-        config,
     )
     return FusionStage(fused, "" if fused else "too few cameras")

@@ -16,6 +16,7 @@ from lvba import geometry, spline, trajectory
 from lvba.lidar.covariance import LEAST, Covariance, off_map, positive
 from lvba.lidar.degeneracy import WeakDirection
 from lvba.optim import linear_solver, normal_equations
+from lvba.settings import setting
 from lvba.trajectory import Trajectory
 
 _MEDIAN = 5.348 / 6
@@ -26,19 +27,21 @@ _FLOOR = np.array([np.radians(1e-3), 1e-4])
 _RATE_STEP_S = 0.02
 
 
+CONTRADICTION = 5.0
+"""A scan and the cameras about it that are further apart than this many standard deviations contradict each other, and
+the scan stays."""
+
+
 @dataclass(frozen=True)
 class FusionConfig:
-    """How scan poses learn from the cameras."""
+    """How scan poses learn from the refined cameras."""
 
-    enabled: bool = True
-    """False: scans stay where the LiDAR bundle adjustment left them, as in the paper."""
-    contradiction: float = 5.0
-    """A scan and the cameras about it that are further apart than this many standard deviations contradict each other,
-    and the scan stays; 1 to 100."""
-
-    def __post_init__(self) -> None:
-        if not 1.0 <= self.contradiction <= 100.0:
-            raise ValueError(f"fusion.contradiction = {self.contradiction}; allowed: 1 to 100")
+    enabled: bool = setting(
+        True,
+        meaning="Scan poses learn from the refined cameras. false: scans stay where the LiDAR bundle "
+        "adjustment left them.",
+        change_when="Only the LiDAR is to decide where scans are.",
+    )
 
 
 @dataclass(frozen=True)
@@ -105,7 +108,6 @@ def fuse(
     cameras: Cameras,
     weak: Sequence[WeakDirection] = (),
     prior_sigmas: np.ndarray | None = None,
-    config: FusionConfig = FusionConfig(),
 ) -> Fused | None:
     """The refined scans with what the cameras know; None: too few cameras to tell.
 
@@ -126,7 +128,7 @@ def fuse(
     of_cameras = known + _interpolated(missed, np.full(len(scans), between))
     distance = _distance(apart, own + of_cameras)
     disagreement = max(1.0, float(np.median(distance[inside])) / _MEDIAN) if inside.any() else 1.0
-    contradicted = inside & (distance > config.contradiction**2 * disagreement)
+    contradicted = inside & (distance > CONTRADICTION**2 * disagreement)
     used = inside & ~contradicted
     told = np.linalg.inv(of_cameras) * used[:, None, None]
     step = _chained(own, covariance.step, scans.world_from_sensor, told, apart)

@@ -38,7 +38,7 @@ def judge_lidar(
     after_blocks = map_quality.entropy_blocks(after, config.entropy)
     scores: Mapping[str, Scores] = {}
     if asks_images(before_blocks, after_blocks, gates):
-        images = asked_images(len(dataset.image_paths), gates)
+        images = asked_images(len(dataset.image_paths))
         scores = compare(dataset, lidar.result.world_from_scan, before, after, images, config, progress)
     return decide(rough, lidar.result.world_from_scan, before_blocks, after_blocks, scores, gates)
 
@@ -55,11 +55,11 @@ def asks_images(before: EntropyBlocks, after: EntropyBlocks, gates: GateConfig) 
     return gates.enabled and acceptance.may_be_crisper(entropy, gates)
 
 
-def asked_images(count: int, gates: GateConfig) -> np.ndarray:
+def asked_images(count: int) -> np.ndarray:
     """The images (J,) int32, of so many, that say whether they contradict refined scans."""
     if not count:
         return np.zeros(0, np.int32)
-    return evaluate.judged_images(count, np.zeros(0, np.int32), gates.scan_images)
+    return evaluate.judged_images(count, np.zeros(0, np.int32), acceptance.SCAN_IMAGES)
 
 
 def compare(

@@ -219,14 +219,14 @@ def _settled(figures: Figures) -> Iterator[Reason]:
     if figures.moved_m is not None:
         yield Reason(
             f"Scan poses had not settled: they still moved by {1000 * figures.moved_m:.1f} mm in the last round.",
-            "Give more rounds (lidar.stages, in parts merge.scan_rounds).",
+            "Give more rounds (lidar.rounds, in parts merge.scan_rounds).",
             # covariances hold where the solution is; what still moves by more than they say is not there
             more=figures.scan_p95_m is not None and figures.moved_m > figures.scan_p95_m,
         )
     if not figures.cameras_settled:
         yield Reason(
             "Camera poses had not settled at full resolution.",
-            "Give more iterations (visual.adjustment.solver.max_iterations).",
+            "Give more iterations (visual.iterations).",
         )
 
 

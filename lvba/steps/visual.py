@@ -10,6 +10,7 @@ from lvba.steps.outcomes import LidarStage, ScanPoses, VisualLevel, VisualStage,
 from lvba.visual import image, keyframes
 from lvba.visual import refine as visual_refine
 from lvba.visual.refine import VisualConfig
+from lvba.visual.variant import PRODUCT, Variant
 
 
 def visual_levels(dataset: Dataset, config: VisualConfig) -> int:
@@ -25,6 +26,7 @@ def solve_visual_level(
     lidar_config: LidarConfig,
     config: VisualConfig,
     enabled: bool = True,
+    variant: Variant = PRODUCT,
     progress: Progress = silent,
 ) -> VisualLevel:
     """One pyramid level more than `coarser`, which is empty at first."""
@@ -33,7 +35,7 @@ def solve_visual_level(
         return VisualLevel(None, problem)
     try:
         given = visual_inputs(dataset, lidar, scans, lidar_config, config, progress, keep=True)
-        found = visual_refine.refine_level(given, coarser.found, config, progress)
+        found = visual_refine.refine_level(given, coarser.found, config, progress, variant)
     except DegenerateProblemError as error:
         return VisualLevel(None, str(error))
     return VisualLevel(found)
@@ -47,6 +49,7 @@ def solve_visual(
     lidar_config: LidarConfig,
     config: VisualConfig,
     enabled: bool = True,
+    variant: Variant = PRODUCT,
     progress: Progress = silent,
 ) -> VisualStage:
     """Camera poses and exposures from the images, over the planes of the scan poses in use: the finest level."""
@@ -55,7 +58,7 @@ def solve_visual(
         return VisualStage(None, problem)
     try:
         given = visual_inputs(dataset, lidar, scans, lidar_config, config, progress)
-        result = visual_refine.refine_finest(given, coarser.found, config, progress)
+        result = visual_refine.refine_finest(given, coarser.found, config, progress, variant)
     except DegenerateProblemError as error:
         return VisualStage(None, str(error))
     return VisualStage(result)

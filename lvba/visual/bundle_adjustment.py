@@ -1,7 +1,7 @@
 """One pyramid level of the visual bundle adjustment: photometric cost plus prior, by Levenberg-Marquardt."""
 
 import logging
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
@@ -15,10 +15,11 @@ from lvba.visual import covariance, extrinsic_prior, noise, photometric, traject
 from lvba.visual import trajectory_prior as priors
 from lvba.visual.covariance import Shares
 from lvba.visual.noise import NoiseModel
-from lvba.visual.photometric import Linearization, PhotometricConfig, PhotometricState, Problem
-from lvba.visual.scene_points import Observations, ScenePoints
+from lvba.visual.photometric import Linearization, PhotometricState, Problem
+from lvba.visual.scene_points import SCENE_POINTS, Observations, ScenePoints
 from lvba.visual.states import Mount, VisualState
 from lvba.visual.trajectory_prior import Prior, Source
+from lvba.visual.variant import PRODUCT, Variant
 
 logger = logging.getLogger(__name__)
 
@@ -26,28 +27,12 @@ _QUICK_DECREASE = 1e-3
 """Where weights are about to be estimated anew, a solve stops at this relative decrease."""
 
 
-@dataclass(frozen=True)
-class BundleAdjustmentConfig:
-    """How one level is solved."""
-
-    rounds: int = 3
-    """Solves per level, each with noise level and prior estimated anew from the last; 1 to 10."""
-    solve_exposures: bool = True
-    """False: log exposures stay as they are."""
-    plane_offsets: bool = True
-    """Each scene point's plane may move along its normal as far as the LiDAR's noise lets it; False: as in the paper."""
-    plane_floor_m: float = 0.001
-    """No plane is taken as better known than this, m; 1e-5 to 1."""
-    photometric: PhotometricConfig = field(default_factory=PhotometricConfig)
-    solver: SolverConfig = field(
-        default_factory=lambda: SolverConfig(max_iterations=12, relative_decrease=1e-5)
-    )
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.rounds <= 10:
-            raise ValueError(f"rounds is {self.rounds}, must be between 1 and 10")
-        if not 1e-5 <= self.plane_floor_m <= 1:
-            raise ValueError(f"plane_floor_m is {self.plane_floor_m}, must be between 1e-5 and 1")
+ROUNDS = 3
+"""Solves per level, each with noise level and prior estimated anew from the last: a fourth changes neither."""
+PLANE_FLOOR_M = 0.001
+"""m: no plane is taken as better known than this; surfaces are not flatter."""
+SOLVER = SolverConfig(max_iterations=12, relative_decrease=1e-5)
+"""Of the last solve at the finest level."""
 
 
 @dataclass(frozen=True)
@@ -79,32 +64,37 @@ def solve(
     observations: Observations,
     state: VisualState,
     prior: Prior | None,
-    config: BundleAdjustmentConfig = BundleAdjustmentConfig(),
     *,
+    patch: int = SCENE_POINTS.size,
+    rounds: int = ROUNDS,
+    solver: SolverConfig = SOLVER,
     inflation: float = 10.0,
+    variant: Variant = PRODUCT,
 ) -> LevelSolution:
     """The state of least cost at one level.
 
     images: (I, H, W, C) uint8, the level's; camera: undistorted, of the level
     prior: None for the paper's cost
+    patch: side of a patch, px, odd; rounds: solves, each with noise level and prior estimated anew from the last
     inflation: first guess of how many times the pixels' information overstates itself
     """
-    sigma = offset_sigma(points, config.plane_floor_m) if config.plane_offsets else None
+    sigma = offset_sigma(points, PLANE_FLOOR_M) if variant.plane_offsets else None
     problem = photometric.prepare(
-        images, camera, points, observations, config.photometric, offset_sigma=sigma, inflation=inflation
-    )
-    free = _free(problem, prior is not None, config.solve_exposures)
+        images, camera, points, observations, patch,
+        offset_sigma=sigma, inflation=inflation, reference_pixels=variant.reference_pixels,
+    )  # fmt: skip
+    free = _free(problem, prior is not None, variant.exposures == "joint")
     at = _State(PhotometricState(state.cameras, np.zeros(len(points))), state.mount)
     history: tuple[Iteration, ...] = ()
-    quick = replace(config.solver, relative_decrease=max(config.solver.relative_decrease, _QUICK_DECREASE))
+    quick = replace(solver, relative_decrease=max(solver.relative_decrease, _QUICK_DECREASE))
     sums = photometric.sums(problem, at.photometric)
     shares = covariance.shares_of(problem)
-    for turn in range(config.rounds):
-        last = turn == config.rounds - 1
+    for turn in range(rounds):
+        last = turn == rounds - 1
         scatter = noise.estimate(sums, problem.samples)
         problem = replace(problem, sigma=scatter.sigma(noise.gradients(sums)))
         model = _Model(problem, prior)
-        how = config.solver if last else quick
+        how = solver if last else quick
         solution = levenberg_marquardt.levenberg_marquardt(at, model.linearize, model.retract, how, free)
         at, history = solution.state, history + solution.history
         linearization = model.at(at)

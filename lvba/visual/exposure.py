@@ -16,7 +16,7 @@ from lvba.lidar.plane import PlanePoints, Planes
 from lvba.visual import scene_points, visibility
 from lvba.visual.exposure_graph import BLOCKS, Edges, Exposures, robust_std, solve_edges
 from lvba.visual.image import SATURATED, Pyramid
-from lvba.visual.scene_points import PointsConfig, ScenePoints
+from lvba.visual.scene_points import HIDDEN_M, PatchRules, PointsConfig, ScenePoints
 from lvba.visual.visibility import (
     DepthBuffers,
     VisibilityMap,
@@ -26,58 +26,38 @@ from lvba.visual.visibility import (
     view_scores,
 )
 
-
-@dataclass(frozen=True)
-class ExposureConfig:
-    """How relative exposures are found."""
-
-    level: int = 1
-    """Pyramid level whose patches are compared, 0 to 5; coarser forgives worse poses."""
-    patch_size: int = 11
-    """Edge of a patch, px, odd, 5 to 63; weighted by a Gaussian whose sigma is a fifth of it."""
-    cells: int = 300
-    """Patches per image, about, on a regular grid; 10 to 10000."""
-    window: int = 5
-    """Compared with this many images before and after, and through the global map with any; 1 to 1000."""
-    max_view_angle_deg: float = 80.0
-    """Largest angle between view direction and normal, degrees; 0 to 89."""
-    min_scale: float = 0.5
-    """Least size of the patch in the other image, in its worse direction; 0 to 1."""
-    max_scale: float = 1.25
-    """Its largest size; 1 or more. A patch laid out in the farther view covers more surface, and more of it that is no
-    plane: measured, only those comparisons were biased, 0.1 % for a view 6 m nearer on a street."""
-    sigma_floor: float = 0.01
-    """Standard deviation of one patch's log ratio that no comparison beats (shine, planes not quite flat); above 0."""
-    independent: float = 6.0
-    """A patch's differences count as this many independent ones (misalignment is alike over a patch); 1 or more."""
-    edge_floor: float = 0.0005
-    """Standard deviation of a pair of images' log ratio that no number of patches beats; above 0."""
-    few_patches: float = 0.01
-    """A pair of images compared by n patches has at least this over n as standard deviation (one may be wrong)."""
-    dark: float = 4.0
-    """Pixels near one of up to this grey value, in either image, are left out of both means; 0 to 50."""
-    bright: float = 248.0
-    """And so are pixels near one of this grey value or more; 100 to 250."""
-    mask_reach: int = 1
-    """How near, px at the level compared: what blur carries from a clipped spot is in one view only; 0 to 20."""
-    hidden_m: float = 0.15
-    """An image with LiDAR points this much (and 2 % of the depth) in front of a patch does not see it, m."""
-    min_usable: float = 0.3
-    """Least part of a patch's weight that must be left; 0 to 1."""
-
-    def __post_init__(self) -> None:
-        if self.patch_size % 2 == 0:
-            raise ValueError(f"patch_size = {self.patch_size}: must be odd")
-        ranges = {
-            "level": (0, 5), "patch_size": (5, 63), "cells": (10, 10_000), "window": (1, 1000),
-            "max_view_angle_deg": (0, 89), "min_scale": (0, 1), "max_scale": (1, 1e3), "sigma_floor": (1e-9, 10),
-            "independent": (1, 1e4), "edge_floor": (1e-9, 10),
-            "few_patches": (0, 10), "dark": (0, 50), "bright": (100, 250),
-            "min_usable": (0, 1), "mask_reach": (0, 20), "hidden_m": (0, 1e3),
-        }  # fmt: skip
-        for name, (low, high) in ranges.items():
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name} = {getattr(self, name)}: must lie in {low} to {high}")
+LEVEL = 1
+"""Pyramid level whose patches are compared, where poses are good; coarser forgives worse poses."""
+PATCH = PatchRules(
+    size=11, max_view_angle_deg=80.0, min_cell_px=12, min_score_sigma=0.0,
+    dark=0.0, bright=float(SATURATED), min_usable=0.5, tries=4,
+)  # fmt: skip
+"""Patches whose means are compared, weighted by a Gaussian whose sigma is a fifth of their size."""
+CELLS = 300
+"""Patches per image, about, on a regular grid: more tell no more, for misalignment is alike over neighbors."""
+WINDOW = 5
+"""Compared with this many images before and after, and through the global map with any."""
+MIN_SCALE = 0.5
+"""Least size of the patch in the other image, in its worse direction."""
+MAX_SCALE = 1.25
+"""Its largest size. A patch laid out in the farther view covers more surface, and more of it that is no plane: measured,
+only those comparisons were biased, 0.1 % for a view 6 m nearer on a street."""
+SIGMA_FLOOR = 0.01
+"""Standard deviation of one patch's log ratio that no comparison beats: shine, planes not quite flat."""
+INDEPENDENT = 6.0
+"""A patch's differences count as this many independent ones: misalignment is alike over a patch."""
+EDGE_FLOOR = 0.0005
+"""Standard deviation of a pair of images' log ratio that no number of patches beats: what is common to all of them."""
+FEW_PATCHES = 0.01
+"""A pair of images compared by n patches has at least this over n as standard deviation: one may be wrong."""
+DARK = 4.0
+"""Pixels near one of up to this grey value, in either image, are left out of both means."""
+BRIGHT = 248.0
+"""And so are pixels near one of this grey value or more: a little less than clipped, for blur has dimmed some."""
+MASK_REACH = 1
+"""How near, px at the level compared: what blur carries from a clipped spot is in one view only."""
+MIN_USABLE = 0.3
+"""Least part of a patch's weight that must be left."""
 
 
 @dataclass(frozen=True)
@@ -103,14 +83,14 @@ def solve(
     plane_points: PlanePoints,
     scan_times: np.ndarray,
     seen: VisibilityMap | None,
-    config: ExposureConfig = ExposureConfig(),
+    level: int = LEVEL,
     depth: DepthBuffers | None = None,
 ) -> Exposures:
     """The relative exposures of all images at given poses; arguments as of `ratios_at`."""
     ratios = ratios_at(
-        pyramid, world_from_camera, image_times, planes, plane_points, scan_times, seen, config, depth
+        pyramid, world_from_camera, image_times, planes, plane_points, scan_times, seen, level, depth
     )
-    return solve_ratios(ratios, len(world_from_camera), config)
+    return solve_ratios(ratios, len(world_from_camera))
 
 
 def ratios_at(
@@ -121,30 +101,27 @@ def ratios_at(
     plane_points: PlanePoints,
     scan_times: np.ndarray,
     seen: VisibilityMap | None,
-    config: ExposureConfig = ExposureConfig(),
+    level: int = LEVEL,
     depth: DepthBuffers | None = None,
 ) -> Ratios:
     """The log ratios of all patches at given poses; `first` is the image that a patch was laid out in.
 
     world_from_camera: (I, 4, 4); image_times: (I,) s; scan_times: (S,) s of the scans in `plane_points`
     seen: the global visibility map, which ties images that are far apart in time; None: neighbours only
-    depth: of the same images; None: made here
+    level: of the pyramid, whose patches are compared; depth: of the same images; None: made here
     """
     if depth is None:
         depth = visibility.depth_buffers(
             pyramid.camera, world_from_camera, image_times, plane_points, scan_times
         )
-    levels = list(pyramid.levels[: config.level + 2])
-    while len(levels) < config.level + 2:
+    levels = list(pyramid.levels[: level + 2])
+    while len(levels) < level + 2:
         levels.append(halve(levels[-1], SATURATED))
-    camera = pyramid.camera.at_level(config.level)
-    used = range(max(config.level - 1, 0), config.level + 2)
-    for level in used:
-        levels[level] = blank_masked(levels[level], config.mask_reach, config.dark, config.bright)
-    points = place(
-        levels[config.level], camera, world_from_camera, image_times, planes, plane_points, scan_times, config
-    )
-    return measure(levels, camera, world_from_camera, points, seen, depth, config)
+    camera = pyramid.camera.at_level(level)
+    for used in range(max(level - 1, 0), level + 2):
+        levels[used] = blank_masked(levels[used], MASK_REACH, DARK, BRIGHT)
+    points = place(levels[level], camera, world_from_camera, image_times, planes, plane_points, scan_times)
+    return measure(levels, level, camera, world_from_camera, points, seen, depth)
 
 
 def place(
@@ -155,17 +132,12 @@ def place(
     planes: Planes,
     plane_points: PlanePoints,
     scan_times: np.ndarray,
-    config: ExposureConfig,
 ) -> ScenePoints:
     """Patches on a regular grid over every image, each on one plane, whatever the image shows there."""
-    points_config = PointsConfig(
-        patch_size=min(config.patch_size, 31), cells=config.cells,
-        min_cell_px=config.patch_size + 1, max_view_angle_deg=config.max_view_angle_deg,
-        dark=0.0, bright=float(SATURATED), min_usable=0.5, min_score_sigma=0.0, tries=4,
-    )  # fmt: skip
+    config = PointsConfig(cells=CELLS)
     return scene_points.select(
-        images, camera, world_from_camera, image_times, planes, plane_points, scan_times, 0.0, points_config,
-        score=centrality(camera, scene_points.cell_size(camera, points_config)),
+        images, camera, world_from_camera, image_times, planes, plane_points, scan_times, 0.0, config, PATCH,
+        score=centrality(camera, scene_points.cell_size(camera, config, PATCH)),
     )  # fmt: skip
 
 
@@ -186,35 +158,34 @@ def window_weights(size: int) -> np.ndarray:
 
 def measure(
     levels: list[np.ndarray],
+    level: int,
     camera: Camera,
     world_from_camera: np.ndarray,
     points: ScenePoints,
     seen: VisibilityMap | None,
     depth: DepthBuffers,
-    config: ExposureConfig,
 ) -> Ratios:
-    """The log ratios of all patches in all images that see them; levels[config.level] belongs to `camera`."""
-    images = levels[config.level]
-    point, target = local_pairs(points.reference, len(images), config.window)
+    """The log ratios of all patches in all images that see them; levels[level] belongs to `camera`."""
+    images = levels[level]
+    point, target = local_pairs(points.reference, len(images), WINDOW)
     if seen is not None and len(points):
         rows = seen.rows(points.position_world)
         chosen = choose_global(points, rows, view_scores(points, camera, world_from_camera))
         far_point, far_target = global_pairs(chosen, rows, points.reference, seen)
-        far = np.abs(points.reference[far_point] - far_target) > config.window
+        far = np.abs(points.reference[far_point] - far_target) > WINDOW
         point, target = np.append(point, far_point[far]), np.append(target, far_target[far])
     gates = np.array([
-        0.1, np.cos(np.radians(config.max_view_angle_deg)), config.min_scale, config.max_scale, 0.0,
-        256.0, config.min_usable, config.hidden_m,
+        0.1, np.cos(np.radians(PATCH.max_view_angle_deg)), MIN_SCALE, MAX_SCALE, 0.0, 256.0, MIN_USABLE, HIDDEN_M,
     ])  # fmt: skip
-    finer = levels[config.level - 1] if config.level else images
+    finer = levels[level - 1] if level else images
     found = patches_mean.measure_pairs(
-        finer, images, levels[config.level + 1], np.ascontiguousarray(world_from_camera),
+        finer, images, levels[level + 1], np.ascontiguousarray(world_from_camera),
         np.array([camera.fx, camera.fy, camera.cx, camera.cy]), points.position_world, points.normal_world,
-        points.reference, points.pixel, point, target, window_weights(config.patch_size), gates,
+        points.reference, points.pixel, point, target, window_weights(PATCH.size), gates,
         depth.nearest, depth.points_world, depth.cell * camera.fx,
     )  # fmt: skip
     good = found[:, 0] > 0
-    sigma = np.sqrt(config.sigma_floor**2 + found[good, 2] ** 2 / config.independent)
+    sigma = np.sqrt(SIGMA_FLOOR**2 + found[good, 2] ** 2 / INDEPENDENT)
     value = np.log(found[good, 1] / found[good, 0])
     block = surface_blocks(points.position_world)[point[good]]
     return Ratios(points.reference[point[good]], target[good].astype(np.int32), value, sigma, block)
@@ -226,19 +197,19 @@ def surface_blocks(position_world: np.ndarray, size: float = 1.0) -> np.ndarray:
     return np.asarray((voxel @ np.array([1, 3, 5])) % BLOCKS)
 
 
-def solve_ratios(ratios: Ratios, images: int, config: ExposureConfig = ExposureConfig()) -> Exposures:
+def solve_ratios(ratios: Ratios, images: int) -> Exposures:
     """The exposures that explain the log ratios best: robust per pair of images, then robust over the graph."""
-    return solve_edges(edges_of(ratios, images, config), images)
+    return solve_edges(edges_of(ratios, images), images)
 
 
-def edges_of(ratios: Ratios, images: int, config: ExposureConfig = ExposureConfig()) -> Edges:
+def edges_of(ratios: Ratios, images: int) -> Edges:
     """The ratios summed up robustly per pair of images."""
     low, high = np.minimum(ratios.first, ratios.second), np.maximum(ratios.first, ratios.second)
     value = np.where(ratios.first == low, ratios.value, -ratios.value)
     codes, edge = np.unique(low.astype(np.int64) * images + high, return_inverse=True)
     mean, sigma, weight = edge_means(edge, value, ratios.sigma, len(codes))
     count = np.bincount(edge, minlength=len(codes))
-    sigma = np.sqrt(sigma**2 + config.edge_floor**2 + (config.few_patches / np.maximum(count, 1)) ** 2)
+    sigma = np.sqrt(sigma**2 + EDGE_FLOOR**2 + (FEW_PATCHES / np.maximum(count, 1)) ** 2)
     left_out = leave_out_blocks(edge, value, weight, ratios.block, mean)
     return Edges(
         codes // images,

@@ -5,24 +5,40 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba import geometry
+from lvba.settings import check, setting
 
 
 @dataclass(frozen=True)
 class KeyframeConfig:
     """An image becomes a keyframe once enough time has passed, or the camera moved or turned, since the last one."""
 
-    interval_s: float = 0.19
-    """Seconds: recordings of up to 5 Hz keep every image, faster ones are thinned to about this; 0 (all) or more."""
-    translation_ratio: float = 0.04
-    """Motion that makes a keyframe sooner, as a part of the scene's depth (a vehicle at 10 Hz keeps all); above 0."""
-    rotation_deg: float = 8.0
-    """Turn that makes a keyframe sooner, degrees; above 0."""
+    interval_s: float = setting(
+        0.19,
+        meaning="Recordings of up to 5 Hz keep every image, faster ones are thinned to about one image in this time. "
+        "0: every image.",
+        unit="s",
+        low=0,
+        change_when="Runs take too long (longer), or fast motion is followed badly (shorter).",
+    )
+    translation_ratio: float = setting(
+        0.04,
+        meaning="Motion that makes a keyframe sooner, as a part of the scene's depth. A vehicle at 10 Hz "
+        "keeps all images.",
+        low=1e-6,
+        change_when="A slow close-up recording keeps too many images (larger).",
+        advanced=True,
+    )
+    rotation_deg: float = setting(
+        8.0,
+        meaning="Turn that makes a keyframe sooner.",
+        unit="degrees",
+        low=1e-6,
+        change_when="The camera turns fast and neighboring keyframes overlap too little (smaller).",
+        advanced=True,
+    )
 
     def __post_init__(self) -> None:
-        for name in ("interval_s", "translation_ratio", "rotation_deg"):
-            value = getattr(self, name)
-            if not value >= 0 or (value == 0 and name != "interval_s"):
-                raise ValueError(f"{name} = {value}: must be above 0")
+        check(self)
 
 
 def select(

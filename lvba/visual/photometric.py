@@ -12,51 +12,20 @@ from lvba.kernels import photometric_moving as moving_kernels
 from lvba.kernels import plane_offsets as offset_kernels
 from lvba.optim import normal_equations
 from lvba.optim.normal_equations import NormalEquations
-from lvba.visual.scene_points import Observations, ScenePoints
+from lvba.visual.image import DARK, SATURATED
+from lvba.visual.scene_points import SCENE_POINTS, Observations, ScenePoints
 from lvba.visual.states import CameraStates
 
 COST, COUNT, SQUARE, WEIGHTS = 9, 10, 11, 12
 """Columns of the sums of an observation."""
 
 
-@dataclass(frozen=True)
-class PhotometricConfig:
-    """The residual of a pixel pair and how it is weighted."""
-
-    patch: int = 9
-    """Side of a patch, pixels, odd; 3 to 21."""
-    huber: float = 2.0
-    """Residuals beyond this many standard deviations count linearly; 0.5 to 100."""
-    least_intensity: float = 3.0
-    """Darker pixels are left out, of 255; 0 to 100."""
-    greatest_intensity: float = 250.0
-    """Brighter pixels are left out as saturated, of 255; 100 to 255."""
-    noise_growth: float = 0.0
-    """Noise variance grows as 1 + noise_growth * intensity; 0 (constant noise) to 10."""
-    reference_pixels: Literal["fixed", "moving"] = "fixed"
-    """"fixed": a patch stays at its whole pixels of the reference image; "moving": it moves with the reference's pose,
-    as in the paper: there for comparison, slower and less accurate."""
-
-    def __post_init__(self) -> None:
-        limits = {
-            "patch": (3, 21),
-            "huber": (0.5, 100.0),
-            "least_intensity": (0.0, 100.0),
-            "greatest_intensity": (100.0, 255.0),
-            "noise_growth": (0.0, 10.0),
-        }
-        for name, (low, high) in limits.items():
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name} is {getattr(self, name)}, must be between {low} and {high}")
-        if self.patch % 2 == 0:
-            raise ValueError(f"patch is {self.patch}, must be odd")
-        if self.reference_pixels not in ("fixed", "moving"):
-            raise ValueError(f'reference_pixels is {self.reference_pixels!r}, must be "fixed" or "moving"')
-
-    @property
-    def radius(self) -> int:
-        """Pixels between the centre and the border of a patch."""
-        return self.patch // 2
+HUBER = 2.0
+"""Residuals beyond this many standard deviations count linearly: 5 % of good ones do."""
+LEAST_INTENSITY, GREATEST_INTENSITY = float(DARK), float(SATURATED)
+"""Darker pixels are left out, and brighter ones as saturated."""
+NOISE_GROWTH = 0.0
+"""Noise variance grows as 1 + NOISE_GROWTH * intensity: constant, for sigma is estimated patch by patch."""
 
 
 def homography(
@@ -121,19 +90,21 @@ class Problem:
     offset_sigma: (P,) m, how far the plane at each point may be off along its normal; None: planes are exact
     sigma: (O,) float64, standard deviation of the residuals of each observation, of 255
     inflation: how many times the pixels' information overstates itself; the cost is divided by it
+    patch: side of a patch, pixels, odd; reference_pixels: see `visual.variant.Variant`
     """
 
     images: np.ndarray
     camera: Camera
     points: ScenePoints
     observations: Observations
-    config: PhotometricConfig
+    patch: int
     starts: np.ndarray
     pairs: Pairs
     sigma: np.ndarray
     offset_sigma: np.ndarray | None = None
     elimination: Elimination | None = None
     inflation: float = 1.0
+    reference_pixels: Literal["fixed", "moving"] = "fixed"
 
     @property
     def intrinsics(self) -> np.ndarray:
@@ -148,7 +119,7 @@ class Problem:
     @property
     def samples(self) -> int:
         """Samples of a whole patch, all channels."""
-        return self.config.patch**2 * self.images.shape[3]
+        return self.patch**2 * self.images.shape[3]
 
 
 def prepare(
@@ -156,11 +127,12 @@ def prepare(
     camera: Camera,
     points: ScenePoints,
     observations: Observations,
-    config: PhotometricConfig,
+    patch: int = SCENE_POINTS.size,
     *,
     offset_sigma: np.ndarray | None = None,
     sigma: float | np.ndarray = 3.0,
     inflation: float = 1.0,
+    reference_pixels: Literal["fixed", "moving"] = "fixed",
 ) -> Problem:
     """The problem of one level; observations must be sorted by (point, target)."""
     if images.dtype != np.uint8 or images.ndim != 4 or images.shape[3] not in (1, 3):
@@ -171,13 +143,14 @@ def prepare(
         camera=camera,
         points=points,
         observations=observations,
-        config=config,
+        patch=patch,
         starts=starts,
         pairs=_group(points.reference[observations.point], observations.target, len(images)),
         sigma=np.broadcast_to(np.asarray(sigma, np.float64), len(observations)),
         offset_sigma=offset_sigma,
         elimination=None if offset_sigma is None else _eliminate(starts, points, observations, len(images)),
         inflation=inflation,
+        reference_pixels=reference_pixels,
     )
 
 
@@ -237,12 +210,8 @@ def sums(problem: Problem, state: PhotometricState) -> np.ndarray:
 
     (O, 24) where the reference pixels move: 11 more, see `lvba.kernels.photometric_moving`.
     """
-    config, points = problem.config, problem.points
-    limits = (
-        config.least_intensity,
-        config.greatest_intensity,
-        config.noise_growth,
-    )
+    points = problem.points
+    limits = (LEAST_INTENSITY, GREATEST_INTENSITY, NOISE_GROWTH)
     scene = (
         problem.images,
         *_poses(state.cameras),
@@ -252,9 +221,15 @@ def sums(problem: Problem, state: PhotometricState) -> np.ndarray:
         points.normal_world,
         points.reference,
     )
-    huber = config.huber * problem.sigma
-    seen = (problem.starts, problem.observations.target, config.radius, huber, np.array(limits, np.float32))
-    if config.reference_pixels == "moving":
+    huber = HUBER * problem.sigma
+    seen = (
+        problem.starts,
+        problem.observations.target,
+        problem.patch // 2,
+        huber,
+        np.array(limits, np.float32),
+    )
+    if problem.reference_pixels == "moving":
         return moving_kernels.evaluate(*scene, *seen)
     return kernels.evaluate(*scene, points.pixel, *seen)
 
@@ -319,7 +294,7 @@ def _assembled(
         _positions(problem, state),
         points.normal_world,
     )
-    if problem.config.reference_pixels == "moving":
+    if problem.reference_pixels == "moving":
         return moving_kernels.assemble(*arguments)
     return kernels.assemble(*arguments, points.pixel)
 

@@ -2,7 +2,6 @@
 
 import logging
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 
@@ -12,19 +11,20 @@ from lvba.lidar import covariance as covariances
 from lvba.lidar.covariance import Covariance
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.progress import Progress, silent
+from lvba.settings import check, setting
 from lvba.trajectory import Trajectory
 from lvba.visual import bundle_adjustment, covariance, degeneracy, exposure, scene_points, visibility
 from lvba.visual import result as results
 from lvba.visual import trajectory_prior as priors
-from lvba.visual.bundle_adjustment import BundleAdjustmentConfig, LevelSolution
+from lvba.visual.bundle_adjustment import ROUNDS, SOLVER, LevelSolution
 from lvba.visual.degeneracy import WeakDirections
-from lvba.visual.exposure import ExposureConfig
 from lvba.visual.image import ImageConfig, Pyramid
 from lvba.visual.keyframes import KeyframeConfig
 from lvba.visual.result import LevelReport, VisualResult
-from lvba.visual.scene_points import PointsConfig
+from lvba.visual.scene_points import PatchRules, PointsConfig
 from lvba.visual.states import CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior, PriorConfig
+from lvba.visual.variant import PRODUCT, Variant
 from lvba.visual.visibility import DepthBuffers, VisibilityConfig, VisibilityMap
 
 __all__ = [
@@ -35,7 +35,6 @@ __all__ = [
     "VisualConfig",
     "VisualResult",
     "finest",
-    "one_patch_size",
     "refine",
     "refine_finest",
     "refine_level",
@@ -46,38 +45,51 @@ logger = logging.getLogger(__name__)
 
 _FIRST_INFLATION = 10.0
 _COARSE_DECREASE = 1e-4
-"""Relative decrease of the cost at which a coarse level stops."""
+"""Relative decrease of the cost at which a coarse level stops: it only gives the next one its start."""
+_COARSE_ROUNDS = 2
+"""Solves of a coarse level."""
+_COARSEST_EXPOSED = 5
+"""Coarsest pyramid level that exposures are compared at."""
 
 
 @dataclass(frozen=True)
 class VisualConfig:
-    """Everything the visual stage can be told."""
+    """Visual bundle adjustment: how camera poses and exposures are refined."""
 
-    levels: int = 4
-    """Pyramid levels, 1 to 6; level 0 is full size. Fewer are used where the coarsest would be narrower than 80 px.
-    Images of 160 px forgive 5 cm between neighbors, but a group of scans may be further off the others."""
-    patch: int = 9
-    """Side of a patch at every step, pixels, odd; 3 to 21."""
-    exposures: Literal["means", "joint", "none"] = "means"
-    """"means": from robust log ratios of patch means; "joint": unknowns of the photometric cost, as in the paper;
-    "none": all images are taken as equally exposed."""
+    levels: int = setting(
+        4,
+        meaning="Pyramid levels; the finest is the full image. Fewer are used where the coarsest would be narrower than "
+        "80 px. Images of 160 px forgive 5 cm between neighbors, but a group of scans may be further off the others.",
+        low=1,
+        high=6,
+        change_when="The rough poses are good to a few pixels (fewer: faster), or very rough (more).",
+    )
+    patch: int = setting(
+        9,
+        meaning="Side of the square patches that images are compared over.",
+        unit="px",
+        low=3,
+        high=21,
+        odd=True,
+        change_when="Images are noisy or blurred (larger), or planes are small in them (smaller).",
+    )
+    iterations: int = setting(
+        12,
+        meaning="Most steps of the solver in one solve; it ends sooner where the cost hardly falls any more.",
+        unit="steps",
+        low=1,
+        high=1000,
+        change_when="The report says that cameras had not settled (more).",
+        advanced=True,
+    )
     images: ImageConfig = field(default_factory=ImageConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
     points: PointsConfig = field(default_factory=PointsConfig)
-    visibility: VisibilityConfig = field(
-        default_factory=lambda: VisibilityConfig(max_view_angle_deg=84.0, max_local=4)
-    )
-    exposure: ExposureConfig = field(default_factory=ExposureConfig)
-    adjustment: BundleAdjustmentConfig = field(default_factory=BundleAdjustmentConfig)
+    visibility: VisibilityConfig = field(default_factory=VisibilityConfig)
     prior: PriorConfig = field(default_factory=PriorConfig)
 
     def __post_init__(self) -> None:
-        if self.exposures not in ("means", "joint", "none"):
-            raise ValueError(f'exposures is {self.exposures!r}, must be "means", "joint" or "none"')
-        if not 1 <= self.levels <= 6:
-            raise ValueError(f"levels is {self.levels}, must be between 1 and 6")
-        if self.patch % 2 == 0 or not 3 <= self.patch <= 21:
-            raise ValueError(f"patch is {self.patch}, must be odd, between 3 and 21")
+        check(self)
 
 
 @dataclass(frozen=True)
@@ -117,15 +129,20 @@ class Coarser:
     levels: int = 0
 
 
-def refine(given: Inputs, config: VisualConfig = VisualConfig(), progress: Progress = silent) -> VisualResult:
+def refine(
+    given: Inputs,
+    config: VisualConfig = VisualConfig(),
+    progress: Progress = silent,
+    variant: Variant = PRODUCT,
+) -> VisualResult:
     """Refined poses and exposures of all images.
 
     Raises DegenerateProblemError where no scene point is seen twice.
     """
     coarser: Coarser | None = None
     for _ in range(len(given.pyramid) - 1):
-        coarser = refine_level(given, coarser, config, progress)
-    return refine_finest(given, coarser, config, progress)
+        coarser = refine_level(given, coarser, config, progress, variant)
+    return refine_finest(given, coarser, config, progress, variant)
 
 
 def refine_level(
@@ -133,10 +150,11 @@ def refine_level(
     coarser: Coarser | None,
     config: VisualConfig = VisualConfig(),
     progress: Progress = silent,
+    variant: Variant = PRODUCT,
 ) -> Coarser:
     """One level more than `coarser`; None: none yet. One at which no point is seen twice leaves all as it was."""
-    scene = scene_of(given, config)
-    coarser = coarser or _none_yet(scene, config)
+    scene = scene_of(given, config, variant)
+    coarser = coarser or _none_yet(scene)
     try:
         return _solved(scene, coarser, config, progress)[0]
     except DegenerateProblemError as error:
@@ -149,9 +167,10 @@ def refine_finest(
     coarser: Coarser | None,
     config: VisualConfig = VisualConfig(),
     progress: Progress = silent,
+    variant: Variant = PRODUCT,
 ) -> VisualResult:
     """The result, from the finest level. Raises DegenerateProblemError as `refine` does."""
-    return finest(given, coarser, config, progress)[0]
+    return finest(given, coarser, config, progress, variant)[0]
 
 
 def finest(
@@ -159,13 +178,14 @@ def finest(
     coarser: Coarser | None,
     config: VisualConfig = VisualConfig(),
     progress: Progress = silent,
+    variant: Variant = PRODUCT,
 ) -> tuple[VisualResult, LevelSolution]:
     """The result with the solution of the finest level behind it. Raises DegenerateProblemError as `refine` does."""
-    scene = scene_of(given, config)
-    found, last, directions = _solved(scene, coarser or _none_yet(scene, config), config, progress)
+    scene = scene_of(given, config, variant)
+    found, last, directions = _solved(scene, coarser or _none_yet(scene), config, progress)
     state, sigma = found.state, np.zeros(len(scene.image_times))
-    if config.exposures == "means":
-        state, sigma = _exposed(scene, 0, state, config)
+    if variant.exposures == "means":
+        state, sigma = _exposed(scene, 0, state)
     start = scene.start.cameras.world_from_camera
     result = results.collect(
         found.reports, last, state, directions, sigma, start, scene.prior, given.keyframes, given.images.times
@@ -198,9 +218,10 @@ class Scene:
     prior: Prior
     seen: VisibilityMap | None
     """Which cameras are near a scan: that does not change by centimetres, so the rough poses will do."""
+    variant: Variant
 
 
-def scene_of(given: Inputs, config: VisualConfig) -> Scene:
+def scene_of(given: Inputs, config: VisualConfig, variant: Variant = PRODUCT) -> Scene:
     """What all levels share, from the inputs."""
     times, scans = given.images.times[given.keyframes], given.scans
     known = given.scan_covariance
@@ -211,7 +232,6 @@ def scene_of(given: Inputs, config: VisualConfig) -> Scene:
     carried = trajectory.interpolate_corrections(scans, given.refined_scans, times)
     start = carried @ given.images.world_from_sensor[given.keyframes]
     sensors = (given.refined_scans @ np.append(given.sensor_position_scan, 1.0))[:, :3]
-    visible = one_patch_size(config).visibility
     return Scene(
         pyramid=given.pyramid,
         image_times=times,
@@ -221,7 +241,10 @@ def scene_of(given: Inputs, config: VisualConfig) -> Scene:
         keyframes=given.keyframes,
         start=VisualState(CameraStates(start, np.zeros(len(times))), prior.mount),
         prior=prior,
-        seen=_visibility_map(scans.times, sensors, times, start, given.plane_points, visible),
+        seen=_visibility_map(scans.times, sensors, times, start, given.plane_points)
+        if variant.global_points
+        else None,
+        variant=variant,
     )
 
 
@@ -229,7 +252,6 @@ def _solved(
     scene: Scene, coarser: Coarser, config: VisualConfig, progress: Progress
 ) -> tuple[Coarser, LevelSolution, WeakDirections]:
     """The next level: what it leaves, its solution, and the directions that no image holds."""
-    config = one_patch_size(config)
     level = len(scene.pyramid) - 1 - coarser.levels
     solution = _solve_level(scene, level, coarser, config, progress)
     directions = degeneracy.find(solution.problem, solution.linearization, scene.planes)
@@ -242,25 +264,10 @@ def _solved(
     return left, solution, directions
 
 
-def _none_yet(scene: Scene, config: VisualConfig) -> Coarser:
+def _none_yet(scene: Scene) -> Coarser:
     """What the coarsest level begins with."""
-    held = priors.take(scene.prior, scene.keyframes) if config.prior.enabled else None
+    held = priors.take(scene.prior, scene.keyframes) if scene.variant.prior else None
     return Coarser(scene.start, held, _FIRST_INFLATION, ())
-
-
-def one_patch_size(config: VisualConfig) -> VisualConfig:
-    """The settings with `patch` and `exposures` passed on to all that follow them."""
-    adjustment = replace(
-        config.adjustment,
-        photometric=replace(config.adjustment.photometric, patch=config.patch),
-        solve_exposures=config.exposures == "joint",
-    )
-    return replace(
-        config,
-        points=replace(config.points, patch_size=config.patch),
-        visibility=replace(config.visibility, patch_size=config.patch),
-        adjustment=adjustment,
-    )
 
 
 def _visibility_map(
@@ -269,34 +276,26 @@ def _visibility_map(
     image_times: np.ndarray,
     world_from_camera: np.ndarray,
     points: PlanePoints,
-    config: VisibilityConfig,
-) -> VisibilityMap | None:
-    if not config.use_global:
-        return None
-    near = visibility.cameras_near_scans(
-        scan_times, sensors, image_times, world_from_camera[:, :3, 3], config
-    )
-    return visibility.build_map(
-        points.points_world, points.scan_offsets, near, len(world_from_camera), config.voxel_m
-    )
+) -> VisibilityMap:
+    near = visibility.cameras_near_scans(scan_times, sensors, image_times, world_from_camera[:, :3, 3])
+    return visibility.build_map(points.points_world, points.scan_offsets, near, len(world_from_camera))
 
 
 def _exposed(
     scene: Scene,
     level: int,
     state: VisualState,
-    config: VisualConfig,
     depth: DepthBuffers | None = None,
 ) -> tuple[VisualState, np.ndarray]:
     """The state with exposures solved anew, and their standard deviations (K,)."""
     poses = state.cameras.world_from_camera
-    if config.exposures == "none":
+    if scene.variant.exposures == "none":
         return state, np.zeros(len(poses))
     # coarse where the poses are still rough
-    level_config = replace(config.exposure, level=max(min(level, 5), config.exposure.level))
+    compared = max(min(level, _COARSEST_EXPOSED), exposure.LEVEL)
     found = exposure.solve(
         scene.pyramid, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, scene.seen,
-        level_config, depth,
+        compared, depth,
     )  # fmt: skip
     return replace(state, cameras=CameraStates(poses, found.log_exposure)), found.sigma
 
@@ -311,30 +310,26 @@ def _solve_level(
     progress("scene points", 0, 3)
     points = scene_points.select(
         images, camera, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, noise,
-        config.points,
+        config.points, PatchRules(size=config.patch),
     )  # fmt: skip
     progress("visibility", 1, 3)
     depth = visibility.depth_buffers(
         camera, poses, scene.image_times, scene.plane_points, scene.scan_times, config.points.time_window_s
     )
     points, observations = visibility.find(
-        images, camera, poses, points, scene.seen, noise, config.visibility, depth
-    )
+        images, camera, poses, points, scene.seen, noise, config.visibility, depth,
+        patch=config.patch, score=scene.variant.score,
+    )  # fmt: skip
     if len(observations) == 0:
         raise DegenerateProblemError(f"no scene point is seen by two images at pyramid level {level}")
     progress("camera poses", 2, 3)
-    state, _ = _exposed(scene, level, coarser.state, config, depth)
-    adjustment = config.adjustment if level == 0 else _coarse(config.adjustment)
+    state, _ = _exposed(scene, level, coarser.state, depth)
+    decrease = SOLVER.relative_decrease if level == 0 else _COARSE_DECREASE
     solution = bundle_adjustment.solve(
-        images, camera, points, observations, state, coarser.prior, adjustment, inflation=coarser.inflation
-    )
+        images, camera, points, observations, state, coarser.prior,
+        patch=config.patch, rounds=ROUNDS if level == 0 else _COARSE_ROUNDS,
+        solver=replace(SOLVER, max_iterations=config.iterations, relative_decrease=decrease),
+        inflation=coarser.inflation, variant=scene.variant,
+    )  # fmt: skip
     progress("camera poses", 3, 3)
     return solution
-
-
-def _coarse(config: BundleAdjustmentConfig) -> BundleAdjustmentConfig:
-    """What a level needs that only gives the next one its start."""
-    decrease = max(config.solver.relative_decrease, _COARSE_DECREASE)
-    return replace(
-        config, rounds=min(config.rounds, 2), solver=replace(config.solver, relative_decrease=decrease)
-    )

@@ -164,7 +164,7 @@ def _warnings(
     if open_levels:
         found.append(
             f"the visual bundle adjustment had not settled at pyramid level {', '.join(open_levels)}; "
-            "more solver iterations (visual.adjustment.solver.max_iterations) may help"
+            "more solver iterations (visual.iterations) may help"
         )
     held = "the LiDAR trajectory" if solution.prior is not None else "nothing (the prior is off)"
     if len(directions.common):

@@ -9,6 +9,8 @@ from lvba.camera import Camera
 from lvba.kernels import patches
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.parallel import in_order
+from lvba.settings import check, setting
+from lvba.visual.image import DARK, SATURATED
 
 DOG_NOISE = 0.146
 """Standard deviation of the difference of Gaussians (sigma 1.0 and 1.6) of white noise of standard deviation 1."""
@@ -66,68 +68,80 @@ def take(points: ScenePoints, index: np.ndarray) -> ScenePoints:
 class PointsConfig:
     """Which LiDAR points become scene points of an image."""
 
-    patch_size: int = 9
-    """N of the N x N patch, px, odd, 3 to 31."""
-    cells: int = 600
-    """Grid cells per image, about (40 px on a 1 Mpx image); at most one point each; 1 to 100000."""
-    min_cell_px: int = 8
-    """Smallest edge of a grid cell, px (coarse levels get fewer points, or patches overlap); 4 to 200."""
-    time_window_s: float = 0.5
-    """Scans within this time of the image are projected, seconds; doubled up to three times where points are few."""
-    min_points_in_image: int = 1000
-    """Fewer LiDAR points than this in an image widen its time window; 0 or more."""
-    max_points: int = 1_000_000
-    """At most about this many LiDAR points are tried per image (a regular subset where there are more)."""
-    max_view_angle_deg: float = 82.0
-    """Largest angle between view direction and plane normal, degrees, eq. (2); 0 to 89."""
-    min_score_sigma: float = 3.0
-    """Least |difference of Gaussians|, in standard deviations of its noise; 0 or more."""
-    off_plane_part: float = 0.1
-    """Largest part of the LiDAR points within twice the patch that may lie off its plane; 0 to 1."""
-    off_plane_sigma: float = 4.0
-    """A point is off a plane when further than this many times the plane's thickness (within the bounds below)."""
-    off_plane_min_m: float = 0.03
-    """Never stricter than this, m (nor than 0.4 % of the distance)."""
-    off_plane_max_m: float = 0.08
-    """Never looser than this, m."""
-    min_support: int = 4
-    """Least number of LiDAR points on the plane within twice the patch; 1 or more."""
-    extent_spacings: float = 3.0
-    """The support must reach the patch's four sides, looked for within this many mean spacings of LiDAR points."""
-    min_depth_m: float = 0.3
-    """Least distance of a scene point along the camera's axis, m."""
-    occlusion_m: float = 0.15
-    """A point this much (and 2 %) behind another is hidden by it, m."""
-    occlusion_spacings: float = 1.5
-    """Cells of the z-buffer in mean spacings of LiDAR points (up to the patch size); 0 to 10."""
-    dark: float = 3.0
-    """Grey values up to this are masked (0: no image); 0 to 50."""
-    bright: float = 250.0
-    """Grey values from this on are masked (clipped); 100 to 256."""
-    min_usable: float = 0.9
-    """Least part of the patch that is not masked; 0 to 1."""
-    tries: int = 12
-    """Candidates tried per cell, best score first; 1 or more."""
+    cells: int = setting(
+        600,
+        meaning="Grid cells per image (about 40 px on an image of 1 Mpx), with at most one scene point each.",
+        low=1,
+        high=100_000,
+        change_when="Runs take too long (fewer), or few planes are in view and cameras stay uncertain (more).",
+    )
+    time_window_s: float = setting(
+        0.5,
+        meaning="Scans within this time of the image are projected into it; doubled up to three times where points are "
+        "few.",
+        unit="s",
+        low=0,
+        high=1e4,
+        change_when="Things move in the scene (shorter), or the LiDAR is sparse or slow (longer).",
+        advanced=True,
+    )
 
     def __post_init__(self) -> None:
-        if self.patch_size % 2 == 0 or not 3 <= self.patch_size <= 31:
-            raise ValueError(f"patch_size = {self.patch_size}: must be odd, 3 to 31")
-        ranges = {
-            "cells": (1, 100_000), "min_cell_px": (4, 200), "time_window_s": (0, 1e4), "min_points_in_image": (0, 1e9),
-            "max_points": (100, 1e10), "max_view_angle_deg": (0, 89), "min_score_sigma": (0, 1e3),
-            "off_plane_part": (0, 1), "off_plane_sigma": (0, 1e3), "off_plane_min_m": (0, self.off_plane_max_m),
-            "min_support": (1, 1e6), "extent_spacings": (0, 100), "min_depth_m": (0, 1e3), "occlusion_m": (0, 100),
-            "occlusion_spacings": (0, 10),
-            "dark": (0, 50), "bright": (100, 256), "min_usable": (0, 1), "tries": (1, 1e6),
-        }  # fmt: skip
-        for name, (low, high) in ranges.items():
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name} = {getattr(self, name)}: must lie in {low} to {high}")
+        check(self)
 
 
-def cell_size(camera: Camera, config: PointsConfig) -> int:
+@dataclass(frozen=True)
+class PatchRules:
+    """What patches are like. Those of scene points and those that exposures are compared over differ in this.
+
+    size: N of the N x N patch, px, odd, 3 to 31
+    max_view_angle_deg: largest angle between view direction and plane normal, eq. (2)
+    min_cell_px: smallest edge of a grid cell (coarse levels get fewer points, or patches overlap)
+    min_score_sigma: least |difference of Gaussians|, in standard deviations of its noise
+    dark, bright: grey values up to the one and from the other on are masked
+    min_usable: least part of the patch that is not masked
+    tries: candidates tried per cell, best score first
+    """
+
+    size: int = 9
+    max_view_angle_deg: float = 82.0
+    min_cell_px: int = 8
+    min_score_sigma: float = 3.0
+    dark: float = DARK
+    bright: float = SATURATED
+    min_usable: float = 0.9
+    tries: int = 12
+
+
+SCENE_POINTS = PatchRules()
+"""Of scene points; runs take the size from their settings."""
+MIN_POINTS_IN_IMAGE = 1000
+"""Fewer LiDAR points than this in an image widen its time window: their planes would cover a small part of it."""
+MAX_POINTS = 1_000_000
+"""At most about this many LiDAR points are tried per image (a regular subset of more): more fill no more cells."""
+OFF_PLANE_PART = 0.1
+"""Largest part of the LiDAR points within twice the patch that may lie off its plane: things before a wall."""
+OFF_PLANE_SIGMA = 4.0
+"""A point is off a plane when further than this many times the plane's thickness, within the bounds below."""
+OFF_PLANE_MIN_M = 0.03
+"""m: never stricter than this (nor than 0.4 % of the distance), which is the noise of common LiDARs."""
+OFF_PLANE_MAX_M = 0.08
+"""m: never looser than this: a thing that stands out by more shifts visibly between two images."""
+MIN_SUPPORT = 4
+"""Least number of LiDAR points on the plane within twice the patch: three make a plane by themselves."""
+EXTENT_SPACINGS = 3.0
+"""The support must reach the patch's four sides, looked for within this many mean spacings of LiDAR points."""
+MIN_DEPTH_M = 0.3
+"""m, least distance of a scene point along the camera's axis: nearer things are the platform itself."""
+HIDDEN_M = 0.15
+"""m: a point this much (and 2 % of the depth) behind another is hidden by it: noise and slant stay below that."""
+OCCLUSION_SPACINGS = 1.5
+"""Cells of the z-buffer in mean spacings of LiDAR points (up to the patch size): few of them are empty then."""
+
+
+def cell_size(camera: Camera, config: PointsConfig, rules: PatchRules = SCENE_POINTS) -> int:
     """Edge of a grid cell at this camera's size, px."""
-    return max(round((camera.width * camera.height / config.cells) ** 0.5), config.min_cell_px)
+    return max(round((camera.width * camera.height / config.cells) ** 0.5), rules.min_cell_px)
 
 
 def difference_of_gaussians(image: np.ndarray) -> np.ndarray:
@@ -149,21 +163,21 @@ def near_ranges(
     return np.stack([start, stop, np.maximum(-(-(stop - start) // most), 1)], axis=1).astype(np.int64)
 
 
-def plane_table(planes: Planes, config: PointsConfig) -> np.ndarray:
+def plane_table(planes: Planes) -> np.ndarray:
     """(K, 7) float64 for the kernels: centre, unit normal, distance in m from which a point lies off the plane."""
     thickness = np.sqrt(np.maximum(planes.eigenvalues[:, 0], 0))
-    tolerance = np.clip(config.off_plane_sigma * thickness, config.off_plane_min_m, config.off_plane_max_m)
+    tolerance = np.clip(OFF_PLANE_SIGMA * thickness, OFF_PLANE_MIN_M, OFF_PLANE_MAX_M)
     return np.column_stack([planes.center, planes.normal, tolerance])
 
 
-def _gates(camera: Camera, config: PointsConfig, noise: float) -> np.ndarray:
-    half = config.patch_size // 2
-    cosine = np.cos(np.radians(config.max_view_angle_deg))
-    least_score = max(config.min_score_sigma * DOG_NOISE * noise, 1e-6)
+def _gates(camera: Camera, rules: PatchRules, noise: float) -> np.ndarray:
+    half = rules.size // 2
+    cosine = np.cos(np.radians(rules.max_view_angle_deg))
+    least_score = max(rules.min_score_sigma * DOG_NOISE * noise, 1e-6)
     return np.array([
-        half, cosine, config.dark, config.bright, config.min_usable, config.off_plane_part, config.min_support,
-        config.min_depth_m, half + 0.5, config.extent_spacings, max(camera.width / 160, 1.0),
-        config.occlusion_spacings, config.occlusion_m, least_score, config.tries,
+        half, cosine, rules.dark, rules.bright, rules.min_usable, OFF_PLANE_PART, MIN_SUPPORT,
+        MIN_DEPTH_M, half + 0.5, EXTENT_SPACINGS, max(camera.width / 160, 1.0),
+        OCCLUSION_SPACINGS, HIDDEN_M, least_score, rules.tries,
     ])  # fmt: skip
 
 
@@ -177,6 +191,7 @@ def select(
     scan_times: np.ndarray,
     noise: float,
     config: PointsConfig = PointsConfig(),
+    rules: PatchRules = SCENE_POINTS,
     score: np.ndarray | None = None,
 ) -> ScenePoints:
     """The local scene points of every image at one pyramid level, by image and grid cell (row by row).
@@ -190,7 +205,7 @@ def select(
     Source: Li et al., II-C1 and eq. (2). Ours: the point is where the ray of the whole pixel meets the plane, points
     hidden by others are left out, and the LiDAR points round the patch must lie on its plane and reach its four sides.
     """
-    table, gates = plane_table(planes, config), _gates(camera, config, noise)
+    table, gates = plane_table(planes), _gates(camera, rules, noise)
     window = np.full(len(images), config.time_window_s)
     pixel, own, seen = _select_images(
         images,
@@ -202,17 +217,17 @@ def select(
         scan_times,
         window,
         gates,
-        config,
+        cell_size(camera, config, rules),
         score,
     )
     for _ in range(3):
-        few = np.flatnonzero(seen < config.min_points_in_image)
+        few = np.flatnonzero(seen < MIN_POINTS_IN_IMAGE)
         if len(few) == 0 or len(scan_times) == 1:
             break
         window[few] *= 2
         pixel[few], own[few], seen[few] = _select_images(
             images[few], camera, world_from_camera[few], image_times[few], table, plane_points, scan_times,
-            window[few], gates, config, score,
+            window[few], gates, cell_size(camera, config, rules), score,
         )  # fmt: skip
     image, cell = np.nonzero(own >= 0)
     return make_points(
@@ -230,11 +245,11 @@ def _select_images(
     scan_times: np.ndarray,
     window: np.ndarray,
     gates: np.ndarray,
-    config: PointsConfig,
+    cell: int,
     score: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`patches.select_points` over all images, a few at a time so that the scores of few are in memory."""
-    ranges = near_ranges(image_times, scan_times, plane_points.scan_offsets, window, config.max_points)
+    ranges = near_ranges(image_times, scan_times, plane_points.scan_offsets, window, MAX_POINTS)
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     parts = []
     for start in range(0, len(images), _CHUNK):
@@ -254,7 +269,7 @@ def _select_images(
                 scores,
                 poses,
                 intrinsics,
-                cell_size(camera, config),
+                cell,
                 gates,
             )
         )

@@ -2,7 +2,7 @@
 
 p enters the homography (Li et al., eq. 7) only through n^T p, so cameras can slide along directions in which no plane
 faces them: three over one bare plane, one in a corridor. The paper has no term against that; without this prior
-(`PriorConfig.enabled = False`) its form comes back.
+(`Variant.prior = False`) its form comes back.
 """
 
 from dataclasses import dataclass, replace
@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from lvba import geometry, spline, trajectory
 from lvba.optim import normal_equations
 from lvba.optim.normal_equations import NormalEquations
+from lvba.settings import check, setting
 from lvba.trajectory import Trajectory
 from lvba.visual import extrinsic_prior
 from lvba.visual.states import Mount, VisualState
@@ -24,48 +25,45 @@ _RATE_STEP_S = 0.02
 
 @dataclass(frozen=True)
 class PriorConfig:
-    """How strongly camera poses are held to the LiDAR trajectory."""
+    """How well the calibrated mount of the camera and the clocks are known."""
 
-    enabled: bool = True
-    """False: no prior at all, as in the paper."""
-    sigma_position_m: float = 0.02
-    """First guess of how far eq. (1) is off in a frame, m; estimated from the data afterwards; 1e-4 to 10."""
-    sigma_rotation_deg: float = 0.3
-    """The same in rotation, degrees; 1e-3 to 90."""
-    between_scans: float = 0.3
-    """First guess of the spline's error between scans, as a part of what leaving a scan out changes; 0.01 to 10."""
-    floor_position_m: float = 0.001
-    """No estimate falls below this, m; 1e-6 to 1."""
-    floor_rotation_deg: float = 0.01
-    """No estimate falls below this, degrees; 1e-5 to 10."""
-    ceiling_position_m: float = 0.02
-    """No estimate of a frame's own error rises above this, m; 1e-4 to 100. Images alone drift; a prior that followed
-    would allow it."""
-    ceiling_rotation_deg: float = 0.3
-    """No estimate rises above this, degrees; 1e-3 to 180."""
-    mount_position_m: float = 0.01
-    """How far the calibrated mount may be off, m, one standard deviation; 1e-4 to 10."""
-    mount_rotation_deg: float = 0.3
-    """How far the calibrated mount may be off, degrees, one standard deviation; 1e-3 to 90."""
-    time_offset_s: float = 0.02
-    """How far the clocks may be apart, s, one standard deviation; 1e-6 to 10."""
+    mount_position_m: float = setting(
+        0.01,
+        meaning="How far the calibrated mount may be off, one standard deviation.",
+        unit="m",
+        low=1e-4,
+        high=10,
+        change_when="The calibration is known to be better, or was measured by hand.",
+    )
+    mount_rotation_deg: float = setting(
+        0.3,
+        meaning="How far the calibrated mount may be turned, one standard deviation.",
+        unit="degrees",
+        low=1e-3,
+        high=90,
+        change_when="The calibration is known to be better, or was measured by hand.",
+    )
+    time_offset_s: float = setting(
+        0.02,
+        meaning="How far the clocks of camera and LiDAR may be apart, one standard deviation.",
+        unit="s",
+        low=1e-6,
+        high=10,
+        change_when="The sensors are triggered by hardware (smaller), or each has a clock of its own (larger).",
+    )
 
     def __post_init__(self) -> None:
-        limits = {
-            "sigma_position_m": (1e-4, 10.0),
-            "sigma_rotation_deg": (1e-3, 90.0),
-            "between_scans": (0.01, 10.0),
-            "floor_position_m": (1e-6, 1.0),
-            "floor_rotation_deg": (1e-5, 10.0),
-            "ceiling_position_m": (1e-4, 100.0),
-            "ceiling_rotation_deg": (1e-3, 180.0),
-            "mount_position_m": (1e-4, 10.0),
-            "mount_rotation_deg": (1e-3, 90.0),
-            "time_offset_s": (1e-6, 10.0),
-        }
-        for name, (low, high) in limits.items():
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name} is {getattr(self, name)}, must be between {low} and {high}")
+        check(self)
+
+
+SIGMA_POSITION_M, SIGMA_ROTATION_DEG = 0.02, 0.3
+"""First guess of how far eq. (1) is off in a frame, m and degrees; estimated from the data afterwards."""
+BETWEEN_SCANS = 0.3
+"""First guess of the spline's error between scans, as a part of what leaving a scan out changes."""
+FLOOR_POSITION_M, FLOOR_ROTATION_DEG = 0.001, 0.01
+"""No estimate falls below this: frames that agree better do so by chance."""
+CEILING_POSITION_M, CEILING_ROTATION_DEG = 0.02, 0.3
+"""No estimate of a frame's own error rises above this. Images alone drift; a prior that followed would allow it."""
 
 
 @dataclass(frozen=True)
@@ -129,17 +127,17 @@ def build(
     scan_from_camera = geometry.inverse(camera_from_scan)
     carried = trajectory.interpolate_corrections(scans, refined, images.times) @ images.world_from_sensor
     count = len(images)
-    off = _scan_sigmas(scans.times, scan_covariance, images.times, config)
+    off = _scan_sigmas(scans.times, scan_covariance, images.times)
     by_eq1 = Source(
         carried @ camera_from_scan,
-        np.full(count, np.radians(config.sigma_rotation_deg)),
-        np.full(count, config.sigma_position_m),
+        np.full(count, np.radians(SIGMA_ROTATION_DEG)),
+        np.full(count, SIGMA_POSITION_M),
         *off,
     )
     moving = Trajectory(scans.times, refined)
     sources: tuple[Source, ...] = (by_eq1,)
     if len(scans) >= spline.FEWEST_SAMPLES:
-        pose, sigma = _spline(moving, images.times, config)
+        pose, sigma = _spline(moving, images.times)
         sources = (by_eq1, Source(pose, *sigma, *off))
     return Prior(sources, *_rates(moving, images.times), Mount(scan_from_camera), config)
 
@@ -187,13 +185,13 @@ def fill(
 
 
 def _scan_sigmas(
-    scan_times: np.ndarray, covariance: np.ndarray | None, times: np.ndarray, config: PriorConfig
+    scan_times: np.ndarray, covariance: np.ndarray | None, times: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(I,) rad and (I,) m: how far the less certain of the scans about each image may be off, in its worst direction."""
     if covariance is None:
         return (
-            np.full(len(times), np.radians(config.ceiling_rotation_deg)),
-            np.full(len(times), config.ceiling_position_m),
+            np.full(len(times), np.radians(CEILING_ROTATION_DEG)),
+            np.full(len(times), CEILING_POSITION_M),
         )
     before, _ = trajectory.bracket(scan_times, times)
     after = np.minimum(before + 1, len(scan_times) - 1)
@@ -202,12 +200,10 @@ def _scan_sigmas(
     return rotation, position
 
 
-def _spline(
-    scans: Trajectory, times: np.ndarray, config: PriorConfig
-) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+def _spline(scans: Trajectory, times: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """The scans' poses at the images' times by splines, and what these may miss (rad, m)."""
-    floors = [np.radians(config.floor_rotation_deg), config.floor_position_m]
-    sigma = config.between_scans * spline.missed(scans, times) + floors
+    floors = [np.radians(FLOOR_ROTATION_DEG), FLOOR_POSITION_M]
+    sigma = BETWEEN_SCANS * spline.missed(scans, times) + floors
     # beyond the scans there is nothing to interpolate: what is extrapolated counts for nothing
     sigma[spline.outside(scans, times)] *= 1e3
     return spline.through(scans, times), (sigma[:, 0], sigma[:, 1])

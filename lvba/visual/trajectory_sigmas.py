@@ -11,7 +11,17 @@ from dataclasses import replace
 import numpy as np
 
 from lvba.visual.states import VisualState
-from lvba.visual.trajectory_prior import Prior, PriorConfig, Source, by_component, residuals, sigmas
+from lvba.visual.trajectory_prior import (
+    CEILING_POSITION_M,
+    CEILING_ROTATION_DEG,
+    FLOOR_POSITION_M,
+    FLOOR_ROTATION_DEG,
+    Prior,
+    Source,
+    by_component,
+    residuals,
+    sigmas,
+)
 
 
 def reestimated(prior: Prior, state: VisualState, undecided: tuple[np.ndarray, ...]) -> Prior:
@@ -24,13 +34,13 @@ def reestimated(prior: Prior, state: VisualState, undecided: tuple[np.ndarray, .
     return replace(
         prior,
         sources=tuple(
-            _rescaled(source, residuals(prior, source, state), posterior, prior.config)
+            _rescaled(source, residuals(prior, source, state), posterior)
             for source, posterior in zip(prior.sources, undecided, strict=True)
         ),
     )
 
 
-def _rescaled(source: Source, deviation: np.ndarray, posterior: np.ndarray, config: PriorConfig) -> Source:
+def _rescaled(source: Source, deviation: np.ndarray, posterior: np.ndarray) -> Source:
     own = by_component(source.sigma_rotation, source.sigma_position)
     share = np.clip(1 - posterior / sigmas(source) ** 2, 0.0, 1.0)
     rotation, position = (_own_scale(deviation, own, share, part) for part in (slice(3), slice(3, 6)))
@@ -39,12 +49,12 @@ def _rescaled(source: Source, deviation: np.ndarray, posterior: np.ndarray, conf
         sigma_rotation=_within(
             rotation * source.sigma_rotation,
             source.sigma_rotation,
-            np.radians([config.floor_rotation_deg, config.ceiling_rotation_deg]),
+            np.radians([FLOOR_ROTATION_DEG, CEILING_ROTATION_DEG]),
         ),
         sigma_position=_within(
             position * source.sigma_position,
             source.sigma_position,
-            np.array([config.floor_position_m, config.ceiling_position_m]),
+            np.array([FLOOR_POSITION_M, CEILING_POSITION_M]),
         ),
         memory=(_memory(deviation[:, :3] / own[:, :3]), _memory(deviation[:, 3:] / own[:, 3:])),
     )

@@ -9,7 +9,9 @@ from lvba.camera import Camera
 from lvba.kernels import visibility as kernels
 from lvba.kernels.visibility_depth import nearest_points
 from lvba.lidar.plane import PlanePoints
-from lvba.visual.scene_points import Observations, ScenePoints, near_ranges, take
+from lvba.settings import check, setting
+from lvba.visual.image import DARK, SATURATED
+from lvba.visual.scene_points import HIDDEN_M, SCENE_POINTS, Observations, ScenePoints, near_ranges, take
 
 _log = logging.getLogger(__name__)
 _GATES = ("passed", "behind", "outside", "slanted", "scaled", "hidden", "masked", "unlike")
@@ -19,64 +21,61 @@ _GATES = ("passed", "behind", "outside", "slanted", "scaled", "hidden", "masked"
 class VisibilityConfig:
     """Which images become targets of a scene point."""
 
-    window: int = 5
-    """Local targets: up to this many keyframes before and after the reference; 1 to 1000."""
-    max_local: int = 6
-    """Local targets kept per point, spread over the window; 1 to 1000."""
-    use_global: bool = True
-    """Global scene points and their targets through the voxel map (the paper's ablation without: False)."""
-    max_global: int = 6
-    """Global targets kept per global point, spread over the recording; 1 to 1000."""
-    score: str = "area"
-    """Best view of a voxel, eq. (4): "area", pixels per m^2 fx fy |n.d| / z^3, or "as printed" (absolute value)."""
-    patch_size: int = 9
-    """N of the N x N patch, px, odd, 3 to 31; that of the scene points."""
-    min_view_cosine: float = 0.17
-    """alpha_1: least cosine between the target's axis and the direction to the point; 0 to 1."""
-    max_view_angle_deg: float = 82.0
-    """alpha_2: largest angle between view direction and normal, at target and reference, degrees; 0 to 89."""
-    min_ncc: float = 0.8
-    """alpha_3: least correlation of the two patches, their noise taken off; -1 to 1."""
-    min_scale: float = 0.6
-    """The target must see the patch at this part of the reference's resolution, in its worse direction; 0 to 1. A
-    target much farther away is blurred against the reference, and has points of its own that see it the other way."""
-    max_scale: float = 3.5
-    """Nor larger than this (bilinear samples of a finer image alias); 1 or more."""
-    min_std_sigma: float = 0.5
-    """Floor of a patch's contrast in the correlation, in standard deviations of the noise; 0 or more. Half the noise is
-    about the least contrast at which 9 x 9 pixels still tell the same patch from another."""
-    dark: float = 3.0
-    """Grey values up to this are masked; 0 to 50."""
-    bright: float = 250.0
-    """Grey values from this on are masked; 100 to 256."""
-    min_usable: float = 0.8
-    """Least part of the patch masked in neither image; 0 to 1."""
-    hidden_m: float = 0.15
-    """A target that has LiDAR points this much (and 2 % of the depth) in front of the patch does not see it, m."""
-    voxel_m: float = 0.5
-    """Edge of the voxels of the global map, m; 2-4 from the air; above 0."""
-    near_time_s: float = 0.5
-    """A camera sees what a scan saw within this time, seconds (and `near_time_m`); 0 or more."""
-    near_time_m: float = 3.0
-    """But not when it was further than this from the scan, m (the camera closest in time always does); 0 or more."""
-    near_space_m: float = 0.4
-    """A camera sees what a scan saw from within this distance at any time, m; less than a wall and a step."""
+    window: int = setting(
+        5,
+        meaning="Local targets of a scene point lie up to this many keyframes before and after its reference.",
+        unit="keyframes",
+        low=1,
+        high=1000,
+        change_when="Neighboring keyframes hardly differ (more), or hardly overlap (fewer).",
+        advanced=True,
+    )
+    max_local: int = setting(
+        4,
+        meaning="Local targets kept per scene point, spread over the window.",
+        low=1,
+        high=1000,
+        change_when="Runs take too long (fewer).",
+        advanced=True,
+    )
+    max_global: int = setting(
+        6,
+        meaning="Global targets kept per global scene point, spread over the recording.",
+        low=1,
+        high=1000,
+        change_when="Places are seen many times again and should be tied more (more), or runs take too long (fewer).",
+        advanced=True,
+    )
 
     def __post_init__(self) -> None:
-        if self.patch_size % 2 == 0 or not 3 <= self.patch_size <= 31:
-            raise ValueError(f"patch_size = {self.patch_size}: must be odd, 3 to 31")
-        if self.score not in ("area", "as printed"):
-            raise ValueError(f'score = {self.score!r}: must be "area" or "as printed"')
-        ranges = {
-            "window": (1, 1000), "max_local": (1, 1000), "max_global": (1, 1000), "min_view_cosine": (0, 1),
-            "max_view_angle_deg": (0, 89), "min_ncc": (-1, 1), "min_scale": (0, 1), "max_scale": (1, 1e3),
-            "min_std_sigma": (0, 1e3), "dark": (0, 50), "bright": (100, 256), "min_usable": (0, 1),
-            "voxel_m": (1e-3, 1e3), "hidden_m": (0, 1e3), "near_time_s": (0, 1e4), "near_time_m": (0, 1e4),
-            "near_space_m": (0, 1e3),
-        }  # fmt: skip
-        for name, (low, high) in ranges.items():
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name} = {getattr(self, name)}: must lie in {low} to {high}")
+        check(self)
+
+
+MIN_VIEW_COSINE = 0.17
+"""alpha_1 of eq. (3): least cosine between the target's axis and the direction to the point; 80 degrees."""
+MAX_VIEW_ANGLE_DEG = 84.0
+"""alpha_2: largest angle between view direction and normal, at target and reference. A little more than scene points
+are chosen with: a target may see a street from further off than its reference."""
+MIN_NCC = 0.8
+"""alpha_3: least correlation of the two patches, their noise taken off."""
+MIN_SCALE = 0.6
+"""The target must see the patch at this part of the reference's resolution, in its worse direction. A target much
+farther away is blurred against the reference, and has points of its own that see it the other way."""
+MAX_SCALE = 3.5
+"""Nor larger than this: bilinear samples of a finer image alias."""
+MIN_STD_SIGMA = 0.5
+"""Floor of a patch's contrast in the correlation, in standard deviations of the noise. Half the noise is about the least
+contrast at which 9 x 9 pixels still tell the same patch from another."""
+MIN_USABLE = 0.8
+"""Least part of the patch masked in neither image: less than that of a reference, for two images mask some."""
+VOXEL_M = 0.5
+"""m, edge of the voxels of the global map: as large as planes of common scenes."""
+NEAR_TIME_S = 0.5
+"""A camera sees what a scan saw within this time, s (and `NEAR_TIME_M`)."""
+NEAR_TIME_M = 3.0
+"""But not when it was further than this from the scan, m (the camera closest in time always does)."""
+NEAR_SPACE_M = 0.4
+"""A camera sees what a scan saw from within this distance at any time, m; less than a wall and a step."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +153,6 @@ def cameras_near_scans(
     scan_positions: np.ndarray,
     image_times: np.ndarray,
     camera_positions: np.ndarray,
-    config: VisibilityConfig = VisibilityConfig(),
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compressed rows of the cameras that see what a scan saw: offsets (S + 1,) int64, cameras int32.
 
@@ -164,9 +162,9 @@ def cameras_near_scans(
     for time, position in zip(scan_times, scan_positions, strict=True):
         gap = np.abs(image_times - time)
         distance = np.linalg.norm(camera_positions - position, axis=1)
-        near = (gap <= config.near_time_s) & (distance <= config.near_time_m)
-        near |= distance <= config.near_space_m
-        near[gap.argmin()] |= gap.min() <= config.near_time_s
+        near = (gap <= NEAR_TIME_S) & (distance <= NEAR_TIME_M)
+        near |= distance <= NEAR_SPACE_M
+        near[gap.argmin()] |= gap.min() <= NEAR_TIME_S
         rows.append(np.flatnonzero(near).astype(np.int32))
     offsets = np.concatenate([[0], np.cumsum([len(row) for row in rows])]).astype(np.int64)
     return offsets, np.concatenate(rows) if rows else np.empty(0, np.int32)
@@ -177,7 +175,7 @@ def build_map(
     scan_offsets: np.ndarray,
     near: tuple[np.ndarray, np.ndarray],
     images: int,
-    voxel_m: float = VisibilityConfig.voxel_m,
+    voxel_m: float = VOXEL_M,
 ) -> VisibilityMap:
     """The global visibility voxel map of all scans; Li et al., II-C3a.
 
@@ -253,26 +251,30 @@ def find(
     noise: float,
     config: VisibilityConfig = VisibilityConfig(),
     depth: DepthBuffers = NOTHING_HIDES,
+    *,
+    patch: int = SCENE_POINTS.size,
+    score: str = "area",
 ) -> tuple[ScenePoints, Observations]:
     """The scene points that some target sees, with `is_global` set, and their pairs, at one pyramid level.
 
     images: (I, H, W, C); camera: of this level; world_from_camera: (I, 4, 4); points: from `scene_points.select`
     seen: the global map; None: local targets only. noise: standard deviation of the images' noise, grey values
     depth: of the same images, to refuse hidden targets by geometry; without, the correlation alone judges
+    patch: N of the N x N patch, px, odd, that of the scene points; score: as of `view_scores`
 
     Source: Li et al., II-C2, II-C3 and eq. (3), without the bars round d.z_C, with the whole warped patch inside the
     target, a gate on its scale, and the union of local and global targets.
     """
     local = _passing(*local_pairs(points.reference, len(images), config.window), images, camera,
-                     world_from_camera, points, noise, config, depth)  # fmt: skip
+                     world_from_camera, points, noise, patch, depth)  # fmt: skip
     local = _spread(local, config.max_local)
     chosen = np.zeros(len(points), bool)
     far = (np.empty(0, np.int32), np.empty(0, np.int32))
-    if seen is not None and config.use_global:
+    if seen is not None:
         rows = seen.rows(points.position_world)
-        chosen = choose_global(points, rows, view_scores(points, camera, world_from_camera, config.score))
+        chosen = choose_global(points, rows, view_scores(points, camera, world_from_camera, score))
         candidates = _without(global_pairs(chosen, rows, points.reference, seen), local, len(images))
-        far = _passing(*candidates, images, camera, world_from_camera, points, noise, config, depth)
+        far = _passing(*candidates, images, camera, world_from_camera, points, noise, patch, depth)
         far = _spread(far, config.max_global)
     return _union(replace(points, is_global=chosen), local, far, len(images))
 
@@ -288,14 +290,13 @@ def _passing(
     world_from_camera: np.ndarray,
     points: ScenePoints,
     noise: float,
-    config: VisibilityConfig,
+    patch: int,
     depth: DepthBuffers,
 ) -> Pairs:
     """The pairs that pass eq. (3)."""
     gates = np.array([
-        config.patch_size // 2, config.min_view_cosine, np.cos(np.radians(config.max_view_angle_deg)),
-        config.min_scale, config.max_scale, config.min_ncc, (config.min_std_sigma * noise) ** 2, config.dark,
-        config.bright, config.min_usable, config.hidden_m, noise**2,
+        patch // 2, MIN_VIEW_COSINE, np.cos(np.radians(MAX_VIEW_ANGLE_DEG)), MIN_SCALE, MAX_SCALE, MIN_NCC,
+        (MIN_STD_SIGMA * noise) ** 2, DARK, SATURATED, MIN_USABLE, HIDDEN_M, noise**2,
     ])  # fmt: skip
     verdict, _ = kernels.judge_pairs(
         images, np.ascontiguousarray(world_from_camera),

@@ -30,12 +30,12 @@ stage made. A run that was stopped goes on from the finished stages when the sam
 _RUN_EXAMPLES = """\
 examples:
   lvba run recording --out result
-  lvba run recording --out result --set visual.levels=2 --set visual.exposures=none
+  lvba run recording --out result --set visual.levels=2 --set visual.patch=11
   lvba run recording --out result --config settings.yaml --reference truth
   lvba run recording --out result --workers 4
   lvba run recording --out result --scheduler tcp://head:8786 --store s3://bucket/recording
 
-Every setting with its value is in OUT/config.yaml, which can be given as --config."""
+Every setting with its value and what it means is in OUT/config.yaml, which can be given as --config."""
 
 _BATCH = """\
 Refine many recordings, a few at a time, and say in one table how each went.

@@ -10,15 +10,14 @@ from lvba import geometry
 from lvba.blocks import lidar_block, lidar_joint
 from lvba.kernels import voxel as kernel
 from lvba.lidar import bundle_adjustment, plane_factor, voxel_map
-from lvba.lidar.config import LidarConfig
+from lvba.lidar.config import STAGES, LidarConfig
 from lvba.lidar.scan import gather
-from lvba.lidar.weights import WeightConfig
 from lvba.optim import normal_equations
 from lvba.trajectory import pose_error
 
 CONFIG = LidarConfig(dense_points=0)
-STAGE = CONFIG.stages[-1]
-PLAIN = WeightConfig(passes=0)
+STAGE = STAGES[-1]
+PLAIN = replace(STAGE, weight_passes=0)
 SENSOR = np.zeros(3)
 
 
@@ -66,7 +65,7 @@ def test_every_point_is_in_one_share(world):
 @pytest.mark.parametrize("parts", [1, 3])
 def test_the_equations_of_all_shares_add_up_to_those_of_the_whole(world, parts):
     scans, _, rough = world
-    found = [lidar_block.linearize(each, rough, SENSOR, STAGE, PLAIN) for each in shares(scans, rough, parts)]
+    found = [lidar_block.linearize(each, rough, SENSOR, PLAIN) for each in shares(scans, rough, parts)]
     # every share has its own noise: compare the sums of squares, which do not depend on it
     grid = voxel_map.build(gather(scans), rough, STAGE.sizes, bundle_adjustment.OBLIQUE)
     features = voxel_map.find_planes(grid, rough, SENSOR, STAGE.plane_test).features
@@ -96,7 +95,7 @@ def test_the_equations_of_all_shares_add_up_to_those_of_the_whole(world, parts):
 @pytest.mark.parametrize("parts", [1, 2, 5, 8])
 def test_shares_are_added_up_one_after_another_to_what_they_are_together(world, parts):
     scans, _, rough = world
-    found = [lidar_block.linearize(each, rough, SENSOR, STAGE, PLAIN) for each in shares(scans, rough, parts)]
+    found = [lidar_block.linearize(each, rough, SENSOR, PLAIN) for each in shares(scans, rough, parts)]
     asked = []
     at_once = lidar_block.summed(asked.append(number) or each for number, each in enumerate(found))
     assert asked == list(range(parts))
@@ -125,11 +124,10 @@ def rounds(scans, rough, start, parts, stages):
     state = lidar_joint.begin(rough, start, CONFIG)
     for number, count in stages:
         cells = shares(scans, state.world_from_scan, parts)
-        stage = CONFIG.stages[number]
+        stage = STAGES[number]
         for _ in range(count):
             found = lidar_block.summed(
-                lidar_block.linearize(each, state.world_from_scan, SENSOR, stage, CONFIG.weights)
-                for each in cells
+                lidar_block.linearize(each, state.world_from_scan, SENSOR, stage) for each in cells
             )
             state = lidar_joint.step(state, found, number, stage, CONFIG)
     return state, found

@@ -85,7 +85,7 @@ def test_too_short_parts_and_too_little_overlap_are_errors_with_the_numbers():
     [{"by": "weight"}, {"by": "count"}, {"overlap": -1.0}, {"memory_gb": 0.1}, {"starts": (5.0, 4.0)}],
 )
 def test_settings_out_of_range_are_refused(wrong):
-    with pytest.raises(ValueError, match="split"):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
         SplitConfig(**wrong)
 
 

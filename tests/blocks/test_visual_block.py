@@ -29,7 +29,7 @@ def solved(room):
     given = Inputs(**{name: value for name, value in room[0].items() if name in Inputs.__dataclass_fields__})
     coarser = refine.refine_level(given, None, CONFIG)
     result, last = refine.finest(given, coarser, CONFIG)
-    return given, result, last, visual_block.tuning(last, CONFIG)
+    return given, result, last, visual_block.tuning(last)
 
 
 def core(first, end):
@@ -80,7 +80,7 @@ def rounds(given, laid, start, last, known, count=8):
             )
             for each in laid
         ]
-        now = visual_joint.step(now, found, solve_exposures=False)
+        now = visual_joint.step(now, found)
     return now, found
 
 
@@ -101,17 +101,15 @@ def test_joint_rounds_end_at_one_solution_wherever_they_begin(solved):
     # the scene points are others than those that the part was solved with
     assert np.abs(geometry.log(geometry.inverse(last.state.cameras.world_from_camera) @ ends[0])).max() < 1e-3
     assert not any(entry.taken_back for entry in far.history)
-    assert visual_joint.step(far, found, solve_exposures=False) is far
+    assert visual_joint.step(far, found) is far
 
 
 def test_a_step_that_costs_more_is_taken_back(solved):
     given, _, last, known = solved
     _, found = shares(given, last.state, known, [core(0, COUNT)])
     now = JointCameras(last.state, last.state, last.prior, np.zeros(COUNT))
-    moved = visual_joint.step(now, found, solve_exposures=False)
-    again = visual_joint.step(
-        replace(moved, settled=False, cost=0.5 * moved.cost), found, solve_exposures=False
-    )
+    moved = visual_joint.step(now, found)
+    again = visual_joint.step(replace(moved, settled=False, cost=0.5 * moved.cost), found)
     assert again.history[-1].taken_back
     assert again.state is moved.before
     assert again.damping > moved.damping
@@ -131,9 +129,7 @@ def test_exposures_of_shares_are_those_of_the_whole(solved):
 def test_without_prior_only_images_that_are_seen_move(solved):
     given, _, last, known = solved
     _, found = shares(given, last.state, known, [core(0, 3)])
-    now = visual_joint.step(
-        JointCameras(last.state, last.state, None, np.zeros(COUNT)), found, solve_exposures=False
-    )
+    now = visual_joint.step(JointCameras(last.state, last.state, None, np.zeros(COUNT)), found)
     seen = np.union1d(found[0].equations.rows, found[0].equations.columns)
     unseen = np.setdiff1d(ALL, seen)
     before, after = (s.cameras.world_from_camera for s in (last.state, now.state))

@@ -1,7 +1,7 @@
 import numpy as np
 
 from lvba.lidar import density
-from lvba.lidar.config import LidarConfig
+from lvba.lidar.config import STAGES
 from lvba.lidar.scan import gather
 
 
@@ -20,22 +20,14 @@ def test_points_per_cell_counts_the_cell_of_a_typical_point():
 
 
 def test_dense_scans_get_finer_cells_and_sparse_ones_do_not():
-    config = LidarConfig()
-    dense = density.adapted(config, gather([_wall(0.005)] * 3))
-    sparse = density.adapted(config, gather([_wall(0.1)] * 3))
-    assert sparse.stages == config.stages
-    for before, after in zip(config.stages, dense.stages, strict=True):
+    dense = density.adapted(STAGES, gather([_wall(0.005)] * 3), 64)
+    sparse = density.adapted(STAGES, gather([_wall(0.1)] * 3), 64)
+    assert sparse == STAGES
+    for before, after in zip(STAGES, dense, strict=True):
         assert after.sizes[-len(before.sizes) :] == before.sizes
         assert after.sizes[0] < before.sizes[0]
 
 
-def test_finer_cells_are_added_once():
-    scans = gather([_wall(0.005)] * 3)
-    once = density.adapted(LidarConfig(), scans)
-    assert density.adapted(once, scans) == once
-
-
 def test_nothing_is_adapted_where_it_is_switched_off_or_there_are_no_points():
-    config = LidarConfig(dense_points=0)
-    assert density.adapted(config, gather([_wall(0.005)])) is config
-    assert density.adapted(LidarConfig(), gather([np.zeros((0, 3), np.float32)])) == LidarConfig()
+    assert density.adapted(STAGES, gather([_wall(0.005)]), 0) is STAGES
+    assert density.adapted(STAGES, gather([np.zeros((0, 3), np.float32)]), 64) == STAGES

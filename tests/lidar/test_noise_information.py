@@ -7,6 +7,7 @@ from plane_world import drift, look
 from lvba import geometry, trajectory
 from lvba.lidar import noise_information, voxel_map
 from lvba.lidar.bundle_adjustment import LidarConfig, refine
+from lvba.lidar.config import STAGES
 from lvba.lidar.odometry_factor import odometry_prior
 from lvba.lidar.problem import Problem
 from lvba.lidar.scan import gather
@@ -113,7 +114,7 @@ def test_a_group_that_noise_lifted_comes_back_to_the_odometry(one_floor, lift):
     raised = truth.copy()
     raised[GROUP:, 2, 3] += lift
     points, config = gather(scans), LidarConfig()
-    stage, sigmas = config.stages[-1], config.prior_sigmas
+    stage, sigmas = STAGES[-1], config.prior_sigmas
     # the odometry: right where planes do not tell, wrong where they do
     prior = odometry_prior(raised if one_floor else truth, 2e-4, 2e-2 if one_floor else 2e-3)
     for _ in range(6):

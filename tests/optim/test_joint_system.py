@@ -13,7 +13,7 @@ from lvba.lidar.point_cluster import PointClusters
 from lvba.optim import linear_solver
 from lvba.optim.levenberg_marquardt import SolverConfig, levenberg_marquardt
 from lvba.visual import photometric
-from lvba.visual.photometric import PhotometricConfig, PhotometricState
+from lvba.visual.photometric import PhotometricState
 from lvba.visual.states import CameraStates
 
 CAMERA = Camera(160, 120, 95.0, 97.0, 79.3, 59.1)
@@ -51,10 +51,7 @@ class Scene:
         world, self.truth = textured_planes.room(), textured_planes.walk(COUNT)
         images = textured_planes.render(world, self.truth, CAMERA, np.ones(COUNT), noise=2.0, supersample=1)
         points, observations = textured_planes.scene_points(world, self.truth, CAMERA, step=14)
-        config = PhotometricConfig(patch=7, huber=100.0)
-        self.problem = photometric.prepare(
-            images, CAMERA, points, observations, config, sigma=4.0, inflation=5.0
-        )
+        self.problem = photometric.prepare(images, CAMERA, points, observations, 7, sigma=4.0, inflation=5.0)
         scans = self.truth @ geometry.inverse(SCAN_FROM_CAMERA)
         self.features = clusters(world, scans, np.random.default_rng(1))
         self.free = np.ones((COUNT, 7), bool)
@@ -80,7 +77,9 @@ class Scene:
 
 @pytest.fixture(scope="module")
 def scene():
-    return Scene()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(photometric, "HUBER", 100.0)
+        yield Scene()
 
 
 @pytest.fixture(scope="module")

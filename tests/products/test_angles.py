@@ -6,7 +6,6 @@ import pytest
 from lvba.camera import Camera
 from lvba.products import cloud as clouds
 from lvba.products import colorize
-from lvba.products.colorize import ColorizeConfig
 from lvba.products.views import Views
 
 CAMERA = Camera(320, 240, 300.0, 300.0, 159.5, 119.5)
@@ -69,10 +68,11 @@ def test_a_near_view_from_the_side_counts_less_than_a_far_one_from_the_front(ang
 
 
 @pytest.mark.parametrize(("angle", "share"), [(75, 1.0), (88, 0.0), (100, 0.0)])
-def test_no_color_comes_from_beyond_eighty_degrees(angle, share):
+def test_no_color_comes_from_beyond_eighty_degrees(angle, share, monkeypatch):
     points = board(np.random.default_rng(1))
     # from so far away that all of the middle is seen at the same angle, within a degree
-    found = blend(points, [looking(at_angle(angle, 6.0))], [RIGHT], ColorizeConfig(tolerance=100))
+    monkeypatch.setattr(colorize, "TOLERANCE", 100.0)
+    found = blend(points, [looking(at_angle(angle, 6.0))], [RIGHT])
     assert (found.views[middle(points)] > 0).mean() == pytest.approx(share, abs=0.03)
 
 

@@ -185,7 +185,7 @@ def test_brief_states_get_the_same_leave_one_out_psnr(world, scores):
     assert np.isnan(brief.psnr)
 
 
-@pytest.mark.parametrize("settings", [{"splat_px": 2}, {"splat_px": 0}, {"guard_images": -1}])
+@pytest.mark.parametrize("settings", [{"splat_px": 2}, {"splat_px": 0}])
 def test_bad_render_settings_are_named(settings):
     with pytest.raises(ValueError, match=next(iter(settings))):
         render.RenderConfig(**settings)
@@ -193,8 +193,7 @@ def test_bad_render_settings_are_named(settings):
 
 def test_blended_colors_can_be_judged_with_one_image_left_out(world):
     state = evaluate.State(world.cloud(), world.views())
-    config = evaluate.EvaluateConfig(colors="blended")
-    scores = evaluate.evaluate({"true": state}, config)["true"]
+    scores = evaluate.evaluate({"true": state}, colors="blended")["true"]
     cloud = render.blended_cloud(state.cloud, state.views, colorize.ColorizeConfig())
     for i in (0, 3):
         # left out by hand: colored anew without the image
@@ -205,4 +204,4 @@ def test_blended_colors_can_be_judged_with_one_image_left_out(world):
         np.testing.assert_allclose(found.color[render.OTHERS], expected.color[render.ALL], atol=0.01)
     assert scores.psnr_leave_one_out > 24
     with pytest.raises(ValueError, match="guard_images"):
-        evaluate.EvaluateConfig(colors="blended", render=render.RenderConfig(guard_images=1))
+        render.render(cloud, state.views, 0, guard_images=1)

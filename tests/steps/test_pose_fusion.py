@@ -10,7 +10,6 @@ from lvba import geometry, spline
 from lvba.lidar.covariance import Covariance
 from lvba.lidar.degeneracy import WeakDirection
 from lvba.steps import pose_fusion
-from lvba.steps.pose_fusion import FusionConfig
 from lvba.trajectory import Trajectory
 
 MOUNT = geometry.exp(np.array([0.4, -1.2, 0.3, 0.05, -0.08, 0.12]))
@@ -330,9 +329,3 @@ def test_splines_meet_their_samples_and_stand_still_beyond_the_ends():
     assert np.allclose(spline.through(samples, times), samples.world_from_sensor, atol=1e-12)
     ends = spline.through(samples, np.array([-3.0, 99.0]))
     assert np.allclose(ends, samples.world_from_sensor[[0, -1]], atol=1e-12)
-
-
-@pytest.mark.parametrize("contradiction", [0.5, 101.0, np.nan])
-def test_settings_out_of_range_are_refused(contradiction):
-    with pytest.raises(ValueError, match=r"fusion\.contradiction"):
-        FusionConfig(contradiction=contradiction)

@@ -37,16 +37,20 @@ def huber(r: float, limit: float) -> tuple[float, float]:
 
 def observation_sums(problem, states, o: int, offset: float = 0.0) -> np.ndarray:
     """The 13 sums of one observation."""
-    config, points, observations = problem.config, problem.points, problem.observations
+    points, observations = problem.points, problem.observations
     point, target = observations.point[o], observations.target[o]
     r = points.reference[point]
     eps_r, eps_t = np.exp(states.log_exposure[[r, target]])
     norm = np.hypot(eps_r, eps_t)
-    low, high, limit = config.least_intensity, config.greatest_intensity, config.huber * problem.sigma[o]
+    low, high, limit = (
+        photometric.LEAST_INTENSITY,
+        photometric.GREATEST_INTENSITY,
+        photometric.HUBER * problem.sigma[o],
+    )
     total = np.zeros(13)
     height, width = problem.images.shape[1:3]
-    for j in range(-config.radius, config.radius + 1):
-        for i in range(-config.radius, config.radius + 1):
+    for j in range(-(problem.patch // 2), problem.patch // 2 + 1):
+        for i in range(-(problem.patch // 2), problem.patch // 2 + 1):
             pixel = points.pixel[point] + [i, j]
             u, v, depth = warp(problem, states, point, target, pixel, offset)
             if not (depth > 0 and 0 <= u < width - 4 and 0 <= v < height - 2):
@@ -56,7 +60,7 @@ def observation_sums(problem, states, o: int, offset: float = 0.0) -> np.ndarray
                 seen, du, dv, least, most = bilinear(problem.images[target, :, :, channel], u, v)
                 if not (low <= wanted <= high and least >= low and most <= high):
                     continue
-                growth = 1 + config.noise_growth * (eps_r**2 * seen + eps_t**2 * wanted) / norm**2
+                growth = 1 + photometric.NOISE_GROWTH * (eps_r**2 * seen + eps_t**2 * wanted) / norm**2
                 noise = 1 / np.sqrt(growth)
                 residual = noise * (eps_r * seen - eps_t * wanted) / norm
                 x, y = noise * eps_r / norm * du, noise * eps_r / norm * dv
@@ -95,7 +99,7 @@ def normal_equations(problem, states, offsets=None) -> tuple[np.ndarray, np.ndar
     """Dense Hessian, gradient and cost over 7 unknowns per image, then one offset per point if offsets are given."""
     cameras, count = 7 * len(states), len(problem.points)
     hessian, gradient, cost = np.zeros((cameras + count, cameras + count)), np.zeros(cameras + count), 0.0
-    every = problem.config.patch**2 * problem.images.shape[3]
+    every = problem.patch**2 * problem.images.shape[3]
     for o in range(len(problem.observations)):
         point, target = problem.observations.point[o], problem.observations.target[o]
         offset = 0.0 if offsets is None else offsets[point]

@@ -18,16 +18,16 @@ def center(problem, states, point: int, offset: float = 0.0) -> np.ndarray:
 def samples(problem, states, o: int, offset: float = 0.0) -> np.ndarray:
     """Every usable pixel pair of an observation, (n, 6): derivatives by target x, y, log exposure, reference u, v;
     residual."""
-    config, points, observations = problem.config, problem.points, problem.observations
+    points, observations = problem.points, problem.observations
     point, target = observations.point[o], observations.target[o]
     r = points.reference[point]
     eps_r, eps_t = np.exp(states.log_exposure[[r, target]])
     norm = np.hypot(eps_r, eps_t)
-    low, high = config.least_intensity, config.greatest_intensity
+    low, high = photometric.LEAST_INTENSITY, photometric.GREATEST_INTENSITY
     height, width = problem.images.shape[1:3]
     middle, found = center(problem, states, point, offset), []
-    for j in range(-config.radius, config.radius + 1):
-        for i in range(-config.radius, config.radius + 1):
+    for j in range(-(problem.patch // 2), problem.patch // 2 + 1):
+        for i in range(-(problem.patch // 2), problem.patch // 2 + 1):
             pixel = middle + np.array([i, j])
             x, y, depth = naive.warp(problem, states, point, target, pixel, offset)
             if not (depth > 0 and 0 <= x < width - 4 and 0 <= y < height - 2):
@@ -39,7 +39,7 @@ def samples(problem, states, o: int, offset: float = 0.0) -> np.ndarray:
                 seen, sx, sy, *about = naive.bilinear(problem.images[target, :, :, channel], x, y)
                 if min(around + about) < low or max(around + about) > high:
                     continue
-                growth = 1 + config.noise_growth * (eps_r**2 * seen + eps_t**2 * wanted) / norm**2
+                growth = 1 + photometric.NOISE_GROWTH * (eps_r**2 * seen + eps_t**2 * wanted) / norm**2
                 one = (eps_r * seen - eps_t * wanted) / norm
                 q = -eps_t * wanted / norm - eps_t**2 / norm**2 * one
                 row = [eps_r / norm * sx, eps_r / norm * sy, q, -eps_t / norm * wu, -eps_t / norm * wv, one]
@@ -76,7 +76,7 @@ def normal_equations(problem, states, offsets: np.ndarray) -> tuple[np.ndarray, 
         point, target = problem.observations.point[o], problem.observations.target[o]
         rows = samples(problem, states, o, offsets[point])
         information = 1 / (problem.sigma[o] ** 2 * problem.inflation)
-        limit = problem.config.huber * problem.sigma[o]
+        limit = photometric.HUBER * problem.sigma[o]
         weighed = information * np.array([naive.huber(r, limit) for r in rows[:, 5]]).reshape(-1, 2)
         cost += weighed[:, 0].sum() + 0.5 * (problem.samples - len(rows)) / problem.inflation
         by = rows[:, :5] @ jacobian(problem, states, o, offsets[point])

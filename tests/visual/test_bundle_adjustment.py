@@ -10,13 +10,15 @@ from lvba import geometry, trajectory
 from lvba.camera import Camera
 from lvba.optim.normal_equations import NormalEquations
 from lvba.visual import bundle_adjustment, covariance, extrinsic_prior, trajectory_prior
-from lvba.visual.bundle_adjustment import BundleAdjustmentConfig
 from lvba.visual.photometric import PhotometricState
 from lvba.visual.states import CameraStates, Mount, VisualState
 from lvba.visual.trajectory_prior import Prior, PriorConfig, Source
+from lvba.visual.variant import Variant
 
 CAMERA = Camera(320, 240, 190.0, 190.0, 159.5, 119.5)
 COUNT = 10
+
+JOINT = Variant(exposures="joint")
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +56,7 @@ def errors(state: VisualState, poses: np.ndarray) -> tuple[float, float]:
 def test_poses_and_exposures_are_found_in_a_room_without_any_prior(scene):
     images, points, observations, poses, log_exposure = scene
     rough = start(poses)
-    found = bundle_adjustment.solve(images, CAMERA, points, observations, rough, None)
+    found = bundle_adjustment.solve(images, CAMERA, points, observations, rough, None, variant=JOINT)
     assert errors(rough, poses)[0] > 6
     # the least held common motion, along the view, has a standard deviation of 1.5 mm here
     assert errors(found.state, poses)[0] < 3.0
@@ -70,7 +72,9 @@ def test_a_prior_with_a_wrong_mount_does_not_pull_and_the_mount_is_found(scene):
     images, points, observations, poses, _ = scene
     wrong = geometry.exp(np.array([0.01, -0.02, 0.01, 0.01, 0.02, -0.01]))
     rough = start(poses)
-    found = bundle_adjustment.solve(images, CAMERA, points, observations, rough, still(poses @ wrong))
+    found = bundle_adjustment.solve(
+        images, CAMERA, points, observations, rough, still(poses @ wrong), variant=JOINT
+    )
     millimeters, degrees = errors(found.state, poses)
     assert millimeters < 1.5
     assert degrees < 0.02
@@ -95,12 +99,18 @@ def test_walls_that_contradict_each_other_do_not_draw_the_mount_from_where_it_wa
 ):
     images, points, observations, poses, _ = scene
     claims = trajectory_prior.claimed_information(PriorConfig())
-    config = BundleAdjustmentConfig(plane_offsets=False)
+    variant = Variant(plane_offsets=False, exposures="joint")
     off, counts = [], []
     for weighed in (extrinsic_prior.weighed, lambda *_: claims):
         monkeypatch.setattr(extrinsic_prior, "weighed", weighed)
         found = bundle_adjustment.solve(
-            images, CAMERA, bent(points, poses), observations, start(poses), still(poses, 0.005, 0.1), config
+            images,
+            CAMERA,
+            bent(points, poses),
+            observations,
+            start(poses),
+            still(poses, 0.005, 0.1),
+            variant=variant,
         )
         assert found.prior is not None
         assert found.prior.mount_information is not None
@@ -118,7 +128,7 @@ def test_over_one_bare_plane_the_cameras_stay_at_the_prior(scene):
         observations.point[floor], observations.target[floor], observations.is_global[floor]
     )
     truth = still(poses)
-    found = bundle_adjustment.solve(images, CAMERA, points, only, start(poses), truth)
+    found = bundle_adjustment.solve(images, CAMERA, points, only, start(poses), truth, variant=JOINT)
     deviation = trajectory_prior.residuals(truth, truth.sources[0], found.state)
     rotation, position = deviation[:, :3], deviation[:, 3:]
     # 5 mm per axis at the start; along the plane the common motion is the prior's
@@ -130,8 +140,7 @@ def test_over_one_bare_plane_the_cameras_stay_at_the_prior(scene):
 def test_exposures_that_are_not_to_be_solved_stay(scene):
     images, points, observations, poses, log_exposure = scene
     state = VisualState(CameraStates(start(poses).cameras.world_from_camera, log_exposure), Mount(np.eye(4)))
-    config = BundleAdjustmentConfig(solve_exposures=False)
-    found = bundle_adjustment.solve(images, CAMERA, points, observations, state, None, config)
+    found = bundle_adjustment.solve(images, CAMERA, points, observations, state, None)
     assert (found.state.cameras.log_exposure == log_exposure).all()
     assert errors(found.state, poses)[0] < 3.0
 
@@ -145,7 +154,9 @@ def test_every_component_of_the_graph_keeps_one_exposure():
 
 def test_what_walls_tell_of_an_image_adds_up_to_what_the_equations_say(scene):
     images, points, observations, poses, _ = scene
-    found = bundle_adjustment.solve(images, CAMERA, points, observations, start(poses), still(poses))
+    found = bundle_adjustment.solve(
+        images, CAMERA, points, observations, start(poses), still(poses), variant=JOINT
+    )
     at = PhotometricState(found.state.cameras, found.offset)
     shares = covariance.shares_of(found.problem)
     told = covariance.information(found.problem, found.linearization, at, shares)

@@ -8,7 +8,7 @@ from lvba import geometry
 from lvba.camera import Camera
 from lvba.lidar.plane import Planes
 from lvba.visual import degeneracy, photometric, scene_points
-from lvba.visual.photometric import PhotometricConfig, PhotometricState
+from lvba.visual.photometric import PhotometricState
 from lvba.visual.scene_points import Observations
 from lvba.visual.states import CameraStates, Mount, VisualState
 from lvba.visual.trajectory_prior import Prior, PriorConfig, Source
@@ -39,9 +39,7 @@ def found(scene, keep: set[int]) -> degeneracy.WeakDirections:
     world, poses, images, points, observations = scene
     mine = np.isin(points.plane[observations.point], list(keep))
     part = Observations(observations.point[mine], observations.target[mine], observations.is_global[mine])
-    problem = photometric.prepare(
-        images, CAMERA, points, part, PhotometricConfig(), offset_sigma=np.full(len(points), 0.002)
-    )
+    problem = photometric.prepare(images, CAMERA, points, part, offset_sigma=np.full(len(points), 0.002))
     state = PhotometricState(CameraStates(poses, np.zeros(len(poses))), np.zeros(len(points)))
     return degeneracy.find(problem, photometric.linearize(problem, state), planes_of(world))
 
@@ -75,9 +73,7 @@ def test_points_in_one_place_leave_all_but_the_motion_along_their_normal(scene, 
     pairs = Observations(
         np.repeat(np.arange(count, dtype=np.int32), seen.sum()), target, np.zeros(len(target), bool)
     )
-    problem = photometric.prepare(
-        images, CAMERA, one, pairs, PhotometricConfig(), offset_sigma=np.full(count, 0.002)
-    )
+    problem = photometric.prepare(images, CAMERA, one, pairs, offset_sigma=np.full(count, 0.002))
     state = PhotometricState(CameraStates(poses, np.zeros(len(poses))), np.zeros(count))
     directions = degeneracy.find(problem, photometric.linearize(problem, state), planes_of(world))
     assert len(directions.common) == 5

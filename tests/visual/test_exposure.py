@@ -10,16 +10,14 @@ from rectangle_world import CAMERA, look, plane_points, planes_of, rectangle, re
 
 from lvba.kernels import patches_mean
 from lvba.visual import exposure, exposure_graph, image, visibility
-from lvba.visual.exposure import ExposureConfig, Ratios, solve_ratios
+from lvba.visual.exposure import Ratios, solve_ratios
 from lvba.visual.exposure_graph import BLOCKS
 from lvba.visual.image import Pyramid
 
 
-def _solve(rec, images=None, config=ExposureConfig(), levels=2):  # noqa: B008
+def _solve(rec, images=None, levels=2):
     pyramid = image.build_pyramid(rec.images if images is None else images, CAMERA, levels)
-    return exposure.solve(
-        pyramid, rec.poses, rec.times, rec.planes, rec.plane_points, rec.times, None, config
-    )
+    return exposure.solve(pyramid, rec.poses, rec.times, rec.planes, rec.plane_points, rec.times, None)
 
 
 def _error(found, truth):
@@ -53,15 +51,23 @@ def test_graph_of_exact_ratios_gives_the_exact_exposures():
     assert found.pairs == len(ratios.value)
 
 
+@pytest.fixture
+def no_floors(monkeypatch):
+    monkeypatch.setattr(exposure, "EDGE_FLOOR", 1e-6)
+    monkeypatch.setattr(exposure, "FEW_PATCHES", 0.0)
+
+
+@pytest.mark.usefixtures("no_floors")
 def test_sigma_predicts_the_error():
     nees = []
     for seed in range(40):
         truth, ratios = _graph(np.random.default_rng(seed), sigma=0.05)
-        found = solve_ratios(ratios, len(truth), ExposureConfig(edge_floor=1e-6, few_patches=0))
+        found = solve_ratios(ratios, len(truth))
         nees.append((_error(found, np.exp(truth)) / found.sigma) ** 2)
     assert 0.5 < np.mean(nees) < 1.5
 
 
+@pytest.mark.usefixtures("no_floors")
 def test_sigma_grows_where_patches_err_together():
     rng = np.random.default_rng(1)
     nees = []
@@ -70,9 +76,7 @@ def test_sigma_grows_where_patches_err_together():
         # each part of the surface looks brighter or darker to each image, to all pairs alike
         shift = 0.01 * rng.standard_normal((len(truth), BLOCKS))
         value = ratios.value + shift[ratios.second, ratios.block] - shift[ratios.first, ratios.block]
-        found = solve_ratios(
-            replace(ratios, value=value), len(truth), ExposureConfig(edge_floor=1e-6, few_patches=0)
-        )
+        found = solve_ratios(replace(ratios, value=value), len(truth))
         nees.append((_error(found, np.exp(truth)) / found.sigma) ** 2)
     assert 0.4 < np.mean(nees) < 2.5
 
@@ -144,7 +148,7 @@ def test_exposures_of_a_room():
     assert 0.2 < np.mean((error / found.sigma) ** 2) < 4
 
 
-def test_clipped_light_does_not_darken_the_brighter_image():
+def test_clipped_light_does_not_darken_the_brighter_image(monkeypatch):
     rec = room_with_screen()
     gain = np.where(np.arange(len(rec.images)) % 2, 1.7, 1.0)
     rng = np.random.default_rng(0)
@@ -157,7 +161,9 @@ def test_clipped_light_does_not_darken_the_brighter_image():
     error = _error(found, rec.exposure * gain)
     assert abs(error[1::2].mean() - error[::2].mean()) < 0.004
     # without keeping away from clipped spots the same images are off
-    near = _error(_solve(rec, clipped, ExposureConfig(mask_reach=0, bright=250.0)), rec.exposure * gain)
+    monkeypatch.setattr(exposure, "MASK_REACH", 0)
+    monkeypatch.setattr(exposure, "BRIGHT", 250.0)
+    near = _error(_solve(rec, clipped), rec.exposure * gain)
     assert abs(near[1::2].mean() - near[::2].mean()) > abs(error[1::2].mean() - error[::2].mean())
 
 
@@ -189,18 +195,17 @@ def test_walking_ahead_does_not_add_up():
 def test_hidden_patches_are_not_compared():
     rec = room_with_screen(sideways=True)
     pyramid = image.build_pyramid(rec.images, CAMERA, 2)
-    args = (pyramid, rec.poses, rec.times, rec.planes, rec.plane_points, rec.times, None, ExposureConfig())
+    args = (pyramid, rec.poses, rec.times, rec.planes, rec.plane_points, rec.times, None)
     with_depth = exposure.solve(*args)
-    without = exposure.solve(*args, visibility.NOTHING_HIDES)
+    without = exposure.solve(*args, depth=visibility.NOTHING_HIDES)
     assert with_depth.pairs < without.pairs
     assert np.sqrt((_error(with_depth, rec.exposure) ** 2).mean()) < 0.003
 
 
 def test_placing_does_not_look_at_the_images():
     rec = room_with_screen()
-    config = ExposureConfig()
     camera = CAMERA.at_level(1)
-    args = (camera, rec.poses, rec.times, rec.planes, rec.plane_points, rec.times, config)
+    args = (camera, rec.poses, rec.times, rec.planes, rec.plane_points, rec.times)
     half = image.build_pyramid(rec.images, CAMERA, 2).levels[1]
     first = exposure.place(half, *args)
     second = exposure.place(np.clip(255 - half, 1, 249).astype(np.uint8), *args)
@@ -276,12 +281,6 @@ def test_pyramid_too_short_is_extended():
     np.testing.assert_array_equal(
         exposure.solve(short, *args).log_exposure, exposure.solve(full, *args).log_exposure
     )
-
-
-@pytest.mark.parametrize("bad", [{"patch_size": 8}, {"cells": 1}, {"max_scale": 0.5}, {"bright": 10}])
-def test_exposure_config_refuses(bad):
-    with pytest.raises(ValueError, match=next(iter(bad))):
-        ExposureConfig(**bad)
 
 
 def test_variances_are_those_of_the_dense_inverse(monkeypatch):

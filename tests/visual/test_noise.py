@@ -7,7 +7,7 @@ import textured_planes
 from lvba.camera import Camera
 from lvba.visual import noise, photometric
 from lvba.visual.noise import NoiseModel
-from lvba.visual.photometric import COUNT, SQUARE, WEIGHTS, PhotometricConfig, PhotometricState
+from lvba.visual.photometric import COUNT, SQUARE, WEIGHTS, PhotometricState
 from lvba.visual.states import CameraStates
 
 SAMPLES = 81
@@ -60,7 +60,7 @@ def test_interpolation_of_rendered_images_shows_as_shift():
     world, poses = textured_planes.room(), textured_planes.walk(4)
     images = textured_planes.render(world, poses, camera, [1, 1.2, 0.9, 1.1], noise=2.0)
     points, observations = textured_planes.scene_points(world, poses, camera, step=10)
-    problem = photometric.prepare(images, camera, points, observations, PhotometricConfig())
+    problem = photometric.prepare(images, camera, points, observations)
     truth = CameraStates(poses, np.log([1, 1.2, 0.9, 1.1]))
     sums = photometric.sums(problem, PhotometricState(truth, np.zeros(len(points))))
     found = noise.estimate(sums, problem.samples)

@@ -1,27 +1,22 @@
 """Reference patches that move with the pose of their camera: against differences, a plain twin, and the fixed form."""
 
-from dataclasses import replace
-
 import naive_photometric_moving as naive
 import numba
 import numpy as np
 import pytest
 import textured_planes
 
-from lvba import config as settings
 from lvba import trajectory
 from lvba.camera import Camera
-from lvba.errors import InputError
 from lvba.kernels import photometric_moving as kernels
 from lvba.visual import bundle_adjustment, photometric
-from lvba.visual.bundle_adjustment import BundleAdjustmentConfig
-from lvba.visual.photometric import PhotometricConfig, PhotometricState
-from lvba.visual.refine import VisualConfig
+from lvba.visual.photometric import PhotometricState
 from lvba.visual.states import CameraStates, Mount, VisualState
+from lvba.visual.variant import Variant
 
 CAMERA = Camera(160, 120, 95.0, 97.0, 79.3, 59.1)
 COUNT = 4
-MOVING = PhotometricConfig(patch=5, reference_pixels="moving")
+MOVING = {"patch": 5, "reference_pixels": "moving"}
 
 
 @pytest.fixture(scope="module")
@@ -34,9 +29,9 @@ def small():
     return images, points, observations, poses, near
 
 
-def problem_of(small, config: PhotometricConfig, **more) -> photometric.Problem:
+def problem_of(small, **more) -> photometric.Problem:
     images, points, observations, *_ = small
-    return photometric.prepare(images, CAMERA, points, observations, config, **more)
+    return photometric.prepare(images, CAMERA, points, observations, **more)
 
 
 def still(cameras: CameraStates, problem: photometric.Problem) -> PhotometricState:
@@ -45,7 +40,7 @@ def still(cameras: CameraStates, problem: photometric.Problem) -> PhotometricSta
 
 def test_the_centers_of_a_patch_move_as_differences_say(small):
     *_, near = small
-    problem = problem_of(small, MOVING)
+    problem = problem_of(small, **MOVING)
     points, pose = problem.points, near.world_from_camera
     for o in range(0, len(problem.observations), 7):
         p = problem.observations.point[o]
@@ -60,10 +55,11 @@ def test_the_centers_of_a_patch_move_as_differences_say(small):
 
 
 @pytest.mark.parametrize("growth", [0.0, 0.0625])
-def test_the_normal_equations_agree_with_the_plain_twin(small, growth):
+def test_the_normal_equations_agree_with_the_plain_twin(small, growth, monkeypatch):
     *_, near = small
-    config = replace(MOVING, huber=2.0, greatest_intensity=200.0, noise_growth=growth)
-    problem = problem_of(small, config, sigma=np.linspace(2.0, 6.0, len(small[2])))
+    monkeypatch.setattr(photometric, "GREATEST_INTENSITY", 200.0)
+    monkeypatch.setattr(photometric, "NOISE_GROWTH", growth)
+    problem = problem_of(small, **MOVING, sigma=np.linspace(2.0, 6.0, len(small[2])))
     offset = np.linspace(-0.01, 0.01, len(problem.points))
     state = PhotometricState(near, offset)
     at = photometric.linearize(problem, state)
@@ -84,7 +80,7 @@ def test_the_normal_equations_agree_with_the_plain_twin(small, growth):
 def test_eliminating_plane_offsets_is_the_schur_complement(small):
     *_, near = small
     sigma = np.linspace(0.002, 0.02, len(small[1]))
-    problem = problem_of(small, MOVING, offset_sigma=sigma)
+    problem = problem_of(small, **MOVING, offset_sigma=sigma)
     hessian, gradient, _ = naive.normal_equations(problem, near, np.zeros(len(sigma)))
     cameras = 7 * COUNT
     cross = hessian[:cameras, cameras:]
@@ -96,13 +92,14 @@ def test_eliminating_plane_offsets_is_the_schur_complement(small):
     assert equations.gradient.ravel() == pytest.approx(pulled, abs=1e-6 * np.abs(pulled).max())
 
 
-def test_the_gradient_is_the_slope_of_the_cost(small):
+def test_the_gradient_is_the_slope_of_the_cost(small, monkeypatch):
     # smooth images and no mask, so that differences are meaningful; the Jacobian is that of the patch centre
     *_, near = small
     v, u = np.mgrid[:120, :160]
     smooth = [125 + 50 * np.sin(0.11 * u + k) * np.cos(0.13 * v - k) + 0.2 * u for k in range(COUNT)]
     images = np.round(np.stack(smooth)).astype(np.uint8)[..., None]
-    problem = problem_of((images, *small[1:]), replace(MOVING, huber=4.0), sigma=8.0)
+    monkeypatch.setattr(photometric, "HUBER", 4.0)
+    problem = problem_of((images, *small[1:]), **MOVING, sigma=8.0)
     gradient = photometric.linearize(problem, still(near, problem)).equations.gradient
     slope = np.zeros_like(gradient)
     for image, n in np.ndindex(slope.shape):
@@ -117,10 +114,11 @@ def test_the_gradient_is_the_slope_of_the_cost(small):
     assert gradient[:, :6] == pytest.approx(slope[:, :6], abs=0.03 * np.abs(slope[:, :6]).max())
 
 
-def test_where_no_camera_has_moved_the_cost_is_that_of_fixed_pixels(small):
+def test_where_no_camera_has_moved_the_cost_is_that_of_fixed_pixels(small, monkeypatch):
     *_, poses, near = small
-    every = PhotometricConfig(least_intensity=0.0, greatest_intensity=255.0)
-    fixed, moving = (problem_of(small, replace(every, reference_pixels=how)) for how in ("fixed", "moving"))
+    monkeypatch.setattr(photometric, "LEAST_INTENSITY", 0.0)
+    monkeypatch.setattr(photometric, "GREATEST_INTENSITY", 255.0)
+    fixed, moving = (problem_of(small, reference_pixels=how) for how in ("fixed", "moving"))
     true = still(CameraStates(poses, near.log_exposure), fixed)
     one, other = photometric.sums(fixed, true), photometric.sums(moving, true)[:, :13]
     assert (one[:, photometric.COUNT] == other[:, photometric.COUNT]).all()
@@ -140,8 +138,7 @@ def test_cameras_that_move_together_along_a_plane_change_the_cost_only_where_pat
     slid[:, :3, 3] += 0.02 * np.linalg.svd(normal[None])[2][1]
     change = {}
     for how in ("fixed", "moving"):
-        config = PhotometricConfig(reference_pixels=how)
-        problem = photometric.prepare(images, CAMERA, points, only, config)
+        problem = photometric.prepare(images, CAMERA, points, only, reference_pixels=how)
         true, moved = (
             photometric.sums(problem, still(CameraStates(pose, np.log([1, 1.2, 0.9, 1.1])), problem))
             for pose in (poses, slid)
@@ -153,7 +150,7 @@ def test_cameras_that_move_together_along_a_plane_change_the_cost_only_where_pat
 
 def test_one_thread_and_two_give_the_same_bytes(small):
     *_, near = small
-    problem = problem_of(small, MOVING, offset_sigma=np.full(len(small[1]), 0.01))
+    problem = problem_of(small, **MOVING, offset_sigma=np.full(len(small[1]), 0.01))
     threads = numba.get_num_threads()
     found = []
     try:
@@ -168,7 +165,7 @@ def test_one_thread_and_two_give_the_same_bytes(small):
     assert found[0].equations.gradient.tobytes() == found[1].equations.gradient.tobytes()
 
 
-def test_the_setting_reaches_the_solve():
+def test_the_variant_reaches_the_solve():
     camera, count = Camera(320, 240, 190.0, 190.0, 159.5, 119.5), 6
     world, poses = textured_planes.room(), textured_planes.walk(count)
     images = textured_planes.render(world, poses, camera, np.ones(count), noise=2.0)
@@ -177,8 +174,10 @@ def test_the_setting_reaches_the_solve():
     start = VisualState(textured_planes.states(rough), Mount(np.eye(4)))
     found = {}
     for how in ("fixed", "moving"):
-        adjustment = BundleAdjustmentConfig(photometric=PhotometricConfig(reference_pixels=how))
-        found[how] = bundle_adjustment.solve(images, camera, points, observations, start, None, adjustment)
+        variant = Variant(reference_pixels=how, exposures="joint")
+        found[how] = bundle_adjustment.solve(
+            images, camera, points, observations, start, None, variant=variant
+        )
         before = trajectory.pose_error(rough, poses)
         after = trajectory.pose_error(found[how].state.cameras.world_from_camera, poses)
         assert after.ate_m < 0.5 * before.ate_m
@@ -187,14 +186,3 @@ def test_the_setting_reaches_the_solve():
     # both patches are read between pixels, which smooths the noise of both
     fixed, moving = (np.median(found[how].problem.sigma) for how in ("fixed", "moving"))
     assert moving < 0.9 * fixed
-
-
-def test_the_setting_is_one_of_two_words():
-    option = "adjustment.photometric.reference_pixels"
-    config = settings.override(VisualConfig(), [f"{option}=moving"])
-    assert config.adjustment.photometric.reference_pixels == "moving"
-    assert VisualConfig().adjustment.photometric.reference_pixels == "fixed"
-    with pytest.raises(InputError, match=f"{option}.*fixed, moving"):
-        settings.override(VisualConfig(), [f"{option}=drifting"])
-    with pytest.raises(ValueError, match="reference_pixels"):
-        PhotometricConfig(reference_pixels="drifting")

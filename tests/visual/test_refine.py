@@ -12,8 +12,7 @@ from lvba.errors import DegenerateProblemError
 from lvba.lidar.covariance import Covariance
 from lvba.visual import image, refine, visibility
 from lvba.visual.scene_points import Observations
-from lvba.visual.trajectory_prior import PriorConfig
-from lvba.visual.visibility import VisibilityConfig
+from lvba.visual.variant import Variant
 
 
 @pytest.fixture(scope="module")
@@ -82,23 +81,23 @@ def test_images_between_keyframes_are_carried_along(room):
 @pytest.mark.parametrize(
     "options",
     [
-        {"prior": PriorConfig(enabled=False)},
+        {"prior": False},
         {"exposures": "joint"},
-        {"visibility": VisibilityConfig(use_global=False)},
-        {"visibility": VisibilityConfig(score="as printed")},
+        {"global_points": False},
+        {"score": "as printed"},
     ],
     ids=["no prior", "joint exposures", "no global points", "score as printed"],
 )
-def test_ablations_are_one_option_away_and_still_improve(room, options):
+def test_variants_still_improve(room, options):
     problem, truth, _ = room
-    found = refine.refine(refine.Inputs(**problem), refine.VisualConfig(**options))
+    found = refine.refine(refine.Inputs(**problem), variant=Variant(**options))
     assert (
         error(found.world_from_camera, truth)[0] < 0.7 * error(problem["images"].world_from_sensor, truth)[0]
     )
 
 
 def test_without_exposures_all_images_count_as_equally_exposed(room):
-    found = refine.refine(refine.Inputs(**room[0]), refine.VisualConfig(exposures="none"))
+    found = refine.refine(refine.Inputs(**room[0]), variant=Variant(exposures="none"))
     assert (found.log_exposure == 0).all()
 
 
@@ -153,7 +152,7 @@ def test_coarse_images_tie_a_group_that_came_off(room):
     assert error(enough, truth)[0] < 3.0
 
 
-@pytest.mark.parametrize("wrong", [{"patch": 8}, {"exposures": "some"}])
+@pytest.mark.parametrize("wrong", [{"patch": 8}, {"levels": 7}])
 def test_settings_out_of_range_are_refused_by_name(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         refine.VisualConfig(**wrong)

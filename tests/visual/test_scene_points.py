@@ -19,14 +19,14 @@ from rectangle_world import (
 from lvba import geometry
 from lvba.kernels import patches
 from lvba.visual import scene_points
-from lvba.visual.scene_points import PointsConfig
+from lvba.visual.scene_points import PatchRules, PointsConfig
 
 INTRINSICS = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
 FORWARD = geometry.from_rotation_translation(np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))
 """A camera at the origin that looks along world x, y to its left, z up."""
 
 
-def select(rec, config=None, images=None, **changes):
+def select(rec, config=PointsConfig(), images=None, *, plane_points=None, **rules):  # noqa: B008
     """Points of a recording at full size."""
     return scene_points.select(
         rec.images if images is None else images,
@@ -34,10 +34,11 @@ def select(rec, config=None, images=None, **changes):
         rec.poses,
         rec.times,
         rec.planes,
-        changes.pop("plane_points", rec.plane_points),
+        plane_points or rec.plane_points,
         rec.times,
         rec.noise,
-        config or PointsConfig(**changes),
+        config,
+        PatchRules(**rules),
     )
 
 
@@ -45,8 +46,8 @@ def test_selection_matches_its_twin():
     rec = room_with_screen()
     config = PointsConfig(cells=150)
     table, gates = (
-        scene_points.plane_table(rec.planes, config),
-        scene_points._gates(CAMERA, config, rec.noise),
+        scene_points.plane_table(rec.planes),
+        scene_points._gates(CAMERA, PatchRules(), rec.noise),
     )
     cell = scene_points.cell_size(CAMERA, config)
     scores = np.stack([scene_points.difference_of_gaussians(image) for image in rec.images])
@@ -106,10 +107,12 @@ def _whole_patch_on_one_rectangle(rec, points, half=4):
     return same
 
 
-def test_support_gate_keeps_patches_on_one_plane():
+def test_support_gate_keeps_patches_on_one_plane(monkeypatch):
     rec = room_with_screen()
     with_gate = _whole_patch_on_one_rectangle(rec, select(rec)).mean()
-    without = select(rec, off_plane_part=1.0, min_support=1, extent_spacings=0.0)
+    for name, value in (("OFF_PLANE_PART", 1.0), ("MIN_SUPPORT", 1), ("EXTENT_SPACINGS", 0.0)):
+        monkeypatch.setattr(scene_points, name, value)
+    without = select(rec)
     assert with_gate > 0.98
     assert _whole_patch_on_one_rectangle(rec, without).mean() < with_gate - 0.05
 
@@ -206,15 +209,18 @@ def test_points_without_a_plane_are_no_candidates_but_count_as_off_the_plane():
     assert _whole_patch_on_one_rectangle(rec, points).mean() > 0.98
 
 
-def test_few_points_widen_the_time_window():
+def test_few_points_widen_the_time_window(monkeypatch):
     rec = room_with_screen()
     offsets = rec.plane_points.scan_offsets
     # only the first two scans hold points
     sparse = replace(
         rec.plane_points, scan_offsets=np.append(offsets[:3], np.full(len(offsets) - 3, offsets[2]))
     )
-    narrow = select(rec, plane_points=sparse, time_window_s=0.25, min_points_in_image=0)
-    wide = select(rec, plane_points=sparse, time_window_s=0.25, min_points_in_image=500)
+    config = PointsConfig(time_window_s=0.25)
+    monkeypatch.setattr(scene_points, "MIN_POINTS_IN_IMAGE", 0)
+    narrow = select(rec, config, plane_points=sparse)
+    monkeypatch.setattr(scene_points, "MIN_POINTS_IN_IMAGE", 500)
+    wide = select(rec, config, plane_points=sparse)
     assert narrow.reference.max() < 4
     assert wide.reference.max() >= 6
 
@@ -256,9 +262,7 @@ def test_same_bytes_for_any_number_of_threads():
     assert results[0] == results[1]
 
 
-@pytest.mark.parametrize(
-    "bad", [{"patch_size": 8}, {"cells": 0}, {"max_view_angle_deg": 95}, {"off_plane_part": 2}]
-)
+@pytest.mark.parametrize("bad", [{"cells": 0}, {"time_window_s": -1}])
 def test_points_config_refuses(bad):
     with pytest.raises(ValueError, match=next(iter(bad))):
         PointsConfig(**bad)

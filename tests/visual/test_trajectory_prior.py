@@ -177,7 +177,7 @@ def test_a_spline_is_sure_of_itself_at_the_scans():
     source = priors.build(
         Trajectory(times, handheld(times)), handheld(times), images, geometry.inverse(MOUNT)
     ).sources[1]
-    assert source.sigma_position[0] == pytest.approx(PriorConfig().floor_position_m)
+    assert source.sigma_position[0] == pytest.approx(priors.FLOOR_POSITION_M)
     assert source.sigma_position[1] > 1.5 * source.sigma_position[[0, 2]].max()
 
 
@@ -204,7 +204,7 @@ def test_beyond_the_scans_the_spline_says_nothing():
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"sigma_position_m": 0.0}, {"time_offset_s": 100.0}, {"floor_rotation_deg": -1.0}]
+    "wrong", [{"mount_position_m": 0.0}, {"time_offset_s": 100.0}, {"mount_rotation_deg": -1.0}]
 )
 def test_settings_out_of_range_are_refused_by_name(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):

@@ -33,11 +33,11 @@ def local_points(rec, cells=150):
     )
 
 
-def global_map(rec, config=VisibilityConfig()):  # noqa: B008
+def global_map(rec):
     positions = rec.poses[:, :3, 3]
-    near = visibility.cameras_near_scans(rec.times, positions, rec.times, positions, config)
+    near = visibility.cameras_near_scans(rec.times, positions, rec.times, positions)
     pp = rec.plane_points
-    return visibility.build_map(pp.points_world, pp.scan_offsets, near, len(rec.images), config.voxel_m)
+    return visibility.build_map(pp.points_world, pp.scan_offsets, near, len(rec.images))
 
 
 def find(rec, points, seen=None, images=None, **changes):
@@ -78,12 +78,13 @@ def test_keep_spread_matches_its_twin(limit):
     np.testing.assert_array_equal(kernels.keep_spread(group, limit), naive_keep_spread(group, limit))
 
 
-def test_global_map_matches_its_twin():
+def test_global_map_matches_its_twin(monkeypatch):
     rec = room_with_screen()
-    config = VisibilityConfig(near_time_s=0.25, near_space_m=0.15, voxel_m=0.5)
-    seen = global_map(rec, config)
+    monkeypatch.setattr(visibility, "NEAR_TIME_S", 0.25)
+    monkeypatch.setattr(visibility, "NEAR_SPACE_M", 0.15)
+    seen = global_map(rec)
     positions = rec.poses[:, :3, 3]
-    near = visibility.cameras_near_scans(rec.times, positions, rec.times, positions, config)
+    near = visibility.cameras_near_scans(rec.times, positions, rec.times, positions)
     expected = naive_visibility_map(rec.plane_points.points_world, rec.plane_points.scan_offsets, near, 0.5)
     assert len(seen.keys) == len(expected)
     centers = (np.array(list(expected)) + 0.5) * 0.5
@@ -94,8 +95,8 @@ def test_global_map_matches_its_twin():
     assert seen.rows(np.array([[100.0, 0, 0]]))[0] == -1
 
 
-def test_cameras_near_scans_in_time_and_space():
-    config = VisibilityConfig(near_time_s=0.5, near_time_m=2.0, near_space_m=0.4)
+def test_cameras_near_scans_in_time_and_space(monkeypatch):
+    monkeypatch.setattr(visibility, "NEAR_TIME_M", 2.0)
     image_times = np.array([0.0, 0.4, 10.0, 20.0])
     cameras = np.array([[0, 0, 0], [3.0, 0, 0], [0.1, 0, 0], [1.0, 0, 0]])
     offsets, found = visibility.cameras_near_scans(
@@ -103,7 +104,6 @@ def test_cameras_near_scans_in_time_and_space():
         np.array([[0, 0, 0], [0, 0, 0], [9.0, 0, 0]]),
         image_times,
         cameras,
-        config,
     )
     # in time but 3 m off; at the place long after; in time and nearest although far
     assert [found[a:b].tolist() for a, b in pairwise(offsets)] == [[0, 2], [0, 2], [1]]
@@ -182,10 +182,11 @@ def test_union_is_sorted_without_duplicates_and_marks_what_only_the_map_found():
 def test_without_global_points_only_the_window_is_left():
     rec = room_with_screen()
     points, seen = local_points(rec), global_map(rec)
-    _, local = find(rec, points, None)
-    kept, switched_off = find(rec, points, seen, use_global=False)
-    np.testing.assert_array_equal(local.target, switched_off.target)
-    assert not switched_off.is_global.any()
+    kept, local = find(rec, points, None)
+    _, both = find(rec, points, seen)
+    np.testing.assert_array_equal(local.target, both.target[~both.is_global])
+    assert both.is_global.any()
+    assert not local.is_global.any()
     assert not kept.is_global.any()
 
 
@@ -315,9 +316,7 @@ def test_nothing_in_nothing_out():
     assert empty.rows(np.zeros((2, 3))).tolist() == [-1, -1]
 
 
-@pytest.mark.parametrize(
-    "bad", [{"window": 0}, {"score": "best"}, {"min_ncc": 2}, {"voxel_m": 0}, {"patch_size": 4}]
-)
+@pytest.mark.parametrize("bad", [{"window": 0}, {"max_local": 0}, {"max_global": 1001}])
 def test_visibility_config_refuses(bad):
     with pytest.raises(ValueError, match=next(iter(bad))):
         VisibilityConfig(**bad)
