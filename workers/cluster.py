@@ -102,7 +102,7 @@ class Execution:
         self._news: SimpleQueue[dict[str, Any] | None] = SimpleQueue()
         """What workers tell of steps; None: one is done."""
         self._records: dict[str, StageRecord] = {}
-        self._running: dict[str, Future] = {}
+        self._running: dict[str, Future[Any]] = {}
         self._failures: dict[str, Exception] = {}
         self._serial = itertools.count()
         self._attempts: Counter[str] = Counter()

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from distributed import Nanny
-from distributed.comm import get_address_host
+from distributed.comm.addressing import get_address_host
 from distributed.security import Security
 from distributed.utils import get_ip
 

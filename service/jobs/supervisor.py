@@ -87,7 +87,7 @@ class Supervisor(threading.Thread):
         self._instance.close()
 
     def _round(self) -> None:
-        steps = (
+        steps: tuple[Callable[[], None], ...] = (
             lambda: self._every("renew", self._settings.lease_s / 5, self._renew),
             self._follow,
             lambda: self._every("look", _LOOK_S, self._look),
