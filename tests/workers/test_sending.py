@@ -11,7 +11,7 @@ from lvba import plan
 from lvba.blocks.split import Part
 from lvba.camera import Camera
 from lvba.dataset import Dataset
-from lvba.lidar.config import LidarConfig
+from lvba.pipeline import Config
 from lvba.plan import Plan, Ref
 from lvba.trajectory import Trajectory
 from workers import sending, task
@@ -34,7 +34,7 @@ def work_on(*arguments, **options):
 def parts(count):
     """A plan of `count` parts; each step names its own part, and the cores of all."""
     work = Plan("1")
-    config = LidarConfig()
+    config = Config()
     cores = [Part(i, (i, i + 3), (i, i + 1), (0, 0), (0, 0)) for i in range(count)]
     frames = [recording(i) for i in range(count)]
     solved = [
