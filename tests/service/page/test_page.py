@@ -200,7 +200,7 @@ def test_what_the_server_refuses_is_told_beside_the_setting(watched, job):
     page.get_by_label("visual levels", exact=True).blur()
     page.get_by_role("button", name="Start").click()
     page.locator(".trouble").filter(has_text="visual.levels").wait_for()
-    assert page.get_by_text("must be between").count() == 1
+    assert page.get_by_text("must be 1 to 6").count() == 1
     assert (
         page.locator(".option", has=page.get_by_label("visual levels", exact=True))
         .get_by_role("alert")

@@ -233,7 +233,7 @@ def test_setting_that_does_not_exist_is_refused_with_what_was_meant(service, rea
     assert answer.json()["hint"] == "did you mean visual.levels?"
     wrong = {"dataset": ready_dataset, "config": {"visual": {"levels": 77}}}
     [error] = service.http.post("/v1/jobs", json=wrong).json()["errors"]
-    assert error == {"where": "config.visual.levels", "message": "levels is 77, must be between 1 and 6"}
+    assert error == {"where": "config.visual.levels", "message": "levels is 77, must be 1 to 6"}
 
 
 def test_run_that_fails_says_why_and_what_to_do(service, ready_dataset):
