@@ -145,31 +145,15 @@ def voxel_means(points_world: np.ndarray, voxel: float) -> np.ndarray:
     return np.asarray(sums[:, :3] / sums[:, 3:])
 
 
-@dataclass(frozen=True)
-class ThicknessConfig:
-    """Plane thickness."""
-
-    cube_m: float = 0.5
-    """Edge of the cubes looked at, m; 0.05 to 100."""
-    min_points: int = 50
-    """Points that a cube needs; 4 to 1000000."""
-    max_eigenvalue_ratio: float = 1 / 16
-    """A cube is planar below this ratio of least to middle eigenvalue; 0 to 1."""
-
-    def __post_init__(self) -> None:
-        if not 0.05 <= self.cube_m <= 100:
-            raise ValueError(f"thickness.cube_m is {self.cube_m}, must be within 0.05 to 100")
-        if not 4 <= self.min_points <= 1_000_000:
-            raise ValueError(f"thickness.min_points is {self.min_points}, must be within 4 to 1000000")
-        if not 0 < self.max_eigenvalue_ratio <= 1:
-            raise ValueError(
-                f"thickness.max_eigenvalue_ratio is {self.max_eigenvalue_ratio}, must be within 0 to 1"
-            )
+CUBE_M = 0.5
+"""m: edge of the cubes whose thickness is measured."""
+MIN_CUBE_POINTS = 50
+"""Points that such a cube needs: the covariance of fewer is chance."""
+MAX_EIGENVALUE_RATIO = 1 / 16
+"""A cube is planar below this ratio of least to middle eigenvalue: thinner than a quarter of its width."""
 
 
-def plane_thickness(
-    clouds: Mapping[str, Cloud], config: ThicknessConfig | None = None
-) -> dict[str, dict[str, float]]:
+def plane_thickness(clouds: Mapping[str, Cloud]) -> dict[str, dict[str, float]]:
     """How thick the planar cubes of each map are, standard deviations across the plane in m; one row per map.
 
     clouds: by name, in one frame. planar: number of cubes that two scans or more see as a plane; own: mean thickness
@@ -177,8 +161,7 @@ def plane_thickness(
     map has fewer planar cubes, not thicker ones, and a fixed set favors the map that it is drawn from: read the count
     and both sets together.
     """
-    config = config or ThicknessConfig()
-    found = {name: planar_cubes(cloud, config) for name, cloud in clouds.items()}
+    found = {name: planar_cubes(cloud) for name, cloud in clouds.items()}
     rows: dict[str, dict[str, float]] = {}
     for name, own in found.items():
         row = {"planar": float(own.planar.sum()), "own": _mean(own.thickness[own.planar])}
@@ -200,21 +183,20 @@ class Cubes:
     planar: np.ndarray
 
 
-def planar_cubes(cloud: Cloud, config: ThicknessConfig | None = None) -> Cubes:
+def planar_cubes(cloud: Cloud) -> Cubes:
     """How thick the map is in each cube, and which of them two scans or more see as a plane."""
-    config = config or ThicknessConfig()
     if not len(cloud):
         return Cubes(np.empty(0, np.int64), np.empty(0), np.empty(0, bool))
     key = np.zeros(len(cloud), np.int64)
     for axis in range(3):  # one after another: maps are large
         key <<= 21
-        key += np.floor(cloud.points_world[:, axis].astype(float) / config.cube_m).astype(np.int64)
+        key += np.floor(cloud.points_world[:, axis].astype(float) / CUBE_M).astype(np.int64)
     keys, order, start = _group(key)
     scan = np.searchsorted(cloud.scan_offsets, order, side="right")
     several = np.maximum.reduceat(scan, start[:-1]) > np.minimum.reduceat(scan, start[:-1])
     values = np.linalg.eigvalsh(kernels.cell_covariances(cloud.points_world, order, start))
-    enough = np.diff(start) >= config.min_points
-    planar = several & (values[:, 0] < config.max_eigenvalue_ratio * values[:, 1])
+    enough = np.diff(start) >= MIN_CUBE_POINTS
+    planar = several & (values[:, 0] < MAX_EIGENVALUE_RATIO * values[:, 1])
     return Cubes(keys[enough], np.sqrt(np.maximum(values[enough, 0], 0)), planar[enough])
 
 
