@@ -53,9 +53,13 @@ def machine() -> dict[str, Any]:
 
 def markdown(results: dict[str, Any]) -> str:
     """docs/benchmarks.md."""
-    found = results.get("machine", {})
-    lines = ["# Benchmarks", "", "Made by `make bench`; the best of several runs, compilation apart.", ""]
-    lines += [f"{found.get('processor')}, {found.get('cores')} cores, Python {found.get('python')}.", ""]
+    machine = results.get("machine", {})
+    lines = ["# Benchmarks", "", "*Reference.* Speed and memory of the method and the service.", ""]
+    lines += ["Made by `make bench`; the best of several runs, without compilation.", ""]
+    lines += [
+        f"{machine.get('processor')}, {machine.get('cores')} cores, Python {machine.get('python')}.",
+        "",
+    ]
     for name, result in sorted(results.items()):
         if name != "machine":
             about = result.get("about", "").splitlines()

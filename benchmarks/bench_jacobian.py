@@ -15,11 +15,15 @@ from bench_photometric import best_seconds
 
 from lvba import trajectory
 from lvba.camera import Camera
+from lvba.kernels.compiled import kernel
 from lvba.kernels.homography import center_jacobian, patch_warp, plane_in_reference, relative_pose
+from lvba.kernels.photometric import ImagePairs, Intensities
+from lvba.kernels.scene import Intrinsics, PlanePatches
 from lvba.optim import levenberg_marquardt, normal_equations
 from lvba.optim.levenberg_marquardt import SolverConfig
 from lvba.optim.normal_equations import NormalEquations
-from lvba.visual import photometric
+from lvba.visual import photometric, visibility
+from lvba.visual.image import DARK, SATURATED
 from lvba.visual.photometric import PhotometricState, Problem
 from lvba.visual.states import CameraStates
 
@@ -29,41 +33,36 @@ CAMERA = Camera(320, 240, 190.0, 190.0, 159.5, 119.5)
 IMAGES = 10
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def exact_pairs(
     images: np.ndarray,
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    intrinsics: np.ndarray,
-    position: np.ndarray,
-    normal: np.ndarray,
-    pixel: np.ndarray,
+    poses: np.ndarray,
+    intrinsics: Intrinsics,
+    patches: PlanePatches,
     point: np.ndarray,
-    order: np.ndarray,
-    starts: np.ndarray,
-    reference: np.ndarray,
-    target: np.ndarray,
+    pairs: ImagePairs,
     radius: int,
-    limits: np.ndarray,
+    huber: float,
+    usable: Intensities,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Hessian (M, 12, 12) and gradient (M, 12) of every image pair by the poses of both, of equally exposed images.
 
-    limits: Huber threshold, least and greatest usable intensity
+    huber: threshold, grey values
     """
-    hessian, gradient = np.zeros((len(reference), 12, 12)), np.zeros((len(reference), 12))
+    hessian, gradient = np.zeros((len(pairs.reference), 12, 12)), np.zeros((len(pairs.reference), 12))
     relative, offset, plane, ray = np.empty((3, 3)), np.empty(3), np.empty(3), np.ones(3)
     warp, jacobian, row = np.empty(8), np.empty((2, 13)), np.empty(12)
     mix = np.sqrt(0.5)
-    for m in range(len(reference)):
-        r, t = reference[m], target[m]
-        relative_pose(rotation, translation, r, t, relative, offset)
-        for n in range(starts[m], starts[m + 1]):
-            p = point[order[n]]
-            distance = plane_in_reference(rotation, translation, r, position[p], normal[p], plane)
+    for m in range(len(pairs.reference)):
+        r, t = pairs.reference[m], pairs.target[m]
+        relative_pose(poses, r, t, relative, offset)
+        for n in range(pairs.starts[m], pairs.starts[m + 1]):
+            p = point[pairs.order[n]]
+            distance = plane_in_reference(poses[r], patches.position[p], patches.normal[p], plane)
             for j in range(-radius, radius + 1):
                 for i in range(-radius, radius + 1):
-                    u, v = pixel[p, 0] + i, pixel[p, 1] + j
-                    ray[0], ray[1] = (u - intrinsics[2]) / intrinsics[0], (v - intrinsics[3]) / intrinsics[1]
+                    u, v = patches.pixel[p, 0] + i, patches.pixel[p, 1] + j
+                    ray[0], ray[1] = (u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy
                     if not patch_warp(relative, offset, plane, ray, intrinsics, warp) > 0.0:
                         continue
                     x, y = warp[2], warp[5]
@@ -77,13 +76,13 @@ def exact_pairs(
                     d = np.float64(images[t, line + 1, column + 1, 0])
                     wanted = np.float64(images[r, v, u, 0])
                     low, high = min(min(a, b), min(c, d)), max(max(a, b), max(c, d))
-                    if not (limits[1] <= min(low, wanted) and max(high, wanted) <= limits[2]):
+                    if not (usable.least <= min(low, wanted) and max(high, wanted) <= usable.greatest):
                         continue
                     ax, ay = x - column, y - line
                     top, bottom = a + ax * (b - a), c + ax * (d - c)
                     gx, gy = mix * ((b - a) + ay * ((d - c) - (b - a))), mix * (bottom - top)
                     residual = mix * (top + ay * (bottom - top) - wanted)
-                    weight = limits[0] / max(abs(residual), limits[0])
+                    weight = huber / max(abs(residual), huber)
                     center_jacobian(relative, offset, plane, distance, ray, intrinsics, jacobian)
                     for k in range(12):
                         row[k] = gx * jacobian[0, k] + gy * jacobian[1, k]
@@ -99,14 +98,18 @@ def exact_pairs(
 
 def linearize_exactly(problem: Problem, state: PhotometricState) -> NormalEquations:
     """As `photometric.linearize`, for equally exposed images and planes that stay; the log exposures do not occur."""
-    config, pairs, points = problem.config, problem.pairs, problem.points
-    pose = state.cameras.world_from_camera
-    limits = np.array([config.huber * problem.sigma[0], config.least_intensity, config.greatest_intensity])
+    pairs, pose = problem.pairs, np.ascontiguousarray(state.cameras.world_from_camera)
     hessian, gradients = exact_pairs(
-        problem.images, np.ascontiguousarray(pose[:, :3, :3]), np.ascontiguousarray(pose[:, :3, 3]),
-        problem.intrinsics, points.position_world, points.normal_world, points.pixel, problem.observations.point,
-        pairs.order, pairs.starts, pairs.reference, pairs.target, config.radius, limits,
-    )  # fmt: skip
+        problem.images,
+        pose,
+        problem.intrinsics,
+        visibility.kernel_patches(problem.points),
+        problem.observations.point,
+        pairs,
+        problem.patch // 2,
+        photometric.HUBER * problem.sigma[0],
+        Intensities(np.float32(DARK), np.float32(SATURATED), np.float32(0)),
+    )
     information = problem.information[0]  # every observation's
     gradient = np.zeros((len(pose), 7))
     np.add.at(gradient[:, :6], pairs.reference, information * gradients[:, :6])
@@ -147,7 +150,7 @@ def solved(
     return levenberg_marquardt.levenberg_marquardt(
         start,
         lambda state: work(problem, state),
-        lambda state, step: PhotometricState(photometric.moved(state.cameras, step), state.offset),
+        lambda state, step: PhotometricState(photometric.moved(state.cameras, step.blocks), state.offset),
         SolverConfig(max_iterations=30, relative_decrease=1e-7),
         free,
     )
@@ -163,8 +166,8 @@ def run(patches: tuple[int, ...] = (7, 9, 11)) -> dict[str, Any]:
             problem, start, truth = room(patch)
             for exact in (False, True):
                 work = linearize_exactly if exact else linearize_by_centers
-                found = solved(problem, start, exact)
-                poses = found.state.cameras.world_from_camera
+                solution = solved(problem, start, exact)
+                poses = solution.state.cameras.world_from_camera
                 error = trajectory.pose_error(poses, truth, aligned=np.eye(4))
                 rows.append(
                     {
@@ -172,8 +175,8 @@ def run(patches: tuple[int, ...] = (7, 9, 11)) -> dict[str, Any]:
                         "jacobian": "every pixel" if exact else "patch centre",
                         "linearize_ms": 1e3
                         * best_seconds(lambda work=work, at=problem, state=start: work(at, state), 5),
-                        "steps": len(found.history),
-                        "cost": found.cost,
+                        "steps": len(solution.history),
+                        "cost": solution.cost,
                         "position_error_mm": 1e3 * error.ate_m,
                         "rotation_error_deg": error.rotation_deg,
                     }

@@ -22,7 +22,8 @@ PICTURE = ROOT / "docs" / "images" / "length.svg"
 SHORTEST, PART, USUAL = 200, 40, 160
 _THIN = ("--points", "6000", "--width", "320", "--height", "240")
 JOINT = ("lidar-merge", "lidar-start", "lidar-step", "lidar-joint", "lidar-gate", "visual-merge", "visual-exposures",
-         "visual-step", "evaluate", "visual-gate", "pictures", "facts", "survey", "pictures-choice")  # fmt: skip
+         "visual-step", "evaluate", "visual-gate", "evaluate-result", "merge-facts",
+         "pictures", "facts", "survey")  # fmt: skip
 """Steps of which there is one for all parts; names with a number at their end aside."""
 
 

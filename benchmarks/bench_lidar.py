@@ -59,8 +59,8 @@ def row(task: str, seconds: float, processor_s: float, **figures: Any) -> dict[s
     """A line of the table."""
     kinds = ("read_s", "planes_s", "loop_s", "hessian_s", "steps", "planes", COST, "ate_mm")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    found = {"task": task, "seconds": seconds, "processor_s": processor_s, "peak_memory_mb": peak}
-    return {**found, **{kind: figures.get(kind, "") for kind in kinds}}
+    fields = {"task": task, "seconds": seconds, "processor_s": processor_s, "peak_memory_mb": peak}
+    return {**fields, **{kind: figures.get(kind, "") for kind in kinds}}
 
 
 def best(function: Callable[[], Any], repeats: int) -> tuple[float, float, Any]:
@@ -109,7 +109,7 @@ def as_balm2(folder: Path, repeats: int = 8) -> dict[str, Any]:
 
     read_s, _, scans = best(lambda: gather(recording.read()), repeats)
     planes_s, _, features = best(lambda: features_of(scans, recording.rough), repeats)
-    loop_s, _, found = best(lambda: loop(features), repeats)
+    loop_s, _, solution = best(lambda: loop(features), repeats)
     hessian_s, _, _ = best(lambda: Problem(features, 1.0, None).linearize(recording.rough), repeats)
     total, processor_s, _ = best(
         lambda: loop(features_of(gather(recording.read()), recording.rough)), repeats
@@ -122,9 +122,9 @@ def as_balm2(folder: Path, repeats: int = 8) -> dict[str, Any]:
         planes_s=planes_s,
         loop_s=loop_s,
         hessian_s=hessian_s,
-        steps=found.steps,
+        steps=solution.steps,
         planes=len(features),
-        **{COST: fit(features, found.world_from_scan).cost},
+        **{COST: fit(features, solution.world_from_scan).cost},
     )
 
 
@@ -132,7 +132,7 @@ def on_recording(folder: Path, repeats: int = 2) -> dict[str, Any]:
     """The default method on the same files, and the cost of its poses on BALM2's planes."""
     recording = Recording(folder)
     seconds, processor_s, result = best(lambda: refine(recording.read(), recording.rough), repeats)
-    found = row(
+    fields = row(
         "default method, BALM2's recording",
         seconds,
         processor_s,
@@ -140,7 +140,7 @@ def on_recording(folder: Path, repeats: int = 2) -> dict[str, Any]:
         planes=len(result.planes),
     )
     features = features_of(gather(recording.read()), recording.rough)
-    return {**found, COST: fit(features, result.world_from_scan).cost}
+    return {**fields, COST: fit(features, result.world_from_scan).cost}
 
 
 def on_scene(folder: Path, repeats: int = 3) -> dict[str, Any]:
@@ -155,8 +155,8 @@ def on_scene(folder: Path, repeats: int = 3) -> dict[str, Any]:
 
     seconds, processor_s, result = best(run, repeats)
     ate = 1e3 * trajectory.pose_error(result.world_from_scan, truth).ate_m
-    found = row("default method, simulated courtyard", seconds, processor_s, steps=result.iterations)
-    return {**found, "planes": len(result.planes), "ate_mm": ate}
+    fields = row("default method, simulated courtyard", seconds, processor_s, steps=result.iterations)
+    return {**fields, "planes": len(result.planes), "ate_mm": ate}
 
 
 TASKS = {"balm2": as_balm2, "recording": on_recording, "scene": on_scene}

@@ -169,11 +169,11 @@ class _Server:
             self.process = subprocess.Popen(
                 words, stdout=stream, stderr=stream, env=environment, start_new_session=True
             )
-        while not (found := re.search(r"serving (http://\S+)", log.read_text())):
+        while not (match := re.search(r"serving (http://\S+)", log.read_text())):
             if self.process.poll() is not None:
                 raise RuntimeError(log.read_text())
             time.sleep(0.05)
-        self.url = found[1]
+        self.url = match[1]
 
     def stop(self) -> None:
         self.process.terminate()
@@ -189,8 +189,8 @@ class _Memory:
 
     def mark(self, when: str) -> None:
         """Write it down."""
-        found = re.search(r"VmRSS:\s+(\d+)", self._status.read_text())
-        self.marks[when] = int(found[1]) // 1024 if found else 0
+        match = re.search(r"VmRSS:\s+(\d+)", self._status.read_text())
+        self.marks[when] = int(match[1]) // 1024 if match else 0
 
 
 class _Calls:
@@ -224,7 +224,7 @@ def _percentiles(times: list[float]) -> dict[str, float]:
 def timed_calls(url: str, jobs: list[str], seconds: float) -> dict[str, list[float]]:
     """Seconds of each call for the state of a job, and of each for a page of jobs."""
     connection = _connection(url)
-    found: dict[str, list[float]] = {"job": [], "list of 50": []}
+    times: dict[str, list[float]] = {"job": [], "list of 50": []}
     end = time.perf_counter() + seconds
     for number in itertools.count():
         kind = "list of 50" if number % 20 == 19 else "job"
@@ -233,14 +233,14 @@ def timed_calls(url: str, jobs: list[str], seconds: float) -> dict[str, list[flo
         connection.request("GET", path)
         answer = connection.getresponse()
         answer.read()
-        found[kind].append(time.perf_counter() - began)
+        times[kind].append(time.perf_counter() - began)
         if answer.status != 200:
             raise RuntimeError(f"{path}: {answer.status}")
         if time.perf_counter() > end:
             connection.close()
             break
         time.sleep(BETWEEN_S)
-    return found
+    return times
 
 
 class _Listening:
@@ -333,9 +333,9 @@ def _upload_recording(url: str, recording: Path) -> str:
             file.read_bytes(),
         )
     _ask(url, "POST", f"/v1/datasets/{dataset}/finish")
-    while (found := _ask(url, "GET", f"/v1/datasets/{dataset}"))["state"] != "ready":
-        if found["state"] == "invalid":
-            raise RuntimeError(found["error"])
+    while (state := _ask(url, "GET", f"/v1/datasets/{dataset}"))["state"] != "ready":
+        if state["state"] == "invalid":
+            raise RuntimeError(state["error"])
         time.sleep(0.2)
     return str(dataset)
 
@@ -346,8 +346,8 @@ def _upload_one(url: str, number: int, size: int) -> bool:
     digest = hashlib.sha256(content).digest()
     dataset = _ask(url, "POST", "/v1/datasets", {"name": f"u{number}"})["id"]
     headers = {"Repr-Digest": f"sha-256=:{base64.b64encode(digest).decode()}:"}
-    found = _ask(url, "PUT", f"/v1/datasets/{dataset}/files/a.bin", content, headers)
-    return bool(found["complete"] and found["received"] == size)
+    answer = _ask(url, "PUT", f"/v1/datasets/{dataset}/files/a.bin", content, headers)
+    return bool(answer["complete"] and answer["received"] == size)
 
 
 def _until_ended(url: str, jobs: list[str]) -> list[str]:
@@ -364,9 +364,9 @@ def main() -> int:
     )
     for name, value in asdict(Load()).items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=int, default=value)
-    found = run(Load(**vars(parser.parse_args())))
-    print(json.dumps(found, indent=1))
-    return int(any(found[f"lost_{what}"] for what in ("jobs", "uploads", "events")))
+    results = run(Load(**vars(parser.parse_args())))
+    print(json.dumps(results, indent=1))
+    return int(any(results[f"lost_{what}"] for what in ("jobs", "uploads", "events")))
 
 
 if __name__ == "__main__":

@@ -53,12 +53,12 @@ def scene(
 def best_seconds(work: Callable[[], Any], repeats: int = 3) -> float:
     """The least time of some runs; the first, which compiles, is not timed."""
     work()
-    found = []
+    times = []
     for _ in range(repeats):
         start = time.perf_counter()
         work()
-        found.append(time.perf_counter() - start)
-    return min(found)
+        times.append(time.perf_counter() - start)
+    return min(times)
 
 
 def run(scans: int = 100, points: int = 30_000, images: int = 100, repeats: int = 3) -> dict[str, Any]:

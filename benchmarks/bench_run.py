@@ -26,12 +26,12 @@ def run(scene: str = "courtyard", repeats: int = 3) -> dict[str, Any]:
         _lvba(["simulate", scene, "--out", str(work / "recording"), "--seed", "1"], environment)
         runs = [_timed(work, number, environment) for number in range(repeats + 1)]
     first, *others = runs
-    best = min(others, key=lambda found: found["seconds"])
+    best = min(others, key=lambda other: other["seconds"])
     return {
         "name": "run",
         "threads": os.cpu_count(),
         "seconds": best["seconds"],
-        "processor_seconds": min(found["processor_seconds"] for found in others),
+        "processor_seconds": min(other["processor_seconds"] for other in others),
         "peak_memory_mb": best["peak_memory_mb"],
         "compile_processor_seconds": first["processor_seconds"] - best["processor_seconds"],
         "rows": best["stages"],

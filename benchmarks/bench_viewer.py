@@ -113,7 +113,7 @@ def _octree(folder: Path, count: int) -> dict[str, Any]:
 def _in_the_page(work: Path, octrees: list[dict[str, Any]]) -> list[dict[str, Any]]:
     from playwright.sync_api import sync_playwright
 
-    program = next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    program = next((path for name in BROWSERS if (path := shutil.which(name))), None)
     if program is None:
         return [{**row, "folder": "no browser on the path"} for row in octrees]
     service, url = _served(work)
@@ -144,11 +144,11 @@ def _served(work: Path) -> tuple[subprocess.Popen[bytes], str]:
         process = subprocess.Popen(
             words, stdout=stream, stderr=stream, env={**os.environ, "PYTHONPATH": str(ROOT)}
         )
-    while (found := re.search(r"serving (http://\S+)", log.read_text())) is None:
+    while (match := re.search(r"serving (http://\S+)", log.read_text())) is None:
         if process.poll() is not None:
             raise RuntimeError(log.read_text())
         time.sleep(0.1)
-    return process, found[1]
+    return process, match[1]
 
 
 def _job(work: Path, url: str) -> str:
@@ -177,7 +177,7 @@ def _looked_at(browser: Any, address: str) -> dict[str, Any]:
     page.on("response", answered)
     start = time.perf_counter()
     page.goto(address)
-    found: dict[str, Any] = {}
+    figures: dict[str, Any] = {}
     for look in ("overview", "close"):
         if look == "close":
             page.get_by_role("application", name="Map in 3D").focus()
@@ -185,14 +185,14 @@ def _looked_at(browser: Any, address: str) -> dict[str, Any]:
                 page.keyboard.press("+")
                 page.wait_for_timeout(50)
         shown = _settled(page)
-        found[f"{look}: million shown"] = shown / 1e6
-        found[f"{look}: MB loaded"] = sum(sizes) / 1e6
-        found[f"{look}: requests"] = len(sizes)
+        figures[f"{look}: million shown"] = shown / 1e6
+        figures[f"{look}: MB loaded"] = sum(sizes) / 1e6
+        figures[f"{look}: requests"] = len(sizes)
         if look == "overview":
-            found["overview: s until complete"] = time.perf_counter() - start
-        found[f"{look}: ms per frame"] = page.evaluate(_FRAMES)
+            figures["overview: s until complete"] = time.perf_counter() - start
+        figures[f"{look}: ms per frame"] = page.evaluate(_FRAMES)
     context.close()
-    return found
+    return figures
 
 
 _UNITS = {"": 1.0, "k": 1e3, "M": 1e6}

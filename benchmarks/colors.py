@@ -30,14 +30,14 @@ _STRIP_M, _EDGE_M = 0.3, 0.05
 
 def _state(dataset: Dataset, poses: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """world_from_scan (S, 4, 4) and world_from_camera (I, 4, 4) in the dataset's frame, log exposures (I,)."""
-    found = read_reference(poses)
-    assert found.scans is not None
-    assert found.images is not None
-    assert found.exposures is not None
-    moved = [found.scans.world_from_sensor.copy(), found.images.world_from_sensor.copy()]
+    poses_read = read_reference(poses)
+    assert poses_read.scans is not None
+    assert poses_read.images is not None
+    assert poses_read.exposures is not None
+    moved = [poses_read.scans.world_from_sensor.copy(), poses_read.images.world_from_sensor.copy()]
     for each in moved:
         each[:, :3, 3] -= dataset.origin
-    return moved[0], moved[1], np.log(found.exposures.relative)
+    return moved[0], moved[1], np.log(poses_read.exposures.relative)
 
 
 def make_map(dataset_folder: Path, poses: Path, out: Path) -> None:
@@ -63,16 +63,16 @@ def judge(dataset_folder: Path, poses: Path, made: Path) -> dict[str, Any]:
 
     scene, dataset = known.read(dataset_folder), open_dataset(dataset_folder)
     world_from_scan, _, _ = _state(dataset, poses)
-    found = np.load(made)
-    points, scan, rgb = found["points"], found["scan"], found["rgb"].astype(float)
+    arrays = np.load(made)
+    points, scan, rgb = arrays["points"], arrays["scan"], arrays["rgb"].astype(float)
     quad, place, off = np.full(len(points), -1), np.zeros((len(points), 3)), np.full(len(points), np.inf)
     for s in range(len(world_from_scan)):
         mine = np.flatnonzero(scan == s)
         measured = geometry.transform_points(geometry.inverse(world_from_scan[s]), points[mine].astype(float))
         quad[mine], place[mine], off[mine] = scene.surface(s, measured)
     on = (quad >= 0) & (off < _OFF_M)
-    colored = found["views"] > 0
-    true = scene.radiance(np.where(on, quad, -1), place, float(found["voxel_m"]) / 2).astype(float)
+    colored = arrays["views"] > 0
+    true = scene.radiance(np.where(on, quad, -1), place, float(arrays["voxel_m"]) / 2).astype(float)
     both = on & colored
     true = np.clip(true * np.median(rgb[both].sum(1) / true[both].sum(1)), 0, 255)
     error = np.abs(rgb - true).mean(1)

@@ -3,6 +3,7 @@
     python benchmarks/results.py recordings --data DIR       the real recordings, default settings
     python benchmarks/results.py simulated --seeds 101 102 103
     python benchmarks/results.py ablations --seeds 101
+    python benchmarks/results.py disturbed --seeds 201 --scenes courtyard --levels typical severe
     python benchmarks/results.py weak                         bare plane and corridor
     python benchmarks/results.py colors --before PYTHON       colors of the map, by another version and by this
     python benchmarks/results.py write                        docs/results.md from docs/results.json
@@ -22,6 +23,8 @@ from pathlib import Path
 from typing import Any
 
 from ablations import ABLATIONS
+
+from lvba.simulate import disturbances
 
 ROOT = Path(__file__).resolve().parent.parent
 JSON = ROOT / "docs" / "results.json"
@@ -162,7 +165,7 @@ def recordings(data: Path, work: Path) -> None:
 
 def drawn(dataset: Path, work: Path) -> list[tuple[str, Path]]:
     """Name and folder of a recording, and of it with each other set of rough poses (`rough_*`) in place of its own."""
-    found = [(dataset.name, dataset)]
+    recordings = [(dataset.name, dataset)]
     for rough in sorted(dataset.glob("rough_*")):
         folder = work / f"{dataset.name}_{rough.name}"
         for kind, poses in (("all_image", "image_poses.txt"), ("all_pcd_body", "lidar_poses.txt")):
@@ -173,8 +176,8 @@ def drawn(dataset: Path, work: Path) -> list[tuple[str, Path]]:
                     link.symlink_to(frame.resolve())
             (folder / kind / poses).write_text((rough / poses).read_text())
         (folder / "config.yaml").write_text((rough / "config.yaml").read_text())
-        found.append((folder.name, folder))
-    return found
+        recordings.append((folder.name, folder))
+    return recordings
 
 
 def at_reference(dataset: Path, reference: Path, refined: Path) -> dict[str, Any]:
@@ -211,6 +214,21 @@ def ablations(seeds: list[int], scenes: list[str], work: Path) -> None:
                 save("ablations", f"{scene}, seed {seed}: {name}", figures(report))
 
 
+def disturbed(seeds: list[int], scenes: list[str], levels: list[str], frames: int, work: Path) -> None:
+    for seed in seeds:
+        for scene in scenes:
+            one_by_one = [(name, level) for level in levels for name in disturbances.ABOUT]
+            for name, level in [("none", ""), *one_by_one]:
+                extra = ("--disturb", f"{name}={level}") if level else ()
+                dataset = work / f"{scene}_{seed}_{frames}_{name}_{level}"
+                simulate(scene, dataset, seed=seed, frames=frames, extra=extra)
+                report = run_lvba(dataset, work / f"{dataset.name}_out", [], dataset / "reference")
+                row = figures(report)
+                row["verdict"] = (report.get("verdict") or {}).get("level")
+                size = f" {disturbances.ABOUT[name]['levels'][level]:g}" if level else ""
+                save("disturbed", f"{scene}, seed {seed}, {frames} frames: {name}{size}", row)
+
+
 def weak(work: Path) -> None:
     for scene in ("plane", "corridor"):
         dataset = work / scene
@@ -243,22 +261,26 @@ def _judged_colors(python: str, dataset: Path, poses: Path, made: Path) -> dict[
     script = str(Path(__file__).with_name("colors.py"))
     paths = [str(dataset), str(poses), str(made)]
     subprocess.run([python, script, "map", *paths], check=True, capture_output=True)
-    found = subprocess.run(
+    done = subprocess.run(
         [sys.executable, script, "judge", *paths], check=True, capture_output=True, text=True
     )
-    return dict(json.loads(found.stdout))
+    return dict(json.loads(done.stdout))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("table", choices=["recordings", "simulated", "ablations", "weak", "colors", "write"])
+    parser.add_argument(
+        "table", choices=["recordings", "simulated", "ablations", "disturbed", "weak", "colors", "write"]
+    )
     parser.add_argument("--before", help="the Python of the version that colors are compared with")
     parser.add_argument("--data", type=Path, help="folder of the real recordings")
     parser.add_argument("--seeds", type=int, nargs="+", default=[101, 102, 103])
     parser.add_argument("--scenes", nargs="+", default=list(SCENES))
     parser.add_argument("--difficulty", default="medium")
+    parser.add_argument("--levels", nargs="+", choices=["typical", "severe"], default=["typical"])
+    parser.add_argument("--frames", type=int, default=60, help="images and scans of a disturbed scene")
     parser.add_argument(
         "--work", type=Path, help="folder for datasets and results (default: a temporary one)"
     )
@@ -276,6 +298,8 @@ def main() -> None:
             simulated(arguments.seeds, arguments.scenes, arguments.difficulty, work)
         elif arguments.table == "ablations":
             ablations(arguments.seeds, arguments.scenes, work)
+        elif arguments.table == "disturbed":
+            disturbed(arguments.seeds, arguments.scenes, arguments.levels, arguments.frames, work)
         elif arguments.table == "weak":
             weak(work)
         elif arguments.table == "colors":

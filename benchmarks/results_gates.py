@@ -31,7 +31,7 @@ _PARTS = (
 
 def rows(report: Facts, uncertain: tuple[float, float] = (0.0, 0.0)) -> dict[str, Facts]:
     """By part: the figures that decided, the verdict, errors before and after, and whether the verdict was right."""
-    found = {}
+    table = {}
     truths = (report.get("reference") or {}).get("judged") or {}
     for part, section, prefix in _PARTS:
         facts = report.get(section) or {}
@@ -40,14 +40,14 @@ def rows(report: Facts, uncertain: tuple[float, float] = (0.0, 0.0)) -> dict[str
             continue
         accepted, truth = bool(facts[f"{prefix}accepted"]), truths.get(part)
         says = None if truth is None else what_truth_says(truth["before"], truth["after"], uncertain)
-        found[part] = {
+        table[part] = {
             "figures": {figure["name"]: figure for figure in figures},
             "accepted": accepted,
             "truth": truth,
             "truth_says": says,
             "verdict": verdict(accepted, says),
         }
-    return found
+    return table
 
 
 def what_truth_says(before: Facts, after: Facts, uncertain: tuple[float, float]) -> str:

@@ -7,6 +7,8 @@ Row = dict[str, Any]
 
 HEAD = """# Results
 
+*Reference.* Accuracy on simulated and real recordings.
+
 Made by `benchmarks/results.py` from runs of the installed command with default settings; nothing here is typed by hand.
 Lengths in millimeters and angles in degrees are root mean squares over all frames. How the figures are defined:
 [evaluation.md](evaluation.md). Seconds are wall time on two cores that had some other work beside (and
@@ -46,6 +48,11 @@ whether the gate was right. "open": there is no truth, or position and rotation 
     "ablations": """## Ablations
 
 One option each on the same simulated scenes, against truth, and leave-one-out.
+""",
+    "disturbed": """## One disturbance at a time
+
+What real sensors do, one at a time ([list](simulation.md#disturbances)), not told to the program. "promised" is the
+error that the report predicts, and the verdict what it says: millimeters promised for centimeters are the worst result.
 """,
     "colors": """## Colors of the map
 
@@ -131,6 +138,17 @@ def _against_truth(name: str, row: Row) -> list[str]:
         change(row, "psnr_leave_one_out"),
         number(row, "seconds", digits=1),
     ]
+
+
+def _disturbed(name: str, row: Row) -> list[str]:
+    reference: Row = row.get("reference") or {}
+    cells = [name]
+    for part in ("lidar", "camera"):
+        cells.append(
+            f"{number(reference, part, 'ate_m', scale=1e3)} / {number(reference, part, 'rotation_deg', digits=4)}"
+        )
+        cells.append(number(reference, part, "predicted_ate_m", scale=1e3))
+    return [*cells, number(reference, "exposure", "rms_percent"), str(row.get("verdict") or "-")]
 
 
 def _weak(name: str, row: Row) -> list[str]:
@@ -262,6 +280,18 @@ COLUMNS: dict[str, tuple[list[str], Callable[[str, Row], list[str]]]] = {
     ),
     "simulated": (_TRUTH, _against_truth),
     "ablations": (_TRUTH, _against_truth),
+    "disturbed": (
+        [
+            "scene",
+            "scans mm / deg",
+            "promised mm",
+            "cameras mm / deg",
+            "promised mm",
+            "exposure %",
+            "verdict",
+        ],
+        _disturbed,
+    ),
     "parts": (
         [
             "street",

@@ -1,16 +1,18 @@
-"""The pinhole camera with radial-tangential distortion (k1 k2 p1 p2) and its image pyramid.
+"""The camera: a pinhole behind a lens (`lvba.lens`), and its image pyramid.
 
 Pixels are (column, row); the centre of the first pixel is (0, 0). Camera axes: x right, y down, z forward.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+
+from lvba.lens import Lens
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Intrinsics in pixels. `distortion` holds k1, k2, p1, p2; all zero for an undistorted image."""
+    """Intrinsics in pixels; `distortion` holds the coefficients of the lens."""
 
     width: int
     height: int
@@ -18,7 +20,13 @@ class Camera:
     fy: float
     cx: float
     cy: float
-    distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
+    lens: Lens = Lens.RADIAL_TANGENTIAL
+
+    @property
+    def is_pinhole(self) -> bool:
+        """Whether its images have no distortion."""
+        return self.lens is Lens.RADIAL_TANGENTIAL and not any(self.distortion)
 
     @property
     def matrix(self) -> np.ndarray:
@@ -27,26 +35,23 @@ class Camera:
 
     def undistorted(self) -> "Camera":
         """The pinhole camera whose images `lvba.visual.image.undistort` makes: same K and size, no distortion."""
-        return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy)
+        return Camera(width=self.width, height=self.height, fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy)
 
     def scaled(self, factor: float) -> "Camera":
         """For images resized by `factor` (0.5: half the width): pixel centres map as c' = (c + 0.5) * factor - 0.5."""
-        return Camera(
-            round(self.width * factor),
-            round(self.height * factor),
-            self.fx * factor,
-            self.fy * factor,
-            (self.cx + 0.5) * factor - 0.5,
-            (self.cy + 0.5) * factor - 0.5,
-            self.distortion,
+        return replace(
+            self,
+            width=round(self.width * factor),
+            height=round(self.height * factor),
+            fx=self.fx * factor,
+            fy=self.fy * factor,
+            cx=(self.cx + 0.5) * factor - 0.5,
+            cy=(self.cy + 0.5) * factor - 0.5,
         )
 
     def at_level(self, level: int) -> "Camera":
         """The camera of pyramid level `level` (0: full size; each level halves, odd sizes rounded down)."""
         camera = self
         for _ in range(level):
-            half = camera.scaled(0.5)
-            camera = Camera(
-                camera.width // 2, camera.height // 2, half.fx, half.fy, half.cx, half.cy, self.distortion
-            )
+            camera = replace(camera.scaled(0.5), width=camera.width // 2, height=camera.height // 2)
         return camera

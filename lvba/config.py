@@ -21,6 +21,8 @@ from lvba.settings import RangeError
 Config = TypeVar("Config")
 _log = logging.getLogger(__name__)
 _MOST = 1 << 63
+_NAMED = 3
+"""Ignored settings that a warning names."""
 
 
 class SettingError(InputError):
@@ -63,7 +65,10 @@ def parse(text: str, where: str = "config") -> dict[str, Any]:
 
 
 def override(config: Config, options: Sequence[str], where: str = "--set") -> Config:
-    """The config with `name=value` options applied, in order; names are dotted, values are YAML."""
+    """The config with `name=value` options applied, in order; names are dotted, values are YAML.
+
+    Raises InputError: an option is not of that form, or its value is out of range.
+    """
     values: dict[str, Any] = {}
     for option in options:
         name, equals, text = option.partition("=")
@@ -87,19 +92,32 @@ def from_mapping(
     Raises InputError: a name that is no setting, a value of another type or out of range.
     """
     if getattr(kind, "KNOWS_RETIRED", False) and isinstance(values, Mapping):
-        values = _without_retired(values, where)
+        values = retired_settings.with_new_names(_without_retired(values, where))
     return _build(kind, values, where, "", base)
 
 
 def _without_retired(values: Mapping[str, Any], where: str) -> Mapping[str, Any]:
-    old = dict(retired_settings.found(values))
+    old = dict(retired_settings.retired(values))
     for name, value in old.items():
         if not retired_settings.is_default(name, value):
-            problem = f"{_quoted(value)}: this setting is none any more"
+            problem = f"{_quoted(value)}: this setting was removed"
             raise SettingError(where, name, problem, retired_settings.mend(name))
     if old:
-        _log.warning("%s: passed over, being settings no more: %s", where, ", ".join(old))
+        _log_ignored(where, list(old))
     return retired_settings.without(values) if old else values
+
+
+def _log_ignored(where: str, names: Sequence[str]) -> None:
+    """One short warning; all names only where more than warnings is asked for."""
+    shown = ", ".join(names[:_NAMED])
+    if len(names) <= _NAMED:
+        _log.warning("%s: ignored, because they were removed: %s", where, shown)
+        return
+    more = f"{shown} and {len(names) - _NAMED} more"
+    _log.warning(
+        "%s: %d settings of an earlier version are ignored: %s (--verbose names all)", where, len(names), more
+    )
+    _log.debug("%s: ignored settings: %s", where, ", ".join(names))
 
 
 def to_dict(config: Any) -> dict[str, Any]:
@@ -136,12 +154,12 @@ def _comment(text: str, indent: str) -> list[str]:
 
 def names(kind: Any, prefix: str = "") -> list[str]:
     """The dotted names of all settings, in the order of declaration."""
-    found = []
+    dotted = []
     hints = get_type_hints(kind)
     for item in dataclasses.fields(kind):
         name, hint = prefix + item.name, hints[item.name]
-        found += names(hint, f"{name}.") if dataclasses.is_dataclass(hint) else [name]
-    return found
+        dotted += names(hint, f"{name}.") if dataclasses.is_dataclass(hint) else [name]
+    return dotted
 
 
 def _build(kind: Any, values: Any, where: str, path: str, base: Any) -> Any:

@@ -9,7 +9,7 @@ from lvba.trajectory import Trajectory
 
 CAMERA, BODY = "camera", "body"
 """What the poses of a recording's image_poses.txt are of."""
-NO_CAMERA = Camera(0, 0, 1.0, 1.0, 0.0, 0.0)
+NO_CAMERA = Camera(width=0, height=0, fx=1.0, fy=1.0, cx=0.0, cy=0.0)
 """The camera of a recording without images."""
 
 

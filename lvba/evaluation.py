@@ -88,7 +88,7 @@ def report(
         scores = evaluation.evaluate(states, config.evaluate, progress=progress)
     given_verdict = Verdict(True, "given")
     scans = ScanPoses(given.world_from_scan, given_verdict, before.mean, after.mean, after)
-    found: dict[str, Any] = {
+    facts: dict[str, Any] = {
         "schema": 1,
         "dataset": {"path": dataset.root, **report_data.of_dataset(dataset)},
         "config": settings.to_dict(config),
@@ -96,13 +96,13 @@ def report(
         "warnings": [*dataset.warnings, *given.warnings],
     }
     if reference is not None:
-        found["reference"] = _against(given, of_cameras(reference, dataset))
-    return dict(report_data.plain(found))
+        facts["reference"] = _against(given, of_cameras(reference, dataset))
+    return dict(report_data.plain(facts))
 
 
 def _against(given: Given, reference: Reference) -> dict[str, Any]:
     dataset = given.dataset
-    found = references.compare(
+    comparison = references.compare(
         reference,
         Trajectory(dataset.scans.times, given.world_from_scan),
         Trajectory(dataset.images.times, given.world_from_camera),
@@ -110,7 +110,7 @@ def _against(given: Given, reference: Reference) -> dict[str, Any]:
     )
     equal = Exposures(dataset.images.times, np.ones(len(dataset.images)))
     rough = references.compare(reference, dataset.scans, dataset.images, equal)
-    return {**found, "rough": rough}
+    return {**comparison, "rough": rough}
 
 
 def _cameras(
@@ -123,24 +123,24 @@ def _cameras(
     if path is None or not len(dataset.images):
         return dataset.images.world_from_sensor, np.arange(len(dataset.images)), ()
     file = read_pose_file(path)
-    found = timestamps.match(dataset.images.times, file.trajectory, path)
-    poses = found.poses.world_from_sensor.copy()
+    match = timestamps.match(dataset.images.times, file.trajectory, path)
+    poses = match.poses.world_from_sensor.copy()
     poses[:, :3, 3] -= dataset.origin
-    mount = dataset.camera_from_scan
+    extrinsic = dataset.camera_from_scan
     said = Statement(kinds.stated(file.comments), "the file")
-    given = Trajectory(found.poses.times, poses)
-    reading = kinds.decide(given, scans, mount, said, path, dataset.image_poses, kinds.FOREIGN_MOUNT)
-    return kinds.to_camera(poses, reading.kind, mount), found.files, file.warnings + reading.warnings
+    given = Trajectory(match.poses.times, poses)
+    reading = kinds.decide(given, scans, extrinsic, said, path, dataset.image_poses, kinds.FOREIGN_EXTRINSIC)
+    return kinds.to_camera(poses, reading.kind, extrinsic), match.files, file.warnings + reading.warnings
 
 
 def _poses(frames: Trajectory, path: Path | None, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Poses (M, 4, 4) of the frames that the file says something about, and their indices (M,)."""
     if path is None or not len(frames):
         return frames.world_from_sensor, np.arange(len(frames))
-    found = timestamps.match(frames.times, read_trajectory(path), path)
-    poses = found.poses.world_from_sensor.copy()
+    match = timestamps.match(frames.times, read_trajectory(path), path)
+    poses = match.poses.world_from_sensor.copy()
     poses[:, :3, 3] -= origin
-    return poses, found.files
+    return poses, match.files
 
 
 def _subset(dataset: Dataset, scans: np.ndarray, images: np.ndarray) -> Dataset:

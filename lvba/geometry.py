@@ -10,11 +10,16 @@ Source of the closed forms: Sola et al. 2018, "A micro Lie theory", appendix D.
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from lvba.arrays import Pose, Rotations, Tangents, Transforms
+
 _SMALL_ANGLE = 1e-5
 
 
-def from_rotation_translation(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
-    """The (..., 4, 4) transform of a (..., 3, 3) rotation matrix and a (..., 3) translation."""
+def from_rotation_translation(rotation: Rotations, translation: np.ndarray) -> np.ndarray:
+    """The (..., 4, 4) transform of a (..., 3, 3) rotation matrix and a (..., 3) translation.
+
+    translation: (..., 3) float64, m
+    """
     rotation, translation = np.asarray(rotation, float), np.asarray(translation, float)
     shape = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
     transform = np.zeros((*shape, 4, 4))
@@ -25,33 +30,42 @@ def from_rotation_translation(rotation: np.ndarray, translation: np.ndarray) -> 
 
 
 def from_quaternion_translation(quaternion_xyzw: np.ndarray, translation: np.ndarray) -> np.ndarray:
-    """The (..., 4, 4) transform of (..., 4) quaternions (x, y, z, w; normalized here) and (..., 3) translations."""
+    """The (..., 4, 4) transform of (..., 4) quaternions (x, y, z, w; normalized here) and (..., 3) translations.
+
+    quaternion_xyzw: (..., 4) float64; translation: (..., 3) float64, m
+    """
     quaternion_xyzw = np.asarray(quaternion_xyzw, float)
     rotation = Rotation.from_quat(quaternion_xyzw.reshape(-1, 4)).as_matrix()
     return from_rotation_translation(rotation.reshape(*quaternion_xyzw.shape[:-1], 3, 3), translation)
 
 
-def quaternion(transform: np.ndarray) -> np.ndarray:
+def quaternion(transform: Transforms) -> np.ndarray:
     """The (..., 4) unit quaternions (x, y, z, w; w >= 0) of (..., 4, 4) transforms."""
     rotation = transform[..., :3, :3]
     quaternion_xyzw = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_quat(canonical=True)
     return np.asarray(quaternion_xyzw).reshape(*rotation.shape[:-2], 4)
 
 
-def inverse(a_from_b: np.ndarray) -> np.ndarray:
+def inverse(a_from_b: Transforms) -> np.ndarray:
     """`b_from_a`, (..., 4, 4)."""
     rotation_t = np.swapaxes(a_from_b[..., :3, :3], -1, -2)
     translation = -(rotation_t @ a_from_b[..., :3, 3:])[..., 0]
     return from_rotation_translation(rotation_t, translation)
 
 
-def transform_points(a_from_b: np.ndarray, points_b: np.ndarray) -> np.ndarray:
-    """`points_a`, (N, 3) float64, of one (4, 4) transform and (N, 3) points."""
+def transform_points(a_from_b: Pose, points_b: np.ndarray) -> np.ndarray:
+    """`points_a`, (N, 3) float64, of one (4, 4) transform and (N, 3) points.
+
+    points_b: (N, 3) float32 or float64, m
+    """
     return np.asarray(points_b, float) @ a_from_b[:3, :3].T + a_from_b[:3, 3]
 
 
 def hat(vector: np.ndarray) -> np.ndarray:
-    """The (..., 3, 3) cross-product matrices of (..., 3) vectors: `hat(a) @ b = a x b`."""
+    """The (..., 3, 3) cross-product matrices of (..., 3) vectors: `hat(a) @ b = a x b`.
+
+    vector: (..., 3) float64
+    """
     vector = np.asarray(vector, float)
     matrix = np.zeros((*vector.shape, 3))
     matrix[..., 0, 1], matrix[..., 0, 2] = -vector[..., 2], vector[..., 1]
@@ -71,7 +85,7 @@ def _series(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return first[..., None, None], second[..., None, None], third[..., None, None]
 
 
-def exp(delta: np.ndarray) -> np.ndarray:
+def exp(delta: Tangents) -> np.ndarray:
     """The (..., 4, 4) transforms of (..., 6) tangent vectors `[rotation | translation]`."""
     delta = np.asarray(delta, float)
     phi, rho = delta[..., :3], delta[..., 3:]
@@ -83,7 +97,7 @@ def exp(delta: np.ndarray) -> np.ndarray:
     return from_rotation_translation(rotation, (left_jacobian @ rho[..., None])[..., 0])
 
 
-def log(transform: np.ndarray) -> np.ndarray:
+def log(transform: Transforms) -> np.ndarray:
     """The (..., 6) tangent vectors `[rotation | translation]` of (..., 4, 4) transforms; rotation below pi."""
     transform = np.asarray(transform, float)
     rotation = transform[..., :3, :3]
@@ -96,7 +110,10 @@ def log(transform: np.ndarray) -> np.ndarray:
 
 
 def inverse_right_jacobian(rotation: np.ndarray) -> np.ndarray:
-    """(..., 3, 3): how `log(exp(r) exp(d))` changes with d at 0. Source: Sola et al. 2018, eq. 144."""
+    """(..., 3, 3): how `log(exp(r) exp(d))` changes with d at 0. Source: Sola et al. 2018, eq. 144.
+
+    rotation: (..., 3) float64, rotation vectors r, rad
+    """
     angle = np.linalg.norm(rotation, axis=-1)[..., None, None]
     small = angle < 1e-3
     safe = np.where(small, 1.0, angle)
@@ -107,7 +124,7 @@ def inverse_right_jacobian(rotation: np.ndarray) -> np.ndarray:
     return np.eye(3) + 0.5 * skew + factor * (skew @ skew)
 
 
-def retract(a_from_b: np.ndarray, delta: np.ndarray) -> np.ndarray:
+def retract(a_from_b: Transforms, delta: Tangents) -> np.ndarray:
     """`a_from_b @ exp(delta)`, (..., 4, 4), with the rotation part made orthonormal again.
 
     What does not move stays as it is, to the last bit.
@@ -117,22 +134,23 @@ def retract(a_from_b: np.ndarray, delta: np.ndarray) -> np.ndarray:
     return np.asarray(np.where(still, a_from_b, orthonormalize(a_from_b @ exp(delta))))
 
 
-def turn_tangent(blocks: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+def turn_tangent(blocks: np.ndarray, rotation: Rotations) -> np.ndarray:
     """(..., 6, 6) covariances, information or projectors of `[rotation | translation]`, in turned axes: T blocks T^T.
 
     rotation: (..., 3, 3), new axes from old ones; both parts are turned by it
+    blocks: (..., 6, 6) float64, rad and m, squared, or their inverse
     """
     turn = np.zeros((*rotation.shape[:-2], 6, 6))
     turn[..., :3, :3] = turn[..., 3:, 3:] = rotation
     return np.asarray(turn @ blocks @ np.swapaxes(turn, -1, -2))
 
 
-def orthonormalize(transform: np.ndarray) -> np.ndarray:
+def orthonormalize(transform: Transforms) -> np.ndarray:
     """The nearest (..., 4, 4) rigid transforms: rotation parts projected on SO(3)."""
     return from_quaternion_translation(quaternion(transform), transform[..., :3, 3])
 
 
-def adjoint(a_from_b: np.ndarray) -> np.ndarray:
+def adjoint(a_from_b: Transforms) -> np.ndarray:
     """(..., 6, 6) such that `a_from_b @ exp(d) = exp(adjoint(a_from_b) @ d) @ a_from_b`."""
     rotation = a_from_b[..., :3, :3]
     matrix = np.zeros((*a_from_b.shape[:-2], 6, 6))
@@ -141,13 +159,16 @@ def adjoint(a_from_b: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def interpolate(first: np.ndarray, second: np.ndarray, fraction: np.ndarray) -> np.ndarray:
-    """On the screw motion from `first` (fraction 0) to `second` (fraction 1), (..., 4, 4); extrapolates beyond."""
+def interpolate(first: Transforms, second: Transforms, fraction: np.ndarray) -> np.ndarray:
+    """On the screw motion from `first` (fraction 0) to `second` (fraction 1), (..., 4, 4); extrapolates beyond.
+
+    fraction: (...) float64, one for each transform
+    """
     fraction = np.asarray(fraction, float)[..., None]
     return orthonormalize(first @ exp(fraction * log(inverse(first) @ second)))
 
 
-def rotation_angle_deg(transform: np.ndarray) -> np.ndarray:
+def rotation_angle_deg(transform: Transforms) -> np.ndarray:
     """The rotation angles of (..., 4, 4) transforms, (...), degrees."""
     rotation = transform[..., :3, :3].reshape(-1, 3, 3)
     angle = Rotation.from_matrix(rotation).magnitude()

@@ -1,28 +1,47 @@
-"""The whole chain, from a recording to its colored map and report: the only place that says what follows what."""
+"""The settings of a run, and its sequence of steps: the only place that says what follows what.
 
-from dataclasses import dataclass, field
-from typing import ClassVar
+A recording is refined in parts, and most have one: then what that part gives is the result, and the steps that merge
+parts and solve them jointly are not in the plan.
+"""
 
-from lvba.blocks import plan as blocks_plan
-from lvba.blocks import survey
-from lvba.blocks.config import MergeConfig
-from lvba.blocks.split import SplitConfig, parts
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any, ClassVar
+
+import numpy as np
+
+from lvba.blocks import decoded, split, survey
+from lvba.blocks.decoded import Given, Made, Range, about_region, given
+from lvba.blocks.merge import MergeConfig
+from lvba.blocks.split import Frames, Load, Part, SplitConfig
 from lvba.dataset import Dataset
 from lvba.io.reference import Reference, of_cameras
 from lvba.lidar.bundle_adjustment import LidarConfig
-from lvba.plan import Passing, Plan, Ref
+from lvba.lidar.config import STAGES
+from lvba.loop_closure import candidates
+from lvba.plan import LazyRef, Plan, Ref, StreamedRef
 from lvba.products.evaluate import EvaluateConfig
 from lvba.products.map_file import MapConfig
 from lvba.settings import setting
-from lvba.steps import evaluate as evaluate_steps
-from lvba.steps import expected_error, plane_thickness, report_data, scan_acceptance
+from lvba.steps import (
+    evaluate,
+    expected_error,
+    fusion,
+    joint_cameras,
+    joint_scans,
+    lidar,
+    merge_data,
+    plane_thickness,
+    products,
+    report_data,
+    scan_acceptance,
+    seams,
+    visual,
+)
 from lvba.steps.acceptance import GateConfig
-from lvba.steps.fusion import solve_fusion
-from lvba.steps.lidar import solve_lidar
 from lvba.steps.outcomes import VisualLevel
 from lvba.steps.pose_fusion import FusionConfig
-from lvba.steps.products import color_map, make_pictures
-from lvba.steps.visual import solve_visual, solve_visual_level, visual_levels
 from lvba.visual.refine import VisualConfig
 from lvba.visual.variant import PRODUCT, Variant
 
@@ -32,7 +51,7 @@ class Config:
     """Every setting of a run, stage by stage."""
 
     KNOWS_RETIRED: ClassVar[bool] = True
-    """Settings of version 0.1 that are none any more are passed over, see `lvba.retired_settings`."""
+    """Settings of version 0.1 that were removed are ignored, see `lvba.retired_settings`."""
 
     refine_scans: bool = setting(
         True,
@@ -62,58 +81,367 @@ def refine(
     *,
     variant: Variant = PRODUCT,
     align_parts: bool = True,
+    load: Load | None = None,
 ) -> Plan:
     """From a recording to scan poses, camera poses, exposures, a colored map and the facts of the report.
 
     reference: poses to compare with, which decide nothing
     version: of the code, as far as it changes results
-    variant, align_parts: other than by default for comparisons of the method with parts of it; a recording in parts knows
-        `align_parts` only, an undivided one the variant
+    variant: parts of the method left out, for comparisons
+    align_parts: False: parts stay as each of them was solved, with steps at the seams, for comparisons; of one part,
+        nothing changes
+    load: what the recording asks of memory, where that is known already
+    Raises ValueError: a variant with joint rounds of cameras, which solve the full problem only.
     """
     config = config or Config()
     reference = None if reference is None else of_cameras(reference, dataset)
-    plan = Plan(version)
-    cores = parts(dataset, config.split, survey.load_of(dataset))
-    if len(cores) > 1:
-        return blocks_plan.refine(plan, dataset, cores, config, reference, align_parts)
-    lidar = plan.add("lidar", solve_lidar, dataset, config.lidar, config.refine_scans)
-    scans = plan.add("lidar-gate", scan_acceptance.judge_lidar, dataset, lidar, config.evaluate, config.gate)
-    coarser: Ref | VisualLevel = VisualLevel(None)
-    for level in range(visual_levels(dataset, config.visual) - 1, 0, -1):
-        coarser = plan.add(
-            f"visual-level-{level}",
-            solve_visual_level,
-            *(dataset, lidar, scans, coarser, config.lidar, config.visual, config.refine_cameras, variant),
+    parts = tuple(split.parts(dataset, config.split, load or survey.load_of(dataset)))
+    if len(parts) > 1 and variant != PRODUCT and config.merge.image_rounds > 0:
+        raise ValueError("a variant of a recording in parts needs merge.image_rounds = 0")
+    chain = _Chain(
+        plan=Plan(version), dataset=dataset, parts=parts, config=config, variant=variant, align=align_parts
+    )
+    chain.add(reference)
+    return chain.plan
+
+
+@dataclass(frozen=True)
+class _Images:
+    """Frames that visual steps work on: the recording of these alone, their keyframes, and the planes they are over."""
+
+    dataset: Dataset
+    frames: Frames
+    keyframes: list[Given]
+    planes: Ref
+
+
+@dataclass(frozen=True)
+class _Merged:
+    """What steps that only a run in parts has leave for the report: parts merged, scans and cameras solved jointly."""
+
+    scans: Ref
+    joint: Ref
+    cameras: Ref | None = None
+
+
+def _one_at_a_time(refs: Sequence[Ref]) -> list[Ref]:
+    """For a function that looks at one after another."""
+    return [StreamedRef(each.key) for each in refs]
+
+
+@dataclass
+class _Chain:
+    """Adds the steps of one recording to a plan. parts: one and the same tuple for all steps: it is sent once."""
+
+    plan: Plan
+    dataset: Dataset
+    parts: tuple[Part, ...]
+    config: Config
+    variant: Variant
+    align: bool
+
+    def __post_init__(self) -> None:
+        self.many = len(self.parts) > 1
+        self.frames = [
+            split.subset(self.dataset, part.scan_numbers, part.image_numbers) if self.many else self.dataset
+            for part in self.parts
+        ]
+        self.survey = self.plan.add(
+            "survey", survey.survey, self.dataset, self.config.lidar, self.config.visual.keyframes
         )
-    visual = plan.add(
-        "visual",
-        solve_visual,
-        *(dataset, lidar, scans, coarser, config.lidar, config.visual, config.refine_cameras, variant),
-    )
-    fusion = plan.add("fusion", solve_fusion, dataset, lidar, scans, visual, config.lidar, config.fusion)
-    fused = plan.add(
-        "fusion-gate",
-        scan_acceptance.judge_fusion,
-        dataset,
-        scans,
-        fusion,
-        config.evaluate.entropy,
-        config.gate,
-    )
-    scores = plan.add(
-        "evaluate", evaluate_steps.evaluate, dataset, scans, fused, visual, config.evaluate, config.gate
-    )
-    accepted = plan.add(
-        "visual-gate", evaluate_steps.decide, dataset, scans, fused, visual, scores, config.gate
-    )
-    expected = plan.add("expected-error", expected_error.of_result, lidar, fusion, visual, accepted)
-    colored = plan.add("map", color_map, dataset, accepted, expected, config.map)
-    planes = plan.add("planes", plane_thickness.measure, dataset, accepted)
-    plan.add("pictures", make_pictures, dataset, accepted, scores, config.evaluate)
-    plan.add(
-        "facts",
-        report_data.collect,
-        *(dataset, lidar, scans, visual, fusion, scores, accepted),
-        *(expected, [Passing(colored.key)], [planes], reference),
-    )
-    return plan
+        scans = self._decode("scans", decoded.decode_scans, [part.core_scans for part in self.parts])
+        self.points, self.photos, self.keyframes = scans, list[Made](), list[Made]()
+
+    def add(self, reference: Reference | None) -> None:
+        """All steps: the sequence of a run."""
+        lidar, scans, merged = self.solve_scans()
+        cameras, merged = self.solve_cameras(lidar, scans, merged)
+        learned, fused = self.fuse(lidar, scans, cameras)
+        scores, accepted = self.choose(scans, fused, cameras)
+        expected = self.plan.add(
+            "expected-error", expected_error.of_result, lidar, learned, cameras, accepted
+        )
+        pieces = self.color_map(accepted, expected)
+        planes = self.measure_planes(accepted)
+        self.show_images(accepted, scores)
+        facts = self.merge_facts(merged, accepted)
+        self.plan.add(
+            "facts", report_data.collect,
+            *(self.dataset, lidar, scans, cameras, learned, scores, accepted),
+            *(expected, _one_at_a_time(pieces), planes, reference, facts),
+        )  # fmt: skip
+
+    def _decode(self, name: str, function: Any, ranges: Sequence[Range], *arguments: Any) -> list[Made]:
+        """A step for each range of frames."""
+        numbers = [f"-{number}" for number in range(len(ranges))] if len(ranges) > 1 else [""]
+        return [
+            (each, self.plan.add(f"{name}{number}", function, self.dataset, each, *arguments))
+            for number, each in zip(numbers, ranges, strict=False)
+        ]
+
+    def _each(self, one: str, function: Any, *arguments: Any, photos: bool = True) -> list[Ref]:
+        """A step for each part, given the part's frames, the part, and its scans and, if asked for, images, decoded."""
+        return [
+            self.plan.add(self._name(part, one), function, *self._of(part, photos), *arguments)
+            for part in self.parts
+        ]
+
+    def _of(self, part: Part, photos: bool = True) -> tuple[Any, ...]:
+        """A part's frames, the part, and its scans and images, decoded."""
+        scans = given(self.points, part.scan_numbers)
+        images = (given(self.photos, part.image_numbers),) if photos else ()
+        return (self.frames[part.number], part, scans, *images)
+
+    def _each_region(self, one: str, function: Any, *arguments: Any) -> list[Ref]:
+        """A step for each part, given the recording, all parts, the number of the one that owns the region, and the scans
+        about it, decoded."""
+        return [
+            self.plan.add(
+                self._name(part, one), function,
+                *(self.dataset, self.parts, part.number, about_region(self.dataset, part, self.points)), *arguments,
+            )
+            for part in self.parts
+        ]  # fmt: skip
+
+    def _name(self, part: Part, one: str, many: str = "") -> str:
+        return f"{many or one}-{part.number}" if self.many else one
+
+    def solve_scans(self) -> tuple[Ref, Ref, _Merged | None]:
+        """The scans of the whole recording, as they were found and as they are used."""
+        config = self.config
+        merged = None
+        if self.many:
+            solved, merged = self._solve_scans_jointly()
+        else:
+            solved = self._each("lidar", lidar.solve_lidar, config.lidar, config.refine_scans, photos=False)[
+                0
+            ]
+        entropies = self._each_region(
+            "lidar-entropy", scan_acceptance.measure_entropy, solved, self.survey, config.evaluate.entropy
+        )
+        photos = [
+            each for part in self.parts for each in decoded.photo_ranges(self.dataset, part.core_images)
+        ]
+        self.photos = self._decode("photos", decoded.decode_photos, photos)
+        compared = self._each(
+            "lidar-images", scan_acceptance.compare,
+            *(len(self.dataset.image_paths), solved, entropies, config.evaluate, config.gate),
+        )  # fmt: skip
+        scans = self.plan.add(
+            "lidar-gate", scan_acceptance.judge_lidar, self.dataset, solved, entropies, compared, config.gate
+        )
+        return solved, scans, merged
+
+    def _solve_scans_jointly(self) -> tuple[Ref, _Merged]:
+        """The parts solved, merged, and solved jointly in rounds."""
+        add, config = self.plan.add, self.config
+        solved = self._each(
+            "lidar-part", joint_scans.solve_part, config.lidar, config.refine_scans, photos=False
+        )
+        merged = add(
+            "lidar-merge", joint_scans.merge_parts,
+            *(self.dataset, self.parts, solved, self._loops(solved), self.survey, self.align),
+        )  # fmt: skip
+        state, clusters, last = add("lidar-start", joint_scans.start, merged), [], len(STAGES) - 1
+        for stage, rounds in ((last - 1, config.merge.coarse_rounds), (last, config.merge.scan_rounds)):
+            if stage < 0 or (rounds == 0 and stage < last):
+                continue
+            clusters = self._each_region(
+                f"lidar-clusters-{stage}", joint_scans.collect_clusters,
+                *(state, self.survey, stage if rounds else stage + 1),
+            )  # fmt: skip
+            for turn in range(rounds):
+                equations = self._linearize(f"lidar-linearize-{stage}-{turn}", clusters, state, stage)
+                state = add(
+                    f"lidar-step-{stage}-{turn}", joint_scans.step_scans,
+                    *(state, _one_at_a_time(equations), self.survey, stage),
+                )  # fmt: skip
+        final = self._linearize("lidar-linearize-final", clusters, state, last, final=True)
+        joint = add(
+            "lidar-joint", joint_scans.finish_scans, merged, state, _one_at_a_time(final), solved, self.survey
+        )
+        return add("lidar", joint_scans.stage_of, joint), _Merged(merged, joint)
+
+    def _linearize(
+        self, name: str, clusters: list[Ref], state: Ref, stage: int, **options: bool
+    ) -> list[Ref]:
+        return [
+            self.plan.add(
+                f"{name}-{part.number}", joint_scans.linearize_scans,
+                *(self.dataset, LazyRef(own.key), state, self.survey, stage), **options,
+            )
+            for part, own in zip(self.parts, clusters, strict=True)
+        ]  # fmt: skip
+
+    def _loops(self, solved: list[Ref]) -> list[Ref]:
+        if not (self.config.merge.loops and self.config.refine_scans):
+            return []
+        pairs = candidates.candidates(
+            self.dataset.scans.world_from_sensor, tuple(part.scan_numbers for part in self.parts)
+        )
+        return [
+            self.plan.add(
+                f"lidar-loop-{each.first}-{each.second}-{number}",
+                joint_scans.close_loop, solved[each.first], solved[each.second], each,
+            )
+            for number, each in enumerate(pairs)
+        ]  # fmt: skip
+
+    def solve_cameras(self, lidar: Ref, scans: Ref, merged: _Merged | None) -> tuple[Ref, _Merged | None]:
+        """The cameras of the whole recording."""
+        options = self.survey, self.config.visual.images, self.config.refine_cameras
+        cores = [part.core_images for part in self.parts if self.dataset.image_paths]
+        self.keyframes = self._decode("images", decoded.decode_keyframes, cores, *options)
+        images, solved = [], []
+        for frames, part in zip(self.frames, self.parts, strict=True):
+            images.append(self._images(self._name(part, ""), frames, part.frames, lidar, scans))
+            solved.append(self._solve_part(part, images[-1], lidar))
+        if merged is None:
+            return solved[0], None
+        tied = self.plan.add(
+            "visual-merge", joint_cameras.merge_cameras,
+            *(self.dataset, self.parts, solved, lidar, scans, self.survey, self.config.visual, self.align),
+        )  # fmt: skip
+        tied = self._solve_cameras_jointly(images, solved, tied, lidar, scans)
+        cameras = self.plan.add(
+            "visual", joint_cameras.finish_cameras,
+            *(self.dataset, self.parts, solved, tied, lidar, scans, self.survey, self.config.visual),
+        )  # fmt: skip
+        return cameras, replace(merged, cameras=tied)
+
+    def _images(self, name: str, dataset: Dataset, frames: Frames, lidar: Ref, scans: Ref) -> _Images:
+        planes = self.plan.add(
+            f"visual-planes{name}", visual.find_planes,
+            *(dataset, frames, given(self.points, frames.scans)),
+            *(lidar, scans, self.survey, self.config.refine_cameras),
+        )  # fmt: skip
+        return _Images(dataset, frames, given(self.keyframes, frames.images), planes)
+
+    def _solve_part(self, part: Part, images: _Images, lidar: Ref) -> Ref:
+        config, coarser = self.config, VisualLevel(None)
+        level: Ref | VisualLevel = coarser
+        for number in range(visual.visual_levels(images.dataset, config.visual) - 1, 0, -1):
+            level = self.plan.add(
+                self._name(part, f"visual-level-{number}", f"visual-level-{number}-part"), visual.solve_level,
+                *(images.dataset, images.frames, images.keyframes, lidar, images.planes, level),
+                *(config.visual, config.refine_cameras, self.variant),
+            )  # fmt: skip
+        return self.plan.add(
+            self._name(part, "visual", "visual-part"), visual.solve_finest,
+            *(images.dataset, images.frames, images.keyframes, lidar, images.planes, level),
+            *(config.visual, config.refine_cameras, self.variant),
+        )  # fmt: skip
+
+    def _solve_cameras_jointly(
+        self, images: list[_Images], solved: list[Ref], merged: Ref, lidar: Ref, scans: Ref
+    ) -> Ref:
+        """The cameras of all parts, solved in rounds."""
+        add, config = self.plan.add, self.config
+        if config.merge.image_rounds == 0:
+            return merged
+        near = [
+            self._with_near(part, own, lidar, scans) for part, own in zip(self.parts, images, strict=True)
+        ]
+        numbered = list(enumerate(zip(near, solved, strict=True)))
+        points = [
+            add(
+                f"visual-points-{number}", joint_cameras.select_points,
+                *(seen.dataset, seen.frames, seen.keyframes, lidar, seen.planes, part, merged),
+                *(self.survey, config.visual),
+            )
+            for number, (seen, part) in numbered
+        ]  # fmt: skip
+        # apart from the points: of those only one part's are in memory at a time
+        pairs = [
+            add(f"visual-exposure-pairs-{number}", joint_cameras.exposure_pairs, each)
+            for number, each in enumerate(points)
+        ]
+        merged = add("visual-exposures", joint_cameras.solve_exposures, merged, pairs)
+        for turn in range(config.merge.image_rounds):
+            equations = [
+                add(
+                    f"visual-linearize-{turn}-{number}", joint_cameras.linearize_cameras,
+                    *(seen.dataset, seen.keyframes, part, LazyRef(points[number].key), merged),
+                    *(self.survey, config.visual),
+                )
+                for number, (seen, part) in numbered
+            ]  # fmt: skip
+            merged = add(f"visual-step-{turn}", joint_cameras.step_cameras, merged, equations)
+        return merged
+
+    def _with_near(self, part: Part, own: _Images, lidar: Ref, scans: Ref) -> _Images:
+        """A part's frames with those that others took at the same place, and the planes of all of them."""
+        frames = split.with_near(self.dataset, part, self.config.merge.near_m)
+        if len(frames.images) == len(part.image_numbers):
+            return own
+        dataset = split.subset(self.dataset, frames.scans, frames.images)
+        return self._images(f"-with-near-{part.number}", dataset, frames, lidar, scans)
+
+    def fuse(self, lidar: Ref, scans: Ref, cameras: Ref) -> tuple[Ref, Ref]:
+        """What the cameras say about the scans, and the scans as they are used with the cameras."""
+        config = self.config
+        learned = self.plan.add(
+            "fusion", fusion.solve_fusion, self.dataset, lidar, scans, cameras, config.lidar, config.fusion
+        )
+        entropies = self._each_region(
+            "fusion-entropy", scan_acceptance.measure_fused_entropy,
+            *(learned, self.survey, config.evaluate.entropy),
+        )  # fmt: skip
+        fused = self.plan.add(
+            "fusion-gate", scan_acceptance.judge_fusion, scans, learned, entropies, config.gate
+        )
+        return learned, fused
+
+    def choose(self, scans: Ref, fused: Ref, cameras: Ref) -> tuple[Ref, Ref]:
+        """The scores over all images, and the state that is the result."""
+        config, states = self.config, (len(self.dataset.image_paths), scans, fused, cameras)
+        parts = self._each("evaluate", evaluate.evaluate, *states, config.evaluate)
+        scores = self._together("evaluate", parts, scans, fused)
+        accepted = self.plan.add(
+            "visual-gate", evaluate.decide, self.dataset, scans, fused, cameras, scores, config.gate
+        )
+        complete = [
+            self.plan.add(
+                self._name(part, "evaluate-result"), evaluate.complete,
+                *(*self._of(part), *states, own, accepted, config.evaluate),
+            )
+            for frames, part, own in zip(self.frames, self.parts, parts, strict=True)
+        ]  # fmt: skip
+        return self._together("evaluate-result", complete, scans, fused), accepted
+
+    def _together(self, name: str, parts: list[Ref], scans: Ref, fused: Ref) -> Ref:
+        """The scores of all parts as one."""
+        return self.plan.add(name, evaluate.merge_scores, parts, scans, fused) if self.many else parts[0]
+
+    def color_map(self, accepted: Ref, expected: Ref) -> list[Ref]:
+        """The map, in pieces that nobody needs to have together."""
+        return self._each(
+            "map", products.color_map,
+            *(self.dataset, self.parts, accepted, expected, self.survey, self.config.map),
+        )  # fmt: skip
+
+    def measure_planes(self, accepted: Ref) -> list[Ref]:
+        """How thick planes are before and after, region by region."""
+        return self._each_region("planes", plane_thickness.measure, accepted, self.survey)
+
+    def show_images(self, accepted: Ref, scores: Ref) -> None:
+        """The pictures of the report."""
+        shown = self._each("renderings", products.show_images, accepted, scores, self.config.evaluate)
+        self.plan.add("pictures", products.collect_pictures, scores, accepted, shown)
+
+    def merge_facts(self, merged: _Merged | None, accepted: Ref) -> Ref | None:
+        """How the parts fitted, with the walls across each seam."""
+        if merged is None:
+            return None
+        walls = [
+            self.plan.add(
+                f"seam-{left.number}-{right.number}", seams.measure_seam,
+                *(seams.seam_frames(self.dataset, left, right), left, right),
+                *(given(self.points, np.arange(left.core_scans[0], right.core_scans[1])), accepted),
+            )
+            for left, right in pairwise(self.parts)
+        ]  # fmt: skip
+        return self.plan.add(
+            "merge-facts", merge_data.collect,
+            *(self.dataset, self.parts, merged.scans, merged.joint, merged.cameras, walls, accepted),
+        )  # fmt: skip

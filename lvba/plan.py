@@ -32,12 +32,12 @@ class Ref:
 
 
 @dataclass(frozen=True)
-class Late(Ref):
+class LazyRef(Ref):
     """The same, for a function that does not always look at it: it is given a function that reads the artifact."""
 
 
 @dataclass(frozen=True)
-class Passing(Late):
+class StreamedRef(LazyRef):
     """The same, for one of many that are looked at one after another: the store does not keep it in memory."""
 
 
@@ -68,7 +68,7 @@ class Step:
     @property
     def needs_at_once(self) -> list[str]:
         """Keys of those that are read before the step begins."""
-        return [ref.key for ref in self._refs() if not isinstance(ref, Late)]
+        return [ref.key for ref in self._refs() if not isinstance(ref, LazyRef)]
 
     def _refs(self) -> Iterator[Ref]:
         return _refs([*self.args, *self.kwargs.values()])
@@ -100,8 +100,8 @@ class Plan:
         for ref in _refs([*args, *kwargs.values()]):
             if ref.key not in self.steps:
                 raise ValueError(f"step {name!r} needs {ref.key!r}, which no earlier step makes")
-        told = {name: self._identity(value) for name, value in kwargs.items()}
-        material = [self.version, name, version, [self._identity(a) for a in args], told]
+        inputs = {name: self._identity(value) for name, value in kwargs.items()}
+        material = [self.version, name, version, [self._identity(a) for a in args], inputs]
         key = f"{name}-{digest(material)[:20]}"
         self.steps[key] = Step(name, key, function, args, kwargs)
         self._names.add(name)
@@ -135,8 +135,8 @@ def compute(step: Step, store: Store, progress: Progress = silent) -> Any:
 
 def resolve(value: Any, store: Store) -> Any:
     """The value with each Ref, also inside lists, tuples and dicts, replaced by its artifact."""
-    if isinstance(value, Late):
-        return functools.partial(_read_late, store, value.key, keep=not isinstance(value, Passing))
+    if isinstance(value, LazyRef):
+        return functools.partial(_read_lazily, store, value.key, keep=not isinstance(value, StreamedRef))
     if isinstance(value, Ref):
         return store[value.key]
     if isinstance(value, list | tuple):
@@ -146,7 +146,7 @@ def resolve(value: Any, store: Store) -> Any:
     return value
 
 
-def _read_late(store: Store, key: str, *, keep: bool) -> Any:
+def _read_lazily(store: Store, key: str, *, keep: bool) -> Any:
     forgetful = store if isinstance(store, _Forgetful) and not keep else None
     held = forgetful is not None and key in forgetful.held()
     try:

@@ -10,8 +10,9 @@ import numpy as np
 
 from lvba import config as settings
 from lvba import pipeline, plan
+from lvba.camera import Camera
 from lvba.dataset import Dataset
-from lvba.io import ply, result_folder
+from lvba.io import calibration, ply, result_folder
 from lvba.io.reference import Reference
 from lvba.pipeline import Config
 from lvba.plan import Plan, Store
@@ -52,6 +53,8 @@ class Result:
     pieces: MapPieces
     pictures: Pictures | None
     report: dict[str, Any]
+    camera: Camera | None = None
+    """Of the raw images, as the camera poses suppose it; None: there are none."""
 
     @cached_property
     def map(self) -> PointMap:
@@ -69,9 +72,24 @@ class Result:
             result_folder.write_poses(folder, self.dataset, self.world_from_scan, self.world_from_camera)
             if len(self.relative_exposure):
                 result_folder.write_exposures(folder, self.dataset, self.relative_exposure)
+                self._write_calibration(folder)
             self._write_map(folder / result_folder.MAP)
             result_folder.write_config(folder, settings.to_yaml(self.config))
             report.write(folder, self.report, self.pictures)
+
+    def _write_calibration(self, folder: Path) -> None:
+        assert self.camera is not None
+        refined = (self.report.get("visual") or {}).get("calibration") or {}
+        used = refined if refined.get("used") else {}
+        extrinsic = used.get("camera_from_scan", self.dataset.camera_from_scan)
+        calibration.write(
+            folder,
+            self.camera,
+            np.asarray(extrinsic, float),
+            used.get("time_offset", 0.0),
+            used.get("readout", 0.0),
+            used.get("sigma", {}),
+        )
 
     def _write_map(self, path: Path) -> None:
         origin = self.dataset.origin
@@ -106,16 +124,17 @@ def collect(dataset: Dataset, config: Config, work: Plan, store: Store) -> Resul
     facts = {"schema": 1, **store[keys["facts"]], "config": settings.to_dict(config)}
     facts["dataset"] = {"path": dataset.root, **facts["dataset"]}
     return Result(
-        dataset,
-        config,
-        accepted.world_from_scan,
-        accepted.world_from_camera,
-        np.exp(accepted.log_exposure),
-        MapPieces(
+        dataset=dataset,
+        config=config,
+        world_from_scan=accepted.world_from_scan,
+        world_from_camera=accepted.world_from_camera,
+        relative_exposure=np.exp(accepted.log_exposure),
+        pieces=MapPieces(
             store, tuple(key for name, key in keys.items() if name == "map" or name.startswith("map-"))
         ),
-        store[keys["pictures"]],
-        facts,
+        pictures=store[keys["pictures"]],
+        report=facts,
+        camera=accepted.camera,
     )
 
 

@@ -1,4 +1,4 @@
-"""Settings of version 0.1 that are none any more, with the default that each had.
+"""Settings of version 0.1 that were removed, with the default that each had.
 
 A config.yaml of that version names all of them. Where one has its old default, it is passed over: that is what runs do
 today. Any other value asked for something that runs no longer do, and is an error.
@@ -190,20 +190,40 @@ _MENDS = {
 }
 
 
+RENAMED = {
+    "visual.prior.mount_position_m": "visual.prior.extrinsic_position_m",
+    "visual.prior.mount_rotation_deg": "visual.prior.extrinsic_rotation_deg",
+}
+"""Names of earlier versions that still work, and the names that they have now."""
+
+
+def with_new_names(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """Nested mappings in which renamed settings have their new names; where both are given, the new one counts."""
+    out: dict[str, Any] = {}
+    for key, value in values.items():
+        name = RENAMED.get(f"{path}{key}")
+        if name is None:
+            out[key] = with_new_names(value, f"{path}{key}.") if isinstance(value, Mapping) else value
+        else:
+            out.setdefault(name.rsplit(".", 1)[1], value)
+    out |= {key: values[key] for key in values if key in out and not isinstance(values[key], Mapping)}
+    return out
+
+
 def mend(name: str) -> str:
     """What to do about a value that is not the old default."""
     default = DEFAULTS[name]
     return _MENDS.get(name, f"remove the line: runs use {default!r} always")
 
 
-def found(values: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
+def retired(values: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
     """Name and value of each in nested mappings."""
     for key, value in values.items():
         name = f"{path}{key}"
         if name in DEFAULTS:
             yield name, value
         elif isinstance(value, Mapping):
-            yield from found(value, f"{name}.")
+            yield from retired(value, f"{name}.")
 
 
 def without(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:

@@ -98,22 +98,41 @@ def setting(
     The metadata also has the names under which pydantic looks for a description and limits: a service that is given the
     dataclass describes it with these.
     """
-    about = About(meaning, unit, low, high, also, odd, choices, change_when, advanced)
+    about = About(
+        meaning=meaning,
+        unit=unit,
+        low=low,
+        high=high,
+        also=also,
+        odd=odd,
+        choices=choices,
+        change_when=change_when,
+        advanced=advanced,
+    )
     return dataclasses.field(default=default, metadata={_KEY: about, **_for_pydantic(about)})
 
 
 def _for_pydantic(about: About) -> dict[str, Any]:
     limits = {} if about.also else {"ge": about.low, "le": about.high}
-    more: dict[str, Any] = {"level": "advanced" if about.advanced else "basic"}
-    more |= {"unit": about.unit} if about.unit else {}
-    found = {name: value for name, value in limits.items() if value is not None}
-    return {"description": about.text, "json_schema_extra": more, **found}
+    more = {
+        "level": "advanced" if about.advanced else "basic",
+        "unit": about.unit,
+        "meaning": about.meaning,
+        "range": "" if about.choices else about.allowed,
+        "change_when": about.change_when,
+    }
+    given = {name: value for name, value in limits.items() if value is not None}
+    return {
+        "description": about.text,
+        "json_schema_extra": {name: text for name, text in more.items() if text},
+        **given,
+    }
 
 
 def about(field: "dataclasses.Field[Any]") -> About | None:
     """The description of a dataclass field; None: it is no setting, but a group of them."""
-    found = field.metadata.get(_KEY)
-    return found if isinstance(found, About) else None
+    known = field.metadata.get(_KEY)
+    return known if isinstance(known, About) else None
 
 
 def check(config: Any) -> None:

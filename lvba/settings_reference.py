@@ -15,6 +15,8 @@ from lvba.settings import Setting
 _HEAD = """\
 # Settings of a run
 
+*Reference.* Every setting of a run, with meaning, unit and range.
+
 Every setting has a default that is meant for all recordings. Set one by `--set visual.levels=3`, by a file for
 `--config`, in the `config` of a job, or in Python:
 
@@ -47,13 +49,13 @@ def text() -> str:
 
 
 def _groups(every: list[Setting]) -> str:
-    found: dict[str, list[Setting]] = {}
+    groups: dict[str, list[Setting]] = {}
     for each in every:
-        found.setdefault(each.name.partition(".")[0] if "." in each.name else "", []).append(each)
-    kinds = {group: settings.summary(type(getattr(Config(), group))) for group in found if group}
+        groups.setdefault(each.name.partition(".")[0] if "." in each.name else "", []).append(each)
+    kinds = {group: settings.summary(type(getattr(Config(), group))) for group in groups if group}
     return "".join(
         (f"\n### {group}\n\n{kinds[group]}\n\n" if group else "\n") + _table(members)
-        for group, members in found.items()
+        for group, members in groups.items()
     )
 
 

@@ -4,13 +4,14 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from lvba import geometry, trajectory
+from lvba.arrays import Times
 from lvba.trajectory import Trajectory
 
 FEWEST_SAMPLES = 5
 """Of a trajectory, for anything here."""
 
 
-def through(samples: Trajectory, times: np.ndarray) -> np.ndarray:
+def through(samples: Trajectory, times: Times) -> np.ndarray:
     """Poses (Q, 4, 4) at times (Q,) by twice differentiable cubic splines; beyond the ends, those there.
 
     Rotations by splines of the quaternions' components: a spline that does not accelerate at its ends (as of rotation
@@ -21,13 +22,13 @@ def through(samples: Trajectory, times: np.ndarray) -> np.ndarray:
     opposite = np.cumsum((turn[1:] * turn[:-1]).sum(1) < 0) % 2 == 1
     turn[1:][opposite] *= -1.0
     position = samples.world_from_sensor[:, :3, 3]
-    found = CubicSpline(samples.times, np.concatenate([turn, position], axis=1))(clamped)
-    turn = found[:, :4] / np.linalg.norm(found[:, :4], axis=1, keepdims=True)
-    return geometry.from_quaternion_translation(turn, found[:, 4:])
+    components = CubicSpline(samples.times, np.concatenate([turn, position], axis=1))(clamped)
+    turn = components[:, :4] / np.linalg.norm(components[:, :4], axis=1, keepdims=True)
+    return geometry.from_quaternion_translation(turn, components[:, 4:])
 
 
-def end_effect(samples: Trajectory, times: np.ndarray) -> np.ndarray:
-    """(Q,): what part of what is `missed` the splines are off at least, because they know nothing beyond their ends.
+def boundary_error(samples: Trajectory, times: Times) -> np.ndarray:
+    """(Q,): least error of the splines near their ends, as a fraction of the `leave_one_out_error`.
 
     A quarter between the first two samples and between the last two: there they are the cubic through four samples on one
     side. By 2 - sqrt(3) less from one interval to the next: so falls the influence of a sample on a cubic spline.
@@ -36,11 +37,11 @@ def end_effect(samples: Trajectory, times: np.ndarray) -> np.ndarray:
     return np.asarray(0.25 * (2 - np.sqrt(3.0)) ** np.minimum(before, len(samples) - 2 - before))
 
 
-def missed(samples: Trajectory, times: np.ndarray) -> np.ndarray:
-    """(Q, 2): by how much (rad, m) a sample at each time may be missed that is predicted from its neighbors.
+def leave_one_out_error(samples: Trajectory, times: Times) -> np.ndarray:
+    """(Q, 2): error (rad, m) of a sample at each time that is predicted from its neighbors.
 
-    Read off the samples about it: each is predicted from two neighbors on either side. Interpolation is off by a part of
-    that: most half way between samples, where it is given in full, and not at all at one.
+    From the samples around that time, each predicted from two neighbors on either side. The interpolation error is a
+    fraction of it: largest half way between samples, where it is given in full, and zero at a sample.
     """
     each = _leave_one_out(samples)
     before, fraction = trajectory.bracket(samples.times, times)

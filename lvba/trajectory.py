@@ -8,6 +8,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from lvba import geometry
+from lvba.arrays import Pose, Poses, Times
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Trajectory:
         return len(self.times)
 
 
-def bracket(times: np.ndarray, queries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def bracket(times: Times, queries: Times) -> tuple[np.ndarray, np.ndarray]:
     """For each query, the index (Q,) of the sample before it and its fraction (Q,) to the next; clamped at the ends."""
     if len(times) == 1:
         return np.zeros(len(queries), np.int64), np.zeros(len(queries))
@@ -34,7 +35,7 @@ def bracket(times: np.ndarray, queries: np.ndarray) -> tuple[np.ndarray, np.ndar
     return before, np.clip(fraction, 0.0, 1.0)
 
 
-def interpolate_corrections(rough: Trajectory, refined: np.ndarray, times: np.ndarray) -> np.ndarray:
+def interpolate_corrections(rough: Trajectory, refined: Poses, times: Times) -> np.ndarray:
     """World corrections `refined @ rough^-1` at other times, (Q, 4, 4); constant beyond the ends.
 
     refined: (N, 4, 4), poses at rough.times. Source: Li et al., eq. (1), made continuous (the paper takes the
@@ -48,7 +49,7 @@ def interpolate_corrections(rough: Trajectory, refined: np.ndarray, times: np.nd
     return refined_at @ geometry.inverse(rough_at)
 
 
-def sample(trajectory: Trajectory, times: np.ndarray) -> np.ndarray:
+def sample(trajectory: Trajectory, times: Times) -> np.ndarray:
     """Poses at other times, (Q, 4, 4): cubic spline in position, shortest arc in rotation; clamped at the ends."""
     before, fraction = bracket(trajectory.times, times)
     after = np.minimum(before + 1, len(trajectory) - 1)
@@ -61,7 +62,7 @@ def sample(trajectory: Trajectory, times: np.ndarray) -> np.ndarray:
     return poses
 
 
-def align(estimate: np.ndarray, reference: np.ndarray, rounds: int = 5) -> np.ndarray:
+def align(estimate: Poses, reference: Poses, rounds: int = 5) -> np.ndarray:
     """`reference_from_estimate` (4, 4), the rigid motion that brings poses closest; no scale.
 
     estimate, reference: (N, 4, 4), same order. Positions and orientations both count, each by its own spread about the
@@ -96,7 +97,7 @@ class Alignment:
 _LEVER_M = 1.0
 
 
-def align_for_errors(estimate: np.ndarray, reference: np.ndarray) -> Alignment:
+def align_for_errors(estimate: Poses, reference: Poses) -> Alignment:
     """The alignment that errors against a reference are counted after; no scale.
 
     estimate, reference: (N, 4, 4), same order. By positions alone (Umeyama), as is usual, where the reference path
@@ -142,9 +143,7 @@ class PoseError:
     frames: int
 
 
-def pose_error(
-    estimate: np.ndarray, reference: np.ndarray, *, aligned: np.ndarray | None = None
-) -> PoseError:
+def pose_error(estimate: Poses, reference: Poses, *, aligned: Pose | None = None) -> PoseError:
     """Errors of (N, 4, 4) poses against (N, 4, 4) reference poses.
 
     aligned: the (4, 4) `reference_from_estimate` to use, for example that of the LiDAR map for cameras; None: found here.

@@ -100,6 +100,6 @@ def too_slow() -> Problem:
 def first_errors(errors: Sequence[Any]) -> list[dict[str, str]]:
     """What pydantic found, as the API tells it: some of it, where it is much."""
     return [
-        {"where": ".".join(str(part) for part in found["loc"]), "message": found["msg"]}
-        for found in errors[:_ERRORS]
+        {"where": ".".join(str(part) for part in error["loc"]), "message": error["msg"]}
+        for error in errors[:_ERRORS]
     ]

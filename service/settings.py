@@ -172,16 +172,16 @@ def _check_network(text: str) -> None:
 
 
 def _from_environment(kind: Any, prefix: str, environment: Mapping[str, str]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for item in dataclasses.fields(kind):
         name = prefix + item.name.upper()
         if item.name == "limits":
-            found["limits"] = _from_environment(Limits, name + "_", environment)
+            values["limits"] = _from_environment(Limits, name + "_", environment)
         elif name in environment:
-            found[item.name] = environment[name]
+            values[item.name] = environment[name]
         elif name + "_FILE" in environment:
-            found[item.name] = _content(name + "_FILE", Path(environment[name + "_FILE"]))
-    return found
+            values[item.name] = _content(name + "_FILE", Path(environment[name + "_FILE"]))
+    return values
 
 
 def _content(name: str, file: Path) -> str:

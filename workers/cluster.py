@@ -164,9 +164,9 @@ class Execution:
     def _take_news(self) -> None:
         """What was told since the last call, or within a moment from now; a step that is done ends the wait."""
         with suppress(Empty):
-            self._tell(self._news.get(timeout=_WAIT_SECONDS))
+            self._show_event(self._news.get(timeout=_WAIT_SECONDS))
             while True:
-                self._tell(self._news.get_nowait())
+                self._show_event(self._news.get_nowait())
         self._say_if_lonely()
 
     def _settle_what_is_done(self) -> None:
@@ -246,7 +246,7 @@ class Execution:
 
     # what people see
 
-    def _tell(self, event: dict[str, Any] | None) -> None:
+    def _show_event(self, event: dict[str, Any] | None) -> None:
         if event is None:
             return
         self._heard = time.monotonic()

@@ -1,11 +1,12 @@
 """Artifacts as JSON and named arrays, and back: the same value, the same types, the same bytes.
 
-Handles None, bool, int, float, str, numpy scalars and arrays, lists, tuples, dicts and dataclasses of lvba,
+Handles None, bool, int, float, str, numpy scalars and arrays, lists, tuples, dicts, dataclasses and enums of lvba,
 nested in any way.
 """
 
 import base64
 import dataclasses
+import enum
 import importlib
 import math
 from typing import Any
@@ -25,6 +26,8 @@ def encode(value: Any, arrays: dict[str, np.ndarray], name: str = "value") -> An
 
     Raises TypeError: a value that cannot be stored.
     """
+    if isinstance(value, enum.Enum):
+        return {"$enum": _name_of(value, name), "value": encode(value.value, arrays, name)}
     if value is None or (isinstance(value, bool | int | str) and not isinstance(value, np.generic)):
         return value
     if isinstance(value, np.ndarray):
@@ -69,6 +72,8 @@ def decode(data: Any, arrays: Any) -> Any:
         return tuple(decode(item, arrays) for item in data["$tuple"])
     if "$dict" in data:
         return {decode(key, arrays): decode(item, arrays) for key, item in data["$dict"]}
+    if "$enum" in data:
+        return _member(find_class(data["$enum"]), decode(data["value"], arrays))
     if "$object" in data:
         fields = {key: decode(item, arrays) for key, item in data["fields"].items()}
         return _make(find_class(data["$object"]), fields)
@@ -76,22 +81,22 @@ def decode(data: Any, arrays: Any) -> Any:
 
 
 def find_class(name: str) -> type:
-    """The dataclass called `module:qualified.name`, inside lvba only.
+    """The dataclass or enum called `module:qualified.name`, inside lvba only.
 
-    Raises ArtifactError: elsewhere, gone, or no dataclass.
+    Raises ArtifactError: elsewhere, gone, or neither.
     """
     module, _, path = name.partition(":")
     if module != PACKAGE and not module.startswith(PACKAGE + "."):
         raise ArtifactError(f"{name} is no class of {PACKAGE}")
     try:
-        found: Any = importlib.import_module(module)
+        target: Any = importlib.import_module(module)
         for part in path.split("."):
-            found = getattr(found, part)
+            target = getattr(target, part)
     except (ImportError, AttributeError):
         raise ArtifactError(f"{name} does not exist in this version") from None
-    if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
+    if not (isinstance(target, type) and (dataclasses.is_dataclass(target) or issubclass(target, enum.Enum))):
         raise ArtifactError(f"{name} is no dataclass")
-    return found
+    return target
 
 
 def _encode_array(value: np.ndarray, arrays: dict[str, np.ndarray], name: str) -> Any:
@@ -114,15 +119,28 @@ def _encode_dict(value: dict[Any, Any], arrays: dict[str, np.ndarray], name: str
 
 
 def _encode_object(value: Any, arrays: dict[str, np.ndarray], name: str) -> Any:
-    kind = f"{type(value).__module__}:{type(value).__qualname__}"
-    if not kind.startswith((PACKAGE + ".", PACKAGE + ":")):
-        raise TypeError(f"{name}: a {type(value).__qualname__} of {type(value).__module__} cannot be stored")
+    kind = _name_of(value, name)
     fields = {
         f.name: encode(getattr(value, f.name), arrays, f"{name}.{f.name}")
         for f in dataclasses.fields(value)
         if f.init
     }
     return {"$object": kind, "fields": fields}
+
+
+def _name_of(value: Any, name: str) -> str:
+    """`module:qualified.name` of the value's class, which is one of lvba."""
+    kind = f"{type(value).__module__}:{type(value).__qualname__}"
+    if not kind.startswith((PACKAGE + ".", PACKAGE + ":")):
+        raise TypeError(f"{name}: a {type(value).__qualname__} of {type(value).__module__} cannot be stored")
+    return kind
+
+
+def _member(kind: type, value: Any) -> Any:
+    try:
+        return kind(value)
+    except (TypeError, ValueError) as error:
+        raise ArtifactError(f"{kind.__qualname__} has no {value!r}: {error}") from None
 
 
 def _make(kind: type, fields: dict[str, Any]) -> Any:

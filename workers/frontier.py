@@ -67,11 +67,11 @@ class Frontier:
 
 def heights(needs: dict[str, list[str]]) -> dict[str, int]:
     """For each step how many others follow it at least one after another; needs: of each, in an order that can run."""
-    found = dict.fromkeys(needs, 0)
+    heights_by_key = dict.fromkeys(needs, 0)
     for key in reversed(needs):
         for needed in needs[key]:
-            found[needed] = max(found[needed], found[key] + 1)
-    return found
+            heights_by_key[needed] = max(heights_by_key[needed], heights_by_key[key] + 1)
+    return heights_by_key
 
 
 def _users(needs: dict[str, list[str]]) -> dict[str, list[str]]:

@@ -1,7 +1,6 @@
 """What a worker process may use: one step at a time, its share of the threads, its share of the memory."""
 
 import contextlib
-import ctypes
 import logging
 import signal
 from typing import Any
@@ -50,16 +49,6 @@ def quiet() -> None:
 def memory_share(processes: int) -> int:
     """Bytes for each of so many worker processes on this machine (or within this container's limit)."""
     return int(MEMORY_LIMIT / processes)
-
-
-def give_back_memory() -> None:
-    """Return to the system what this process has freed, where the C library can (glibc).
-
-    It would do so by itself only at the end of its heap. Not for every step: to get pages anew takes a tenth of a
-    second for each half gigabyte.
-    """
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 class Limits(WorkerPlugin):

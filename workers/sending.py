@@ -83,8 +83,8 @@ def is_recording(key: str) -> bool:
 
 def receive(outline: str, key: str, function: Callable[..., Any]) -> Step:
     """The step that was sent."""
-    found = codec.decode(json.loads(outline), {})
-    return Step(found["name"], key, function, tuple(found["args"]), found["kwargs"])
+    fields = codec.decode(json.loads(outline), {})
+    return Step(fields["name"], key, function, tuple(fields["args"]), fields["kwargs"])
 
 
 def _holds_refs(value: Any) -> bool:

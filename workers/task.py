@@ -13,20 +13,19 @@ from distributed import get_worker
 from lvba.errors import InputError
 from lvba.io import no_links
 from lvba.plan import MissingError, Step
-from workers import limits, local, sending, versions
+from workers import local, sending, versions
 from workers.store import ZarrStore
 from workers.url_store import open_store
 
 _ALONE = threading.Lock()
 """numba's simplest threading layer ends the process when two threads enter it: one step at a time in each process."""
 _kept: dict[str, Any] = {}
-"""Arguments of the last step, and the last recording (or part of one) that a step needed: images are kept in memory as
-long as that lives, and those of one part at a time."""
+"""Arguments of the last step, and the last recording (or part of one) that a step needed."""
 _seen: dict[str, str] = {}
 """The store that this process worked on last, and the plan that it found there."""
 _MANY = 8
 """Inputs: a step that is made from more stands for all parts, and may need memory that steps of single parts left."""
-_TELL_SECONDS = _LOOK_SECONDS = 0.25
+_REPORT_S = _LOOK_SECONDS = 0.25
 _PATIENCE_SECONDS = 1.25
 
 
@@ -68,7 +67,7 @@ def make(
             return {"missing": missing}
         _keep(step, store)
         if len(step.needs) > _MANY:
-            limits.give_back_memory()
+            local.give_back_memory()
         try:
             return {"record": asdict(local.make(step, store, report, version))}
         except MissingError as gone:
@@ -108,19 +107,19 @@ class Reporter:
         self._task = self._worker.get_current_task()
         self._topic, self._step = topic, step
         self._what: str | None = None
-        self._began = self._told = 0.0
+        self._began = self._reported = 0.0
 
     def __call__(self, what: str, done: int, total: int) -> None:
         if self.is_unwanted():
             raise UnwantedError(self._step)
         now = time.monotonic()
         if what != self._what:
-            self._what, self._began, self._told = what, now, 0.0
-        if now - self._told >= _TELL_SECONDS:
-            self._told = now
-            self._tell({"what": what, "done": done, "total": total, "seconds": round(now - self._began, 3)})
+            self._what, self._began, self._reported = what, now, 0.0
+        if now - self._reported >= _REPORT_S:
+            self._reported = now
+            self._report({"what": what, "done": done, "total": total, "seconds": round(now - self._began, 3)})
 
-    def _tell(self, facts: dict[str, Any]) -> None:
+    def _report(self, facts: dict[str, Any]) -> None:
         self._worker.log_event(self._topic, {"step": self._step, "process": os.getpid(), **facts})
 
     def is_unwanted(self) -> bool:

@@ -82,8 +82,8 @@ class UrlStore(ZarrStore):
 
     def __iter__(self) -> Iterator[str]:
         with suppress(FileNotFoundError):
-            found = self._files.ls(self._root, detail=True)
-            names = (entry["name"].rstrip("/").rsplit("/", 1)[-1] for entry in found if _is_folder(entry))
+            entries = self._files.ls(self._root, detail=True)
+            names = (entry["name"].rstrip("/").rsplit("/", 1)[-1] for entry in entries if _is_folder(entry))
             yield from sorted(name for name in names if name[0] != ".")
 
     def release(self, key: str) -> None:
@@ -183,10 +183,10 @@ class _Lease:
 
     def _read(self) -> dict[str, Any]:
         try:
-            found = json.loads(self._files.cat_file(self._path))
+            lease = json.loads(self._files.cat_file(self._path))
         except (FileNotFoundError, ValueError):
             return {}
-        return found if isinstance(found, dict) else {}
+        return lease if isinstance(lease, dict) else {}
 
 
 def _is_held(lease: dict[str, Any]) -> bool:

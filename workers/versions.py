@@ -13,13 +13,13 @@ _DECIDES_NOTHING = ("simulate",)
 @cache
 def versions() -> dict[str, str]:
     """Versions of Python, this package and what it computes with."""
-    found = {"python": platform.python_version(), "source": source_digest()[:16]}
+    versions_by_name = {"python": platform.python_version(), "source": source_digest()[:16]}
     for name in _PACKAGES:
         try:
-            found[name] = metadata.version(name)
+            versions_by_name[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+            versions_by_name[name] = "not installed"
+    return versions_by_name
 
 
 @cache

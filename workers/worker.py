@@ -30,12 +30,12 @@ def serve(address: str, security: Security, memory_bytes: int | None, say: Calla
 
 
 async def _serve(address: str, security: Security, memory_bytes: int, say: Callable[[str], None]) -> None:
-    told = asyncio.Event()
+    stop_requested = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, told.set)
-    stop = asyncio.create_task(told.wait())
+        asyncio.get_running_loop().add_signal_handler(number, stop_requested.set)
+    stop = asyncio.create_task(stop_requested.wait())
     say(f"waiting for the scheduler at {address}")
-    while not told.is_set():
+    while not stop_requested.is_set():
         await _one_life(address, security, memory_bytes, stop, say)
         await asyncio.wait([stop], timeout=_PAUSE_SECONDS)
     # a nanny that was just starting a process would wait for it, and this process for the nanny

@@ -30,8 +30,8 @@ def run(name: str, recording: Path, out: Path, reference: Path | None, options: 
     )  # fmt: skip
     store = open_store(str(result_folder.prepare(out) / "stages"))
     records = local.run(work, store)
-    found = result.collect(dataset, config, work, store)
-    result.with_run(found, records, versions.versions(), name).write(out)
+    outcome = result.collect(dataset, config, work, store)
+    result.with_run(outcome, records, versions.versions(), name).write(out)
 
 
 def main() -> None:

@@ -5,7 +5,7 @@ import numpy as np
 from lvba.lidar.config import LidarConfig, Stage
 from lvba.lidar.voxel_map import PlaneTest
 
-PLANE_TEST = PlaneTest(excess=np.inf, spread=0.0, max_tilt=np.inf, two_sided=False)
+PLANE_TEST = PlaneTest(max_residual_growth=np.inf, spread=0.0, max_tilt=np.inf, two_sided=False)
 """Coarse planes are trusted, and both sides of a wall are one plane."""
 CONFIG = LidarConfig(prior_translation=10.0, prior_rotation=1.0, dense_points=0)
 """No prior to speak of, and no finer cells."""
@@ -20,7 +20,7 @@ def stage(root: float = 2.0) -> Stage:
         steps=10,
         exact=True,
         systematic=0.0,
-        hold=False,
+        project_degenerate=False,
         oblique_grid=False,
         weight_passes=0,
     )

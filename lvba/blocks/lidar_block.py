@@ -12,11 +12,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lvba import geometry
+from lvba.arrays import Indices, Pose, Poses, Vector, Vectors
 from lvba.kernels import voxel as kernel
 from lvba.lidar import degeneracy, plane_factor, voxel_map
 from lvba.lidar.config import Stage
 from lvba.lidar.plane_feature import fit
-from lvba.lidar.point_cluster import PointClusters, split
+from lvba.lidar.point_cluster import PointClusters
 from lvba.lidar.scan import Scans, gather
 from lvba.lidar.voxel_map import Level, VoxelMap
 from lvba.lidar.weights import observation_weights
@@ -38,13 +39,13 @@ class Regions:
     position: np.ndarray
     owner: np.ndarray
 
-    def of(self, points: np.ndarray) -> np.ndarray:
+    def of(self, points: Vectors) -> np.ndarray:
         """The owner (N,) of points (N, 3)."""
         return np.asarray(self.owner[cKDTree(self.position).query(points)[1]])
 
 
 @dataclass(frozen=True)
-class Share:
+class BlockClusters:
     """The finest cells of one region.
 
     scans: (L,) int64, ascending, the recording's scans that have points here
@@ -60,18 +61,25 @@ class Share:
     clusters: PointClusters
     grid_from_world: np.ndarray
 
-    def grid(self, world_from_scan: np.ndarray, largest: float) -> VoxelMap:
+    def grid(self, world_from_scan: Poses, largest: float) -> VoxelMap:
         """All levels up to cells of edge `largest`, for the poses (L, 4, 4) of `scans`."""
-        level = Level(self.size, self.key, self.starts, self.entry_scan, self.clusters, np.zeros(0, np.int64))
+        level = Level(
+            size=self.size,
+            key=self.key,
+            starts=self.starts,
+            scan=self.entry_scan,
+            clusters=self.clusters,
+            entry_of=np.zeros(0, np.int64),
+        )
         none = np.zeros(len(self.scans) + 1, np.int64)
         return VoxelMap((level,), world_from_scan, np.zeros(0, np.int32), none).up_to(largest)
 
 
 @dataclass(frozen=True)
-class ShareEquations:
+class BlockEquations:
     """What one share says about the poses of its scans.
 
-    scans: (L,) as in `Share`; equations: over these, 6 unknowns each, local tangent
+    scans: (L,) as in `BlockClusters`; equations: over these, 6 unknowns each, local tangent
     information, noise_information: (L, 6, 6), of the planes about each scan, over sigma^2, world axes (see `degeneracy`)
     planes, observations, points: how many; sigma: m, of a point about its plane
     """
@@ -95,16 +103,16 @@ def candidates(regions: Regions, part: int, reach: float) -> np.ndarray:
 
 def collect(
     load: Callable[[list[int]], list[np.ndarray]],
-    scans: np.ndarray,
-    world_from_scan: np.ndarray,
+    scans: Indices,
+    world_from_scan: Poses,
     regions: Regions,
     part: int,
     *,
     size: float,
     largest: float,
-    grid_from_world: np.ndarray,
+    grid_from_world: Pose,
     progress: Progress = silent,
-) -> Share:
+) -> BlockClusters:
     """The share of a part.
 
     load: numbers of scans -> their points (N, 3) float32, scan frame
@@ -115,13 +123,12 @@ def collect(
     poses = grid_from_world @ world_from_scan[scans]
     origin = voxel_map.grid_origin(poses[:, :3, 3], size)
     world_from_grid = geometry.inverse(grid_from_world[None])[0]
-    found: list[tuple[np.ndarray, np.ndarray, PointClusters]] = []
+    pieces: list[tuple[np.ndarray, np.ndarray, PointClusters]] = []
     for begin, points in _chunks(load, scans):
         progress("collecting cells", begin, len(scans))
         here = slice(begin, begin + len(points))
-        rotation, translation = split(poses[here])
         local, keys, cells = kernel.assign(
-            points.points, points.offsets, rotation, translation - origin, size
+            points.points, points.offsets, voxel_map.at_origin(poses[here], origin), size
         )
         key = np.concatenate([keys[o : o + n] for o, n in zip(points.offsets[:-1], cells, strict=True)])
         scan = np.repeat(np.arange(begin, begin + len(points), dtype=np.int32), cells)
@@ -131,8 +138,8 @@ def collect(
                 points.points, points.offsets, local, _starts(cells), np.arange(len(key), dtype=np.int64)
             )
         )
-        found.append((key[mine], scan[mine], clusters.take(mine)))
-    return _share(found, scans, size, grid_from_world)
+        pieces.append((key[mine], scan[mine], clusters.take(mine)))
+    return _share(pieces, scans, size, grid_from_world)
 
 
 def _chunks(load: Callable[[list[int]], list[np.ndarray]], scans: np.ndarray) -> Iterator[tuple[int, Scans]]:
@@ -161,79 +168,92 @@ def _owned(
 
 
 def _share(
-    found: list[tuple[np.ndarray, np.ndarray, PointClusters]],
+    pieces: list[tuple[np.ndarray, np.ndarray, PointClusters]],
     scans: np.ndarray,
     size: float,
     grid_from_world: np.ndarray,
-) -> Share:
+) -> BlockClusters:
     """One share of what all chunks of scans brought, by cell and scan; scans without points in it are left out."""
-    key = np.concatenate([np.zeros(0, np.int64), *(part[0] for part in found)])
-    scan = np.concatenate([np.zeros(0, np.int32), *(part[1] for part in found)])
+    key = np.concatenate([np.zeros(0, np.int64), *(part[0] for part in pieces)])
+    scan = np.concatenate([np.zeros(0, np.int32), *(part[1] for part in pieces)])
     order = np.lexsort((scan, key))
     key, scan = key[order], scan[order]
     seen, local = np.unique(scan, return_inverse=True)
     cells, first = np.unique(key, return_index=True)
     clusters = PointClusters(
         *(
-            np.concatenate([getattr(part[2], name) for part in found])[order]
+            np.concatenate([getattr(part[2], name) for part in pieces])[order]
             for name in ("count", "mean", "scatter")
         )
     )
-    return Share(
-        scans[seen],
-        size,
-        cells,
-        np.append(first, len(key)).astype(np.int64),
-        local.astype(np.int32),
-        clusters,
-        grid_from_world,
+    return BlockClusters(
+        scans=scans[seen],
+        size=size,
+        key=cells,
+        starts=np.append(first, len(key)).astype(np.int64),
+        entry_scan=local.astype(np.int32),
+        clusters=clusters,
+        grid_from_world=grid_from_world,
     )
 
 
-def linearize(share: Share, world_from_scan: np.ndarray, sensor: np.ndarray, stage: Stage) -> ShareEquations:
+def linearize(
+    clusters: BlockClusters, world_from_scan: Poses, sensor: Vector, stage: Stage
+) -> BlockEquations:
     """The planes of a share found at poses (S, 4, 4) of the whole recording, and their normal equations there.
 
     sensor: (3,), m, where the LiDAR is in the scan frame. Gauss-Newton, planes eliminated.
     """
-    poses = np.ascontiguousarray(world_from_scan[share.scans])
-    count = len(share.scans)
+    poses = np.ascontiguousarray(world_from_scan[clusters.scans])
+    count = len(clusters.scans)
     features = (
-        voxel_map.find_planes(share.grid(poses, stage.sizes[-1]), poses, sensor, stage.plane_test).features
+        voxel_map.find_planes(clusters.grid(poses, stage.sizes[-1]), poses, sensor, stage.plane_test).features
         if count
         else None
     )
     if features is None or len(features) == 0:
         none = np.zeros((count, 6, 6))
-        return ShareEquations(share.scans, _no_equations(count), none, none, 0, 0, 0.0, 0.0)
-    found = observation_weights(features, poses, stage.systematic, stage.weight_passes)
-    features = features.with_weight(found.weight)
+        return BlockEquations(
+            scans=clusters.scans,
+            equations=_no_equations(count),
+            information=none,
+            noise_information=none,
+            planes=0,
+            observations=0,
+            points=0.0,
+            sigma=0.0,
+        )
+    weighted = observation_weights(features, poses, stage.systematic, stage.weight_passes)
+    features = features.with_weight(weighted.weight)
     fits = fit(features, poses)
     information, noise = degeneracy.information(features, fits, poses)
-    return ShareEquations(
-        share.scans,
-        plane_factor.linearize(features, poses, found.sigma, fits, exact=False),
-        information / found.sigma**2,
-        noise / found.sigma**2,
-        len(features),
-        len(features.scan),
-        float(features.clusters.count.sum()),
-        found.sigma,
+    return BlockEquations(
+        scans=clusters.scans,
+        equations=plane_factor.linearize(features, poses, weighted.sigma, fits, exact=False),
+        information=information / weighted.sigma**2,
+        noise_information=noise / weighted.sigma**2,
+        planes=len(features),
+        observations=len(features.scan),
+        points=float(features.clusters.count.sum()),
+        sigma=weighted.sigma,
     )
 
 
 def _no_equations(count: int) -> NormalEquations:
     none = np.zeros(0, np.int32)
-    return NormalEquations(none, none, np.zeros((0, 6, 6)), np.zeros((count, 6)), 0.0)
+    return NormalEquations(
+        rows=none, columns=none, blocks=np.zeros((0, 6, 6)), gradient=np.zeros((count, 6)), cost=0.0
+    )
 
 
-def summed(found: Iterable[ShareEquations]) -> ShareEquations | None:
+def summed(blocks: Iterable[BlockEquations]) -> BlockEquations | None:
     """What all shares say together, the planes' noise as of a typical point; None: there are none.
 
     Shares are asked for one after another and added up in pairs, then pairs of pairs: in a fixed order, few of them are
     in memory at a time, and each block is copied as often as the logarithm of their number.
     """
-    sums: list[tuple[int, ShareEquations]] = []
-    for each in found:
+    sums: list[tuple[int, BlockEquations]] = []
+    for each in blocks:
         sums.append((0, each))
         while len(sums) > 1 and sums[-1][0] == sums[-2][0]:
             (_, later), (rank, earlier) = sums.pop(), sums.pop()
@@ -244,7 +264,7 @@ def summed(found: Iterable[ShareEquations]) -> ShareEquations | None:
     return sums[0][1] if sums else None
 
 
-def _both(a: ShareEquations, b: ShareEquations) -> ShareEquations:
+def _both(a: BlockEquations, b: BlockEquations) -> BlockEquations:
     scans = np.union1d(a.scans, b.scans)
     places = [np.searchsorted(scans, each.scans) for each in (a, b)]
     information, noise = np.zeros((2, len(scans), 6, 6))
@@ -252,28 +272,30 @@ def _both(a: ShareEquations, b: ShareEquations) -> ShareEquations:
         information[place] += each.information
         noise[place] += each.noise_information
     points = a.points + b.points
-    return ShareEquations(
-        scans,
-        normal_equations.scattered([(places[0], a.equations), (places[1], b.equations)], len(scans)),
-        information,
-        noise,
-        a.planes + b.planes,
-        a.observations + b.observations,
-        points,
-        (a.sigma * a.points + b.sigma * b.points) / max(points, 1.0),
+    return BlockEquations(
+        scans=scans,
+        equations=normal_equations.scattered(
+            [(places[0], a.equations), (places[1], b.equations)], len(scans)
+        ),
+        information=information,
+        noise_information=noise,
+        planes=a.planes + b.planes,
+        observations=a.observations + b.observations,
+        points=points,
+        sigma=(a.sigma * a.points + b.sigma * b.points) / max(points, 1.0),
     )
 
 
-def over_all(found: ShareEquations, count: int) -> ShareEquations:
+def over_all(block: BlockEquations, count: int) -> BlockEquations:
     """The same over all of `count` scans; those that no plane sees do not occur in the equations."""
-    if len(found.scans) == count:
-        return found
+    if len(block.scans) == count:
+        return block
     information, noise = np.zeros((2, count, 6, 6))
-    information[found.scans], noise[found.scans] = found.information, found.noise_information
-    equations = normal_equations.scattered([(found.scans, found.equations)], count)
+    information[block.scans], noise[block.scans] = block.information, block.noise_information
+    equations = normal_equations.scattered([(block.scans, block.equations)], count)
     return replace(
-        found,
-        scans=np.arange(count, dtype=found.scans.dtype),
+        block,
+        scans=np.arange(count, dtype=block.scans.dtype),
         equations=equations,
         information=information,
         noise_information=noise,

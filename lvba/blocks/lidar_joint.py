@@ -8,15 +8,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lvba import geometry
+from lvba.arrays import Poses
 from lvba.blocks import lidar_block
-from lvba.blocks.lidar_block import ShareEquations
+from lvba.blocks.lidar_block import BlockEquations
 from lvba.errors import DegenerateProblemError
 from lvba.lidar import degeneracy
 from lvba.lidar.config import LidarConfig, Stage
 from lvba.lidar.covariance import alignment
-from lvba.lidar.degeneracy import Weakness
+from lvba.lidar.degeneracy import DegenerateDirections
 from lvba.lidar.odometry_factor import OdometryPrior, odometry_prior, reestimated
-from lvba.lidar.problem import retract
 from lvba.optim import levenberg_marquardt, linear_solver
 from lvba.optim.normal_equations import NormalEquations
 
@@ -44,17 +45,17 @@ class JointState:
     """Where all scans are, and what the next round needs.
 
     world_from_scan: (S, 4, 4); prior: odometry; damping: of the next step
-    settled: the last stage whose poses stand still, -1: none
+    converged_stage: the last stage whose poses stand still, -1: none
     """
 
     world_from_scan: np.ndarray
     prior: OdometryPrior
     damping: float = 0.0
-    settled: int = -1
+    converged_stage: int = -1
     history: tuple[JointRound, ...] = ()
 
 
-def begin(rough: np.ndarray, world_from_scan: np.ndarray, config: LidarConfig) -> JointState:
+def begin(rough: Poses, world_from_scan: Poses, config: LidarConfig) -> JointState:
     """The state of merged poses (S, 4, 4); odometry from the rough ones (S, 4, 4)."""
     prior = odometry_prior(rough, config.prior_rotation, config.prior_translation)
     everything = np.ones(len(rough), bool)
@@ -63,56 +64,63 @@ def begin(rough: np.ndarray, world_from_scan: np.ndarray, config: LidarConfig) -
 
 
 def step(
-    state: JointState, found: ShareEquations, number: int, stage: Stage, config: LidarConfig
+    state: JointState, whole: BlockEquations, number: int, stage: Stage, config: LidarConfig
 ) -> JointState:
     """The state after one round: the sum of all shares, solved.
 
     number: of the stage. A state that stands still in this stage comes back as it is.
     """
-    if state.settled >= number:
+    if state.converged_stage >= number:
         return state
     scans = len(state.world_from_scan)
-    equations, weakness = assemble(state, found, config)
-    cost = 2.0 * found.equations.cost / max(found.points, 1.0)
-    facts = (number, found.planes, found.observations, cost, found.sigma)
-    weak_scans = int(np.count_nonzero(weakness.count))
+    equations, directions = assemble(state, whole, config)
+    cost = 2.0 * whole.equations.cost / max(whole.points, 1.0)
     change = _solve(equations, state.damping, config)
-    moved = retract(state.world_from_scan, change)
+    moved = geometry.retract(state.world_from_scan, change)
     distance = _moved(moved, state.world_from_scan)
-    if _grows(state, distance, number, stage):
-        entry = JointRound(*facts, distance, weak_scans, True)
+    entry = JointRound(
+        stage=number,
+        planes=whole.planes,
+        observations=whole.observations,
+        cost=cost,
+        sigma=whole.sigma,
+        moved=distance,
+        weak_scans=int(np.count_nonzero(directions.count)),
+        refused=_grows(state, distance, number, stage),
+    )
+    if entry.refused:
         damping = levenberg_marquardt.raised(state.damping)
         return replace(state, damping=damping, history=(*state.history, entry))
     gain = abs(float(np.sum(equations.gradient * change))) / (6 * scans)
-    still = distance < stage.settled or gain < stage.least_gain
-    held = weakness.count == 0
+    still = distance < stage.pose_tolerance or gain < stage.cost_tolerance
+    held = directions.count == 0
     prior = reestimated(state.prior, moved, held, config.prior_sigmas) if still else state.prior
     return JointState(
         moved,
         prior,
         levenberg_marquardt.eased(state.damping),
-        number if still else state.settled,
-        (*state.history, JointRound(*facts, distance, weak_scans, False)),
+        number if still else state.converged_stage,
+        (*state.history, entry),
     )
 
 
 def _grows(state: JointState, distance: float, number: int, stage: Stage) -> bool:
     """Whether a step of this length (m) is much longer than the last one of the same stage."""
-    if not state.history or state.history[-1].stage != number or distance < 10 * stage.settled:
+    if not state.history or state.history[-1].stage != number or distance < 10 * stage.pose_tolerance:
         return False
     return levenberg_marquardt.step_grows(distance, state.history[-1].moved)
 
 
 def assemble(
-    state: JointState, found: ShareEquations, config: LidarConfig
-) -> tuple[NormalEquations, Weakness]:
+    state: JointState, block: BlockEquations, config: LidarConfig
+) -> tuple[NormalEquations, DegenerateDirections]:
     """The equations of the sum of all shares and of the prior, weak directions held at the odometry."""
-    whole = lidar_block.over_all(found, len(state.world_from_scan))
-    weakness = degeneracy.judge(
+    whole = lidar_block.over_all(block, len(state.world_from_scan))
+    directions = degeneracy.judge(
         whole.information, whole.noise_information, state.world_from_scan, config.prior_sigmas
     )
-    planes = whole.equations.projected(weakness.projector)
-    return planes + state.prior.linearize(state.world_from_scan), weakness
+    planes = whole.equations.projected(directions.projector)
+    return planes + state.prior.linearize(state.world_from_scan), directions
 
 
 def _moved(a: np.ndarray, b: np.ndarray) -> float:
@@ -125,7 +133,7 @@ def _solve(equations: NormalEquations, damping: float, config: LidarConfig) -> n
     free = np.ones((scans, 6), bool)
     free[0] = False
     step, _ = levenberg_marquardt.damped_step(equations, damping, free, 1.0 / config.prior_sigmas**2)
-    return np.zeros((scans, 6)) if step is None else step
+    return np.zeros((scans, 6)) if step is None else step.blocks
 
 
 @dataclass(frozen=True)
@@ -134,18 +142,21 @@ class JointCovariance:
 
     marginal: np.ndarray
     conditional: np.ndarray
-    weakness: Weakness
+    directions: DegenerateDirections
 
 
 def covariance(
-    state: JointState, found: ShareEquations, config: LidarConfig, excess: float
+    state: JointState, whole: BlockEquations, config: LidarConfig, variance_factor: float
 ) -> JointCovariance:
-    """Of all poses, from the equations at them; excess: by what the parts found their information to promise too much."""
-    equations, weakness = assemble(state, found, config)
+    """Of all poses, from the equations at them; variance_factor: as of the parts.
+
+    Raises DegenerateProblemError: planes and odometry do not determine the scans.
+    """
+    equations, directions = assemble(state, whole, config)
     poses = state.world_from_scan
     scans = len(poses)
     diagonal = equations.diagonal_blocks()
-    conditional = excess * np.linalg.inv(diagonal + 1e-9 * np.eye(6) * diagonal.max())
+    conditional = variance_factor * np.linalg.inv(diagonal + 1e-9 * np.eye(6) * diagonal.max())
     free = np.ones((scans, 6), bool)
     free[0] = False
     factors = linear_solver.factorize(equations, 1e-12, free)
@@ -153,9 +164,9 @@ def covariance(
         raise DegenerateProblemError("the planes and the odometry do not determine the scans")
 
     motion, pick = alignment(poses)
-    through = excess * factors.solve(pick)
+    through = variance_factor * factors.solve(pick)
     lever = (motion @ np.linalg.inv(pick.T @ motion)).reshape(scans, 6, 6)
     cross = lever @ np.swapaxes(through.reshape(scans, 6, 6), 1, 2)
     own = lever @ (pick.T @ through) @ np.swapaxes(lever, 1, 2)
-    marginal = excess * factors.inverse_blocks() - cross - np.swapaxes(cross, 1, 2) + own
-    return JointCovariance(marginal, conditional, weakness)
+    marginal = variance_factor * factors.covariance().blocks - cross - np.swapaxes(cross, 1, 2) + own
+    return JointCovariance(marginal, conditional, directions)

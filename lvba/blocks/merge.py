@@ -9,6 +9,59 @@ from lvba import geometry, trajectory
 from lvba.loop_closure.registration import Loop
 from lvba.optim import pose_graph
 from lvba.optim.pose_graph import Edges, PoseGraph, PoseGraphConfig
+from lvba.settings import check, setting
+
+
+@dataclass(frozen=True)
+class MergeConfig:
+    """How the parts of a long recording become one."""
+
+    loops: bool = setting(
+        True,
+        meaning="Look for places that parts see again.",
+        change_when="Different places look alike, and the report names a loop that is none.",
+    )
+    coarse_rounds: int = setting(
+        2,
+        meaning="Rounds of the joint LiDAR bundle adjustment with the middle cells, which forgive what merging leaves.",
+        unit="rounds",
+        low=0,
+        high=50,
+        change_when="The report shows offsets of decimeters between parts after merging (more).",
+        advanced=True,
+    )
+    scan_rounds: int = setting(
+        5,
+        meaning="Rounds of the joint LiDAR bundle adjustment with the finest cells; rounds after it has converged cost "
+        "nothing. 0: no joint adjustment.",
+        unit="rounds",
+        low=0,
+        high=50,
+        change_when="The report says that scans of joined parts still moved in the last round (more).",
+        advanced=True,
+    )
+    image_rounds: int = setting(
+        5,
+        meaning="Rounds of the joint visual bundle adjustment; rounds after it has converged cost nothing. 0: none.",
+        unit="rounds",
+        low=0,
+        high=50,
+        change_when="The report says that cameras of joined parts still moved in the last round (more).",
+        advanced=True,
+    )
+    near_m: float = setting(
+        8.0,
+        meaning="Frames that other parts took within this distance of a part's path join it in the joint visual "
+        "bundle adjustment, so that places seen again tie poses and exposures. 0: none.",
+        unit="m",
+        low=0,
+        high=100,
+        change_when="Recordings from the air or of wide places (larger), or memory is short (smaller).",
+        advanced=True,
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
 
 
 @dataclass(frozen=True)
@@ -32,22 +85,22 @@ class Seam:
     """Two parts that share scans.
 
     first, second: the parts; scans: how many they share; length: m, of the path through these
-    jump_m, jump_deg: rigid motion between the two parts' poses of the shared scans before merging
-    apart_m, apart_deg: root mean squares of what is left between these when the rigid motion is taken out
-    left_m, left_deg: largest difference of the step from one shared scan to the next in the merged trajectory and in
-        either part
+    offset_before_m, offset_before_deg: rigid motion between the two parts' poses of the shared scans before merging
+    residual_m, residual_deg: root mean squares of the differences of these poses without that rigid motion
+    offset_after_m, offset_after_deg: largest difference of the step from one shared scan to the next in the merged
+        trajectory and in either part
     """
 
     first: int
     second: int
     scans: int
     length: float
-    jump_m: float
-    jump_deg: float
-    apart_m: float
-    apart_deg: float
-    left_m: float
-    left_deg: float
+    offset_before_m: float
+    offset_before_deg: float
+    residual_m: float
+    residual_deg: float
+    offset_after_m: float
+    offset_after_deg: float
 
 
 @dataclass(frozen=True)
@@ -81,7 +134,7 @@ class MergedScans:
     world_from_scan: (S, 4, 4) float64, world frame of the part with the first scan, whose pose is unchanged
     parts_of_scan: (S,) int64, how many parts hold each scan
     seams, loops: one row each
-    cost_before, cost_after: squared errors over variances of the edges that are used
+    cost_before, cost_after: half the squared errors over variances of the edges that are used
     """
 
     world_from_scan: np.ndarray
@@ -102,20 +155,20 @@ def merge(
     """
     count = 1 + max(int(part.scans[-1]) for part in parts)
     steps = pose_graph.concatenate([_steps(part) for part in parts])
-    found = [loop for loop in loops if loop.accepted]
-    edges = pose_graph.concatenate([steps, _closings(found)])
+    accepted = [loop for loop in loops if loop.accepted]
+    edges = pose_graph.concatenate([steps, _closings(accepted)])
     first = min(parts, key=lambda part: int(part.scans[0]))
     root = int(first.scans[0])
     start = pose_graph.propagate(count, steps, root, first.world_from_scan[0])
     graph = pose_graph.solve(start, edges, fixed=root, config=config or PoseGraphConfig())
     return MergedScans(
-        graph.world_from_node,
-        np.bincount(np.concatenate([part.scans for part in parts]), minlength=count),
-        tuple(_seams(parts, graph.world_from_node)),
-        tuple(_rows(loops, graph, len(steps))),
-        graph.cost_before,
-        graph.cost_after,
-        graph.converged,
+        world_from_scan=graph.world_from_node,
+        parts_of_scan=np.bincount(np.concatenate([part.scans for part in parts]), minlength=count),
+        seams=tuple(_seams(parts, graph.world_from_node)),
+        loops=tuple(_rows(loops, graph, len(steps))),
+        cost_before=graph.cost_before,
+        cost_after=graph.cost_after,
+        converged=graph.converged,
     )
 
 
@@ -161,16 +214,16 @@ def _seam(first: int, second: int, earlier: np.ndarray, later: np.ndarray, merge
     apart = geometry.inverse(earlier) @ (earlier_from_later @ later)
     left = [_step_differences(poses, merged) for poses in (earlier, later)]
     return Seam(
-        first,
-        second,
-        len(merged),
-        float(np.linalg.norm(np.diff(merged[:, :3, 3], axis=0), axis=1).sum()),
-        float(np.linalg.norm(jump)),
-        float(geometry.rotation_angle_deg(earlier_from_later)),
-        float(np.sqrt(np.mean(np.sum(apart[:, :3, 3] ** 2, axis=1)))),
-        float(np.sqrt(np.mean(geometry.rotation_angle_deg(apart) ** 2))),
-        max(meters for meters, _ in left),
-        max(degrees for _, degrees in left),
+        first=first,
+        second=second,
+        scans=len(merged),
+        length=float(np.linalg.norm(np.diff(merged[:, :3, 3], axis=0), axis=1).sum()),
+        offset_before_m=float(np.linalg.norm(jump)),
+        offset_before_deg=float(geometry.rotation_angle_deg(earlier_from_later)),
+        residual_m=float(np.sqrt(np.mean(np.sum(apart[:, :3, 3] ** 2, axis=1)))),
+        residual_deg=float(np.sqrt(np.mean(geometry.rotation_angle_deg(apart) ** 2))),
+        offset_after_m=max(meters for meters, _ in left),
+        offset_after_deg=max(degrees for _, degrees in left),
     )
 
 
@@ -194,16 +247,16 @@ def _rows(loops: tuple[Loop, ...], graph: PoseGraph, steps: int) -> Iterator[Loo
         meters = np.linalg.norm(missed[:, 3:], axis=1).tolist()
         degrees = np.degrees(np.linalg.norm(missed[:, :3], axis=1)).tolist()
         yield LoopRow(
-            loop.first,
-            loop.second,
-            loop.first_scan,
-            loop.second_scan,
-            used,
-            reason,
-            meters[0],
-            degrees[0],
-            meters[1],
-            degrees[1],
-            loop.overlap,
-            loop.residual,
+            first=loop.first,
+            second=loop.second,
+            first_scan=loop.first_scan,
+            second_scan=loop.second_scan,
+            used=used,
+            reason=reason,
+            before_m=meters[0],
+            before_deg=degrees[0],
+            after_m=meters[1],
+            after_deg=degrees[1],
+            overlap=loop.overlap,
+            residual=loop.residual,
         )

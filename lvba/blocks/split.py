@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import cKDTree
 
+from lvba.arrays import Indices
 from lvba.dataset import Dataset
 from lvba.errors import InputError
 from lvba.settings import check, setting
@@ -102,12 +103,12 @@ class Part:
 
     @property
     def scan_numbers(self) -> np.ndarray:
-        """All scans of the part, int64."""
+        """All scans of the part, (n,) int64."""
         return np.arange(*self.scans)
 
     @property
     def image_numbers(self) -> np.ndarray:
-        """All images of the part, int64."""
+        """All images of the part, (n,) int64."""
         return np.arange(*self.images)
 
     @property
@@ -171,14 +172,14 @@ def parts(dataset: Dataset, config: SplitConfig, load: Load) -> list[Part]:
         return [_whole(dataset)]
     bounds = [*first, scans]
     _check_cores(bounds)
-    found = []
+    cut = []
     for number, (begin, end) in enumerate(pairwise(bounds)):
         reach = config.overlap or _default_overlap(position, begin, end)
         low = int(np.searchsorted(position, position[begin] - reach, side="left"))
         high = int(np.searchsorted(position, position[end - 1] + reach, side="right"))
-        found.append(_part(dataset, number, (low, high), (begin, end)))
-    _check_overlaps(found, config)
-    return found
+        cut.append(_part(dataset, number, (low, high), (begin, end)))
+    _check_overlaps(cut, config)
+    return cut
 
 
 def with_near(dataset: Dataset, part: Part, reach: float) -> Frames:
@@ -204,7 +205,7 @@ def _and_near(own: np.ndarray, poses: np.ndarray, core: cKDTree, reach: float) -
     return np.union1d(own, near).astype(np.int64)
 
 
-def subset(dataset: Dataset, scans: np.ndarray, images: np.ndarray) -> Dataset:
+def subset(dataset: Dataset, scans: Indices, images: Indices) -> Dataset:
     """The recording with some of its scans and images only, by ascending number; its world frame stays.
 
     Raises ValueError: no scans.
@@ -295,8 +296,8 @@ def _check_cores(bounds: list[int]) -> None:
         )
 
 
-def _check_overlaps(found: list[Part], config: SplitConfig) -> None:
-    for left, right in pairwise(found):
+def _check_overlaps(cut: list[Part], config: SplitConfig) -> None:
+    for left, right in pairwise(cut):
         shared = left.scans[1] - right.scans[0]
         if shared < LEAST_OVERLAP:
             raise InputError(

@@ -21,12 +21,13 @@ class Survey:
     """Found once, from some scans and the rough poses.
 
     range_m: median distance of points from the LiDAR; reach_m: further than that is one in a thousand
-    keyframes: (K,) int64, images that the visual part solves for
+    points_per_scan: mean number; keyframes: (K,) int64, images that the visual part solves for
     lidar: settings; stages: with cells as fine as the scans allow
     """
 
     range_m: float
     reach_m: float
+    points_per_scan: float
     keyframes: np.ndarray
     lidar: LidarConfig
     stages: tuple[Stage, ...] = STAGES
@@ -44,11 +45,12 @@ def survey(dataset: Dataset, lidar: LidarConfig, frames: KeyframeConfig) -> Surv
         (float(q) for q in np.quantile(distance, [0.5, 0.999])) if len(distance) else (1.0, 1.0)
     )
     return Survey(
-        middle,
-        furthest,
-        keyframes.select(dataset.images.times, dataset.images.world_from_sensor, middle, frames),
-        lidar,
-        density.adapted(lidar.stages, gather(scans), lidar.dense_points),
+        range_m=middle,
+        reach_m=furthest,
+        points_per_scan=float(np.mean([len(points) for points in scans])),
+        keyframes=keyframes.select(dataset.images.times, dataset.images.world_from_sensor, middle, frames),
+        lidar=lidar,
+        stages=density.adapted(lidar.stages, gather(scans), lidar.dense_points),
     )
 
 
@@ -65,6 +67,6 @@ def sampled(dataset: Dataset) -> list[int]:
     return [int(scan) for scan in np.unique(np.linspace(0, last, _SAMPLED_SCANS).astype(int))]
 
 
-def keyframes_of(found: Survey, frames: Frames) -> np.ndarray:
+def keyframes_of(survey: Survey, frames: Frames) -> np.ndarray:
     """The keyframes among some images, as indices into these, (k,) int64."""
-    return np.flatnonzero(np.isin(frames.images, found.keyframes))
+    return np.flatnonzero(np.isin(frames.images, survey.keyframes))

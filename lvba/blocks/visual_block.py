@@ -9,35 +9,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lvba.camera import Camera
-from lvba.optim.normal_equations import NormalEquations
+from lvba.optim.normal_equations import NormalEquations, Step
 from lvba.visual import bundle_adjustment, exposure, photometric, scene_points, visibility
 from lvba.visual import noise as noise_models
-from lvba.visual.bundle_adjustment import LevelSolution
 from lvba.visual.exposure_graph import Edges
-from lvba.visual.noise import NoiseModel
-from lvba.visual.photometric import PhotometricState
-from lvba.visual.refine import Inputs, VisualConfig, scene_of
+from lvba.visual.photometric import PhotometricState, Problem
+from lvba.visual.refine import Inputs, VisualConfig, calibration_shifts, scene_of
 from lvba.visual.scene_points import Observations, PatchRules, ScenePoints
 from lvba.visual.states import VisualState
-
-
-@dataclass(frozen=True)
-class Tuning:
-    """What the solve of one part found about noise, kept by the shares.
-
-    noise: of residuals; inflation: how many times the pixels' information overstates itself
-    offset_scale: how many times further than the LiDAR says planes are off
-    sigma_rotation, sigma_position: (sources, k) of each source of the prior, rad and m; memory: (sources, 2)
-    mount_information: (7, 7), what the calibrated mount counts beside the images; None: there is no prior
-    """
-
-    noise: NoiseModel
-    inflation: float
-    offset_scale: float
-    sigma_rotation: np.ndarray
-    sigma_position: np.ndarray
-    memory: np.ndarray
-    mount_information: np.ndarray | None
+from lvba.visual.trajectory_prior import Prior
+from lvba.visual.tuning import Tuning
 
 
 @dataclass(frozen=True)
@@ -72,35 +53,18 @@ class CameraShare:
     observations: int
 
 
-def tuning(solution: LevelSolution) -> Tuning:
-    """The tuning that a level was solved with last."""
-    problem, sources = solution.problem, () if solution.prior is None else solution.prior.sources
-    scale = 1.0
-    if problem.offset_sigma is not None and len(problem.points):
-        first = bundle_adjustment.offset_sigma(problem.points, bundle_adjustment.PLANE_FLOOR_M)
-        scale = float(problem.offset_sigma[0] / first[0])
-    return Tuning(
-        solution.noise,
-        problem.inflation,
-        scale,
-        np.array([source.sigma_rotation for source in sources]),
-        np.array([source.sigma_position for source in sources]),
-        np.array([source.memory for source in sources]),
-        None if solution.prior is None else solution.prior.mount_information,
-    )
-
-
-def lay_out(
+def select_scene_points(
     given: Inputs,
     state: VisualState,
     images: np.ndarray,
     core: np.ndarray,
     known: Tuning,
+    prior: Prior | None,
     config: VisualConfig,
 ) -> CameraPoints:
     """The scene points whose reference is in the core, who sees them, and how bright they are, at the finest level.
 
-    state: of the keyframes of `given`; images: (k,) int64, their numbers in the whole; core: (k,) bool
+    state, prior: of the keyframes of `given`; images: (k,) int64, their numbers in the whole; core: (k,) bool
     """
     scene = scene_of(given, config)
     levels, camera = scene.pyramid.levels, scene.pyramid.camera
@@ -120,6 +84,7 @@ def lay_out(
     off = (off * known.offset_scale)[mine]
     points, observations = _of_points(points, observations, mine)
     problem = photometric.prepare(levels[0], camera, points, observations, config.patch)
+    problem = _with_shifts(problem, given.camera, state, prior, config)
     sums = photometric.sums(problem, PhotometricState(state.cameras, np.zeros(len(points))))
     sigma = known.noise.sigma(noise_models.gradients(sums))
     ratios = exposure.ratios_at(
@@ -128,7 +93,9 @@ def lay_out(
     )  # fmt: skip
     edges = exposure.edges_of(_of_core(ratios, core), len(images))
     edges = replace(edges, first=images[edges.first], second=images[edges.second])
-    return CameraPoints(images, points, observations, sigma, off, edges)
+    return CameraPoints(
+        images=images, points=points, observations=observations, sigma=sigma, offset_sigma=off, edges=edges
+    )
 
 
 def linearize(
@@ -137,23 +104,35 @@ def linearize(
     laid: CameraPoints,
     state: VisualState,
     known: Tuning,
+    prior: Prior | None,
+    raw: Camera,
     config: VisualConfig,
 ) -> CameraShare:
     """The photometric normal equations of the laid out points.
 
-    images: (n, H, W, C) uint8, the share's keyframes at full size; camera: theirs; state: of these keyframes
+    images: (n, H, W, C) uint8, the share's keyframes at full size; camera: theirs; state, prior: of these keyframes
+    raw: the camera of the images before they were undistorted
     """
     problem = photometric.prepare(
         images, camera, laid.points, laid.observations, config.patch,
-        offset_sigma=laid.offset_sigma, sigma=laid.sigma, inflation=known.inflation,
+        offset_sigma=laid.offset_sigma, sigma=laid.sigma, variance_factor=known.variance_factor,
     )  # fmt: skip
+    problem = _with_shifts(problem, raw, state, prior, config)
     at = PhotometricState(state.cameras, np.zeros(len(laid.points)))
-    found = photometric.linearize(problem, at)
+    linearization = photometric.linearize(problem, at)
     if laid.offset_sigma is not None:
         # the planes' offsets at these poses first: the equations hold about them
-        at = photometric.retract(problem, at, found, np.zeros((len(images), 7)))
-        found = photometric.linearize(problem, at)
-    return CameraShare(laid.images, found.equations, len(laid.points), len(laid.observations))
+        at = photometric.retract(problem, at, linearization, Step(np.zeros((len(images), 7)), np.zeros(0)))
+        linearization = photometric.linearize(problem, at)
+    return CameraShare(laid.images, linearization.equations, len(laid.points), len(laid.observations))
+
+
+def _with_shifts(
+    problem: Problem, camera: Camera | None, state: VisualState, prior: Prior | None, config: VisualConfig
+) -> Problem:
+    """The problem with the patches moved as the calibration has it. camera: of the raw images"""
+    shifts = calibration_shifts(camera, problem.camera, problem.points, problem.observations, prior, config)
+    return problem if shifts is None else replace(problem, shifts=shifts(state))
 
 
 def _of_points(

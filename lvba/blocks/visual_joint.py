@@ -9,8 +9,7 @@ from lvba import geometry
 from lvba.blocks.visual_block import CameraShare
 from lvba.optim import levenberg_marquardt, normal_equations
 from lvba.optim.normal_equations import NormalEquations
-from lvba.visual import exposure_graph, photometric
-from lvba.visual import trajectory_prior as priors
+from lvba.visual import exposure_graph, photometric, trajectory_prior
 from lvba.visual.exposure_graph import Edges, Exposures
 from lvba.visual.states import VisualState
 from lvba.visual.trajectory_prior import Prior
@@ -36,8 +35,8 @@ class JointCameraRound:
 class JointCameras:
     """All keyframes, and what the next round needs.
 
-    state: poses (K, 4, 4), log exposures (K,) and the mount; before: the same before the last step
-    exposure_sigma: (K,); settled: nothing moves any more
+    state: poses (K, 4, 4), log exposures (K,) and the calibration; before: the same before the last step
+    exposure_sigma: (K,); converged: nothing moves any more
     """
 
     state: VisualState
@@ -46,24 +45,32 @@ class JointCameras:
     exposure_sigma: np.ndarray
     damping: float = _FIRST_DAMPING
     cost: float = float("inf")
-    settled: bool = False
+    converged: bool = False
     history: tuple[JointCameraRound, ...] = ()
 
 
-def step(now: JointCameras, found: Sequence[CameraShare]) -> JointCameras:
+def step(now: JointCameras, shares: Sequence[CameraShare]) -> JointCameras:
     """After one round: shares and prior added up and solved."""
-    if now.settled or not found:
+    if now.converged or not shares:
         return now
     count = len(now.state.cameras)
-    equations = total(found, count)
-    observations = sum(each.observations for each in found)
-    joint = equations.padded(count + 1)
+    equations = total(shares, count)
+    observations = sum(each.observations for each in shares)
+    joint = equations
     if now.prior is not None:
-        joint = joint + priors.linearize(now.prior, now.state)
+        joint = joint + trajectory_prior.linearize(now.prior, now.state)
     cost = joint.cost / max(observations, 1)
-    facts = (sum(each.points for each in found), observations, cost)
+    points = sum(each.points for each in shares)
     if levenberg_marquardt.cost_rises(cost, now.cost) and not now.history[-1].taken_back:
-        entry = JointCameraRound(*facts, *_moved(now.before, now.state), True)
+        meters, degrees = _moved(now.before, now.state)
+        entry = JointCameraRound(
+            points=points,
+            observations=observations,
+            cost=cost,
+            moved_m=meters,
+            moved_deg=degrees,
+            taken_back=True,
+        )
         return replace(
             now,
             state=now.before,
@@ -74,37 +81,45 @@ def step(now: JointCameras, found: Sequence[CameraShare]) -> JointCameras:
     change, damping = levenberg_marquardt.damped_step(joint, now.damping, free)
     if change is None:
         return replace(now, damping=damping)
-    cameras = photometric.moved(now.state.cameras, change[:-1])
-    state = VisualState(cameras, priors.retract(now.state.mount, change[-1]))
+    state = VisualState(
+        photometric.moved(now.state.cameras, change.blocks), now.state.calibration.retract(change.shared)
+    )
     meters, degrees = _moved(now.state, state)
     still = meters < _SETTLED_M and degrees < _SETTLED_DEG
-    entry = JointCameraRound(*facts, meters, degrees, False)
+    entry = JointCameraRound(
+        points=points,
+        observations=observations,
+        cost=cost,
+        moved_m=meters,
+        moved_deg=degrees,
+        taken_back=False,
+    )
     return replace(
         now,
         state=state,
         before=now.state,
         damping=levenberg_marquardt.eased(now.damping),
         cost=cost,
-        settled=still,
+        converged=still,
         history=(*now.history, entry),
     )
 
 
-def total(found: Sequence[CameraShare], count: int) -> NormalEquations:
+def total(blocks: Sequence[CameraShare], count: int) -> NormalEquations:
     """The equations of all shares, in their order, over `count` keyframes."""
-    return normal_equations.scattered([(each.images, each.equations) for each in found], count)
+    return normal_equations.scattered([(each.images, each.equations) for each in blocks], count)
 
 
 def with_exposures(now: JointCameras, edges: Sequence[Edges]) -> JointCameras:
     """The same cameras with exposures from the edges of all shares, where there are any."""
-    exposures = tie(edges, len(now.state.cameras))
+    exposures = solve_exposures(edges, len(now.state.cameras))
     if exposures is None:
         return now
     cameras = replace(now.state.cameras, log_exposure=exposures.log_exposure)
     return replace(now, state=replace(now.state, cameras=cameras), exposure_sigma=exposures.sigma)
 
 
-def tie(edges: Sequence[Edges], images: int) -> Exposures | None:
+def solve_exposures(edges: Sequence[Edges], images: int) -> Exposures | None:
     """The exposures of all images from the edges of all shares; None: there are none."""
     if not sum(len(each.mean) for each in edges):
         return None
@@ -121,15 +136,14 @@ def tie(edges: Sequence[Edges], images: int) -> Exposures | None:
 
 
 def _free(equations: NormalEquations, with_prior: bool) -> np.ndarray:
-    """(K + 1, 7) bool: what may move; exposures stay as measured."""
+    """(K, 7) bool: what may move; exposures stay as measured."""
     count = len(equations.gradient)
-    seen = np.zeros(count, bool)
-    seen[equations.rows] = seen[equations.columns] = True
-    free = np.ones((count + 1, 7), bool)
-    free[:count, 6] = False
-    free[count] = with_prior
+    free = np.ones((count, 7), bool)
+    free[:, 6] = False
     if not with_prior:
-        free[:count, :6] &= seen[:, None]
+        seen = np.zeros(count, bool)
+        seen[equations.rows] = seen[equations.columns] = True
+        free[:, :6] &= seen[:, None]
     return free
 
 

@@ -20,4 +20,4 @@ def kind(path: Path) -> str:
         inside = sorted(path.iterdir())
     if not any(inner.name == "metadata.yaml" or inner.suffix.lower() == ".bag" for inner in inside):
         return ""
-    return next((found for inner in inside if (found := SUFFIXES.get(inner.suffix.lower()))), "")
+    return next((name for inner in inside if (name := SUFFIXES.get(inner.suffix.lower()))), "")

@@ -9,7 +9,7 @@ Global-LVBA multiply the principal point by the scale; we map pixel centers, as 
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from lvba.io import image_poses, yaml_files
 from lvba.io.camera_keys import as_float
 from lvba.io.image_header import ImageSize
 from lvba.io.image_poses import Statement
+from lvba.lens import Lens
 
 ROTATION_TOLERANCE = 1e-3
 """Largest entry of R R^T - I of a matrix that is taken for a rotation (four printed digits)."""
@@ -67,20 +68,35 @@ def read_calibration(folder: str | Path) -> Calibration:
     extrinsic_path, extrinsic_keys = _section(documents, _extrinsic_section, folder)
     has_camera = any(key in extrinsic_keys for key in ("Rcl", "Pcl"))
     return Calibration(
-        _camera(camera_path, camera_keys) if camera_keys else None,
-        _number(camera_path, camera_keys, "scale", 1.0, 1e-3, 1e3) if camera_keys else 1.0,
-        _transform(extrinsic_path, extrinsic_keys, "Rcl", "Pcl") if has_camera else None,
-        _transform(extrinsic_path, extrinsic_keys, "extrinsic_R", "extrinsic_T", optional=True),
-        camera_path,
-        extrinsic_path,
-        _defaults(extrinsic_path, extrinsic_keys) if has_camera else (),
-        _image_poses(documents),
+        camera=_camera(camera_path, camera_keys) if camera_keys else None,
+        scale=_number(camera_path, camera_keys, "scale", 1.0, 1e-3, 1e3) if camera_keys else 1.0,
+        camera_from_lidar=_transform(extrinsic_path, extrinsic_keys, "Rcl", "Pcl") if has_camera else None,
+        body_from_lidar=_transform(
+            extrinsic_path, extrinsic_keys, "extrinsic_R", "extrinsic_T", optional=True
+        ),
+        camera_path=camera_path,
+        extrinsic_path=extrinsic_path,
+        warnings=_defaults(extrinsic_path, extrinsic_keys) if has_camera else (),
+        image_poses=_image_poses(documents),
     )
+
+
+def read_camera(path: Path) -> Camera:
+    """The camera in the `cam_model` section of one file.
+
+    Raises InputError: there is none, or a value is missing or malformed.
+    """
+    document = yaml_files.read_yaml(path)
+    section = document.get("cam_model") if isinstance(document, dict) else None
+    keys = names.native(path, "cam_model", section) if isinstance(section, dict) else {}
+    if not keys:
+        raise InputError(path, "has no cam_model", "run again")
+    return _camera(path, keys)
 
 
 def _image_poses(documents: "_Documents") -> Statement:
     """What the files read so far say that image_poses.txt holds."""
-    found = Statement()
+    statement = Statement()
     for path, document in documents.read():
         for _, mapping in yaml_files.mappings(document):
             if image_poses.KEY not in mapping:
@@ -89,10 +105,10 @@ def _image_poses(documents: "_Documents") -> Statement:
             if value not in image_poses.KINDS:
                 mend = "write body (as FAST-LIVO2 does) or camera (camera to world, z forward)"
                 raise InputError(path, f"image_poses is {str(value)[:40]!r}", mend)
-            if found.kind not in ("", value):
+            if statement.kind not in ("", value):
                 raise InputError(path, "image_poses is there twice with different values", "keep one")
-            found = Statement(value, path.name)
-    return found
+            statement = Statement(value, path.name)
+    return statement
 
 
 def _defaults(path: Path, keys: dict[str, Any]) -> tuple[str, ...]:
@@ -121,10 +137,7 @@ def for_size(calibration: Calibration, size: ImageSize) -> Camera:
     for factor in (calibration.scale, size.width / camera.width, size.height / camera.height):
         off = max(abs(size.width - factor * camera.width), abs(size.height - factor * camera.height))
         if off < 1 and size.width != camera.width and size.height != camera.height:
-            scaled = camera.scaled(factor)
-            return Camera(
-                size.width, size.height, scaled.fx, scaled.fy, scaled.cx, scaled.cy, camera.distortion
-            )
+            return replace(camera.scaled(factor), width=size.width, height=size.height)
     raise InputError(
         calibration.camera_path,
         f"cam_width x cam_height is {camera.width} x {camera.height}, but the images are {size.width} x {size.height}",
@@ -157,18 +170,18 @@ def _section(
 
     Raises: InputError if they are there twice with different values: we cannot know which camera took the images.
     """
-    first, found = folder / "config.yaml", dict[str, Any]()
+    first, section = folder / "config.yaml", dict[str, Any]()
     for path, document in documents:
         for name, mapping in yaml_files.mappings(document):
             for key, value in pick(path, name, mapping).items():
-                before = found.setdefault(key, value)
+                before = section.setdefault(key, value)
                 if before is not value and before != value:
                     problem = f"has another {key} than {'the same file' if path == first else first.name} has before"
                     raise InputError(path, problem, "keep one calibration, or name its file config.yaml")
-                first = path if len(found) == 1 else first
-        if found and path.stem.lower() == "config":
+                first = path if len(section) == 1 else first
+        if section and path.stem.lower() == "config":
             break
-    return first, found
+    return first, section
 
 
 def _extrinsic_section(path: Path, name: str, mapping: dict[str, Any]) -> dict[str, Any]:
@@ -180,20 +193,26 @@ def _camera(path: Path, keys: dict[str, Any]) -> Camera:
     height = _number(path, keys, "height", None, 1, _MAX_SIDE)
     if width != int(width) or height != int(height):
         raise InputError(path, "cam_width and cam_height are no whole numbers", "correct them")
+    lens = Lens(keys.get("lens", Lens.RADIAL_TANGENTIAL))
     return Camera(
-        int(width),
-        int(height),
-        _number(path, keys, "fx", None, 1e-2 * width, 1e3 * width),
-        _number(path, keys, "fy", None, 1e-2 * height, 1e3 * height),
-        _number(path, keys, "cx", None, -width, 2 * width),
-        _number(path, keys, "cy", None, -height, 2 * height),
-        (
-            _number(path, keys, "d0", 0.0),
-            _number(path, keys, "d1", 0.0),
-            _number(path, keys, "d2", 0.0),
-            _number(path, keys, "d3", 0.0),
-        ),
+        width=int(width),
+        height=int(height),
+        fx=_number(path, keys, "fx", None, 1e-2 * width, 1e3 * width),
+        fy=_number(path, keys, "fy", None, 1e-2 * height, 1e3 * height),
+        cx=_number(path, keys, "cx", None, -width, 2 * width),
+        cy=_number(path, keys, "cy", None, -height, 2 * height),
+        distortion=_distortion(path, keys, lens),
+        lens=lens,
     )
+
+
+def _distortion(path: Path, keys: dict[str, Any], lens: Lens) -> tuple[float, ...]:
+    """As few coefficients as hold all that are not zero."""
+    values = [_number(path, keys, f"d{index}", 0.0) for index in range(8)]
+    count = 4
+    if lens is Lens.RADIAL_TANGENTIAL and any(values[4:]):
+        count = 8 if any(values[5:]) else 5
+    return tuple(values[:count])
 
 
 def _number(

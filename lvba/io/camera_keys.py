@@ -1,8 +1,9 @@
 """The names under which YAML files give a camera, and what they mean: FAST-LIVO2's, ROS's, Kalibr's and OpenCV's.
 
-All become width, height, fx, fy, cx, cy, model, scale, and d0 d1 d2 d3 = k1 k2 p1 p2. What no name here means is an error
-in a section that holds a camera alone: a coefficient that is passed over bends every image. Beside other settings (a file
-that has everything at top level), names that cannot be of a camera are passed over.
+All become width, height, fx, fy, cx, cy, scale, lens, and d0 d1 ... = k1 k2 p1 p2 k3 k4 k5 k6, or k1 k2 k3 k4 where the
+lens is equidistant. What no name here means is an error in a section that holds a camera alone: a coefficient that is
+passed over bends every image. Beside other settings (a file that has everything at top level), names that cannot be of a
+camera are passed over.
 """
 
 import difflib
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from lvba.errors import InputError
+from lvba.lens import Lens
 
 SECTIONS = ("camera", "cam_model")
 """Names of sections that hold a camera alone."""
@@ -60,9 +62,16 @@ _KNOWN_DISTORTION = (
     *("plumb_bob", "radtan", "radial-tangential", "radial_tangential", "brown", "brown_conrady"),
     *("rational_polynomial", "opencv", "pinhole", "none", "no", ""),
 )
-"""Those of k1 k2 p1 p2, if what they have beyond is zero."""
-_MODELS = ("distortion_model", "xi")
-_MEND = "undistort the images to a pinhole, or calibrate k1 k2 p1 p2 only"
+"""Those of k1 k2 p1 p2, and k3 or k3 k4 k5 k6."""
+_EQUIDISTANT = (
+    *("equidistant", "equidistantcamera", "equi", "fisheye", "opencv_fisheye"),
+    *("kannala_brandt", "kannalabrandt", "kannala_brandt4", "kannalabrandt4", "kb4"),
+)
+"""Those of k1 k2 k3 k4 of the angle off the axis."""
+_MODELS = ("distortion_model", "xi", "model")
+_RADIAL_TANGENTIAL, _ANGULAR = 8, 4
+"""How many coefficients the models have."""
+_MEND = "undistort the images to a pinhole, or calibrate k1 k2 p1 p2 (k3 to k6), or an equidistant fisheye"
 
 
 def native(path: Path, name: str, mapping: dict[str, Any]) -> dict[str, Any]:
@@ -98,15 +107,32 @@ def _canonical(key: str) -> str:
 
 def _read(path: Path, name: str, mapping: dict[str, Any], *, alone: bool) -> dict[str, Any]:
     _check_model(path, mapping, alone)
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     source: dict[str, str] = {}
     for key, meaning, value in _meanings(path, name, mapping, alone):
-        before = found.setdefault(meaning, value)
+        before = values.setdefault(meaning, value)
         if before is not value and before != value:
             raise InputError(path, f"{source[meaning]} and {key} say different things", "keep one of them")
         source.setdefault(meaning, key)
-    _check_distortion(path, found, source)
-    return {key: value for key, value in found.items() if key not in _MODELS}
+    kinds = [str(values.get(key, "")).lower() for key in ("model", "distortion_model")]
+    if any(kind in _EQUIDISTANT for kind in kinds):
+        values = _equidistant(path, values, source)
+    _check_distortion(path, values, source)
+    return {key: value for key, value in values.items() if key not in _MODELS}
+
+
+def _equidistant(path: Path, values: dict[str, Any], source: dict[str, str]) -> dict[str, Any]:
+    """The same with d0 to d3 = k1 to k4: k3 and k4 have other places where there are p1 and p2."""
+    placed = {"lens": Lens.EQUIDISTANT, **values}
+    for name, place, target in (("k3", "d4", "d2"), ("k4", "d5", "d3")):
+        if source.get(place, "").removeprefix("cam_") == name:
+            if target in values:
+                raise InputError(path, f"{source[target]} and {source[place]} say different things", _MEND)
+            placed[target] = placed.pop(place)
+            source[target] = source[place]
+    if any(source.get(f"d{index}", "").removeprefix("cam_") in ("p1", "p2") for index in (2, 3)):
+        raise InputError(path, "an equidistant lens has no p1 and p2", "give k1 k2 k3 k4")
+    return placed
 
 
 def _meanings(path: Path, name: str, mapping: dict[str, Any], alone: bool) -> Iterator[tuple[str, str, Any]]:
@@ -163,35 +189,37 @@ def _numbers(value: Any) -> list[Any]:
 
 
 def _check_model(path: Path, mapping: dict[str, Any], alone: bool) -> None:
-    """That the camera is a pinhole with distortion k1 k2 p1 p2, as far as names tell."""
+    """That the camera has a model that is known here, as far as names tell."""
     for raw, value in mapping.items():
         key = str(raw)
         meaning = "" if not alone and key in _LOOSE else _canonical(key)
         if isinstance(value, dict):
             if key in _NESTED:
                 _check_model(path, value, True)
-        elif meaning == "model" and "pinhole" not in str(value).lower():
+        elif meaning == "model" and not _is_model(value):
             problem = f"the camera model {str(value)[:40]!r} is not known"
             raise InputError(path, problem, "undistort the images to a pinhole")
         elif meaning == "xi":
             problem = f"{key} is of an omnidirectional (Mei) camera, which is not known"
             raise InputError(path, problem, "undistort the images to a pinhole")
-        elif meaning == "distortion_model" and str(value).lower() not in _KNOWN_DISTORTION:
+        elif meaning == "distortion_model" and str(value).lower() not in (*_KNOWN_DISTORTION, *_EQUIDISTANT):
             raise InputError(path, f"the distortion model {str(value)[:40]!r} is not known", _MEND)
 
 
-def _check_distortion(path: Path, found: dict[str, Any], source: dict[str, str]) -> None:
-    """That coefficients beyond k1 k2 p1 p2 are zero, and drops them."""
-    for index in range(4, _MOST):
-        value = found.pop(f"d{index}", 0)
-        if as_float(value) == 0:
-            continue
-        key, name = source[f"d{index}"], f"k{index - 1}"
-        shown = f"{key} ({name})" if index < 8 and key != name else key
-        model = "k1 k2 p1 p2 k3" if index == 4 else "rational"
-        raise InputError(
-            path, f"{shown} is {str(value)[:40]!r}: the distortion model {model} is not known", _MEND
-        )
+def _is_model(value: Any) -> bool:
+    text = str(value).lower()
+    return "pinhole" in text or text in _EQUIDISTANT
+
+
+def _check_distortion(path: Path, values: dict[str, Any], source: dict[str, str]) -> None:
+    """That coefficients beyond those of the model are zero, and drops them."""
+    for index in range(_ANGULAR if "lens" in values else _RADIAL_TANGENTIAL, _MOST):
+        value = values.pop(f"d{index}", 0)
+        if as_float(value) != 0:
+            problem = (
+                f"{source[f'd{index}']} is {str(value)[:40]!r}: a model with such a coefficient is not known"
+            )
+            raise InputError(path, problem, _MEND)
 
 
 def as_float(value: Any) -> float | None:

@@ -116,18 +116,18 @@ def _with_images(
     """The recording of the scans with its images, whose poses become the camera's."""
     poses = _poses_of(root, folder, IMAGE_POSES)
     pictures = _open_images(root, folder, poses, calibration)
-    found = _decide(poses, pictures.poses, scans.poses, calibration)
-    cameras = image_poses.to_camera(pictures.poses.world_from_sensor, found.kind, dataset.camera_from_scan)
+    reading = _decide(poses, pictures.poses, scans.poses, calibration)
+    cameras = image_poses.to_camera(pictures.poses.world_from_sensor, reading.kind, dataset.camera_from_scan)
     return dataclasses.replace(
         dataset,
         image_paths=pictures.paths,
         images=Trajectory(pictures.poses.times, cameras),
         camera=camera_config.for_size(calibration, pictures.sizes[0]),
         image_stamps=pictures.stamps,
-        image_poses=found.kind,
-        image_poses_reason=found.reason,
-        warnings=dataset.warnings + pictures.warnings + found.warnings,
-        digest=_digest(calibration, scans, pictures, found.kind),
+        image_poses=reading.kind,
+        image_poses_reason=reading.reason,
+        warnings=dataset.warnings + pictures.warnings + reading.warnings,
+        digest=_digest(calibration, scans, pictures, reading.kind),
     )
 
 
@@ -210,12 +210,12 @@ class _Poses:
 def _poses_of(root: Path, folder: str, name: str) -> _Poses:
     """The pose file in the folder or beside it."""
     inside, beside = root / folder / name, root / name
-    found = name in files.names_in(root / folder)  # of a folder that is closed to us, `exists` says no
-    if not found and not os.path.exists(beside):
+    exists = name in files.names_in(root / folder)  # of a folder that is closed to us, `exists` says no
+    if not exists and not os.path.exists(beside):
         raise InputError(
             inside, "no poses: there is no such file", "write one pose a line: t tx ty tz qx qy qz qw"
         )
-    path = inside if found else beside
+    path = inside if exists else beside
     return _Poses(path, name, tum.read_pose_file(path))
 
 
@@ -231,11 +231,11 @@ class _Matched:
 
 def _matched(root: Path, folder: str, poses: _Poses, suffixes: tuple[str, ...], kind: str) -> _Matched:
     """The files of a folder by their names and the pose file; nothing of the files is read."""
-    found, warnings = frames.find(root / folder, suffixes, kind)
+    on_disk, warnings = frames.find(root / folder, suffixes, kind)
     rough = poses.file.trajectory
-    match = timestamps.match(np.array([frame.time for frame in found]), rough, poses.path)
-    matched = [found[index] for index in match.files]
-    warnings += [*poses.file.warnings, *_match_warnings(found, match, len(rough), poses.path, kind)]
+    match = timestamps.match(np.array([frame.time for frame in on_disk]), rough, poses.path)
+    matched = [on_disk[index] for index in match.files]
+    warnings += [*poses.file.warnings, *_match_warnings(on_disk, match, len(rough), poses.path, kind)]
     stamps, timed = _stamps(matched, match, poses.file)
     return _Matched(matched, timed, stamps, warnings)
 
@@ -258,19 +258,19 @@ def _stamps(matched: list[Frame], match: timestamps.Match, file: PoseFile) -> tu
 
 
 def _open_frames(root: Path, folder: str, poses: _Poses, suffixes: tuple[str, ...], kind: str) -> PosedFrames:
-    found = _matched(root, folder, poses, suffixes, kind)
+    matched = _matched(root, folder, poses, suffixes, kind)
     check = pcd.check_pcd if kind == "scan" else images.check_image
     fingerprint = f"{poses.name} {files.sha256(poses.path)}"
     return posed_frames.checked(
-        found.frames, found.poses, check, kind, fingerprint, tuple(found.warnings), found.stamps
+        matched.frames, matched.poses, check, kind, fingerprint, tuple(matched.warnings), matched.stamps
     )
 
 
 def _match_warnings(
-    found: list[Frame], match: timestamps.Match, poses: int, pose_path: Path, kind: str
+    listed: list[Frame], match: timestamps.Match, poses: int, pose_path: Path, kind: str
 ) -> list[str]:
     matched = set(match.files.tolist())
-    without = [frame.path.name for index, frame in enumerate(found) if index not in matched]
+    without = [frame.path.name for index, frame in enumerate(listed) if index not in matched]
     warnings = frames.left_out(without, f"{kind}s that no pose is near in time to", pose_path)
     if match.by_order:
         warnings.append(

@@ -17,7 +17,7 @@ MAX_COORDINATE = 1e5
 def keep(path: str | Path, points: np.ndarray, intensity: np.ndarray | None, time: np.ndarray | None) -> Scan:
     """The scan of the points that have a finite position.
 
-    points: (N, 3) float32; intensity, time: (N,) or None
+    points: (N, 3) float32, m; intensity: (N,) float32 or float64, in the format's unit; time: (N,) float64, s; or None
     Raises: InputError if there is none.
     """
     dropped = 0

@@ -114,10 +114,10 @@ def split_bad(
         raise InputError(first.where, first.problem + others, first.mend, first.lack)
     unusable = {index for index, _ in bad}
     good = [index for index in range(len(frames)) if index not in unusable]
-    told = [f"{error.where}: left out this {kind}: {error.problem}." for _, error in bad[:_NAMED]]
+    messages = [f"{error.where}: left out this {kind}: {error.problem}." for _, error in bad[:_NAMED]]
     if len(bad) > _NAMED:
-        told.append(f"{frames[0].path.parent}: left out {len(bad) - _NAMED} more {kind}s that are bad.")
-    return good, told
+        messages.append(f"{frames[0].path.parent}: left out {len(bad) - _NAMED} more {kind}s that are bad.")
+    return good, messages
 
 
 def _check(path: Path, check: Callable[[Path, bytes | None], Facts], hashed: bool) -> Checked[Facts]:

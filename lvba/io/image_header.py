@@ -37,20 +37,22 @@ def size(path: str | Path, start: bytes) -> ImageSize:
     Raises: InputError if it is neither, its header is damaged, or it has more than MAX_PIXELS pixels.
     """
     if start.startswith(_PNG):
-        found = _png_size(start)
+        dimensions = _png_size(start)
     elif start.startswith(_JPEG):
-        found = _jpeg_size(start)
+        dimensions = _jpeg_size(start)
     elif not start:
         raise InputError(path, "an empty file", _COPY_AGAIN)
     else:
         raise InputError(path, "is neither PNG nor JPEG", "convert it to PNG or JPEG")
-    if found is None or not (found.width and found.height):
+    if dimensions is None or not (dimensions.width and dimensions.height):
         raise InputError(path, "truncated or damaged: its header has no size", _COPY_AGAIN)
-    if found.width * found.height > MAX_PIXELS:
+    if dimensions.width * dimensions.height > MAX_PIXELS:
         raise InputError(
-            path, f"{found.width} x {found.height} pixels are more than {MAX_PIXELS}", "scale the images down"
+            path,
+            f"{dimensions.width} x {dimensions.height} pixels are more than {MAX_PIXELS}",
+            "scale the images down",
         )
-    return found
+    return dimensions
 
 
 def check_whole(path: str | Path, content: bytes) -> None:
@@ -97,5 +99,5 @@ def _png_problem(content: bytes) -> str:
 
 
 def _jpeg_size(start: bytes) -> ImageSize | None:
-    found = jpeg.read_segments(start).size
-    return None if found is None else ImageSize(*found)
+    dimensions = jpeg.read_segments(start).size
+    return None if dimensions is None else ImageSize(*dimensions)

@@ -42,7 +42,7 @@ class Segments:
 
 def read_segments(content: bytes) -> Segments:
     """The segments of a file, or of its start, up to the first scan."""
-    found = Segments()
+    segments = Segments()
     position = 2
     while position + 4 <= len(content) and content[position] == 0xFF:
         marker = content[position + 1]
@@ -53,16 +53,16 @@ def read_segments(content: bytes) -> Segments:
         body = content[position + 4 : position + 2 + length]
         position += 2 + length
         if marker in _SIZES:
-            found.frame_marker, found.frame = marker, body
+            segments.frame_marker, segments.frame = marker, body
         elif marker == 0xC4:
-            _add_tables(found.tables, body)
+            _add_tables(segments.tables, body)
         elif marker == 0xDD:
-            found.restart_interval = int.from_bytes(body[:2], "big")
+            segments.restart_interval = int.from_bytes(body[:2], "big")
         elif marker == 0xDA:
-            found.scan = body
-            found.data_start = position if position <= len(content) else -1
+            segments.scan = body
+            segments.data_start = position if position <= len(content) else -1
             break
-    return found
+    return segments
 
 
 def problem(content: bytes) -> str:
@@ -166,7 +166,7 @@ def _is_whole(pieces: list[np.ndarray], layout: _Layout, interval: int) -> bool:
         return False
     left = layout.units
     for piece in pieces:
-        padding = np.zeros(jpeg.PADDING + -len(piece) % 4, np.uint8)
+        padding = np.zeros(-len(piece) % 4, np.uint8)
         words = np.concatenate([piece, padding]).view(">u4").astype(np.uint32)
         units = min(interval, left)
         bits = jpeg.walk(words, 8 * len(piece), layout.codes, layout.dc, layout.ac, units)

@@ -52,7 +52,9 @@ def open_kitti(root: Path) -> Dataset:
             root / image_folder, images.SUFFIXES, "image", times, world_from_camera, pose_path
         )
         pictures = posed_frames.of_one_size(opened, root / image_folder)
-        camera = Camera(pictures.sizes[0].width, pictures.sizes[0].height, *intrinsics)
+        fx, fy, cx, cy = intrinsics
+        size = pictures.sizes[0]
+        camera = Camera(width=size.width, height=size.height, fx=fx, fy=fy, cx=cx, cy=cy)
     dataset = Dataset(
         root=str(root),
         scan_paths=scans.paths,
@@ -96,17 +98,17 @@ def _timed(
     folder: Path, suffixes: tuple[str, ...], kind: str, times: int, poses: int, pose_path: Path
 ) -> tuple[dict[int, Frame], list[str]]:
     """Frames by number; those beyond the times or poses are left out, and told."""
-    found, warnings = frames.find(folder, suffixes, kind)
+    on_disk, warnings = frames.find(folder, suffixes, kind)
     count = min(times, poses)
-    numbers = [int(frame.time) for frame in found]
-    without = [frame.path.name for frame, number in zip(found, numbers, strict=True) if number >= count]
+    numbers = [int(frame.time) for frame in on_disk]
+    without = [frame.path.name for frame, number in zip(on_disk, numbers, strict=True) if number >= count]
     numbers = [number for number in numbers if number < count]
     if not numbers:
         raise InputError(
             pose_path, f"has no poses for the {kind}s in {folder.name}", "give a pose for each frame"
         )
     warnings = [*warnings, *frames.left_out(without, f"{kind}s beyond the last pose", pose_path)]
-    by_number = {int(frame.time): frame for frame in found}
+    by_number = {int(frame.time): frame for frame in on_disk}
     return {number: by_number[number] for number in numbers}, warnings
 
 
@@ -164,18 +166,20 @@ def _row(where: str, words: list[str], columns: int) -> list[float]:
 
 def _read_calibration(path: Path) -> dict[str, np.ndarray]:
     """Tr as (4, 4), P2 and P3 as (3, 4) where they are there."""
-    found: dict[str, np.ndarray] = {}
+    matrices: dict[str, np.ndarray] = {}
     for number, line in enumerate(files.read_text(path).split("\n"), 1):
         key, _, rest = line.partition(":")
         if key.strip() in ("P2", "P3", "Tr"):
-            found[key.strip()] = np.array(_row(f"{path}:{number}", rest.split(), 12)).reshape(3, 4)
-    if "Tr" not in found:
+            matrices[key.strip()] = np.array(_row(f"{path}:{number}", rest.split(), 12)).reshape(3, 4)
+    if "Tr" not in matrices:
         raise InputError(path, "has no line Tr", "add Tr: 12 numbers, camera 0 from LiDAR")
-    rotation = found["Tr"][:, :3]
+    rotation = matrices["Tr"][:, :3]
     if not np.abs(rotation @ rotation.T - np.eye(3)).max() <= _TOLERANCE or np.linalg.det(rotation) < 0:
         raise InputError(path, "Tr is no rotation", "correct its numbers")
-    found["Tr"] = geometry.orthonormalize(geometry.from_rotation_translation(rotation, found["Tr"][:, 3]))
-    return found
+    matrices["Tr"] = geometry.orthonormalize(
+        geometry.from_rotation_translation(rotation, matrices["Tr"][:, 3])
+    )
+    return matrices
 
 
 def _split_projection(

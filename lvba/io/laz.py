@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lvba.arrays import Vector
 from lvba.errors import InputError
 from lvba.io import stream
 
@@ -19,7 +20,7 @@ def write_las(
     path: str | Path,
     chunks: Iterable[Mapping[str, np.ndarray]],
     extra: Mapping[str, np.dtype],
-    corner: np.ndarray,
+    corner: Vector,
     *,
     wkt: str = "",
     adjusted_time: bool = False,

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lvba.arrays import Poses
 from lvba.camera import Camera
 from lvba.io import files
 
@@ -12,7 +13,7 @@ _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def write_transforms(
-    folder: str | Path, camera: Camera, names: tuple[str, ...], world_from_camera: np.ndarray, ply_name: str
+    folder: str | Path, camera: Camera, names: tuple[str, ...], world_from_camera: Poses, ply_name: str
 ) -> None:
     """Writes transforms.json.
 

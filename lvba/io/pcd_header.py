@@ -40,11 +40,13 @@ class Header:
 
     @property
     def point_bytes(self) -> int:
+        """Bytes of a point in a binary file."""
         last = self.fields[-1]
         return last.offset + last.dtype.itemsize * last.count
 
     @property
     def point_values(self) -> int:
+        """Numbers of a point in a text file."""
         return self.fields[-1].column + self.fields[-1].count
 
     def field(self, names: tuple[str, ...]) -> Field | None:
@@ -109,8 +111,8 @@ def _fields(path: str | Path, entries: dict[str, list[str]]) -> tuple[Field, ...
 
 def _check_position(path: str | Path, fields: list[Field]) -> None:
     for name in ("x", "y", "z"):
-        found = [field for field in fields if field.name.lower() == name]
-        if len(found) != 1 or found[0].count != 1:
+        matching = [field for field in fields if field.name.lower() == name]
+        if len(matching) != 1 or matching[0].count != 1:
             names = " ".join(field.name for field in fields)[:80]
             raise InputError(path, f"needs one field {name!r}, but FIELDS are {names!r}", _REWRITE)
 

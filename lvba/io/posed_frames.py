@@ -57,12 +57,12 @@ def checked(
     good, bad_warnings = frames.split_bad(matched, checks, kind)
     names = (f"{kind} {matched[index].path.name} {checks[index].fingerprint}" for index in good)
     return PosedFrames(
-        tuple(str(matched[index].path) for index in good),
-        Trajectory(poses.times[good], poses.world_from_sensor[good]),
-        (pose_fingerprint, *names),
-        tuple(facts for index in good if isinstance(facts := checks[index].facts, ImageSize)),
-        (*warnings, *bad_warnings),
-        tuple(stamps[index] for index in good) if stamps else (),
+        paths=tuple(str(matched[index].path) for index in good),
+        poses=Trajectory(poses.times[good], poses.world_from_sensor[good]),
+        fingerprints=(pose_fingerprint, *names),
+        sizes=tuple(facts for index in good if isinstance(facts := checks[index].facts, ImageSize)),
+        warnings=(*warnings, *bad_warnings),
+        stamps=tuple(stamps[index] for index in good) if stamps else (),
     )
 
 
@@ -73,7 +73,7 @@ def of_one_size(pictures: PosedFrames, where: object) -> PosedFrames:
     """
     size, count = Counter(pictures.sizes).most_common(1)[0]
     if 2 * count <= len(pictures.sizes):
-        other = next(index for index, found in enumerate(pictures.sizes) if found != pictures.sizes[0])
+        other = next(index for index, each in enumerate(pictures.sizes) if each != pictures.sizes[0])
         raise InputError(
             pictures.paths[other],
             f"images of different sizes: {_text(pictures.sizes[other])}, but {_text(pictures.sizes[0])} in "
@@ -88,17 +88,15 @@ def of_one_size(pictures: PosedFrames, where: object) -> PosedFrames:
         )
     if count == len(pictures.sizes):
         return pictures
-    good = [index for index, found in enumerate(pictures.sizes) if found == size]
-    odd = [
-        Path(path).name for path, found in zip(pictures.paths, pictures.sizes, strict=True) if found != size
-    ]
+    good = [index for index, each in enumerate(pictures.sizes) if each == size]
+    odd = [Path(path).name for path, each in zip(pictures.paths, pictures.sizes, strict=True) if each != size]
     return PosedFrames(
-        tuple(pictures.paths[index] for index in good),
-        Trajectory(pictures.poses.times[good], pictures.poses.world_from_sensor[good]),
-        (pictures.fingerprints[0], *(pictures.fingerprints[index + 1] for index in good)),
-        tuple(pictures.sizes[index] for index in good),
-        (*pictures.warnings, *frames.left_out(odd, f"images that are not {_text(size)} px", where)),
-        tuple(pictures.stamps[index] for index in good) if pictures.stamps else (),
+        paths=tuple(pictures.paths[index] for index in good),
+        poses=Trajectory(pictures.poses.times[good], pictures.poses.world_from_sensor[good]),
+        fingerprints=(pictures.fingerprints[0], *(pictures.fingerprints[index + 1] for index in good)),
+        sizes=tuple(pictures.sizes[index] for index in good),
+        warnings=(*pictures.warnings, *frames.left_out(odd, f"images that are not {_text(size)} px", where)),
+        stamps=tuple(pictures.stamps[index] for index in good) if pictures.stamps else (),
     )
 
 

@@ -85,18 +85,22 @@ class Scratch:
             self._file = tempfile.TemporaryFile(prefix=".points.", dir=folder)  # noqa: SIM115 - closed by `close`
 
     def put(self, first: int, points: np.ndarray) -> None:
-        """Writes rows from place `first` on."""
+        """Writes rows from place `first` on.
+
+        points: (n,) of the dtype `rows`
+        """
         with files.as_input_error(self._folder):
             self._file.seek(first * self.rows.itemsize)
             self._file.write(np.ascontiguousarray(points).data)
 
     def get(self, first: int, count: int) -> np.ndarray:
-        """`count` rows from place `first` on."""
+        """`count` rows from place `first` on, (count,) of the dtype `rows`."""
         with files.as_input_error(self._folder):
             self._file.seek(first * self.rows.itemsize)
             return np.fromfile(self._file, self.rows, count)
 
     def close(self) -> None:
+        """Removes the file."""
         self._file.close()
 
 

@@ -43,14 +43,14 @@ def read_reference(folder: str | Path) -> Reference:
     scan_path, image_path, exposure_path = (folder / name for name in (SCAN_POSES, IMAGE_POSES, EXPOSURES))
     if not os.path.exists(scan_path) and not os.path.exists(image_path):
         raise InputError(folder, "holds no poses", f"put {SCAN_POSES} or {IMAGE_POSES} there")
-    found = None if not os.path.exists(image_path) else tum.read_pose_file(image_path)
-    for warning in () if found is None else found.warnings:
+    images = None if not os.path.exists(image_path) else tum.read_pose_file(image_path)
+    for warning in () if images is None else images.warnings:
         logger.warning(warning)
     return Reference(
         tum.read_trajectory(scan_path) if os.path.exists(scan_path) else None,
-        None if found is None else found.trajectory,
+        None if images is None else images.trajectory,
         exposures.read_exposures(exposure_path) if os.path.exists(exposure_path) else None,
-        "" if found is None else image_poses.stated(found.comments),
+        "" if images is None else image_poses.stated(images.comments),
     )
 
 
@@ -61,19 +61,19 @@ def of_cameras(reference: Reference, dataset: Dataset) -> Reference:
     laid over the recording's. What neither they nor the file tell is what the recording's file holds.
     Raises: InputError if its image poses do not belong to its scan poses.
     """
-    images, mount = reference.images, dataset.camera_from_scan
+    images, extrinsic = reference.images, dataset.camera_from_scan
     if images is None or not dataset.image_paths:
         return reference
     statement = image_poses.Statement(reference.image_poses, "the file")
     if reference.scans is None:
-        found = image_poses.decide_beside(images, dataset, statement)
+        reading = image_poses.decide_beside(images, dataset, statement)
     else:
         where = f"{IMAGE_POSES} of the reference"
-        found = image_poses.decide(
-            *(images, reference.scans, mount, statement, where, dataset.image_poses),
-            image_poses.FOREIGN_MOUNT,
+        reading = image_poses.decide(
+            *(images, reference.scans, extrinsic, statement, where, dataset.image_poses),
+            image_poses.FOREIGN_EXTRINSIC,
         )
-        for warning in found.warnings:
+        for warning in reading.warnings:
             logger.warning(warning)
-    cameras = image_poses.to_camera(images.world_from_sensor, found.kind, mount)
+    cameras = image_poses.to_camera(images.world_from_sensor, reading.kind, extrinsic)
     return dataclasses.replace(reference, images=Trajectory(images.times, cameras), image_poses=CAMERA)

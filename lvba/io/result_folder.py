@@ -8,16 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
+from lvba.arrays import Poses
 from lvba.dataset import CAMERA, Dataset
 from lvba.errors import InputError
-from lvba.io import exposures, files, image_poses, tum
+from lvba.io import calibration, exposures, files, image_poses, tum
 from lvba.io.dataset import IMAGE_POSES, SCAN_POSES
 from lvba.io.exposures import Exposures
 from lvba.io.reference import EXPOSURES
 from lvba.trajectory import Trajectory
 
 CONFIG, MAP, REPORT = "config.yaml", "map.ply", "report.json"
-FILES = (SCAN_POSES, IMAGE_POSES, EXPOSURES, MAP, CONFIG, REPORT, "report.html")
+FILES = (SCAN_POSES, IMAGE_POSES, EXPOSURES, MAP, CONFIG, calibration.NAME, REPORT, "report.html")
 """What is written, and replaced, in a result folder."""
 _LOCK, _WRITING = Path("stages") / ".lock", ".writing"
 _LARGEST_REPORT = 1 << 30
@@ -41,16 +42,16 @@ def check(out: str | Path) -> None:
     Raises: InputError
     """
     folder = Path(out)
-    found = next((name for name in FILES if os.path.lexists(folder / name)), None)
+    existing = next((name for name in FILES if os.path.lexists(folder / name)), None)
     if (
-        found is None
+        existing is None
         or os.path.exists(folder / _LOCK)
         or os.path.exists(folder / _WRITING)
         or _is_ours(folder)
     ):
         return
     raise InputError(
-        folder / found,
+        folder / existing,
         "is not of a result of lvba, and would be replaced",
         "choose another folder, or move it away",
     )
@@ -74,9 +75,7 @@ def _is_ours(folder: Path) -> bool:
     return isinstance(facts, dict) and "schema" in facts and isinstance(facts.get("dataset"), dict)
 
 
-def write_poses(
-    out: str | Path, dataset: Dataset, world_from_scan: np.ndarray, world_from_camera: np.ndarray
-) -> None:
+def write_poses(out: str | Path, dataset: Dataset, world_from_scan: Poses, world_from_camera: Poses) -> None:
     """Writes lidar_poses.txt and, if there are images, image_poses.txt; each file is the old one or the whole new one.
 
     image_poses.txt holds poses of what the recording's file holds (`Dataset.image_poses`), and says so in its first line.
@@ -88,8 +87,8 @@ def write_poses(
     if dataset.image_paths:
         kind = dataset.image_poses
         poses = image_poses.from_camera(world_from_camera, kind, dataset.camera_from_scan)
-        times, told = dataset.images.times, image_poses.comment(kind)
-        _write_trajectory(folder / IMAGE_POSES, dataset, times, poses, dataset.image_stamps, told)
+        times, comment = dataset.images.times, image_poses.comment(kind)
+        _write_trajectory(folder / IMAGE_POSES, dataset, times, poses, dataset.image_stamps, comment)
 
 
 def read_cameras(out: str | Path, dataset: Dataset) -> Trajectory:
@@ -98,11 +97,11 @@ def read_cameras(out: str | Path, dataset: Dataset) -> Trajectory:
     Results without a comment that says what they hold are older ones, and hold the camera's poses.
     Raises: InputError
     """
-    found = tum.read_pose_file(Path(out) / IMAGE_POSES)
-    kind = image_poses.stated(found.comments) or CAMERA
-    poses = image_poses.to_camera(found.trajectory.world_from_sensor, kind, dataset.camera_from_scan).copy()
+    file = tum.read_pose_file(Path(out) / IMAGE_POSES)
+    kind = image_poses.stated(file.comments) or CAMERA
+    poses = image_poses.to_camera(file.trajectory.world_from_sensor, kind, dataset.camera_from_scan).copy()
     poses[:, :3, 3] -= dataset.origin
-    return Trajectory(found.trajectory.times, poses)
+    return Trajectory(file.trajectory.times, poses)
 
 
 def read_scans(out: str | Path, dataset: Dataset) -> Trajectory:
@@ -111,12 +110,12 @@ def read_scans(out: str | Path, dataset: Dataset) -> Trajectory:
     Raises: InputError, also if it has other times than the recording.
     """
     path = Path(out) / SCAN_POSES
-    found, times = tum.read_trajectory(path), dataset.scans.times
-    if len(found) != len(times) or np.abs(found.times - times).max(initial=0) > _SAME_TIME_S:
+    stored, times = tum.read_trajectory(path), dataset.scans.times
+    if len(stored) != len(times) or np.abs(stored.times - times).max(initial=0) > _SAME_TIME_S:
         raise InputError(
             path, "has other times than its recording", "run again on the recording as it is now"
         )
-    poses = found.world_from_sensor.copy()
+    poses = stored.world_from_sensor.copy()
     poses[:, :3, 3] -= dataset.origin
     return Trajectory(times, poses)
 
@@ -124,7 +123,8 @@ def read_scans(out: str | Path, dataset: Dataset) -> Trajectory:
 def write_exposures(out: str | Path, dataset: Dataset, relative: np.ndarray) -> None:
     """Writes exposures.csv.
 
-    relative: (I,), scaled here so that the first image has 1
+    relative: (I,) float64, scaled here so that the first image has 1
+
     Raises: InputError if the file cannot be written.
     """
     folder = files.make_folder(out)

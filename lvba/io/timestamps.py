@@ -106,7 +106,14 @@ def match(times: np.ndarray, rough: Trajectory, where: object) -> Match:
     between = ~same & inside & (rough.times[after] - rough.times[before] <= MAX_GAP)
     if not (same | between).any():
         if len(times) == len(rough) and times[0] in (0, 1) and (np.diff(times) == 1).all():
-            return Match(np.arange(len(times)), rough, np.arange(len(times)), 0, 0, by_order=True)
+            return Match(
+                files=np.arange(len(times)),
+                poses=rough,
+                own=np.arange(len(times)),
+                interpolated=0,
+                unused_poses=0,
+                by_order=True,
+            )
         raise _another_clock(times, rough, where)
     poses = rough.world_from_sensor[nearest].copy()
     poses[between] = geometry.interpolate(
@@ -120,11 +127,11 @@ def match(times: np.ndarray, rough: Trajectory, where: object) -> Match:
     used = np.zeros(len(rough), bool)
     used[nearest[same]] = used[before[between]] = used[after[between]] = True
     return Match(
-        kept,
-        Trajectory(matched_times[kept], poses[kept]),
-        np.where(same, nearest, -1)[kept],
-        int(np.count_nonzero(between & keep)),
-        int(np.count_nonzero(~used)),
+        files=kept,
+        poses=Trajectory(matched_times[kept], poses[kept]),
+        own=np.where(same, nearest, -1)[kept],
+        interpolated=int(np.count_nonzero(between & keep)),
+        unused_poses=int(np.count_nonzero(~used)),
     )
 
 

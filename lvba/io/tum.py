@@ -57,8 +57,8 @@ def read_trajectory_and_warnings(path: str | Path) -> tuple[Trajectory, tuple[st
 
     Raises: as `read_pose_file`
     """
-    found = read_pose_file(path)
-    return found.trajectory, found.warnings
+    file = read_pose_file(path)
+    return file.trajectory, file.warnings
 
 
 def read_pose_file(path: str | Path) -> PoseFile:
@@ -96,13 +96,13 @@ def _stamp(line: str) -> str:
 
 def _comments(text: str) -> tuple[str, ...]:
     """The comments before the first pose."""
-    found = []
+    comments = []
     for line in text.split("\n", _MAX_COMMENTS)[:_MAX_COMMENTS]:
         line = line.strip()
         if line and not line.startswith("#"):
             break
-        found.append(line.lstrip("#").strip())
-    return tuple(found)
+        comments.append(line.lstrip("#").strip())
+    return tuple(comments)
 
 
 def write_trajectory(path: str | Path, trajectory: Trajectory, digits: int = 9) -> None:

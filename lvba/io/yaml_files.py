@@ -17,7 +17,7 @@ def find(folder: Path) -> list[Path]:
 
     Raises: InputError if the folder cannot be read.
     """
-    found: list[Path] = []
+    paths: list[Path] = []
     for place in (folder, folder / "config"):
         if os.path.isdir(place):
             names = [
@@ -25,8 +25,8 @@ def find(folder: Path) -> list[Path]:
                 for name in files.names_in(place)
                 if Path(name).suffix.lower() in (".yaml", ".yml")
             ]
-            found += sorted(names, key=lambda path: path.stem.lower() != "config")
-    return found
+            paths += sorted(names, key=lambda path: path.stem.lower() != "config")
+    return paths
 
 
 def read_yaml(path: str | Path) -> Any:

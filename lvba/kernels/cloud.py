@@ -1,10 +1,12 @@
 """Sorting a point cloud into blocks, and thinning it by a voxel grid."""
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
+
+from lvba.kernels.compiled import kernel, parallel_kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def transform(points: np.ndarray, world_from_points: np.ndarray, out: np.ndarray) -> None:
     """Writes the moved points into `out`. points, out: (N, 3) float32; world_from_points: (4, 4) float64."""
     m = world_from_points
@@ -14,9 +16,12 @@ def transform(points: np.ndarray, world_from_points: np.ndarray, out: np.ndarray
             out[i, a] = m[a, 0] * x + m[a, 1] * y + m[a, 2] * z + m[a, 3]
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel_kernel
 def cell_index(points: np.ndarray, low: np.ndarray, edge: float, shape: np.ndarray) -> np.ndarray:
-    """The cell (N,) int32 of each point in a grid of `shape` cells from `low`; points outside go to the border cells."""
+    """The cell (N,) int32 of each point in a grid of `shape` cells from `low`; points outside go to the border cells.
+
+    points: (N, 3) float32, m; low: (3,) float64, m; edge: m; shape: (3,) int64
+    """
     cell = np.empty(points.shape[0], np.int32)
     for i in prange(points.shape[0]):
         index = 0
@@ -27,9 +32,12 @@ def cell_index(points: np.ndarray, low: np.ndarray, edge: float, shape: np.ndarr
     return cell
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def counting_order(cell: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
-    """The stable order (N,) int32 that sorts points by cell, and the (cells + 1,) int64 start of each cell."""
+    """The stable order (N,) int32 that sorts points by cell, and the (cells + 1,) int64 start of each cell.
+
+    cell: (N,) int32
+    """
     start = np.zeros(cells + 1, np.int64)
     for c in cell:
         start[c + 1] += 1
@@ -43,9 +51,12 @@ def counting_order(cell: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray
     return order, start
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel_kernel
 def bounding_spheres(points: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Center of the bounding box and the radius round it, (B, 4) float32, of each block of points (none empty)."""
+    """Center of the bounding box and the radius round it, (B, 4) float32, of each block of points (none empty).
+
+    points: (N, 3) float32, m; start: (B + 1,) int64, block b owns points start[b] to start[b + 1]
+    """
     blocks = start.shape[0] - 1
     spheres = np.empty((blocks, 4), np.float32)
     for b in prange(blocks):
@@ -64,11 +75,12 @@ def bounding_spheres(points: np.ndarray, start: np.ndarray) -> np.ndarray:
     return spheres
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel_kernel
 def thin_blocks(points: np.ndarray, order: np.ndarray, start: np.ndarray, voxel: float) -> np.ndarray:
     """Marks (N,) the point nearest to the center of each voxel; ties go to the lower index.
 
     order, start: points sorted into blocks whose borders are voxel borders.
+    points: (N, 3) float32, m; order: (N,) int32; start: (B + 1,) int64; voxel: m
     """
     keep = np.zeros(points.shape[0], np.bool_)
     for b in prange(start.shape[0] - 1):

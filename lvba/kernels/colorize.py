@@ -1,17 +1,48 @@
 """Color samples of points in images: one view by eq. (10), or the best few views behind an occlusion test."""
 
-import numpy as np
-from numba import njit, prange
+from typing import NamedTuple
 
-from lvba.kernels.occlusion import hides, tolerance_of
-from lvba.kernels.zbuffer import EMPTY, NEAR_M, RUN, in_view, sphere_in_view, view_buffers, view_slopes
+import numpy as np
+from numba import prange
+
+from lvba.kernels.compiled import kernel, parallel_kernel
+from lvba.kernels.facing import LEAST_COSINE, NORMAL, SCATTER, TO_LIDAR
+from lvba.kernels.occlusion import FirstPoints, Tolerance, hides, tolerance_of
+from lvba.kernels.scene import BlockPoints, Intrinsics
+from lvba.kernels.zbuffer import (
+    EMPTY,
+    NEAR_M,
+    RUN,
+    in_view,
+    sphere_in_view,
+    view_buffers,
+    view_slopes,
+)
 
 _CLIPPED_RANK = np.float32(1e-9)
 _TOUCHING = np.float32(2.0)
 """Cells between a point and another of the same surface that an image is asked about."""
 
 
-@njit(cache=True, nogil=True)
+class UsableGray(NamedTuple):
+    """Gray values, float32: samples whose brightest channel is not above `dark`, or reaches `bright`, are clipped."""
+
+    dark: np.float32
+    bright: np.float32
+
+
+class Samples(NamedTuple):
+    """The best views of every point, in no order.
+
+    ranks: (M, K) float32, 1/m^2, 0: none; colors: (M, K, 3) uint8; images: (M, K) int32
+    """
+
+    ranks: np.ndarray
+    colors: np.ndarray
+    images: np.ndarray
+
+
+@kernel
 def _bilinear(image: np.ndarray, u: float, v: float, color: np.ndarray) -> np.float32:
     """Writes the bilinear RGB at (u, v), inside the image, and returns the largest channel value it touches."""
     height, width = image.shape[0], image.shape[1]
@@ -27,11 +58,11 @@ def _bilinear(image: np.ndarray, u: float, v: float, color: np.ndarray) -> np.fl
     return high
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sample_image(
     points: np.ndarray,
     pose: np.ndarray,
-    intrinsics: np.ndarray,
+    intrinsics: Intrinsics,
     image: np.ndarray,
     valid: np.ndarray,
     gray: np.ndarray,
@@ -39,19 +70,19 @@ def sample_image(
 ) -> None:
     """Writes the bilinear color of each point that projects into the image; eq. (10).
 
-    points: (N, 3) float32, world; pose: (3, 4) float32 rotation rows and camera center; intrinsics: fx, fy, cx, cy;
+    points: (N, 3) float32, m, world; pose: (4, 4) float32, world_from_camera; intrinsics: float32;
     image: (H, W, 3) uint8; valid: (H, W) bool, pixels that hold a picture; gray: (N, 3) float32 and seen: (N,) bool, out
     """
     height, width = image.shape[0], image.shape[1]
     for i in range(points.shape[0]):
         seen[i] = False
         dx, dy, dz = points[i, 0] - pose[0, 3], points[i, 1] - pose[1, 3], points[i, 2] - pose[2, 3]
-        z = pose[2, 0] * dx + pose[2, 1] * dy + pose[2, 2] * dz
+        z = pose[0, 2] * dx + pose[1, 2] * dy + pose[2, 2] * dz
         if z < NEAR_M:
             continue
         inverse = np.float32(1.0) / z
-        u = intrinsics[0] * (pose[0, 0] * dx + pose[0, 1] * dy + pose[0, 2] * dz) * inverse + intrinsics[2]
-        v = intrinsics[1] * (pose[1, 0] * dx + pose[1, 1] * dy + pose[1, 2] * dz) * inverse + intrinsics[3]
+        u = intrinsics.fx * (pose[0, 0] * dx + pose[1, 0] * dy + pose[2, 0] * dz) * inverse + intrinsics.cx
+        v = intrinsics.fy * (pose[0, 1] * dx + pose[1, 1] * dy + pose[2, 1] * dz) * inverse + intrinsics.cy
         if not (u >= 0 and v >= 0 and u <= width - 1 and v <= height - 1):
             continue
         if not valid[int(v + np.float32(0.5)), int(u + np.float32(0.5))]:
@@ -60,7 +91,7 @@ def sample_image(
         seen[i] = True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _worst(ranks: np.ndarray) -> int:
     """The first slot of the least rank."""
     slot = 0
@@ -70,56 +101,48 @@ def _worst(ranks: np.ndarray) -> int:
     return slot
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+@parallel_kernel
 def collect_views(
-    points: np.ndarray,
+    cloud: BlockPoints,
     surface: np.ndarray,
-    tolerance: np.ndarray,
-    start: np.ndarray,
-    spheres: np.ndarray,
+    tolerance: Tolerance,
     poses: np.ndarray,
-    intrinsics: np.ndarray,
+    intrinsics: Intrinsics,
     pictures: np.ndarray,
     numbers: np.ndarray,
     valid: np.ndarray,
-    first_seen: np.ndarray,
-    front: np.ndarray,
-    cell: int,
-    limits: np.ndarray,
-    ranks: np.ndarray,
-    colors: np.ndarray,
-    images: np.ndarray,
+    seen_first: FirstPoints,
+    usable: UsableGray,
+    samples: Samples,
 ) -> None:
     """Adds the samples of a batch of images to the best views of every point.
 
-    points: (3, M) float32, world; surface: (M, 8) float32, see `facing.surfaces`; tolerance: (2,) float32, see
-    `occlusion.tolerance_of`; start, spheres: blocks;
-    poses: (B, 3, 4) float32; pictures: (B, H, W, 3) uint8; numbers: (B,) int32, image numbers;
-    valid: (H, W) bool; first_seen: (B, h, w, 8) float32 and front: (B, h, w, 2, 2) int32, of cells of `cell` pixels, see
-    `occlusion.first_points`;
-    limits: (2,) float32, darkest and brightest usable value;
-    ranks (M, K) float32, colors (M, K, 3) uint8, images (M, K) int32: in and out. A better view takes the place of the
-    worst, so that the K best remain; of equal ones the earlier stays.
+    surface: (M, 8) float32, see `facing.surfaces`; poses: (B, 4, 4) float32, world_from_camera; intrinsics: float32
+    pictures: (B, H, W, 3) uint8; numbers: (B,) int32, image numbers; valid: (H, W) bool, pixels that hold a picture
+    seen_first: of the same images
+    samples: in and out. A better view takes the place of the worst, so that the K best remain; of equal ones the
+    earlier stays.
     """
+    points, start, cell = cloud.position, cloud.start, seen_first.cell
+    first_seen, front = seen_first.point, seen_first.front
+    ranks, colors, images = samples.ranks, samples.colors, samples.images
     height, width, columns = pictures.shape[1], pictures.shape[2], first_seen.shape[2]
-    slopes = view_slopes(intrinsics, width, height)
     right, bottom = np.float32(width - 1), np.float32(height - 1)
-    half, pixel = np.float32(0.5), np.float32(1.0) / min(intrinsics[0], intrinsics[1])
+    half, pixel = np.float32(0.5), np.float32(1.0) / min(intrinsics.fx, intrinsics.fy)
     twice = np.float32(1.9999) * pixel * pixel
     touching = _TOUCHING * np.float32(cell) * pixel
     cell_of = np.arange(max(height, width)) // cell
     half_of = (2 * (np.arange(max(height, width)) % cell) + 1) // cell
     for b in prange(start.shape[0] - 1):
         color = np.empty(3, np.float32)
-        u, v, depth, which = view_buffers()
+        buffers, slopes = view_buffers(), view_slopes(intrinsics, width, height)
+        u, v, depth, which = buffers.u, buffers.v, buffers.depth, buffers.which
         for image in range(len(numbers)):
             pose = poses[image]
-            if not sphere_in_view(spheres[b], pose, slopes):
+            if not sphere_in_view(cloud.spheres[b], pose, slopes):
                 continue
             for first in range(start[b], start[b + 1], RUN):
-                seen = in_view(
-                    points, first, start[b + 1], pose, intrinsics, width, height, u, v, depth, which
-                )
+                seen = in_view(points, first, start[b + 1], pose, intrinsics, width, height, buffers)
                 for k in which[:seen]:
                     column, row = int(u[k] + half), int(v[k] + half)
                     if not valid[row, column]:
@@ -141,7 +164,7 @@ def collect_views(
                         continue
                     x, y = min(max(u[k], np.float32(0.0)), right), min(max(v[k], np.float32(0.0)), bottom)
                     high = _bilinear(pictures[image], x, y, color)
-                    if high >= limits[1] or high <= limits[0]:
+                    if high >= usable.bright or high <= usable.dark:
                         rank *= _CLIPPED_RANK
                         if not rank > ranks[i, slot]:
                             continue
@@ -150,7 +173,7 @@ def collect_views(
                         colors[i, slot, channel] = np.uint8(color[channel] + half)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _rank(points: np.ndarray, surface: np.ndarray, i: int, pose: np.ndarray, pixel: np.float32) -> np.float32:
     """How good the view is: one over the mean square distance, along the surface, of what it shows from the point, 1/m^2.
 
@@ -161,27 +184,28 @@ def _rank(points: np.ndarray, surface: np.ndarray, i: int, pose: np.ndarray, pix
     """
     one = np.float32(1.0)
     dx, dy, dz = points[0, i] - pose[0, 3], points[1, i] - pose[1, 3], points[2, i] - pose[2, 3]
-    nx, ny, nz = surface[i, 0], surface[i, 1], surface[i, 2]
+    nx, ny, nz = surface[i, NORMAL], surface[i, NORMAL + 1], surface[i, NORMAL + 2]
+    lx, ly, lz = surface[i, TO_LIDAR], surface[i, TO_LIDAR + 1], surface[i, TO_LIDAR + 2]
     square = dx * dx + dy * dy + dz * dz
     if nx == 0 and ny == 0 and nz == 0:
         return one / (np.float32(2.0) * pixel * pixel * square)
     height = -(nx * dx + ny * dy + nz * dz)
-    if surface[i, 3] == 0 and surface[i, 4] == 0 and surface[i, 5] == 0:
+    if lx == 0 and ly == 0 and lz == 0:
         height = abs(height)
     squared = height * height
-    if not (height > 0 and squared > surface[i, 7] * square):
+    if not (height > 0 and squared > surface[i, LEAST_COSINE] * square):
         return np.float32(0.0)
-    ax, ay, az = surface[i, 3] * height + dx, surface[i, 4] * height + dy, surface[i, 5] * height + dz
-    off = surface[i, 6] * surface[i, 6] * (ax * ax + ay * ay + az * az)
+    ax, ay, az = lx * height + dx, ly * height + dy, lz * height + dz
+    off = surface[i, SCATTER] * surface[i, SCATTER] * (ax * ax + ay * ay + az * az)
     return squared / (pixel * pixel * square * (squared + square) + off)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline=True)
 def _hidden(
     first_seen: np.ndarray,
     points: np.ndarray,
     surface: np.ndarray,
-    tolerance: np.ndarray,
+    tolerance: Tolerance,
     i: int,
     pose: np.ndarray,
     depth: np.float32,
@@ -189,11 +213,11 @@ def _hidden(
 ) -> bool:
     """Whether what a cell sees first, (8,), hides a point."""
     allowed = tolerance_of(surface[i], tolerance)
-    nx, ny, nz = surface[i, 0], surface[i, 1], surface[i, 2]
-    if surface[i, 3] == 0 and surface[i, 4] == 0 and surface[i, 5] == 0:
+    nx, ny, nz = surface[i, NORMAL], surface[i, NORMAL + 1], surface[i, NORMAL + 2]
+    if surface[i, TO_LIDAR] == 0 and surface[i, TO_LIDAR + 1] == 0 and surface[i, TO_LIDAR + 2] == 0:
         toward = np.float32(0.0)
         for a in range(3):
-            toward += surface[i, a] * (pose[a, 3] - points[a, i])
+            toward += surface[i, NORMAL + a] * (pose[a, 3] - points[a, i])
         if toward < 0:
             nx, ny, nz = -nx, -ny, -nz
     return hides(
@@ -201,7 +225,7 @@ def _hidden(
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sort(values: np.ndarray, weights: np.ndarray, count: int) -> None:
     """Sorts the first `count` values in place, their weights along with them.
 
@@ -215,7 +239,7 @@ def _sort(values: np.ndarray, weights: np.ndarray, count: int) -> None:
             weights[k], weights[k + 1] = (beside if swap else weight), (weight if swap else beside)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _weighted_median(weights: np.ndarray, count: int, half: np.float32) -> int:
     """Which of the sorted values is the first at which half of the weight is reached."""
     reached = np.float32(0.0)
@@ -226,7 +250,7 @@ def _weighted_median(weights: np.ndarray, count: int, half: np.float32) -> int:
     return count - 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _median_distance(
     values: np.ndarray, weights: np.ndarray, count: int, middle: int, half: np.float32
 ) -> np.float32:
@@ -246,7 +270,7 @@ def _median_distance(
     return distance
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def robust_mean(
     samples: np.ndarray,
     weights: np.ndarray,
@@ -286,27 +310,22 @@ def robust_mean(
     return np.sqrt(squares / (np.float32(3.0) * total))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _gather(
-    ranks: np.ndarray,
-    colors: np.ndarray,
-    images: np.ndarray,
-    gains: np.ndarray,
-    without: int,
-    samples: np.ndarray,
-    weights: np.ndarray,
+    best: Samples, point: int, gains: np.ndarray, without: int, samples: np.ndarray, weights: np.ndarray
 ) -> tuple[int, np.float32]:
     """Writes a point's usable samples as radiances (3, K) and their weights (K,), those of image `without` left out.
 
     Returns their number and the sum of their gains. Clipped samples are usable only where there is no other.
     """
-    best = np.float32(0.0)
+    ranks, colors, images = best.ranks[point], best.colors[point], best.images[point]
+    highest = np.float32(0.0)
     for k in range(ranks.shape[0]):
         if images[k] != without:
-            best = max(best, ranks[k])
+            highest = max(highest, ranks[k])
     count, gain = 0, np.float32(0.0)
     for k in range(ranks.shape[0]):
-        if ranks[k] > np.float32(1e-6) * best and images[k] != without:
+        if ranks[k] > np.float32(1e-6) * highest and images[k] != without:
             factor = gains[images[k]]
             gain += factor
             weights[count] = ranks[k]
@@ -316,11 +335,9 @@ def _gather(
     return count, gain
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel_kernel
 def blend_views(
-    ranks: np.ndarray,
-    colors: np.ndarray,
-    images: np.ndarray,
+    best: Samples,
     gains: np.ndarray,
     floor: np.float32,
     radiance: np.ndarray,
@@ -331,25 +348,23 @@ def blend_views(
 
     gains: (I,) float32, 1 / relative exposure; floor: noise of a gray value, 0..255
     """
-    number, slots = ranks.shape
+    number, slots = best.ranks.shape
     for run in prange((number + RUN - 1) // RUN):
         samples, weights = np.empty((3, slots), np.float32), np.empty(slots, np.float32)
         scratch = np.empty((2, slots), np.float32)
         for i in range(run * RUN, min(number, (run + 1) * RUN)):
-            count, gain = _gather(ranks[i], colors[i], images[i], gains, -1, samples, weights)
+            count, gain = _gather(best, i, gains, -1, samples, weights)
             views[i] = count
             if count:
                 noise = floor * gain / np.float32(count)
                 spread[i] = robust_mean(samples, weights, count, noise, scratch, radiance[i])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def shade_blended(
     entries: np.ndarray,
     radiance: np.ndarray,
-    ranks: np.ndarray,
-    colors: np.ndarray,
-    images: np.ndarray,
+    best: Samples,
     gains: np.ndarray,
     floor: np.float32,
     image: int,
@@ -360,8 +375,9 @@ def shade_blended(
 
     entries: (2, H, W) int64 of lvba.kernels.zbuffer; radiance: (M, 3) float32, of all samples: the first picture. In
     the second, points with a sample of the image itself are blended again without it.
+    gains: (I,) float32, see `blend_views`; color: (2, H, W, 3) float32, out; covered: (2, H, W) bool, out
     """
-    slots = ranks.shape[1]
+    slots = best.ranks.shape[1]
     samples, weights = np.empty((3, slots), np.float32), np.empty(slots, np.float32)
     scratch, value = np.empty((2, slots), np.float32), np.empty(3, np.float32)
     exposure, white = np.float32(1.0) / gains[image], np.float32(255.0)
@@ -374,13 +390,13 @@ def shade_blended(
                     color[variant, row, column, c] = 0.0
                 if entry == EMPTY:
                     continue
-                i = np.int32(entry & 0xFFFFFFFF)
+                i = int(entry & 0xFFFFFFFF)
                 own = False
                 for k in range(slots):
-                    own |= ranks[i, k] > 0 and images[i, k] == image
+                    own |= best.ranks[i, k] > 0 and best.images[i, k] == image
                 value[:] = radiance[i]
                 if variant == 1 and own:
-                    count, gain = _gather(ranks[i], colors[i], images[i], gains, image, samples, weights)
+                    count, gain = _gather(best, i, gains, image, samples, weights)
                     robust_mean(samples, weights, count, floor * gain / np.float32(count), scratch, value)
                 for c in range(3):
                     color[variant, row, column, c] = min(value[c] * exposure, white)

@@ -1,11 +1,13 @@
 """The surface round each point of a map: which way it faces, how far its points scatter, how well its normal is known."""
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
-from lvba.kernels.parallel import parallel
-from lvba.kernels.point_cluster import add_point, cluster_of_sums, eigen3
+from lvba.kernels.compiled import kernel, parallel_kernel
+from lvba.kernels.point_cluster import POINTS, add_point, cluster_of_sums, eigen3
 
+NORMAL, TO_LIDAR, SCATTER, LEAST_COSINE = 0, 3, 6, 7
+"""Columns of a surface, (8,) float32, of `surfaces`, of vectors the first of three; LEAST_COSINE holds its square."""
 _OCTANTS = 8
 _COARSE = 8 * _OCTANTS
 """Neighborhoods of a block: its eight eighths, and after them the whole of it, each apart by octant."""
@@ -26,7 +28,7 @@ _D, _SIGMA, _TILT = 3, 4, 5
 standard deviation of its normal in rad."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fit(
     sums: np.ndarray,
     mean: np.ndarray,
@@ -38,33 +40,33 @@ def _fit(
     """Writes the plane (6,) of the points of the sums (10,) and says whether they are on one."""
     plane[:] = 0.0
     plane[_SIGMA] = -1.0
-    if sums[0] < _FEWEST:
+    if sums[POINTS] < _FEWEST:
         return False
     cluster_of_sums(sums, mean, scatter)
     eigen3(scatter, values, rows)
     across = max(values[0], 0.0)
-    plane[_SIGMA] = np.sqrt(across / (sums[0] - 3.0))
+    plane[_SIGMA] = np.sqrt(across / (sums[POINTS] - 3.0))
     if across > _FLAT * values[1] or values[1] < _WIDE * values[2]:
         return False
     plane[:3] = rows[0]
     plane[_D] = rows[0, 0] * mean[0] + rows[0, 1] * mean[1] + rows[0, 2] * mean[2]
-    plane[_TILT] = np.sqrt(across / (values[1] * min(sums[0], _TRUSTED)))
+    plane[_TILT] = np.sqrt(across / (values[1] * min(sums[POINTS], _TRUSTED)))
     return True
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline=True)
 def _off(plane: np.ndarray, x: float, y: float, z: float) -> float:
     """How far a point is from a plane, in the plane's standard deviations."""
     distance = plane[0] * x + plane[1] * y + plane[2] * z - plane[_D]
     return abs(distance) / (plane[_SIGMA] + 1e-6)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline=True)
 def _is_flat(plane: np.ndarray) -> bool:
     return plane[0] != 0.0 or plane[1] != 0.0 or plane[2] != 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _plane_of(
     planes: np.ndarray, flat: np.ndarray, surfaces: int, own: int, x: float, y: float, z: float
 ) -> int:
@@ -82,23 +84,24 @@ def _plane_of(
     return best
 
 
-@parallel
+@parallel_kernel
 def surfaces(
     points: np.ndarray, start: np.ndarray, scan: np.ndarray, sensor_world: np.ndarray, max_angle: float
 ) -> np.ndarray:
     """The surface at each point, (M, 8) float32:
 
-    0 to 2: unit normal towards the LiDAR, zero where the neighborhood is not flat
-    3 to 5: unit vector to the LiDAR over its cosine to the normal
-    6: m, scatter of points across the surface; where none is flat, the least of any direction; -1: points are too few
-    7: square of the least cosine between normal and view, for views at most `max_angle` (rad) off the normal: two of its
-       standard deviations are added, but nothing is seen from behind
+    NORMAL: unit normal towards the LiDAR, zero where the neighborhood is not flat
+    TO_LIDAR: unit vector to the LiDAR over its cosine to the normal
+    SCATTER: m, of points across the surface; where none is flat, the least of any direction; -1: points are too few
+    LEAST_COSINE: square of the least cosine between normal and view, for views at most `max_angle` (rad) off the normal:
+        two of its standard deviations are added, but nothing is seen from behind
 
     points: (3, M) float32, m, world, in blocks that begin at start (B + 1,); scan: (M,) int32, who measured each;
     sensor_world: (S, 3) float32, where from. A neighborhood is an eighth of the block's box, or the whole where that is
     not flat, and holds only points seen from the same octant of directions: so both sides of a thin wall are apart.
     Planes are fitted again without what is off them. A point in no flat neighborhood, as where two surfaces meet, is on
     the plane of another one of the block if it is near that.
+    start: (B + 1,) int64
     """
     out = np.zeros((points.shape[1], 8), np.float32)
     for b in prange(start.shape[0] - 1):
@@ -130,7 +133,9 @@ def surfaces(
         flat, count = np.empty(len(planes), np.int64), 0
         for n in range(_COARSE + _OCTANTS):
             if _is_flat(planes[n]):
-                if again[n, 0] < total[n, 0] and not _fit(again[n], mean, scatter, values, rows, planes[n]):
+                if again[n, POINTS] < total[n, POINTS] and not _fit(
+                    again[n], mean, scatter, values, rows, planes[n]
+                ):
                     _fit(total[n], mean, scatter, values, rows, planes[n])
                 flat[count] = n
                 count += 1
@@ -141,14 +146,14 @@ def surfaces(
             if chosen < 0:
                 whole = _COARSE + neighborhood % _OCTANTS
                 few = planes[neighborhood, _SIGMA] < 0.0
-                out[i, 6] = planes[whole if few else neighborhood, _SIGMA]
+                out[i, SCATTER] = planes[whole if few else neighborhood, _SIGMA]
                 continue
             plane, along = planes[chosen], 0.0
             for a in range(3):
                 along += plane[a] * (sensor_world[scan[i], a] - points[a, i])
             for a in range(3):
-                out[i, a] = plane[a] if along > 0 else -plane[a]
-                out[i, 3 + a] = (sensor_world[scan[i], a] - points[a, i]) / abs(along)
-            out[i, 6] = plane[_SIGMA]
-            out[i, 7] = np.cos(min(max_angle + 2.0 * plane[_TILT], 0.5 * np.pi)) ** 2
+                out[i, NORMAL + a] = plane[a] if along > 0 else -plane[a]
+                out[i, TO_LIDAR + a] = (sensor_world[scan[i], a] - points[a, i]) / abs(along)
+            out[i, SCATTER] = plane[_SIGMA]
+            out[i, LEAST_COSINE] = np.cos(min(max_angle + 2.0 * plane[_TILT], 0.5 * np.pi)) ** 2
     return out

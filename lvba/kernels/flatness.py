@@ -3,7 +3,7 @@
 import numpy as np
 from numba import prange
 
-from lvba.kernels.parallel import parallel
+from lvba.kernels.compiled import parallel_kernel
 from lvba.kernels.point_cluster import eigen3
 
 FEWEST = 12
@@ -14,7 +14,7 @@ WIDE = 0.02
 """Least ratio of the middle to the greatest: points along a line have no plane."""
 
 
-@parallel
+@parallel_kernel
 def plane_error(position: np.ndarray, starts: np.ndarray, scale: float) -> np.ndarray:
     """Signed distance (N,) float32, m, of each point from the plane that fits its cell; NaN where that is no plane.
 

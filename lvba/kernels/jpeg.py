@@ -3,19 +3,18 @@
 Source: ITU-T T.81, annex F.2.2 (decoding of baseline sequential scans).
 """
 
-import numba
 import numpy as np
 
-PADDING = 12
-"""Bytes that `walk` may look at beyond the data."""
+from lvba.kernels.compiled import kernel
+
 _SHORT = 10
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def walk(words: np.ndarray, end: int, codes: np.ndarray, dc: np.ndarray, ac: np.ndarray, units: int) -> int:
     """The bits that `units` coded units take, or -1 where a code is none or the data end before.
 
-    words: (N,) uint32, the data without stuffed zeros as big-endian numbers, with PADDING; end: bits of data
+    words: (N,) uint32, the data without stuffed zeros as big-endian numbers; end: bits of data
     codes: (T, 65536) uint16: for the next 16 bits, the length of the code they start with times 256, plus its symbol; 0
         where they start with none
     dc, ac: (B,) int64, rows of `codes` for each block of a unit
@@ -29,7 +28,10 @@ def walk(words: np.ndarray, end: int, codes: np.ndarray, dc: np.ndarray, ac: np.
                 if bit > end:
                     return -1
                 if held < 32:
-                    window |= np.uint64(words[word]) << np.uint64(32 - held)
+                    if (
+                        word < words.size
+                    ):  # codes are looked up by more bits than the last ones have; the rest are zeros
+                        window |= np.uint64(words[word]) << np.uint64(32 - held)
                     word += 1
                     held += 32
                 code = int(short_codes[row, np.int64(window >> np.uint64(64 - _SHORT))])

@@ -8,11 +8,13 @@ minus rank three, H = D - W W'. Perturbation of scan i, world axes about the sen
 world's origin, which loses digits far from it): R <- exp(phi) R, t <- t + tau.
 """
 
-import numpy as np
-from numba import njit, prange
+from typing import NamedTuple
 
-from lvba.kernels.parallel import parallel
-from lvba.kernels.point_cluster import add_cluster, eigen3, move_cluster, rotate_scatter
+import numpy as np
+from numba import prange
+
+from lvba.kernels.compiled import kernel, parallel_kernel
+from lvba.kernels.point_cluster import Clusters, add_cluster, eigen3, move_cluster, rotate_scatter
 
 TILE = 12
 """Neighboring scans whose parts of W share a panel: enough of them to fill whole vector registers."""
@@ -20,21 +22,45 @@ _WIDTH = 6 * TILE
 _ROWS = 3
 
 
-@parallel
-def fit(
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    offsets: np.ndarray,
-    scan: np.ndarray,
-    count: np.ndarray,
-    mean: np.ndarray,
-    scatter: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+class Fits(NamedTuple):
+    """Best planes of F features, world frame. total: (F,) float64, sum of weights; center: (F, 3) float64, m
+
+    eigenvalues: (F, 3) float64, m^2, ascending; eigenvectors: (F, 3, 3) float64, unit, as rows
+    """
+
+    total: np.ndarray
+    center: np.ndarray
+    eigenvalues: np.ndarray
+    eigenvectors: np.ndarray
+
+
+class ByScan(NamedTuple):
+    """Observations by scan: scan s owns order[starts[s]] to order[starts[s + 1]].
+
+    starts: (S + 1,) int64; order: (O,) int64
+    """
+
+    starts: np.ndarray
+    order: np.ndarray
+
+
+class Panels(NamedTuple):
+    """Where W is kept: tile t of TILE scans owns panels starts[t] to starts[t + 1], ascending in feature.
+
+    starts: (tiles + 1,) int64; feature: (P,) int32; seen: (P,) int64, bit s is set where scan s of the tile sees it
+    """
+
+    starts: np.ndarray
+    feature: np.ndarray
+    seen: np.ndarray
+
+
+@parallel_kernel
+def fit(poses: np.ndarray, offsets: np.ndarray, scan: np.ndarray, clusters: Clusters) -> Fits:
     """The best plane of each feature at given poses.
 
-    rotation: (S, 3, 3), translation: (S, 3), world from scan; offsets: (F + 1,) int64, feature f owns observations
-    offsets[f] to offsets[f + 1]; scan: (O,) int32; count (O,), mean (O, 3), scatter (O, 6): weighted, scan frame.
-    Returns total (F,), center (F, 3), eigenvalues (F, 3) ascending, eigenvectors (F, 3, 3) as rows; world frame.
+    poses: (S, 4, 4) float64, world_from_scan; offsets: (F + 1,) int64, feature f owns observations offsets[f] to
+    offsets[f + 1]; scan: (O,) int32; clusters: (O,), weighted, scan frame
     """
     features = len(offsets) - 1
     total = np.zeros(features)
@@ -46,78 +72,71 @@ def fit(
         world_mean = np.empty(3)
         world_scatter = np.empty(6)
         for o in range(offsets[f], offsets[f + 1]):
-            s = scan[o]
-            move_cluster(rotation[s], translation[s], mean[o], scatter[o], world_mean, world_scatter)
-            add_cluster(total[f : f + 1], center[f], sums, count[o], world_mean, world_scatter)
+            pose = poses[scan[o]]
+            move_cluster(pose, clusters.mean[o], clusters.scatter[o], world_mean, world_scatter)
+            add_cluster(total[f : f + 1], center[f], sums, clusters.total[o], world_mean, world_scatter)
         if total[f] > 0.0:
             for a in range(6):
                 sums[a] /= total[f]
             eigen3(sums, values[f], vectors[f])
-    return total, center, values, vectors
+    return Fits(total, center, values, vectors)
 
 
-@parallel
+@parallel_kernel
 def distances(
-    rotation: np.ndarray,
-    translation: np.ndarray,
+    poses: np.ndarray,
     offsets: np.ndarray,
     scan: np.ndarray,
-    mean: np.ndarray,
-    scatter: np.ndarray,
+    clusters: Clusters,
     center: np.ndarray,
     normal: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """How far each observation's mean is from its plane, (O,), and its points' sum of squares along the normal, (O,).
 
-    As in `fit`; center, normal: (F, 3), world frame.
+    float64, m and m^2. As in `fit`; center, normal: (F, 3) float64, world frame
+    poses, offsets, scan: as in `fit`
     """
     distance, within = np.empty(len(scan)), np.empty(len(scan))
     for f in prange(len(offsets) - 1):
         c, n = center[f], normal[f]
         for o in range(offsets[f], offsets[f + 1]):
-            r, t, m, s = rotation[scan[o]], translation[scan[o]], mean[o], scatter[o]
+            r, m, s = poses[scan[o]], clusters.mean[o], clusters.scatter[o]
             x = r[0, 0] * n[0] + r[1, 0] * n[1] + r[2, 0] * n[2]
             y = r[0, 1] * n[0] + r[1, 1] * n[1] + r[2, 1] * n[2]
             z = r[0, 2] * n[0] + r[1, 2] * n[1] + r[2, 2] * n[2]
-            offset = n[0] * (c[0] - t[0]) + n[1] * (c[1] - t[1]) + n[2] * (c[2] - t[2])
+            offset = n[0] * (c[0] - r[0, 3]) + n[1] * (c[1] - r[1, 3]) + n[2] * (c[2] - r[2, 3])
             distance[o] = x * m[0] + y * m[1] + z * m[2] - offset
             cross = s[1] * x * y + s[2] * x * z + s[4] * y * z
             within[o] = s[0] * x * x + s[3] * y * y + s[5] * z * z + 2.0 * cross
     return distance, within
 
 
-@parallel
+@parallel_kernel
 def linearize(
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    scan_starts: np.ndarray,
-    by_scan: np.ndarray,
+    poses: np.ndarray,
+    by_scan: ByScan,
     feature: np.ndarray,
-    count: np.ndarray,
-    mean: np.ndarray,
-    scatter: np.ndarray,
-    total: np.ndarray,
-    center: np.ndarray,
-    values: np.ndarray,
-    vectors: np.ndarray,
+    clusters: Clusters,
+    fits: Fits,
     panel: np.ndarray,
     panels: int,
     exact: bool,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gradient (S, 6), diagonal part D (S, 6, 6) and W of sum_f N lam0, in panels: (P, 3, 6 TILE).
+    """Gradient (S, 6), diagonal part D (S, 6, 6) and W of sum_f N lam0, in panels: (P, 3, 6 TILE); float64.
 
-    scan_starts: (S + 1,) int64, scan s owns observations by_scan[scan_starts[s]:scan_starts[s + 1]]; feature: (O,) int32;
-    total, center, values, vectors: of `fit` at the same poses; panel: (O,) int32, where the observation's part of W
-    goes, in the place of its scan in the tile. exact: False drops what depends on the residuals (Gauss-Newton with the
-    planes eliminated): never indefinite, for poses far from the solution.
+    poses: (S, 4, 4) float64, world_from_scan; feature: (O,) int32; clusters: (O,), weighted, scan frame; fits: of `fit`
+    at the same poses; panel: (O,) int32, where the observation's part of W goes, in the place of its scan in the tile.
+    exact:
+    False drops what depends on the residuals (Gauss-Newton with the planes eliminated): never indefinite, for poses far
+    from the solution.
     """
-    scans = len(scan_starts) - 1
+    scans, mean, center, vectors = len(poses), clusters.mean, fits.center, fits.eigenvectors
     share = 1.0 if exact else 0.0
     gradient = np.zeros((scans, 6))
     diagonal = np.zeros((scans, 6, 6))
     columns = np.zeros((panels, 3, _WIDTH))
     for s in prange(scans):
-        r = rotation[s]
+        r = poses[s]
         x, y = 6 * (s % TILE), 6 * (s % TILE) + 3
         lever = np.empty(3)
         moved = np.empty(6)
@@ -126,19 +145,19 @@ def linearize(
         q = np.empty((3, 3))
         ue = np.empty(3)
         b = np.empty(3)
-        for k in range(scan_starts[s], scan_starts[s + 1]):
-            o = by_scan[k]
+        for k in range(by_scan.starts[s], by_scan.starts[s + 1]):
+            o = by_scan.order[k]
             f = feature[o]
-            n = count[o]
+            n = clusters.total[o]
             for a in range(3):
                 lever[a] = r[a, 0] * mean[o, 0] + r[a, 1] * mean[o, 1] + r[a, 2] * mean[o, 2]
-            rotate_scatter(r, scatter[o], moved)
+            rotate_scatter(r, clusters.scatter[o], moved)
             for j in range(3):
                 u = vectors[f, j]
                 ue[j] = n * (
-                    u[0] * (lever[0] + translation[s, 0] - center[f, 0])
-                    + u[1] * (lever[1] + translation[s, 1] - center[f, 1])
-                    + u[2] * (lever[2] + translation[s, 2] - center[f, 2])
+                    u[0] * (lever[0] + r[0, 3] - center[f, 0])
+                    + u[1] * (lever[1] + r[1, 3] - center[f, 1])
+                    + u[2] * (lever[2] + r[2, 3] - center[f, 2])
                 )
                 q[j, 0] = moved[0] * u[0] + moved[1] * u[1] + moved[2] * u[2] + ue[j] * lever[0]
                 q[j, 1] = moved[1] * u[0] + moved[3] * u[1] + moved[4] * u[2] + ue[j] * lever[1]
@@ -149,15 +168,15 @@ def linearize(
             b[0] = n * (lever[1] * u0[2] - lever[2] * u0[1])
             b[1] = n * (lever[2] * u0[0] - lever[0] * u0[2])
             b[2] = n * (lever[0] * u0[1] - lever[1] * u0[0])
-            scale = np.sqrt(2.0 / total[f])
+            scale = np.sqrt(2.0 / fits.total[f])
             w = columns[panel[o]]
             for a in range(3):
                 w[0, x + a] = scale * b[a]
                 w[0, y + a] = scale * n * u0[a]
             for j in range(1, 3):
                 u, qj = vectors[f, j], q[j]
-                gap = values[f, j] - share * values[f, 0]
-                scale = np.sqrt(2.0 / (total[f] * gap)) if gap > 0.0 else 0.0
+                gap = fits.eigenvalues[f, j] - share * fits.eigenvalues[f, 0]
+                scale = np.sqrt(2.0 / (fits.total[f] * gap)) if gap > 0.0 else 0.0
                 w[j, x] = scale * (qj[1] * u0[2] - qj[2] * u0[1] + share * (q0[1] * u[2] - q0[2] * u[1]))
                 w[j, x + 1] = scale * (qj[2] * u0[0] - qj[0] * u0[2] + share * (q0[2] * u[0] - q0[0] * u[2]))
                 w[j, x + 2] = scale * (qj[0] * u0[1] - qj[1] * u0[0] + share * (q0[0] * u[1] - q0[1] * u[0]))
@@ -196,7 +215,7 @@ def linearize(
 
 
 # contract: product and sum in one instruction, with one rounding less; nothing is summed in another order
-@njit(cache=True, nogil=True, fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _add_rows(block: np.ndarray, x: int, own: np.ndarray, other: np.ndarray) -> None:
     """Rows x to x + _ROWS of own' other onto those of the block; together, so that `other` is loaded once."""
     row0, row1, row2 = block[x], block[x + 1], block[x + 2]
@@ -211,11 +230,10 @@ def _add_rows(block: np.ndarray, x: int, own: np.ndarray, other: np.ndarray) -> 
         row2[y] += c0 * w0 + c1 * w1 + c2 * w2
 
 
-@njit(cache=True, nogil=True)
-def _tile_product(
-    i: int, j: int, starts: np.ndarray, feature: np.ndarray, seen: np.ndarray, columns: np.ndarray
-) -> np.ndarray:
+@kernel
+def _tile_product(i: int, j: int, panels: Panels, columns: np.ndarray) -> np.ndarray:
     """(6 TILE, 6 TILE) of W W', scans of tile i by scans of tile j: over the features that have a panel in both."""
+    starts, feature, seen = panels.starts, panels.feature, panels.seen
     block = np.zeros((_WIDTH, _WIDTH))
     a, b = starts[i], starts[j]
     while a < starts[i + 1] and b < starts[j + 1]:
@@ -233,12 +251,10 @@ def _tile_product(
     return block
 
 
-@njit(cache=True, nogil=True)
-def coupled(starts: np.ndarray, feature: np.ndarray, seen: np.ndarray, scans: int) -> np.ndarray:
-    """(S, S) bool: which scans, the first not after the second, see a feature together; each scan with itself.
-
-    starts, feature, seen: as in `hessian`
-    """
+@kernel
+def coupled(panels: Panels, scans: int) -> np.ndarray:
+    """(S, S) bool: which scans, the first not after the second, see a feature together; each scan with itself."""
+    starts, feature, seen = panels.starts, panels.feature, panels.seen
     out = np.zeros((scans, scans), np.bool_)
     tiles = len(starts) - 1
     for i in range(tiles):
@@ -263,12 +279,12 @@ def coupled(starts: np.ndarray, feature: np.ndarray, seen: np.ndarray, scans: in
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _turn_block(
     block: np.ndarray, x: int, y: int, left: np.ndarray, right: np.ndarray, out: np.ndarray
 ) -> None:
-    """out (6, 6) = L' B R, where B is 6 x 6 from (x, y) on, and L, R have the rotations left and right twice on their
-    diagonal."""
+    """out (6, 6) = L' B R, where B is 6 x 6 from (x, y) on, and L, R have the rotations of the poses left and right
+    twice on their diagonal."""
     half = np.empty((6, 6))
     for a in range(6):
         for c in range(6):
@@ -288,26 +304,22 @@ def _turn_block(
             )
 
 
-@parallel
+@parallel_kernel
 def hessian(
-    starts: np.ndarray,
-    feature: np.ndarray,
-    seen: np.ndarray,
+    panels: Panels,
     diagonal: np.ndarray,
     columns: np.ndarray,
-    rotation: np.ndarray,
+    poses: np.ndarray,
     slot: np.ndarray,
     blocks: int,
 ) -> np.ndarray:
-    """Blocks (M, 6, 6) of H = D - W W' on and above its diagonal, each pose in its own axes.
+    """Blocks (M, 6, 6) float64 of H = D - W W' on and above its diagonal, each pose in its own axes.
 
-    diagonal: (S, 6, 6) and columns: (P, 3, 6 TILE) of `linearize`, world axes; rotation: (S, 3, 3), world from scan.
-    Tile t of TILE scans owns panels starts[t] to starts[t + 1], ascending in feature (P,) int32; seen: (P,) int64, bit
-    s is set where scan s of the tile sees it. slot: (S, S) int32, where the block of a pair of scans is written, -1:
-    nowhere;
-    blocks: M. Pairs of tiles are outputs of one thread each, and small enough to stay in its cache.
+    diagonal: (S, 6, 6) and columns: (P, 3, 6 TILE) of `linearize`, world axes; poses: (S, 4, 4) float64, world_from_scan;
+    slot: (S, S) int32, where the block of a pair of scans is written, -1: nowhere; blocks: M. Pairs of tiles are outputs
+    of one thread each, and small enough to stay in its cache.
     """
-    tiles, scans = len(starts) - 1, len(diagonal)
+    tiles, scans = len(panels.starts) - 1, len(diagonal)
     out = np.zeros((blocks, 6, 6))
     pairs = np.array([(i, i + d) for d in range(tiles) for i in range(tiles - d)])
     for h in prange((len(pairs) + 1) // 2):
@@ -317,7 +329,7 @@ def hessian(
             i, j = pairs[n, 0], pairs[n, 1]
             if turn == 1 and n == h:
                 continue
-            block = _tile_product(i, j, starts, feature, seen, columns)
+            block = _tile_product(i, j, panels, columns)
             for s in range(min(TILE, scans - TILE * i)):
                 row = TILE * i + s
                 for u in range(min(TILE, scans - TILE * j)):
@@ -329,7 +341,7 @@ def hessian(
                         for c in range(6):
                             own = diagonal[row, a, c] if row == column else 0.0
                             block[6 * s + a, 6 * u + c] = own - block[6 * s + a, 6 * u + c]
-                    _turn_block(block, 6 * s, 6 * u, rotation[row], rotation[column], out[at])
+                    _turn_block(block, 6 * s, 6 * u, poses[row], poses[column], out[at])
                     if row == column:
                         for a in range(6):
                             for c in range(a):
@@ -337,40 +349,39 @@ def hessian(
     return out
 
 
-@parallel
+@parallel_kernel
 def information(
-    rotation: np.ndarray,
-    scan_starts: np.ndarray,
-    by_scan: np.ndarray,
+    poses: np.ndarray,
+    by_scan: ByScan,
     feature: np.ndarray,
-    count: np.ndarray,
-    mean: np.ndarray,
-    scatter: np.ndarray,
+    clusters: Clusters,
     vectors: np.ndarray,
     variance: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Information of each scan's observations about its pose, planes held fixed: (S, 6, 6), and the part of it that is
     due to the noise of the normals alone, (S, 6, 6): a normal that is off seems to measure a motion along its plane.
 
-    variance: (F, 2), rad^2, of each plane's normal towards its two tangents. World axes about each sensor; sums of
-    weights, that is times sigma^2.
+    variance: (F, 2) float64, rad^2, of each plane's normal towards its two tangents; vectors: (F, 3, 3) float64, the
+    planes' eigenvectors; the others as in `linearize`. World axes about each sensor; sums of weights, that is times
+    sigma^2.
+    poses, feature: as in `linearize`
     """
-    scans = len(scan_starts) - 1
-    found = np.zeros((scans, 6, 6))
+    scans, mean = len(poses), clusters.mean
+    blocks = np.zeros((scans, 6, 6))
     of_noise = np.zeros((scans, 6, 6))
     for s in prange(scans):
-        r = rotation[s]
+        r = poses[s]
         lever = np.empty(3)
         moved = np.empty(6)
         turned = np.empty(6)
         cross = np.zeros((3, 3))
         row = np.empty(6)
-        for k in range(scan_starts[s], scan_starts[s + 1]):
-            o = by_scan[k]
+        for k in range(by_scan.starts[s], by_scan.starts[s + 1]):
+            o = by_scan.order[k]
             f = feature[o]
             for a in range(3):
                 lever[a] = r[a, 0] * mean[o, 0] + r[a, 1] * mean[o, 1] + r[a, 2] * mean[o, 2]
-            rotate_scatter(r, scatter[o], moved)
+            rotate_scatter(r, clusters.scatter[o], moved)
             for j in range(3):
                 u = vectors[f, j]
                 weight = 1.0 if j == 0 else variance[f, j - 1]
@@ -382,8 +393,8 @@ def information(
                 row[1] = lever[2] * u[0] - lever[0] * u[2]
                 row[2] = lever[0] * u[1] - lever[1] * u[0]
                 row[3], row[4], row[5] = u[0], u[1], u[2]
-                out = found[s] if j == 0 else of_noise[s]
-                scale = weight * count[o]
+                out = blocks[s] if j == 0 else of_noise[s]
+                scale = weight * clusters.total[o]
                 for a in range(6):
                     for c in range(6):
                         out[a, c] += scale * row[a] * row[c]
@@ -396,4 +407,4 @@ def information(
                 out[2, 0] += weight * turned[2]
                 out[2, 1] += weight * turned[4]
                 out[2, 2] += weight * turned[5]
-    return found, of_noise
+    return blocks, of_noise

@@ -5,8 +5,9 @@ its lower 5 bits with the next byte a distance - 1; length + 2 bytes are copied 
 Source: the format description of liblzf (M. Lehmann); written anew.
 """
 
-import numba
 import numpy as np
+
+from lvba.kernels.compiled import kernel
 
 MAX_EXPANSION = 88
 """No 3 input bytes stand for more than 264 output bytes."""
@@ -17,7 +18,7 @@ _MAX_LENGTH = 264
 _MAX_LITERALS = 32
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def decompress(packed: np.ndarray, out: np.ndarray) -> int:
     """The number of bytes written to `out`, or -1 where the input is no LZF or does not fit.
 
@@ -56,7 +57,7 @@ def decompress(packed: np.ndarray, out: np.ndarray) -> int:
     return written
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def compress(plain: np.ndarray, out: np.ndarray) -> int:
     """The number of bytes written to `out`: `plain` in LZF.
 
@@ -80,7 +81,7 @@ def compress(plain: np.ndarray, out: np.ndarray) -> int:
     return _put_literals(plain, literals_from, plain.size, out, written)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _match_length(plain: np.ndarray, candidate: int, position: int) -> int:
     if candidate < 0 or position - candidate > _MAX_DISTANCE:
         return 0
@@ -91,7 +92,7 @@ def _match_length(plain: np.ndarray, candidate: int, position: int) -> int:
     return length
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _put_literals(plain: np.ndarray, start: int, stop: int, out: np.ndarray, written: int) -> int:
     while start < stop:
         count = min(_MAX_LITERALS, stop - start)
@@ -103,7 +104,7 @@ def _put_literals(plain: np.ndarray, start: int, stop: int, out: np.ndarray, wri
     return written
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _put_copy(distance: int, length: int, out: np.ndarray, written: int) -> int:
     if length < 7:
         out[written] = (length << 5) | (distance >> 8)

@@ -3,13 +3,15 @@
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
+
+from lvba.kernels.compiled import kernel, parallel_kernel
 
 _LOG_2PIE = np.log(2.0 * np.pi * np.e)
 _FREE = np.int64(-1)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _place(table: np.ndarray, key: Any) -> Any:
     """Where a key is in an open-addressing table of 2^k places, or the free place where it belongs."""
     mask = len(table) - 1
@@ -19,7 +21,7 @@ def _place(table: np.ndarray, key: Any) -> Any:
     return place
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _doubled(table: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The table and what stands beside it, in twice the places."""
     wider, moved = np.full(2 * len(table), _FREE), np.zeros((2 * len(table), 4))
@@ -31,7 +33,7 @@ def _doubled(table: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return wider, moved
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Least and greatest coordinates (3,) float32 of the points (N, 3) float32, N > 0."""
     low, high = points[0].copy(), points[0].copy()
@@ -41,7 +43,7 @@ def bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return low, high
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def voxel_sums(
     points: np.ndarray, voxel: float, first: np.ndarray, span: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -72,7 +74,7 @@ def voxel_sums(
     return table[held], sums[held]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _log_determinant(s: np.ndarray, count: int) -> float:
     """Natural log of the determinant of the sample covariance; s: sums of x y z xx xy xz yy yz zz; nan if singular."""
     x, y, z = s[0] / count, s[1] / count, s[2] / count
@@ -86,7 +88,7 @@ def _log_determinant(s: np.ndarray, count: int) -> float:
 
 
 # reassociation lets the compiler keep several partial sums and vectorize; the order is fixed at compile time
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+@kernel(fastmath={"reassoc", "contract", "nsz"})
 def _add_near(points: np.ndarray, p: int, first: int, last: int, square: float, sums: np.ndarray) -> int:
     """Adds those of the points [first:last] that are near point p to its sums; returns their number.
 
@@ -114,7 +116,7 @@ def _add_near(points: np.ndarray, p: int, first: int, last: int, square: float, 
     return int(number)
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel_kernel
 def entropies(
     points: np.ndarray, start: np.ndarray, keys: np.ndarray, radius: float, min_neighbors: int, span: int
 ) -> np.ndarray:
@@ -122,6 +124,7 @@ def entropies(
 
     points: (3, N) float64, by axis, sorted into cubes of edge `radius`; start, keys: of the cubes, keys ascending, each
     (x * span + y) * span + z with a margin of one cube; NaN where there are fewer than `min_neighbors`, itself counted.
+    start: (K + 1,) int64; keys: (K,) int64
     """
     out = np.full(points.shape[1], np.nan)
     square = radius * radius
@@ -140,7 +143,7 @@ def entropies(
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _run(keys: np.ndarray, start: np.ndarray, key: int) -> tuple[int, int]:
     """The slice of sorted points in the cubes key - 1, key, key + 1, which are neighbors in memory as in z."""
     low, high = 0, len(keys)
@@ -156,11 +159,12 @@ def _run(keys: np.ndarray, start: np.ndarray, key: int) -> tuple[int, int]:
     return start[low], start[last]
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel_kernel
 def cell_covariances(points: np.ndarray, order: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Covariances (K, 3, 3) float64 of the points of each cell, divided by their number.
 
     points: (N, 3) float32; order, start: points sorted into cells, as from a stable sort by key
+    order: (N,) int64; start: (K + 1,) int64
     """
     out = np.empty((len(start) - 1, 3, 3))
     for cell in prange(len(start) - 1):

@@ -6,10 +6,13 @@ takes many at a time.
 """
 
 import numpy as np
-from numba import njit
+
+from lvba.kernels.compiled import kernel
 
 _C1, _C2 = np.float32((0.01 * 255.0) ** 2), np.float32((0.03 * 255.0) ** 2)
 _MIDDLE = np.float32(128.0)
+X, XX, MASK, MASKED_X, MASKED_XX, MASKED_Y, MASKED_YY, MASKED_XY = range(8)
+"""Rows of what `_moments` writes: x, x x; then over the covered pixels: 1, x, x x, y, y y, x y. x, y: luma less 128."""
 _FIELDS = 8
 WINDOW = 11
 """Edge of the windows of SSIM, px."""
@@ -17,25 +20,31 @@ REGIONS = 3
 """Bits of a region that are looked at. The first is the part of the image that is covered."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def luma(color: np.ndarray, out: np.ndarray) -> None:
-    """Writes luma less 128, (W,) float32, of a row of pixels (W, 3): round zero, float32 keeps variances exact enough."""
+    """Writes luma less 128, (W,) float32, of a row of pixels (W, 3): round zero, float32 keeps variances exact enough.
+
+    color: (W, 3) uint8 or float32; out: (W,) float32
+    """
     for column in range(len(color)):
         red, green, blue = color[column, 0], color[column, 1], color[column, 2]
         value = np.float32(0.299) * np.float32(red) + np.float32(0.587) * np.float32(green)
         out[column] = value + np.float32(0.114) * np.float32(blue) - _MIDDLE
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def image_luma(color: np.ndarray) -> np.ndarray:
-    """Luma less 128, (H, W) float32, of an image (H, W, 3)."""
+    """Luma less 128, (H, W) float32, of an image (H, W, 3).
+
+    color: (H, W, 3) uint8 or float32
+    """
     out = np.empty(color.shape[:2], np.float32)
     for row in range(len(color)):
         luma(color[row], out[row])
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _square(raw: np.ndarray, color: np.ndarray, out: np.ndarray) -> None:
     """Writes the squared difference (W,) float32, mean of the channels, of two rows of pixels (W, 3)."""
     third = np.float32(1.0 / 3.0)
@@ -46,7 +55,7 @@ def _square(raw: np.ndarray, color: np.ndarray, out: np.ndarray) -> None:
         out[column] = (red * red + green * green + blue * blue) * third
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add(values: np.ndarray, regions: np.ndarray, sums: np.ndarray) -> None:
     """Adds a row's values (W,) to the sums (REGIONS, W) float64 of the regions (W,) that they are in."""
     zero = np.float32(0.0)
@@ -56,7 +65,7 @@ def _add(values: np.ndarray, regions: np.ndarray, sums: np.ndarray) -> None:
             line[column] += np.float64(values[column] if regions[column] & flag else zero)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _total(sums: np.ndarray) -> np.ndarray:
     """(REGIONS,) float64, from column to column."""
     totals = np.zeros(REGIONS)
@@ -66,9 +75,12 @@ def _total(sums: np.ndarray) -> np.ndarray:
     return totals
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count(regions: np.ndarray, border: int) -> np.ndarray:
-    """Pixels (REGIONS,) float64 in each region, `border` pixels at each side of the image left out."""
+    """Pixels (REGIONS,) float64 in each region, `border` pixels at each side of the image left out.
+
+    regions: (H, W) uint8
+    """
     inner = regions[border : regions.shape[0] - border, border : regions.shape[1] - border]
     sums, ones = np.zeros((REGIONS, inner.shape[1])), np.ones(inner.shape[1], np.float32)
     for row in range(inner.shape[0]):
@@ -76,11 +88,12 @@ def count(regions: np.ndarray, border: int) -> np.ndarray:
     return _total(sums)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def squared_error(raw: np.ndarray, color: np.ndarray, regions: np.ndarray) -> np.ndarray:
     """Sums (REGIONS,) float64 of the squared difference, mean of the channels, of (H, W, 3) uint8 and float32 images.
 
     regions: (H, W) uint8
+    raw: (H, W, 3) uint8; color: (H, W, 3) float32
     """
     height, width = regions.shape
     sums, squared = np.zeros((REGIONS, width)), np.empty(width, np.float32)
@@ -90,23 +103,23 @@ def squared_error(raw: np.ndarray, color: np.ndarray, regions: np.ndarray) -> np
     return _total(sums)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _moments(x: np.ndarray, y: np.ndarray, regions: np.ndarray, fields: np.ndarray) -> None:
-    """Writes a row (8, W) float32: x, x x; then over the covered pixels: 1, x, x x, y, y y, x y. x, y: luma - 128."""
+    """Writes the fields (8, W) float32 of a row, X to MASKED_XY, from luma less 128 (W,)."""
     for column in range(len(x)):
         mask = np.float32(regions[column] & 1)
         a, b = x[column] * mask, y[column] * mask
-        fields[0, column] = x[column]
-        fields[1, column] = x[column] * x[column]
-        fields[2, column] = mask
-        fields[3, column] = a
-        fields[4, column] = a * a
-        fields[5, column] = b
-        fields[6, column] = b * b
-        fields[7, column] = a * b
+        fields[X, column] = x[column]
+        fields[XX, column] = x[column] * x[column]
+        fields[MASK, column] = mask
+        fields[MASKED_X, column] = a
+        fields[MASKED_XX, column] = a * a
+        fields[MASKED_Y, column] = b
+        fields[MASKED_YY, column] = b * b
+        fields[MASKED_XY, column] = a * b
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _blur(values: np.ndarray, step: int, taps: np.ndarray, out: np.ndarray) -> None:
     """Writes sums of the values i, i + step, ... i + 10 step, weighted by the taps (11,), which are symmetric."""
     n = len(out)
@@ -122,7 +135,7 @@ def _blur(values: np.ndarray, step: int, taps: np.ndarray, out: np.ndarray) -> N
         out[i] = near + t2 * (a2[i] + b2[i]) + t1 * (a1[i] + b1[i]) + t0 * (a0[i] + b0[i])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _ssim(
     mean_x: np.float32, mean_y: np.float32, square_x: np.float32, square_y: np.float32, product: np.float32
 ) -> np.float32:
@@ -134,14 +147,15 @@ def _ssim(
     return ((two * x * y + _C1) * (two * covariance + _C2)) / ((x * x + y * y + _C1) * (variances + _C2))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _ssim_row(means: np.ndarray, whole: np.ndarray, alone: np.ndarray) -> None:
     """Writes the SSIM of a row, (W,) float32 each, from the means (8, W) of the fields of `_moments`."""
     one = np.float32(1.0)
     for column in range(len(whole)):
-        mean_x, square_x, weight = means[0, column], means[1, column], means[2, column]
-        xm, xx, ym, yy = means[3, column], means[4, column], means[5, column], means[6, column]
-        xy = means[7, column]
+        mean_x, square_x, weight = means[X, column], means[XX, column], means[MASK, column]
+        xm, xx = means[MASKED_X, column], means[MASKED_XX, column]
+        ym, yy = means[MASKED_Y, column], means[MASKED_YY, column]
+        xy = means[MASKED_XY, column]
         # black is -128 here: what holes add to the means of y, y y and x y
         hole = _MIDDLE * (one - weight)
         hole_x = _MIDDLE * (mean_x - xm)
@@ -150,7 +164,7 @@ def _ssim_row(means: np.ndarray, whole: np.ndarray, alone: np.ndarray) -> None:
         alone[column] = _ssim(xm * scale, ym * scale, xx * scale, yy * scale, xy * scale)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def ssim(
     x: np.ndarray, color: np.ndarray, regions: np.ndarray, taps: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:

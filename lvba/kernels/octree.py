@@ -3,9 +3,9 @@
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
-from lvba.kernels.parallel import parallel
+from lvba.kernels.compiled import kernel, parallel_kernel
 
 KEY_LEVELS = 21
 """Levels of a key: 21 bits for each axis."""
@@ -16,7 +16,7 @@ MAX_LEVEL = KEY_LEVELS - GRID_LEVELS
 _NONE = np.uint8(255)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline=True)
 def _spread(x: Any) -> Any:
     """The lowest 21 bits, two zeros put between each and the next."""
     x = np.uint64(x) & np.uint64(0x1FFFFF)
@@ -28,7 +28,7 @@ def _spread(x: Any) -> Any:
     return x
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline=True)
 def _gather(x: Any) -> Any:
     """Every third bit: the inverse of `_spread`."""
     x = np.uint64(x) & np.uint64(0x1249249249249249)
@@ -40,11 +40,12 @@ def _gather(x: Any) -> Any:
     return x
 
 
-@parallel
+@parallel_kernel
 def keys(position: np.ndarray, bits: int) -> np.ndarray:
     """Morton keys (N,) uint64 of whole-number positions (N, 3) int32 in [0, 2^bits): x, y, z from the highest bit down.
 
     Positions of fewer than 21 bits are stretched, those of more are shortened: a key always has 21 levels.
+    position: (N, 3) int32
     """
     out = np.empty(len(position), np.uint64)
     for i in prange(len(position)):
@@ -57,7 +58,7 @@ def keys(position: np.ndarray, bits: int) -> np.ndarray:
     return out
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline=True)
 def _off_center(key: Any, level: Any) -> Any:
     """Squared distance from the center of the point's sampling cell, in half units of the key's finest cells."""
     below = KEY_LEVELS - GRID_LEVELS - level
@@ -70,7 +71,7 @@ def _off_center(key: Any, level: Any) -> Any:
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def levels(keys: np.ndarray, first: int, leaf_points: int) -> np.ndarray:
     """The level (N,) uint8 of each point of one octree node of level `first`. keys: (N,) uint64, ascending.
 

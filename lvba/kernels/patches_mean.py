@@ -1,17 +1,42 @@
 """Mean brightness of the same piece of surface in two images."""
 
 import math
+from typing import NamedTuple
 
-import numba
 import numpy as np
+from numba import prange
 
-from lvba.kernels.visibility import PASSED, local_scale, patch_inside, plane_homography, view_cosines
+from lvba.kernels.compiled import kernel, parallel_kernel
+from lvba.kernels.homography import plane_homography
+from lvba.kernels.scene import Intrinsics, NearestPoints, PlanePatches
+from lvba.kernels.visibility import PASSED, local_scale, patch_inside, view_cosines
 from lvba.kernels.visibility_depth import patch_hidden
 
-_jit = numba.njit(cache=True, nogil=True)
+COLUMN, ROW, RIGHT, DOWN, INSIDE = range(5)
+"""Rows of what `land` writes: column and row of the upper left of the four pixels that hold a sample, the sample's place
+between them (to the right and down, 0 to 1), and 1 where all four are in the image."""
+REFERENCE_MEAN, TARGET_MEAN, SPREAD = range(3)
+"""Columns of what `measure_pairs` returns: mean of the reference and of the target (-1: not measured), and the root mean
+square of I_t / mean_t - I_r / mean_r."""
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+class MeanGates(NamedTuple):
+    """What a pair must pass to be compared; the first four, dark, bright and hiding as in `visibility.PairGates`.
+
+    min_usable: least part of the window's weight that must be masked in neither
+    """
+
+    min_view_cosine: float
+    min_normal_cosine: float
+    min_scale: float
+    max_scale: float
+    dark: float
+    bright: float
+    min_usable: float
+    hiding: float
+
+
+@kernel
 def land(
     h: np.ndarray,
     shrink: float,
@@ -24,10 +49,9 @@ def land(
 ) -> None:
     """Where the pixels of a window that is in front of the target (`patch_inside`) land in it.
 
-    h: pixels of the reference to pixels of the target at the reference's level; shrink: size of the target over that
-    side: (2, N) offsets of the window's pixels (right, down)
-    landed: (5, N) out: column and row of the upper left of the four pixels that hold a sample, its place between them
-        (right, down; 0 to 1), and 1 where all four are in the image
+    h: (3, 3) float64, pixels of the reference to pixels of the target at the reference's level
+    shrink: size of the target over that level's
+    side: (2, N) float64, offsets of the window's pixels (right, down); landed: (5, N) float64, out: COLUMN to INSIDE
     """
     for n in range(side.shape[1]):
         i, j = u + side[0, n], v + side[1, n]
@@ -35,13 +59,13 @@ def land(
         x = ((h[0, 0] * i + h[0, 1] * j + h[0, 2]) / w + 0.5) * shrink - 0.5
         y = ((h[1, 0] * i + h[1, 1] * j + h[1, 2]) / w + 0.5) * shrink - 0.5
         column, row = np.floor(x), np.floor(y)
-        landed[0, n], landed[1, n] = column, row
-        landed[2, n], landed[3, n] = x - column, y - row
+        landed[COLUMN, n], landed[ROW, n] = column, row
+        landed[RIGHT, n], landed[DOWN, n] = x - column, y - row
         inside = (column >= 0) & (row >= 0) & (column + 1 < width) & (row + 1 < height)
-        landed[4, n] = 1.0 if inside else 0.0
+        landed[INSIDE, n] = 1.0 if inside else 0.0
 
 
-@_jit
+@kernel
 def bilinear(
     image: np.ndarray,
     column: np.uint32,
@@ -49,18 +73,17 @@ def bilinear(
     right: float,
     down: float,
     c: int,
-    dark: float,
-    bright: float,
+    gates: MeanGates,
 ) -> float:
-    """Linear interpolation between four pixels; -1 where one of them is masked."""
+    """Linear interpolation between four pixels of an image (H, W, C) uint8; -1 where one of them is masked."""
     p, q = float(image[row, column, c]), float(image[row, column + 1, c])
     r, s = float(image[row + 1, column, c]), float(image[row + 1, column + 1, c])
-    if not (dark < min(min(p, q), min(r, s)) and max(max(p, q), max(r, s)) < bright):
+    if not (gates.dark < min(min(p, q), min(r, s)) and max(max(p, q), max(r, s)) < gates.bright):
         return -1.0
     return (p * (1 - right) + q * right) * (1 - down) + (r * (1 - right) + s * right) * down
 
 
-@_jit
+@kernel
 def compare(
     reference: np.ndarray,
     target: np.ndarray,
@@ -69,29 +92,26 @@ def compare(
     side: np.ndarray,
     weights: np.ndarray,
     landed: np.ndarray,
-    least: float,
-    dark: float,
-    bright: float,
+    gates: MeanGates,
 ) -> tuple[float, float, float]:
-    """(mean of the reference, mean of the target, spread) over the reference's window; means -1 where too little is left.
+    """REFERENCE_MEAN, TARGET_MEAN and SPREAD over the reference's window; means -1 where too little is left.
 
-    side, landed: see `land`; weights: (N,)
-    least: part of the window's weight that must be masked in neither; masked pixels count in neither mean
-    spread: root mean square of I_t / mean_t - I_r / mean_r
+    reference, target: (H, W, C) uint8; side, landed: see `land`; weights: (N,) float64, sum 1. A pixel that is masked in
+    one counts in neither mean.
     """
     channels = reference.shape[2]
     part, first, second, rr, rt, tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for n in range(len(weights)):
-        if landed[4, n] == 0.0:
+        if landed[INSIDE, n] == 0.0:
             continue
-        column, row = np.uint32(np.int32(landed[0, n])), np.uint32(np.int32(landed[1, n]))
+        column, row = np.uint32(np.int32(landed[COLUMN, n])), np.uint32(np.int32(landed[ROW, n]))
         i, j = np.uint32(v + np.int32(side[1, n])), np.uint32(u + np.int32(side[0, n]))
         a_sum, b_sum, aa, ab, bb = 0.0, 0.0, 0.0, 0.0, 0.0
         good = True
         for c in range(channels):
             a = float(reference[i, j, c])
-            b = bilinear(target, column, row, landed[2, n], landed[3, n], c, dark, bright)
-            good = good and b > 0 and dark < a < bright
+            b = bilinear(target, column, row, landed[RIGHT, n], landed[DOWN, n], c, gates)
+            good = good and b > 0 and gates.dark < a < gates.bright
             a_sum, b_sum, aa, ab, bb = a_sum + a, b_sum + b, aa + a * a, ab + a * b, bb + b * b
         if good:
             weight = weights[n]
@@ -101,66 +121,57 @@ def compare(
             rr += weight * aa
             rt += weight * ab
             tt += weight * bb
-    if part < least:
+    if part < gates.min_usable:
         return -1.0, -1.0, 0.0
     first, second = first / (part * channels), second / (part * channels)
     spread = rr / first**2 - 2 * rt / (first * second) + tt / second**2
     return first, second, math.sqrt(max(spread, 0.0) / (part * channels))
 
 
-@numba.njit(parallel=True, cache=True, nogil=True)
+@parallel_kernel
 def measure_pairs(
     finer: np.ndarray,
     images: np.ndarray,
     coarser: np.ndarray,
     poses: np.ndarray,
-    intrinsics: np.ndarray,
-    position: np.ndarray,
-    normal: np.ndarray,
-    reference: np.ndarray,
-    pixel: np.ndarray,
+    intrinsics: Intrinsics,
+    patches: PlanePatches,
     point: np.ndarray,
     target: np.ndarray,
     weights: np.ndarray,
-    gates: np.ndarray,
-    nearest: np.ndarray,
-    points: np.ndarray,
-    cell: float,
+    gates: MeanGates,
+    nearest: NearestPoints,
 ) -> np.ndarray:
-    """Mean of the reference, mean of the target and spread of every pair, (O, 3) float64; mean -1: not measured.
+    """REFERENCE_MEAN, TARGET_MEAN and SPREAD of every pair, (O, 3) float64.
 
-    finer, images, coarser: (I, H, W, C) at twice, once and half the size; the target is read where its pixels are
+    finer, images, coarser: (I, H, W, C) uint8, at twice, once and half the size; the target is read where its pixels are
         closest in size to the reference's
-    poses: (I, 4, 4); intrinsics: fx, fy, cx, cy of `images`; position, normal (P, 3); reference (P,); pixel (P, 2)
-    point, target: (O,); weights: (N, N), sum 1
-    gates: [least d.z_C, least |d.n|, least scale, largest scale, dark, bright, least part of the window, tolerance of
-        hiding m]
-    nearest, points, cell: as in `visibility.judge_pairs`
+    poses: (I, 4, 4) float64, world_from_camera; intrinsics: of `images`
+    point: (O,) int32, of the patches; target: (O,) int32, image; weights: (N, N) float64, of the window, sum 1
     """
-    found = np.full((len(point), 3), -1.0)
+    means = np.full((len(point), 3), -1.0)
     half, height, width = weights.shape[0] // 2, images.shape[1], images.shape[2]
     flat, side = weights.ravel(), np.empty((2, weights.size))
     for n in range(weights.size):
         side[0, n], side[1, n] = n % weights.shape[1] - half, n // weights.shape[1] - half
-    for o in numba.prange(len(point)):
+    for o in prange(len(point)):
         p, t = point[o], target[o]
-        r, u, v = reference[p], pixel[p, 0], pixel[p, 1]
-        along, slant = view_cosines(poses[t], position[p], normal[p])
-        if not (along > gates[0] and slant > gates[1]):
+        r, u, v = patches.reference[p], patches.pixel[p, 0], patches.pixel[p, 1]
+        position, normal = patches.position[p], patches.normal[p]
+        along, slant = view_cosines(poses[t], position, normal)
+        if not (along > gates.min_view_cosine and slant > gates.min_normal_cosine):
             continue
-        h = plane_homography(poses[r], poses[t], position[p], normal[p], intrinsics, intrinsics)
+        h = plane_homography(poses, r, t, position, normal, intrinsics)
         if patch_inside(h, u, v, half, width, height) != PASSED:
             continue
         small, large = local_scale(h, float(u), float(v))
-        if small < gates[2] or large > gates[3]:
+        if small < gates.min_scale or large > gates.max_scale:
             continue
-        if len(nearest):
+        if len(nearest.nearest):
             depth = 0.0
             for a in range(3):
-                depth += poses[r, a, 2] * (position[p, a] - poses[r, a, 3])
-            if patch_hidden(
-                nearest[t], points, poses[t], cell, h, u, v, half, depth, position[p], normal[p], gates[7]
-            ):
+                depth += poses[r, a, 2] * (position[a] - poses[r, a, 3])
+            if patch_hidden(nearest, t, poses[t], h, u, v, half, depth, position, normal, gates.hiding):
                 continue
         scale = math.sqrt(small * large)
         if scale > math.sqrt(2.0):
@@ -171,5 +182,5 @@ def measure_pairs(
             shrink, seen = 1.0, images[t]
         landed = np.empty((5, side.shape[1]))
         land(h, shrink, u, v, side, seen.shape[1], seen.shape[0], landed)
-        found[o] = compare(images[r], seen, u, v, side, flat, landed, gates[6], gates[4], gates[5])
-    return found
+        means[o] = compare(images[r], seen, u, v, side, flat, landed, gates)
+    return means

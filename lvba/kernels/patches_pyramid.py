@@ -1,10 +1,12 @@
 """Image pyramids: halving images so that masked pixels stay masked."""
 
-import numba
 import numpy as np
+from numba import prange
+
+from lvba.kernels.compiled import parallel_kernel
 
 
-@numba.njit(parallel=True, cache=True, nogil=True)
+@parallel_kernel
 def halve(images: np.ndarray, saturated: int) -> np.ndarray:
     """Every image at half size, (I, H // 2, W // 2, C) uint8: the mean of each 2x2 block, halves rounded to even.
 
@@ -15,7 +17,7 @@ def halve(images: np.ndarray, saturated: int) -> np.ndarray:
     """
     count, height, width, channels = images.shape
     half = np.empty((count, height // 2, width // 2, channels), np.uint8)
-    for row_of_all in numba.prange(count * (height // 2)):
+    for row_of_all in prange(count * (height // 2)):
         image, row = row_of_all // (height // 2), row_of_all % (height // 2)
         for column in range(width // 2):
             for channel in range(channels):
@@ -25,7 +27,7 @@ def halve(images: np.ndarray, saturated: int) -> np.ndarray:
                 d = np.int32(images[image, 2 * row + 1, 2 * column + 1, channel])
                 total = a + b + c + d
                 # rounding up all halves would brighten every level by 1/8
-                value = (total + 1 + ((total >> 2) & 1)) >> 2
+                value = int((total + 1 + ((total >> 2) & 1)) >> 2)
                 if max(max(a, b), max(c, d)) >= saturated:
                     value = 255
                 if min(min(a, b), min(c, d)) <= 0:
@@ -34,15 +36,15 @@ def halve(images: np.ndarray, saturated: int) -> np.ndarray:
     return half
 
 
-@numba.njit(parallel=True, cache=True, nogil=True)
+@parallel_kernel
 def blank_masked(images: np.ndarray, reach: int, dark: float, bright: float) -> np.ndarray:
     """The images with 0 wherever a pixel within `reach` px (square) is not strictly between dark and bright.
 
-    images: (I, H, W, C); a pixel is masked when any of its channels is
+    images: (I, H, W, C) uint8; a pixel is masked when any of its channels is
     """
     count, height, width, channels = images.shape
     blank = np.empty_like(images)
-    for i in numba.prange(count):
+    for i in prange(count):
         blank[i] = images[i]
         for row in range(height):
             for column in range(width):

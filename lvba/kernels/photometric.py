@@ -1,30 +1,95 @@
 """Sums of the photometric cost over warped patches: the inner loop of the visual bundle adjustment.
 
 A scene point is a plane patch tied to whole pixels of its reference image. Its warp into a target image is the plane
-homography (Li et al., eq. 7) divided by `n^T (p - t_r)`; with `rays m = K^-1 u`, `k = R_r^T n / (n^T (p - t_r))`,
-`R = R_t^T R_r`, `a = R_t^T (t_r - t_t)`: `y = (R + a k^T) m`, and the third component of y is `z_t / z_r`.
-The residual of a pixel pair is `rho = (eps_r I_t - eps_t I_r) / sqrt(eps_r^2 + eps_t^2)`.
+homography (`lvba.kernels.homography`). The residual of a pixel pair is
+`rho = (eps_r I_t - eps_t I_r) / sqrt(eps_r^2 + eps_t^2)`.
 
 Per observation only sums over its pixels leave the inner loop; the 2 x 12 Jacobian of the patch centre is applied
 to them once, in `assemble`. Every loop over threads owns its outputs: the bytes do not depend on the thread count.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
-from numba import njit, prange, types
+from numba import prange, types
 from numba.extending import intrinsic
 
+from lvba.kernels.compiled import kernel, parallel_kernel
 from lvba.kernels.homography import (
     center_jacobian,
     patch_warp,
     plane_in_reference,
     relative_pose,
+    shift_warp,
     warp_bounds,
 )
+from lvba.kernels.scene import Intrinsics, PlanePatches
 
+XX, XY, YY, XQ, YQ, QQ, XR, YR, QR, COST, COUNT, SQUARE, WEIGHTS = range(13)
+"""Columns of the sums of an observation: products of x, y (weighted image gradient), q (derivative by log exposure) and r
+(residual); then robust cost, valid samples, sum of r^2, sum of robust weights."""
 SUMS = 13
-"""Columns of the sums of an observation, in this order (x, y: weighted image gradient; q: derivative by log exposure;
-r: residual): xx xy yy xq yq qq xr yr qr, robust cost, valid samples, sum of r^2, sum of robust weights."""
+"""How many columns there are."""
+OFFSET = 14
+"""Column of the plane's offset among the 15 unknowns of an observation: rotation, translation and log exposure of its
+reference (0 to 6), the same of its target (7 to 13), offset of its point's plane along the normal."""
+
+
+class Intensities(NamedTuple):
+    """Which pixels count, and how much. float32.
+
+    least, greatest: usable intensity; growth: of the noise variance per intensity, 0: constant
+    """
+
+    least: np.float32
+    greatest: np.float32
+    growth: np.float32
+
+
+class ImagePairs(NamedTuple):
+    """Observations by pair of images: pair m owns order[starts[m]] to order[starts[m + 1]].
+
+    order: (O,) int64, observations; starts: (M + 1,) int64; reference, target: (M,) int32, images
+    """
+
+    order: np.ndarray
+    starts: np.ndarray
+    reference: np.ndarray
+    target: np.ndarray
+
+
+class _Pixels(NamedTuple):
+    """All images. data: (N,) uint8, C-contiguous; row_bytes, channels: bytes of a row and of a pixel"""
+
+    data: np.ndarray
+    row_bytes: int
+    channels: int
+
+
+class _Room(NamedTuple):
+    """Where the reference patch of each of C channels is put.
+
+    patch: (C, N) float32, gray values; lane: (C, N) float32, 1 for usable pixels, 0 for others
+    """
+
+    patch: np.ndarray
+    lane: np.ndarray
+
+
+class _Grid(NamedTuple):
+    """Pixels of a patch, padded with zeros to whole vectors. i, j: (N,) float32, offsets to the right and down"""
+
+    i: np.ndarray
+    j: np.ndarray
+
+
+class _Mix(NamedTuple):
+    """Exposure of reference and target over `sqrt(eps_r^2 + eps_t^2)`, float32."""
+
+    reference: np.float32
+    target: np.float32
+
 
 _CHUNK = 32
 _LANES = 16
@@ -49,34 +114,42 @@ def _load_word(typingctx, array, offset):  # type: ignore[no-untyped-def]
     return types.uint32(array, offset), codegen
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=_VECTOR)
+@kernel
+def samples_inside(bounds: tuple[float, float, float, float], width: int, height: int) -> bool:
+    """Whether all samples of a patch can be read: four pixels each, two at a time by `_load_word`, which reads up to
+    three bytes beyond them. Hence the margin on the right.
+
+    bounds: least and greatest column and row of `warp_bounds`; NaN is outside
+    """
+    low_x, high_x, low_y, high_y = bounds
+    return low_x >= 0.0 and low_y >= 0.0 and high_x < width - 4 and high_y < height - 2
+
+
+@kernel(fastmath=_VECTOR)
 def _patch_sums(
-    image: np.ndarray,
+    pixels: _Pixels,
     base: int,
-    row_bytes: int,
-    channels: int,
     warp: np.ndarray,
-    i: np.ndarray,
-    j: np.ndarray,
+    grid: _Grid,
     patch: np.ndarray,
     lane: np.ndarray,
-    mix: np.ndarray,
-    huber: float,
-    low: float,
-    high: float,
-    growth: float,
+    mix: _Mix,
+    huber: np.float32,
+    usable: Intensities,
     sums: np.ndarray,
 ) -> None:
     """Adds the sums over one patch and channel to `sums`; the loop that takes the time.
 
-    warp: (8,) float32, relative to the pixel at byte `base`, so that all coordinates are positive and small
-    mix: (2,) float32, eps_r / s and eps_t / s with s = sqrt(eps_r^2 + eps_t^2)
+    warp: (8,) float32, relative to the pixel at byte `base`, so that all coordinates are positive and small;
+    all of the patch is inside the image (`samples_inside`). patch, lane: of `_load_patch`
     """
+    image, i, j = pixels.data, grid.i, grid.j
+    low, high, growth = usable.least, usable.greatest, usable.growth
     w0, w1, w2, w3, w4, w5, w6, w7 = warp[0], warp[1], warp[2], warp[3], warp[4], warp[5], warp[6], warp[7]
     one, half, zero = np.float32(1), np.float32(0.5), np.float32(0)
-    byte, shift = np.uint32(255), np.uint32(8 * channels)
-    stride, width = np.int32(row_bytes), np.int32(channels)
-    c, s = mix[0], mix[1]
+    byte, shift = np.uint32(255), np.uint32(8 * pixels.channels)
+    stride, width = np.int32(pixels.row_bytes), np.int32(pixels.channels)
+    c, s = mix.reference, mix.target
     cs = c * s
     xx = xy = yy = xq = yq = qq = xr = yr = qr = cost = count = square = weights = zero
     for n in range(i.size):
@@ -87,7 +160,7 @@ def _patch_sums(
         ax, ay = x - np.float32(column), y - np.float32(row)
         at = base + np.int64(row * stride + column * width)
         upper: np.uint32 = _load_word(image, at)  # type: ignore[call-arg]
-        lower: np.uint32 = _load_word(image, at + row_bytes)
+        lower: np.uint32 = _load_word(image, at + pixels.row_bytes)
         i00 = np.float32(np.int32(upper & byte))
         i10 = np.float32(np.int32((upper >> shift) & byte))
         i01 = np.float32(np.int32(lower & byte))
@@ -126,94 +199,90 @@ def _patch_sums(
         sums[n] += value
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _load_patch(
-    image: np.ndarray,
-    base: int,
-    row_bytes: int,
-    channels: int,
-    radius: int,
-    low: float,
-    high: float,
-    patch: np.ndarray,
-    lane: np.ndarray,
+    pixels: _Pixels, base: int, radius: int, usable: Intensities, patch: np.ndarray, lane: np.ndarray
 ) -> None:
     """Fills the reference patch as float32, and in `lane` 1 for its usable pixels; the padding stays 0."""
     n = 0
     for j in range(-radius, radius + 1):
         for i in range(-radius, radius + 1):
-            value = np.float32(image[base + j * row_bytes + i * channels])
+            value = np.float32(pixels.data[base + j * pixels.row_bytes + i * pixels.channels])
             patch[n] = value
-            lane[n] = np.float32(1) if low <= value <= high else np.float32(0)
+            lane[n] = np.float32(1) if usable.least <= value <= usable.greatest else np.float32(0)
             n += 1
 
 
-@njit(cache=True, nogil=True)
-def _offsets(radius: int) -> tuple[np.ndarray, np.ndarray]:
-    """Pixel offsets (i, j) of a patch, padded with zeros to whole vectors."""
+@kernel
+def _grid(radius: int) -> _Grid:
+    """The pixels of a patch."""
     side = 2 * radius + 1
     padded = -(-side * side // _LANES) * _LANES
     i, j = np.zeros(padded, np.float32), np.zeros(padded, np.float32)
     for n in range(side * side):
         i[n], j[n] = n % side - radius, n // side - radius
-    return i, j
+    return _Grid(i, j)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
+def _move_warp(warp: np.ndarray, left: float, top: float, local: np.ndarray) -> None:
+    """Fills local (8,) float32: the warp with its target pixels counted from (left, top)."""
+    for n in range(8):
+        local[n] = warp[n]
+    local[0], local[1], local[2] = warp[0] - left * warp[6], warp[1] - left * warp[7], warp[2] - left
+    local[3], local[4], local[5] = warp[3] - top * warp[6], warp[4] - top * warp[7], warp[5] - top
+
+
+@kernel
 def _point_sums(
     point: int,
     images: np.ndarray,
-    rotation: np.ndarray,
-    translation: np.ndarray,
+    poses: np.ndarray,
     exposure: np.ndarray,
-    intrinsics: np.ndarray,
-    position: np.ndarray,
-    normal: np.ndarray,
-    reference: np.ndarray,
-    pixel: np.ndarray,
-    starts: np.ndarray,
+    intrinsics: Intrinsics,
+    patches: PlanePatches,
+    first: int,
     target: np.ndarray,
     radius: int,
     huber: np.ndarray,
-    limits: np.ndarray,
-    i: np.ndarray,
-    j: np.ndarray,
-    patches: np.ndarray,
-    lanes: np.ndarray,
+    usable: Intensities,
+    grid: _Grid,
+    shift: np.ndarray,
+    room: _Room,
     sums: np.ndarray,
 ) -> None:
-    """Fills the sums of all observations of one scene point."""
+    """Fills the sums of all observations of one scene point: number `first` and those after it, of images `target`.
+
+    shift: of all observations, see `evaluate`; room: for the reference patch of each channel
+    """
     height, width, channels = images.shape[1], images.shape[2], images.shape[3]
     row_bytes = width * channels
-    flat = images.reshape(-1)
-    low, high, growth = limits[0], limits[1], limits[2]
+    pixels = _Pixels(images.reshape(-1), row_bytes, channels)
     relative, offset, plane, ray = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
-    warp, local, mix = np.empty(8), np.empty(8, np.float32), np.empty(2, np.float32)
-    r, u, v = reference[point], pixel[point, 0], pixel[point, 1]
+    warp, local = np.empty(8), np.empty(8, np.float32)
+    r, u, v = patches.reference[point], patches.pixel[point, 0], patches.pixel[point, 1]
     if u < radius or v < radius or u + radius >= width or v + radius >= height:
         return
     for channel in range(channels):
         base = np.int64(r) * height * row_bytes + v * row_bytes + u * channels + channel
-        _load_patch(flat, base, row_bytes, channels, radius, low, high, patches[channel], lanes[channel])
-    plane_in_reference(rotation, translation, r, position[point], normal[point], plane)
-    ray[0], ray[1], ray[2] = (u - intrinsics[2]) / intrinsics[0], (v - intrinsics[3]) / intrinsics[1], 1.0
-    for o in range(starts[point], starts[point + 1]):
-        t = target[o]
-        relative_pose(rotation, translation, r, t, relative, offset)
+        _load_patch(pixels, base, radius, usable, room.patch[channel], room.lane[channel])
+    plane_in_reference(poses[r], patches.position[point], patches.normal[point], plane)
+    ray[0], ray[1], ray[2] = (u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy, 1.0
+    for n in range(len(target)):
+        o, t = first + n, target[n]
+        relative_pose(poses, r, t, relative, offset)
         if not patch_warp(relative, offset, plane, ray, intrinsics, warp) > 0.0:
             continue
-        low_x, high_x, low_y, high_y = warp_bounds(warp, radius)
-        # three bytes more than the sample needs are read with it, hence the margin on the right
-        if not (low_x >= 0.0 and low_y >= 0.0 and high_x < width - 4 and high_y < height - 2):
+        if len(shift):
+            shift_warp(warp, shift[o])
+        bounds = warp_bounds(warp, radius)
+        if not samples_inside(bounds, width, height):
             continue
-        left, top = np.floor(low_x), np.floor(low_y)
-        for n in range(8):
-            local[n] = warp[n]
-        local[0], local[1], local[2] = warp[0] - left * warp[6], warp[1] - left * warp[7], warp[2] - left
-        local[3], local[4], local[5] = warp[3] - top * warp[6], warp[4] - top * warp[7], warp[5] - top
+        left, top = np.floor(bounds[0]), np.floor(bounds[2])
+        _move_warp(warp, left, top, local)
         norm = np.sqrt(exposure[r] ** 2 + exposure[t] ** 2)
-        mix[0], mix[1] = exposure[r] / norm, exposure[t] / norm
-        limit: float = np.float32(huber[o])
+        mix = _Mix(np.float32(exposure[r] / norm), np.float32(exposure[t] / norm))
+        limit = np.float32(huber[o])
         for channel in range(channels):
             base = (
                 np.int64(t) * height * row_bytes
@@ -222,100 +291,101 @@ def _point_sums(
                 + channel
             )
             _patch_sums(
-                flat, base, row_bytes, channels, local, i, j, patches[channel], lanes[channel],
-                mix, limit, low, high, growth, sums[o],
-            )  # fmt: skip
+                pixels,
+                base,
+                local,
+                grid,
+                room.patch[channel],
+                room.lane[channel],
+                mix,
+                limit,
+                usable,
+                sums[o],
+            )
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel_kernel
 def evaluate(
     images: np.ndarray,
-    rotation: np.ndarray,
-    translation: np.ndarray,
+    poses: np.ndarray,
     exposure: np.ndarray,
-    intrinsics: np.ndarray,
-    position: np.ndarray,
-    normal: np.ndarray,
-    reference: np.ndarray,
-    pixel: np.ndarray,
+    intrinsics: Intrinsics,
+    patches: PlanePatches,
     starts: np.ndarray,
     target: np.ndarray,
     radius: int,
     huber: np.ndarray,
-    limits: np.ndarray,
+    usable: Intensities,
+    shift: np.ndarray,
 ) -> np.ndarray:
     """The sums of every observation, (O, SUMS) float64; zeros where the warped patch leaves the target image.
 
     images: (I, H, W, C) uint8, contiguous, one pyramid level
-    rotation, translation, exposure: (I, 3, 3), (I, 3), (I,) float64 of world_from_camera, and eps
-    intrinsics: (4,) float64, fx fy cx cy of the level
-    position, normal: (P, 3) float64, world; reference: (P,) int32; pixel: (P, 2) int32
-    starts: (P + 1,) int64, point p owns observations starts[p] to starts[p + 1]; target: (O,) int32
-    radius: patch side is 2 radius + 1
-    huber: (O,) float64, residuals beyond it count linearly
-    limits: (3,) float32: least and greatest usable intensity, growth of the noise variance per intensity (0: constant)
+    poses: (I, 4, 4) float64, world_from_camera; exposure: (I,) float64, eps; intrinsics: of the level
+    starts: (P + 1,) int64, point p owns observations starts[p] to starts[p + 1]; target: (O,) int32, images
+    radius: patch side is 2 radius + 1, px
+    huber: (O,) float64, intensity, residuals beyond it count linearly
+    shift: (O, 2) float64, px, what is added to the target pixels of each patch; (0, 2): nothing
     """
-    points = len(reference)
+    points = len(patches.reference)
     sums = np.zeros((len(target), SUMS))
     chunks = -(-points // _CHUNK)
     for chunk in prange(chunks):
-        i, j = _offsets(radius)
-        patches = np.zeros((images.shape[3], i.size), np.float32)
-        lanes = np.zeros((images.shape[3], i.size), np.float32)
+        grid = _grid(radius)
+        room = _Room(
+            np.zeros((images.shape[3], grid.i.size), np.float32),
+            np.zeros((images.shape[3], grid.i.size), np.float32),
+        )
         for point in range(chunk * _CHUNK, min(points, (chunk + 1) * _CHUNK)):
+            first = starts[point]
             _point_sums(
-                point, images, rotation, translation, exposure, intrinsics, position, normal, reference, pixel,
-                starts, target, radius, huber, limits, i, j, patches, lanes, sums,
+                point, images, poses, exposure, intrinsics, patches, first,
+                target[first : starts[point + 1]], radius, huber, usable, grid, shift, room, sums,
             )  # fmt: skip
     return sums
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _observation_jacobian(
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    intrinsics: np.ndarray,
-    position: np.ndarray,
-    normal: np.ndarray,
-    pixel: np.ndarray,
-    r: int,
+@kernel
+def observation_jacobian(
+    pose: np.ndarray,
+    intrinsics: Intrinsics,
+    patches: PlanePatches,
+    point: int,
     relative: np.ndarray,
     offset: np.ndarray,
     jacobian: np.ndarray,
 ) -> None:
     """Fills (3, 15): target pixel (x, y) and log exposure difference by the 7 unknowns of reference and target, and
-    by the offset of the plane."""
-    plane, ray, poses = np.empty(3), np.empty(3), np.empty((2, 13))
-    distance = plane_in_reference(rotation, translation, r, position, normal, plane)
-    ray[0], ray[1] = (pixel[0] - intrinsics[2]) / intrinsics[0], (pixel[1] - intrinsics[3]) / intrinsics[1]
-    ray[2] = 1.0
-    center_jacobian(relative, offset, plane, distance, ray, intrinsics, poses)
+    by the offset of the plane.
+
+    pose: (4, 4) float64, world_from_camera of the reference; point: number of the patch; relative: (3, 3) float64 and
+    offset: (3,) float64 of `relative_pose`; jacobian: (3, 15) float64, out
+    """
+    plane, ray, by_poses = np.empty(3), np.empty(3), np.empty((2, 13))
+    distance = plane_in_reference(pose, patches.position[point], patches.normal[point], plane)
+    u, v = patches.pixel[point, 0], patches.pixel[point, 1]
+    ray[0], ray[1], ray[2] = (u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy, 1.0
+    center_jacobian(relative, offset, plane, distance, ray, intrinsics, by_poses)
     for axis in range(2):
         for n in range(6):
-            jacobian[axis, n] = poses[axis, n]
-            jacobian[axis, 7 + n] = poses[axis, 6 + n]
+            jacobian[axis, n] = by_poses[axis, n]
+            jacobian[axis, 7 + n] = by_poses[axis, 6 + n]
         jacobian[axis, 6] = jacobian[axis, 13] = 0.0
-        jacobian[axis, 14] = poses[axis, 12]
+        jacobian[axis, OFFSET] = by_poses[axis, 12]
     for n in range(15):
         jacobian[2, n] = 0.0
     jacobian[2, 6], jacobian[2, 13] = -1.0, 1.0
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel_kernel
 def assemble(
     sums: np.ndarray,
     weights: np.ndarray,
-    order: np.ndarray,
-    pair_starts: np.ndarray,
-    pair_reference: np.ndarray,
-    pair_target: np.ndarray,
+    image_pairs: ImagePairs,
     point: np.ndarray,
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    intrinsics: np.ndarray,
-    position: np.ndarray,
-    normal: np.ndarray,
-    pixel: np.ndarray,
+    poses: np.ndarray,
+    intrinsics: Intrinsics,
+    patches: PlanePatches,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Normal-equation blocks (M, 14, 14) and gradient (M, 14) of every image pair, and of every observation its
     gradient (O, 15) and the Hessian's row (O, 15) of the plane's offset.
@@ -324,45 +394,32 @@ def assemble(
     of the point's plane along its normal.
 
     sums: (O, SUMS) float64 of `evaluate`; weights: (O,) float64, one factor per observation
-    order: (O,) int64, observations sorted by pair; pair m owns order[pair_starts[m]] to order[pair_starts[m + 1]]
-    pair_reference, pair_target: (M,) int32; point: (O,) int32
+    point: (O,) int32, of each observation; poses: (I, 4, 4) float64, world_from_camera
     """
-    pairs = len(pair_reference)
+    pairs = len(image_pairs.reference)
     hessian, gradient = np.zeros((pairs, 14, 14)), np.zeros((pairs, 14))
     single, coupling = np.zeros((len(point), 15)), np.zeros((len(point), 15))
     for m in prange(pairs):
         relative, offset = np.empty((3, 3)), np.empty(3)
         jacobian, weighted = np.empty((3, 15)), np.empty((3, 15))
-        r, t = pair_reference[m], pair_target[m]
-        relative_pose(rotation, translation, r, t, relative, offset)
-        for n in range(pair_starts[m], pair_starts[m + 1]):
-            o = order[n]
-            if sums[o, 10] == 0.0:
+        r, t = image_pairs.reference[m], image_pairs.target[m]
+        relative_pose(poses, r, t, relative, offset)
+        for n in range(image_pairs.starts[m], image_pairs.starts[m + 1]):
+            o = image_pairs.order[n]
+            if sums[o, COUNT] == 0.0:
                 continue
-            p = point[o]
-            _observation_jacobian(
-                rotation,
-                translation,
-                intrinsics,
-                position[p],
-                normal[p],
-                pixel[p],
-                r,
-                relative,
-                offset,
-                jacobian,
-            )
+            observation_jacobian(poses[r], intrinsics, patches, point[o], relative, offset, jacobian)
             w = weights[o]
-            xx, xy, yy = w * sums[o, 0], w * sums[o, 1], w * sums[o, 2]
-            xq, yq, qq = w * sums[o, 3], w * sums[o, 4], w * sums[o, 5]
-            xr, yr, qr = w * sums[o, 6], w * sums[o, 7], w * sums[o, 8]
+            xx, xy, yy = w * sums[o, XX], w * sums[o, XY], w * sums[o, YY]
+            xq, yq, qq = w * sums[o, XQ], w * sums[o, YQ], w * sums[o, QQ]
+            xr, yr, qr = w * sums[o, XR], w * sums[o, YR], w * sums[o, QR]
             for k in range(15):
                 jx, jy, jq = jacobian[0, k], jacobian[1, k], jacobian[2, k]
                 weighted[0, k] = xx * jx + xy * jy + xq * jq
                 weighted[1, k] = xy * jx + yy * jy + yq * jq
                 weighted[2, k] = xq * jx + yq * jy + qq * jq
                 single[o, k] = xr * jx + yr * jy + qr * jq
-            ox, oy = jacobian[0, 14], jacobian[1, 14]
+            ox, oy = jacobian[0, OFFSET], jacobian[1, OFFSET]
             for k in range(15):
                 coupling[o, k] = ox * weighted[0, k] + oy * weighted[1, k]
             for k in range(14):
@@ -371,45 +428,3 @@ def assemble(
                 for c in range(14):
                     hessian[m, k, c] += jx * weighted[0, c] + jy * weighted[1, c] + jq * weighted[2, c]
     return hessian, gradient, single, coupling
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def shared_information(
-    sums: np.ndarray,
-    weights: np.ndarray,
-    share: np.ndarray,
-    shares: int,
-    reference: np.ndarray,
-    target: np.ndarray,
-    point: np.ndarray,
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    intrinsics: np.ndarray,
-    position: np.ndarray,
-    normal: np.ndarray,
-    pixel: np.ndarray,
-) -> np.ndarray:
-    """(shares, 6, 6): what the observations of each share tell of an image's pose, over fixed planes.
-
-    share: (O, 2) int64, which share an observation belongs to with its reference, and with its target
-    reference, target: (O,) int32, images; the rest as in `assemble`
-    """
-    found = np.zeros((shares, 6, 6))
-    relative, offset, jacobian = np.empty((3, 3)), np.empty(3), np.empty((3, 15))
-    for o in range(len(point)):
-        if sums[o, 10] == 0.0:
-            continue
-        p, r = point[o], reference[o]
-        relative_pose(rotation, translation, r, target[o], relative, offset)
-        _observation_jacobian(
-            rotation, translation, intrinsics, position[p], normal[p], pixel[p], r, relative, offset, jacobian
-        )
-        xx, xy, yy = weights[o] * sums[o, 0], weights[o] * sums[o, 1], weights[o] * sums[o, 2]
-        for end in range(2):
-            block = found[share[o, end]]
-            for i in range(6):
-                x, y = jacobian[0, 7 * end + i], jacobian[1, 7 * end + i]
-                to_x, to_y = xx * x + xy * y, xy * x + yy * y
-                for j in range(6):
-                    block[i, j] += to_x * jacobian[0, 7 * end + j] + to_y * jacobian[1, 7 * end + j]
-    return found

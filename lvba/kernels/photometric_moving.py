@@ -9,35 +9,61 @@ Slower than the default, and simple: it is there to be compared with. Every loop
 """
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from lvba.kernels.compiled import kernel, parallel_kernel
 from lvba.kernels.homography import patch_warp, plane_in_reference, relative_pose, warp_bounds
+from lvba.kernels.photometric import (
+    COST,
+    COUNT,
+    OFFSET,
+    QQ,
+    QR,
+    SQUARE,
+    WEIGHTS,
+    XQ,
+    XR,
+    XX,
+    XY,
+    YQ,
+    YR,
+    YY,
+    ImagePairs,
+    Intensities,
+    samples_inside,
+)
+from lvba.kernels.scene import Intrinsics, PlanePatches
 
+UU, UV, VV, UX, UY, VX, VY, UQ, VQ, UR, VR = range(13, 24)
+"""Columns of the sums of an observation after those of `lvba.kernels.photometric` (x, y: gradient in the target image; q:
+derivative by log exposure; r: residual): products with u, v, the gradient in the reference image."""
 SUMS = 24
-"""Columns of the sums of an observation: the 13 of `lvba.kernels.photometric` (x, y: gradient in the target image;
-q: derivative by log exposure; r: residual), then with u, v, the gradient in the reference image:
-uu uv vv ux uy vx vy uq vq ur vr."""
+"""How many columns there are."""
 
 _INNER = np.array(
-    [[0, 1, 3, 16, 18], [1, 2, 4, 17, 19], [3, 4, 5, 20, 21], [16, 17, 20, 13, 14], [18, 19, 21, 14, 15]]
+    [
+        [XX, XY, XQ, UX, VX],
+        [XY, YY, YQ, UY, VY],
+        [XQ, YQ, QQ, UQ, VQ],
+        [UX, UY, UQ, UU, UV],
+        [VX, VY, VQ, UV, VV],
+    ]
 )
 """Column of the product of each two of x, y, q, u, v."""
-_PULL = np.array([6, 7, 8, 22, 23])
+_PULL = np.array([XR, YR, QR, UR, VR])
 """Column of the product of each of them with r."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _in_camera(
-    rotation: np.ndarray, translation: np.ndarray, image: int, position: np.ndarray, point: np.ndarray
-) -> None:
-    """Fills `R^T (p - t)` (3,), m."""
+@kernel
+def _in_camera(pose: np.ndarray, position: np.ndarray, point: np.ndarray) -> None:
+    """Fills `R^T (p - t)` (3,), m. pose: (4, 4), world_from_camera"""
     for i in range(3):
         point[i] = 0.0
         for j in range(3):
-            point[i] += rotation[image, j, i] * (position[j] - translation[image, j])
+            point[i] += pose[j, i] * (position[j] - pose[j, 3])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _sample(
     images: np.ndarray, image: int, u: float, v: float, channel: int
 ) -> tuple[float, float, float, float, float]:
@@ -53,20 +79,20 @@ def _sample(
     return top + b * (bottom - top), by_u, bottom - top, least, greatest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _add_sample(
     reference: tuple[float, float, float, float, float],
     target: tuple[float, float, float, float, float],
     mix: tuple[float, float],
     huber: float,
-    limits: np.ndarray,
+    usable: Intensities,
     slope: np.ndarray,
     sums: np.ndarray,
 ) -> None:
     """Adds one pixel pair to the sums; mix: eps_r / s and eps_t / s with s = sqrt(eps_r^2 + eps_t^2)."""
     wanted, wanted_u, wanted_v, wanted_least, wanted_greatest = reference
     seen, seen_x, seen_y, seen_least, seen_greatest = target
-    low, high, growth = limits[0], limits[1], limits[2]
+    low, high, growth = usable.least, usable.greatest, usable.growth
     if min(wanted_least, seen_least) < low or max(wanted_greatest, seen_greatest) > high:
         return
     c, s = mix
@@ -81,13 +107,13 @@ def _add_sample(
         for n in range(m, 5):
             sums[_INNER[m, n]] += weight * slope[m] * slope[n]
         sums[_PULL[m]] += weight * slope[m] * r
-    sums[9] += clipped * (abs(r) - 0.5 * clipped)
-    sums[10] += 1.0
-    sums[11] += r * r
-    sums[12] += weight
+    sums[COST] += clipped * (abs(r) - 0.5 * clipped)
+    sums[COUNT] += 1.0
+    sums[SQUARE] += r * r
+    sums[WEIGHTS] += weight
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _patch_sums(
     images: np.ndarray,
     r: int,
@@ -98,7 +124,7 @@ def _patch_sums(
     mix: tuple[float, float],
     radius: int,
     huber: float,
-    limits: np.ndarray,
+    usable: Intensities,
     slope: np.ndarray,
     sums: np.ndarray,
 ) -> None:
@@ -111,78 +137,73 @@ def _patch_sums(
             for channel in range(images.shape[3]):
                 wanted = _sample(images, r, u + i, v + j, channel)
                 seen = _sample(images, t, x, y, channel)
-                _add_sample(wanted, seen, mix, huber, limits, slope, sums)
+                _add_sample(wanted, seen, mix, huber, usable, slope, sums)
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+@parallel_kernel
 def evaluate(
     images: np.ndarray,
-    rotation: np.ndarray,
-    translation: np.ndarray,
+    poses: np.ndarray,
     exposure: np.ndarray,
-    intrinsics: np.ndarray,
-    position: np.ndarray,
-    normal: np.ndarray,
-    reference: np.ndarray,
+    intrinsics: Intrinsics,
+    patches: PlanePatches,
     starts: np.ndarray,
     target: np.ndarray,
     radius: int,
     huber: np.ndarray,
-    limits: np.ndarray,
+    usable: Intensities,
 ) -> np.ndarray:
     """The sums of every observation, (O, SUMS) float64; zeros where a patch leaves either image.
 
     Arguments as of `lvba.kernels.photometric.evaluate`.
+    images, poses, exposure, starts, target, huber: as in `lvba.kernels.photometric.evaluate`
     """
     height, width = images.shape[1], images.shape[2]
     sums = np.zeros((len(target), SUMS))
-    for p in prange(len(reference)):
+    for p in prange(len(patches.reference)):
         relative, offset, plane, ray = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
         warp, slope = np.empty(8), np.empty(5)
-        r = reference[p]
-        _in_camera(rotation, translation, r, position[p], ray)
+        r = patches.reference[p]
+        _in_camera(poses[r], patches.position[p], ray)
         if not ray[2] > 0.0:
             continue
         ray[0], ray[1], ray[2] = ray[0] / ray[2], ray[1] / ray[2], 1.0
-        u, v = intrinsics[0] * ray[0] + intrinsics[2], intrinsics[1] * ray[1] + intrinsics[3]
+        u, v = intrinsics.fx * ray[0] + intrinsics.cx, intrinsics.fy * ray[1] + intrinsics.cy
         if not (u >= radius and v >= radius and u + radius < width - 1 and v + radius < height - 1):
             continue
-        plane_in_reference(rotation, translation, r, position[p], normal[p], plane)
+        plane_in_reference(poses[r], patches.position[p], patches.normal[p], plane)
         for o in range(starts[p], starts[p + 1]):
             t = target[o]
-            relative_pose(rotation, translation, r, t, relative, offset)
+            relative_pose(poses, r, t, relative, offset)
             if not patch_warp(relative, offset, plane, ray, intrinsics, warp) > 0.0:
                 continue
-            low_x, high_x, low_y, high_y = warp_bounds(warp, radius)
             # as close to the border as the default goes, so that both lose the same patches
-            if not (low_x >= 0.0 and low_y >= 0.0 and high_x < width - 4 and high_y < height - 2):
+            if not samples_inside(warp_bounds(warp, radius), width, height):
                 continue
             norm = np.sqrt(exposure[r] ** 2 + exposure[t] ** 2)
             mix = (exposure[r] / norm, exposure[t] / norm)
-            _patch_sums(images, r, t, u, v, warp, mix, radius, huber[o], limits, slope, sums[o])
+            _patch_sums(images, r, t, u, v, warp, mix, radius, huber[o], usable, slope, sums[o])
     return sums
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _projection_jacobian(
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    intrinsics: np.ndarray,
-    image: int,
+    pose: np.ndarray,
+    intrinsics: Intrinsics,
     position: np.ndarray,
     normal: np.ndarray,
     jacobian: np.ndarray,
 ) -> None:
     """Fills (2, 7): where a point is seen, by the camera's local `[rotation | translation]` and by the point's offset
-    along its normal."""
+    along its normal. pose: (4, 4), world_from_camera"""
     point, along, row = np.empty(3), np.empty(3), np.empty(3)
-    _in_camera(rotation, translation, image, position, point)
+    _in_camera(pose, position, point)
     for i in range(3):
         along[i] = 0.0
         for j in range(3):
-            along[i] += rotation[image, j, i] * normal[j]
+            along[i] += pose[j, i] * normal[j]
     for axis in range(2):
-        focal = intrinsics[axis] / point[2]
+        focal = (intrinsics.fx if axis == 0 else intrinsics.fy) / point[2]
         row[0], row[1], row[2] = 0.0, 0.0, -focal * point[axis] / point[2]
         row[axis] = focal
         jacobian[axis, 0] = row[1] * point[2] - row[2] * point[1]
@@ -192,62 +213,60 @@ def _projection_jacobian(
         jacobian[axis, 6] = row[0] * along[0] + row[1] * along[1] + row[2] * along[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def observation_jacobian(
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    intrinsics: np.ndarray,
+    poses: np.ndarray,
+    intrinsics: Intrinsics,
     position: np.ndarray,
     normal: np.ndarray,
     r: int,
     t: int,
 ) -> np.ndarray:
     """(5, 15) float64: target pixel (x, y), log exposure difference and reference pixel (u, v) of a patch's centre, by
-    the 7 unknowns of reference and target, and by the offset of the plane."""
+    the 7 unknowns of reference and target, and by the offset of the plane.
+
+    poses: (I, 4, 4) float64, world_from_camera; position: (3,) float64, m, world; normal: (3,) float64, unit, world;
+    r, t: reference and target image
+    """
     jacobian, seen = np.zeros((5, 15)), np.empty((2, 7))
     for image, row, column in ((t, 0, 7), (r, 3, 0)):
-        _projection_jacobian(rotation, translation, intrinsics, image, position, normal, seen)
+        _projection_jacobian(poses[image], intrinsics, position, normal, seen)
         for axis in range(2):
             for n in range(6):
                 jacobian[row + axis, column + n] = seen[axis, n]
-            jacobian[row + axis, 14] = seen[axis, 6]
+            jacobian[row + axis, OFFSET] = seen[axis, 6]
     jacobian[2, 6], jacobian[2, 13] = -1.0, 1.0
     return jacobian
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+@parallel_kernel
 def assemble(
     sums: np.ndarray,
     weights: np.ndarray,
-    order: np.ndarray,
-    pair_starts: np.ndarray,
-    pair_reference: np.ndarray,
-    pair_target: np.ndarray,
+    image_pairs: ImagePairs,
     point: np.ndarray,
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    intrinsics: np.ndarray,
-    position: np.ndarray,
-    normal: np.ndarray,
+    poses: np.ndarray,
+    intrinsics: Intrinsics,
+    patches: PlanePatches,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Blocks (M, 14, 14) and gradient (M, 14) of every image pair, and of every observation its gradient (O, 15) and
     the Hessian's row (O, 15) of the plane's offset.
 
     sums: (O, SUMS) float64 of `evaluate`; the rest as of `lvba.kernels.photometric.assemble`.
+    weights, point, poses: as in `lvba.kernels.photometric.assemble`
     """
-    pairs = len(pair_reference)
+    pairs = len(image_pairs.reference)
     hessian, gradient = np.zeros((pairs, 14, 14)), np.zeros((pairs, 14))
     single, coupling = np.zeros((len(point), 15)), np.zeros((len(point), 15))
     for m in prange(pairs):
         inner, pull = np.empty((5, 5)), np.empty(5)
-        for n in range(pair_starts[m], pair_starts[m + 1]):
-            o = order[n]
-            if sums[o, 10] == 0.0:
+        r, t = image_pairs.reference[m], image_pairs.target[m]
+        for n in range(image_pairs.starts[m], image_pairs.starts[m + 1]):
+            o = image_pairs.order[n]
+            if sums[o, COUNT] == 0.0:
                 continue
             p = point[o]
-            jacobian = observation_jacobian(
-                rotation, translation, intrinsics, position[p], normal[p], pair_reference[m], pair_target[m]
-            )
+            jacobian = observation_jacobian(poses, intrinsics, patches.position[p], patches.normal[p], r, t)
             for i in range(5):
                 pull[i] = weights[o] * sums[o, _PULL[i]]
                 for j in range(5):
@@ -256,7 +275,7 @@ def assemble(
             for k in range(15):
                 for i in range(5):
                     single[o, k] += jacobian[i, k] * pull[i]
-                    coupling[o, k] += jacobian[i, 14] * weighted[i, k]
+                    coupling[o, k] += jacobian[i, OFFSET] * weighted[i, k]
             for k in range(14):
                 gradient[m, k] += single[o, k]
                 for c in range(14):
@@ -265,7 +284,7 @@ def assemble(
     return hessian, gradient, single, coupling
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """The matrix product, summed in order."""
     result = np.zeros((left.shape[0], right.shape[1]))

@@ -1,19 +1,22 @@
 """Eliminating the offset of every scene point's plane from the normal equations (Schur complement)."""
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
+
+from lvba.kernels.compiled import kernel, parallel_kernel
+from lvba.kernels.photometric import OFFSET
 
 _CHUNK = 256
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel_kernel
 def gather(
     gradient: np.ndarray, coupling: np.ndarray, starts: np.ndarray, precision: np.ndarray, offset: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Each point's Hessian (P,), gradient (P,), and couplings with images (P + O, 7): references, then targets.
 
     gradient, coupling: (O, 15) of `photometric.assemble`; starts: (P + 1,) int64
-    precision: (P,) inverse variance of the offset's prior; offset: (P,) its present value
+    precision: (P,) float64 inverse variance of the offset's prior; offset: (P,) float64 its present value
     """
     points = len(starts) - 1
     hessian, own = np.empty(points), np.empty(points)
@@ -23,8 +26,8 @@ def gather(
         for p in range(chunk * _CHUNK, min(points, (chunk + 1) * _CHUNK)):
             h, g = precision[p], precision[p] * offset[p]
             for o in range(starts[p], starts[p + 1]):
-                h += coupling[o, 14]
-                g += gradient[o, 14]
+                h += coupling[o, OFFSET]
+                g += gradient[o, OFFSET]
                 for k in range(7):
                     entry[p, k] += coupling[o, k]
                     entry[points + o, k] = coupling[o, 7 + k]
@@ -32,7 +35,7 @@ def gather(
     return hessian, own, entry
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel_kernel
 def schur_blocks(
     entry: np.ndarray,
     hessian: np.ndarray,
@@ -44,6 +47,7 @@ def schur_blocks(
     """(B, 7, 7): what elimination takes off every block, `- sum of entry[first] entry[second]^T / hessian[point]`.
 
     first, second, point: (E,) int32, contributions in the order of their blocks; block b owns slots[b] to slots[b + 1]
+    entry: (P + O, 7) float64 and hessian: (P,) float64, of `gather`; slots: (B + 1,) int64
     """
     blocks = np.zeros((len(slots) - 1, 7, 7))
     for b in prange(len(slots) - 1):
@@ -56,7 +60,7 @@ def schur_blocks(
     return blocks
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def contributions(
     starts: np.ndarray, reference: np.ndarray, target: np.ndarray, images: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -64,6 +68,7 @@ def contributions(
 
     Entries p (the reference of point p) and P + o (the target of observation o), the lower image first; the key is
     lower image * images + higher image.
+    starts: (P + 1,) int64; reference: (P,) int32, image; target: (O,) int32, image
     """
     points = len(reference)
     total = 0
@@ -86,7 +91,7 @@ def contributions(
     return first, second, point, key
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def scatter(
     gradient: np.ndarray,
     entry: np.ndarray,
@@ -95,7 +100,11 @@ def scatter(
     target: np.ndarray,
     point: np.ndarray,
 ) -> None:
-    """Takes `entry * pull` of every point and observation off the (I, 7) gradient of its image, in order."""
+    """Takes `entry * pull` of every point and observation off the (I, 7) gradient of its image, in order.
+
+    gradient: (I, 7) float64, in and out; entry: (P + O, 7) float64, of `gather`; pull: (P,) float64
+    reference: (P,) int32, image; target: (O,) int32, image; point: (O,) int32
+    """
     points = len(reference)
     for p in range(points):
         for k in range(7):
@@ -105,18 +114,24 @@ def scatter(
             gradient[target[o], k] -= entry[points + o, k] * pull[point[o]]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_blocks(sums: np.ndarray, where: np.ndarray, blocks: np.ndarray) -> None:
-    """Adds block m to `sums[where[m]]`, in order."""
+    """Adds block m to `sums[where[m]]`, in order.
+
+    sums: (S, n, m) float64, in and out; where: (M,) int64; blocks: (M, n, m) float64
+    """
     for m in range(len(where)):
         for i in range(blocks.shape[1]):
             for j in range(blocks.shape[2]):
                 sums[where[m], i, j] += blocks[m, i, j]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def take_squares(sums: np.ndarray, where: np.ndarray, vectors: np.ndarray) -> None:
-    """Takes v v^T of every vector m (M, n) off `sums[where[m]]` (n, n), in order."""
+    """Takes v v^T of every vector m (M, n) off `sums[where[m]]` (n, n), in order.
+
+    sums: (S, n, n) float64, in and out; where: (M,) int64; vectors: (M, n) float64
+    """
     for m in range(len(where)):
         for i in range(vectors.shape[1]):
             for j in range(vectors.shape[1]):

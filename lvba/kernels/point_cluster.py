@@ -4,15 +4,30 @@ A scatter is the sum of (p - mean)(p - mean)', kept as its 6 numbers xx xy xz yy
 digits however far the points are from the origin.
 """
 
-import numpy as np
-from numba import njit, prange
+from typing import NamedTuple
 
-from lvba.kernels.parallel import parallel
+import numpy as np
+from numba import prange
+
+from lvba.kernels.compiled import kernel, parallel_kernel
 
 _SWEEPS = 12
+POINTS = 0
+"""Where sums of points (10,) hold their number; after it their sums x y z and sums of products xx xy xz yy yz zz."""
 
 
-@njit(cache=True, nogil=True, inline="always")
+class Clusters(NamedTuple):
+    """K clusters.
+
+    total: (K,) float64, number of points, or sum of their weights; mean: (K, 3) float64, m; scatter: (K, 6) float64, m^2
+    """
+
+    total: np.ndarray
+    mean: np.ndarray
+    scatter: np.ndarray
+
+
+@kernel(inline=True)
 def add_cluster(
     count: np.ndarray,
     mean: np.ndarray,
@@ -21,7 +36,10 @@ def add_cluster(
     other_mean: np.ndarray,
     other_scatter: np.ndarray,
 ) -> None:
-    """Add a cluster to (count (1,), mean (3,), scatter (6,)) in place (Chan et al. 1979, pairwise update)."""
+    """Add a cluster to (count (1,), mean (3,), scatter (6,)) in place (Chan et al. 1979, pairwise update).
+
+    count: (1,) float64; mean, other_mean: (3,) float64, m; scatter, other_scatter: (6,) float64, m^2; in one frame
+    """
     total = count[0] + other_count
     if other_count <= 0.0:
         return
@@ -42,10 +60,10 @@ def add_cluster(
     count[0] = total
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline=True)
 def add_point(sums: np.ndarray, x: float, y: float, z: float) -> None:
-    """Add a point to the sums (10,) of 1, its coordinates and their products; take it from near by, to keep digits."""
-    sums[0] += 1.0
+    """Add a point to the sums (10,) float64, see POINTS; take it from near by, to keep digits."""
+    sums[POINTS] += 1.0
     sums[1] += x
     sums[2] += y
     sums[3] += z
@@ -57,10 +75,10 @@ def add_point(sums: np.ndarray, x: float, y: float, z: float) -> None:
     sums[9] += z * z
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline=True)
 def cluster_of_sums(sums: np.ndarray, mean: np.ndarray, scatter: np.ndarray) -> None:
-    """Write mean (3,) and scatter (6,) of the points of such sums."""
-    inverse = 1.0 / max(sums[0], 1.0)
+    """Write mean (3,) and scatter (6,) of the points of the sums (10,) of `add_point`, all float64."""
+    inverse = 1.0 / max(sums[POINTS], 1.0)
     mean[0], mean[1], mean[2] = sums[1] * inverse, sums[2] * inverse, sums[3] * inverse
     scatter[0] = sums[4] - sums[1] * mean[0]
     scatter[1] = sums[5] - sums[1] * mean[1]
@@ -70,9 +88,12 @@ def cluster_of_sums(sums: np.ndarray, mean: np.ndarray, scatter: np.ndarray) -> 
     scatter[5] = sums[9] - sums[3] * mean[2]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rotate_scatter(rotation: np.ndarray, scatter: np.ndarray, out: np.ndarray) -> None:
-    """out (6,) = R S R' for a (3, 3) rotation and the 6 numbers of S."""
+    """out (6,) = R S R' for the rotation (3, 3), or that of a pose (4, 4), and the scatter (6,), S; all float64.
+
+    rotation: (3, 3) or (4, 4) float64; scatter: (6,) float64; out: (6,) float64
+    """
     r = rotation
     a0, a1, a2, a3, a4, a5 = scatter[0], scatter[1], scatter[2], scatter[3], scatter[4], scatter[5]
     x0 = r[0, 0] * a0 + r[0, 1] * a1 + r[0, 2] * a2
@@ -92,30 +113,32 @@ def rotate_scatter(rotation: np.ndarray, scatter: np.ndarray, out: np.ndarray) -
     out[5] = z0 * r[2, 0] + z1 * r[2, 1] + z2 * r[2, 2]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def move_cluster(
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    mean: np.ndarray,
-    scatter: np.ndarray,
-    out_mean: np.ndarray,
-    out_scatter: np.ndarray,
+    pose: np.ndarray, mean: np.ndarray, scatter: np.ndarray, out_mean: np.ndarray, out_scatter: np.ndarray
 ) -> None:
-    """out_mean (3,) and out_scatter (6,) of a cluster moved by R x + t."""
-    r, t = rotation, translation
+    """out_mean (3,) and out_scatter (6,) of a cluster, mean (3,) and scatter (6,), moved by a pose (4, 4); float64.
+
+    pose: (4, 4) float64; mean: (3,) float64, m; scatter: (6,) float64, m^2; out_mean: (3,) float64; out_scatter: (6,)
+    float64
+    """
+    r = pose
     x, y, z = mean[0], mean[1], mean[2]
-    out_mean[0] = r[0, 0] * x + r[0, 1] * y + r[0, 2] * z + t[0]
-    out_mean[1] = r[1, 0] * x + r[1, 1] * y + r[1, 2] * z + t[1]
-    out_mean[2] = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z + t[2]
+    out_mean[0] = r[0, 0] * x + r[0, 1] * y + r[0, 2] * z + r[0, 3]
+    out_mean[1] = r[1, 0] * x + r[1, 1] * y + r[1, 2] * z + r[1, 3]
+    out_mean[2] = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z + r[2, 3]
     rotate_scatter(r, scatter, out_scatter)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def eigen3(symmetric: np.ndarray, values: np.ndarray, vectors: np.ndarray) -> None:
-    """Eigenvalues (3,) ascending and eigenvectors (3, 3), rows, of the 6 numbers of a symmetric matrix.
+    """Writes eigenvalues, values (3,) ascending, and eigenvectors, vectors (3, 3) as rows; float64.
+
+    symmetric: (6,) float64, a symmetric matrix, as scatters are kept
 
     Cyclic Jacobi rotations: unlike the closed form they keep the digits of a small eigenvalue beside large ones
     (Golub and Van Loan, section 8.5).
+    values: (3,) float64, out; vectors: (3, 3) float64, out
     """
     a = np.empty((3, 3))
     a[0, 0], a[0, 1], a[0, 2] = symmetric[0], symmetric[1], symmetric[2]
@@ -161,17 +184,14 @@ def eigen3(symmetric: np.ndarray, values: np.ndarray, vectors: np.ndarray) -> No
         vectors[0, i], vectors[1, i], vectors[2, i] = v[i, i0], v[i, i1], v[i, i2]
 
 
-@parallel
-def transform(
-    rotation: np.ndarray, translation: np.ndarray, pose: np.ndarray, mean: np.ndarray, scatter: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Means (C, 3) and scatters (C, 6) of clusters moved by R x + t; cluster c by pose[c].
+@parallel_kernel
+def transform(poses: np.ndarray, pose: np.ndarray, clusters: Clusters) -> tuple[np.ndarray, np.ndarray]:
+    """Means (K, 3) and scatters (K, 6) of clusters moved by poses (S, 4, 4) float64; cluster k by poses[pose[k]].
 
-    rotation: (S, 3, 3), translation: (S, 3), pose: (C,) int32.
+    pose: (K,) int32
     """
-    out_mean = np.empty_like(mean)
-    out_scatter = np.empty_like(scatter)
-    for c in prange(len(pose)):
-        p = pose[c]
-        move_cluster(rotation[p], translation[p], mean[c], scatter[c], out_mean[c], out_scatter[c])
+    out_mean = np.empty_like(clusters.mean)
+    out_scatter = np.empty_like(clusters.scatter)
+    for k in prange(len(pose)):
+        move_cluster(poses[pose[k]], clusters.mean[k], clusters.scatter[k], out_mean[k], out_scatter[k])
     return out_mean, out_scatter

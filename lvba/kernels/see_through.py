@@ -1,12 +1,14 @@
 """Rays of one map through the surfaces of another: a surface that is seen through is not there."""
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
+
+from lvba.kernels.compiled import kernel, parallel_kernel
 
 _CHUNK = 64
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _meets(
     origin: np.ndarray,
     along: np.ndarray,
@@ -31,7 +33,7 @@ def _meets(
     return t if off <= radius * radius else -1.0
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@parallel_kernel
 def first_hit(
     origins: np.ndarray,
     ends: np.ndarray,
@@ -50,11 +52,11 @@ def first_hit(
     origins, ends: (R, 3) float64, m; margin: m
     centers, normals: (K, 3) float64, disks of `radius` (m), in the order of the cells that hold their centers
     starts: (cells + 1,) int64: cell (i, j, k) owns the disks from starts[(i shape[1] + j) shape[2] + k]
-    low: (3,) m, lowest corner; shape: (3,) int64, cells; cell: m, edge
+    low: (3,) float64 m, lowest corner; shape: (3,) int64, cells; cell: m, edge
     cosine: least cosine between ray and normal of a disk that counts; disks are met at their front only
     A disk is found while the ray is in its cell or a neighbor of it: radius <= cell.
     """
-    found = np.full(len(origins), -1, np.int32)
+    hits = np.full(len(origins), -1, np.int32)
     chunks = -(-len(origins) // _CHUNK)
     for chunk in prange(chunks):
         along, at = np.empty(3), np.empty(3, np.int64)
@@ -83,6 +85,6 @@ def first_hit(
                         for d in range(starts[row + first], starts[row + last]):
                             hit = _meets(origins[r], along, centers[d], normals[d], radius, cosine)
                             if margin <= hit < best:
-                                best, found[r] = hit, d
+                                best, hits[r] = hit, d
                 t += cell
-    return found
+    return hits

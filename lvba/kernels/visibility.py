@@ -1,66 +1,62 @@
 """Which cameras see a patch: the gates of eq. (3) on warped patches, and the voxel map of who saw what."""
 
 import math
+from typing import NamedTuple
 
-import numba
 import numpy as np
+from numba import prange
 
+from lvba.kernels.compiled import kernel, parallel_kernel
+from lvba.kernels.homography import plane_homography
+from lvba.kernels.scene import Intrinsics, NearestPoints, PlanePatches
 from lvba.kernels.visibility_depth import patch_hidden
-
-_jit = numba.njit(cache=True, nogil=True)
 
 PASSED, BEHIND, OUTSIDE, SLANTED, SCALED, HIDDEN, MASKED, UNLIKE = 0, 1, 2, 3, 4, 5, 6, 7
 """What became of a pair: passed, or the first gate that it failed."""
 
 
-@_jit
-def plane_homography(
-    world_from_reference: np.ndarray,
-    world_from_target: np.ndarray,
-    position: np.ndarray,
-    normal: np.ndarray,
-    reference: np.ndarray,
-    target: np.ndarray,
-) -> np.ndarray:
-    """Eq. (7) over n^T (p - t_r), (3, 3): pixels of the reference to homogeneous ones of the target.
+class PairGates(NamedTuple):
+    """What a pair must pass, in this order; Li et al., eq. (3), and ours.
 
-    The third component is depth in the target over depth in the reference. reference, target: fx, fy, cx, cy.
+    min_view_cosine: of the target's axis and the direction to the point; min_normal_cosine: of either direction of view
+    and the normal; min_scale, max_scale: target px per reference px
+    dark, bright: grey values up to the one and from the other on are masked; min_usable: least part that is not
+    contrast_floor: grey values^2, least variance of a patch; noise: grey values^2, variance of the images' noise
+    hiding: m, see `visibility_depth.hiding_depth`; half: px, of the patch
     """
-    r, t = world_from_reference, world_from_target
-    offset = 0.0
-    for a in range(3):
-        offset += normal[a] * (position[a] - r[a, 3])
-    rays = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            value = 0.0
-            for a in range(3):
-                along = r[0, j] * normal[0] + r[1, j] * normal[1] + r[2, j] * normal[2]
-                value += t[a, i] * (r[a, j] + (r[a, 3] - t[a, 3]) * along / offset)
-            rays[i, j] = value
-    h = np.empty((3, 3))
-    for i in range(3):
-        h[i, 0] = rays[i, 0] / reference[0]
-        h[i, 1] = rays[i, 1] / reference[1]
-        h[i, 2] = rays[i, 2] - h[i, 0] * reference[2] - h[i, 1] * reference[3]
-    for j in range(3):
-        h[0, j] = target[0] * h[0, j] + target[2] * h[2, j]
-        h[1, j] = target[1] * h[1, j] + target[3] * h[2, j]
-    return h
+
+    half: int
+    min_view_cosine: float
+    min_normal_cosine: float
+    min_scale: float
+    max_scale: float
+    min_ncc: float
+    contrast_floor: float
+    dark: float
+    bright: float
+    min_usable: float
+    hiding: float
+    noise: float
 
 
-@_jit
+@kernel
 def warp(h: np.ndarray, u: float, v: float) -> tuple[float, float, float]:
-    """Pixel (u, v) moved by h, and the third homogeneous component."""
+    """Pixel (u, v) moved by h, and the third homogeneous component.
+
+    h: (3, 3) float64, of `plane_homography`
+    """
     w = h[2, 0] * u + h[2, 1] * v + h[2, 2]
     if w == 0:
         return 0.0, 0.0, 0.0
     return (h[0, 0] * u + h[0, 1] * v + h[0, 2]) / w, (h[1, 0] * u + h[1, 1] * v + h[1, 2]) / w, w
 
 
-@_jit
+@kernel
 def local_scale(h: np.ndarray, u: float, v: float) -> tuple[float, float]:
-    """The singular values (small, large) of the warp's Jacobian at (u, v): target px per reference px."""
+    """The singular values (small, large) of the warp's Jacobian at (u, v): target px per reference px.
+
+    h: (3, 3) float64, of `plane_homography`
+    """
     x, y, w = warp(h, u, v)
     a, b = (h[0, 0] - x * h[2, 0]) / w, (h[0, 1] - x * h[2, 1]) / w
     c, d = (h[1, 0] - y * h[2, 0]) / w, (h[1, 1] - y * h[2, 1]) / w
@@ -69,9 +65,12 @@ def local_scale(h: np.ndarray, u: float, v: float) -> tuple[float, float]:
     return (plus - minus) / 2, (plus + minus) / 2
 
 
-@_jit
+@kernel
 def patch_inside(h: np.ndarray, u: int, v: int, half: int, width: int, height: int) -> int:
-    """PASSED where all four corners of the patch land inside the image and in front; else BEHIND or OUTSIDE."""
+    """PASSED where all four corners of the patch land inside the image and in front; else BEHIND or OUTSIDE.
+
+    h: (3, 3) float64, of `plane_homography`; width, height: px
+    """
     for i in range(-1, 2, 2):
         for j in range(-1, 2, 2):
             x, y, w = warp(h, u + j * half, v + i * half)
@@ -82,9 +81,12 @@ def patch_inside(h: np.ndarray, u: int, v: int, half: int, width: int, height: i
     return PASSED
 
 
-@_jit
+@kernel
 def warp_row(h: np.ndarray, u: int, v: int, half: int, xs: np.ndarray, ys: np.ndarray) -> None:
-    """Fill xs, ys (N,) with where the pixels (u - half ... u + half, v) land."""
+    """Fill xs, ys (N,) with where the pixels (u - half ... u + half, v) land.
+
+    h: (3, 3) float64, of `plane_homography`; xs: (N,) float64, px; ys: (N,) float64, px
+    """
     x, y, w = h[0, 1] * v + h[0, 2], h[1, 1] * v + h[1, 2], h[2, 1] * v + h[2, 2]
     for j in range(2 * half + 1):
         column = u - half + j
@@ -93,27 +95,24 @@ def warp_row(h: np.ndarray, u: int, v: int, half: int, xs: np.ndarray, ys: np.nd
         ys[j] = (h[1, 0] * column + y) * scale
 
 
-@_jit
+@kernel
 def correlation(
     reference: np.ndarray,
     target: np.ndarray,
     h: np.ndarray,
     u: int,
     v: int,
-    half: int,
-    dark: float,
-    bright: float,
-    floor: float,
-    noise: float,
+    gates: PairGates,
 ) -> tuple[float, float]:
     """(NCC, usable part of the patch): means removed per channel, channels stacked.
 
-    What white noise of variance `noise` adds to the variances is taken off, else faint texture could never agree with
-    itself; they are not below `floor` then. The NCC of faint patches may pass 1.
+    What white noise of variance `gates.noise` adds to the variances is taken off, else faint texture could never agree
+    with itself; they are not below `contrast_floor` then. The NCC of faint patches may pass 1.
 
-    reference, target: (H, W, C); dark, bright: pixels outside are skipped, as is a target sample any of whose four
-    neighbours is
+    reference, target: (H, W, C) uint8; masked pixels are skipped, as is a target sample any of whose four neighbours is;
+    h: (3, 3) float64, pixels of the one to those of the other; u, v: pixel of the reference
     """
+    half, dark, bright = gates.half, gates.dark, gates.bright
     size, channels = 2 * half + 1, reference.shape[2]
     sums = np.zeros((channels, 5))
     count, kept = 0, 0.0
@@ -152,17 +151,18 @@ def correlation(
         first += (sums[c, 2] - sums[c, 0] * sums[c, 0] / count) / count
         second += (sums[c, 3] - sums[c, 1] * sums[c, 1] / count) / count
         cross += (sums[c, 4] - sums[c, 0] * sums[c, 1] / count) / count
-    first = max(first - noise * channels, floor * channels)
-    second = max(second - noise * channels * kept / count, floor * channels)
+    first = max(first - gates.noise * channels, gates.contrast_floor * channels)
+    second = max(second - gates.noise * channels * kept / count, gates.contrast_floor * channels)
     ncc = cross / math.sqrt(first * second)
     return ncc, count / float(size**2)
 
 
-@_jit
+@kernel
 def view_cosines(pose: np.ndarray, position: np.ndarray, normal: np.ndarray) -> tuple[float, float]:
-    """(d . z_C, -d . n) of a camera (4, 4) and a point: the second is negative from behind the plane.
+    """(d . z_C, -d . n) of a camera and a point: the second is negative from behind the plane.
 
     Eq. (3) has |d . n|; but a thin wall has two sides, and a camera in the next room sees the other one.
+    pose: (4, 4) float64, world_from_camera; position: (3,) float64, m, and normal: (3,) float64, unit, world
     """
     along, slant, square = 0.0, 0.0, 0.0
     for a in range(3):
@@ -174,111 +174,101 @@ def view_cosines(pose: np.ndarray, position: np.ndarray, normal: np.ndarray) -> 
     return along / length, -slant / length
 
 
-@_jit
+@kernel
 def judge(
     images: np.ndarray,
     poses: np.ndarray,
-    intrinsics: np.ndarray,
-    position: np.ndarray,
-    normal: np.ndarray,
-    reference: int,
+    intrinsics: Intrinsics,
+    patches: PlanePatches,
+    point: int,
     target: int,
-    u: int,
-    v: int,
-    gates: np.ndarray,
-    nearest: np.ndarray,
-    points: np.ndarray,
-    cell: float,
+    gates: PairGates,
+    nearest: NearestPoints,
 ) -> tuple[int, float]:
-    """The verdict on one pair and its NCC (0 where it came not that far); arguments as in `judge_pairs`."""
-    height, width, half = images.shape[1], images.shape[2], int(gates[0])
+    """The verdict on one pair and its NCC (0 where it came not that far); arguments as in `judge_pairs`.
+
+    images, poses: as in `judge_pairs`
+    """
+    height, width, half = images.shape[1], images.shape[2], gates.half
+    position, normal, reference = patches.position[point], patches.normal[point], patches.reference[point]
+    u, v = patches.pixel[point, 0], patches.pixel[point, 1]
     along, slant = view_cosines(poses[target], position, normal)
-    if not along > gates[1]:
+    if not along > gates.min_view_cosine:
         return BEHIND, 0.0
-    if not (slant > gates[2] and view_cosines(poses[reference], position, normal)[1] > gates[2]):
+    own_slant = view_cosines(poses[reference], position, normal)[1]
+    if not (slant > gates.min_normal_cosine and own_slant > gates.min_normal_cosine):
         return SLANTED, 0.0
-    h = plane_homography(poses[reference], poses[target], position, normal, intrinsics, intrinsics)
+    h = plane_homography(poses, reference, target, position, normal, intrinsics)
     inside = patch_inside(h, u, v, half, width, height)
     if inside != PASSED:
         return inside, 0.0
     small, large = local_scale(h, float(u), float(v))
-    if small < gates[3] or large > gates[4]:
+    if small < gates.min_scale or large > gates.max_scale:
         return SCALED, 0.0
-    if len(nearest):
+    if len(nearest.nearest):
         depth = 0.0
         for a in range(3):
             depth += poses[reference, a, 2] * (position[a] - poses[reference, a, 3])
-        if patch_hidden(
-            nearest[target], points, poses[target], cell, h, u, v, half, depth, position, normal, gates[10]
-        ):
+        if patch_hidden(nearest, target, poses[target], h, u, v, half, depth, position, normal, gates.hiding):
             return HIDDEN, 0.0
-    ncc, usable = correlation(
-        images[reference], images[target], h, u, v, half, gates[7], gates[8], gates[6], gates[11]
-    )
-    if usable < gates[9]:
+    ncc, usable = correlation(images[reference], images[target], h, u, v, gates)
+    if usable < gates.min_usable:
         return MASKED, ncc
-    return (PASSED if ncc > gates[5] else UNLIKE), ncc
+    return (PASSED if ncc > gates.min_ncc else UNLIKE), ncc
 
 
-@numba.njit(parallel=True, cache=True, nogil=True)
+@parallel_kernel
 def judge_pairs(
     images: np.ndarray,
     poses: np.ndarray,
-    intrinsics: np.ndarray,
-    position: np.ndarray,
-    normal: np.ndarray,
-    reference: np.ndarray,
-    pixel: np.ndarray,
+    intrinsics: Intrinsics,
+    patches: PlanePatches,
     point: np.ndarray,
     target: np.ndarray,
-    gates: np.ndarray,
-    nearest: np.ndarray,
-    points: np.ndarray,
-    cell: float,
+    gates: PairGates,
+    nearest: NearestPoints,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which pairs of a scene point and a target pass eq. (3): verdict (O,) uint8 and NCC (O,) float32.
 
-    images: (I, H, W, C); poses: (I, 4, 4) world_from_camera; intrinsics: fx, fy, cx, cy
-    position, normal: (P, 3); reference: (P,); pixel: (P, 2); point, target: (O,)
-    gates: [half patch, least d.z_C, least |d.n|, least scale, largest scale, least NCC, variance floor, dark, bright,
-        least usable part, tolerance of hiding m, variance of the images' noise]
-    nearest: (I, rows, columns) from `visibility_depth.nearest_points`, or (0, 0, 0) to skip that gate; points: (M, 3)
-        LiDAR points it indexes; cell: px at this level
+    images: (I, H, W, C) uint8; poses: (I, 4, 4) float64, world_from_camera; point: (O,) int32, of the patches;
+    target: (O,) int32, image; nearest: (0, 0, 0) cells skip that gate
     """
     verdict = np.empty(len(point), np.uint8)
     ncc = np.empty(len(point), np.float32)
-    for o in numba.prange(len(point)):
-        p = point[o]
-        verdict[o], ncc[o] = judge(
-            images, poses, intrinsics, position[p], normal[p], reference[p], target[o], pixel[p, 0], pixel[p, 1],
-            gates, nearest, points, cell,
-        )  # fmt: skip
+    for o in prange(len(point)):
+        verdict[o], ncc[o] = judge(images, poses, intrinsics, patches, point[o], target[o], gates, nearest)
     return verdict, ncc
 
 
-@_jit
+@kernel
 def voxel_key(x: float, y: float, z: float, size: float) -> int:
     """One int64 for the voxel of a point: 21 bits a coordinate, good for a million voxels either way."""
     i, j, k = math.floor(x / size), math.floor(y / size), math.floor(z / size)
     return ((i + 1048576) << 42) | ((j + 1048576) << 21) | (k + 1048576)
 
 
-@numba.njit(parallel=True, cache=True, nogil=True)
+@parallel_kernel
 def voxel_keys(points: np.ndarray, size: float) -> np.ndarray:
-    """`voxel_key` of (N, 3) points, (N,) int64."""
+    """`voxel_key` of (N, 3) points, (N,) int64.
+
+    points: (N, 3) float64, m; size: m, edge of a voxel
+    """
     keys = np.empty(len(points), np.int64)
-    for m in numba.prange(len(points)):
+    for m in prange(len(points)):
         keys[m] = voxel_key(points[m, 0], points[m, 1], points[m, 2], size)
     return keys
 
 
-@numba.njit(parallel=True, cache=True, nogil=True)
+@parallel_kernel
 def scan_voxels(points: np.ndarray, offsets: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
     """The voxels of each scan, each once and ascending: keys (M,) int64 (only the first ones of a scan's range hold) and
-    their number (S,) int64."""
+    their number (S,) int64.
+
+    points: (M, 3) float32, m; offsets: (S + 1,) int64, scan s owns points offsets[s] to offsets[s + 1]
+    """
     keys = np.empty(len(points), np.int64)
     count = np.zeros(len(offsets) - 1, np.int64)
-    for s in numba.prange(len(offsets) - 1):
+    for s in prange(len(offsets) - 1):
         start, stop = offsets[s], offsets[s]
         for m in range(start, offsets[s + 1]):
             key = voxel_key(points[m, 0], points[m, 1], points[m, 2], size)
@@ -296,11 +286,15 @@ def scan_voxels(points: np.ndarray, offsets: np.ndarray, size: float) -> tuple[n
     return keys, count
 
 
-@_jit
+@kernel
 def cameras_of_voxel(
     scans: np.ndarray, scan_offsets: np.ndarray, scan_cameras: np.ndarray, marked: np.ndarray, out: np.ndarray
 ) -> int:
-    """Collect into `out` the cameras of these scans, each once and ascending; their number. `marked` comes back zero."""
+    """Collect into `out` the cameras of these scans, each once and ascending; their number. `marked` comes back zero.
+
+    scans: (n,) int64; scan_offsets: (S + 1,) int64; scan_cameras: (C,) int32, cameras of every scan
+    marked: (I,) bool, all False; out: (I,) int32
+    """
     count = 0
     for s in scans:
         for o in range(scan_offsets[s], scan_offsets[s + 1]):
@@ -315,18 +309,19 @@ def cameras_of_voxel(
     return count
 
 
-@numba.njit(parallel=True, cache=True, nogil=True)
+@parallel_kernel
 def voxel_cameras(
     offsets: np.ndarray, scans: np.ndarray, scan_offsets: np.ndarray, scan_cameras: np.ndarray, cameras: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """The cameras of every voxel as compressed rows: offsets (V + 1,) int64, cameras int32, ascending in a row.
 
     offsets (V + 1,), scans: the scans of every voxel; scan_offsets (S + 1,), scan_cameras: the cameras of every scan
+    scans: (n,) int64; scan_offsets: (S + 1,) int64; scan_cameras: (C,) int32
     """
     block = 256
     blocks = (len(offsets) - 1 + block - 1) // block
     row = np.zeros(len(offsets), np.int64)
-    for b in numba.prange(blocks):
+    for b in prange(blocks):
         marked, out = np.zeros(cameras, np.bool_), np.empty(cameras, np.int32)
         for v in range(b * block, min((b + 1) * block, len(offsets) - 1)):
             row[v + 1] = cameras_of_voxel(
@@ -334,20 +329,23 @@ def voxel_cameras(
             )
     for v in range(len(offsets) - 1):
         row[v + 1] += row[v]
-    found = np.empty(row[-1], np.int32)
-    for b in numba.prange(blocks):
+    seeing = np.empty(row[-1], np.int32)
+    for b in prange(blocks):
         marked, out = np.zeros(cameras, np.bool_), np.empty(cameras, np.int32)
         for v in range(b * block, min((b + 1) * block, len(offsets) - 1)):
             count = cameras_of_voxel(
                 scans[offsets[v] : offsets[v + 1]], scan_offsets, scan_cameras, marked, out
             )
-            found[row[v] : row[v] + count] = out[:count]
-    return row, found
+            seeing[row[v] : row[v] + count] = out[:count]
+    return row, seeing
 
 
-@_jit
+@kernel
 def keep_spread(group: np.ndarray, limit: int) -> np.ndarray:
-    """(O,) bool: of every run of equal values in `group` (sorted), at most `limit`, evenly spread over the run."""
+    """(O,) bool: of every run of equal values in `group` (sorted), at most `limit`, evenly spread over the run.
+
+    group: (O,) int32, ascending
+    """
     keep = np.zeros(len(group), np.bool_)
     start = 0
     while start < len(group):

@@ -2,18 +2,22 @@
 
 import math
 
-import numba
 import numpy as np
+from numba import prange
 
-_jit = numba.njit(cache=True, nogil=True)
+from lvba.kernels.compiled import kernel, parallel_kernel
+from lvba.kernels.scene import Intrinsics, NearestPoints
+
+HIDING_PART = 0.02
+"""Part of the depth that is added to the tolerance of hiding: what slant and noise of far points come to."""
 
 
-@numba.njit(parallel=True, cache=True, nogil=True)
+@parallel_kernel
 def nearest_points(
     points: np.ndarray,
     ranges: np.ndarray,
     poses: np.ndarray,
-    intrinsics: np.ndarray,
+    intrinsics: Intrinsics,
     width: int,
     height: int,
     cell: float,
@@ -21,13 +25,14 @@ def nearest_points(
 ) -> np.ndarray:
     """The nearest point of every cell of every image, (I, rows, columns) int32, -1 where none; of equals the first.
 
-    points: (M, 3) float32, world; ranges: (I, 3): first point, end and step of each image; poses: (I, 4, 4)
-    intrinsics: fx, fy, cx, cy; cell: edge of a square cell, px; nearest: smallest depth, m
+    points: (M, 3) float32, world; ranges: (I, 3) int64: first point, end and step of each image
+    poses: (I, 4, 4) float64, world_from_camera
+    cell: edge of a square cell, px; nearest: smallest depth, m
     """
     rows, columns = math.ceil(height / cell), math.ceil(width / cell)
-    found = np.full((len(ranges), rows, columns), -1, np.int32)
-    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
-    for i in numba.prange(len(ranges)):
+    closest = np.full((len(ranges), rows, columns), -1, np.int32)
+    fx, fy, cx, cy = intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy
+    for i in prange(len(ranges)):
         r = poses[i]
         depth = np.full((rows, columns), np.inf)
         for m in range(ranges[i, 0], ranges[i, 1], ranges[i, 2]):
@@ -42,16 +47,21 @@ def nearest_points(
             row, column = int(v / cell), int(u / cell)
             if z < depth[row, column]:
                 depth[row, column] = z
-                found[i, row, column] = m
-    return found
+                closest[i, row, column] = m
+    return closest
 
 
-@_jit
+@kernel
+def hiding_depth(z: float, tolerance: float) -> float:
+    """What lies nearer than this, m, may hide a point at depth z. tolerance: m, beside HIDING_PART of the depth"""
+    return z - tolerance - HIDING_PART * z
+
+
+@kernel
 def is_hidden(
-    nearest: np.ndarray,
-    points: np.ndarray,
+    nearest: NearestPoints,
+    image: int,
     pose: np.ndarray,
-    cell: float,
     x: float,
     y: float,
     z: float,
@@ -61,28 +71,27 @@ def is_hidden(
 ) -> bool:
     """Whether the LiDAR saw something in front of a point of a plane: nearer, and not on the plane itself.
 
-    nearest: (rows, columns) of the image; cell: px; x, y, z: the point's pixel and depth; position, normal: the plane
-    tolerance: m; 2 % of the depth are added
+    pose: (4, 4) float64, world_from_camera of the image; x, y, z: the point's pixel and depth, m; position, normal: (3,)
+    float64, world, of the plane; tolerance: m, of `hiding_depth`
     """
-    row, column = int((y + 0.5) / cell), int((x + 0.5) / cell)
-    if row < 0 or column < 0 or row >= nearest.shape[0] or column >= nearest.shape[1]:
+    row, column = int((y + 0.5) / nearest.cell), int((x + 0.5) / nearest.cell)
+    if row < 0 or column < 0 or row >= nearest.nearest.shape[1] or column >= nearest.nearest.shape[2]:
         return False
-    m = nearest[row, column]
+    m = nearest.nearest[image, row, column]
     if m < 0:
         return False
     depth, off = 0.0, 0.0
     for a in range(3):
-        depth += pose[a, 2] * (points[m, a] - pose[a, 3])
-        off += normal[a] * (points[m, a] - position[a])
-    return depth < z - tolerance - 0.02 * z and abs(off) > 0.5 * tolerance + 0.004 * z
+        depth += pose[a, 2] * (nearest.points[m, a] - pose[a, 3])
+        off += normal[a] * (nearest.points[m, a] - position[a])
+    return depth < hiding_depth(z, tolerance) and abs(off) > 0.5 * tolerance + 0.004 * z
 
 
-@_jit
+@kernel
 def patch_hidden(
-    nearest: np.ndarray,
-    points: np.ndarray,
+    nearest: NearestPoints,
+    image: int,
     pose: np.ndarray,
-    cell: float,
     h: np.ndarray,
     u: int,
     v: int,
@@ -94,8 +103,9 @@ def patch_hidden(
 ) -> bool:
     """Whether the centre of a warped patch or one of its corners is hidden.
 
-    h: pixels of the reference to those of the image, third component depth over depth in the reference; depth: of the
-    plane at (u, v) in the reference's image (its change over the patch is neglected)
+    h: (3, 3) of `homography.plane_homography`; depth: m, of the plane at (u, v) in the reference's image (its change over
+    the patch is neglected); half: px, of the patch; the others as of `is_hidden`
+    pose, position, normal: as in `is_hidden`
     """
     for k in range(5):
         j = 0 if k == 4 else (2 * (k % 2) - 1) * half
@@ -103,6 +113,6 @@ def patch_hidden(
         w = h[2, 0] * (u + j) + h[2, 1] * (v + i) + h[2, 2]
         x = (h[0, 0] * (u + j) + h[0, 1] * (v + i) + h[0, 2]) / w
         y = (h[1, 0] * (u + j) + h[1, 1] * (v + i) + h[1, 2]) / w
-        if is_hidden(nearest, points, pose, cell, x, y, w * depth, position, normal, tolerance):
+        if is_hidden(nearest, image, pose, x, y, w * depth, position, normal, tolerance):
             return True
     return False

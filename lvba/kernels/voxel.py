@@ -4,20 +4,28 @@ Keys are Morton codes of 16 bits per axis: the parent of a cell is its key shift
 order of their keys hold every coarser level as contiguous runs.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
-from lvba.kernels.parallel import parallel
-from lvba.kernels.point_cluster import add_cluster, add_point, cluster_of_sums, eigen3, move_cluster
+from lvba.kernels.compiled import kernel, parallel_kernel
+from lvba.kernels.point_cluster import (
+    POINTS,
+    Clusters,
+    add_cluster,
+    add_point,
+    cluster_of_sums,
+    eigen3,
+    move_cluster,
+)
 
 AXIS_CELLS = 1 << 16
 _EMPTY = np.int64(-1)
 _FIRST_TABLE = 1 << 13
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline=True)
 def _spread(x: Any) -> Any:
     x = np.uint64(x) & np.uint64(0xFFFF)
     x = (x | (x << np.uint64(16))) & np.uint64(0x0000FF0000FF)
@@ -27,13 +35,13 @@ def _spread(x: Any) -> Any:
     return x
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline=True)
 def morton(x: Any, y: Any, z: Any) -> Any:
     """The int64 Morton code of three cell numbers in [0, 65536)."""
     return np.int64(_spread(x) | (_spread(y) << np.uint64(1)) | (_spread(z) << np.uint64(2)))
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(inline=True)
 def _gather(x: Any) -> Any:
     x = np.uint64(x) & np.uint64(0x249249249249)
     x = (x | (x >> np.uint64(2))) & np.uint64(0x0C30C30C30C3)
@@ -43,9 +51,12 @@ def _gather(x: Any) -> Any:
     return x
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cell_of(keys: np.ndarray) -> np.ndarray:
-    """The cell numbers (N, 3) int64 of Morton codes (N,) int64."""
+    """The cell numbers (N, 3) int64 of Morton codes (N,) int64.
+
+    keys: (N,) int64, Morton codes
+    """
     cells = np.empty((len(keys), 3), np.int64)
     for n in range(len(keys)):
         for axis in range(3):
@@ -53,7 +64,7 @@ def cell_of(keys: np.ndarray) -> np.ndarray:
     return cells
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _find(table_key: np.ndarray, key: Any) -> Any:
     """Where the key is, or the free place where it belongs, in an open-addressing table of 2^k places."""
     mask = len(table_key) - 1
@@ -63,7 +74,7 @@ def _find(table_key: np.ndarray, key: Any) -> Any:
     return h
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _grow(table_key: np.ndarray, table_value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     keys = np.full(2 * len(table_key), _EMPTY)
     values = np.empty(2 * len(table_key), np.int32)
@@ -74,18 +85,16 @@ def _grow(table_key: np.ndarray, table_value: np.ndarray) -> tuple[np.ndarray, n
     return keys, values
 
 
-@njit(cache=True, nogil=True)
-def _number(
-    points: np.ndarray, r: np.ndarray, t: np.ndarray, scale: float, local: np.ndarray, keys: np.ndarray
-) -> int:
+@kernel
+def _number(points: np.ndarray, pose: np.ndarray, scale: float, local: np.ndarray, keys: np.ndarray) -> int:
     """Fill one scan's part of `assign`'s outputs; returns its number of cells."""
     table_key = np.full(_FIRST_TABLE, _EMPTY)
     table_value = np.empty(_FIRST_TABLE, np.int32)
     n = 0
     last_x, last_y, last_z, last = np.int64(-1), np.int64(-1), np.int64(-1), np.int32(-1)
-    xx, xy, xz, x0 = r[0, 0], r[0, 1], r[0, 2], t[0]
-    yx, yy, yz, y0 = r[1, 0], r[1, 1], r[1, 2], t[1]
-    zx, zy, zz, z0 = r[2, 0], r[2, 1], r[2, 2], t[2]
+    xx, xy, xz, x0 = pose[0, 0], pose[0, 1], pose[0, 2], pose[0, 3]
+    yx, yy, yz, y0 = pose[1, 0], pose[1, 1], pose[1, 2], pose[1, 3]
+    zx, zy, zz, z0 = pose[2, 0], pose[2, 1], pose[2, 2], pose[2, 3]
     for i in range(len(points)):
         px, py, pz = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
         gx = (xx * px + xy * py + xz * pz + x0) * scale
@@ -116,14 +125,15 @@ def _number(
     return n
 
 
-@parallel
+@parallel_kernel
 def assign(
-    points: np.ndarray, offsets: np.ndarray, rotation: np.ndarray, translation: np.ndarray, size: float
+    points: np.ndarray, offsets: np.ndarray, grid_from_scan: np.ndarray, size: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Number the cells that each scan's points fall in.
 
-    points: (M, 3) float32, scan frame; offsets: (S + 1,) int64; rotation (S, 3, 3), translation (S, 3): into the grid's
-    frame, whose cells start at the origin; size: edge, m. Points outside of [0, 65536) cells get -1.
+    points: (M, 3) float32, m, scan frame; offsets: (S + 1,) int64, scan s owns points offsets[s] to offsets[s + 1];
+    grid_from_scan: (S, 4, 4) float64, the grid's cells start at the origin; size: edge, m.
+    Points outside of [0, 65536) cells get -1.
     Returns (M,) int32 the point's cell among its scan's cells in order of first appearance; (M,) int64 whose entries
     from offsets[s] on are the Morton keys of scan s's cells; (S,) int64 the number of those cells.
     """
@@ -134,12 +144,12 @@ def assign(
     for s in prange(scans):
         first, last = offsets[s], offsets[s + 1]
         cells[s] = _number(
-            points[first:last], rotation[s], translation[s], 1.0 / size, local[first:last], keys[first:last]
+            points[first:last], grid_from_scan[s], 1.0 / size, local[first:last], keys[first:last]
         )
     return local, keys, cells
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def order_pairs(
     keys: np.ndarray, offsets: np.ndarray, cells: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -151,13 +161,13 @@ def order_pairs(
     """
     pairs = cells.sum()
     table_key, table_value = np.full(_FIRST_TABLE, _EMPTY), np.empty(_FIRST_TABLE, np.int32)
-    cell, found, count = np.empty(pairs, np.int32), np.empty(pairs, np.int64), np.zeros(pairs, np.int64)
+    cell, sorted_keys, count = np.empty(pairs, np.int32), np.empty(pairs, np.int64), np.zeros(pairs, np.int64)
     n, k = 0, 0
     for s in range(len(cells)):
         for i in range(offsets[s], offsets[s] + cells[s]):
             h = _find(table_key, keys[i])
             if table_key[h] == _EMPTY:
-                table_key[h], table_value[h], found[n] = keys[i], n, keys[i]
+                table_key[h], table_value[h], sorted_keys[n] = keys[i], n, keys[i]
                 n += 1
                 if 2 * n > len(table_key):
                     table_key, table_value = _grow(table_key, table_value)
@@ -166,7 +176,7 @@ def order_pairs(
             count[table_value[h]] += 1
             k += 1
     # few cells are sorted, not the many pairs
-    order = np.argsort(found[:n])
+    order = np.argsort(sorted_keys[:n])
     starts, free = np.zeros(n + 1, np.int64), np.empty(n, np.int64)
     for c in range(n):
         starts[c + 1] = starts[c] + count[order[c]]
@@ -179,18 +189,18 @@ def order_pairs(
             scan[entry[k]] = s
             free[cell[k]] += 1
             k += 1
-    return found[:n][order], starts, scan, entry
+    return sorted_keys[:n][order], starts, scan, entry
 
 
-@parallel
+@parallel_kernel
 def accumulate(
     points: np.ndarray, offsets: np.ndarray, local: np.ndarray, starts: np.ndarray, entry: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> Clusters:
     """Clusters of the (cell, scan) pairs that `assign` numbered, in their scan's frame.
 
-    local: (M,) int32, -1: no cell; starts: (S + 1,) int64, scan s owns pairs starts[s] to starts[s + 1]; entry: (K,)
-    int64, where each pair's cluster goes.
-    Returns count (K,), mean (K, 3), scatter (K, 6), float64, in the order of entries.
+    points, offsets: as in `assign`; local: (M,) int32, -1: no cell; starts: (S + 1,) int64, scan s owns pairs starts[s]
+    to starts[s + 1]; entry: (K,) int64, where each pair's cluster goes.
+    They are in the order of entries.
     """
     total = starts[-1]
     count, mean, scatter = np.empty(total), np.empty((total, 3)), np.empty((total, 6))
@@ -204,39 +214,66 @@ def accumulate(
                 continue
             cell, first = sums[local[i]], origin[local[i]]
             px, py, pz = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
-            if cell[0] == 0.0:
+            if cell[POINTS] == 0.0:
                 first[0], first[1], first[2] = px, py, pz
             x, y, z = px - first[0], py - first[1], pz - first[2]
             add_point(cell, x, y, z)
         for c in range(n):
             k = entry[starts[s] + c]
-            count[k] = sums[c, 0]
+            count[k] = sums[c, POINTS]
             cluster_of_sums(sums[c], mean[k], scatter[k])
             for a in range(3):
                 mean[k, a] += origin[c, a]
-    return count, mean, scatter
+    return Clusters(count, mean, scatter)
 
 
 _CHUNK = 64
 """Cells that a thread takes at a time."""
 
 
-@parallel
+class Merged(NamedTuple):
+    """G cells that finer ones were merged to, and E entries, one for each scan that a cell holds.
+
+    starts: (G + 1,) int64, cell g owns entries starts[g] to starts[g + 1]; scan: (E,) int32; total, mean, scatter: (E,),
+    see `Clusters`; entry_of: (finer entries,) int64, the entry that each went into
+    """
+
+    starts: np.ndarray
+    scan: np.ndarray
+    total: np.ndarray
+    mean: np.ndarray
+    scatter: np.ndarray
+    entry_of: np.ndarray
+
+
+class CellPlanes(NamedTuple):
+    """Planes of C cells and of their two sides; world frame. See `fit_cells`.
+
+    side: (E,) int8, of each entry: 0 or 1, -1 where the cell holds too little; total: (C, 2) float64; scans: (C, 2) int32
+    center: (C, 2, 3) float64, m; eigenvalues: (C, 2, 3) float64, m^2; normals: (C, 2, 3) float64, unit, towards the
+    sensors
+    """
+
+    side: np.ndarray
+    total: np.ndarray
+    scans: np.ndarray
+    center: np.ndarray
+    eigenvalues: np.ndarray
+    normals: np.ndarray
+
+
+@parallel_kernel
 def merge_cells(
     children: np.ndarray,
     starts: np.ndarray,
     scan: np.ndarray,
     scans: int,
-    count: np.ndarray,
-    mean: np.ndarray,
-    scatter: np.ndarray,
-) -> tuple[np.ndarray, ...]:
+    clusters: Clusters,
+) -> Merged:
     """The next coarser cells: entries of children that share a scan merged, ascending in scan.
 
-    children: (G + 1,) int64, cell g owns finer cells children[g] to children[g + 1]; starts, scan, count, mean, scatter:
-    of the finer cells, as in `fit_cells`; scans: how many there are.
-    Returns starts (G + 1,) int64, scan (E,) int32, count (E,), mean (E, 3), scatter (E, 6) of the coarser cells, and the
-    coarser entry of each finer one, int64.
+    children: (G + 1,) int64, cell g owns finer cells children[g] to children[g + 1]; starts, scan, clusters: of the
+    finer cells, as in `fit_cells`; scans: how many there are
     """
     groups = len(children) - 1
     chunks = -(-groups // _CHUNK)
@@ -266,33 +303,32 @@ def merge_cells(
                 entry[out_scan[e]] = e
             for h in range(starts[children[g]], starts[children[g + 1]]):
                 e = entry[scan[h]]
-                add_cluster(out_count[e : e + 1], out_mean[e], out_scatter[e], count[h], mean[h], scatter[h])
+                add_cluster(
+                    out_count[e : e + 1], out_mean[e], out_scatter[e],
+                    clusters.total[h], clusters.mean[h], clusters.scatter[h],
+                )  # fmt: skip
                 entry_of[h] = e
-    return merged, out_scan, out_count, out_mean, out_scatter, entry_of
+    return Merged(merged, out_scan, out_count, out_mean, out_scatter, entry_of)
 
 
-@parallel
+@parallel_kernel
 def fit_cells(
     starts: np.ndarray,
     scan: np.ndarray,
-    rotation: np.ndarray,
-    translation: np.ndarray,
+    poses: np.ndarray,
     sensor: np.ndarray,
-    count: np.ndarray,
-    mean: np.ndarray,
-    scatter: np.ndarray,
+    clusters: Clusters,
     min_points: int,
     two_sided: bool,
-) -> tuple[np.ndarray, ...]:
+) -> CellPlanes:
     """Planes of each cell, one per side that a surface is seen from.
 
-    starts: (C + 1,) int64, cell c owns entries starts[c] to starts[c + 1]; scan (E,) int32, count (E,), mean (E, 3),
-    scatter (E, 6): one scan's points in the cell, scan frame; rotation (S, 3, 3), translation (S, 3): world from scan;
-    sensor: (S, 3), its positions in the world.
+    starts: (C + 1,) int64, cell c owns entries starts[c] to starts[c + 1]; scan: (E,) int32; clusters: (E,), one scan's
+    points in the cell, scan frame; poses: (S, 4, 4) float64, world_from_scan; sensor: (S, 3) float64, m, its positions in
+    the world.
     The cell's own normal splits its entries by side first: both faces of a thin wall have that normal in common.
-    Returns side (E,) int8 (0 or 1; -1 where the cell holds too little); for each cell and side total (C, 2), scans (C, 2)
-    int32, center (C, 2, 3), eigenvalues (C, 2, 3), normals (C, 2, 3) towards the sensors; world frame.
     """
+    count, mean, scatter = clusters.total, clusters.mean, clusters.scatter
     cells = len(starts) - 1
     side = np.full(len(scan), np.int8(-1))
     total = np.zeros((cells, 2))
@@ -310,18 +346,17 @@ def fit_cells(
         whole_count, whole_mean, sums = np.zeros(1), np.zeros(3), np.zeros(6)
         value, vector, n = np.empty(3), np.empty((3, 3)), np.empty(3)
         for e in range(starts[c], starts[c + 1]):
-            s = scan[e]
-            move_cluster(rotation[s], translation[s], mean[e], scatter[e], moved, turned)
+            move_cluster(poses[scan[e]], mean[e], scatter[e], moved, turned)
             add_cluster(whole_count, whole_mean, sums, count[e], moved, turned)
         for a in range(6):
             sums[a] /= whole_count[0]
         eigen3(sums, value, vector)
         n[:] = vector[0]
         for e in range(starts[c], starts[c + 1]):
-            r, t, p, m = rotation[scan[e]], translation[scan[e]], sensor[scan[e]], mean[e]
+            r, p, m = poses[scan[e]], sensor[scan[e]], mean[e]
             height = 0.0
             for a in range(3):
-                height += n[a] * (p[a] - (r[a, 0] * m[0] + r[a, 1] * m[1] + r[a, 2] * m[2] + t[a]))
+                height += n[a] * (p[a] - (r[a, 0] * m[0] + r[a, 1] * m[1] + r[a, 2] * m[2] + r[a, 3]))
             side[e] = 0 if height >= 0.0 or not two_sided else 1
             scans[c, side[e]] += 1
         for k in range(2):
@@ -333,8 +368,7 @@ def fit_cells(
                 sums[:] = 0.0
                 for e in range(starts[c], starts[c + 1]):
                     if side[e] == k:
-                        s = scan[e]
-                        move_cluster(rotation[s], translation[s], mean[e], scatter[e], moved, turned)
+                        move_cluster(poses[scan[e]], mean[e], scatter[e], moved, turned)
                         add_cluster(total[c, k : k + 1], center[c, k], sums, count[e], moved, turned)
                 if total[c, k] < 3.0:
                     continue
@@ -345,15 +379,14 @@ def fit_cells(
             sign = 1.0 if (up >= 0.0) == (k == 0) else -1.0
             for a in range(3):
                 normals[c, k, a] = sign * vector[0, a]
-    return side, total, scans, center, values, normals
+    return CellPlanes(side, total, scans, center, values, normals)
 
 
-@parallel
+@parallel_kernel
 def label(
     points: np.ndarray,
     offsets: np.ndarray,
-    rotation: np.ndarray,
-    translation: np.ndarray,
+    poses: np.ndarray,
     pair: np.ndarray,
     pair_starts: np.ndarray,
     plane_of_pair: np.ndarray,
@@ -363,17 +396,20 @@ def label(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The points in the world (M, 3) float32 and the plane of each (M,) int32, -1: none or further off than gate (K,).
 
-    pair: (M,) int32 of `assign`; scan s owns plane_of_pair[pair_starts[s]:pair_starts[s + 1]], int32.
+    points, offsets: as in `assign`; poses: (S, 4, 4) float64, world_from_scan; pair: (M,) int32, `local` of `assign`;
+    pair_starts: (S + 1,) int64, scan s owns plane_of_pair[pair_starts[s]:pair_starts[s + 1]], int32; center, normal:
+    (K, 3) float64, of the planes, world; gate: (K,) float64, m
+    plane_of_pair: (K,) int32, -1: none; center: (K, 3) float64, m; normal: (K, 3) float64, unit
     """
     world = np.empty((len(points), 3), np.float32)
     plane = np.full(len(points), np.int32(-1))
     for s in prange(len(offsets) - 1):
-        r, t = rotation[s], translation[s]
+        r = poses[s]
         for i in range(offsets[s], offsets[s + 1]):
             px, py, pz = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
-            x = r[0, 0] * px + r[0, 1] * py + r[0, 2] * pz + t[0]
-            y = r[1, 0] * px + r[1, 1] * py + r[1, 2] * pz + t[1]
-            z = r[2, 0] * px + r[2, 1] * py + r[2, 2] * pz + t[2]
+            x = r[0, 0] * px + r[0, 1] * py + r[0, 2] * pz + r[0, 3]
+            y = r[1, 0] * px + r[1, 1] * py + r[1, 2] * pz + r[1, 3]
+            z = r[2, 0] * px + r[2, 1] * py + r[2, 2] * pz + r[2, 3]
             world[i, 0], world[i, 1], world[i, 2] = x, y, z
             if pair[i] < 0:
                 continue

@@ -5,8 +5,13 @@ time. A pixel's entry is one integer: depth in steps of 2^-20 m above, index of 
 nearest point, and of points in the same step the one with the lower index, whatever the order they come in.
 """
 
+from typing import NamedTuple
+
 import numpy as np
-from numba import njit, prange
+from numba import prange
+
+from lvba.kernels.compiled import kernel, parallel_kernel
+from lvba.kernels.scene import BlockPoints, Intrinsics
 
 NEAR_M = np.float32(0.05)
 EMPTY = np.int64(0x7FFFFFFF_FFFFFFFF)
@@ -16,42 +21,66 @@ RUN = 512
 """Points projected at a time: what is known about them stays in the nearest cache."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def sphere_in_view(sphere: np.ndarray, pose: np.ndarray, slopes: np.ndarray) -> bool:
-    """Whether a bounding sphere can touch the view. slopes: left, right, top, bottom plane as x/z or y/z."""
+class ViewSlopes(NamedTuple):
+    """Side planes of a view, float32: x / z of the left and the right one, y / z of the upper and the lower one."""
+
+    left: np.float32
+    right: np.float32
+    top: np.float32
+    bottom: np.float32
+
+
+class ViewBuffers(NamedTuple):
+    """Room for what `in_view` writes about one run of points.
+
+    u, v: (RUN,) float32, px; depth: (RUN,) float32, m, -1: not in the image; which: (RUN,) int64, those that are
+    """
+
+    u: np.ndarray
+    v: np.ndarray
+    depth: np.ndarray
+    which: np.ndarray
+
+
+@kernel
+def sphere_in_view(sphere: np.ndarray, pose: np.ndarray, slopes: ViewSlopes) -> bool:
+    """Whether a bounding sphere, (4,) float32, can touch the view. pose: (4, 4) float32, world_from_camera
+
+    sphere: (4,) float32, m, center and radius
+    """
     dx, dy, dz = sphere[0] - pose[0, 3], sphere[1] - pose[1, 3], sphere[2] - pose[2, 3]
-    x = pose[0, 0] * dx + pose[0, 1] * dy + pose[0, 2] * dz
-    y = pose[1, 0] * dx + pose[1, 1] * dy + pose[1, 2] * dz
-    z = pose[2, 0] * dx + pose[2, 1] * dy + pose[2, 2] * dz
+    x = pose[0, 0] * dx + pose[1, 0] * dy + pose[2, 0] * dz
+    y = pose[0, 1] * dx + pose[1, 1] * dy + pose[2, 1] * dz
+    z = pose[0, 2] * dx + pose[1, 2] * dy + pose[2, 2] * dz
     r = sphere[3]
     if z < -r:
         return False
-    if (slopes[0] * z - x) > r * np.sqrt(1 + slopes[0] * slopes[0]):
+    if (slopes.left * z - x) > r * np.sqrt(1 + slopes.left * slopes.left):
         return False
-    if (x - slopes[1] * z) > r * np.sqrt(1 + slopes[1] * slopes[1]):
+    if (x - slopes.right * z) > r * np.sqrt(1 + slopes.right * slopes.right):
         return False
-    if (slopes[2] * z - y) > r * np.sqrt(1 + slopes[2] * slopes[2]):
+    if (slopes.top * z - y) > r * np.sqrt(1 + slopes.top * slopes.top):
         return False
-    return (y - slopes[3] * z) <= r * np.sqrt(1 + slopes[3] * slopes[3])
+    return (y - slopes.bottom * z) <= r * np.sqrt(1 + slopes.bottom * slopes.bottom)
 
 
-@njit(cache=True, nogil=True)
-def view_slopes(intrinsics: np.ndarray, width: int, height: int) -> np.ndarray:
-    """The four side planes of the view, one pixel wider than the image. intrinsics: fx, fy, cx, cy."""
-    slopes = np.empty(4, np.float32)
-    slopes[0] = (-1.5 - intrinsics[2]) / intrinsics[0]
-    slopes[1] = (width + 0.5 - intrinsics[2]) / intrinsics[0]
-    slopes[2] = (-1.5 - intrinsics[3]) / intrinsics[1]
-    slopes[3] = (height + 0.5 - intrinsics[3]) / intrinsics[1]
-    return slopes
+@kernel
+def view_slopes(intrinsics: Intrinsics, width: int, height: int) -> ViewSlopes:
+    """The four side planes of the view, one pixel wider than the image."""
+    return ViewSlopes(
+        np.float32((-1.5 - intrinsics.cx) / intrinsics.fx),
+        np.float32((width + 0.5 - intrinsics.cx) / intrinsics.fx),
+        np.float32((-1.5 - intrinsics.cy) / intrinsics.fy),
+        np.float32((height + 0.5 - intrinsics.cy) / intrinsics.fy),
+    )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _project(
     points: np.ndarray,
     first: int,
     pose: np.ndarray,
-    intrinsics: np.ndarray,
+    intrinsics: Intrinsics,
     width: int,
     height: int,
     u: np.ndarray,
@@ -61,11 +90,11 @@ def _project(
     """Writes where points from `first` on are in the image, without branches; depth -1: not in it. See `in_view`."""
     one, half, out = np.float32(1.0), np.float32(0.5), np.float32(-1.0)
     right, bottom = np.float32(width) - half, np.float32(height) - half
-    r00, r01, r02 = pose[0, 0], pose[0, 1], pose[0, 2]
-    r10, r11, r12 = pose[1, 0], pose[1, 1], pose[1, 2]
-    r20, r21, r22 = pose[2, 0], pose[2, 1], pose[2, 2]
+    r00, r01, r02 = pose[0, 0], pose[1, 0], pose[2, 0]
+    r10, r11, r12 = pose[0, 1], pose[1, 1], pose[2, 1]
+    r20, r21, r22 = pose[0, 2], pose[1, 2], pose[2, 2]
     tx, ty, tz = pose[0, 3], pose[1, 3], pose[2, 3]
-    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    fx, fy, cx, cy = intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy
     last = first + len(depth)
     xs, ys, zs = points[0, first:last], points[1, first:last], points[2, first:last]
     for k in range(len(depth)):
@@ -80,34 +109,33 @@ def _project(
         depth[k] = z if inside else out
 
 
-@njit(cache=True, nogil=True)
-def view_buffers() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Room for what `in_view` writes about one run of points: u, v, depth float32 and which int64, (RUN,) each."""
+@kernel
+def view_buffers() -> ViewBuffers:
+    """Room for one run of points."""
     floats = np.empty((3, RUN), np.float32)
-    return floats[0], floats[1], floats[2], np.empty(RUN, np.int64)
+    return ViewBuffers(floats[0], floats[1], floats[2], np.empty(RUN, np.int64))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def in_view(
     points: np.ndarray,
     first: int,
     stop: int,
     pose: np.ndarray,
-    intrinsics: np.ndarray,
+    intrinsics: Intrinsics,
     width: int,
     height: int,
-    u: np.ndarray,
-    v: np.ndarray,
-    depth: np.ndarray,
-    which: np.ndarray,
+    buffers: ViewBuffers,
 ) -> int:
     """How many of the points [first : stop], RUN at most, the image shows; `which` starts with them, in order.
 
-    points: (3, M) float32, world; pose: (3, 4) float32, rows of camera_from_world's rotation and the camera center;
-    u, v, depth: float32, px and m, of all points of the run, and which: int64, counted from `first`, out
+    points: (3, M) float32, m, world; pose: (4, 4) float32, world_from_camera; buffers: out, of all points of the run,
+    counted from `first`
     """
-    count = min(RUN, stop - first)
-    _project(points, first, pose, intrinsics, width, height, u[:count], v[:count], depth[:count])
+    count, depth, which = min(RUN, stop - first), buffers.depth, buffers.which
+    _project(
+        points, first, pose, intrinsics, width, height, buffers.u[:count], buffers.v[:count], depth[:count]
+    )
     seen = 0
     for k in range(count):
         which[seen] = k
@@ -115,14 +143,12 @@ def in_view(
     return seen
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def splat(
-    points: np.ndarray,
+    cloud: BlockPoints,
     source: np.ndarray,
-    start: np.ndarray,
-    spheres: np.ndarray,
     pose: np.ndarray,
-    intrinsics: np.ndarray,
+    intrinsics: Intrinsics,
     image: int,
     guard: int,
     radius: int,
@@ -131,21 +157,22 @@ def splat(
 ) -> np.ndarray:
     """What each pixel of one image sees, of all points and of those of other images: entries (2, H, W) int64.
 
-    points: (3, M) float32, m, world; source: (M,) int32, image that colored the point; start, spheres: blocks;
-    pose: (3, 4) float32, rows of camera_from_world's rotation and the camera center; intrinsics: fx, fy, cx, cy
-    float32; guard: points whose source is within `guard` of the image are left out of variant 1; radius: half a
-    splat, px. Entry: depth in 2^-20 m << 32 | index of the point; EMPTY where there is none.
+    source: (M,) int32, image that colored the point; pose: (4, 4) float32, world_from_camera; intrinsics: float32
+    guard: points whose source is within `guard` of the image are left out of variant 1; radius: half a splat, px.
+    Entry: depth in 2^-20 m << 32 | index of the point; EMPTY where there is none.
     """
     # both variants side by side: they nearly always touch the same line of memory
     nearest = np.full((height, width, 2), EMPTY, np.int64)
     slopes = view_slopes(intrinsics, width, height)
     half = np.float32(0.5)
-    u, v, depth, which = view_buffers()
+    buffers = view_buffers()
+    u, v, depth, which = buffers.u, buffers.v, buffers.depth, buffers.which
+    points, start = cloud.position, cloud.start
     for b in range(start.shape[0] - 1):
-        if not sphere_in_view(spheres[b], pose, slopes):
+        if not sphere_in_view(cloud.spheres[b], pose, slopes):
             continue
         for first in range(start[b], start[b + 1], RUN):
-            seen = in_view(points, first, start[b + 1], pose, intrinsics, width, height, u, v, depth, which)
+            seen = in_view(points, first, start[b + 1], pose, intrinsics, width, height, buffers)
             for k in which[:seen]:
                 column, row = int(u[k] + half), int(v[k] + half)
                 entry = (np.int64(min(depth[k], FAR_M) * STEPS) << 32) | (first + k)
@@ -159,7 +186,7 @@ def splat(
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _spread(entries: np.ndarray, radius: int, out: np.ndarray) -> None:
     """Every pixel takes the least entry within `radius` pixels (a square), as if each point were that large."""
     height, width = entries.shape
@@ -181,9 +208,12 @@ def _spread(entries: np.ndarray, radius: int, out: np.ndarray) -> None:
                 out[row, column] = min(out[row, column], across[other, column])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fill(entries: np.ndarray, radius: int) -> np.ndarray:
-    """The entries (2, H, W), where empty those of the nearest point (in depth) within `radius` pixels."""
+    """The entries (2, H, W), where empty those of the nearest point (in depth) within `radius` pixels.
+
+    entries: (2, H, W) int64
+    """
     out = np.empty_like(entries)
     for variant in range(2):
         _spread(entries[variant], radius, out[variant])
@@ -194,7 +224,7 @@ def fill(entries: np.ndarray, radius: int) -> np.ndarray:
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def split(entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Depth float32, m, inf where empty, and index int32, -1 where empty, of entries (2, H, W) int64."""
     depth = np.full(entries.shape, np.inf, np.float32)
@@ -209,7 +239,7 @@ def split(entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return depth, index
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _seen_depth(inverse: np.ndarray, row: int, column: int) -> np.float32:
     """How deep one cell sees. inverse: inverse depths with a margin of one cell, 0 where nothing is seen.
 
@@ -234,13 +264,11 @@ def _seen_depth(inverse: np.ndarray, row: int, column: int) -> np.float32:
     return np.float32(1.0) / deepest if deepest > 0 else np.float32(np.inf)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def nearest_entries(
-    points: np.ndarray,
-    start: np.ndarray,
-    spheres: np.ndarray,
+    cloud: BlockPoints,
     pose: np.ndarray,
-    intrinsics: np.ndarray,
+    intrinsics: Intrinsics,
     cell: int,
     height: int,
     width: int,
@@ -249,18 +277,20 @@ def nearest_entries(
 
     An entry is the depth in steps, shifted left by 32 bits, and the index: of points in the same step the one with the
     lower index counts.
-    points: (3, M) float32, world, in blocks; start, spheres: the blocks; pose: (3, 4) float32
+    pose: (4, 4) float32, world_from_camera; intrinsics: float32
     """
     nearest = np.full(((height + cell - 1) // cell, (width + cell - 1) // cell), EMPTY, np.int64)
     slopes = view_slopes(intrinsics, width, height)
     half = np.float32(0.5)
     cell_of = np.arange(max(height, width)) // cell
-    u, v, depth, which = view_buffers()
+    buffers = view_buffers()
+    u, v, depth, which = buffers.u, buffers.v, buffers.depth, buffers.which
+    points, start = cloud.position, cloud.start
     for b in range(start.shape[0] - 1):
-        if not sphere_in_view(spheres[b], pose, slopes):
+        if not sphere_in_view(cloud.spheres[b], pose, slopes):
             continue
         for first in range(start[b], start[b + 1], RUN):
-            seen = in_view(points, first, start[b + 1], pose, intrinsics, width, height, u, v, depth, which)
+            seen = in_view(points, first, start[b + 1], pose, intrinsics, width, height, buffers)
             for k in which[:seen]:
                 row, column = cell_of[int(v[k] + half)], cell_of[int(u[k] + half)]
                 entry = (np.int64(min(depth[k], FAR_M) * STEPS) << 32) | (first + k)
@@ -268,13 +298,11 @@ def nearest_entries(
     return nearest
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+@parallel_kernel
 def seen_depths(
-    points: np.ndarray,
-    start: np.ndarray,
-    spheres: np.ndarray,
+    cloud: BlockPoints,
     poses: np.ndarray,
-    intrinsics: np.ndarray,
+    intrinsics: Intrinsics,
     cell: int,
     height: int,
     width: int,
@@ -283,12 +311,12 @@ def seen_depths(
 
     That is the depth of the cell's nearest point, plus what a surface that runs on through the cells on both sides
     gains within this one; or the depth of a neighbor where that stands in front of this cell without such a surface:
-    colors next to the edge of something nearer are not to be trusted.
+    colors next to the edge of something nearer are not to be trusted. poses: (B, 4, 4) float32, world_from_camera
     """
     rows, columns = (height + cell - 1) // cell, (width + cell - 1) // cell
     out = np.empty((poses.shape[0], rows, columns), np.float32)
     for image in prange(poses.shape[0]):
-        nearest = nearest_entries(points, start, spheres, poses[image], intrinsics, cell, height, width)
+        nearest = nearest_entries(cloud, poses[image], intrinsics, cell, height, width)
         inverse = np.zeros((rows + 2, columns + 2), np.float32)
         for row in range(rows):
             for column in range(columns):
@@ -300,7 +328,7 @@ def seen_depths(
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def shade(
     entries: np.ndarray,
     gray: np.ndarray,
@@ -315,6 +343,7 @@ def shade(
     entries: (2, H, W) int64; gray: (M, 3) float32, gray values in the source image; source: (M,) int32; ratio: (I,)
     float32, relative exposure of this image over that of each source. Clipped at 255, as the sensor does. first: 1 if the
     first picture's colors are not wanted, and are not written; else 0
+    color: (2, H, W, 3) float32, out; covered: (2, H, W) bool, out
     """
     for row in range(entries.shape[1]):
         for column in range(entries.shape[2]):

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba import geometry
+from lvba.arrays import Poses, Vector
 from lvba.errors import DegenerateProblemError
 from lvba.lidar import covariance as uncertainty
 from lvba.lidar import degeneracy, density, noise_information, surface, voxel_map
@@ -64,20 +65,20 @@ class LidarResult:
     conditional_covariance: (S, 6, 6) float64, the same of each pose if all others were known: how far it may be off the
         map around it
     step_covariance: (S - 1, 6, 6) float64, the same of the motion from each scan to the next, in the later one's tangent
-    excess: how many times the planes' information promised too much; the covariances are wider by it
+    variance_factor: actual over modeled variance of the planes' gradients; the covariances are multiplied by it
     cost_initial, cost_final: squared normalized residuals per point, of the last association's planes at the
         rough poses and at the refined ones
-    weak_directions: motions of all scans together that the planes leave open: held at the odometry
+    weak_directions: motions of all scans together that planes do not determine: kept at the odometry
     weak_scans: (S,) int64, how many such directions each scan has
-    loose: (S - 1,) float64, how much of what the odometry leaves open of the motion to the next scan the planes leave
-        open too: 1 all of it; (0,) where not known, in parts and with more than some hundred scans
+    odometry_dependence: (S - 1,) float64, of the motion to the next scan: its uncertainty with planes over that by the
+        odometry alone, 0 to 1; (0,) where not known, in parts and with more than some hundred scans
     """
 
     world_from_scan: np.ndarray
     covariance: np.ndarray
     conditional_covariance: np.ndarray
     step_covariance: np.ndarray
-    excess: float
+    variance_factor: float
     planes: Planes
     plane_points: PlanePoints
     history: tuple[Round, ...]
@@ -87,15 +88,15 @@ class LidarResult:
     converged: bool
     weak_directions: tuple[degeneracy.WeakDirection, ...]
     weak_scans: np.ndarray
-    loose: np.ndarray
+    odometry_dependence: np.ndarray
     warnings: tuple[str, ...]
 
 
 def refine(
     scans: Sequence[np.ndarray],
-    world_from_scan: np.ndarray,
+    world_from_scan: Poses,
     *,
-    sensor_position: np.ndarray | None = None,
+    sensor_position: Vector | None = None,
     config: LidarConfig | None = None,
     stages: tuple[Stage, ...] | None = None,
     progress: Progress = silent,
@@ -118,60 +119,60 @@ def refine(
     poses, history, done = rough, [], 0
     grid: VoxelMap | None = None
     for stage in stages:
-        settled = False
+        converged = False
         for turn in range(stage.rounds):
             progress("aligning scans", done + turn, total)
             grid = None if grid is None or _stale(grid, poses, stage) else grid  # never two at a time
             grid = grid.up_to(stage.sizes[-1]) if grid else _grid(points, poses, stage)
-            problem, weakness = _associate(grid, poses, sensor, config, stage, prior)
-            found = solve(problem, poses, _metric(config), steps=stage.steps, exact=stage.exact)
-            history.append(_round(problem, weakness, poses, found))
+            problem, directions = _associate(grid, poses, sensor, config, stage, prior)
+            solution = solve(problem, poses, _metric(config), steps=stage.steps, exact=stage.exact)
+            history.append(_round(problem, directions, poses, solution))
             _log.info("round %d: %s", len(history), history[-1])
-            settled = _settled(found, history[-1], stage)
-            poses = found.world_from_scan
-            if settled:
+            converged = _has_converged(solution, history[-1], stage)
+            poses = solution.world_from_scan
+            if converged:
                 break
-        prior = reestimated(prior, poses, weakness.count == 0, config.prior_sigmas)
+        prior = reestimated(prior, poses, directions.count == 0, config.prior_sigmas)
         done += stage.rounds
-    for turn in range(_DOUBTED_ROUNDS if _doubtful(weakness, stage) else 0):
+    for turn in range(_DOUBTED_ROUNDS if _doubtful(directions, stage) else 0):
         progress("weighing scans against the odometry", turn, _DOUBTED_ROUNDS)
         grid = None if grid is None or _stale(grid, poses, stage) else grid
         grid = grid or _grid(points, poses, stage)
-        problem, weakness = _associate(grid, poses, sensor, config, stage, prior)
-        found = noise_information.solve(problem, poses, config.prior_sigmas)
-        history.append(_round(problem, weakness, poses, found))
+        problem, directions = _associate(grid, poses, sensor, config, stage, prior)
+        solution = noise_information.solve(problem, poses, config.prior_sigmas)
+        history.append(_round(problem, directions, poses, solution))
         _log.info("round %d, noise taken off: %s", len(history), history[-1])
-        poses = found.world_from_scan
+        poses = solution.world_from_scan
     grid = None
     progress("aligning scans", total, total)
     planes, plane_points = _planes_of_stage(points, poses, sensor, stages[-1])
     covariance = uncertainty.estimate(problem, poses)
     return LidarResult(
-        poses,
-        covariance.marginal,
-        covariance.conditional,
-        covariance.step,
-        covariance.excess,
-        planes,
-        plane_points,
-        tuple(history),
-        2.0 * problem.cost(rough) / _points(problem),
-        2.0 * problem.cost(poses) / _points(problem),
-        sum(entry.steps for entry in history),
-        settled,
-        weakness.common,
-        weakness.count,
-        covariance.loose,
-        _warnings(points, history[-1], stages, settled, problem)
-        + _of_loose_steps(covariance.loose, weakness, problem.prior),
+        world_from_scan=poses,
+        covariance=covariance.marginal,
+        conditional_covariance=covariance.conditional,
+        step_covariance=covariance.step,
+        variance_factor=covariance.variance_factor,
+        planes=planes,
+        plane_points=plane_points,
+        history=tuple(history),
+        cost_initial=2.0 * problem.cost(rough) / _points(problem),
+        cost_final=2.0 * problem.cost(poses) / _points(problem),
+        iterations=sum(entry.steps for entry in history),
+        converged=converged,
+        weak_directions=directions.common,
+        weak_scans=directions.count,
+        odometry_dependence=covariance.odometry_dependence,
+        warnings=_warnings(points, history[-1], stages, converged, problem)
+        + _warnings_of_dependence(covariance.odometry_dependence, directions, problem.prior),
     )
 
 
 def find_planes(
     scans: Sequence[np.ndarray] | Scans,
-    world_from_scan: np.ndarray,
+    world_from_scan: Poses,
     *,
-    sensor_position: np.ndarray | None = None,
+    sensor_position: Vector | None = None,
     config: LidarConfig | None = None,
     stages: tuple[Stage, ...] | None = None,
 ) -> tuple[Planes, PlanePoints]:
@@ -190,23 +191,23 @@ def _planes_of_stage(
     points: Scans, world_from_scan: np.ndarray, sensor: np.ndarray, stage: Stage
 ) -> tuple[Planes, PlanePoints]:
     grid = _grid(points, world_from_scan, stage)
-    found = _planes(grid, world_from_scan, sensor, stage)
-    weights = observation_weights(found.features, world_from_scan, stage.systematic, stage.weight_passes)
-    return surface.extract(points, grid, found, weights, world_from_scan, sensor)
+    planes = _planes(grid, world_from_scan, sensor, stage)
+    weights = observation_weights(planes.features, world_from_scan, stage.systematic, stage.weight_passes)
+    return surface.extract(points, grid, planes, weights, world_from_scan, sensor)
 
 
 _DOUBTED_ROUNDS = 6
 """Associations in which planes count by what they say beyond noise: poses that noise led astray are back by then."""
 
 
-def _doubtful(weakness: degeneracy.Weakness, stage: Stage) -> bool:
+def _doubtful(directions: degeneracy.DegenerateDirections, stage: Stage) -> bool:
     """Whether some scans are held so little that noise may have led them, and others with them, astray. Where all
     together are open in a direction, holding it says all there is to say."""
     return (
-        stage.hold
-        and bool(weakness.count.any())
-        and not weakness.common
-        and len(weakness.count) <= noise_information.MOST_SCANS
+        stage.project_degenerate
+        and bool(directions.count.any())
+        and not directions.common
+        and len(directions.count) <= noise_information.MOST_SCANS
     )
 
 
@@ -226,12 +227,12 @@ def _grid(points: Scans, poses: np.ndarray, stage: Stage) -> VoxelMap:
 
 
 def _planes(grid: VoxelMap, poses: np.ndarray, sensor: np.ndarray, stage: Stage) -> Association:
-    found = voxel_map.find_planes(grid, poses, sensor, stage.plane_test)
-    if len(found.features) == 0:
+    planes = voxel_map.find_planes(grid, poses, sensor, stage.plane_test)
+    if len(planes.features) == 0:
         raise DegenerateProblemError(
             "no plane is seen by two scans: the scans do not overlap, or their poses are too far off"
         )
-    return found
+    return planes
 
 
 def _associate(
@@ -241,21 +242,21 @@ def _associate(
     config: LidarConfig,
     stage: Stage,
     prior: OdometryPrior,
-) -> tuple[Problem, degeneracy.Weakness]:
+) -> tuple[Problem, degeneracy.DegenerateDirections]:
     """The planes at the poses so far, with weights and weak directions: a problem to solve."""
     features = _planes(grid, poses, sensor, stage).features
     weights = observation_weights(features, poses, stage.systematic, stage.weight_passes)
     features = features.with_weight(weights.weight)
-    weakness = degeneracy.find(features, fit(features, poses), poses, weights.sigma, config.prior_sigmas)
-    projector = weakness.projector if stage.hold and weakness.count.any() else None
-    return Problem(features, weights.sigma, prior, projector), weakness
+    directions = degeneracy.find(features, fit(features, poses), poses, weights.sigma, config.prior_sigmas)
+    projector = directions.projector if stage.project_degenerate and directions.count.any() else None
+    return Problem(features, weights.sigma, prior, projector), directions
 
 
-def _settled(found: LidarSolution, last: Round, stage: Stage) -> bool:
+def _has_converged(solution: LidarSolution, last: Round, stage: Stage) -> bool:
     """Whether the poses stand still after a round."""
     # costs are half the sums of squares
-    gain = 2.0 * abs(found.cost_before - found.cost_after) / (6 * len(found.world_from_scan))
-    return last.moved < stage.settled or gain < stage.least_gain
+    gain = 2.0 * abs(solution.cost_before - solution.cost_after) / (6 * len(solution.world_from_scan))
+    return last.moved < stage.pose_tolerance or gain < stage.cost_tolerance
 
 
 def _metric(config: LidarConfig) -> np.ndarray:
@@ -263,20 +264,20 @@ def _metric(config: LidarConfig) -> np.ndarray:
 
 
 def _round(
-    problem: Problem, weakness: degeneracy.Weakness, before: np.ndarray, found: LidarSolution
+    problem: Problem, directions: degeneracy.DegenerateDirections, before: np.ndarray, solution: LidarSolution
 ) -> Round:
     features = problem.features
     points = _points(problem)
-    moved = np.linalg.norm(found.world_from_scan[:, :3, 3] - before[:, :3, 3], axis=1)
+    moved = np.linalg.norm(solution.world_from_scan[:, :3, 3] - before[:, :3, 3], axis=1)
     return Round(
-        len(features),
-        len(features.scan),
-        2.0 * found.cost_before / points,
-        2.0 * found.cost_after / points,
-        problem.sigma,
-        float(moved.max()),
-        found.steps,
-        int(np.count_nonzero(weakness.count)),
+        planes=len(features),
+        observations=len(features.scan),
+        cost_before=2.0 * solution.cost_before / points,
+        cost_after=2.0 * solution.cost_after / points,
+        sigma=problem.sigma,
+        moved=float(moved.max()),
+        steps=solution.steps,
+        weak_scans=int(np.count_nonzero(directions.count)),
     )
 
 
@@ -288,58 +289,63 @@ def _warnings(
     points: Scans,
     last: Round,
     stages: tuple[Stage, ...],
-    settled: bool,
+    converged: bool,
     problem: Problem,
 ) -> tuple[str, ...]:
     """What a user should know, one sentence each."""
-    told = []
+    warnings = []
     unseen = len(points) - len(np.unique(problem.features.scan))
     if unseen:
-        told.append(
+        warnings.append(
             f"{unseen} of {len(points)} scans see no plane that others see: they move with the odometry"
         )
     if last.weak_scans:
-        told.append(
+        warnings.append(
             f"planes leave directions of {last.weak_scans} of {len(points)} scans open: these stay at the odometry"
         )
     single = len(stages) == 1 and stages[0].rounds == 1
-    if not settled and not single:
-        told.append(f"scan poses still moved by {last.moved * 1e3:.2f} mm in the last round of association")
-    return tuple(told)
+    if not converged and not single:
+        warnings.append(
+            f"scan poses still moved by {last.moved * 1e3:.2f} mm in the last round of association"
+        )
+    return tuple(warnings)
 
 
-_LOOSE = 0.5
+_DEPENDENT = 0.5
 """Steps of which the planes leave more than this of the odometry's deviation are told. A group that hangs on the others
 by the odometry at both its ends has sqrt(1/2) at each."""
-_TORN = 3.0
+_OUTLYING = 3.0
 """And more than this many times what they leave of most steps: an odometry as good as the planes tears no map."""
 _NAMED = 8
 
 
-def loose_steps(loose: np.ndarray, weak_scans: np.ndarray) -> np.ndarray:
-    """Indices (K,) int64 of the motions between scans, each well held, that rest on the odometry.
+def odometry_dependent_steps(odometry_dependence: np.ndarray, weak_scans: np.ndarray) -> np.ndarray:
+    """Indices (K,) int64 of motions between scans that depend on the odometry, though planes determine each scan.
 
-    loose, weak_scans: as in `LidarResult`
+    odometry_dependence, weak_scans: as in `LidarResult`
+    odometry_dependence: (S - 1,) float64; weak_scans: (S,) integers
     """
-    if not len(loose):
+    if not len(odometry_dependence):
         return np.zeros(0, np.int64)
     held = weak_scans == 0
-    torn = (loose > _LOOSE) & (loose > _TORN * np.median(loose))
-    return np.flatnonzero(torn & held[1:] & held[:-1])
+    dependent = (odometry_dependence > _DEPENDENT) & (
+        odometry_dependence > _OUTLYING * np.median(odometry_dependence)
+    )
+    return np.flatnonzero(dependent & held[1:] & held[:-1])
 
 
-def _of_loose_steps(
-    loose: np.ndarray, weakness: degeneracy.Weakness, prior: OdometryPrior | None
+def _warnings_of_dependence(
+    odometry_dependence: np.ndarray, directions: degeneracy.DegenerateDirections, prior: OdometryPrior | None
 ) -> tuple[str, ...]:
-    """What a user should know about groups of scans that hang together by the odometry only, though each is well held."""
-    if prior is None or not len(loose):
+    """Warnings about groups of scans that only the odometry connects, though planes determine each scan."""
+    if prior is None or not len(odometry_dependence):
         return ()
-    steps = loose_steps(loose, weakness.count)
+    steps = odometry_dependent_steps(odometry_dependence, directions.count)
     if not len(steps):
         return ()
     named = ", ".join(map(str, steps[:_NAMED])) + (", ..." if len(steps) > _NAMED else "")
     off = 1e3 * float(np.sqrt(np.linalg.inv(prior.information[steps])[:, [3, 4, 5], [3, 4, 5]].max()))
     return (
-        f"{len(steps)} of {len(loose)} motions from scan to scan rest on the odometry, which is off by some {off:.0f} mm "
-        f"(after scan {named}): the planes seen from both sides of them say too little",
+        f"{len(steps)} of {len(odometry_dependence)} motions from scan to scan depend on the odometry alone, with errors "
+        f"of about {off:.0f} mm (after scan {named}): scans before and after them share too few planes",
     )

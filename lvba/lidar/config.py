@@ -20,9 +20,9 @@ class Stage:
     """What counts as a plane."""
     rounds: int = 8
     """Most associations; 1 to 100."""
-    settled: float = 1e-4
+    pose_tolerance: float = 1e-4
     """m: the poses stand still when none moves further than this in a round; 0 to 1."""
-    least_gain: float = 0.01
+    cost_tolerance: float = 0.01
     """They stand still, too, when a round changes the squared errors over their variances by less than this for each
     degree of freedom of the poses: at 0.01 poses move by a tenth of their standard deviations; 0 to 1."""
     steps: int = 1
@@ -33,8 +33,8 @@ class Stage:
     systematic: float = 0.1
     """Largest disagreement of a scan with a plane that is taken for an error of the surface, and lowers the weight of
     observations of many points, in standard deviations of a point; 0 to 10. Large while poses are rough."""
-    hold: bool = True
-    """Keep weak directions at the odometry."""
+    project_degenerate: bool = True
+    """Keep degenerate directions at the odometry."""
     oblique_grid: bool = True
     """Turn the grid out of the axes of the world. Walls are often parallel to those, and then lie on faces of cells:
     noise throws their points to both sides, and two copies of a wall never meet in one cell."""
@@ -48,8 +48,8 @@ class Stage:
             raise ValueError(f"lidar stage sizes = {sizes}; allowed: 0.05 to 32 m, each twice the one before")
         for name, low, high in (
             ("rounds", 1, 100),
-            ("settled", 0.0, 1.0),
-            ("least_gain", 0.0, 1.0),
+            ("pose_tolerance", 0.0, 1.0),
+            ("cost_tolerance", 0.0, 1.0),
             ("steps", 1, 50),
             ("systematic", 0.0, 10.0),
             ("weight_passes", 0, 10),
@@ -60,16 +60,16 @@ class Stage:
 
 _COARSE = Stage(
     sizes=(0.5, 1.0, 2.0),
-    plane_test=PlaneTest(ratio=0.15, finest_ratio=0.15, excess=np.inf),
+    plane_test=PlaneTest(ratio=0.15, finest_ratio=0.15, max_residual_growth=np.inf),
     rounds=5,
-    settled=0.01,
+    pose_tolerance=0.01,
     systematic=1.0,
 )
 _MIDDLE = Stage(
     sizes=(0.25, 0.5, 1.0),
-    plane_test=PlaneTest(ratio=0.08, finest_ratio=0.1, excess=0.5),
+    plane_test=PlaneTest(ratio=0.08, finest_ratio=0.1, max_residual_growth=0.5),
     rounds=4,
-    settled=0.002,
+    pose_tolerance=0.002,
     systematic=0.3,
 )
 
@@ -117,7 +117,7 @@ class LidarConfig:
         unit="rounds",
         low=1,
         high=100,
-        change_when="The report says that scan poses had not settled (more).",
+        change_when="The report says that scan poses had not converged (more).",
         advanced=True,
     )
 

@@ -13,6 +13,7 @@ import numpy as np
 import scipy.linalg
 
 from lvba import geometry
+from lvba.arrays import PoseBlocks, Poses
 from lvba.lidar import noise_information, panels, plane_factor
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
 from lvba.lidar.problem import Problem
@@ -28,23 +29,23 @@ class Covariance:
         the first.
     conditional: (S, 6, 6), of each pose if all others were known: how far it may be off the map around it
     step: (S - 1, 6, 6), of the motion from each scan to the next, in the later one's tangent
-    excess: how many times the information promises too much, at least 1
-    loose: (S - 1,), of each step, by how much the planes narrow down what the odometry leaves open of its translation: 1
-        not at all, 0 to a point; none of more than MOST_DOUBTED scans
+    variance_factor: actual over modeled variance of the gradients, at least 1
+    odometry_dependence: (S - 1,), of the translation of each step: its standard deviation with planes over that by the
+        odometry alone, 0 to 1; none of more than MOST_DOUBTED scans
     """
 
     marginal: np.ndarray
     conditional: np.ndarray
     step: np.ndarray = field(default_factory=lambda: np.zeros((0, 6, 6)))
-    excess: float = 1.0
-    loose: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    variance_factor: float = 1.0
+    odometry_dependence: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 MOST_DOUBTED = 400
 """Scans: the noise information about more of them together is not looked at, for it takes an eigenproblem of all."""
 
 
-def estimate(problem: Problem, world_from_scan: np.ndarray) -> Covariance:
+def estimate(problem: Problem, world_from_scan: Poses) -> Covariance:
     """How certain poses (S, 4, 4) that solve a problem are. No more than two matrices of all pairs of poses at once."""
     fits = fit(problem.features, world_from_scan)
     information = problem.linearize(world_from_scan, exact=False, fits=fits).dense()
@@ -54,18 +55,20 @@ def estimate(problem: Problem, world_from_scan: np.ndarray) -> Covariance:
     inverse = _inverse(information[6:, 6:])
     del information
     # the mean, over all motions, of what the robust covariance would be relative to the plain one
-    excess = max(1.0, _spread_by_covariance(problem, world_from_scan, fits, inverse) / len(inverse))
-    inverse *= excess
+    variance_factor = max(1.0, _spread_by_covariance(problem, world_from_scan, fits, inverse) / len(inverse))
+    inverse *= variance_factor
     step = _of_steps(inverse, world_from_scan)
-    loose = np.zeros(0)
+    odometry_dependence = np.zeros(0)
     if problem.prior is not None and whole is not None:
         noise = noise_information.linearize(problem.features, fits, world_from_scan, problem.sigma)
         odometry = problem.prior.linearize(world_from_scan).dense()[6:, 6:]
         certain = noise_information.certain(whole - odometry, noise.dense()[6:, 6:], odometry)
-        inverse = _inverse(certain / excess + odometry)
-        loose = _narrowed(_of_steps(inverse, world_from_scan), problem.prior.information)
-    conditional = np.stack([excess * _inverse(block) for block in own])
-    return Covariance(_aligned(inverse, world_from_scan), conditional, step, excess, loose)
+        inverse = _inverse(certain / variance_factor + odometry)
+        odometry_dependence = _narrowed(_of_steps(inverse, world_from_scan), problem.prior.information)
+    conditional = np.stack([variance_factor * _inverse(block) for block in own])
+    return Covariance(
+        _aligned(inverse, world_from_scan), conditional, step, variance_factor, odometry_dependence
+    )
 
 
 def _blocks(matrix: np.ndarray, apart: int) -> np.ndarray:
@@ -106,7 +109,7 @@ _ORDINARY = 4.0
 """Times their variance that is nothing special: along a path, it grows and shrinks anyway."""
 
 
-def off_map(covariance: Covariance, world_from_scan: np.ndarray) -> np.ndarray:
+def local_covariance(covariance: Covariance, world_from_scan: Poses) -> np.ndarray:
     """(S, 6, 6), local tangent: how far each scan may be off what holds cameras at the same moment.
 
     At least as far as it may be off the map around it if all other scans were known. And as far as it is much less
@@ -124,7 +127,7 @@ def off_map(covariance: Covariance, world_from_scan: np.ndarray) -> np.ndarray:
     return np.asarray(conditional + positive(beyond - conditional))
 
 
-def positive(symmetric: np.ndarray) -> np.ndarray:
+def positive(symmetric: PoseBlocks) -> np.ndarray:
     """The nearest (S, 6, 6) without negative eigenvalues."""
     values, vectors = np.linalg.eigh(symmetric)
     return np.asarray((vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, -1, -2))
@@ -159,10 +162,10 @@ def _spread_by_covariance(
 ) -> float:
     """The trace of the product of the spread of all gradients, of planes and odometry, and a covariance
     (6 S - 6, 6 S - 6) of all poses but the first."""
-    found = _trace_of_product(_gradient_spread(problem, world_from_scan, fits), covariance)
+    trace = _trace_of_product(_gradient_spread(problem, world_from_scan, fits), covariance)
     if problem.prior is not None:
-        found += _trace_of_product(problem.prior.linearize(world_from_scan), covariance)
-    return found
+        trace += _trace_of_product(problem.prior.linearize(world_from_scan), covariance)
+    return trace
 
 
 def _trace_of_product(equations: NormalEquations, covariance: np.ndarray) -> float:
@@ -183,16 +186,14 @@ def _gradient_spread(problem: Problem, world_from_scan: np.ndarray, fits: PlaneF
         in_world = geometry.turn_tangent(problem.projector, world_from_scan[:, :3, :3])
         gradient = np.einsum("oji,oj->oi", in_world[features.scan], gradient)
     scans = len(world_from_scan)
-    laid = panels.lay_out(features, scans)
+    laid = panels.pack(features, scans)
     columns = panels.fill(laid, features, gradient)
-    rotation = np.ascontiguousarray(world_from_scan[:, :3, :3])
-    rows, others, blocks = plane_factor.hessian_blocks(laid, np.zeros((scans, 6, 6)), columns, rotation)
-    return NormalEquations(rows, others, -blocks, np.zeros((scans, 6)), 0.0)
+    poses = np.ascontiguousarray(world_from_scan)
+    rows, others, blocks = plane_factor.hessian_blocks(laid, np.zeros((scans, 6, 6)), columns, poses)
+    return NormalEquations(rows=rows, columns=others, blocks=-blocks, gradient=np.zeros((scans, 6)), cost=0.0)
 
 
-def observation_gradients(
-    features: PlaneFeatures, fits: PlaneFits, world_from_scan: np.ndarray
-) -> np.ndarray:
+def observation_gradients(features: PlaneFeatures, fits: PlaneFits, world_from_scan: Poses) -> np.ndarray:
     """Half the gradient of N lam0 by each observation's pose, (O, 6), m^2 per unit, world axes about the sensor."""
     clusters = features.clusters.weighted(features.weight).moved(world_from_scan, features.scan)
     normal = fits.normal[features.feature]
@@ -221,7 +222,7 @@ def _aligned(covariance: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray:
     return np.asarray(each - cross - np.swapaxes(cross, -1, -2) + own)
 
 
-def alignment(world_from_scan: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def alignment(world_from_scan: Poses) -> tuple[np.ndarray, np.ndarray]:
     """Rigid motions (6 S, 6) of all poses, local tangents, and what picks them out of a motion of all poses, (6 S, 6)."""
     arm = world_from_scan[:, :3, 3] - world_from_scan[:, :3, 3].mean(0)
     rigid = np.zeros((len(arm), 6, 6))

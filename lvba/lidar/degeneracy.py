@@ -10,9 +10,10 @@ import numpy as np
 import scipy.linalg
 
 from lvba import geometry
+from lvba.arrays import PoseBlocks, Poses, StepSigmas
 from lvba.kernels import lidar as kernel
+from lvba.lidar import panels
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits
-from lvba.lidar.point_cluster import split
 
 TRUSTED_POINTS = 50.0
 """A normal is never trusted better than one of this many independent points: surfaces have edges and bumps."""
@@ -33,7 +34,7 @@ class WeakDirection:
 
 
 @dataclass(frozen=True)
-class Weakness:
+class DegenerateDirections:
     """What the planes leave open.
 
     projector: (S, 6, 6), local tangent: keeps of a motion what the planes determine
@@ -49,33 +50,33 @@ class Weakness:
 def find(
     features: PlaneFeatures,
     fits: PlaneFits,
-    world_from_scan: np.ndarray,
+    world_from_scan: Poses,
     sigma: float,
-    prior_sigmas: np.ndarray,
-) -> Weakness:
+    prior_sigmas: StepSigmas,
+) -> DegenerateDirections:
     """The weak directions at poses (S, 4, 4); prior_sigmas: (6,), rad and m, of the odometry from scan to scan."""
-    found, noise = information(features, fits, world_from_scan)
-    return judge(found / sigma**2, noise / sigma**2, world_from_scan, prior_sigmas)
+    known, noise = information(features, fits, world_from_scan)
+    return judge(known / sigma**2, noise / sigma**2, world_from_scan, prior_sigmas)
 
 
 def judge(
-    information: np.ndarray,
-    noise_information: np.ndarray,
-    world_from_scan: np.ndarray,
-    prior_sigmas: np.ndarray,
-) -> Weakness:
+    information: PoseBlocks,
+    noise_information: PoseBlocks,
+    world_from_scan: Poses,
+    prior_sigmas: StepSigmas,
+) -> DegenerateDirections:
     """The weak directions of the planes' information about each scan (S, 6, 6).
 
     information, noise_information: as `information` finds them, over the variance of a point; world_from_scan: (S, 4, 4);
     prior_sigmas: as in `find`
     """
     scale = np.outer(prior_sigmas, prior_sigmas)
-    found, noise = information * scale, SIGNAL_TO_NOISE * noise_information * scale + np.eye(6)
-    scans = len(found)
+    signal, noise = information * scale, SIGNAL_TO_NOISE * noise_information * scale + np.eye(6)
+    scans = len(signal)
     projector = np.broadcast_to(np.eye(6), (scans, 6, 6)).copy()
     count = np.zeros(scans, np.int64)
     for index in range(scans):
-        values, vectors = scipy.linalg.eigh(found[index], noise[index], check_finite=False)
+        values, vectors = scipy.linalg.eigh(signal[index], noise[index], check_finite=False)
         weak = vectors[:, values < 1.0]
         count[index] = weak.shape[1]
         if count[index]:
@@ -83,17 +84,17 @@ def judge(
             inside = np.eye(6) - basis @ basis.T
             inside *= np.outer(prior_sigmas, 1.0 / prior_sigmas)
             projector[index] = geometry.turn_tangent(inside, world_from_scan[index, :3, :3].T)
-    values, vectors = scipy.linalg.eigh(found.mean(0), noise.mean(0), check_finite=False)
+    values, vectors = scipy.linalg.eigh(signal.mean(0), noise.mean(0), check_finite=False)
     common = tuple(
         WeakDirection(vector / np.linalg.norm(vector), float(value))
         for value, vector in zip(values, vectors.T, strict=True)
         if value < 1.0
     )
-    return Weakness(projector, count, common)
+    return DegenerateDirections(projector, count, common)
 
 
 def information(
-    features: PlaneFeatures, fits: PlaneFits, world_from_scan: np.ndarray
+    features: PlaneFeatures, fits: PlaneFits, world_from_scan: Poses
 ) -> tuple[np.ndarray, np.ndarray]:
     """The planes' information about each scan (S, 6, 6), and the part of it due to normal noise alone (S, 6, 6).
 
@@ -101,16 +102,11 @@ def information(
     `kernels.lidar.information`.
     """
     clusters = features.clusters.weighted(features.weight)
-    by_scan = np.argsort(features.scan, kind="stable")
-    starts = np.searchsorted(features.scan[by_scan], np.arange(len(world_from_scan) + 1))
     return kernel.information(
-        split(world_from_scan)[0],
-        starts,
-        by_scan,
+        np.ascontiguousarray(world_from_scan),
+        panels.by_scan(features, len(world_from_scan)),
         features.feature,
-        clusters.count,
-        clusters.mean,
-        clusters.scatter,
+        clusters.arrays,
         fits.eigenvectors,
         normal_variance(fits),
     )

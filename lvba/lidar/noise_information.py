@@ -11,10 +11,12 @@ from dataclasses import replace
 import numpy as np
 import scipy.linalg
 
+from lvba import geometry
+from lvba.arrays import Poses, StepSigmas
 from lvba.lidar import plane_factor
 from lvba.lidar.degeneracy import normal_variance
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
-from lvba.lidar.problem import LidarSolution, Problem, retract
+from lvba.lidar.problem import LidarSolution, Problem
 from lvba.optim import normal_equations
 from lvba.optim.levenberg_marquardt import damped_step
 from lvba.optim.normal_equations import NormalEquations
@@ -37,7 +39,7 @@ _LEAST_VARIANCE = 1e-12
 
 
 def linearize(
-    features: PlaneFeatures, fits: PlaneFits, world_from_scan: np.ndarray, sigma: float
+    features: PlaneFeatures, fits: PlaneFits, world_from_scan: Poses, sigma: float
 ) -> NormalEquations:
     """Information about the poses (S, 4, 4) that noise of the planes' normals makes up: its Hessian; the rest means
     nothing.
@@ -49,22 +51,23 @@ def linearize(
     sigma: m, of a point.
     """
     variances = normal_variance(fits)
-    found = []
+    terms = []
     for tangent in (1, 2):
         variance = np.maximum(variances[:, tangent - 1], _LEAST_VARIANCE)
         weighed = replace(features, weight=features.weight * variance[features.feature])
         axes = fits.eigenvectors.copy()
         axes[:, 0] = fits.eigenvectors[:, tangent]
         turned = replace(fits, total=fits.total * variance, eigenvectors=axes)
-        found.append(plane_factor.linearize(weighed, world_from_scan, sigma, turned, exact=False))
-    return found[0] + found[1]
+        terms.append(plane_factor.linearize(weighed, world_from_scan, sigma, turned, exact=False))
+    return terms[0] + terms[1]
 
 
 def certain(information: np.ndarray, noise: np.ndarray, odometry: np.ndarray) -> np.ndarray:
     """What is left of the planes' information (N, N) without what noise makes up and the odometry knows anyway.
 
-    noise: (N, N), taken out COVARIANCE_FACTOR times; odometry: (N, N), positive. Motions about which the planes say less
-    than these two are not determined by them at all.
+    noise: (N, N) float64, taken out COVARIANCE_FACTOR times; odometry: (N, N) float64, positive. Motions about which the
+    planes say less than these two are not determined by them at all.
+    information: (N, N) float64
     """
     floor = COVARIANCE_FACTOR * noise + odometry
     left = information - floor
@@ -86,6 +89,7 @@ def weighed(
 
     mu: times as much information about the motion as noise makes up. All scaled by the odometry's deviations, noise (N,
     N) too. mu and the motions: the generalized eigenproblem of the two, in which both are diagonal.
+    information: (N, N) float64; gradient: (N,) float64; noise: (N, N) float64
     """
     floor = noise + _LEAST_NOISE * np.eye(len(noise))
     mu, motions = scipy.linalg.eigh(information, floor, check_finite=False)
@@ -96,7 +100,7 @@ def weighed(
 
 
 def linearize_weighed(
-    problem: Problem, world_from_scan: np.ndarray, prior_sigmas: np.ndarray, fits: PlaneFits
+    problem: Problem, world_from_scan: Poses, prior_sigmas: StepSigmas, fits: PlaneFits
 ) -> NormalEquations:
     """Gauss-Newton's equations of a problem at poses (S, 4, 4), in which planes count by what they say beyond noise.
 
@@ -110,12 +114,14 @@ def linearize_weighed(
     information, pull = weighed(planes.dense()[6:, 6:], planes.gradient[1:].ravel(), noise.dense()[6:, 6:])
     hessian, gradient = np.zeros((planes.gradient.size,) * 2), np.zeros(planes.gradient.shape)
     hessian[6:, 6:], gradient[1:] = information, pull.reshape(-1, 6)
-    found = normal_equations.from_dense(hessian, gradient, planes.cost)
-    found = found.projected(np.broadcast_to(np.diag(1.0 / prior_sigmas), (len(world_from_scan), 6, 6)))
-    return found + problem.prior.linearize(world_from_scan) if problem.prior else found
+    equations = normal_equations.from_dense(hessian, gradient, planes.cost)
+    equations = equations.projected(
+        np.broadcast_to(np.diag(1.0 / prior_sigmas), (len(world_from_scan), 6, 6))
+    )
+    return equations + problem.prior.linearize(world_from_scan) if problem.prior else equations
 
 
-def solve(problem: Problem, world_from_scan: np.ndarray, prior_sigmas: np.ndarray) -> LidarSolution:
+def solve(problem: Problem, world_from_scan: Poses, prior_sigmas: StepSigmas) -> LidarSolution:
     """One Gauss-Newton step of a problem with a prior, in which planes count by what they say beyond noise.
 
     prior_sigmas: (6,), rad and m, of the odometry from scan to scan. The first pose stays. The cost of the planes may
@@ -126,5 +132,5 @@ def solve(problem: Problem, world_from_scan: np.ndarray, prior_sigmas: np.ndarra
     free = np.ones(equations.gradient.shape, bool)
     free[0] = False
     step, _ = damped_step(equations, 0.0, free, 1.0 / prior_sigmas**2)
-    moved = world_from_scan if step is None else retract(world_from_scan, step)
+    moved = world_from_scan if step is None else geometry.retract(world_from_scan, step.blocks)
     return LidarSolution(moved, problem.cost(world_from_scan, fits), problem.cost(moved), 1)

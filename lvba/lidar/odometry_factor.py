@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lvba import geometry
+from lvba.arrays import Poses, StepSigmas
 from lvba.optim import normal_equations
 from lvba.optim.normal_equations import NormalEquations
 
@@ -27,7 +28,7 @@ class OdometryPrior:
     previous_from_next: np.ndarray
     information: np.ndarray
 
-    def cost(self, world_from_scan: np.ndarray) -> float:
+    def cost(self, world_from_scan: Poses) -> float:
         """Half the sum of squared normalized residuals."""
         error = self._error(world_from_scan)
         return 0.5 * float(np.einsum("ni,nij,nj->", error, self.information, error))
@@ -36,7 +37,7 @@ class OdometryPrior:
         relative = geometry.inverse(world_from_scan[:-1]) @ world_from_scan[1:]
         return geometry.log(geometry.inverse(self.previous_from_next) @ relative)
 
-    def linearize(self, world_from_scan: np.ndarray) -> NormalEquations:
+    def linearize(self, world_from_scan: Poses) -> NormalEquations:
         """The normal equations at poses (S, 4, 4); Gauss-Newton."""
         error = self._error(world_from_scan)
         scans = len(world_from_scan)
@@ -58,9 +59,7 @@ class OdometryPrior:
         )
 
 
-def odometry_prior(
-    world_from_scan: np.ndarray, sigma_rotation: float, sigma_translation: float
-) -> OdometryPrior:
+def odometry_prior(world_from_scan: Poses, sigma_rotation: float, sigma_translation: float) -> OdometryPrior:
     """The prior of rough poses (S, 4, 4) with standard deviations (rad, m) of one step."""
     information = np.diag([sigma_rotation**-2] * 3 + [sigma_translation**-2] * 3)
     steps = geometry.inverse(world_from_scan[:-1]) @ world_from_scan[1:]
@@ -68,7 +67,7 @@ def odometry_prior(
 
 
 def reestimated(
-    prior: OdometryPrior, world_from_scan: np.ndarray, held: np.ndarray, ceiling: np.ndarray
+    prior: OdometryPrior, world_from_scan: Poses, held: np.ndarray, ceiling: StepSigmas
 ) -> OdometryPrior:
     """The prior with the standard deviations that its errors at refined poses (S, 4, 4) show; robust (median).
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lvba.kernels import lidar as kernel
 from lvba.kernels.lidar import TILE
 from lvba.lidar.plane_feature import PlaneFeatures
 
@@ -23,8 +24,13 @@ class Panels:
     seen: np.ndarray
     panel: np.ndarray
 
+    @property
+    def arrays(self) -> kernel.Panels:
+        """As kernels take them."""
+        return kernel.Panels(self.starts, self.feature, self.seen)
 
-def lay_out(features: PlaneFeatures, scans: int) -> Panels:
+
+def pack(features: PlaneFeatures, scans: int) -> Panels:
     """The panels of the features' observations by `scans` scans."""
     feature, tile = features.feature, features.scan // TILE
     new = np.ones(len(tile), bool)
@@ -39,14 +45,17 @@ def lay_out(features: PlaneFeatures, scans: int) -> Panels:
 
 
 def fill(panels: Panels, features: PlaneFeatures, column: np.ndarray) -> np.ndarray:
-    """W (P, 3, 6 TILE) of one column for each feature, of which each observation has 6 numbers: column (O, 6)."""
+    """W (P, 3, 6 TILE) of one column for each feature, of which each observation has 6 numbers: column (O, 6).
+
+    column: (O, 6) float64
+    """
     w = np.zeros((len(panels.feature), 3, 6 * TILE))
     place = 6 * (features.scan % TILE)[:, None] + np.arange(6)
     w[panels.panel[:, None], 0, place] = column
     return w
 
 
-def by_scan(features: PlaneFeatures, scans: int) -> tuple[np.ndarray, np.ndarray]:
-    """Starts (S + 1,) int64 of each scan's part of the observations (O,) int64, ascending within a scan."""
+def by_scan(features: PlaneFeatures, scans: int) -> kernel.ByScan:
+    """The observations of each of `scans` scans, ascending within a scan."""
     order = np.argsort(features.scan.astype(np.int16), kind="stable")
-    return np.searchsorted(features.scan[order], np.arange(scans + 1)), order
+    return kernel.ByScan(np.searchsorted(features.scan[order], np.arange(scans + 1)), order)

@@ -2,11 +2,12 @@
 
 import numpy as np
 
+from lvba import geometry
+from lvba.arrays import PoseBlocks, Poses
 from lvba.kernels import lidar as kernel
 from lvba.lidar import panels
 from lvba.lidar.panels import Panels
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
-from lvba.lidar.point_cluster import split
 from lvba.optim.normal_equations import NormalEquations
 
 HESSIAN_BYTES_PER_POSE_SQUARED = 6 * 6 * 8
@@ -15,7 +16,7 @@ HESSIAN_BYTES_PER_POSE_SQUARED = 6 * 6 * 8
 
 def linearize(
     features: PlaneFeatures,
-    world_from_scan: np.ndarray,
+    world_from_scan: Poses,
     sigma: float,
     fits: PlaneFits | None = None,
     exact: bool = True,
@@ -27,45 +28,51 @@ def linearize(
     Source of the derivatives: `kernels.lidar`, from world axes to the tangent of `lvba.geometry`.
     """
     fits = fit(features, world_from_scan) if fits is None else fits
-    rotation, translation = split(world_from_scan)
+    poses, rotation = np.ascontiguousarray(world_from_scan), np.ascontiguousarray(world_from_scan[:, :3, :3])
     clusters = features.clusters.weighted(features.weight)
-    laid = panels.lay_out(features, len(world_from_scan))
+    laid = panels.pack(features, len(world_from_scan))
     gradient, diagonal, columns = kernel.linearize(
-        rotation,
-        translation,
-        *panels.by_scan(features, len(world_from_scan)),
+        poses,
+        panels.by_scan(features, len(world_from_scan)),
         features.feature,
-        clusters.count,
-        clusters.mean,
-        clusters.scatter,
-        fits.total,
-        fits.center,
-        fits.eigenvalues,
-        fits.eigenvectors,
+        clusters.arrays,
+        fits.arrays,
         laid.panel,
         len(laid.feature),
         exact,
     )
     scale = 0.5 / sigma**2  # the kernel's cost is the sum of squares
     gradient = np.einsum("nji,nkj->nki", rotation, gradient.reshape(-1, 2, 3)).reshape(-1, 6) * scale
-    rows, columns_of, blocks = hessian_blocks(laid, diagonal, columns, rotation)
+    rows, columns_of, blocks = hessian_blocks(laid, diagonal, columns, poses)
     blocks *= scale
-    return NormalEquations(rows, columns_of, blocks, gradient, fits.cost * scale)
+    if exact:
+        _add_screw_curvature(blocks, rows == columns_of, gradient)
+    return NormalEquations(
+        rows=rows, columns=columns_of, blocks=blocks, gradient=gradient, cost=fits.cost * scale
+    )
+
+
+def _add_screw_curvature(blocks: np.ndarray, own: np.ndarray, gradient: np.ndarray) -> None:
+    """From second derivatives along `t <- t + R v`, the kernel's, to those along `geometry.retract`, in place.
+
+    That moves t by R (v + w x v / 2) to second order, so the cost has g . (w x v) / 2 more, g its gradient by v.
+    """
+    half = 0.5 * geometry.hat(gradient[:, 3:])
+    blocks[own, 3:, :3] += half
+    blocks[own, :3, 3:] += np.swapaxes(half, 1, 2)
 
 
 def hessian_blocks(
-    laid: Panels, diagonal: np.ndarray, columns: np.ndarray, rotation: np.ndarray
+    laid: Panels, diagonal: PoseBlocks, columns: np.ndarray, world_from_scan: Poses
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows (M,), columns (M,) and blocks (M, 6, 6) of D - W W' of all pairs of scans that see a plane together.
 
-    diagonal: (S, 6, 6), D; columns: (P, 3, 6 TILE), W in panels; both in world axes; rotation: (S, 3, 3), world from
-        scan.
+    diagonal: (S, 6, 6), D; columns: (P, 3, 6 TILE) float64, W in panels; both in world axes
+    world_from_scan: (S, 4, 4), C-contiguous
     """
-    scans = len(rotation)
-    rows, columns_of = np.nonzero(kernel.coupled(laid.starts, laid.feature, laid.seen, scans))
+    scans = len(world_from_scan)
+    rows, columns_of = np.nonzero(kernel.coupled(laid.arrays, scans))
     slot = np.full((scans, scans), -1, np.int32)
     slot[rows, columns_of] = np.arange(len(rows), dtype=np.int32)
-    blocks = kernel.hessian(
-        laid.starts, laid.feature, laid.seen, diagonal, columns, rotation, slot, len(rows)
-    )
+    blocks = kernel.hessian(laid.arrays, diagonal, columns, world_from_scan, slot, len(rows))
     return rows.astype(np.int32), columns_of.astype(np.int32), blocks

@@ -4,8 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lvba.arrays import Poses
 from lvba.kernels import lidar as kernel
-from lvba.lidar.point_cluster import PointClusters, split
+from lvba.lidar.point_cluster import PointClusters
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,11 @@ class PlaneFits:
     eigenvectors: np.ndarray
 
     @property
+    def arrays(self) -> kernel.Fits:
+        """As kernels take them."""
+        return kernel.Fits(self.total, self.center, self.eigenvalues, self.eigenvectors)
+
+    @property
     def cost(self) -> float:
         """Sum of weighted squared distances of points to their plane, m^2."""
         return float(np.sum(self.total * self.eigenvalues[:, 0]))
@@ -72,18 +78,9 @@ class PlaneFits:
         return self.eigenvectors[:, 0]
 
 
-def fit(features: PlaneFeatures, world_from_scan: np.ndarray) -> PlaneFits:
+def fit(features: PlaneFeatures, world_from_scan: Poses) -> PlaneFits:
     """The best planes at poses world_from_scan (S, 4, 4)."""
     clusters = features.clusters.weighted(features.weight)
-    rotation, translation = split(world_from_scan)
-    return PlaneFits(
-        *kernel.fit(
-            rotation,
-            translation,
-            features.offsets,
-            features.scan,
-            clusters.count,
-            clusters.mean,
-            clusters.scatter,
-        )
-    )
+    poses = np.ascontiguousarray(world_from_scan)
+    fits = kernel.fit(poses, features.offsets, features.scan, clusters.arrays)
+    return PlaneFits(fits.total, fits.center, fits.eigenvalues, fits.eigenvectors)

@@ -20,26 +20,32 @@ class PointClusters:
     mean: np.ndarray
     scatter: np.ndarray
 
+    @property
+    def arrays(self) -> kernel.Clusters:
+        """As kernels take them."""
+        return kernel.Clusters(self.count, self.mean, self.scatter)
+
     def __len__(self) -> int:
         return len(self.count)
 
     def take(self, index: np.ndarray) -> "PointClusters":
-        """The clusters at `index` (any numpy index)."""
+        """The clusters at `index` (any numpy index).
+
+        index: (N,) integers, or (K,) bool
+        """
         return PointClusters(self.count[index], self.mean[index], self.scatter[index])
 
     def weighted(self, weight: np.ndarray) -> "PointClusters":
-        """Every point of cluster k counted weight[k] times, (K,) float64."""
+        """Every point of cluster k counted weight[k] times, (K,) float64.
+
+        weight: (K,) float64
+        """
         return PointClusters(self.count * weight, self.mean, self.scatter * weight[:, None])
 
     def moved(self, a_from_b: np.ndarray, pose: np.ndarray) -> "PointClusters":
         """Cluster k moved from frame b to a by a_from_b[pose[k]]; a_from_b (S, 4, 4), pose (K,) int32."""
-        mean, scatter = kernel.transform(*split(a_from_b), pose, self.mean, self.scatter)
+        mean, scatter = kernel.transform(np.ascontiguousarray(a_from_b), pose, self.arrays)
         return PointClusters(self.count, mean, scatter)
-
-
-def split(transform: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Contiguous rotations (S, 3, 3) and translations (S, 3) of (S, 4, 4) transforms, as the kernels take them."""
-    return np.ascontiguousarray(transform[:, :3, :3]), np.ascontiguousarray(transform[:, :3, 3])
 
 
 def concatenate(parts: list[PointClusters]) -> PointClusters:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba import geometry
+from lvba.arrays import Poses
 from lvba.lidar import plane_factor
 from lvba.lidar.odometry_factor import OdometryPrior
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
@@ -31,14 +32,14 @@ class Problem:
     projector: np.ndarray | None = None
     """(S, 6, 6), local tangent, keeps of a motion what the planes determine (see `degeneracy`); None: all of it."""
 
-    def cost(self, world_from_scan: np.ndarray, fits: PlaneFits | None = None) -> float:
+    def cost(self, world_from_scan: Poses, fits: PlaneFits | None = None) -> float:
         """Half the sum of squared normalized residuals at poses (S, 4, 4); fits: of the planes there, if at hand."""
         fits = fit(self.features, world_from_scan) if fits is None else fits
         planes = 0.5 * fits.cost / self.sigma**2
         return planes + (self.prior.cost(world_from_scan) if self.prior else 0.0)
 
     def linearize(
-        self, world_from_scan: np.ndarray, exact: bool = True, fits: PlaneFits | None = None
+        self, world_from_scan: Poses, exact: bool = True, fits: PlaneFits | None = None
     ) -> NormalEquations:
         """The normal equations at poses (S, 4, 4); exact: second derivatives, not Gauss-Newton's; fits: as in `cost`."""
         equations = plane_factor.linearize(self.features, world_from_scan, self.sigma, fits, exact)
@@ -59,7 +60,7 @@ class LidarSolution:
 
 def solve(
     problem: Problem,
-    world_from_scan: np.ndarray,
+    world_from_scan: Poses,
     damping_metric: np.ndarray,
     *,
     steps: int = 10,
@@ -68,17 +69,18 @@ def solve(
 ) -> LidarSolution:
     """At most `steps` accepted steps, fewer where the cost stands still. The first pose stays.
 
-    damping_metric: (6,), information about each scan's motion that one unit of damping adds; see `levenberg_marquardt`
+    damping_metric: (6,) float64, information about each scan's motion that one unit of damping adds; see
+    `levenberg_marquardt`
     exact: Newton steps, where the Hessian is positive; else Gauss-Newton's
     tolerance: decrease of the cost, relative to it, that ends it
     """
     free = np.ones((len(world_from_scan), 6), bool)
     free[0] = False
     at = _Linearizer(problem)
-    found = levenberg_marquardt(
+    minimum = levenberg_marquardt(
         world_from_scan,
         lambda poses: at.linearize(poses, exact),
-        retract,
+        lambda poses, step: geometry.retract(poses, step.blocks),
         SolverConfig(
             max_iterations=steps + _REFUSALS,
             initial_damping=0.0,
@@ -93,23 +95,8 @@ def solve(
         cost_noise=0.0 if problem.projector is None else _COST_NOISE,
         most_accepted=steps,
     )
-    accepted = sum(entry.accepted for entry in found.history)
-    return LidarSolution(found.state, found.cost_initial, found.cost, accepted)
-
-
-def retract(world_from_scan: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Poses (S, 4, 4) moved by (S, 6) in the tangent of `lvba.geometry`: `R exp(rotation)`, `t + R translation`.
-
-    This is `geometry.retract` to first order. The planes' exact second derivatives are those along it, and the first
-    steps
-    from poses that are far off change the planes that are found: so it stays, though equations do not know the
-        difference.
-    """
-    turned = step.copy()
-    turned[:, 3:] = 0.0
-    moved = geometry.retract(world_from_scan, turned)
-    moved[:, :3, 3] += np.einsum("nij,nj->ni", world_from_scan[:, :3, :3], step[:, 3:])
-    return np.asarray(moved)
+    accepted = sum(entry.accepted for entry in minimum.history)
+    return LidarSolution(minimum.state, minimum.cost_initial, minimum.cost, accepted)
 
 
 class _Linearizer:

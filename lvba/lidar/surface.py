@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from lvba.arrays import Poses, Vector
 from lvba.kernels import voxel as kernel
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
-from lvba.lidar.point_cluster import split
 from lvba.lidar.scan import Scans
 from lvba.lidar.voxel_map import Association, VoxelMap
 from lvba.lidar.weights import Weights
@@ -17,24 +17,22 @@ GATE = 3.0
 def extract(
     points: Scans,
     grid: VoxelMap,
-    found: Association,
+    association: Association,
     weights: Weights,
-    world_from_scan: np.ndarray,
-    sensor_position: np.ndarray,
+    world_from_scan: Poses,
+    sensor_position: Vector,
 ) -> tuple[Planes, PlanePoints]:
     """The planes of an association, and every point with its plane."""
-    features = found.features.with_weight(weights.weight)
+    features = association.features.with_weight(weights.weight)
     fits = fit(features, world_from_scan)
     planes = _planes(features, fits, weights, world_from_scan, sensor_position)
     feature = features.feature
-    plane_of_pair = np.where(found.observation >= 0, feature[found.observation], np.int32(-1))
-    rotation, translation = split(world_from_scan)
+    plane_of_pair = np.where(association.observation >= 0, feature[association.observation], np.int32(-1))
     thickness = np.sqrt(np.maximum(fits.eigenvalues[:, 0], weights.sigma**2))
     world, plane = kernel.label(
         points.points,
         points.offsets,
-        rotation,
-        translation,
+        np.ascontiguousarray(world_from_scan),
         grid.pair,
         grid.pair_starts,
         plane_of_pair.astype(np.int32),
@@ -65,12 +63,12 @@ def _planes(
     share = features.clusters.count * features.weight / np.maximum(fits.total, 1e-300)[feature]
     disagreement = np.bincount(feature, share**2, len(features)) * weights.disagreement**2
     return Planes(
-        fits.center,
-        normal,
-        fits.eigenvalues,
-        axes,
-        np.round(count).astype(np.int64),
-        np.diff(features.offsets).astype(np.int32),
-        features.size,
-        np.sqrt(fits.eigenvalues[:, 0] / np.maximum(fits.total, 1.0) + disagreement),
+        center=fits.center,
+        normal=normal,
+        eigenvalues=fits.eigenvalues,
+        axes=axes,
+        count=np.round(count).astype(np.int64),
+        scans=np.diff(features.offsets).astype(np.int32),
+        size=features.size,
+        sigma_offset=np.sqrt(fits.eigenvalues[:, 0] / np.maximum(fits.total, 1.0) + disagreement),
     )

@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lvba import geometry
+from lvba.arrays import Pose, Poses, Vector, Vectors
 from lvba.errors import InputError
 from lvba.kernels import voxel as kernel
+from lvba.kernels.voxel import CellPlanes
 from lvba.lidar.plane_feature import PlaneFeatures
-from lvba.lidar.point_cluster import PointClusters, concatenate, split
+from lvba.lidar.point_cluster import PointClusters, concatenate
 from lvba.lidar.scan import Scans
 
 _LARGEST = 32.0
@@ -70,7 +72,7 @@ class VoxelMap:
             levels.append(_coarser(levels[-1], len(self.world_from_scan)))
         return replace(self, levels=tuple(levels))
 
-    def shift(self, world_from_scan: np.ndarray) -> float:
+    def shift(self, world_from_scan: Poses) -> float:
         """How far the points of the scan that moved most are, at other poses, from where they were, m."""
         level = self.levels[-1]
         clusters, scans = level.clusters, len(world_from_scan)
@@ -94,23 +96,11 @@ class Association:
     observation: np.ndarray
 
 
-@dataclass(frozen=True)
-class Cells:
-    """What `kernels.voxel.fit_cells` found in the cells of one level: see there."""
-
-    side: np.ndarray
-    total: np.ndarray
-    scans: np.ndarray
-    center: np.ndarray
-    eigenvalues: np.ndarray
-    normals: np.ndarray
-
-
 def build(
     scans: Scans,
-    world_from_scan: np.ndarray,
+    world_from_scan: Poses,
     sizes: tuple[float, ...],
-    grid_from_world: np.ndarray | None = None,
+    grid_from_world: Pose | None = None,
 ) -> VoxelMap:
     """The voxel map of the scans at some poses.
 
@@ -122,15 +112,16 @@ def build(
             "scans", f"{len(scans)} in one window", f"split into windows of at most {_MAX_SCANS}"
         )
     turned = world_from_scan if grid_from_world is None else grid_from_world @ world_from_scan
-    grid_rotation, grid_translation = split(turned)
-    origin = grid_origin(grid_translation, sizes[0])
-    local, keys, cells = kernel.assign(
-        scans.points, scans.offsets, grid_rotation, grid_translation - origin, sizes[0]
-    )
+    origin = grid_origin(turned[:, :3, 3], sizes[0])
+    local, keys, cells = kernel.assign(scans.points, scans.offsets, at_origin(turned, origin), sizes[0])
     key, entries, scan, entry = kernel.order_pairs(keys, scans.offsets, cells)
     pairs = np.concatenate([[0], np.cumsum(cells)])
     sums = kernel.accumulate(scans.points, scans.offsets, local, pairs, entry)
-    levels = [Level(sizes[0], key, entries, scan, PointClusters(*sums), entry)]
+    levels = [
+        Level(
+            size=sizes[0], key=key, starts=entries, scan=scan, clusters=PointClusters(*sums), entry_of=entry
+        )
+    ]
     return VoxelMap(tuple(levels), world_from_scan, local, pairs).up_to(sizes[-1])
 
 
@@ -140,14 +131,27 @@ def _coarser(finer: Level, scans: int) -> Level:
     first = _starts_of_runs(parent)
     clusters = finer.clusters
     children = np.concatenate([first, [len(parent)]])
-    starts, scan, *sums, entry_of = kernel.merge_cells(
-        children, finer.starts, finer.scan, scans, clusters.count, clusters.mean, clusters.scatter
+    merged = kernel.merge_cells(children, finer.starts, finer.scan, scans, clusters.arrays)
+    return Level(
+        size=2.0 * finer.size,
+        key=parent[first],
+        starts=merged.starts,
+        scan=merged.scan,
+        clusters=PointClusters(merged.total, merged.mean, merged.scatter),
+        entry_of=merged.entry_of,
     )
-    return Level(2.0 * finer.size, parent[first], starts, scan, PointClusters(*sums), entry_of)
 
 
-def grid_origin(positions: np.ndarray, finest: float) -> np.ndarray:
-    """Lowest corner of the grid, on a multiple of the largest cells so that cells do not depend on window and levels."""
+def at_origin(grid_from_scan: Poses, origin: Vector) -> np.ndarray:
+    """Poses (S, 4, 4) with the grid's frame moved to an origin (3,), m, C-contiguous."""
+    poses = np.array(grid_from_scan, np.float64, order="C")
+    poses[:, :3, 3] -= origin
+    return poses
+
+
+def grid_origin(positions: Vectors, finest: float) -> np.ndarray:
+    """Lowest corner of the grid, (3,) m, on a multiple of the largest cells so that cells do not depend on window and
+    levels."""
     largest = finest * 2.0 ** np.floor(np.log2(_LARGEST / finest) + 1e-6)
     middle = np.round(0.5 * (positions.min(0) + positions.max(0)) / largest) * largest
     half = np.floor(0.5 * kernel.AXIS_CELLS * finest / largest) * largest
@@ -171,7 +175,7 @@ class PlaneTest:
     """Fewest points of a plane; 4 to 1000."""
     min_scans: int = 2
     """Fewest scans that see it; 1 to 10."""
-    excess: float = 0.15
+    max_residual_growth: float = 0.15
     """How much larger the sum of squared distances may be than that of the finer planes in the cell, as a fraction of the
     latter; 0.05 to 1, or infinity to trust coarse planes as BALM2 does."""
     spread: float = 0.15
@@ -185,17 +189,17 @@ class PlaneTest:
         for name, low, high in (("ratio", 0.0, 1.0), ("finest_ratio", 0.0, 1.0), ("spread", 0.0, 0.29)):
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"plane_test.{name} = {getattr(self, name)}; allowed: {low} to {high}")
-        if self.min_points < 4 or self.min_scans < 1 or self.excess < 0:
+        if self.min_points < 4 or self.min_scans < 1 or self.max_residual_growth < 0:
             raise ValueError(
                 f"plane_test: min_points {self.min_points} (at least 4), min_scans {self.min_scans} (at least 1), "
-                f"excess {self.excess} (at least 0)"
+                f"max_residual_growth {self.max_residual_growth} (at least 0)"
             )
 
 
 def find_planes(
     voxel_map: VoxelMap,
-    world_from_scan: np.ndarray,
-    sensor_position: np.ndarray,
+    world_from_scan: Poses,
+    sensor_position: Vector,
     test: PlaneTest,
 ) -> Association:
     """The planes of the map: of every cell the coarsest ones that pass the test.
@@ -205,7 +209,7 @@ def find_planes(
     """
     sensor = world_from_scan[:, :3, :3] @ sensor_position + world_from_scan[:, :3, 3]
     levels = voxel_map.levels
-    fits: list[Cells] = []
+    fits: list[CellPlanes] = []
     passed: list[np.ndarray] = []
     rss, covered = np.zeros(0), np.zeros(0)
     for number, level in enumerate(levels):
@@ -215,8 +219,8 @@ def find_planes(
         if number > 0:
             first = _first_child(levels[number - 1], level)
             finer, judged = (np.add.reduceat(v, first) if len(first) else v for v in (rss, covered))
-            if np.isfinite(test.excess):
-                whole &= own * judged - finer * points <= test.excess * finer * points
+            if np.isfinite(test.max_residual_growth):
+                whole &= own * judged - finer * points <= test.max_residual_growth * finer * points
             ok &= whole[:, None]
             rss, covered = np.where(whole, own, finer), np.where(whole, points, judged)
         else:
@@ -226,24 +230,19 @@ def find_planes(
     return _collect(levels, fits, passed)
 
 
-def _fit_cells(level: Level, world_from_scan: np.ndarray, sensor: np.ndarray, test: PlaneTest) -> Cells:
-    clusters = level.clusters
-    return Cells(
-        *kernel.fit_cells(
-            level.starts,
-            level.scan,
-            *split(world_from_scan),
-            sensor,
-            clusters.count,
-            clusters.mean,
-            clusters.scatter,
-            test.min_points,
-            test.two_sided,
-        )
+def _fit_cells(level: Level, world_from_scan: np.ndarray, sensor: np.ndarray, test: PlaneTest) -> CellPlanes:
+    return kernel.fit_cells(
+        level.starts,
+        level.scan,
+        np.ascontiguousarray(world_from_scan),
+        sensor,
+        level.clusters.arrays,
+        test.min_points,
+        test.two_sided,
     )
 
 
-def _squares(cells: Cells) -> np.ndarray:
+def _squares(cells: CellPlanes) -> np.ndarray:
     """Sum of squared distances to the plane (C, 2), m^2, as it would be if fitting took no freedom away."""
     total = cells.total
     return total * cells.eigenvalues[:, :, 0] * np.where(total > 3, total / np.maximum(total - 3, 1.0), 1.0)
@@ -254,7 +253,7 @@ def _first_child(finer: Level, level: Level) -> np.ndarray:
     return np.searchsorted(finer.key >> 3, level.key)
 
 
-def _pass(cells: Cells, size: float, test: PlaneTest, ratio: float) -> tuple[np.ndarray, np.ndarray]:
+def _pass(cells: CellPlanes, size: float, test: PlaneTest, ratio: float) -> tuple[np.ndarray, np.ndarray]:
     """(C, 2) which sides are planes, and (C,) whether the cell holds nothing else of weight."""
     small, middle = cells.eigenvalues[:, :, 0], cells.eigenvalues[:, :, 1]
     ok = (cells.total >= test.min_points) & (cells.scans >= test.min_scans) & (small < ratio * middle)
@@ -266,7 +265,7 @@ def _pass(cells: Cells, size: float, test: PlaneTest, ratio: float) -> tuple[np.
     return ok, whole
 
 
-def _collect(levels: tuple[Level, ...], fits: list[Cells], passed: list[np.ndarray]) -> Association:
+def _collect(levels: tuple[Level, ...], fits: list[CellPlanes], passed: list[np.ndarray]) -> Association:
     """The observations of the passed (cell, side) pairs that no coarser passed cell contains."""
     scans, counts, sizes, clusters = [], [], [], []
     closed = np.zeros(len(levels[-1].key), bool)

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lvba.arrays import Poses
 from lvba.kernels import lidar as kernel
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
-from lvba.lidar.point_cluster import split
 
 WEIGHT_CUTOFF = 4.0
 """Distance to the plane, in expected standard deviations, at which an observation's weight falls to a quarter: noise
@@ -30,7 +30,7 @@ class Weights:
 
 
 def observation_weights(
-    features: PlaneFeatures, world_from_scan: np.ndarray, systematic: float, passes: int = WEIGHT_PASSES
+    features: PlaneFeatures, world_from_scan: Poses, systematic: float, passes: int = WEIGHT_PASSES
 ) -> Weights:
     """Weights from the distances of observations to the planes at poses (S, 4, 4).
 
@@ -81,13 +81,11 @@ def _distances(
     features: PlaneFeatures, fits: PlaneFits, world_from_scan: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Each observation's distance to its plane (O,), m, and its points' sum of squares along the normal (O,), m^2."""
-    clusters = features.clusters
     return kernel.distances(
-        *split(world_from_scan),
+        np.ascontiguousarray(world_from_scan),
         features.offsets,
         features.scan,
-        clusters.mean,
-        clusters.scatter,
+        features.clusters.arrays,
         fits.center,
         np.ascontiguousarray(fits.normal),
     )

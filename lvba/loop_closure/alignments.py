@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba import geometry
+from lvba.arrays import Pose
 from lvba.loop_closure import correlation, surfel_icp, verification
 from lvba.loop_closure.submap import Patch
 from lvba.loop_closure.surfel_icp import Stage, Target
@@ -48,9 +49,10 @@ class Alignment:
     @property
     def score(self) -> float:
         """What agrees, less what contradicts."""
-        told = self.evidence
+        evidence = self.evidence
         return float(
-            (told.for_a - _AGAINST * told.against_a).sum() + (told.for_b - _AGAINST * told.against_b).sum()
+            (evidence.for_a - _AGAINST * evidence.against_a).sum()
+            + (evidence.for_b - _AGAINST * evidence.against_b).sum()
         )
 
 
@@ -80,11 +82,11 @@ def find(
         for pose in _different(fine, _NEAR_M / 2)
         if _within(expected.a_from_b, pose, expected.reach_m, expected.reach_deg)
     ]
-    found = [Alignment(pose, verification.evidence(target, source, pose, tolerance)) for pose in inside]
-    return sorted(found, key=lambda alignment: -alignment.score)
+    alignments = [Alignment(pose, verification.evidence(target, source, pose, tolerance)) for pose in inside]
+    return sorted(alignments, key=lambda alignment: -alignment.score)
 
 
-def polished(target: Target, patch: Patch, a_from_b: np.ndarray, expected: Expected) -> np.ndarray:
+def polished(target: Target, patch: Patch, a_from_b: Pose, expected: Expected) -> np.ndarray:
     """The alignment (4, 4) by all surfels, where it was found by some."""
     return _aligned(target, patch, a_from_b, surfel_icp.FINE[-1:], expected)
 
@@ -119,10 +121,10 @@ def _within(one: np.ndarray, other: np.ndarray, meters: float, degrees: float) -
     return bool(np.linalg.norm(off[:3, 3]) <= meters and geometry.rotation_angle_deg(off) <= degrees)
 
 
-def best_of(found: list[Alignment], target: Target, source: Target, tolerance: float) -> Alignment:
+def best_of(alignments: list[Alignment], target: Target, source: Target, tolerance: float) -> Alignment:
     """The one that surfels prefer which can tell it from the others."""
-    best = found[0]
-    for other in found[1:]:
+    best = alignments[0]
+    for other in alignments[1:]:
         here, there = _told_apart(best, other, target, source, tolerance)
         if there > here:
             best = other
@@ -131,7 +133,7 @@ def best_of(found: list[Alignment], target: Target, source: Target, tolerance: f
 
 def rivals(
     best: Alignment,
-    found: list[Alignment],
+    alignments: list[Alignment],
     open_directions: np.ndarray,
     target: Target,
     source: Target,
@@ -139,10 +141,10 @@ def rivals(
 ) -> list[tuple[float, np.ndarray]]:
     """How well each other alignment does in relation to the best one, and how far (6,) it is from it.
 
-    open_directions: (W, 6), along these they do not count as different
+    open_directions: (W, 6) float64, along these they do not count as different
     """
     others = []
-    for other in found:
+    for other in alignments:
         off = geometry.log(geometry.inverse(best.a_from_b) @ other.a_from_b)
         if not _along(off, open_directions, source.patch):
             here, there = _told_apart(best, other, target, source, tolerance)

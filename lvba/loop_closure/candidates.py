@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from lvba import geometry
+from lvba.arrays import Poses
 from lvba.loop_closure.alignments import SIGMAS
 
 
@@ -68,7 +69,7 @@ class Candidate:
 
 
 def candidates(
-    world_from_scan: np.ndarray, parts: tuple[np.ndarray, ...], config: CandidateConfig | None = None
+    world_from_scan: Poses, parts: tuple[np.ndarray, ...], config: CandidateConfig | None = None
 ) -> tuple[Candidate, ...]:
     """Pairs of parts that may see the same place though they share no scans, from rough poses alone.
 
@@ -132,5 +133,14 @@ class _Odometry:
         i, j = np.unravel_index(np.argmin(apart / (self.config.reach + sigma_m)), apart.shape)
         one, other = int(earlier[i]), int(later[j])
         relative = geometry.inverse(self.world_from_scan[one]) @ self.world_from_scan[other]
-        found = (float(figure[i, j]) for figure in (apart, traveled, sigma_m, sigma_deg))
-        return Candidate(0, 0, one, other, relative, *found)
+        return Candidate(
+            first=0,
+            second=0,
+            first_scan=one,
+            second_scan=other,
+            first_from_second=relative,
+            distance=float(apart[i, j]),
+            path=float(traveled[i, j]),
+            sigma_m=float(sigma_m[i, j]),
+            sigma_deg=float(sigma_deg[i, j]),
+        )

@@ -7,6 +7,7 @@ from scipy import fft
 from scipy.ndimage import maximum_filter
 
 from lvba import geometry
+from lvba.arrays import Pose, Vectors
 from lvba.loop_closure.submap import Patch
 
 _MOST_TURNS = 64
@@ -28,7 +29,7 @@ class Starts:
 
 
 def search(
-    a: Patch, b: Patch, a_from_b: np.ndarray, reach_m: float, reach_deg: float, cell: float, count: int
+    a: Patch, b: Patch, a_from_b: Pose, reach_m: float, reach_deg: float, cell: float, count: int
 ) -> Starts:
     """The best alignments within reach_m and reach_deg of a_from_b (4, 4), at most `count`.
 
@@ -38,28 +39,28 @@ def search(
     shifts, turns = _grid(a, b, a_from_b, reach_m, cell), _turns(reach_deg)
     white = whitening(np.concatenate([a.normal, b.normal @ a_from_b[:3, :3].T]))
     spectrum = np.conj(fft.rfftn(shifts.fill(a.center, a.normal @ white), axes=(1, 2, 3)))
-    found: list[tuple[float, np.ndarray, np.ndarray]] = []
+    peaks: list[tuple[float, np.ndarray, np.ndarray]] = []
     for turn in turns:
         pose = a_from_b @ geometry.exp(np.concatenate([turn, np.zeros(3)]))
         moved = b.moved(pose)
         other = fft.rfftn(shifts.fill(moved.center, moved.normal @ white), axes=(1, 2, 3))
         correlation = fft.irfftn((spectrum * other).sum(0), s=shifts.shape)
         for shift, score in shifts.peaks(correlation, reach_m, count):
-            found.append((score, shift, shifts.undone(shift) @ pose))
-    return _best(found, shifts.cell, count)
+            peaks.append((score, shift, shifts.undone(shift) @ pose))
+    return _best(peaks, shifts.cell, count)
 
 
-def _best(found: list[tuple[float, np.ndarray, np.ndarray]], cell: float, count: int) -> Starts:
+def _best(peaks: list[tuple[float, np.ndarray, np.ndarray]], cell: float, count: int) -> Starts:
     """The highest, no more than `_TURNS_PER_SHIFT` of them at about the same shift."""
     kept: list[int] = []
-    for index in np.argsort([-score for score, _, _ in found], kind="stable").tolist():
-        same = [k for k in kept if np.abs(found[k][1] - found[index][1]).max() < 1.5 * cell]
+    for index in np.argsort([-score for score, _, _ in peaks], kind="stable").tolist():
+        same = [k for k in kept if np.abs(peaks[k][1] - peaks[index][1]).max() < 1.5 * cell]
         if len(same) < _TURNS_PER_SHIFT:
             kept.append(index)
         if len(kept) == count:
             break
-    poses = np.array([found[k][2] for k in kept]).reshape(-1, 4, 4)
-    return Starts(poses, np.array([found[k][0] for k in kept]))
+    poses = np.array([peaks[k][2] for k in kept]).reshape(-1, 4, 4)
+    return Starts(poses, np.array([peaks[k][0] for k in kept]))
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,7 @@ def _turns(reach_deg: float) -> np.ndarray:
         step *= 1.1
 
 
-def whitening(normal: np.ndarray) -> np.ndarray:
+def whitening(normal: Vectors) -> np.ndarray:
     """(3, 3), symmetric: normals times it have the same spread in all directions."""
     values, vectors = np.linalg.eigh(normal.T @ normal / max(len(normal), 1))
     scale = 1 / np.sqrt(np.maximum(values, 0.02 * values[-1]))

@@ -8,7 +8,7 @@ from lvba import geometry
 from lvba.loop_closure import alignments, surfel_icp
 from lvba.loop_closure.alignments import Expected
 from lvba.loop_closure.candidates import Candidate
-from lvba.loop_closure.submap import Patch, Submap, around, doubt
+from lvba.loop_closure.submap import Patch, Submap, around, uncertainty
 from lvba.loop_closure.surfel_icp import Certainty, Target
 from lvba.loop_closure.verification import Evidence
 
@@ -29,7 +29,7 @@ class RegisterConfig:
     """Least part of the surfels of either submap that agree; 0.01 to 1."""
     min_share: float = 0.975
     """Least part that agrees of the surfels that agree or contradict (are seen through); 0.5 to 1."""
-    excess: float = 2.5
+    max_noise_ratio: float = 2.5
     """Furthest that surfaces may lie apart, in standard deviations of their points; 0.1 to 100."""
     rival: float = 0.7
     """Refuse when another alignment gathers more than this part of what the best one does; 0 to 1."""
@@ -53,7 +53,7 @@ class RegisterConfig:
             ("min_surfels", 10, 100_000),
             ("min_overlap", 0.01, 1),
             ("min_share", 0.5, 1),
-            ("excess", 0.1, 100),
+            ("max_noise_ratio", 0.1, 100),
             ("rival", 0, 1),
             ("weak_sigma", 0.001, 10),
             ("most_open", 0, 5),
@@ -125,7 +125,10 @@ def register(a: Submap, b: Submap, candidate: Candidate, config: RegisterConfig 
     )
     if reason:
         return loop
-    doubts = (doubt(a, candidate.first_scan, config.radius), doubt(b, candidate.second_scan, config.radius))
+    doubts = (
+        uncertainty(a, candidate.first_scan, config.radius),
+        uncertainty(b, candidate.second_scan, config.radius),
+    )
     information = _with_scans(known.information, *doubts, pose)
     weak = f"; {len(known.open)} of 6 directions open" if len(known.open) else ""
     reason = f"{best.evidence.overlap:.0%} of the surfaces agree within {known.sigma * 1e3:.0f} mm{weak}"
@@ -136,21 +139,23 @@ _MATCH_M, _MATCH_DEG = 0.5, 20.0
 
 
 def _known(target: Target, patch: Patch, pose: np.ndarray, config: RegisterConfig) -> Certainty:
-    found = surfel_icp.match(target, patch, pose, _MATCH_M, _MATCH_DEG)
+    matches = surfel_icp.match(target, patch, pose, _MATCH_M, _MATCH_DEG)
     floor = np.repeat([np.radians(config.floor_deg), config.floor_m], 3)
-    return surfel_icp.certainty(target, patch, pose, found, floor, config.weak_sigma)
+    return surfel_icp.certainty(target, patch, pose, matches, floor, config.weak_sigma)
 
 
-def _doubt(told: Evidence, known: Certainty, target: Target, source: Target, config: RegisterConfig) -> str:
+def _doubt(
+    evidence: Evidence, known: Certainty, target: Target, source: Target, config: RegisterConfig
+) -> str:
     """Why an alignment is not believed; empty if it is."""
     noise = float(np.median(np.concatenate([target.patch.thickness, source.patch.thickness])))
-    if told.surfels < config.min_surfels:
-        return f"only {told.surfels} surfels agree, {config.min_surfels} are needed"
-    if told.overlap < config.min_overlap:
-        return f"only {told.overlap:.0%} of the surfaces agree, {config.min_overlap:.0%} are needed"
-    if told.share < config.min_share:
-        return f"{1 - told.share:.1%} of the surfaces contradict: one place is seen through the other"
-    if known.sigma > config.excess * noise:
+    if evidence.surfels < config.min_surfels:
+        return f"only {evidence.surfels} surfels agree, {config.min_surfels} are needed"
+    if evidence.overlap < config.min_overlap:
+        return f"only {evidence.overlap:.0%} of the surfaces agree, {config.min_overlap:.0%} are needed"
+    if evidence.share < config.min_share:
+        return f"{1 - evidence.share:.1%} of the surfaces contradict: one place is seen through the other"
+    if known.sigma > config.max_noise_ratio * noise:
         return f"surfaces are {known.sigma * 1e3:.0f} mm apart, their noise is {noise * 1e3:.0f} mm"
     if len(known.open) > config.most_open:
         return f"{len(known.open)} of 6 directions are left open"
@@ -192,15 +197,15 @@ def _with_scans(
 
 def _refused(candidate: Candidate, reason: str) -> Loop:
     return Loop(
-        candidate.first,
-        candidate.second,
-        candidate.first_scan,
-        candidate.second_scan,
-        candidate.first_from_second,
-        np.zeros((6, 6)),
-        0.0,
-        float("nan"),
-        0,
-        False,
-        reason,
+        first=candidate.first,
+        second=candidate.second,
+        first_scan=candidate.first_scan,
+        second_scan=candidate.second_scan,
+        first_from_second=candidate.first_from_second,
+        information=np.zeros((6, 6)),
+        overlap=0.0,
+        residual=float("nan"),
+        weak=0,
+        accepted=False,
+        reason=reason,
     )

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba import geometry
+from lvba.arrays import Indices, Pose, PoseBlocks, Poses, Vector
 from lvba.lidar.plane import PlanePoints, Planes
 
 
@@ -41,7 +42,7 @@ class Submap:
 
     center: (K, 3) float32, m; normal: (K, 3) float32, unit, towards the sensors; thickness: (K,) float32, m, standard
         deviation of points about the plane; weight: (K,) float32, points
-    seen_from: (K,) int32, a scan (index in the part) that saw the surfel, the nearest one
+    observer: (K,) int32, a scan (index in the part) that saw the surfel, the nearest one
     world_from_scan: (n, 4, 4) float64, the part's poses; sensor: (n, 3) float64, m, where the LiDAR was
     covariance: (n, 6, 6) float64, of each pose against the map around it, local tangent [rotation | translation], rad, m
     scans: (n,) int64, indices of the scans in the whole
@@ -52,7 +53,7 @@ class Submap:
     normal: np.ndarray
     thickness: np.ndarray
     weight: np.ndarray
-    seen_from: np.ndarray
+    observer: np.ndarray
     world_from_scan: np.ndarray
     sensor: np.ndarray
     covariance: np.ndarray
@@ -66,11 +67,11 @@ class Submap:
 def build(
     planes: Planes,
     points: PlanePoints,
-    world_from_scan: np.ndarray,
+    world_from_scan: Poses,
     scans: np.ndarray,
     *,
-    covariance: np.ndarray | None = None,
-    sensor_position: np.ndarray | None = None,
+    covariance: PoseBlocks | None = None,
+    sensor_position: Vector | None = None,
     config: SubmapConfig | None = None,
 ) -> Submap:
     """The surfels of a part.
@@ -91,16 +92,16 @@ def build(
     center, count, plane = kept.means(points)
     distance = np.linalg.norm(points.points_world[kept.order] - sensor[scan[kept.order]], axis=1)
     return Submap(
-        center.astype(np.float32),
-        planes.normal[plane].astype(np.float32),
-        np.sqrt(np.maximum(planes.eigenvalues[plane, 0], 0.0)).astype(np.float32),
-        count.astype(np.float32),
-        kept.nearest(distance, scan),
-        np.asarray(world_from_scan, float),
-        sensor,
-        np.zeros((len(scans), 6, 6)) if covariance is None else np.asarray(covariance, float),
-        np.asarray(scans, np.int64),
-        size,
+        center=center.astype(np.float32),
+        normal=planes.normal[plane].astype(np.float32),
+        thickness=np.sqrt(np.maximum(planes.eigenvalues[plane, 0], 0.0)).astype(np.float32),
+        weight=count.astype(np.float32),
+        observer=kept.nearest(distance, scan),
+        world_from_scan=np.asarray(world_from_scan, float),
+        sensor=sensor,
+        covariance=np.zeros((len(scans), 6, 6)) if covariance is None else np.asarray(covariance, float),
+        scans=np.asarray(scans, np.int64),
+        cell=size,
     )
 
 
@@ -164,29 +165,29 @@ def _cell_keys(xyz: np.ndarray, plane: np.ndarray, size: float) -> np.ndarray:
 class Patch:
     """The surfels of a submap around one of its scans, in the frame of that scan.
 
-    center, normal: (K, 3) float64; seen_from: (K, 3) float64, m, where the sensor was; thickness: (K,) float64, m
+    center, normal: (K, 3) float64; observer: (K, 3) float64, m, where the sensor was; thickness: (K,) float64, m
     cell: m
     """
 
     center: np.ndarray
     normal: np.ndarray
-    seen_from: np.ndarray
+    observer: np.ndarray
     thickness: np.ndarray
     cell: float
 
     def __len__(self) -> int:
         return len(self.center)
 
-    def take(self, index: np.ndarray) -> "Patch":
+    def take(self, index: Indices) -> "Patch":
         """The surfels at `index` (any numpy index)."""
         return Patch(
-            self.center[index], self.normal[index], self.seen_from[index], self.thickness[index], self.cell
+            self.center[index], self.normal[index], self.observer[index], self.thickness[index], self.cell
         )
 
-    def moved(self, a_from_b: np.ndarray) -> "Patch":
+    def moved(self, a_from_b: Pose) -> "Patch":
         """The same surfels in frame a, given in b."""
-        center, seen_from = (geometry.transform_points(a_from_b, p) for p in (self.center, self.seen_from))
-        return Patch(center, self.normal @ a_from_b[:3, :3].T, seen_from, self.thickness, self.cell)
+        center, observer = (geometry.transform_points(a_from_b, p) for p in (self.center, self.observer))
+        return Patch(center, self.normal @ a_from_b[:3, :3].T, observer, self.thickness, self.cell)
 
 
 def around(submap: Submap, scan: int, radius: float) -> Patch:
@@ -199,7 +200,7 @@ def around(submap: Submap, scan: int, radius: float) -> Patch:
     world = Patch(
         submap.center[near].astype(float),
         submap.normal[near].astype(float),
-        submap.sensor[submap.seen_from[near]],
+        submap.sensor[submap.observer[near]],
         submap.thickness[near].astype(float),
         submap.cell,
     )
@@ -211,21 +212,21 @@ def index_of(submap: Submap, scan: int) -> int:
 
     Raises KeyError: none.
     """
-    found = np.flatnonzero(submap.scans == scan)
-    if len(found) == 0:
+    indices = np.flatnonzero(submap.scans == scan)
+    if len(indices) == 0:
         raise KeyError(f"the part does not hold scan {scan}")
-    return int(found[0])
+    return int(indices[0])
 
 
-def doubt(submap: Submap, scan: int, radius: float) -> np.ndarray:
+def uncertainty(submap: Submap, scan: int, radius: float) -> np.ndarray:
     """Covariance (6, 6) of a scan against the surfaces within radius (m) of it, local tangent [rotation | translation].
 
-    Surfaces are where the scans that saw them have put them: the scan's own doubt, and those of the scans on the way to
+    Surfaces are where the scans that saw them have put them: its own uncertainty and that of the scans on the way to
     them, each as often as a surface lies beyond.
     """
     here = index_of(submap, scan)
     near = np.linalg.norm(submap.center - submap.sensor[here], axis=1) <= radius
-    count = np.bincount(submap.seen_from[near], minlength=len(submap.scans)) / max(int(near.sum()), 1)
+    count = np.bincount(submap.observer[near], minlength=len(submap.scans)) / max(int(near.sum()), 1)
     after, before = np.cumsum(count[::-1])[::-1], np.cumsum(count)
     beyond = np.where(np.arange(len(count)) > here, after, before)
     beyond[here] = 1.0

@@ -6,7 +6,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lvba import geometry
+from lvba.arrays import Pose, StepSigmas
 from lvba.loop_closure.submap import Patch
+from lvba.optim import normal_equations
+from lvba.optim.levenberg_marquardt import damped_step
 
 _NEIGHBORS = 6
 _STEP_M, _STEP_RAD = 1e-5, 1e-6
@@ -56,7 +59,7 @@ COARSE = (Stage(2.0, 40.0, 4, 0.5), Stage(1.2, 35.0, 4, 0.3), Stage(0.7, 30.0, 6
 FINE = (Stage(0.7, 25.0, 8, 0.08), Stage(0.5, 20.0, 12, 0.03))
 
 
-def match(target: Target, source: Patch, a_from_b: np.ndarray, reach: float, angle_deg: float) -> Matches:
+def match(target: Target, source: Patch, a_from_b: Pose, reach: float, angle_deg: float) -> Matches:
     """The nearest surfel of the target that faces the same way, for each surfel of the source that has one."""
     moved = source.moved(a_from_b)
     away, near = target.tree.query(moved.center, k=_NEIGHBORS, distance_upper_bound=reach)
@@ -66,46 +69,52 @@ def match(target: Target, source: Patch, a_from_b: np.ndarray, reach: float, ang
     alike = there & (cosine > np.cos(np.radians(angle_deg)))
     first = np.argmax(alike, axis=1)
     index = np.flatnonzero(alike.any(axis=1))
-    found = near[index, first[index]]
-    normal = target.patch.normal[found]
-    distance = np.einsum("mi,mi->m", normal, moved.center[index] - target.patch.center[found])
-    return Matches(index, found, distance)
+    nearest = near[index, first[index]]
+    normal = target.patch.normal[nearest]
+    distance = np.einsum("mi,mi->m", normal, moved.center[index] - target.patch.center[nearest])
+    return Matches(index, nearest, distance)
 
 
 def align(
     target: Target,
     source: Patch,
-    a_from_b: np.ndarray,
+    a_from_b: Pose,
     stages: tuple[Stage, ...],
-    expected: np.ndarray,
+    expected: Pose,
     prior: np.ndarray,
 ) -> np.ndarray:
     """`a_from_b` (4, 4) that brings the source's surfels onto the target's planes; Cauchy kernel.
 
     a_from_b: where to begin; expected: (4, 4), where the odometry has it, with information `prior` (6, 6), local tangent:
         decides what surfaces leave open, and no more
+    prior: (6, 6) float64, rad and m, to the power of -2
     """
     pose = a_from_b
     for stage in stages:
         for _ in range(stage.steps):
-            found = match(target, source, pose, stage.reach, stage.angle_deg)
-            if len(found.source) < 6:
+            matches = match(target, source, pose, stage.reach, stage.angle_deg)
+            if len(matches.source) < 6:
                 return pose
-            jacobian = jacobians(target, source, pose, found)
-            weight = 1 / (1 + (found.distance / stage.robust) ** 2) / stage.robust**2
+            jacobian = jacobians(target, source, pose, matches)
+            weight = 1 / (1 + (matches.distance / stage.robust) ** 2) / stage.robust**2
             behind = geometry.log(geometry.inverse(expected) @ pose)
             hessian = jacobian.T @ (weight[:, None] * jacobian) + prior
-            step = -np.linalg.solve(hessian, jacobian.T @ (weight * found.distance) + prior @ behind)
+            pull = jacobian.T @ (weight * matches.distance) + prior @ behind
+            # surfels are matched anew before every step, so no cost could accept or refuse it
+            taken, _ = damped_step(normal_equations.from_dense(hessian, pull[None], 0.0), 0.0)
+            if taken is None:
+                return pose
+            step = taken.blocks[0]
             pose = geometry.retract(pose, step)
             if np.abs(step[:3]).max() < _STEP_RAD and np.abs(step[3:]).max() < _STEP_M:
                 break
     return pose
 
 
-def jacobians(target: Target, source: Patch, a_from_b: np.ndarray, found: Matches) -> np.ndarray:
+def jacobians(target: Target, source: Patch, a_from_b: Pose, matches: Matches) -> np.ndarray:
     """(M, 6), derivatives of the distances by a right perturbation of a_from_b."""
-    normal_b = target.patch.normal[found.target] @ a_from_b[:3, :3]
-    return np.concatenate([np.cross(source.center[found.source], normal_b), normal_b], axis=1)
+    normal_b = target.patch.normal[matches.target] @ a_from_b[:3, :3]
+    return np.concatenate([np.cross(source.center[matches.source], normal_b), normal_b], axis=1)
 
 
 @dataclass(frozen=True)
@@ -123,7 +132,7 @@ class Certainty:
 
 
 def certainty(
-    target: Target, source: Patch, a_from_b: np.ndarray, found: Matches, floor: np.ndarray, weak_sigma: float
+    target: Target, source: Patch, a_from_b: Pose, matches: Matches, floor: StepSigmas, weak_sigma: float
 ) -> Certainty:
     """What the matched surfels tell about an alignment.
 
@@ -132,17 +141,17 @@ def certainty(
     floor: (6,), rad and m, no direction is known better: maps bend a little
     weak_sigma: m, a direction known worse than this (rotation times the lever of the surfels) is open, too
     """
-    if len(found.source) == 0:
+    if len(matches.source) == 0:
         return Certainty(np.zeros((6, 6)), np.eye(6), float("inf"))
-    sigma = max(1.4826 * float(np.median(np.abs(found.distance))), 1e-4)
-    near = np.abs(found.distance) < 3 * sigma
-    jacobian, distance = jacobians(target, source, a_from_b, found)[near], found.distance[near]
-    center = source.center[found.source[near]]
+    sigma = max(1.4826 * float(np.median(np.abs(matches.distance))), 1e-4)
+    near = np.abs(matches.distance) < 3 * sigma
+    jacobian, distance = jacobians(target, source, a_from_b, matches)[near], matches.distance[near]
+    center = source.center[matches.source[near]]
     lever = max(float(np.sqrt(np.mean(np.sum((center - center.mean(0)) ** 2, axis=1)))), 1e-3)
     scale = np.array([1 / lever] * 3 + [1.0] * 3)
     scaled = jacobian * scale
     hessian = scaled.T @ scaled
-    group = _groups(center, target.patch.normal[found.target[near]])
+    group = _groups(center, target.patch.normal[matches.target[near]])
     gradient = np.stack([np.bincount(group, scaled[:, k] * distance) for k in range(6)], axis=-1)
     values, vectors = np.linalg.eigh(hessian)
     trust = vectors / np.maximum(values, 1e-9 * max(values[-1], 1e-9))

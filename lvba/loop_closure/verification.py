@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba import geometry
+from lvba.arrays import Pose, Vectors
 from lvba.kernels import see_through as kernel
 from lvba.loop_closure import correlation, surfel_icp
 from lvba.loop_closure.submap import Patch
@@ -49,13 +50,13 @@ class Evidence:
         return float(min(np.mean(self.for_a > 0), np.mean(self.for_b > 0)))
 
 
-def rarity(normal: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def rarity(normal: Vectors, others: Vectors) -> tuple[np.ndarray, np.ndarray]:
     """How much surfels count by their normals (K, 3) and (L, 3), in one frame: (K,) and (L,), 3 on average."""
     whitening = correlation.whitening(np.concatenate([normal, others]))
     return np.sum((normal @ whitening) ** 2, axis=1), np.sum((others @ whitening) ** 2, axis=1)
 
 
-def evidence(a: Target, b: Target, a_from_b: np.ndarray, tolerance: float) -> Evidence:
+def evidence(a: Target, b: Target, a_from_b: Pose, tolerance: float) -> Evidence:
     """What speaks for and against an alignment.
 
     tolerance: m, furthest that a surfel may be from a surface that it lies on
@@ -68,12 +69,12 @@ def evidence(a: Target, b: Target, a_from_b: np.ndarray, tolerance: float) -> Ev
     return Evidence(rare_a * agrees_a, rare_b * agrees_b, rare_a * against_a, rare_b * against_b)
 
 
-def agreeing(target: Target, source: Patch, a_from_b: np.ndarray, tolerance: float) -> np.ndarray:
+def agreeing(target: Target, source: Patch, a_from_b: Pose, tolerance: float) -> np.ndarray:
     """Which surfels of the source lie on surfaces of the target, (K,) bool."""
     reach = max(1.25 * target.patch.cell, tolerance)
-    found = surfel_icp.match(target, source, a_from_b, reach, _ANGLE_DEG)
+    matches = surfel_icp.match(target, source, a_from_b, reach, _ANGLE_DEG)
     agrees = np.zeros(len(source), bool)
-    agrees[found.source[np.abs(found.distance) < tolerance]] = True
+    agrees[matches.source[np.abs(matches.distance) < tolerance]] = True
     return agrees
 
 
@@ -88,7 +89,7 @@ def _hidden(surface: Patch, seen: Patch) -> np.ndarray:
     starts = np.concatenate([[0], np.cumsum(np.bincount(flat, minlength=int(np.prod(shape))))])
     step = -(-len(seen) // _MOST_RAYS)
     hit = kernel.first_hit(
-        np.ascontiguousarray(seen.seen_from[::step]),
+        np.ascontiguousarray(seen.observer[::step]),
         np.ascontiguousarray(seen.center[::step]),
         _MARGIN_CELLS * cell,
         surface.center[order],

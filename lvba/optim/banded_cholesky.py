@@ -1,8 +1,8 @@
-"""Cholesky of block-sparse normal equations of a path: frames are coupled to those near them, and a few unknowns to all.
+"""Cholesky of block-sparse normal equations of a path: frames are coupled to those near them.
 
-In the order of reverse Cuthill-McKee such a Hessian is a band, wider where the path closes a loop, and a border of the
-unknowns that all frames share. A band needs no search for an order, and LAPACK works on it in dense tiles: for 1,000
-frames that are each coupled to 300 it takes a seventh of the time of sparse LU.
+In the order of reverse Cuthill-McKee such a Hessian is a band, wider where the path closes a loop. A band needs no search
+for an order, and LAPACK works on it in dense tiles: for 1,000 frames that are each coupled to 300 it takes a seventh of
+the time of sparse LU. What all frames share is no part of it (`linear_solver` has it as a border).
 """
 
 from dataclasses import dataclass
@@ -15,37 +15,30 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 MOST_BYTES = 3e9
 """Bands larger than this are not made."""
-_BORDER_SHARE = 0.5
-"""A block coupled to more than this part of all others is in the border."""
 
 
 @dataclass(frozen=True)
 class BandedCholesky:
-    """A matrix `[[band, rim], [rim^T, shared]]` in Cholesky factors, its blocks in the order of `inner`, then `border`.
+    """A block-sparse matrix in a Cholesky factor, its blocks in the order of `order`.
 
-    lower: (width, N), the factor of the band as LAPACK has it; through: (N, n), the band's inverse times the rim;
-    rest: (n, n), what is left of `shared` without what the band explains; free: (B, b) bool
+    lower: (width, N), the factor of the band as LAPACK has it; free: (B, b) bool
     """
 
     lower: np.ndarray
-    inner: np.ndarray
-    border: np.ndarray
-    rim: np.ndarray
-    through: np.ndarray
-    rest: np.ndarray
+    order: np.ndarray
     free: np.ndarray
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """The solution (B b, n) for right sides (B b, n); zero for unknowns that are not free."""
+        """The solution (B b, n) for right sides (B b, n); zero for unknowns that are not free.
+
+        right: (B b, n) float64
+        """
+        size = self.free.shape[1]
+        unknowns = (self.order[:, None] * size + np.arange(size)).ravel()
         right = np.where(self.free.reshape(-1, 1), right, 0.0)
-        found = np.zeros_like(right)
-        order, edge = self._unknowns(self.inner), self._unknowns(self.border)
-        alone = cho_solve_banded((self.lower, True), right[order], check_finite=False)
-        if len(edge):
-            found[edge] = np.linalg.solve(self.rest, right[edge] - self.rim.T @ alone)
-            alone = alone - self.through @ found[edge]
-        found[order] = alone
-        return found
+        solution = np.zeros_like(right)
+        solution[unknowns] = cho_solve_banded((self.lower, True), right[unknowns], check_finite=False)
+        return solution
 
     def inverse_blocks(self) -> np.ndarray:
         """The diagonal blocks (B, b, b) of the inverse; zero for unknowns that are not free.
@@ -54,52 +47,32 @@ class BandedCholesky:
         long as the factor itself. Source: Takahashi, Fagan and Chen 1973; Erisman and Tinney 1975.
         """
         size = self.free.shape[1]
-        found = np.zeros((*self.free.shape, size))
-        found[self.inner] = _diagonal_of_inverse(self.lower, size)
-        if len(self.border):
-            shared = np.linalg.inv(self.rest)
-            through = self.through.reshape(len(self.inner), size, -1)
-            found[self.inner] += through @ shared @ np.swapaxes(through, 1, 2)
-            here = np.arange(len(self.border))
-            found[self.border] = shared.reshape(len(here), size, len(here), size)[here, :, here]
-        return np.where(self.free[:, :, None] & self.free[:, None], found, 0.0)
-
-    def _unknowns(self, blocks: np.ndarray) -> np.ndarray:
-        size = self.free.shape[1]
-        return np.asarray((blocks[:, None] * size + np.arange(size)).ravel())
+        blocks = np.zeros((*self.free.shape, size))
+        blocks[self.order] = _diagonal_of_inverse(self.lower, size)
+        return np.where(self.free[:, :, None] & self.free[:, None], blocks, 0.0)
 
 
 def factor(
     rows: np.ndarray, columns: np.ndarray, blocks: np.ndarray, diagonal: np.ndarray, free: np.ndarray
 ) -> BandedCholesky | None:
-    """The factors; None where the matrix is not positive.
+    """The factor; None where the matrix is not positive.
 
-    rows, columns: (M,), rows <= columns; blocks: (M, b, b), the upper triangle; diagonal: (B, b), added to the diagonal;
+    rows, columns: (M,) integers, rows <= columns; blocks: (M, b, b) float64, the upper triangle; diagonal: (B, b)
+    float64, added to the diagonal;
     free: (B, b) bool, unknowns that are not free are zero in every solution.
+
     Raises MemoryError: the band would be larger than MOST_BYTES.
     """
-    count = len(diagonal)
-    degree = np.bincount(rows, minlength=count) + np.bincount(columns, minlength=count) - 1
-    border = np.flatnonzero(degree > max(_BORDER_SHARE * count, 32)) if count > 64 else np.zeros(0, int)
-    if len(border) > 0.1 * count:
-        border = np.zeros(0, int)  # all are coupled to many: there is no band
-    place, inner = _places(rows, columns, count, border)
-    band = _band(rows, columns, blocks, diagonal, free, place, len(inner))
+    order = _order(rows, columns, len(diagonal))
+    place = np.empty(len(order), np.int64)
+    place[order] = np.arange(len(order))
+    band = _band(rows, columns, blocks, diagonal, free, place)
     try:
-        lower = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
+        return BandedCholesky(
+            cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False), order, free
+        )
     except np.linalg.LinAlgError:
         return None
-    if not len(border):
-        none = np.zeros((lower.shape[1], 0))
-        return BandedCholesky(lower, inner, border, none, none, np.zeros((0, 0)), free)
-    rim, shared = _border(rows, columns, blocks, diagonal, free, place, border, len(inner))
-    through = cho_solve_banded((lower, True), rim, check_finite=False)
-    rest = shared - rim.T @ through
-    try:
-        np.linalg.cholesky(rest)
-    except np.linalg.LinAlgError:
-        return None
-    return BandedCholesky(lower, inner, border, rim, through, rest, free)
 
 
 def _diagonal_of_inverse(lower: np.ndarray, size: int) -> np.ndarray:
@@ -110,7 +83,7 @@ def _diagonal_of_inverse(lower: np.ndarray, size: int) -> np.ndarray:
     """
     width, count = lower.shape
     tile = size * -(-max(width, 8 * size) // size)
-    found = np.zeros((count // size, size, size))
+    blocks = np.zeros((count // size, size, size))
     starts = range(0, count, tile)
     later = np.zeros((0, 0))
     for start in reversed(starts):
@@ -122,38 +95,26 @@ def _diagonal_of_inverse(lower: np.ndarray, size: int) -> np.ndarray:
             tile_inverse += below.T @ later @ below
         later = tile_inverse
         here = np.arange((stop - start) // size)
-        found[start // size : stop // size] = later.reshape(len(here), size, len(here), size)[here, :, here]
-    return found
+        blocks[start // size : stop // size] = later.reshape(len(here), size, len(here), size)[here, :, here]
+    return blocks
 
 
 def _tile(lower: np.ndarray, rows: slice, columns: slice) -> np.ndarray:
     """Rows and columns of a lower triangular band (width, N), dense, in columns as LAPACK has it."""
-    found = np.zeros((rows.stop - rows.start, columns.stop - columns.start), order="F")
+    tile = np.zeros((rows.stop - rows.start, columns.stop - columns.start), order="F")
     for place, column in enumerate(range(columns.start, columns.stop)):
         first, last = max(column, rows.start), min(column + len(lower), rows.stop)
         if first < last:
-            found[first - rows.start : last - rows.start, place] = lower[
+            tile[first - rows.start : last - rows.start, place] = lower[
                 first - column : last - column, column
             ]
-    return found
+    return tile
 
 
-def _places(
-    rows: np.ndarray, columns: np.ndarray, count: int, border: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Where each block is in the band, (B,), -1 for those in the border; and the blocks of the band in order."""
-    inside = np.ones(count, bool)
-    inside[border] = False
-    pair = inside[rows] & inside[columns]
-    index = np.cumsum(inside) - 1
-    graph = coo_matrix(
-        (np.ones(pair.sum(), np.int8), (index[rows[pair]], index[columns[pair]])), shape=(inside.sum(),) * 2
-    ).tocsr()
-    order = reverse_cuthill_mckee((graph + graph.T).tocsr(), symmetric_mode=True)
-    inner = np.flatnonzero(inside)[order]
-    place = np.full(count, -1)
-    place[inner] = np.arange(len(inner))
-    return place, inner
+def _order(rows: np.ndarray, columns: np.ndarray, count: int) -> np.ndarray:
+    """The blocks (B,) in an order that makes a narrow band of them."""
+    graph = coo_matrix((np.ones(len(rows), np.int8), (rows, columns)), shape=(count, count)).tocsr()
+    return np.asarray(reverse_cuthill_mckee((graph + graph.T).tocsr(), symmetric_mode=True))
 
 
 def _band(
@@ -163,17 +124,18 @@ def _band(
     diagonal: np.ndarray,
     free: np.ndarray,
     place: np.ndarray,
-    inner: int,
 ) -> np.ndarray:
-    """The lower band (width, N), as LAPACK wants it: entry (i, j) in row i - j, column j."""
-    size = diagonal.shape[1]
-    mine = (place[rows] >= 0) & (place[columns] >= 0)
-    first, second = place[rows[mine]], place[columns[mine]]
+    """The lower band (width, N), as LAPACK wants it: entry (i, j) in row i - j, column j.
+
+    place: (B,), of each block in the order of the band
+    """
+    count, size = diagonal.shape
+    first, second = place[rows], place[columns]
     reach = int(np.abs(first - second).max(initial=0))
     width = (reach + 1) * size
-    if 8.0 * width * inner * size > MOST_BYTES:
-        raise MemoryError(f"a band of {8e-9 * width * inner * size:.1f} GB")
-    band = np.zeros((inner * size, width)).T  # as LAPACK has it in memory, so that it is factored in place
+    if 8.0 * width * count * size > MOST_BYTES:
+        raise MemoryError(f"a band of {8e-9 * width * count * size:.1f} GB")
+    band = np.zeros((count * size, width)).T  # as LAPACK has it in memory, so that it is factored in place
     own = first == second
     for a in range(size):
         for b in range(size):
@@ -182,40 +144,6 @@ def _band(
             low, high = np.minimum(i, j)[keep], np.maximum(i, j)[keep]
             # one entry of all blocks at a time: a copy of all of them would be as large as the band
             values = np.where(free[rows, a] & free[columns, b], blocks[:, a, b], 0.0)
-            band[high - low, low] += values[mine][keep]
-    where = place >= 0
-    added = np.where(free, diagonal, 1.0)[where]
-    band[0, (place[where][:, None] * size + np.arange(size)).ravel()] += added.ravel()
+            band[high - low, low] += values[keep]
+    band[0, (place[:, None] * size + np.arange(size)).ravel()] += np.where(free, diagonal, 1.0).ravel()
     return band
-
-
-def _border(
-    rows: np.ndarray,
-    columns: np.ndarray,
-    blocks: np.ndarray,
-    diagonal: np.ndarray,
-    free: np.ndarray,
-    place: np.ndarray,
-    border: np.ndarray,
-    inner: int,
-) -> tuple[np.ndarray, np.ndarray]:
-    """What couples the band to the border, (N, n), and the border itself, (n, n)."""
-    size, number = diagonal.shape[1], np.full(len(place), -1)
-    number[border] = np.arange(len(border))
-    rim = np.zeros((inner, size, len(border), size))
-    shared = np.zeros((len(border), size, len(border), size))
-    for row, column, block in zip(rows, columns, blocks, strict=True):
-        if number[row] < 0 and number[column] < 0:
-            continue
-        masked = block * free[row][:, None] * free[column][None]
-        if number[row] >= 0 and number[column] >= 0:
-            shared[number[row], :, number[column]] = masked
-            shared[number[column], :, number[row]] = masked.T
-        elif number[column] >= 0:
-            rim[place[row], :, number[column]] = masked
-        else:
-            rim[place[column], :, number[row]] = masked.T
-    total = len(border) * size
-    corner = shared.reshape(total, total)
-    corner[np.diag_indices(total)] += np.where(free, diagonal, 1.0)[border].ravel()
-    return rim.reshape(inner * size, total), corner

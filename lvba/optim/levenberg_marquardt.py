@@ -18,7 +18,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from lvba.optim.linear_solver import solve_step
-from lvba.optim.normal_equations import NormalEquations
+from lvba.optim.normal_equations import NormalEquations, Step
 
 logger = logging.getLogger(__name__)
 
@@ -93,7 +93,7 @@ STEP_GROWTH = 2.0
 def levenberg_marquardt(
     state: State,
     linearize: Callable[[State], NormalEquations],
-    retract: Callable[[State, np.ndarray], State],
+    retract: Callable[[State, Step], State],
     config: SolverConfig = SolverConfig(),
     free: np.ndarray | None = None,
     *,
@@ -106,11 +106,12 @@ def levenberg_marquardt(
     """The state of least cost that was reached, and the history of steps.
 
     linearize: state -> NormalEquations, with its cost
-    retract: (state, (B, b) step) -> state
+    retract: (state, step) -> state
     free: (B, b) bool, what may move; None: all
     cost: state -> cost, where that takes less than to linearize
     convex: a linearization that is never indefinite (Gauss-Newton), for where `linearize` (Newton) is
-    metric: (b,), what one unit of damping adds to the diagonal of every block: slow motions common to many blocks are
+    metric: (b,) float64, what one unit of damping adds to the diagonal of every block: slow motions common to many blocks
+    are
         damped by no more than the motion of one. None: damping relative to the diagonal
     cost_noise: a rise of the cost that means nothing
     most_accepted: stop after so many accepted steps
@@ -131,10 +132,10 @@ def levenberg_marquardt(
             history.append(Iteration(at.cost, 0.0, damping.value, -1.0, False))
             continue
         trial = _evaluated(retract(at.state, step), linearize, cost)
-        predicted, decrease = _predicted(equations, step), at.cost - trial.cost
+        predicted, decrease = equations.predicted(step), at.cost - trial.cost
         gain = decrease / predicted if predicted > 0 else -1.0
         accepted = bool(decrease > -cost_noise and np.isfinite(trial.cost))
-        size, least = float(np.abs(step).max(initial=0.0)), config.relative_decrease * abs(at.cost)
+        size, least = step.largest, config.relative_decrease * abs(at.cost)
         done = size <= config.step_tolerance or predicted <= least or (accepted and decrease <= least)
         if accepted:
             at, damping, refused = trial, damping.accepted(gain), 0
@@ -187,10 +188,11 @@ def damped_step(
     damping: float,
     free: np.ndarray | None = None,
     metric: np.ndarray | None = None,
-) -> tuple[np.ndarray | None, float]:
-    """One step (B, b), and its damping: more than the given one where the equations are not positive without.
+) -> tuple[Step | None, float]:
+    """One step, and its damping: more than the given one where the equations are not positive without.
 
     None: they are not with any of DAMPING_TRIES dampings. free, metric: as in `levenberg_marquardt`
+    free: (B, b) bool; metric: (b,) float64
     """
     for _ in range(DAMPING_TRIES):
         step = solve_step(equations, damping, free, metric=metric)
@@ -218,12 +220,3 @@ def cost_rises(cost: float, before: float) -> bool:
 def step_grows(length: float, before: float) -> bool:
     """Whether a round's step is so much longer than the last one that it leads away."""
     return length > STEP_GROWTH * before
-
-
-def _predicted(equations: NormalEquations, step: np.ndarray) -> float:
-    """How much the undamped quadratic model falls over a (B, b) step."""
-    product = np.einsum("mij,mj->mi", equations.blocks, step[equations.columns])
-    quadratic = np.einsum("mi,mi->m", step[equations.rows], product)
-    double = np.where(equations.rows == equations.columns, 1.0, 2.0)
-    by_step = -(equations.gradient * step).sum() - 0.5 * (double * quadratic).sum()
-    return float(by_step) + equations.eliminated

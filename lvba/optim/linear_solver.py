@@ -1,16 +1,51 @@
-"""Damped steps, factors and covariances of block-sparse normal equations: dense, as a band, or by sparse LU."""
+"""Damped steps, factors and covariances of normal equations: dense, as a band, or by sparse LU, and a border.
 
-from collections.abc import Callable
+The poses' part is factored by one of three back ends, by its size and pattern. The shared parameters beside it are few:
+they are eliminated last, by the Schur complement of the border.
+"""
+
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import diags
+from scipy.linalg import cho_factor, cho_solve, lapack
+from scipy.sparse import csc_matrix, csr_matrix, diags
 from scipy.sparse.linalg import SuperLU, splu
 
 from lvba.optim import banded_cholesky
 from lvba.optim.banded_cholesky import BandedCholesky
-from lvba.optim.normal_equations import NormalEquations
+from lvba.optim.normal_equations import NormalEquations, Step
+
+_FULL = 0.25
+"""Part of all pairs of blocks above which a pattern has no band: dense Cholesky, however many unknowns."""
+_COLUMNS = 240
+"""Columns of an inverse that are held at a time."""
+_TINY_DAMPING = 1e-10
+"""Of covariances: unknowns without information get a large variance instead of an infinite one."""
+
+
+@dataclass(frozen=True)
+class DenseCholesky:
+    """A dense Cholesky factor (B b, B b), lower; free: (B, b) bool."""
+
+    lower: np.ndarray
+    free: np.ndarray
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """The solution (B b, n) for right sides (B b, n); zero for unknowns that are not free.
+
+        right: (B b, n) float64
+        """
+        right = np.where(self.free.reshape(-1, 1), right, 0.0)
+        return np.asarray(cho_solve((self.lower, True), right, check_finite=False))
+
+    def inverse_blocks(self) -> np.ndarray:
+        """The diagonal blocks (B, b, b) of the inverse; zero for unknowns that are not free."""
+        count, size = self.free.shape
+        whole, _ = lapack.dpotri(self.lower, lower=True)
+        here = np.arange(count)
+        blocks = whole.reshape(count, size, count, size)[here, :, here]
+        blocks = np.tril(blocks) + np.swapaxes(np.tril(blocks, -1), 1, 2)
+        return np.where(self.free[:, :, None] & self.free[:, None], blocks, 0.0)
 
 
 @dataclass(frozen=True)
@@ -22,27 +57,75 @@ class SparseFactor:
     shape: tuple[int, ...]
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """The solution (B b, n) for right sides (B b, n); zero for unknowns that are not in `index`."""
-        found = np.zeros_like(right)
-        found[self.index] = self.lu.solve(np.ascontiguousarray(right[self.index]))
-        return found
+        """The solution (B b, n) for right sides (B b, n); zero for unknowns that are not in `index`.
+
+        right: (B b, n) float64
+        """
+        solution = np.zeros_like(right)
+        solution[self.index] = self.lu.solve(np.ascontiguousarray(right[self.index]))
+        return solution
 
     def inverse_blocks(self) -> np.ndarray:
         """The diagonal blocks (B, b, b) of the inverse, from its columns."""
         count, size = self.shape
-        found = np.zeros((count, size, size))
+        blocks = np.zeros((count, size, size))
         free = np.zeros(count * size, bool)
         free[self.index] = True
         for block in range(count):
             mine = slice(size * block, size * block + size)
             unit = np.zeros((count * size, size))
             unit[mine] = np.diag(free[mine].astype(float))
-            found[block] = self.solve(unit)[mine]
-        return found
+            blocks[block] = self.solve(unit)[mine]
+        return blocks
 
 
-_FULL = 0.25
-"""Part of all pairs of blocks above which a pattern has no band: dense Cholesky, however many unknowns."""
+@dataclass(frozen=True)
+class Covariance:
+    """Of all unknowns: diagonal blocks, and with the shared parameters.
+
+    blocks: (B, b, b); with_shared: (B, b, k); shared: (k, k). Zero for unknowns that are held.
+    """
+
+    blocks: np.ndarray
+    with_shared: np.ndarray
+    shared: np.ndarray
+
+
+@dataclass(frozen=True)
+class Factors:
+    """A Hessian `[[poses, C], [C^T, S]]` in factors.
+
+    poses: of the blocks of unknowns; through: (B b, k), their inverse times C; rest: (k, k) lower Cholesky factor of what
+    is left of S without what the poses explain; free: (k,) bool, of the shared parameters
+    """
+
+    poses: DenseCholesky | BandedCholesky | SparseFactor
+    through: np.ndarray
+    rest: np.ndarray
+    free: np.ndarray
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """The solution (B b + k, n) for right sides (B b + k, n); zero for unknowns that are held.
+
+        right: (B b + k, n) float64
+        """
+        count = len(self.through)
+        blocks = self.poses.solve(right[:count])
+        if not len(self.rest):
+            return blocks
+        # C^T H^-1 r is through^T r: H is symmetric
+        shared = np.where(self.free[:, None], right[count:] - self.through.T @ right[:count], 0.0)
+        shared = cho_solve((self.rest, True), shared, check_finite=False)
+        return np.concatenate([blocks - self.through @ shared, shared])
+
+    def covariance(self) -> Covariance:
+        """Blocks of the inverse, without the inverse as a whole."""
+        blocks = self.poses.inverse_blocks()
+        count, size, _ = blocks.shape
+        shared = cho_solve((self.rest, True), np.diag(self.free.astype(float)), check_finite=False)
+        through = self.through.reshape(count, size, len(shared))
+        with_shared = -through @ shared
+        return Covariance(blocks - with_shared @ np.swapaxes(through, 1, 2), with_shared, shared)
 
 
 def solve_step(
@@ -51,30 +134,57 @@ def solve_step(
     free: np.ndarray | None = None,
     dense_limit: int = 2500,
     metric: np.ndarray | None = None,
-) -> np.ndarray | None:
-    """The damped step (B, b), `-(H + damping D)^-1 g` over the free unknowns; None where that matrix is not positive.
+) -> Step | None:
+    """The damped step, `-(H + damping D)^-1 g` over the free unknowns; None where that matrix is not positive.
 
     free: (B, b) bool; unknowns that are not free do not move. None: all are.
     dense_limit: most unknowns for which a sparse pattern is solved by dense Cholesky
-    metric: (b,), the diagonal of D for every block, absolute: what one unit of damping adds; None: the diagonal of H
+    metric: (b,) float64, the diagonal of D for every block, absolute: what one unit of damping adds; None: the diagonal
+    of H.
+        That of shared parameters is always the diagonal of H
+    """
+    factors = factorize(equations, damping, free, dense_limit, metric)
+    if factors is None:
+        return None
+    count, size = equations.gradient.shape
+    gradient = equations.gradient.ravel()
+    if equations.border is not None:
+        gradient = np.concatenate([gradient, equations.border.gradient])
+    step = -factors.solve(gradient[:, None])[:, 0]
+    if not np.all(np.isfinite(step)):
+        return None
+    return Step(step[: count * size].reshape(count, size), step[count * size :])
+
+
+def factorize(
+    equations: NormalEquations,
+    damping: float,
+    free: np.ndarray | None = None,
+    dense_limit: int = 2500,
+    metric: np.ndarray | None = None,
+) -> Factors | None:
+    """The factors of `H + damping D`; None where the matrix is not positive. Arguments as in `solve_step`.
+
+    free: (B, b) bool; metric: (b,) float64
     """
     free = np.ones(equations.gradient.shape, bool) if free is None else free
-    gradient = np.where(free, equations.gradient, 0.0)
-    if _is_dense(equations, int(free.sum()), dense_limit):
-        hessian = _upper(equations, free)
-        hessian[np.diag_indices_from(hessian)] += _damped_diagonal(equations, damping, free, metric).ravel()
-        try:
-            # the transpose of rows is columns, as LAPACK has it in memory: factored in place
-            factor = cho_factor(hessian.T, lower=True, overwrite_a=True, check_finite=False)
-        except np.linalg.LinAlgError:
-            return None
-        step = -cho_solve(factor, gradient.ravel(), check_finite=False)
-    else:
-        factors = factorize(equations, damping, free, metric)
-        if factors is None:
-            return None
-        step = -factors.solve(gradient.reshape(-1, 1))[:, 0]
-    return step.reshape(equations.gradient.shape) if np.all(np.isfinite(step)) else None
+    added, added_shared = _damped_diagonal(equations, damping, free, metric)
+    dense = _is_dense(equations, int(free.sum()), dense_limit)
+    poses = _dense(equations, added, free) if dense else _sparse(equations, added, free)
+    if poses is None:
+        return None
+    if equations.border is None:
+        return Factors(poses, np.zeros((free.size, 0)), np.zeros((0, 0)), np.zeros(0, bool))
+    own = equations.border.free
+    coupling = equations.border.coupling.reshape(free.size, -1) * (free.reshape(-1, 1) & own)
+    through = poses.solve(coupling)
+    rest = equations.border.hessian * (own[:, None] & own) - coupling.T @ through
+    rest[np.diag_indices_from(rest)] += np.where(own, added_shared, 1.0)
+    try:
+        lower, _ = cho_factor(rest, lower=True, check_finite=False)
+    except np.linalg.LinAlgError:
+        return None
+    return Factors(poses, through, np.tril(lower), own)
 
 
 def _is_dense(equations: NormalEquations, unknowns: int, limit: int) -> bool:
@@ -82,124 +192,134 @@ def _is_dense(equations: NormalEquations, unknowns: int, limit: int) -> bool:
     return unknowns <= limit or len(equations.rows) > _FULL * blocks * (blocks + 1) / 2
 
 
-def _upper(equations: NormalEquations, free: np.ndarray) -> np.ndarray:
-    """(B b, B b), of which the upper triangle is the Hessian over the free unknowns; the others are apart, with zeros."""
+def _dense(equations: NormalEquations, added: np.ndarray, free: np.ndarray) -> DenseCholesky | None:
     count, size = free.shape
     blocks = np.zeros((count, size, count, size))
     blocks[equations.rows, :, equations.columns] = equations.blocks
-    full = blocks.reshape(count * size, count * size)
+    upper = blocks.reshape(count * size, count * size)
     held = np.flatnonzero(~free)
-    full[held], full[:, held] = 0.0, 0.0
-    return full
+    upper[held], upper[:, held] = 0.0, 0.0
+    upper[np.diag_indices_from(upper)] += np.where(free, added, 1.0).ravel()
+    try:
+        # the transpose of rows is columns, as LAPACK has it in memory: factored in place
+        lower, _ = cho_factor(upper.T, lower=True, overwrite_a=True, check_finite=False)
+    except np.linalg.LinAlgError:
+        return None
+    return DenseCholesky(lower, free)
+
+
+def _sparse(
+    equations: NormalEquations, added: np.ndarray, free: np.ndarray
+) -> BandedCholesky | SparseFactor | None:
+    """By a band where there is one, else sparse LU."""
+    try:
+        return banded_cholesky.factor(equations.rows, equations.columns, equations.blocks, added, free)
+    except MemoryError:
+        index = np.flatnonzero(free)
+    matrix = equations.sparse()[: free.size, : free.size] + diags(added.ravel())
+    try:
+        lu = splu(
+            matrix.tocsc()[index][:, index].tocsc(),
+            permc_spec="MMD_AT_PLUS_A",
+            options={"SymmetricMode": True},
+        )
+    except RuntimeError:
+        return None
+    return SparseFactor(lu, index, added.shape)
 
 
 def _damped_diagonal(
     equations: NormalEquations, damping: float, free: np.ndarray, metric: np.ndarray | None
-) -> np.ndarray:
-    """(B, b): what damping adds to the diagonal of the free unknowns, and 1 for those that are not free."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """(B, b) and (k,): what damping adds to the diagonal.
+
+    Relative to a diagonal with a floor, so that unknowns without information are damped too.
+    """
     own = equations.rows == equations.columns
     diagonal = np.zeros(free.shape)
     diagonal[equations.rows[own]] = np.diagonal(equations.blocks[own], axis1=1, axis2=2)
-    added = np.ones(free.shape)
-    if metric is None:
-        added[free] = damping * _damped(diagonal[free])
-    else:
-        added[free] = np.broadcast_to(damping * metric, free.shape)[free]
-    return added
+    shared = np.zeros(0) if equations.border is None else np.diagonal(equations.border.hessian)
+    largest = max(float(diagonal[free].max(initial=0.0)), float(shared.max(initial=0.0)), 1e-30)
+    added = damping * np.maximum(diagonal, 1e-9 * largest)
+    if metric is not None:
+        added = np.broadcast_to(damping * metric, free.shape)
+    return added, damping * np.maximum(shared, 1e-9 * largest)
 
 
-def factorize(
-    equations: NormalEquations,
-    damping: float,
-    free: np.ndarray | None = None,
-    metric: np.ndarray | None = None,
-) -> BandedCholesky | SparseFactor | None:
-    """The factors of `H + damping D`; None where the matrix is not positive.
-
-    free: (B, b) bool; unknowns that are not free are zero. None: all are. By a band where there is one, else sparse LU.
-    metric: as in `solve_step`
-    """
-    free = np.ones(equations.gradient.shape, bool) if free is None else free
-    more = _damped_diagonal(equations, damping, free, metric)
-    try:
-        return banded_cholesky.factor(equations.rows, equations.columns, equations.blocks, more, free)
-    except MemoryError:
-        return _sparse_lu(equations, more, np.flatnonzero(free))
-
-
-def _sparse_lu(equations: NormalEquations, added: np.ndarray, index: np.ndarray) -> SparseFactor | None:
-    matrix = (equations.sparse() + diags(added.ravel()))[index][:, index].tocsc()
-    try:
-        return SparseFactor(
-            splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}), index, added.shape
-        )
-    except RuntimeError:
-        return None
-
-
-def _damped(diagonal: np.ndarray) -> np.ndarray:
-    """The diagonal with a floor, so that unknowns without information are damped too."""
-    return np.maximum(diagonal, 1e-9 * max(float(diagonal.max(initial=0.0)), 1e-30))
-
-
-def covariance_blocks(
+def covariance(
     equations: NormalEquations, free: np.ndarray | None = None, dense_limit: int = 2500
-) -> tuple[np.ndarray, np.ndarray]:
-    """Of the inverse Hessian over the free unknowns: (B, b, b) diagonal blocks, and (B, b, b) blocks with the last.
+) -> Covariance:
+    """Blocks of the inverse Hessian over the free unknowns.
 
     Unknowns without information get a tiny damping instead of an infinite variance; unknowns held fixed get zero.
+    free: (B, b) bool
+    Raises LinAlgError: the Hessian is not positive.
     """
-    count, size = equations.gradient.shape
-    index = np.arange(count * size) if free is None else np.flatnonzero(free)
-    own, last = np.zeros((count, size, size)), np.zeros((count, size, size))
-    if index.size > dense_limit:
-        return _selected_blocks(equations, index)
-    inverse = inverse_columns(equations, index, dense_limit)
-    final = np.flatnonzero(index >= (count - 1) * size)
-    with_last = np.zeros((count * size, size))
-    with_last[np.ix_(index, index[final] - (count - 1) * size)] = inverse(final)
-    last[:] = with_last.reshape(count, size, size)
-    starts = np.searchsorted(index, np.arange(count + 1) * size)
-    for block in range(count):
-        mine = np.arange(starts[block], starts[block + 1])
-        local = index[mine] - block * size
-        own[block][np.ix_(local, local)] = inverse(mine)[mine]
-    return own, last
+    return _undamped(equations, free, dense_limit).covariance()
 
 
-def _selected_blocks(equations: NormalEquations, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """As `covariance_blocks`, without the inverse as a whole."""
-    count, size = equations.gradient.shape
-    free = np.zeros(count * size, bool)
-    free[index] = True
-    free = free.reshape(count, size)
-    factors = factorize(equations, 1e-10, free)
+def _undamped(equations: NormalEquations, free: np.ndarray | None, dense_limit: int) -> Factors:
+    factors = factorize(equations, _TINY_DAMPING, free, dense_limit)
     if factors is None:
         raise np.linalg.LinAlgError("the normal equations are not positive")
-    unit = np.zeros((count * size, size))
-    unit[-size:] = np.diag(free[-1].astype(float))
-    return factors.inverse_blocks(), factors.solve(unit).reshape(count, size, size)
+    return factors
 
 
-def inverse_columns(
-    equations: NormalEquations, index: np.ndarray, dense_limit: int
-) -> Callable[[np.ndarray], np.ndarray]:
-    """A function that gives columns (len(index), n) of the inverse Hessian over the unknowns `index`."""
-    if index.size <= dense_limit:
-        hessian = equations.dense()[np.ix_(index, index)]
-        hessian[np.diag_indices_from(hessian)] += 1e-10 * _damped(np.diag(hessian))
-        whole = cho_solve(cho_factor(hessian, lower=True, overwrite_a=True), np.eye(index.size))
-        return lambda columns: whole[:, columns]
+def propagated(
+    equations: NormalEquations,
+    jacobian: csr_matrix,
+    free: np.ndarray | None = None,
+    dense_limit: int = 2500,
+) -> np.ndarray:
+    """J H^-1 J^T, (m, m): the covariance of quantities with these derivatives (m, B b + k).
+
+    free: (B, b) bool
+    Raises LinAlgError: the Hessian is not positive.
+    """
+    factors = _undamped(equations, free, dense_limit)
+    covariance = np.zeros((jacobian.shape[0],) * 2)
+    for start in range(0, len(covariance), _COLUMNS):
+        part = slice(start, start + _COLUMNS)
+        covariance[:, part] = jacobian @ factors.solve(jacobian[part].toarray().T)
+    return covariance
+
+
+def sandwich(
+    equations: NormalEquations,
+    gradients: csr_matrix,
+    spread: NormalEquations | None,
+    free: np.ndarray | None = None,
+    dense_limit: int = 2500,
+) -> Covariance:
+    """Blocks of H^-1 M H^-1 with M = G^T G + P.
+
+    gradients: (W, B b + k), G; spread: its Hessian is P; None: zero. M couples what H does not, so selected inversion
+    does not do: columns of the inverse are made some at a time, never all of them.
+    free: (B, b) bool
+    Raises LinAlgError: the Hessian is not positive.
+    """
+    factors = _undamped(equations, free, dense_limit)
     count, size = equations.gradient.shape
-    free = np.zeros(count * size, bool)
-    free[index] = True
-    factors = factorize(equations, 1e-10, free.reshape(count, size))
+    middle = csc_matrix((gradients.shape[1],) * 2) if spread is None else spread.sparse()
+    unknowns, k = count * size, equations.shared
+    own, with_shared = np.zeros((count, size, size)), np.zeros((count, size, k))
 
-    def solve(columns: np.ndarray) -> np.ndarray:
-        if factors is None:
-            raise np.linalg.LinAlgError("the normal equations are not positive")
-        unit = np.zeros((count * size, len(columns)))
-        unit[index[columns], np.arange(len(columns))] = 1.0
-        return np.asarray(factors.solve(unit)[index])
+    def columns(first: int, last: int) -> np.ndarray:
+        unit = np.zeros((unknowns + k, last - first))
+        unit[np.arange(first, last), np.arange(last - first)] = 1.0
+        return factors.solve(unit)
 
-    return solve
+    shared = columns(unknowns, unknowns + k)
+    shared_pull, shared_middle = gradients @ shared, middle @ shared
+    per = max(_COLUMNS // size, 1)
+    for start in range(0, count, per):
+        stop = min(start + per, count)
+        piece = columns(start * size, stop * size)
+        here = stop - start
+        pull, each, through = (
+            np.ascontiguousarray(part.reshape(-1, here, size).transpose(1, 2, 0))
+            for part in (gradients @ piece, piece, middle @ piece)
+        )
+        own[start:stop] = pull @ np.swapaxes(pull, 1, 2) + each @ np.swapaxes(through, 1, 2)
+        with_shared[start:stop] = pull @ shared_pull + each @ shared_middle
+    return Covariance(own, with_shared, shared_pull.T @ shared_pull + shared.T @ shared_middle)

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lvba.arrays import PoseBlocks
+
 _MOST_SEEDS = 20
 """Refused loops from which another set is grown, to see whether it explains as much."""
 _UNKNOWN = 1e-4
@@ -30,12 +32,12 @@ class Choice:
 
 
 def choose(
-    error: np.ndarray, predicted: np.ndarray, information: np.ndarray, gate: float, margin: float
+    error: np.ndarray, predicted: np.ndarray, information: PoseBlocks, gate: float, margin: float
 ) -> Choice:
     """The set of loops of least `squared errors over their variances + gate * refused`, as far as it is unique.
 
-    error: (L, 6), what loops measure less what is predicted without them
-    predicted: (6 L, 6 L), covariance of the predictions; information: (L, 6, 6), of the loops themselves
+    error: (L, 6) float64, what loops measure less what is predicted without them
+    predicted: (6 L, 6 L) float64, covariance of the predictions; information: (L, 6, 6), of the loops themselves
     margin: sets that contradict each other and differ by less are both refused
     Greedy, from the loop that fits best, and again from each refused one: exact where contradictions are few.
     """

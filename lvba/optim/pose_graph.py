@@ -13,15 +13,16 @@ import logging
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.sparse import coo_matrix
+from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from lvba import geometry
+from lvba.arrays import Pose, Poses, Tangents
 from lvba.errors import DegenerateProblemError
 from lvba.optim import levenberg_marquardt, linear_solver, loop_selection, normal_equations
 from lvba.optim.levenberg_marquardt import SolverConfig
 from lvba.optim.loop_selection import Choice
-from lvba.optim.normal_equations import NormalEquations
+from lvba.optim.normal_equations import NormalEquations, Step
 
 logger = logging.getLogger(__name__)
 
@@ -47,7 +48,10 @@ class Edges:
         return len(self.first)
 
     def take(self, index: np.ndarray) -> "Edges":
-        """The edges at `index` (any numpy index)."""
+        """The edges at `index` (any numpy index).
+
+        index: (N,) integers, or (E,) bool
+        """
         return Edges(
             self.first[index],
             self.second[index],
@@ -108,7 +112,7 @@ class PoseGraph:
     loop_distance: (E,) float64, squared error over its variance that the edge costs beside the used loops, with the
         poses giving way (6 is expected of a true one); NaN for edges that are no loops
     loop_reason: E sentences; empty for edges that are no loops
-    cost_before, cost_after: squared errors over variances, of the edges that are used
+    cost_before, cost_after: half the squared errors over variances, of the edges that are used
     converged: False: the last step still moved poses
     """
 
@@ -124,7 +128,7 @@ class PoseGraph:
 
 
 def solve(
-    world_from_node: np.ndarray, edges: Edges, *, fixed: int = 0, config: PoseGraphConfig = PoseGraphConfig()
+    world_from_node: Poses, edges: Edges, *, fixed: int = 0, config: PoseGraphConfig = PoseGraphConfig()
 ) -> PoseGraph:
     """The poses of least squared error, with loop edges that fit together.
 
@@ -137,11 +141,11 @@ def solve(
     poses, converged = _optimize(start, odometry, fixed, config)
     choice = Choice.none(len(loops))
     for _ in range(_TURNS if len(loops) else 0):
-        found = _judge(poses, odometry, loops, fixed, config)
-        if np.array_equal(found.used, choice.used):
-            choice = found
+        solution = _judge(poses, odometry, loops, fixed, config)
+        if np.array_equal(solution.used, choice.used):
+            choice = solution
             break
-        choice = found
+        choice = solution
         used = concatenate([odometry, loops.take(choice.used)])
         poses, converged = _optimize(poses, used, fixed, config)
         logger.info("pose graph: %d of %d loops used", np.count_nonzero(choice.used), len(loops))
@@ -152,13 +156,13 @@ _TURNS = 10
 """Most rounds of choosing loops at the poses that the chosen ones lead to."""
 
 
-def residuals(world_from_node: np.ndarray, edges: Edges) -> np.ndarray:
+def residuals(world_from_node: Poses, edges: Edges) -> np.ndarray:
     """`log(measured^-1 . relative pose)`, (E, 6), rad and m, tangent at the second node."""
     relative = geometry.inverse(world_from_node[edges.first]) @ world_from_node[edges.second]
     return np.asarray(geometry.log(geometry.inverse(edges.first_from_second) @ relative))
 
 
-def jacobians(world_from_node: np.ndarray, edges: Edges, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def jacobians(world_from_node: Poses, edges: Edges, error: Tangents) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives (E, 6, 6) of the residuals by the first and the second node's right perturbation.
 
     error: (E, 6), `residuals` there
@@ -168,7 +172,7 @@ def jacobians(world_from_node: np.ndarray, edges: Edges, error: np.ndarray) -> t
     return -by_second @ geometry.adjoint(second_from_first), by_second
 
 
-def linearize(world_from_node: np.ndarray, edges: Edges) -> NormalEquations:
+def linearize(world_from_node: Poses, edges: Edges) -> NormalEquations:
     """Normal equations of half the squared errors over their variances; every edge counts in full."""
     error = residuals(world_from_node, edges)
     by_first, by_second = jacobians(world_from_node, edges, error)
@@ -183,11 +187,16 @@ def linearize(world_from_node: np.ndarray, edges: Edges) -> NormalEquations:
         np.concatenate([edges.first, edges.second, edges.second]),
         np.concatenate([first_t @ weighted_first, second_t @ weighted_second, first_t @ weighted_second]),
         gradient,
-        0.5 * float(np.sum(pull * error)),
+        cost(error, edges),
     )
 
 
-def propagate(count: int, edges: Edges, root: int, world_from_root: np.ndarray) -> np.ndarray:
+def cost(error: Tangents, edges: Edges) -> float:
+    """Half the squared residuals (E, 6) over their variances."""
+    return 0.5 * float(np.einsum("ei,eij,ej->", error, edges.information, error))
+
+
+def propagate(count: int, edges: Edges, root: int, world_from_root: Pose) -> np.ndarray:
     """Poses (count, 4, 4) of all nodes from that of one, along the fewest edges that are no loops.
 
     Raises DegenerateProblemError: these do not connect all nodes.
@@ -237,16 +246,16 @@ def _optimize(
 ) -> tuple[np.ndarray, bool]:
     """Poses of least squares, all edges in full, and whether they stand still."""
 
-    def moved(at: np.ndarray, step: np.ndarray) -> np.ndarray:
-        there = geometry.retract(at, step)
+    def moved(at: np.ndarray, step: Step) -> np.ndarray:
+        there = geometry.retract(at, step.blocks)
         there[fixed] = poses[fixed]  # to the last bit
         return there
 
     free = _free(len(poses), fixed)
-    found = levenberg_marquardt.levenberg_marquardt(
+    minimum = levenberg_marquardt.levenberg_marquardt(
         poses, lambda at: linearize(at, edges), moved, config.solver, free
     )
-    return found.state, found.converged
+    return minimum.state, minimum.converged
 
 
 def _judge(poses: np.ndarray, odometry: Edges, loops: Edges, fixed: int, config: PoseGraphConfig) -> Choice:
@@ -259,41 +268,29 @@ def _judge(poses: np.ndarray, odometry: Edges, loops: Edges, fixed: int, config:
         raise DegenerateProblemError("the measured motions leave poses open")
     error = residuals(poses, loops)
     by_first, by_second = jacobians(poses, loops, error)
-    without = error + _times(by_first, back[loops.first]) + _times(by_second, back[loops.second])
-    nodes, where = np.unique(np.concatenate([loops.first, loops.second]), return_inverse=True)
-    covariance = _covariance(equations, free, nodes, config)
-    derivative = np.zeros((len(loops), 6, len(nodes), 6))
-    here = np.arange(len(loops))
-    derivative[here, :, where[: len(loops)]] += by_first
-    derivative[here, :, where[len(loops) :]] += by_second
-    flat = derivative.reshape(6 * len(loops), 6 * len(nodes))
-    return loop_selection.choose(
-        without, flat @ covariance @ flat.T, loops.information, config.gate, config.margin
+    moves = _times(by_first, back.blocks[loops.first]) + _times(by_second, back.blocks[loops.second])
+    covariance = linear_solver.propagated(
+        equations, _derivative(loops, by_first, by_second, len(poses)), free, config.solver.dense_limit
+    )
+    return loop_selection.choose(error + moves, covariance, loops.information, config.gate, config.margin)
+
+
+def _derivative(edges: Edges, by_first: np.ndarray, by_second: np.ndarray, nodes: int) -> csr_matrix:
+    """Of all residuals by all nodes, (6 E, 6 N)."""
+    shape = (len(edges), 6, 6)
+    here = np.arange(6)
+    rows = np.broadcast_to(6 * np.arange(len(edges))[:, None, None] + here[:, None], shape).ravel()
+    columns = [
+        np.broadcast_to(6 * node[:, None, None] + here, shape).ravel() for node in (edges.first, edges.second)
+    ]
+    values = np.concatenate([by_first.ravel(), by_second.ravel()])
+    return csr_matrix(
+        (values, (np.tile(rows, 2), np.concatenate(columns))), shape=(6 * len(edges), 6 * nodes)
     )
 
 
 def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     return np.einsum("eij,ej->ei", matrix, vector)
-
-
-_COLUMNS = 240
-"""Columns of the inverse that are held at a time."""
-
-
-def _covariance(
-    equations: NormalEquations, free: np.ndarray, nodes: np.ndarray, config: PoseGraphConfig
-) -> np.ndarray:
-    """Joint covariance of a few nodes, (6 n, 6 n); zero for the fixed one."""
-    index = np.flatnonzero(free)
-    columns_of = linear_solver.inverse_columns(equations, index, config.solver.dense_limit)
-    wanted = (6 * nodes[:, None] + np.arange(6)).ravel()
-    at = np.flatnonzero(free.ravel()[wanted])
-    places = np.searchsorted(index, wanted[at])
-    covariance = np.zeros((len(wanted), len(wanted)))
-    for start in range(0, len(at), _COLUMNS):
-        part = slice(start, start + _COLUMNS)
-        covariance[np.ix_(at, at[part])] = columns_of(places[part])[places]
-    return covariance
 
 
 def _result(start: np.ndarray, poses: np.ndarray, edges: Edges, choice: Choice, converged: bool) -> PoseGraph:
@@ -303,8 +300,19 @@ def _result(start: np.ndarray, poses: np.ndarray, edges: Edges, choice: Choice, 
     for edge, why in zip(loop, choice.reason, strict=True):
         reason[edge] = why
     before, after = residuals(start, edges), residuals(poses, edges)
-    costs = [float(np.einsum("e,ei,eij,ej->", weight, r, edges.information, r)) for r in (before, after)]
-    return PoseGraph(poses, weight, before, after, distance, tuple(reason), costs[0], costs[1], converged)
+    used = replace(edges, information=weight[:, None, None] * edges.information)
+    costs = [cost(residual, used) for residual in (before, after)]
+    return PoseGraph(
+        world_from_node=poses,
+        loop_weight=weight,
+        residual_before=before,
+        residual_after=after,
+        loop_distance=distance,
+        loop_reason=tuple(reason),
+        cost_before=costs[0],
+        cost_after=costs[1],
+        converged=converged,
+    )
 
 
 def _inverse_right_jacobian(tangent: np.ndarray) -> np.ndarray:

@@ -5,8 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lvba.arrays import CloudPoints, Indices, Poses, Times, Vector
 from lvba.kernels import cloud as kernels
 from lvba.kernels import facing as facing_kernels
+from lvba.kernels.scene import BlockPoints
 from lvba.parallel import in_order
 from lvba.progress import Progress, silent
 
@@ -47,11 +49,11 @@ class Cloud:
     def __len__(self) -> int:
         return len(self.points_world)
 
-    def scan_of(self, points: np.ndarray) -> np.ndarray:
+    def scan_of(self, points: Indices) -> np.ndarray:
         """The scans (K,) int32 that measured points of these numbers (K,)."""
         return np.searchsorted(self.scan_offsets, points, side="right").astype(np.int32) - np.int32(1)
 
-    def origins(self, points: np.ndarray) -> Origins | None:
+    def origins(self, points: Indices) -> Origins | None:
         """From where points of these numbers (K,) were measured; None: unknown."""
         return None if self.sensor_world is None else Origins(self.scan_of(points), self.sensor_world)
 
@@ -69,13 +71,17 @@ class Blocks:
     start: np.ndarray
     spheres: np.ndarray
 
+    def holding(self, points: np.ndarray) -> BlockPoints:
+        """The points (3, M) float32, m, world, in this order, as kernels take them."""
+        return BlockPoints(points, self.start, self.spheres)
+
 
 def assemble(
     load_scan: Callable[[int], np.ndarray],
-    world_from_scan: np.ndarray,
-    scan_times: np.ndarray,
+    world_from_scan: Poses,
+    scan_times: Times,
     progress: Progress = silent,
-    sensor_position: np.ndarray | None = None,
+    sensor_position: Vector | None = None,
 ) -> Cloud:
     """The cloud of all scans moved by their poses; points that are not finite are left out.
 
@@ -105,7 +111,7 @@ def assemble(
     return Cloud(points_world, offsets, np.asarray(scan_times, float), sensor_world)
 
 
-def sort_into_blocks(points_world: np.ndarray, min_edge: float = _MIN_EDGE_M) -> Blocks:
+def sort_into_blocks(points_world: CloudPoints, min_edge: float = _MIN_EDGE_M) -> Blocks:
     """Blocks of (M, 3) float32 points: cubes of at least `min_edge` m, larger where the map would need too many."""
     if not len(points_world):
         return Blocks(np.empty(0, np.int32), np.zeros(1, np.int64), np.empty((0, 4), np.float32))
@@ -121,7 +127,7 @@ def sort_into_blocks(points_world: np.ndarray, min_edge: float = _MIN_EDGE_M) ->
 def surfaces(points: np.ndarray, blocks: Blocks, origins: Origins | None, max_angle: float) -> np.ndarray:
     """The surface at each point, (M, 8) float32, see `lvba.kernels.facing.surfaces`.
 
-    Without origins, normals are of either side, and what is 3 to 5 there is zero.
+    Without origins, normals are of either side, and TO_LIDAR is zero.
 
     points: (3, M) float32, m, world, in the order of their blocks; origins: of the points before they were sorted
     max_angle: rad, of views off the normal
@@ -130,8 +136,8 @@ def surfaces(points: np.ndarray, blocks: Blocks, origins: Origins | None, max_an
         scan, sensors = np.zeros(points.shape[1], np.int32), np.full((1, 3), _NOWHERE, np.float32)
     else:
         scan, sensors = origins.scan[blocks.order], origins.sensor_world.astype(np.float32)
-    found = facing_kernels.surfaces(points, blocks.start, scan, sensors, max_angle)
-    scatter, known = found[:, 6], found[:, :3].any(1)
+    surfaces_ = facing_kernels.surfaces(points, blocks.start, scan, sensors, max_angle)
+    scatter, known = surfaces_[:, facing_kernels.SCATTER], surfaces_[:, : facing_kernels.TO_LIDAR].any(1)
     trusted = known if known.any() else scatter >= 0
     typical = np.float32(np.median(scatter[trusted])) if trusted.any() else _UNKNOWN_SCATTER_M
     # few points may lie on a plane by chance, and fewer tell nothing
@@ -139,8 +145,8 @@ def surfaces(points: np.ndarray, blocks: Blocks, origins: Origins | None, max_an
     np.maximum(scatter, least, out=scatter)
     np.maximum(scatter, _LEAST_SCATTER_M, out=scatter)
     if origins is None:
-        found[:, 3:6] = 0.0
-    return found
+        surfaces_[:, facing_kernels.TO_LIDAR : facing_kernels.SCATTER] = 0.0
+    return surfaces_
 
 
 def thin(points_world: np.ndarray, voxel: float) -> np.ndarray:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lvba.arrays import Indices, LogExposures
 from lvba.kernels import colorize as kernels
 from lvba.kernels import occlusion
 from lvba.parallel import in_order
@@ -15,7 +16,7 @@ from lvba.products.cloud import Blocks, Cloud, Origins, sort_into_blocks, surfac
 from lvba.products.views import Views, nearest_in_time
 from lvba.progress import Progress, silent
 from lvba.settings import check, setting
-from lvba.visual.image import SATURATED
+from lvba.visual.image import DARK, SATURATED
 
 logger = logging.getLogger(__name__)
 
@@ -54,10 +55,9 @@ TOLERANCE = 6.0
 deviations of points across the surface: two points of one surface are each within three of it."""
 CELL_PX = 4
 """Cells of the occlusion z-buffer, px; larger closes gaps between points, and leaves out more near edges."""
-DARKEST = 5.0
-"""Samples whose brightest channel is at most this gray value are left out as black."""
 BRIGHTEST = float(SATURATED)
-"""Samples that touch a channel value of this or more are left out as saturated."""
+"""Samples that touch a channel value of this or more are left out as saturated, those whose brightest channel is at most
+DARK as black."""
 NOISE = 2.0
 """Noise of a gray value (0..255): differences below it never count as outliers."""
 
@@ -73,7 +73,7 @@ class PaperColors:
     gray: np.ndarray
     source: np.ndarray
 
-    def radiance(self, log_exposure: np.ndarray) -> np.ndarray:
+    def radiance(self, log_exposure: LogExposures) -> np.ndarray:
         """(M, 3) float32: gray values over the relative exposure of their image."""
         gain = np.exp(-np.append(log_exposure, 0.0)).astype(np.float32)
         return self.gray * gain[self.source][:, None]
@@ -104,9 +104,14 @@ class Samples:
     gray: np.ndarray
     images: np.ndarray
 
+    @property
+    def arrays(self) -> kernels.Samples:
+        """As kernels take them."""
+        return kernels.Samples(self.ranks, self.gray, self.images)
+
 
 def paper(
-    cloud: Cloud, views: Views, held_out: np.ndarray | None = None, progress: Progress = silent
+    cloud: Cloud, views: Views, held_out: Indices | None = None, progress: Progress = silent
 ) -> PaperColors:
     """Colors each point by its projection into the image nearest in time to its scan; no occlusion test.
 
@@ -119,9 +124,10 @@ def paper(
         return PaperColors(gray, source)
     image_of_scan = usable[nearest_in_time(views.times[usable], cloud.scan_times)]
     mask, intrinsics, images = views.mask, views.intrinsics, np.unique(image_of_scan)
+    poses = views.poses
 
     def color(image: int) -> None:
-        picture, pose = np.ascontiguousarray(views.load(image)), views.kernel_pose(image)
+        picture, pose = np.ascontiguousarray(views.load(image)), poses[image]
         for s in np.flatnonzero(image_of_scan == image):
             span = slice(cloud.scan_offsets[s], cloud.scan_offsets[s + 1])
             seen = np.empty(span.stop - span.start, bool)
@@ -139,7 +145,7 @@ def blended(
     config: ColorizeConfig | None = None,
     *,
     origins: Origins | None = None,
-    held_out: np.ndarray | None = None,
+    held_out: Indices | None = None,
     progress: Progress = silent,
     batch: int = 8,
 ) -> BlendedColors:
@@ -170,7 +176,7 @@ def collect(
     config: ColorizeConfig,
     *,
     origins: Origins | None = None,
-    held_out: np.ndarray | None = None,
+    held_out: Indices | None = None,
     progress: Progress = silent,
     batch: int = 8,
 ) -> Samples:
@@ -204,44 +210,47 @@ def _collect(
     samples: Samples,
 ) -> None:
     """Adds the samples of some images to the lists of the best views, in place. numbers: of the pictures."""
-    poses, mask = views.kernel_poses()[numbers], views.mask
-    tolerance = np.array([TOLERANCE, _LOOSE], np.float32)
-    first_seen, front = occlusion.first_points(
-        points,
-        surface,
-        tolerance,
-        blocks.start,
-        blocks.spheres,
-        poses,
-        views.intrinsics,
-        CELL_PX,
-        *mask.shape,
+    poses, mask = views.poses[numbers], views.mask
+    tolerance = occlusion.Tolerance(np.float32(TOLERANCE), np.float32(_LOOSE))
+    cloud = blocks.holding(points)
+    seen_first = occlusion.first_points(
+        cloud, surface, tolerance, poses, views.intrinsics, CELL_PX, *mask.shape
     )
     kernels.collect_views(
-        points, surface, tolerance, blocks.start, blocks.spheres, poses, views.intrinsics,
-        pictures, numbers, mask, first_seen, front, CELL_PX,
-        np.array([DARKEST, BRIGHTEST], np.float32),
-        samples.ranks, samples.gray, samples.images,
-    )  # fmt: skip
+        cloud,
+        surface,
+        tolerance,
+        poses,
+        views.intrinsics,
+        pictures,
+        numbers,
+        mask,
+        seen_first,
+        kernels.UsableGray(np.float32(DARK), np.float32(BRIGHTEST)),
+        samples.arrays,
+    )
 
 
-def blend(samples: Samples, log_exposure: np.ndarray, config: ColorizeConfig) -> BlendedColors:
+def blend(samples: Samples, log_exposure: LogExposures, config: ColorizeConfig) -> BlendedColors:
     """The blended colors, in the order of the samples. log_exposure: (I,)"""
     count = len(samples.ranks)
     radiance, spread = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
     number = np.zeros(count, np.uint8)
     gains, floor = np.exp(-log_exposure).astype(np.float32), np.float32(NOISE)
-    kernels.blend_views(samples.ranks, samples.gray, samples.images, gains, floor, radiance, number, spread)
+    kernels.blend_views(samples.arrays, gains, floor, radiance, number, spread)
     seen = np.count_nonzero(number)
     logger.info("colored %d of %d points from %.1f views each", seen, count, number.sum() / max(seen, 1))
     return BlendedColors(radiance, number, spread)
 
 
-def display_gain(log_exposure: np.ndarray) -> float:
+def display_gain(log_exposure: LogExposures) -> float:
     """What turns a radiance into a gray value for display: the typical (median) relative exposure."""
     return float(np.exp(np.median(log_exposure))) if len(log_exposure) else 1.0
 
 
 def to_rgb8(radiance: np.ndarray, gain: float) -> np.ndarray:
-    """(M, 3) uint8 colors of (M, 3) radiances times a gain, rounded and clipped."""
+    """(M, 3) uint8 colors of (M, 3) radiances times a gain, rounded and clipped.
+
+    radiance: (M, 3) float32
+    """
     return np.clip(np.rint(radiance * np.float32(gain)), 0, 255).astype(np.uint8)

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from lvba.arrays import Indices
 from lvba.parallel import in_order
 from lvba.products import colorize, map_quality, metrics, render
 from lvba.products.cloud import Cloud
@@ -100,7 +101,7 @@ def _plain(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def judged_images(count: int, held_out: np.ndarray, limit: int) -> np.ndarray:
+def judged_images(count: int, held_out: Indices, limit: int) -> np.ndarray:
     """Indices (J,) int32, ascending, of at most `limit` images spread evenly, with all held-out ones among them."""
     spread = np.unique(np.linspace(0, count - 1, min(count, limit)).round().astype(np.int32))
     return np.union1d(spread, held_out).astype(np.int32)
@@ -110,7 +111,7 @@ def evaluate(
     states: Mapping[str, State],
     config: EvaluateConfig | None = None,
     *,
-    held_out: np.ndarray | None = None,
+    held_out: Indices | None = None,
     entropies: Mapping[str, float] | None = None,
     brief: Collection[str] = (),
     images: np.ndarray | None = None,
@@ -119,7 +120,8 @@ def evaluate(
 ) -> dict[str, Scores]:
     """The scores of each state, all judged on the same images.
 
-    states: by name, for example rough and refined; their views load the same images. Give all in one call: the figures
+    states: by name, for example rough and refined; their views load the same images, undistorted by the camera of each.
+    Give all in one call: the figures
     named _common are over the pixels covered in each, and states with the same poses share their renderings.
     held_out: indices of images that color nothing and are judged apart.
     entropies: mean map entropies by state that are known already.
@@ -131,9 +133,9 @@ def evaluate(
     out_of_color = np.unique(np.asarray([] if held_out is None else held_out, np.int32))
     geometries = _geometries(states, colors)
     clouds = [_colored(states[names[0]], colors, out_of_color, progress) for names in geometries]
-    first = next(iter(states.values())).views
     if images is None:
-        images = judged_images(len(first), out_of_color, config.max_images)
+        count = len(next(iter(states.values())).views)
+        images = judged_images(count, out_of_color, config.max_images)
 
     def judge_image(image: int) -> dict[str, dict[str, float]]:
         entries = [
@@ -141,11 +143,17 @@ def evaluate(
             for cloud, names in zip(clouds, geometries, strict=True)
         ]
         renderings = {
-            name: render.shade(seen, cloud, states[name].views.log_exposure, image, only_others=name in brief)
-            for seen, cloud, names in zip(entries, clouds, geometries, strict=True)
+            name: render.shade(
+                entry, cloud, states[name].views.log_exposure, image, only_others=name in brief
+            )
+            for entry, cloud, names in zip(entries, clouds, geometries, strict=True)
             for name in names
         }
-        return judge(metrics.prepare(first.load(image)), renderings, first.mask, brief)
+        seen = {state.views.camera: state.views for state in states.values()}
+        raw = {camera: metrics.prepare(views.load(image)) for camera, views in seen.items()}
+        valid = np.logical_and.reduce([views.mask for views in seen.values()])
+        by_state = {name: raw[state.views.camera] for name, state in states.items()}
+        return judge(by_state, renderings, valid, brief)
 
     rows: dict[str, list[dict[str, float]]] = {name: [] for name in states}
     for done, row in enumerate(in_order(judge_image, [int(i) for i in images])):
@@ -182,7 +190,8 @@ def _geometries(states: Mapping[str, State], colors: str) -> list[list[str]]:
     groups: dict[tuple[int, bytes], list[str]] = {}
     for name, state in states.items():
         exposures = state.views.log_exposure.tobytes() if colors == "blended" else b""
-        key = id(state.cloud), state.views.world_from_camera.tobytes() + exposures
+        poses = repr(state.views.camera).encode() + state.views.world_from_camera.tobytes()
+        key = id(state.cloud), poses + exposures
         groups.setdefault(key, []).append(name)
     return list(groups.values())
 
@@ -191,11 +200,11 @@ def _entropies(
     states: Mapping[str, State], config: EvaluateConfig, known: Mapping[str, float]
 ) -> dict[str, float]:
     """Mean map entropy of each state; states of one cloud share it."""
-    found = {id(states[name].cloud): value for name, value in known.items() if name in states}
+    entropies = {id(states[name].cloud): value for name, value in known.items() if name in states}
     for state in states.values():
-        if id(state.cloud) not in found:
-            found[id(state.cloud)] = map_quality.mean_map_entropy(state.cloud, config.entropy)
-    return {name: found[id(state.cloud)] for name, state in states.items()}
+        if id(state.cloud) not in entropies:
+            entropies[id(state.cloud)] = map_quality.mean_map_entropy(state.cloud, config.entropy)
+    return {name: entropies[id(state.cloud)] for name, state in states.items()}
 
 
 def _colored(state: State, colors: str, held_out: np.ndarray, progress: Progress) -> ColoredCloud:
@@ -205,7 +214,7 @@ def _colored(state: State, colors: str, held_out: np.ndarray, progress: Progress
 
 
 def color_by_paper(
-    state: State, held_out: np.ndarray | None = None, progress: Progress = silent
+    state: State, held_out: Indices | None = None, progress: Progress = silent
 ) -> ColoredCloud:
     """The cloud colored by eq. (10), ready to be rendered."""
     colors = colorize.paper(state.cloud, state.views, held_out, progress)
@@ -213,13 +222,14 @@ def color_by_paper(
 
 
 def judge(
-    raw: metrics.RawImage,
+    raw: Mapping[str, metrics.RawImage],
     renderings: Mapping[str, Rendering],
     valid: np.ndarray,
     brief: Collection[str] = (),
 ) -> dict[str, dict[str, float]]:
     """The figures of one image for each state's rendering of it.
 
+    raw: the image, by state: each as its camera has it without distortion
     valid: (H, W) bool, pixels that hold a picture; brief: states judged by their leave-one-out figures alone
     """
     common = np.logical_and.reduce([rendering.covered[OTHERS] for rendering in renderings.values()]) & valid
@@ -233,22 +243,22 @@ def judge(
             row[f"coverage{_SUFFIX[variant]}"] = int(np.count_nonzero(covered)) / pixels
             bits = metrics.regions(covered, valid, common)
             if variant == OTHERS or name not in brief:
-                row |= _figures(metrics.compare(raw, rendering.color[variant], bits), variant)
+                row |= _figures(metrics.compare(raw[name], rendering.color[variant], bits), variant)
         rows[name] = row
     return rows
 
 
-def _figures(found: metrics.Comparison, variant: int) -> dict[str, float]:
+def _figures(comparison: metrics.Comparison, variant: int) -> dict[str, float]:
     """The figures of one variant of a rendering; regions: covered, valid, common."""
     suffix = _SUFFIX[variant]
     row = {
-        f"psnr{suffix}": found.psnr[0],
-        f"psnr_full{suffix}": found.psnr[1],
-        f"ssim{suffix}": found.ssim_alone[0],
-        f"ssim_full{suffix}": found.ssim_whole[1],
+        f"psnr{suffix}": comparison.psnr[0],
+        f"psnr_full{suffix}": comparison.psnr[1],
+        f"ssim{suffix}": comparison.ssim_alone[0],
+        f"ssim_full{suffix}": comparison.ssim_whole[1],
     }
     if variant == OTHERS:
-        row |= {"psnr_common": found.psnr[2], "ssim_common": found.ssim_alone[2]}
+        row |= {"psnr_common": comparison.psnr[2], "ssim_common": comparison.ssim_alone[2]}
     return {name: float(value) for name, value in row.items()}
 
 

@@ -3,6 +3,7 @@
 import json
 import logging
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from lvba.camera import Camera
 from lvba.dataset import Dataset
 from lvba.errors import InputError
-from lvba.io import colmap, files, images, laz, nerfstudio, ply, result_folder
+from lvba.io import calibration, colmap, files, images, laz, nerfstudio, ply, result_folder
 from lvba.io import crs as coordinates
 from lvba.io import dataset as recordings
 from lvba.parallel import in_order
@@ -67,9 +68,9 @@ def _las(result: Path, out: Path, progress: Progress, wkt: str = "") -> None:
     names = first.dtype.names or ()
     extra = {name: first.dtype[name] for name in names if name not in ("x", "y", "z", "red", "green", "blue")}
     corner = np.array([first[name].min() for name in "xyz"], float) if len(first) else np.zeros(3)
-    found = _measured(result, progress)
-    adjusted = found is not None and found.adjusted
-    laz.write_las(out, _las_chunks(result, found), extra, corner, wkt=wkt, adjusted_time=adjusted)
+    measured_ = _measured(result, progress)
+    adjusted = measured_ is not None and measured_.adjusted
+    laz.write_las(out, _las_chunks(result, measured_), extra, corner, wkt=wkt, adjusted_time=adjusted)
 
 
 def _measured(result: Path, progress: Progress) -> Measured | None:
@@ -80,13 +81,13 @@ def _measured(result: Path, progress: Progress) -> Measured | None:
         return None
 
 
-def _las_chunks(result: Path, found: Measured | None) -> Iterator[dict[str, np.ndarray]]:
+def _las_chunks(result: Path, attributes: Measured | None) -> Iterator[dict[str, np.ndarray]]:
     done = 0
     for chunk in ply.read_ply_chunks(result / "map.ply"):
         columns = {name: chunk[name] for name in chunk.dtype.names or ()}
-        if found is not None:
+        if attributes is not None:
             here = slice(done, done + len(chunk))
-            values = (found.gps_time[here], found.intensity[here], found.source[here])
+            values = (attributes.gps_time[here], attributes.intensity[here], attributes.source[here])
             columns |= dict(zip(laz.MEASURED, values, strict=True))
         done += len(chunk)
         yield columns
@@ -97,8 +98,17 @@ def _colmap(result: Path, out: Path, progress: Progress) -> None:
     names = scene.write_images(out / "images", progress)
     points, rgb = scene.start_points()
     views = scene.views()
-    track = visible(points, scene.map_points, views)
-    model = colmap.ColmapModel(scene.camera, names, views.world_from_camera, points, rgb, *track)
+    point, image, pixel = visible(points, scene.map_points, views)
+    model = colmap.ColmapModel(
+        camera=scene.camera,
+        names=names,
+        world_from_camera=views.world_from_camera,
+        points_world=points,
+        rgb=rgb,
+        track_point=point,
+        track_image=image,
+        track_pixel=pixel,
+    )
     colmap.write_model(out / "sparse" / "0", model)
     scene.write_offset(out)
 
@@ -164,7 +174,13 @@ class _Scene:
     def views(self) -> Views:
         """The cut images at the result's poses (no pixels are needed)."""
         times = self.dataset.images.times
-        return Views(self._load, self.camera, times, self.world_from_camera, np.zeros(len(times)))
+        return Views(
+            load=self._load,
+            camera=self.camera,
+            times=times,
+            world_from_camera=self.world_from_camera,
+            log_exposure=np.zeros(len(times)),
+        )
 
     def _load(self, i: int) -> np.ndarray:
         return np.ascontiguousarray(self._undistort(recordings.load_image(self.dataset, i))[self._cut])
@@ -199,7 +215,10 @@ class _Scene:
 
 
 def valid_rectangle(valid: np.ndarray) -> tuple[slice, slice]:
-    """A large rectangle (rows, columns) in which every pixel of (H, W) bool is valid: the emptiest side goes first."""
+    """A large rectangle (rows, columns) in which every pixel of (H, W) bool is valid: the emptiest side goes first.
+
+    valid: (H, W) bool, pixels that hold a picture
+    """
     top, bottom, left, right = 0, valid.shape[0], 0, valid.shape[1]
     while top < bottom and left < right:
         inner = ~valid[top:bottom, left:right]
@@ -221,16 +240,18 @@ def _valid(camera: Camera, undistort: Undistorter) -> np.ndarray:
 def _cut_camera(camera: Camera, cut: tuple[slice, slice]) -> Camera:
     rows, columns = cut
     return Camera(
-        columns.stop - columns.start, rows.stop - rows.start, camera.fx, camera.fy,
-        camera.cx - columns.start, camera.cy - rows.start,
+        width=columns.stop - columns.start, height=rows.stop - rows.start, fx=camera.fx, fy=camera.fy,
+        cx=camera.cx - columns.start, cy=camera.cy - rows.start,
     )  # fmt: skip
 
 
 def _recording(result: Path) -> Dataset:
-    """The recording that a result was made from, by the path in its report."""
+    """The recording that a result was made from, by the path in its report, with the camera as the result has it."""
     report = result / "report.json"
     try:
         path = json.loads(files.read_text(report))["dataset"]["path"]
     except (json.JSONDecodeError, KeyError, TypeError) as error:
         raise InputError(report, "does not say which recording it is of", "run again") from error
-    return recordings.open_dataset(path)
+    dataset = recordings.open_dataset(path)
+    camera = calibration.read_camera(result) if dataset.image_paths else None
+    return dataset if camera is None else replace(dataset, camera=camera)

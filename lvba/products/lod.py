@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lvba.arrays import Vector
 from lvba.errors import InputError
 from lvba.io import files, ply, potree
 from lvba.io.potree import Frame, Nodes, Scratch
@@ -118,7 +119,7 @@ def _survey(map_file: Path) -> _Survey:
     return _Survey(frame_of(*ranges["position"]), rows, ranges, count)
 
 
-def frame_of(low: np.ndarray, high: np.ndarray) -> Frame:
+def frame_of(low: Vector, high: Vector) -> Frame:
     """The cube over the corners low, high (3,) m, with the coarsest steps of at most 0.1 mm that 31 bits allow."""
     extent = max(float((high - low).max()), 0.01)
     bits = min(math.ceil(math.log2(extent / _STEP_M + 1)), 31)
@@ -166,8 +167,8 @@ def _sort_by_chunk(map_file: Path, out: Scratch, survey: _Survey, config: LodCon
         points = _stored(piece, survey)
         chunk = chunk_of_cube[_cubes(points, survey.frame)[1]]
         order = np.argsort(chunk, kind="stable")
-        found, starts, number = np.unique(chunk[order], return_index=True, return_counts=True)
-        for c, start, n in zip(found, starts, number, strict=True):
+        occupied, starts, number = np.unique(chunk[order], return_index=True, return_counts=True)
+        for c, start, n in zip(occupied, starts, number, strict=True):
             out.put(int(fill[c]), points[order[start : start + n]])
             fill[c] += n
     return chunks

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from lvba.arrays import Indices, PoseBlocks, Poses
 from lvba.products.map_file import PointMap
 
 _CHUNK = 1 << 20
 
 
-def with_error(point_map: PointMap, world_from_scan: np.ndarray, covariance: np.ndarray | None) -> PointMap:
+def with_error(point_map: PointMap, world_from_scan: Poses, covariance: PoseBlocks | None) -> PointMap:
     """The map with the expected error of each point (`of_points`); NaN where nothing is known.
 
     world_from_scan: (S, 4, 4); covariance: (S, 6, 6), NaN where not known
@@ -21,13 +22,13 @@ def with_error(point_map: PointMap, world_from_scan: np.ndarray, covariance: np.
 
 
 def of_points(
-    points_world: np.ndarray, scan: np.ndarray, world_from_scan: np.ndarray, covariance: np.ndarray
+    points_world: np.ndarray, scan: Indices, world_from_scan: Poses, covariance: PoseBlocks
 ) -> np.ndarray:
     """Expected distance (K,) float32, m, of points from where they should be, as the poses of their scans are uncertain.
 
-    points_world: (K, 3), m; scan: (K,) which scan measured each; world_from_scan: (S, 4, 4); covariance: (S, 6, 6)
-    The point's own range noise is not in it. A pose turned by r and moved by t moves a point q of the sensor's frame by
-    `t + r x q`; what is returned is the root of the expected square of that.
+    points_world: (K, 3) float32, m; scan: (K,) which scan measured each; world_from_scan: (S, 4, 4); covariance: (S, 6,
+    6) The point's own range noise is not in it. A pose turned by r and moved by t moves a point q of the sensor's frame
+    by `t + r x q`; what is returned is the root of the expected square of that.
     """
     turn = world_from_scan[:, :3, :3]
     back = np.swapaxes(turn, -1, -2)
@@ -55,9 +56,9 @@ def of_points(
         mine = slice(low, low + _CHUNK)
         own = scan[mine]
         arm = points_world[mine].astype(float) - world_from_scan[own, :3, 3]
-        found = spread[own] + np.einsum("ki,ki->k", arm, linear[own])
-        found += np.einsum("ki,kij,kj->k", arm, square[own], arm)
-        out[mine] = np.sqrt(np.maximum(found, 0.0))
+        variance = spread[own] + np.einsum("ki,ki->k", arm, linear[own])
+        variance += np.einsum("ki,kij,kj->k", arm, square[own], arm)
+        out[mine] = np.sqrt(np.maximum(variance, 0.0))
     return out
 
 
@@ -72,7 +73,10 @@ class Tally:
         self._bins = np.zeros(_BINS, np.int64)
 
     def add(self, error: np.ndarray) -> None:
-        """Counts errors (K,), m; NaN are left out."""
+        """Counts errors (K,), m; NaN are left out.
+
+        error: (K,) float32, m
+        """
         known = error[np.isfinite(error)].astype(float)
         self._squares += float(np.square(known).sum())
         self._count += len(known)

@@ -91,7 +91,7 @@ def build(
     config = config or MapConfig()
     voxel = 2 * pixel_footprint(cloud, views) if config.voxel_m < 0 else config.voxel_m
     kept = thin(cloud.points_world, voxel)
-    points = cloud.points_world[kept]
+    points, scan, measured = cloud.points_world[kept], cloud.scan_of(kept), len(cloud)
     gain = colorize.display_gain(views.log_exposure) if gain is None else gain
     if config.colors == "paper":
         one = colorize.paper(cloud, views, progress=progress)
@@ -99,17 +99,22 @@ def build(
         number = (one.source[kept] >= 0).astype(np.uint8)
         spread = np.zeros(len(kept), np.float32)
     else:
-        several = colorize.blended(
-            points, views, config.blend, origins=cloud.origins(kept), progress=progress
-        )
+        origins = cloud.origins(kept)
+        del cloud  # as large as all scans, while blending takes most memory
+        several = colorize.blended(points, views, config.blend, origins=origins, progress=progress)
         radiance, number, spread = several.radiance, several.views, several.spread
     rgb = colorize.to_rgb8(radiance, gain)
     rgb[number == 0] = UNCOLORED
     wanted = slice(None) if config.keep_uncolored or not len(views) else number > 0
-    logger.info("map: %d of %d points kept at %.4f m", len(kept), len(cloud), voxel)
+    logger.info("map: %d of %d points kept at %.4f m", len(kept), measured, voxel)
     gray_spread = spread * np.float32(gain)
     return PointMap(
-        points[wanted], rgb[wanted], number[wanted], gray_spread[wanted], voxel, cloud.scan_of(kept[wanted])
+        points_world=points[wanted],
+        rgb=rgb[wanted],
+        views=number[wanted],
+        spread=gray_spread[wanted],
+        voxel_m=voxel,
+        scan=scan[wanted],
     )
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lvba.arrays import CloudPoints
 from lvba.kernels import map_entropy as kernels
 from lvba.products.cloud import Cloud
 from lvba.settings import check, setting
@@ -94,9 +95,9 @@ def blocks_together(parts: Sequence[EntropyBlocks]) -> EntropyBlocks:
 
 
 def _merged(keys: np.ndarray, sums: np.ndarray) -> EntropyBlocks:
-    found, block = np.unique(keys, return_inverse=True)
-    columns = [np.bincount(block.ravel(), column, len(found)) for column in sums.T]
-    return EntropyBlocks(found, np.stack(columns, axis=1))
+    unique, block = np.unique(keys, return_inverse=True)
+    columns = [np.bincount(block.ravel(), column, len(unique)) for column in sums.T]
+    return EntropyBlocks(unique, np.stack(columns, axis=1))
 
 
 def entropy_change(before: EntropyBlocks, after: EntropyBlocks) -> EntropyChange:
@@ -118,7 +119,10 @@ def entropy_change(before: EntropyBlocks, after: EntropyBlocks) -> EntropyChange
 
 
 def point_entropies(points: np.ndarray, radius: float, min_neighbors: int) -> np.ndarray:
-    """The (N,) float64 entropies of the neighborhoods of (N, 3) points; NaN where there are too few."""
+    """The (N,) float64 entropies of the neighborhoods of (N, 3) points; NaN where there are too few.
+
+    points: (N, 3) float64, m; radius: m
+    """
     if not len(points):
         return np.empty(0)
     points = np.asarray(points, float)
@@ -132,7 +136,7 @@ def point_entropies(points: np.ndarray, radius: float, min_neighbors: int) -> np
     return values
 
 
-def voxel_means(points_world: np.ndarray, voxel: float) -> np.ndarray:
+def voxel_means(points_world: CloudPoints, voxel: float) -> np.ndarray:
     """The mean (V, 3) float64 of the (N, 3) float32 points in each voxel of edge `voxel` m, by voxel."""
     if not len(points_world):
         return np.empty((0, 3))
@@ -161,11 +165,11 @@ def plane_thickness(clouds: Mapping[str, Cloud]) -> dict[str, dict[str, float]]:
     map has fewer planar cubes, not thicker ones, and a fixed set favors the map that it is drawn from: read the count
     and both sets together.
     """
-    found = {name: planar_cubes(cloud) for name, cloud in clouds.items()}
+    by_name = {name: planar_cubes(cloud) for name, cloud in clouds.items()}
     rows: dict[str, dict[str, float]] = {}
-    for name, own in found.items():
+    for name, own in by_name.items():
         row = {"planar": float(own.planar.sum()), "own": _mean(own.thickness[own.planar])}
-        for other, cubes in found.items():
+        for other, cubes in by_name.items():
             row[f"in_{other}"] = _mean(own.thickness[np.isin(own.key, cubes.key[cubes.planar])])
         rows[name] = row
     return rows

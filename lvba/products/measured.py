@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lvba import geometry
+from lvba.arrays import Times
 from lvba.dataset import Dataset
 from lvba.io import dataset as recordings
 from lvba.io import ply, result_folder
@@ -68,15 +69,15 @@ def of_map(
         mine = order[start[index] : start[index + 1]]
         if not len(mine):
             return
-        found = recordings.load_scan(dataset, index)
-        moved = geometry.transform_points(poses.world_from_sensor[index], found.points)
+        scan = recordings.load_scan(dataset, index)
+        moved = geometry.transform_points(poses.world_from_sensor[index], scan.points)
         distance, nearest = cKDTree(moved).query(points[mine], distance_upper_bound=_SAME_M)
         known = np.isfinite(distance)
         mine, nearest = mine[known], nearest[known]
-        if found.intensity is not None:
-            intensity[mine] = np.nan_to_num(found.intensity[nearest])
-        if found.time is not None and np.abs(found.time - poses.times[index]).max() < _ABSOLUTE_S:
-            time[mine] = found.time[nearest]
+        if scan.intensity is not None:
+            intensity[mine] = np.nan_to_num(scan.intensity[nearest])
+        if scan.time is not None and np.abs(scan.time - poses.times[index]).max() < _ABSOLUTE_S:
+            time[mine] = scan.time[nearest]
 
     for done, _ in enumerate(in_order(look_up, range(len(poses)))):
         progress("scans", done + 1, len(poses))
@@ -85,14 +86,17 @@ def of_map(
     return Measured(adjusted_gps_time(time) if adjusted else time, as_uint16(intensity), source, adjusted)
 
 
-def adjusted_gps_time(unix: np.ndarray) -> np.ndarray:
+def adjusted_gps_time(unix: Times) -> np.ndarray:
     """Adjusted standard GPS times, s, of Unix times (UTC), s: GPS time less 10^9."""
     leap = 13 + np.searchsorted(_LEAP_DAYS, unix, side="right")
     return unix - _UNIX_OF_GPS + leap - _ADJUSTED
 
 
 def as_uint16(intensity: np.ndarray) -> np.ndarray:
-    """Intensities as whole numbers: as they are, or, where none is above 1 and some lie between, as part of 65535."""
+    """Intensities as whole numbers: as they are, or, where none is above 1 and some lie between, as part of 65535.
+
+    intensity: (N,) float32 or float64
+    """
     if len(intensity) and intensity.max() <= 1 and (intensity != np.rint(intensity)).any():
         intensity = intensity * 65535
     return np.clip(np.rint(intensity), 0, 65535).astype(np.uint16)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lvba.arrays import Picture
 from lvba.kernels import metrics as kernels
 
 PSNR_MAX_DB = 100.0
@@ -40,14 +41,17 @@ class Comparison:
 
 
 def regions(covered: np.ndarray, *others: np.ndarray) -> np.ndarray:
-    """What `compare` takes, (H, W) uint8: the covered pixels and up to two more masks, (H, W) bool, as bits."""
+    """What `compare` takes, (H, W) uint8: the covered pixels and up to two more masks, (H, W) bool, as bits.
+
+    covered: (H, W) bool
+    """
     bits = covered.astype(np.uint8)
     for number, mask in enumerate(others):
         bits |= mask.view(np.uint8) << np.uint8(number + 1)
     return bits
 
 
-def prepare(color: np.ndarray) -> RawImage:
+def prepare(color: Picture) -> RawImage:
     """The raw image (H, W, 3) uint8, ready for comparisons."""
     return RawImage(color, kernels.image_luma(color))
 
@@ -67,9 +71,12 @@ def compare(raw: RawImage, color: np.ndarray, bits: np.ndarray) -> Comparison:
 
 
 def psnr(raw: RawImage, color: np.ndarray, bits: np.ndarray) -> np.ndarray:
-    """Peak signal-to-noise ratio, dB, over each region, (R,) float64; NaN where a region is empty."""
+    """Peak signal-to-noise ratio, dB, over each region, (R,) float64; NaN where a region is empty.
+
+    color: (H, W, 3) float32, 0..255; bits: (H, W) uint8, see `regions`
+    """
     squared = np.maximum(kernels.squared_error(raw.color, color, bits), 1e-12)
     count = kernels.count(bits, 0)
     with np.errstate(divide="ignore"):
-        found = np.minimum(PSNR_MAX_DB, 10.0 * np.log10(255.0**2 * count / squared))
-    return np.where(count > 0, found, np.nan)
+        decibels = np.minimum(PSNR_MAX_DB, 10.0 * np.log10(255.0**2 * count / squared))
+    return np.where(count > 0, decibels, np.nan)

@@ -29,11 +29,11 @@ _PARTS = (
 
 def of_report(report: Mapping[str, Any]) -> list[PartVerdict]:
     """The verdict on each part that a report tells of, in the order in which they were judged."""
-    found = []
+    verdicts = []
     for name, section, prefix in _PARTS:
         facts = report.get(section) or {}
         if facts.get(f"{prefix}accepted") is not None:
             accepted = bool(facts[f"{prefix}accepted"])
             tried = accepted or bool(facts.get(f"{prefix}judged"))
-            found.append(PartVerdict(name, accepted, str(facts.get(f"{prefix}reason") or ""), tried))
-    return found
+            verdicts.append(PartVerdict(name, accepted, str(facts.get(f"{prefix}reason") or ""), tried))
+    return verdicts

@@ -117,11 +117,11 @@ def show(
     return Shown(whole, tuple(crops), tuple(best))
 
 
-def collect(choice: Choice, found: Sequence[Shown]) -> Pictures:
+def collect(choice: Choice, candidates: Sequence[Shown]) -> Pictures:
     """The pictures of all chosen images, in order; of the crops those that changed most."""
-    whole = {image: picture for each in found for image, picture in each.whole.items()}
-    crops = sorted((crop for each in found for crop in each.crops), key=lambda item: -item[0])
-    best = max((large for each in found for large in each.best), key=lambda item: item[0], default=None)
+    whole = {image: picture for each in candidates for image, picture in each.whole.items()}
+    crops = sorted((crop for each in candidates for crop in each.crops), key=lambda item: -item[0])
+    best = max((large for each in candidates for large in each.best), key=lambda item: item[0], default=None)
     return Pictures(
         tuple(whole[image] for image in choice.whole if image in whole),
         tuple(picture for _, picture in crops[:4]),
@@ -229,7 +229,9 @@ def _picture(
     mask = (shown[0].covered & shown[1].covered & valid)[place]
     rgb = [np.rint(one.filled[place]).astype(np.uint8) for one in shown]
     psnr = [_psnr(one.color[place], raw[place], mask) for one in shown]
-    return Picture(title, raw[place], rgb[0], rgb[1], psnr[0], psnr[1])
+    return Picture(
+        title=title, raw=raw[place], before=rgb[0], after=rgb[1], psnr_before=psnr[0], psnr_after=psnr[1]
+    )
 
 
 def _psnr(color: np.ndarray, raw: np.ndarray, mask: np.ndarray) -> float:

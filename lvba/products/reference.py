@@ -54,8 +54,8 @@ def scan_alignment(reference: Reference, scans: Trajectory) -> Alignment | None:
 
 
 def _error(estimate: np.ndarray, truth: np.ndarray, aligned: Alignment, by: str) -> dict[str, Any]:
-    found = asdict(pose_error(estimate, truth, aligned=aligned.reference_from_estimate))
-    return {**found, "aligned_by": by}
+    error = asdict(pose_error(estimate, truth, aligned=aligned.reference_from_estimate))
+    return {**error, "aligned_by": by}
 
 
 def _exposure_facts(estimate: Exposures, reference: Exposures) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lvba.arrays import CloudPoints, Indices, LogExposures
 from lvba.kernels import colorize as color_kernels
 from lvba.kernels import zbuffer as kernels
 from lvba.products.cloud import Blocks, Cloud, sort_into_blocks
@@ -67,16 +68,24 @@ class Rendering:
     covered: np.ndarray
 
 
-def colored_cloud(points_world: np.ndarray, gray: np.ndarray, source: np.ndarray) -> ColoredCloud:
-    """The colored ones (source >= 0) of the points (M, 3), sorted into blocks."""
+def colored_cloud(points_world: CloudPoints, gray: np.ndarray, source: np.ndarray) -> ColoredCloud:
+    """The colored ones (source >= 0) of the points (M, 3), sorted into blocks.
+
+    gray: (M, 3) float32, gray values in the image that colors each point; source: (M,) int32, that image, -1: none
+    """
     colored = np.flatnonzero(source >= 0)
     blocks = sort_into_blocks(points_world[colored])
     order = colored[blocks.order]
-    return ColoredCloud(np.ascontiguousarray(points_world[order].T), gray[order], source[order], blocks)
+    return ColoredCloud(
+        points_world=np.ascontiguousarray(points_world[order].T),
+        gray=gray[order],
+        source=source[order],
+        blocks=blocks,
+    )
 
 
 def blended_cloud(
-    cloud: Cloud, views: Views, config: ColorizeConfig, held_out: np.ndarray | None = None
+    cloud: Cloud, views: Views, config: ColorizeConfig, held_out: Indices | None = None
 ) -> ColoredCloud:
     """The points colored by several views each, with the samples, so that any one image can be left out."""
     blocks = sort_into_blocks(cloud.points_world)
@@ -90,7 +99,9 @@ def blended_cloud(
     source = np.where(first == last, first, SEVERAL).astype(np.int32)
     # a point that no image colors is nowhere: it neither shows nor hides anything
     points[:, last < 0] = np.nan
-    return ColoredCloud(points, radiance, source, blocks, samples, NOISE)
+    return ColoredCloud(
+        points_world=points, gray=radiance, source=source, blocks=blocks, samples=samples, noise=NOISE
+    )
 
 
 def nearest(
@@ -109,15 +120,22 @@ def nearest(
         raise ValueError("guard_images needs colors of one image each")
     config = config or RenderConfig()
     return kernels.splat(
-        cloud.points_world, cloud.source, cloud.blocks.start, cloud.blocks.spheres, views.kernel_pose(image),
-        views.intrinsics, image, guard_images, config.splat_px // 2, views.camera.height, views.camera.width,
-    )  # fmt: skip
+        cloud.blocks.holding(cloud.points_world),
+        cloud.source,
+        views.poses[image],
+        views.intrinsics,
+        image,
+        guard_images,
+        config.splat_px // 2,
+        views.camera.height,
+        views.camera.width,
+    )
 
 
 def shade(
     entries: np.ndarray,
     cloud: ColoredCloud,
-    log_exposure: np.ndarray,
+    log_exposure: LogExposures,
     image: int,
     *,
     only_others: bool = False,
@@ -125,15 +143,15 @@ def shade(
     """The rendering of an image: gray values divided by their image's exposure, times this one's, clipped at 255.
 
     only_others: the colors of ALL are not wanted, and are anything
+    entries: (2, H, W) int64, of `nearest`
     """
     color = np.empty((*entries.shape, 3), np.float32)
     covered = np.empty(entries.shape, bool)
     if cloud.samples is not None:
         gains = np.exp(-log_exposure).astype(np.float32)
         color_kernels.shade_blended(
-            entries, cloud.gray, cloud.samples.ranks, cloud.samples.gray, cloud.samples.images, gains,
-            np.float32(cloud.noise), image, color, covered,
-        )  # fmt: skip
+            entries, cloud.gray, cloud.samples.arrays, gains, np.float32(cloud.noise), image, color, covered
+        )
         return Rendering(color, covered)
     ratio = np.exp(log_exposure[image] - log_exposure).astype(np.float32)
     kernels.shade(entries, cloud.gray, cloud.source, ratio, int(only_others), color, covered)
@@ -141,12 +159,18 @@ def shade(
 
 
 def fill(entries: np.ndarray, radius_px: int) -> np.ndarray:
-    """The entries with small gaps between points closed, for pictures that people look at; never for figures."""
+    """The entries with small gaps between points closed, for pictures that people look at; never for figures.
+
+    entries: (2, H, W) int64, of `nearest`
+    """
     return kernels.fill(entries, radius_px)
 
 
 def depth(entries: np.ndarray) -> np.ndarray:
-    """Depth maps (2, H, W) float32, m, inf where empty."""
+    """Depth maps (2, H, W) float32, m, inf where empty.
+
+    entries: (2, H, W) int64, of `nearest`
+    """
     return kernels.split(entries)[0]
 
 

@@ -68,13 +68,13 @@ def write(result: Path, dataset: Dataset, out: Path, progress: Progress = silent
 
 def _refined_cameras(result: Path, dataset: Dataset) -> np.ndarray:
     """world_from_camera (I, 4, 4) of the result, in the recording's shifted frame."""
-    found = result_folder.read_cameras(result, dataset)
-    _check_times(result / IMAGE_POSES, found, dataset.images)
-    return found.world_from_sensor
+    cameras = result_folder.read_cameras(result, dataset)
+    _check_times(result / IMAGE_POSES, cameras, dataset.images)
+    return cameras.world_from_sensor
 
 
-def _check_times(path: Path, found: Trajectory, rough: Trajectory) -> None:
-    if len(found) != len(rough) or np.abs(found.times - rough.times).max(initial=0) > 1e-5:
+def _check_times(path: Path, refined: Trajectory, rough: Trajectory) -> None:
+    if len(refined) != len(rough) or np.abs(refined.times - rough.times).max(initial=0) > 1e-5:
         raise InputError(
             path, "has other times than its recording", "run again on the recording as it is now"
         )
@@ -94,8 +94,8 @@ def _parts(report: dict[str, Any]) -> list[list[int]]:
 
 def _errors(expected: dict[str, Any], kind: str, frames: int) -> list[float | None] | None:
     """Expected error of each frame's position, m; None where, or if, it is not known."""
-    found = (expected.get(kind) or {}).get("per_frame_m")
-    return found if isinstance(found, list) and len(found) == frames else None
+    errors = (expected.get(kind) or {}).get("per_frame_m")
+    return errors if isinstance(errors, list) and len(errors) == frames else None
 
 
 def _camera(dataset: Dataset) -> dict[str, Any] | None:
@@ -126,7 +126,14 @@ def _write_pictures(
         files.make_folder(folder / kind)
     rough = views_of(dataset)
     log_exposure = np.log(exposures.read_exposures(result / "exposures.csv").relative)
-    refined = Views(rough.load, rough.camera, rough.times, cameras, log_exposure, rough.valid)
+    refined = Views(
+        load=rough.load,
+        camera=rough.camera,
+        times=rough.times,
+        world_from_camera=cameras,
+        log_exposure=log_exposure,
+        valid=rough.valid,
+    )
     states = {
         "before": State(_cloud(dataset, dataset.scans.world_from_sensor, progress), rough),
         "after": State(_cloud(dataset, scans, progress), refined),

@@ -5,7 +5,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from lvba.arrays import Times
 from lvba.camera import Camera
+from lvba.kernels.scene import Intrinsics
 
 
 @dataclass(frozen=True)
@@ -31,9 +33,10 @@ class Views:
         return len(self.times)
 
     @property
-    def intrinsics(self) -> np.ndarray:
-        """fx, fy, cx, cy, (4,) float32."""
-        return np.array([self.camera.fx, self.camera.fy, self.camera.cx, self.camera.cy], np.float32)
+    def intrinsics(self) -> Intrinsics:
+        """Of the camera, float32."""
+        camera = self.camera
+        return Intrinsics(*(np.float32(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy)))
 
     @property
     def mask(self) -> np.ndarray:
@@ -42,18 +45,13 @@ class Views:
             return self.valid
         return np.ones((self.camera.height, self.camera.width), bool)
 
-    def kernel_poses(self) -> np.ndarray:
-        """(I, 3, 4) float32: the rotation of camera_from_world, and the camera center in the world as last column."""
-        rotation = np.swapaxes(self.world_from_camera[:, :3, :3], 1, 2)
-        return np.concatenate([rotation, self.world_from_camera[:, :3, 3:]], axis=2).astype(np.float32)
-
-    def kernel_pose(self, image: int) -> np.ndarray:
-        """(3, 4) float32: one row of `kernel_poses`."""
-        rotation = self.world_from_camera[image, :3, :3].T
-        return np.concatenate([rotation, self.world_from_camera[image, :3, 3:]], axis=1).astype(np.float32)
+    @property
+    def poses(self) -> np.ndarray:
+        """world_from_camera (I, 4, 4) float32, as kernels take it."""
+        return np.ascontiguousarray(self.world_from_camera, np.float32)
 
 
-def nearest_in_time(times: np.ndarray, queries: np.ndarray) -> np.ndarray:
+def nearest_in_time(times: Times, queries: Times) -> np.ndarray:
     """For each query the index (Q,) of the sample nearest in time, the earlier of two equally near. times: ascending."""
     after = np.clip(np.searchsorted(times, queries), 0, len(times) - 1)
     before = np.maximum(after - 1, 0)

@@ -1,18 +1,21 @@
-"""The simulated camera: exact distortion, exposure, vignetting, motion blur, noise and 8 bits."""
+"""The simulated camera: exact distortion, exposures, vignetting, response, noise and 8 bits."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
+from lvba import lens as lenses
+from lvba.arrays import Vector
 from lvba.camera import Camera
-from lvba.simulate.texture import Texture
-from lvba.simulate.world import RayCaster
+from lvba.lens import Lens
 
 _BLUR_POSES = 5
 _VIGNETTING = 0.35
 """Part of the light missing in the corners."""
 _FOCAL_PER_WIDTH = 0.78
+_FISHEYE_RAD = np.radians(160.0)
+_FOLLOWED = 0.5
+"""Part of a change of brightness that an automatic exposure has made up for in the next image."""
 
 
 @dataclass(frozen=True)
@@ -27,14 +30,27 @@ class Sensor:
     """Variance that a grey value of 1 adds, grey values squared; 0.02 is slight."""
     vignetting: float = 0.0
     """Part of the light missing in the corners, 0 to 0.9."""
+    response: float = 1.0
+    """Grey values are the light to the power of one over this."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.vignetting <= 0.9:
             raise ValueError(f"vignetting = {self.vignetting}: must lie in 0 to 0.9")
 
-    def picture(self, radiance: np.ndarray, exposure: float, rng: np.random.Generator) -> np.ndarray:
-        """The (H, W, 3) uint8 image of mean radiances (H, W, 3) float32."""
+    def picture(
+        self,
+        radiance: np.ndarray,
+        exposure: float,
+        rng: np.random.Generator,
+        white_balance: Vector | None = None,
+    ) -> np.ndarray:
+        """The (H, W, 3) uint8 image of mean radiances (H, W, 3) float32; white_balance: (3,), gains of the colors.
+
+        radiance: (H, W, 3) float32
+        """
         grey = radiance * np.float32(self.gain * exposure)
+        if white_balance is not None:
+            grey *= white_balance.astype(np.float32)
         if self.vignetting:
             grey *= _falloff(grey.shape[0], grey.shape[1], self.vignetting)[..., None]
         noise = rng.standard_normal(grey.shape, dtype=np.float32)
@@ -43,6 +59,9 @@ class Sensor:
         else:
             noise *= np.float32(self.noise)
         grey += noise
+        if self.response != 1:
+            curve = np.clip(grey / 255, 0, 1) ** np.float32(1 / self.response)
+            grey = np.asarray(255 * curve, np.float32)
         return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
 
 
@@ -58,13 +77,13 @@ def random_camera(width: int, height: int, rng: np.random.Generator) -> Camera:
     focal = _FOCAL_PER_WIDTH * width * rng.uniform(0.95, 1.05)
     center = (0.5 * (width - 1), 0.5 * (height - 1)) + rng.uniform(-0.01, 0.01, 2) * width
     return Camera(
-        width,
-        height,
-        float(focal),
-        float(focal * rng.uniform(0.998, 1.002)),
-        float(center[0]),
-        float(center[1]),
-        (
+        width=width,
+        height=height,
+        fx=float(focal),
+        fy=float(focal * rng.uniform(0.998, 1.002)),
+        cx=float(center[0]),
+        cy=float(center[1]),
+        distortion=(
             float(rng.uniform(-0.12, -0.06)),
             float(rng.uniform(0.01, 0.04)),
             float(rng.uniform(-8e-4, 8e-4)),
@@ -73,96 +92,33 @@ def random_camera(width: int, height: int, rng: np.random.Generator) -> Camera:
     )
 
 
+def fisheye_of(camera: Camera, rng: np.random.Generator) -> Camera:
+    """An equidistant camera of the same size and principal point, of about 160 degrees along the wider side."""
+    focal = max(camera.width, camera.height) / _FISHEYE_RAD * rng.uniform(0.97, 1.03)
+    spread = np.array([0.02, 0.01, 0.004, 0.001])
+    return replace(
+        camera,
+        fx=float(focal),
+        fy=float(focal * rng.uniform(0.998, 1.002)),
+        distortion=tuple(float(value) for value in spread * rng.uniform(-1, 1, 4)),
+        lens=Lens.EQUIDISTANT,
+    )
+
+
 def rays(camera: Camera) -> np.ndarray:
     """(H, W, 4, 3) float64: rays (x, y, 1) of 2x2 places in each pixel, distortion inverted, camera frame."""
     column, row = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     places = [
-        undistort(
+        lenses.undistort(
+            camera.lens,
+            camera.distortion,
             (column + right - camera.cx) / camera.fx,
             (row + down - camera.cy) / camera.fy,
-            camera.distortion,
         )
         for down in (-0.25, 0.25)
         for right in (-0.25, 0.25)
     ]
     return np.stack([np.stack([x, y, np.ones_like(x)], axis=-1) for x, y in places], axis=2)
-
-
-def distort(
-    x: np.ndarray, y: np.ndarray, distortion: tuple[float, float, float, float]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Distorted normalized coordinates: the radial-tangential model k1 k2 p1 p2."""
-    k1, k2, p1, p2 = distortion
-    square = x * x + y * y
-    radial = 1 + k1 * square + k2 * square * square
-    return (
-        x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x),
-        y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y,
-    )
-
-
-def undistort(
-    u: np.ndarray, v: np.ndarray, distortion: tuple[float, float, float, float]
-) -> tuple[np.ndarray, np.ndarray]:
-    """The normalized coordinates that `distort` takes to (u, v), to 1e-12."""
-    x, y = u, v
-    for _ in range(60):
-        again_u, again_v = distort(x, y, distortion)
-        x, y = x + (u - again_u), y + (v - again_v)
-        if max(np.abs(u - again_u).max(), np.abs(v - again_v).max()) < 1e-12:
-            break
-    return x, y
-
-
-@dataclass(frozen=True)
-class View:
-    """Takes radiance images of a textured world."""
-
-    caster: RayCaster
-    texture: Texture
-    camera: Camera
-    rays: np.ndarray
-    """(H, W, 4, 3) float64, from `rays`."""
-    middle: np.ndarray
-    """(H, W, 3) float32, one ray through the middle of each pixel."""
-
-    @classmethod
-    def of(cls, caster: RayCaster, texture: Texture, camera: Camera) -> "View":
-        """The view of a world through a camera."""
-        four = rays(camera)
-        return cls(caster, texture, camera, four, (0.5 * (four[:, :, 0] + four[:, :, 3])).astype(np.float32))
-
-    def radiance(self, scene_from_camera: np.ndarray) -> np.ndarray:
-        """Mean radiances (H, W, 3) float32 at a pose, or averaged over poses (n, 4, 4) during the exposure."""
-        poses = scene_from_camera.reshape(-1, 4, 4)
-        total = self._sharp(poses[0])
-        for pose in poses[1:]:
-            total = total + self._sharp(pose)
-        return total / np.float32(len(poses))
-
-    def _sharp(self, scene_from_camera: np.ndarray) -> np.ndarray:
-        return self.texture.render(
-            scene_from_camera, self.rays, self._quads(scene_from_camera), 0.5 / self.camera.fx
-        )
-
-    def _quads(self, scene_from_camera: np.ndarray) -> np.ndarray:
-        """(H, W, 4) int32: what the rays of each pixel meet; one ray is cast where neighbors meet the same."""
-        quads = self._cast(scene_from_camera, self.middle)
-        edge = _differs_from_neighbors(quads)
-        every = np.repeat(quads[..., None], 4, axis=-1)
-        every[edge] = self._cast(scene_from_camera, self.rays[edge].astype(np.float32))
-        return every
-
-    def _cast(self, scene_from_camera: np.ndarray, rays: np.ndarray) -> np.ndarray:
-        directions = rays.reshape(-1, 3) @ scene_from_camera[:3, :3].T.astype(np.float32)
-        return self.caster.cast(scene_from_camera[:3, 3], directions)[1].reshape(rays.shape[:-1])
-
-
-def _differs_from_neighbors(quads: np.ndarray) -> np.ndarray:
-    """(H, W) bool: whether one of the eight neighbors is of another rectangle."""
-    number = quads.astype(np.float32)
-    kernel = np.ones((3, 3), np.uint8)
-    return np.asarray(cv2.dilate(number, kernel) != cv2.erode(number, kernel))
 
 
 def blur_times(time: float, duration: float) -> np.ndarray:
@@ -186,3 +142,27 @@ def exposures(count: int, rng: np.random.Generator) -> np.ndarray:
     change = change - change[0]
     largest = float(np.abs(change).max(initial=1e-9))
     return np.exp(change * rng.uniform(0.85, 1.0) * np.log(2.0) / max(largest, 1e-3))
+
+
+def white_balances(count: int, size: float, rng: np.random.Generator) -> np.ndarray:
+    """(count, 3) gains of red, green and blue that drift apart and back by `size`; 1 in the first image."""
+    time = np.arange(count) / max(count - 1, 1)
+    phase, rate = rng.uniform(0, 2 * np.pi, 3), rng.uniform(1.0, 2.0, 3)
+    wave = np.sin(2 * np.pi * rate * time[:, None] + phase)
+    change = size * (wave - wave.mean(axis=1, keepdims=True))
+    return np.asarray(np.exp(change - change[0]))
+
+
+def automatic_exposures(brightness: np.ndarray, part: float) -> np.ndarray:
+    """(count,) exposures relative to the first, which follow the mean radiances (count,) with some delay.
+
+    part: 1 holds the mean grey value, 0 does nothing
+    brightness: (count,) float64, mean radiances
+    """
+    wanted = -part * np.log(brightness)
+    followed = np.empty_like(wanted)
+    state = wanted[0]
+    for index, value in enumerate(wanted):
+        state += _FOLLOWED * (value - state)
+        followed[index] = state
+    return np.asarray(np.exp(followed - followed[0]))

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from lvba import geometry
+from lvba.arrays import Poses, Tangents, Times, Vector
 from lvba.errors import InputError
 from lvba.trajectory import pose_error
 
@@ -32,7 +33,9 @@ class Difficulty:
     """1 for medium."""
 
 
-_MEDIUM = Difficulty(0.08, 0.2, 0.015, 0.3, 0.004, 1.0)
+_MEDIUM = Difficulty(
+    scan_m=0.08, scan_deg=0.2, camera_m=0.015, camera_deg=0.3, time_offset_s=0.004, scale=1.0
+)
 
 
 def difficulty(name: str) -> Difficulty:
@@ -47,7 +50,14 @@ def difficulty(name: str) -> Difficulty:
         )
     s, m = scales[name], _MEDIUM
     offset = 0.0 if name == "easy" else s * m.time_offset_s
-    return Difficulty(s * m.scan_m, s * m.scan_deg, s * m.camera_m, s * m.camera_deg, offset, s)
+    return Difficulty(
+        scan_m=s * m.scan_m,
+        scan_deg=s * m.scan_deg,
+        camera_m=s * m.camera_m,
+        camera_deg=s * m.camera_deg,
+        time_offset_s=offset,
+        scale=s,
+    )
 
 
 class Drift:
@@ -60,14 +70,14 @@ class Drift:
         walk = np.cumsum(rng.normal(size=(count, 6)), axis=0)
         self.walk = walk / np.sqrt(count)
 
-    def at(self, times: np.ndarray, scale: tuple[float, float]) -> np.ndarray:
+    def at(self, times: Times, scale: tuple[float, float]) -> np.ndarray:
         """(N, 6) tangents at (N,) s; scale: of rotation (rad) and translation (m)."""
         inside = np.clip(times, self.knots[0], self.knots[-1])
         return CubicSpline(self.knots, self.walk)(inside) * np.repeat(scale, 3)
 
 
 def rough_scans(
-    truth: np.ndarray, times: np.ndarray, drift: Drift, level: Difficulty, rng: np.random.Generator
+    truth: Poses, times: Times, drift: Drift, level: Difficulty, rng: np.random.Generator
 ) -> tuple[np.ndarray, tuple[float, float]]:
     """world_from_scan (S, 4, 4) whose error after alignment is about what `level` says, and the scale of the drift in it.
 
@@ -110,10 +120,11 @@ class Closing:
         return np.concatenate([turn, shift])
 
 
-def leaving(motion: np.ndarray, part: np.ndarray, last: np.ndarray) -> np.ndarray:
+def leaving(motion: Tangents, part: np.ndarray, last: Vector) -> np.ndarray:
     """drifted_from_world, (N, 4, 4): what poses are moved by.
 
-    motion: (6,) tangent, what those at the end are moved by; part: (N,), 0 at the start of the recording to 1 at its end
+    motion: (6,) tangent, what those at the end are moved by; part: (N,) float64, 0 at the start of the recording to 1 at
+    its end
     last: (3,) m, where it ends
     """
     there = geometry.from_rotation_translation(np.eye(3), last)
@@ -132,7 +143,7 @@ class CameraError:
     """(I, 6)"""
 
 
-def camera_error(motion: np.ndarray, level: Difficulty, rng: np.random.Generator) -> CameraError:
+def camera_error(motion: Poses, level: Difficulty, rng: np.random.Generator) -> CameraError:
     """An extrinsic error and noise that make, with the motion during the time offset, the size that `level` says.
 
     motion: (I, 4, 4), true camera from where the camera was at the stamped time

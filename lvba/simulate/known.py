@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from lvba import geometry
+from lvba.arrays import CloudPoints, Vectors
 from lvba.errors import InputError
 from lvba.io import files
 from lvba.simulate import recording, simulation
+from lvba.simulate.disturbances import Disturbances
 from lvba.simulate.texture import Texture
 from lvba.simulate.world import RayCaster, World
 
@@ -28,7 +30,7 @@ class KnownScene:
     sensor_scan: np.ndarray
     """(3,) m, where the LiDAR is in the scan frame."""
 
-    def surface(self, scan: int, points_scan: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def surface(self, scan: int, points_scan: CloudPoints) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What the beams of a scan met: rectangle (N,) int32 (-1: none), place (N, 3) m, scene frame, and how far from
         it (N,) m the point was measured.
 
@@ -41,8 +43,11 @@ class KnownScene:
         part = np.where(quad >= 0, part, 0.0).astype(float)[:, None]
         return quad, center + part * along, np.linalg.norm((1 - part) * along, axis=1)
 
-    def radiance(self, quad: np.ndarray, place: np.ndarray, width: float) -> np.ndarray:
-        """(N, 3) float32: mean radiances of squares of `width` (m) on rectangles (N,) at places (N, 3), scene frame."""
+    def radiance(self, quad: np.ndarray, place: Vectors, width: float) -> np.ndarray:
+        """(N, 3) float32: mean radiances of squares of `width` (m) on rectangles (N,) at places (N, 3), scene frame.
+
+        quad: (N,) int32, -1: none
+        """
         out = np.zeros((len(quad), 3), np.float32)
         for number in np.unique(quad[quad >= 0]):
             mine = np.flatnonzero(quad == number)
@@ -64,7 +69,7 @@ def read(root: str | Path) -> KnownScene:
     try:
         made = simulation.make(
             facts["scene"], facts["seed"], facts["difficulty"], facts["frames"], facts["scans"],
-            facts["length_m"], facts.get("closing_m_deg"),
+            facts["length_m"], facts.get("closing_m_deg"), Disturbances(**facts.get("disturbances", {})),
         )  # fmt: skip
     except KeyError as error:
         raise InputError(path, f"has no {error}", "take a recording that lvba simulate wrote") from error

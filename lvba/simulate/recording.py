@@ -9,7 +9,7 @@ import numpy as np
 from lvba.camera import Camera
 from lvba.dataset import CAMERA
 from lvba.errors import InputError
-from lvba.io import exposures, files, image_poses, tum
+from lvba.io import calibration, exposures, files, image_poses, tum
 from lvba.io.exposures import Exposures
 from lvba.simulate.truth import Rig, Truth
 from lvba.trajectory import Trajectory
@@ -40,6 +40,7 @@ def write_texts(
     """Poses, true poses, exposures and calibration.
 
     kind: what the rough image poses are of (`io.image_poses`), by the calibration written; the true ones are the camera's
+    exposure: (I,) float64, relative exposure times
     """
     rough = truth.rough_images
     written = image_poses.from_camera(rough.world_from_sensor, kind, truth.rough_camera_from_body)
@@ -55,17 +56,11 @@ def write_texts(
 def _config_text(camera: Camera, rig: Rig, rough_camera_from_body: np.ndarray) -> str:
     """config.yaml as FAST-LIVO2 writes it; its camera extrinsic is the rough one."""
     camera_from_lidar = rough_camera_from_body @ rig.body_from_lidar
-    keys = {
-        "cam_width": camera.width,
-        "cam_height": camera.height,
-        "scale": 1.0,
-        "cam_fx": camera.fx,
-        "cam_fy": camera.fy,
-        "cam_cx": camera.cx,
-        "cam_cy": camera.cy,
-        **{f"cam_d{index}": value for index, value in enumerate(camera.distortion)},
-    }
-    lines = ["cam_model:", *(f"  {key}: {value!r}" for key, value in keys.items()), "extrin_calib:"]
+    lines = [
+        "cam_model:",
+        *(f"  {key}: {value}" for key, value in calibration.camera_keys(camera).items()),
+        "extrin_calib:",
+    ]
     for rotation_key, translation_key, transform in (
         ("extrinsic_R", "extrinsic_T", rig.body_from_lidar),
         ("Rcl", "Pcl", camera_from_lidar),

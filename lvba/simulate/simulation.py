@@ -4,7 +4,7 @@ import warnings
 import zlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,13 +17,16 @@ from lvba.errors import InputError
 from lvba.io import images, pcd
 from lvba.progress import Progress, silent
 from lvba.simulate import camera as cameras
-from lvba.simulate import drift, recording, scenes, texture
+from lvba.simulate import disturbed, drift, recording, scenes, texture
 from lvba.simulate import lidar as lidars
 from lvba.simulate import truth as truths
-from lvba.simulate.camera import Sensor, View
+from lvba.simulate.camera import Sensor
+from lvba.simulate.disturbances import NONE, Disturbances
+from lvba.simulate.lidar import Surroundings
 from lvba.simulate.scenes import Scene
 from lvba.simulate.texture import Texture
 from lvba.simulate.truth import Rig, Truth
+from lvba.simulate.view import View
 from lvba.simulate.world import RayCaster
 
 DEFAULT_FRAMES = 100
@@ -33,7 +36,8 @@ _VIGNETTING = 0.35
 _SHOT_NOISE = 0.02
 _BLUR_S = 0.008
 """How long the shutter is open at relative exposure 1."""
-_SCAN_RNG, _IMAGE_RNG = 1, 2
+_SCAN_RNG, _IMAGE_RNG, _LENS_RNG = 1, 2, 4
+PINHOLE, FISHEYE = "pinhole", "fisheye"
 
 
 @dataclass(frozen=True)
@@ -47,10 +51,12 @@ class _Simulation:
     scene: Scene
     rig: Rig
     truth: Truth
-    caster: RayCaster
+    around: Surroundings
     view: View
     sensor: Sensor
     exposure: np.ndarray
+    white_balance: np.ndarray | None
+    disturb: Disturbances
 
 
 @dataclass(frozen=True)
@@ -74,14 +80,22 @@ def make(
     scans: int,
     length: float | None,
     closing: tuple[float, float] | None,
+    disturb: Disturbances = NONE,
 ) -> Made:
     """What is simulated, before anything is taken of it; arguments as of `simulate`."""
     level, on_top = drift.difficulty(difficulty), None if closing is None else drift.Closing(*closing)
     layout, mounting, moves, optics, paint = _streams(scene, seed)
     built = scenes.build(scene, layout, frames, length)
     rig = truths.random_rig(scene, mounting)
-    truth = truths.build(built, rig, level, scans, frames, moves, on_top)
-    return Made(built, rig, truth, RayCaster(built.world), texture.build(built.world, paint), optics)
+    truth = truths.build(built, rig, level, scans, frames, moves, on_top, disturb)
+    return Made(
+        scene=built,
+        rig=rig,
+        truth=truth,
+        caster=RayCaster(built.world),
+        texture=texture.build(built.world, paint),
+        optics=optics,
+    )
 
 
 def simulate(
@@ -102,6 +116,8 @@ def simulate(
     length: float | None = None,
     closing: tuple[float, float] | None = None,
     image_poses: str = CAMERA,
+    disturb: Disturbances = NONE,
+    lens: str = PINHOLE,
     progress: Progress = silent,
 ) -> None:
     """Writes a dataset folder of a simulated recording, with the truth in its folder `reference`.
@@ -113,6 +129,8 @@ def simulate(
     length: m, of a street, corridor, flight over the plane, or way around a block or through a terrace
     closing: m and degrees, drift on top of the difficulty: by how much the rough ends of a loop miss each other
     image_poses: camera or body: what image_poses.txt holds; FAST-LIVO2 writes the body's
+    disturb: what real sensors do, see `lvba.simulate.disturbances`
+    lens: pinhole, of about 65 degrees with k1 k2 p1 p2, or fisheye, equidistant of about 160
     Raises: InputError on an unknown name, a number out of range, a folder that holds another recording, or if Open3D
         is not installed.
     """
@@ -120,29 +138,54 @@ def simulate(
     scans = frames if scans is None else scans
     counts = {"frames": frames, "scans": scans, "width": width, "height": height, "points": points_per_scan}
     _check(counts, lidar, seed, length)
+    if lens not in (PINHOLE, FISHEYE):
+        raise InputError("lens", f"{lens[:40]!r} is not known", f"take {PINHOLE} or {FISHEYE}")
     if image_poses not in (CAMERA, BODY):
         raise InputError("image_poses", f"{image_poses[:40]!r} is not known", f"take {CAMERA} or {BODY}")
-    made = make(scene, seed, difficulty, frames, scans, length, closing)
+    made = make(scene, seed, difficulty, frames, scans, length, closing, disturb)
     optics = made.optics
     camera, exposure = cameras.random_camera(width, height, optics), cameras.exposures(frames, optics)
+    if lens == FISHEYE:
+        camera = cameras.fisheye_of(camera, np.random.default_rng([seed, _LENS_RNG]))
+    extra = disturbed.things(made.scene, made.caster, disturb, seed)
+    view = View.of(made.caster, made.texture, camera, extra.around.people, extra.shine)
+    if disturb.auto_exposure:
+        exposure = disturbed.exposures_of(view, made.truth.scene_from_camera, disturb)
     sensor = Sensor(
         gain=_MEAN_GREY / 0.45 / float(np.exp(np.median(np.log(exposure)))),
         shot_noise=_SHOT_NOISE if shot_noise else 0.0,
-        vignetting=_VIGNETTING if vignetting else 0.0,
+        vignetting=disturb.vignetting or (_VIGNETTING if vignetting else 0.0),
+        response=disturb.response or 1.0,
     )
-    view = View.of(made.caster, made.texture, camera)
     simulation = _Simulation(
-        seed, lidar, points_per_scan, motion_blur, made.scene, made.rig, made.truth, made.caster, view, sensor,
-        exposure,
-    )  # fmt: skip
+        seed=seed,
+        lidar=lidar,
+        points_per_scan=points_per_scan,
+        motion_blur=motion_blur,
+        scene=made.scene,
+        rig=made.rig,
+        truth=made.truth,
+        around=extra.around,
+        view=view,
+        sensor=sensor,
+        exposure=exposure,
+        white_balance=disturbed.white_balances(frames, disturb, seed),
+        disturb=disturb,
+    )
     asked: dict[str, Any] = {"scene": scene, "difficulty": difficulty, "length_m": length}
     if image_poses != CAMERA:
         asked["image_poses"] = image_poses
     if closing is not None:
         asked["closing_m_deg"] = list(closing)
+    if lens != PINHOLE:
+        asked["lens"] = lens
+    if disturb.present:
+        asked["disturbances"] = disturb.present
+        asked["true_camera"] = {**asdict(camera), "distortion": list(camera.distortion)}
     facts = {**asked, **counts, **_facts(simulation)}
     root = recording.make_folders(out, facts)
-    recording.write_texts(root, made.truth, made.rig, camera, exposure, image_poses)
+    calibrated = disturbed.calibration(camera, disturb, seed)
+    recording.write_texts(root, made.truth, made.rig, calibrated, exposure, image_poses)
     with warnings.catch_warnings():
         # numba asks for a newer TBB than the one Open3D brings, and does without
         warnings.filterwarnings("ignore", message="The TBB threading layer requires")
@@ -214,21 +257,29 @@ def _write_all(root: Path, simulation: _Simulation, progress: Progress) -> None:
 
 def _scans(root: Path, simulation: _Simulation) -> Iterator[Job]:
     """One job for each scan."""
-    truth, body_from_lidar = simulation.truth, simulation.rig.body_from_lidar
-    for index, (stamp, scene_from_body) in enumerate(
-        zip(truth.scans.times, truth.scene_from_body, strict=True)
+    truth, body_from_lidar, disturb = simulation.truth, simulation.rig.body_from_lidar, simulation.disturb
+    for index, (stamp, moment, scene_from_body) in enumerate(
+        zip(truth.scans.times, truth.scan_moments, truth.scene_from_body, strict=True)
     ):
         rng = np.random.default_rng([simulation.seed, _SCAN_RNG, index])
-        points, intensity = lidars.scan(
-            simulation.caster,
-            simulation.scene.world,
-            scene_from_body @ body_from_lidar,
-            lidars.PATTERNS[simulation.lidar](simulation.points_per_scan, rng),
-            rng,
-        )
-        points_body = geometry.transform_points(body_from_lidar, points)
+        directions = lidars.PATTERNS[simulation.lidar](simulation.points_per_scan, rng)
         path = root / recording.SCANS / f"{stamp:.6f}.pcd"
-        yield partial(pcd.write_pcd, path, points_body, intensity)
+        if not disturb.motion_left:
+            points, intensity, _ = lidars.scan(
+                simulation.around, scene_from_body @ body_from_lidar, directions, rng, disturb, moment
+            )
+            points_body = geometry.transform_points(body_from_lidar, points)
+            yield partial(pcd.write_pcd, path, points_body, intensity)
+            continue
+        times = lidars.beam_times(simulation.lidar, len(directions))
+        motion = simulation.scene.motion
+        scene_from_lidar = motion.poses(moment + times) @ body_from_lidar
+        points, intensity, beams = lidars.scan(
+            simulation.around, scene_from_lidar, directions, rng, disturb, moment
+        )
+        left = disturbed.deskewed(motion, moment, times[beams], disturb.motion_left) @ body_from_lidar
+        points_body = np.einsum("nij,nj->ni", left[:, :3, :3], points) + left[:, :3, 3]
+        yield partial(pcd.write_pcd, path, points_body, intensity, stamp + times[beams])
 
 
 def _images(root: Path, simulation: _Simulation) -> Iterator[Job]:
@@ -236,15 +287,28 @@ def _images(root: Path, simulation: _Simulation) -> Iterator[Job]:
     truth, body_from_camera = simulation.truth, geometry.inverse(simulation.rig.camera_from_body)
     for index, stamp in enumerate(truth.images.times):
         exposure, poses = float(simulation.exposure[index]), truth.scene_from_camera[index]
-        if simulation.motion_blur:
-            moments = cameras.blur_times(truth.image_moments[index], _BLUR_S * exposure)
+        moment, readout = float(truth.image_moments[index]), simulation.disturb.rolling_shutter
+        if simulation.motion_blur or readout:
+            length = _BLUR_S * exposure if simulation.motion_blur else 0.0
+            moments = cameras.blur_times(moment, length) if length else np.array([moment])
             poses = simulation.scene.motion.poses(moments) @ body_from_camera
+            if readout:
+                rows = disturbed.row_times(simulation.view.camera.height, readout)
+                every = simulation.scene.motion.poses((moments[:, None] + rows).ravel()) @ body_from_camera
+                poses = every.reshape(len(moments), len(rows), 4, 4)
         rng = np.random.default_rng([simulation.seed, _IMAGE_RNG, index])
         path = root / recording.IMAGES / f"{stamp:.6f}.png"
-        yield partial(_take, path, simulation.view.radiance(poses), simulation.sensor, exposure, rng)
+        balance = None if simulation.white_balance is None else simulation.white_balance[index]
+        radiance = simulation.view.radiance(poses, moment)
+        yield partial(_take, path, radiance, simulation.sensor, exposure, rng, balance)
 
 
 def _take(
-    path: Path, radiance: np.ndarray, sensor: Sensor, exposure: float, rng: np.random.Generator
+    path: Path,
+    radiance: np.ndarray,
+    sensor: Sensor,
+    exposure: float,
+    rng: np.random.Generator,
+    white_balance: np.ndarray | None,
 ) -> None:
-    images.write_image(path, sensor.picture(radiance, exposure, rng))
+    images.write_image(path, sensor.picture(radiance, exposure, rng, white_balance))

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lvba.arrays import Pose
 from lvba.kernels import texture as kernel
 from lvba.simulate.world import World
 
@@ -29,26 +30,22 @@ class Texture:
     sky: np.ndarray
 
     def render(
-        self, scene_from_camera: np.ndarray, rays: np.ndarray, quads: np.ndarray, width: float
+        self, scene_from_camera: Pose, rays: np.ndarray, quads: np.ndarray, width: float
     ) -> np.ndarray:
         """Mean radiances (H, W, 3) float32 of pixels with four rays each.
 
         rays: (H, W, 4, 3) float64, camera frame, z = 1; quads: (H, W, 4) int32, what they meet
         width: of what a ray stands for, at depth 1
         """
-        return kernel.render(
-            np.ascontiguousarray(scene_from_camera[:3, 3]),
-            np.ascontiguousarray(scene_from_camera[:3, :3]),
-            rays,
-            quads,
-            width,
-            self.frames,
-            self.style,
-            self.phases,
-            self.octaves,
-            self.tile,
-            self.sky,
+        look = kernel.Look(
+            frames=self.frames,
+            style=self.style,
+            phases=self.phases,
+            octaves=self.octaves,
+            tile=self.tile,
+            sky=self.sky,
         )
+        return kernel.render(np.ascontiguousarray(scene_from_camera), rays, quads, width, look)
 
 
 def build(world: World, rng: np.random.Generator) -> Texture:
@@ -59,7 +56,7 @@ def build(world: World, rng: np.random.Generator) -> Texture:
     style = np.column_stack([world.color, world.contrast, world.patches])
     phases = rng.uniform(0, _TILE, (int(world.texture.max()) + 1, _OCTAVES, 2))[world.texture]
     sky = 0.8 * np.array([0.9, 1.0, 1.15]) * rng.uniform(0.9, 1.1)
-    return Texture(frames, style, phases, _octaves(rng), _tile(rng), sky)
+    return Texture(frames=frames, style=style, phases=phases, octaves=_octaves(rng), tile=_tile(rng), sky=sky)
 
 
 def _octaves(rng: np.random.Generator) -> np.ndarray:

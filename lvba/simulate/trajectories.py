@@ -7,6 +7,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from lvba import geometry
+from lvba.arrays import Times, Vectors
 
 _SAMPLES_PER_M = 40
 _TURN_RATE = 0.8
@@ -24,7 +25,7 @@ class Motion:
     position: CubicSpline
     angles: CubicSpline
 
-    def poses(self, times: np.ndarray) -> np.ndarray:
+    def poses(self, times: Times) -> np.ndarray:
         """scene_from_body at (N,) seconds since the start, (N, 4, 4); goes on smoothly a little before and after."""
         yaw, pitch, roll = self.angles(times).T
         zero = np.zeros_like(yaw)
@@ -42,7 +43,7 @@ class Motion:
 
 
 def along(
-    corners: np.ndarray, speed: float, rng: np.random.Generator, *, rounding: float, sway: float = 1.0
+    corners: Vectors, speed: float, rng: np.random.Generator, *, rounding: float, sway: float = 1.0
 ) -> Motion:
     """A walk along a polyline at about constant speed, looking ahead and a little around.
 
@@ -59,14 +60,17 @@ def along(
 
 
 def over_time(
-    line: np.ndarray,
+    line: Vectors,
     yaw: np.ndarray,
     speed: float,
     rng: np.random.Generator,
     sway: float,
     pitch: float = 0.0,
 ) -> Motion:
-    """The motion along a dense line (N, 3) with yaw (N,) and mean pitch (rad), with sway added."""
+    """The motion along a dense line (N, 3) with yaw (N,) and mean pitch (rad), with sway added.
+
+    yaw: (N,) float64, rad
+    """
     steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
     waits = np.maximum(np.maximum(steps, 1e-6) / speed, np.abs(np.diff(yaw)) / _TURN_RATE)
     time = np.r_[

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba import geometry
+from lvba.simulate import disturbed_times
 from lvba.simulate import drift as drifts
+from lvba.simulate.disturbances import NONE, Disturbances
 from lvba.simulate.drift import Closing, Difficulty
 from lvba.simulate.scenes import Scene
 from lvba.trajectory import Trajectory
@@ -38,6 +40,8 @@ class Truth:
     """(S, 4, 4), true, of each scan."""
     scene_from_camera: np.ndarray
     """(I, 4, 4), true, of each image."""
+    scan_moments: np.ndarray
+    """(S,) s since the start of the motion."""
     image_moments: np.ndarray
     """(I,) s since the start of the motion."""
     time_offset: float
@@ -60,14 +64,17 @@ def build(
     image_count: int,
     rng: np.random.Generator,
     closing: Closing | None = None,
+    disturb: Disturbances = NONE,
 ) -> Truth:
     """True poses at two clocks of their own, and rough ones as wrong as `level` says, in a world frame of their own.
 
-    closing: drift that comes on top
+    closing: drift that comes on top; disturb: of which clocks, gap and jumps count here
     """
     motion, duration = scene.motion, scene.motion.duration
     last = duration - _MARGIN_S
     scan_times = _clock(_MARGIN_S, last, scan_count, rng)
+    if disturb.gap:
+        scan_times = disturbed_times.with_gap(scan_times, min(disturb.gap, 0.5 * duration))
     inside = np.diff(scan_times).mean() * rng.uniform(0.2, 0.5, 2)
     image_times = _clock(_MARGIN_S + inside[0], last - inside[1], image_count, rng)
     time_offset = float(rng.choice([-1, 1]) * rng.uniform(0.6, 1.0)) * level.time_offset_s + 0.0
@@ -83,6 +90,14 @@ def build(
     carriers = world_from_scene @ motion.poses(image_times) @ geometry.exp(drift.at(image_times, scale))
     rough_body_from_camera = body_from_camera @ geometry.exp(error.extrinsic)
     rough_images = carriers @ rough_body_from_camera @ geometry.exp(error.noise)
+    # draws of their own, so that what is not disturbed stays the same
+    other = rng.spawn(1)[0]
+    image_moments = image_times + time_offset - disturbed_times.stamp_errors(image_times, disturb, other)
+    scene_from_camera = motion.poses(image_moments) @ body_from_camera
+    if disturb.jumps:
+        path = true_scans[:, :3, 3]
+        scans_moved, images_moved = disturbed_times.jumps(scan_times, image_times, path, disturb, other)
+        rough_scans, rough_images = scans_moved @ rough_scans, images_moved @ rough_images
     start = _START_S + float(rng.integers(0, 10_000_000))
     if closing is not None:
         missed, last = closing.motion(rng), true_scans[-1, :3, 3]
@@ -90,15 +105,16 @@ def build(
         rough_images = drifts.leaving(missed, image_times / scan_times[-1], last) @ rough_images
     scan_stamps, image_stamps = np.round(start + scan_times, 6), np.round(start + image_times, 6)
     return Truth(
-        Trajectory(scan_stamps, true_scans),
-        Trajectory(image_stamps, world_from_scene @ scene_from_camera),
-        Trajectory(scan_stamps, rough_scans),
-        Trajectory(image_stamps, rough_images),
-        geometry.inverse(rough_body_from_camera),
-        scene_from_body,
-        scene_from_camera,
-        image_times + time_offset,
-        time_offset,
+        scans=Trajectory(scan_stamps, true_scans),
+        images=Trajectory(image_stamps, world_from_scene @ scene_from_camera),
+        rough_scans=Trajectory(scan_stamps, rough_scans),
+        rough_images=Trajectory(image_stamps, rough_images),
+        rough_camera_from_body=geometry.inverse(rough_body_from_camera),
+        scene_from_body=scene_from_body,
+        scene_from_camera=scene_from_camera,
+        scan_moments=scan_times,
+        image_moments=image_moments,
+        time_offset=time_offset,
     )
 
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from lvba.arrays import Pose
 from lvba.errors import InputError
 
 
@@ -56,7 +57,10 @@ class Builder:
         edge_v: tuple[float, ...] | np.ndarray,
         style: np.ndarray | None = None,
     ) -> None:
-        """One parallelogram."""
+        """One parallelogram.
+
+        style: (5,) float64, see `lvba.kernels.texture`; None: one of its own
+        """
         self._edges.append(np.array([corner, edge_u, edge_v], float))
         self._styles.append(self.style() if style is None else style)
         self._twins.append(len(self._twins))
@@ -72,6 +76,7 @@ class Builder:
         """A cuboid, turned about z by `yaw` and then about its own x axis by `tilt` (rad); faces differ in shade.
 
         Faces: below, above, then those across its second axis and those across its first.
+        style: (5,) float64, see `lvba.kernels.texture`; None: one of its own
         """
         c, s = np.cos(yaw), np.sin(yaw)
         ct, st = np.cos(tilt), np.sin(tilt)
@@ -83,7 +88,7 @@ class Builder:
             self.rectangle(corner, u, v, self._shaded(style))
             self.rectangle(corner + across, u, v, self._shaded(style))
 
-    def repeat(self, rectangles: slice, scene_from_here: np.ndarray) -> None:
+    def repeat(self, rectangles: slice, scene_from_here: Pose) -> None:
         """The same rectangles again, moved, with the same texture."""
         for index in range(*rectangles.indices(len(self))):
             edges = self._edges[index] @ scene_from_here[:3, :3].T
@@ -110,13 +115,13 @@ class Builder:
         edges, styles = np.array(self._edges)[kept], np.array(self._styles)[kept]
         _, texture = np.unique(np.array(self._twins)[kept], return_inverse=True)
         return World(
-            edges[:, 0],
-            edges[:, 1],
-            edges[:, 2],
-            styles[:, :3],
-            styles[:, 3].copy(),
-            styles[:, 4].copy(),
-            texture.astype(np.int64),
+            corner=edges[:, 0],
+            edge_u=edges[:, 1],
+            edge_v=edges[:, 2],
+            color=styles[:, :3],
+            contrast=styles[:, 3].copy(),
+            patches=styles[:, 4].copy(),
+            texture=texture.astype(np.int64),
         )
 
     def _shaded(self, style: np.ndarray) -> np.ndarray:
@@ -149,7 +154,7 @@ class RayCaster:
     def cast(self, center: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How far rays go, (M,) float32 (inf: no hit), in lengths of their direction; what they meet, (M,) int32 (-1).
 
-        center: (3,) or (M, 3), m, scene frame; directions: (M, 3)
+        center: (3,) or (M, 3) float64, m, scene frame; directions: (M, 3) float64
         """
         rays = np.empty((len(directions), 6), np.float32)
         rays[:, :3], rays[:, 3:] = center, directions

@@ -87,24 +87,41 @@ class Figure:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a part's result is used, and why, in a sentence for the report; with the figures that decided."""
+    """Whether the result of a part is used, and why.
+
+    decision: in a few words, such as "input poses kept"; cause: of it, empty: none is given
+    figures: those that decided
+    """
 
     accepted: bool
-    reason: str
+    decision: str
+    cause: str = ""
     figures: tuple[Figure, ...] = ()
+
+    @property
+    def reason(self) -> str:
+        """Decision and cause as one text for the report."""
+        return f"{self.decision}: {self.cause}" if self.cause else self.decision
 
 
 def entropy_figure(change: EntropyChange, config: GateConfig) -> Figure:
     """What the map entropy says of scans that were moved."""
     error = change.error if np.isfinite(change.error) else 0.0
-    found: Finding = "neither"
+    finding: Finding = "neither"
     if not np.isfinite(change.gain):
-        found = "unknown"
+        finding = "unknown"
     elif change.gain > max(config.min_entropy_gain, config.confidence * error):
-        found = "better"
+        finding = "better"
     elif -change.gain > config.confidence * error:
-        found = "worse"
-    return Figure("map_entropy", change.before, change.after, change.gain, change.error, found)
+        finding = "worse"
+    return Figure(
+        name="map_entropy",
+        before=change.before,
+        after=change.after,
+        gain=change.gain,
+        error=change.error,
+        finding=finding,
+    )
 
 
 _PSNR, _SSIM = "psnr_leave_one_out", "ssim_leave_one_out"
@@ -123,14 +140,21 @@ def image_figures(before: Scores, after: Scores, config: GateConfig) -> tuple[Fi
 
 def _image_figure(before: Scores, after: Scores, name: str, config: GateConfig) -> Figure:
     gain, error = paired_gain(before, after, name)
-    found: Finding = "neither"
+    finding: Finding = "neither"
     if not np.isfinite([gain, error]).all():
-        found = "unknown"
+        finding = "unknown"
     elif gain > config.confidence * error:
-        found = "better"
+        finding = "better"
     elif -gain > max(_LOSSES[name], CONTRADICTION * error):
-        found = "worse"
-    return Figure(name, getattr(before, name), getattr(after, name), gain, error, found)
+        finding = "worse"
+    return Figure(
+        name=name,
+        before=getattr(before, name),
+        after=getattr(after, name),
+        gain=gain,
+        error=error,
+        finding=finding,
+    )
 
 
 def paired_gain(before: Scores, after: Scores, name: str) -> tuple[float, float]:
@@ -146,6 +170,7 @@ def standard_error(values: np.ndarray) -> float:
     """Of the mean of N > 1 successive values (N,), of which neighbors may be alike; never less than of independent ones.
 
     Source: Newey and West 1987, with the lag that they recommend in 1994.
+    values: (N,) float64
     """
     count = len(values)
     off = values - values.mean()
@@ -176,15 +201,16 @@ def judge_scans(entropy: Figure, images: Sequence[Figure], config: GateConfig) -
     figures = (entropy, *images)
     change = _words(entropy)
     if not config.enabled:
-        return Verdict(True, f"accepted unjudged (gate.enabled is false): {change}", figures)
+        return Verdict(True, "accepted unjudged (gate.enabled is false)", f"{change}", figures)
     if entropy.finding == "unknown":
-        return Verdict(False, "input poses kept: the map is too thin to be judged by its entropy", figures)
+        return Verdict(False, "input poses kept", "the map is too thin to be judged by its entropy", figures)
     asked = images if may_be_crisper(entropy, config) else ()
     lost, gained = ([each.name for each in _agreed(asked, way)] for way in ("worse", "better"))
     if _PSNR in lost and _SSIM not in gained:
         return Verdict(
             False,
-            f"input poses kept: the refined map is crisper ({change}), "
+            "input poses kept",
+            f"the refined map is crisper ({change}), "
             f"but images are predicted worse ({_words(*_leading(images))})",
             figures,
         )
@@ -193,10 +219,11 @@ def judge_scans(entropy: Figure, images: Sequence[Figure], config: GateConfig) -
         why = "not crisper" if entropy.gain <= 0 else "not crisper by more than chance"
         return Verdict(
             False,
-            f"input poses kept: the refined map is {why} ({_words(entropy, *_leading(images))})",
+            "input poses kept",
+            f"the refined map is {why} ({_words(entropy, *_leading(images))})",
             figures,
         )
-    return Verdict(True, f"accepted: {_words(entropy, *_leading(images))}", figures)
+    return Verdict(True, "accepted", f"{_words(entropy, *_leading(images))}", figures)
 
 
 def judge_cameras(before: Scores, after: Scores, config: GateConfig) -> Verdict:
@@ -214,25 +241,27 @@ def _judge_by_images(before: Scores, after: Scores, what: str, config: GateConfi
     own, common = figures[:2]
     change = _words(*_leading(figures))
     if not config.enabled:
-        return Verdict(True, f"accepted unjudged (gate.enabled is false): {change}", figures)
+        return Verdict(True, "accepted unjudged (gate.enabled is false)", f"{change}", figures)
     if "unknown" in (own.finding, common.finding):
         few = "hardly a pixel is seen by two images, so nothing can be judged"
-        return Verdict(False, f"input {what} kept: {few}", figures)
+        return Verdict(False, f"input {what} kept", f"{few}", figures)
     # a state must not win by covering less: over all pixels covered, as reported, and over those that all cover
     if not own.finding == common.finding == "better":
         return Verdict(
             False,
-            f"input {what} kept: images are not predicted better, beyond chance ({change}; "
+            f"input {what} kept",
+            f"images are not predicted better, beyond chance ({change}; "
             f"{common.before:.3f} -> {common.after:.3f} dB over the pixels covered by all)",
             figures,
         )
     if lost := _agreed(figures, "worse"):
         return Verdict(
             False,
-            f"input {what} kept: images are predicted better by PSNR, but worse by SSIM ({_words(own, *lost)})",
+            f"input {what} kept",
+            f"images are predicted better by PSNR, but worse by SSIM ({_words(own, *lost)})",
             figures,
         )
-    return Verdict(True, f"accepted: {change}", figures)
+    return Verdict(True, "accepted", f"{change}", figures)
 
 
 def fused_entropy_allowed(rough_gain: float, entropy: Figure, config: GateConfig) -> bool:
@@ -256,12 +285,12 @@ def judge_fusion(rough_gain: float, entropy: Figure, images: Sequence[Figure], c
     figures = (entropy, *images)
     change = _words(entropy, *_leading(images))
     if not config.enabled:
-        return Verdict(True, f"accepted unjudged (gate.enabled is false): {change}", figures)
+        return Verdict(True, "accepted unjudged (gate.enabled is false)", f"{change}", figures)
     if not fused_entropy_allowed(rough_gain, entropy, config):
-        return Verdict(False, f"{_STAY}: the map would be less crisp ({_words(entropy)})", figures)
+        return Verdict(False, _STAY, f"the map would be less crisp ({_words(entropy)})", figures)
     if lost := _agreed(images, "worse"):
-        return Verdict(False, f"{_STAY}: images would be predicted worse ({_words(*lost)})", figures)
-    return Verdict(True, f"accepted: {change}", figures)
+        return Verdict(False, _STAY, f"images would be predicted worse ({_words(*lost)})", figures)
+    return Verdict(True, "accepted", f"{change}", figures)
 
 
 _STAY = "scans stay where the LiDAR has them"
@@ -291,13 +320,13 @@ _IN_WORDS = {
 
 def _words(*figures: Figure) -> str:
     """Before and after of each figure that is known."""
-    told = []
+    parts = []
     for figure in figures:
         name, digits, unit = _IN_WORDS[figure.name]
         if np.isfinite([figure.before, figure.after]).all():
             chance = f" (gain {figure.gain:.{digits}f} \N{PLUS-MINUS SIGN} {figure.error:.{digits}f})"
-            told.append(
+            parts.append(
                 f"{name} {figure.before:.{digits}f} -> {figure.after:.{digits}f}{unit}"
                 + (chance if np.isfinite(figure.error) else "")
             )
-    return ", ".join(told) or "nothing to judge by"
+    return ", ".join(parts) or "nothing to judge by"

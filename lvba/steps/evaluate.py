@@ -1,15 +1,19 @@
 """The steps that score the states of a recording and choose the one that becomes the result."""
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from lvba.blocks.decoded import PhotoReader, Pieces, ScanPoints, ScanReader
+from lvba.blocks.split import Part
+from lvba.camera import Camera
 from lvba.dataset import Dataset
 from lvba.products import evaluate as evaluation
 from lvba.products.evaluate import EvaluateConfig, Scores, State
 from lvba.products.recorded_images import views_of
+from lvba.products.views import Views
 from lvba.progress import Progress, silent
 from lvba.steps import acceptance, scan_acceptance
 from lvba.steps.acceptance import (
@@ -25,6 +29,8 @@ from lvba.steps.acceptance import (
 )
 from lvba.steps.lidar import carry_cameras, cloud_of
 from lvba.steps.outcomes import Accepted, ScanPoses, VisualStage
+from lvba.steps.part_scores import as_in_whole, in_core, together
+from lvba.visual import self_calibration
 
 
 @dataclass(frozen=True)
@@ -37,31 +43,119 @@ class Choice:
     fusion: Verdict
 
 
+@dataclass(frozen=True)
+class Cameras:
+    """world_from_camera: (I, 4, 4); log_exposure: (I,); camera: of the raw images, as these poses suppose it"""
+
+    world_from_camera: np.ndarray
+    log_exposure: np.ndarray
+    camera: Camera
+
+
 def evaluate(
     dataset: Dataset,
+    part: Part,
+    points: Pieces[ScanPoints],
+    photos: Pieces[np.ndarray],
+    images: int,
     scans: ScanPoses,
     fused: ScanPoses,
     visual: VisualStage,
     config: EvaluateConfig,
-    gates: GateConfig,
     progress: Progress = silent,
 ) -> dict[str, Scores]:
-    """The scores of the input and of what each stage made of it, by name (see `acceptance`); empty without images.
+    """The scores, over the images in a part's core, of the input and of what each stage made of it, by name (see
+    `acceptance`); empty where no image is judged.
 
-    Of states that are neither input nor result there are only the figures that decide; the others are NaN.
+    dataset: of the part's frames, points, photos: of these; images: how many the whole recording has
+    scans, fused, visual: of the whole
+    Of states that are neither input nor expected to be the result there are only the figures that decide; the others
+    are NaN.
     """
-    if not dataset.image_paths:
+    core = _judged(images, part, config)
+    if not len(core):
         return {}
-    states = judged_states(dataset, scans, fused, visual, progress)
-    entropies = entropies_of(states, scans, fused)
+    read = ScanReader(points, part.scans[0])
+    states = judged_states(dataset, part, read, photos, *of_part(scans, fused, visual, part), progress)
+    scores = evaluation.evaluate(
+        states,
+        config,
+        entropies=entropies_of(states, scans, fused),
+        brief=_brief(states),
+        images=core - part.images[0],
+        progress=progress,
+    )
+    return as_in_whole(scores, part)
+
+
+def complete(
+    dataset: Dataset,
+    part: Part,
+    points: Pieces[ScanPoints],
+    photos: Pieces[np.ndarray],
+    images: int,
+    scans: ScanPoses,
+    fused: ScanPoses,
+    visual: VisualStage,
+    scores: dict[str, Scores],
+    accepted: Accepted,
+    config: EvaluateConfig,
+    progress: Progress = silent,
+) -> dict[str, Scores]:
+    """The scores of a part with all figures of the state that became the result. Arguments as of `evaluate`."""
+    name = accepted.state
+    if name not in _brief(scores):
+        return scores
+    core = _judged(images, part, config) - part.images[0]
+    read = ScanReader(points, part.scans[0])
+    states = judged_states(dataset, part, read, photos, *of_part(scans, fused, visual, part), progress)
+    entropies = entropies_of([name], scans, fused)
+    only = evaluation.evaluate(
+        {name: states[name]}, config, entropies=entropies, images=core, progress=progress
+    )
+    return scores | {name: evaluation.completed(scores[name], only[name])}
+
+
+def merge_scores(
+    parts: Sequence[Mapping[str, Scores]], scans: ScanPoses, fused: ScanPoses
+) -> dict[str, Scores]:
+    """The scores over the images of all parts."""
+    names = {name for scores in parts for name in scores}
+    return together(parts, entropies_of(names, scans, fused))
+
+
+def of_part(
+    scans: ScanPoses, fused: ScanPoses, visual: VisualStage, part: Part
+) -> tuple[ScanPoses, ScanPoses, VisualStage]:
+    """What was found, for the frames of one part only."""
+    mine = slice(*part.images)
+    if visual.result is not None:
+        cameras = dataclasses.replace(
+            visual.result,
+            world_from_camera=visual.result.world_from_camera[mine],
+            log_exposure=visual.result.log_exposure[mine],
+        )
+        visual = VisualStage(cameras)
+    own, with_cameras = (
+        dataclasses.replace(poses, world_from_scan=poses.world_from_scan[slice(*part.scans)])
+        for poses in (scans, fused)
+    )
+    return own, with_cameras, visual
+
+
+def _judged(images: int, part: Part, config: EvaluateConfig) -> np.ndarray:
+    """The images of a part's core that are judged, numbered as in the whole recording of so many images."""
+    if not images:
+        return np.zeros(0, np.int32)
+    return in_core(evaluation.judged_images(images, np.zeros(0, np.int32), config.max_images), part)
+
+
+def _brief(states: Collection[str]) -> set[str]:
+    """The states that are neither input nor expected to be the result."""
+    if not states:
+        return set()
     expected = next(name for name in (FUSED, VISUAL, CARRIED) if name in states)
-    brief = set(states) - {ROUGH, expected}
-    scores = evaluation.evaluate(states, config, entropies=entropies, brief=brief, progress=progress)
-    chosen = choose(scores, scans, fused, visual, gates).state
-    if chosen in brief:
-        only = evaluation.evaluate({chosen: states[chosen]}, config, entropies=entropies, progress=progress)
-        scores[chosen] = evaluation.completed(scores[chosen], only[chosen])
-    return scores
+    return set(states) - {ROUGH, expected}
 
 
 def entropies_of(states: Iterable[str], scans: ScanPoses, fused: ScanPoses) -> dict[str, float]:
@@ -71,36 +165,50 @@ def entropies_of(states: Iterable[str], scans: ScanPoses, fused: ScanPoses) -> d
 
 
 def judged_states(
-    dataset: Dataset, scans: ScanPoses, fused: ScanPoses, visual: VisualStage, progress: Progress = silent
+    dataset: Dataset,
+    part: Part,
+    read: ScanReader,
+    photos: Pieces[np.ndarray],
+    scans: ScanPoses,
+    fused: ScanPoses,
+    visual: VisualStage,
+    progress: Progress = silent,
 ) -> dict[str, State]:
-    """Cloud and views of each state that is judged, by name."""
-    rough = cloud_of(dataset, dataset.scans.world_from_sensor, progress)
-    own = cloud_of(dataset, scans.world_from_scan, progress) if scans.verdict.accepted else rough
+    """Cloud and views of each state that is judged, by name. read: gives points of the dataset; photos: raw images"""
+    rough = cloud_of(dataset, dataset.scans.world_from_sensor, progress, read)
+    own = cloud_of(dataset, scans.world_from_scan, progress, read) if scans.verdict.accepted else rough
     clouds = {ROUGH: rough}
     if fused.verdict.accepted:
-        clouds[FUSED] = clouds[FUSED_POSED] = cloud_of(dataset, fused.world_from_scan, progress)
-    base = views_of(dataset)
-    return {
-        name: State(
-            clouds.get(name, own),
-            dataclasses.replace(base, world_from_camera=poses, log_exposure=log_exposure),
-        )
-        for name, (poses, log_exposure) in camera_states(dataset, scans, fused, visual).items()
-    }
+        clouds[FUSED] = clouds[FUSED_POSED] = cloud_of(dataset, fused.world_from_scan, progress, read)
+    views: dict[Camera, Views] = {}
+    states = {}
+    for name, cameras in camera_states(dataset, scans, fused, visual).items():
+        if cameras.camera not in views:
+            seen_by = dataclasses.replace(dataset, camera=cameras.camera)
+            views[cameras.camera] = views_of(seen_by, PhotoReader(photos, cameras.camera, part.images[0]))
+        poses, exposures = cameras.world_from_camera, cameras.log_exposure
+        at = dataclasses.replace(views[cameras.camera], world_from_camera=poses, log_exposure=exposures)
+        states[name] = State(clouds.get(name, own), at)
+    return states
 
 
 def camera_states(
     dataset: Dataset, scans: ScanPoses, fused: ScanPoses, visual: VisualStage
-) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """World_from_camera (I, 4, 4) and log exposure (I,) of each state that is judged, by name."""
-    equal = np.zeros(len(dataset.image_paths))
+) -> dict[str, Cameras]:
+    """The cameras of each state that is judged, by name."""
+    equal, camera = np.zeros(len(dataset.image_paths)), dataset.camera
     rough = dataset.images.world_from_sensor
     carried = carry_cameras(dataset, scans.world_from_scan) if scans.verdict.accepted else rough
-    states = {ROUGH: (rough, equal), CARRIED: (carried, equal)}
+    states = {ROUGH: Cameras(rough, equal, camera), CARRIED: Cameras(carried, equal, camera)}
     if visual.result is None:
         return states
     poses, exposures = visual.result.world_from_camera, visual.result.log_exposure
-    states |= {EXPOSED: (carried, exposures), POSED: (poses, equal), VISUAL: (poses, exposures)}
+    refined = self_calibration.corrected(camera, visual.result.calibration)
+    states |= {
+        EXPOSED: Cameras(carried, exposures, camera),
+        POSED: Cameras(poses, equal, refined),
+        VISUAL: Cameras(poses, exposures, refined),
+    }
     if fused.verdict.accepted:
         states |= {FUSED_POSED: states[POSED], FUSED: states[VISUAL]}
     return states
@@ -115,7 +223,7 @@ def choose(
     exposures that are used; fused scans with the cameras and exposures that are used.
     """
     if visual.result is None:
-        nothing = Verdict(False, f"input kept: {visual.problem}")
+        nothing = Verdict(False, "input kept", f"{visual.problem}")
         return Choice(CARRIED, nothing, nothing, fused.verdict)
     exposures = acceptance.judge_exposures(scores[POSED], scores[VISUAL], config)
     before, after = (EXPOSED, VISUAL) if exposures.accepted else (CARRIED, POSED)
@@ -126,7 +234,7 @@ def choose(
         fusion = fused.verdict
         if fusion.accepted:
             fusion = Verdict(
-                False, "scans stay where the LiDAR has them: the cameras were not accepted", fusion.figures
+                False, "scans stay where the LiDAR has them", "the cameras were not accepted", fusion.figures
             )
         return Choice(state, cameras, exposures, fusion)
     if not fused.verdict.accepted:
@@ -150,15 +258,18 @@ def decide(
     """The state that holds every part that was accepted, and the input's where one was not."""
     chosen = choose(scores, scans, fused, visual, config)
     used = fused if chosen.fusion.accepted else scans
+    cameras = camera_states(dataset, scans, fused, visual)[chosen.state]
     return Accepted(
-        used.world_from_scan,
-        *camera_states(dataset, scans, fused, visual)[chosen.state],
-        scans.verdict,
-        chosen.cameras,
-        chosen.exposures,
-        chosen.fusion,
-        chosen.state,
-        _remark(scores, chosen.state),
+        world_from_scan=used.world_from_scan,
+        world_from_camera=cameras.world_from_camera,
+        log_exposure=cameras.log_exposure,
+        camera=cameras.camera if dataset.image_paths else None,
+        scans=scans.verdict,
+        cameras=chosen.cameras,
+        exposures=chosen.exposures,
+        fusion=chosen.fusion,
+        state=chosen.state,
+        remark=_remark(scores, chosen.state),
     )
 
 

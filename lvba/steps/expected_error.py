@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from lvba.arrays import PoseBlocks
 from lvba.products.map_error import Tally
 from lvba.products.map_file import PointMap
 from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, VisualStage
@@ -63,7 +64,7 @@ def collect(
     }
 
 
-def of_poses(covariance: np.ndarray | None) -> dict[str, Any] | None:
+def of_poses(covariance: PoseBlocks | None) -> dict[str, Any] | None:
     """Expected errors of poses with covariances (N, 6, 6); None where nothing is known.
 
     position_m, rotation_deg: root mean square over the frames; position_p95_m: 95 of 100 frames are expected to be off by

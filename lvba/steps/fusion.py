@@ -24,14 +24,14 @@ def solve_fusion(
         return FusionStage(None, "the scans were not refined")
     if visual.result is None:
         return FusionStage(None, f"there are no refined cameras: {visual.problem}")
-    found, known = visual.result, visual.result.keyframes
-    cameras = pose_fusion.seen_from(
-        found.world_from_camera[known],
+    result, known = visual.result, visual.result.keyframes
+    cameras = pose_fusion.scan_poses_from_cameras(
+        result.world_from_camera[known],
         dataset.images.times[known],
-        found.covariance_on_map[known],
-        found.scan_from_camera,
-        found.time_offset,
-        found.mount_sigma,
+        result.local_covariance[known],
+        result.scan_from_camera,
+        result.time_offset,
+        result.extrinsic_sigma,
     )
     fused = pose_fusion.fuse(
         Trajectory(dataset.scans.times, scans.world_from_scan),

@@ -4,13 +4,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lvba.camera import Camera
 from lvba.lidar.bundle_adjustment import LidarResult
 from lvba.lidar.covariance import Covariance
+from lvba.lidar.plane import PlanePoints, Planes
 from lvba.products.map_quality import EntropyBlocks
 from lvba.steps.acceptance import Verdict
 from lvba.steps.pose_fusion import Fused
 from lvba.visual import refine as visual_refine
 from lvba.visual.refine import VisualResult
+from lvba.visual.tuning import Tuning
 
 
 @dataclass(frozen=True)
@@ -43,18 +46,40 @@ class ScanPoses:
 
 
 @dataclass(frozen=True)
+class MapPlanes:
+    """The planes at the scan poses in use that some images are refined over.
+
+    world_from_scan: (n, 4, 4) of the scans; keyframes: (k,) int64, indices among the images
+    planes, points: None: those that the LiDAR stage solved with
+    uncertainty: of the scan poses; None: not known
+    problem: why there are no planes; empty: there are
+    """
+
+    world_from_scan: np.ndarray
+    keyframes: np.ndarray
+    planes: Planes | None
+    points: PlanePoints | None
+    uncertainty: Covariance | None
+    problem: str = ""
+
+
+@dataclass(frozen=True)
 class VisualStage:
-    """What the visual stage found; nothing where there are no images or it could not be solved."""
+    """What the visual stage found; nothing where there are no images or it could not be solved.
+
+    tuning: what the finest level was solved with; None: of all parts together, or not solved
+    """
 
     result: VisualResult | None
     problem: str = ""
+    tuning: Tuning | None = None
 
 
 @dataclass(frozen=True)
 class VisualLevel:
     """What the visual stage found down to one pyramid level; nothing where it could not be solved."""
 
-    found: visual_refine.Coarser | None
+    solution: visual_refine.Coarser | None
     problem: str = ""
 
 
@@ -71,11 +96,13 @@ class Accepted:
     """The state that is the result.
 
     world_from_scan: (S, 4, 4), world_from_camera: (I, 4, 4) float64; log_exposure: (I,) float64
+    camera: of the raw images, as the camera poses suppose it; None: there are none
     """
 
     world_from_scan: np.ndarray
     world_from_camera: np.ndarray
     log_exposure: np.ndarray
+    camera: Camera | None
     scans: Verdict
     cameras: Verdict
     exposures: Verdict
@@ -90,5 +117,5 @@ def scan_covariance(lidar: LidarStage, scans: ScanPoses) -> Covariance | None:
     """The covariances of the scan poses in use; None where these are the input's."""
     if lidar.result is None or not scans.verdict.accepted:
         return None
-    found = lidar.result
-    return Covariance(found.covariance, found.conditional_covariance, found.step_covariance)
+    result = lidar.result
+    return Covariance(result.covariance, result.conditional_covariance, result.step_covariance)

@@ -5,16 +5,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lvba.blocks.decoded import Pieces, ScanPoints
+from lvba.blocks.regions import region_cloud
+from lvba.blocks.split import Part
+from lvba.blocks.survey import Survey
 from lvba.dataset import Dataset
-from lvba.io import dataset as recordings
 from lvba.products import map_quality
-from lvba.products.cloud import assemble
 from lvba.products.map_quality import Cubes
 from lvba.progress import Progress, silent
 from lvba.steps.outcomes import Accepted
 
 MOST_POINTS = 3_000_000
-"""Of more points, every second, third, ... of each scan is looked at: a plane of fewer points is as thick."""
+"""Of more points in a part, every second, third, ... of each scan is looked at: a plane of fewer points is as thick."""
 
 
 @dataclass(frozen=True)
@@ -32,28 +34,26 @@ class PlaneChange:
     planar_after: int
 
 
-def measure(dataset: Dataset, accepted: Accepted, progress: Progress = silent) -> PlaneChange:
-    """Of the map at the rough and at the resulting scan poses."""
-    every = stride(dataset)
-
-    def cubes(world_from_scan: np.ndarray) -> Cubes:
-        cloud = assemble(
-            lambda index: recordings.load_scan(dataset, index).points[::every],
-            world_from_scan,
-            dataset.scans.times,
-            progress,
+def measure(
+    dataset: Dataset,
+    cores: Sequence[Part],
+    part: int,
+    points: Pieces[ScanPoints],
+    accepted: Accepted,
+    survey: Survey,
+    progress: Progress = silent,
+) -> PlaneChange:
+    """In a part's region, of the map at the rough and at the resulting scan poses."""
+    core = cores[part].core_scans
+    every = max(1, round((core[1] - core[0]) * survey.points_per_scan / MOST_POINTS))
+    # never two clouds at a time
+    before, after = (
+        map_quality.planar_cubes(
+            region_cloud(dataset, cores, part, points, poses, survey.reach_m, progress, every=every)
         )
-        return map_quality.planar_cubes(cloud)
-
-    return compare(cubes(dataset.scans.world_from_sensor), cubes(accepted.world_from_scan))
-
-
-def stride(dataset: Dataset, samples: int = 4) -> int:
-    """Every how many-th point of each scan is looked at, so that there are at most about MOST_POINTS; 1: all."""
-    scans = len(dataset.scan_paths)
-    some = np.unique(np.linspace(0, scans - 1, samples).astype(int))
-    points = scans * float(np.mean([len(recordings.load_scan(dataset, int(index))) for index in some]))
-    return max(1, round(points / MOST_POINTS))
+        for poses in (dataset.scans.world_from_sensor, accepted.world_from_scan)
+    )
+    return compare(before, after)
 
 
 def compare(before: Cubes, after: Cubes) -> PlaneChange:
@@ -72,14 +72,14 @@ def compare(before: Cubes, after: Cubes) -> PlaneChange:
     )
 
 
-def facts(found: Sequence[PlaneChange]) -> dict[str, float | int] | None:
+def facts(changes: Sequence[PlaneChange]) -> dict[str, float | int] | None:
     """The `planes` part of report.json, from all regions of space; None where nothing is planar."""
-    cubes = sum(each.cubes for each in found)
+    cubes = sum(each.cubes for each in changes)
     if not cubes:
         return None
     return {
-        "thickness_before_m": sum(each.before for each in found) / cubes,
-        "thickness_after_m": sum(each.after for each in found) / cubes,
-        "count_before": sum(each.planar_before for each in found),
-        "count_after": sum(each.planar_after for each in found),
+        "thickness_before_m": sum(each.before for each in changes) / cubes,
+        "thickness_after_m": sum(each.after for each in changes) / cubes,
+        "count_before": sum(each.planar_before for each in changes),
+        "count_after": sum(each.planar_after for each in changes),
     }

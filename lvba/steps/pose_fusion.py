@@ -2,7 +2,7 @@
 
 A narrow LiDAR before one wall leaves its scan half open: planes may hold it to centimetres only, while images hold the
 cameras just before and after it to millimetres. So each scan becomes the mean of its own pose and of where a spline
-through the refined cameras has it, through the mount and the time offset found, each weighed by what is known of it.
+through the refined cameras has it, through the extrinsic and the time offset found, each weighed by what is known of it.
 Both count relative to the map around them: its own errors move scans and cameras alike, and are no news to either.
 Source: Barfoot and Furgale 2014, for fusing poses in the tangent space; Li et al. leave the scans as they are.
 """
@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba import geometry, spline, trajectory
-from lvba.lidar.covariance import LEAST, Covariance, off_map, positive
+from lvba.arrays import Pose, PoseBlocks, Poses, StepSigmas, Times
+from lvba.lidar.covariance import LEAST, Covariance, local_covariance, positive
 from lvba.lidar.degeneracy import WeakDirection
 from lvba.optim import linear_solver, normal_equations
 from lvba.settings import setting
@@ -50,13 +51,13 @@ class Cameras:
 
     world_from_scan: of the LiDAR at the moments of the images, on its clock
     covariance: (K, 6, 6), of these relative to the map around them, local tangent [rotation | translation], rad and m
-    mount_covariance: (6, 6), what all of them are off together because the mount is, in the LiDAR's tangent
+    extrinsic_covariance: (6, 6), what all of them are off together because the extrinsic is, in the LiDAR's tangent
     offset_sigma: s, how far the clocks may be apart beyond the offset found
     """
 
     world_from_scan: Trajectory
     covariance: np.ndarray
-    mount_covariance: np.ndarray
+    extrinsic_covariance: np.ndarray
     offset_sigma: float
 
 
@@ -66,8 +67,8 @@ class Fused:
 
     world_from_scan: (S, 4, 4) float64; covariance: (S, 6, 6), as `lidar.covariance.Covariance.marginal`
     moved_m: (S,) from where the LiDAR had them
-    between: by what part of the error of predicting one from its neighbors the spline through the cameras is off between
-        them: the part that explains how far scans are off it
+    interpolation_error_scale: error of the spline between cameras over the leave-one-out error of the cameras, as
+        the distances of the scans from the spline explain it
     disagreement: how many times scans and cameras are further apart (squared) than both promise, at least 1
     contradicted: scans that stayed because the cameras contradict them
     """
@@ -75,30 +76,31 @@ class Fused:
     world_from_scan: np.ndarray
     covariance: np.ndarray
     moved_m: np.ndarray
-    between: float
+    interpolation_error_scale: float
     disagreement: float
     contradicted: int
 
 
-def seen_from(
-    world_from_camera: np.ndarray,
-    times: np.ndarray,
-    covariance: np.ndarray,
-    scan_from_camera: np.ndarray,
+def scan_poses_from_cameras(
+    world_from_camera: Poses,
+    times: Times,
+    covariance: PoseBlocks,
+    scan_from_camera: Pose,
     time_offset: float,
-    mount_sigma: np.ndarray,
+    extrinsic_sigma: np.ndarray,
 ) -> Cameras:
     """Where cameras (K, 4, 4) with stamps (K,), ascending, have the LiDAR; those without a covariance are left out.
 
-    covariance: (K, 6, 6), relative to the map, in the camera's tangent; mount_sigma: (7,), as in `VisualResult`
+    covariance: (K, 6, 6), relative to the map, in the camera's tangent; extrinsic_sigma: (7,) float64, as in
+    `VisualResult`
     """
     known = np.isfinite(covariance).all((1, 2)) & (np.trace(covariance, axis1=1, axis2=2) > 0)
     carry = geometry.adjoint(scan_from_camera)
     return Cameras(
         Trajectory(times[known] + time_offset, world_from_camera[known] @ geometry.inverse(scan_from_camera)),
         carry @ covariance[known] @ carry.T,
-        carry @ np.diag(np.square(mount_sigma[:6])) @ carry.T,
-        float(mount_sigma[6]),
+        carry @ np.diag(np.square(extrinsic_sigma[:6])) @ carry.T,
+        float(extrinsic_sigma[6]),
     )
 
 
@@ -107,9 +109,9 @@ def fuse(
     covariance: Covariance,
     cameras: Cameras,
     weak: Sequence[WeakDirection] = (),
-    prior_sigmas: np.ndarray | None = None,
+    prior_sigmas: StepSigmas | None = None,
 ) -> Fused | None:
-    """The refined scans with what the cameras know; None: too few cameras to tell.
+    """The scans refined with the cameras; None: too few cameras to tell.
 
     weak: motions of all scans together that the planes leave open, with the (6,) sigmas (rad, m) that they are scaled by:
         there scans and cameras both are where the odometry has them, and no mean of the two is any better
@@ -118,52 +120,60 @@ def fuse(
     if len(path) < spline.FEWEST_SAMPLES:
         return None
     inside = ~spline.outside(path, scans.times)
-    missed = spline.missed(path, scans.times)
-    apart = geometry.log(geometry.inverse(scans.world_from_sensor) @ spline.through(path, scans.times))
-    apart = _without_common(apart, scans.world_from_sensor, weak, prior_sigmas)
-    known = _of_neighbors(cameras, scans.times) + _of_mount(cameras, scans.times)
-    known += _interpolated(missed, spline.end_effect(path, scans.times))
-    own = off_map(covariance, scans.world_from_sensor)
-    between = _between(apart[inside], (own + known)[inside], missed[inside])
-    of_cameras = known + _interpolated(missed, np.full(len(scans), between))
-    distance = _distance(apart, own + of_cameras)
+    leave_one_out_error = spline.leave_one_out_error(path, scans.times)
+    differences = geometry.log(geometry.inverse(scans.world_from_sensor) @ spline.through(path, scans.times))
+    differences = _without_common(differences, scans.world_from_sensor, weak, prior_sigmas)
+    known = _of_neighbors(cameras, scans.times) + _of_extrinsic(cameras, scans.times)
+    known += _interpolated(leave_one_out_error, spline.boundary_error(path, scans.times))
+    own = local_covariance(covariance, scans.world_from_sensor)
+    interpolation_error_scale = _interpolation_error_scale(
+        differences[inside], (own + known)[inside], leave_one_out_error[inside]
+    )
+    of_cameras = known + _interpolated(leave_one_out_error, np.full(len(scans), interpolation_error_scale))
+    distance = _distance(differences, own + of_cameras)
     disagreement = max(1.0, float(np.median(distance[inside])) / _MEDIAN) if inside.any() else 1.0
     contradicted = inside & (distance > CONTRADICTION**2 * disagreement)
     used = inside & ~contradicted
-    told = np.linalg.inv(of_cameras) * used[:, None, None]
-    step = _chained(own, covariance.step, scans.world_from_sensor, told, apart)
+    camera_information = np.linalg.inv(of_cameras) * used[:, None, None]
+    step = _chained(own, covariance.step, scans.world_from_sensor, camera_information, differences)
     # promised is only what each scan gains against the map around it: cameras that see no more than a group of scans does
     # are off with it, and that they agree with it is no proof
     conditional = covariance.conditional + LEAST * np.eye(6)
-    on_map = np.linalg.inv(np.linalg.inv(conditional) + told)
-    on_map = np.where(used[:, None, None], on_map * disagreement, on_map)
+    posterior = np.linalg.inv(np.linalg.inv(conditional) + camera_information)
+    posterior = np.where(used[:, None, None], posterior * disagreement, posterior)
     moved = geometry.retract(scans.world_from_sensor, step)
     still = np.all(step == 0.0, axis=1)
     return Fused(
-        np.where(still[:, None, None], scans.world_from_sensor, moved),
-        on_map + positive(covariance.marginal - covariance.conditional),
-        np.linalg.norm(step[:, 3:], axis=1),
-        between,
-        disagreement,
-        int(np.count_nonzero(contradicted)),
+        world_from_scan=np.where(still[:, None, None], scans.world_from_sensor, moved),
+        covariance=posterior + positive(covariance.marginal - covariance.conditional),
+        moved_m=np.linalg.norm(step[:, 3:], axis=1),
+        interpolation_error_scale=interpolation_error_scale,
+        disagreement=disagreement,
+        contradicted=int(np.count_nonzero(contradicted)),
     )
 
 
 def _chained(
-    own: np.ndarray, step: np.ndarray, world_from_scan: np.ndarray, told: np.ndarray, apart: np.ndarray
+    own: np.ndarray,
+    step: np.ndarray,
+    world_from_scan: np.ndarray,
+    camera_information: np.ndarray,
+    differences: np.ndarray,
 ) -> np.ndarray:
     """The most likely errors (S, 6) of the scans.
 
     own: (S, 6, 6), of the errors, none on average; step: (S - 1, 6, 6), of the motion from each to the next, empty:
-        errors are independent; told: (S, 6, 6), what cameras know of each, 0: nothing; apart: (S, 6), what they say
+        errors are independent; camera_information: (S, 6, 6), 0: none; differences: (S, 6), what they say
     Errors of neighbors go together as far as the motion between them is more certain than they are: a group of scans
     moves as one. Beyond neighbors only through them: a Markov chain, whose information is block-tridiagonal.
     """
     if len(step) == 0:
-        both = np.linalg.inv(own) + told
-        return np.asarray(np.linalg.solve(both, (told @ apart[..., None]))[..., 0])
+        both = np.linalg.inv(own) + camera_information
+        return np.asarray(np.linalg.solve(both, (camera_information @ differences[..., None]))[..., 0])
     diagonal, upper = _chain(own, step, world_from_scan)
-    return _solve_chain(diagonal + told, upper, np.einsum("sij,sj->si", told, apart))
+    return _solve_chain(
+        diagonal + camera_information, upper, np.einsum("sij,sj->si", camera_information, differences)
+    )
 
 
 _MOST_COMMON = 0.999
@@ -196,8 +206,8 @@ def _solve_chain(diagonal: np.ndarray, upper: np.ndarray, right: np.ndarray) -> 
     rows, columns = np.concatenate([here, here[:-1]]), np.concatenate([here, here[1:]])
     blocks = np.concatenate([diagonal, upper])
     equations = normal_equations.from_blocks(rows, columns, blocks, -right, 0.0)
-    found = linear_solver.solve_step(equations, 0.0)
-    return np.zeros_like(right) if found is None else found
+    solution = linear_solver.solve_step(equations, 0.0)
+    return np.zeros_like(right) if solution is None else solution.blocks
 
 
 def _of_neighbors(cameras: Cameras, times: np.ndarray) -> np.ndarray:
@@ -208,28 +218,30 @@ def _of_neighbors(cameras: Cameras, times: np.ndarray) -> np.ndarray:
     return np.asarray(cameras.covariance[np.where(size[before] > size[after], before, after)])
 
 
-def _of_mount(cameras: Cameras, times: np.ndarray) -> np.ndarray:
-    """(S, 6, 6): what mount and time offset add at each time."""
+def _of_extrinsic(cameras: Cameras, times: np.ndarray) -> np.ndarray:
+    """(S, 6, 6): what extrinsic and time offset add at each time."""
     path = cameras.world_from_scan
     middle = np.clip(times, path.times[0] + _RATE_STEP_S, path.times[-1] - _RATE_STEP_S)
     ends = [trajectory.sample(path, middle + step) for step in (-_RATE_STEP_S, _RATE_STEP_S)]
     rate = geometry.log(geometry.inverse(ends[0]) @ ends[1]) / (2 * _RATE_STEP_S) * cameras.offset_sigma
-    return np.asarray(cameras.mount_covariance + rate[:, :, None] * rate[:, None, :])
+    return np.asarray(cameras.extrinsic_covariance + rate[:, :, None] * rate[:, None, :])
 
 
-def _interpolated(missed: np.ndarray, part: np.ndarray) -> np.ndarray:
+def _interpolated(leave_one_out_error: np.ndarray, part: np.ndarray) -> np.ndarray:
     """(S, 6, 6): what a spline adds that is off by a part (S,) of what is missed (S, 2) of a sample that is left out."""
-    variance = np.square(part[:, None] * missed) + np.square(_FLOOR)
+    variance = np.square(part[:, None] * leave_one_out_error) + np.square(_FLOOR)
     return np.asarray(np.repeat(variance, 3, axis=1)[:, :, None] * np.eye(6))
 
 
-def _between(apart: np.ndarray, known: np.ndarray, missed: np.ndarray) -> float:
+def _interpolation_error_scale(
+    differences: np.ndarray, known: np.ndarray, leave_one_out_error: np.ndarray
+) -> float:
     """The part of what is missed that makes half of the scans closer to the spline than the covariances promise."""
     low, high = np.log(_LEAST_BETWEEN), 0.0
     for _ in range(12):
         middle = 0.5 * (low + high)
-        part = np.full(len(missed), np.exp(middle))
-        distance = _distance(apart, known + _interpolated(missed, part))
+        part = np.full(len(leave_one_out_error), np.exp(middle))
+        distance = _distance(differences, known + _interpolated(leave_one_out_error, part))
         if len(distance) and np.median(distance) > _MEDIAN:
             low = middle
         else:
@@ -237,22 +249,24 @@ def _between(apart: np.ndarray, known: np.ndarray, missed: np.ndarray) -> float:
     return float(np.exp(high))
 
 
-def _distance(apart: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+def _distance(differences: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """(S,): squared Mahalanobis distances over their degrees of freedom."""
-    return np.asarray(np.einsum("si,si->s", apart, np.linalg.solve(covariance, apart[..., None])[..., 0]) / 6)
+    return np.asarray(
+        np.einsum("si,si->s", differences, np.linalg.solve(covariance, differences[..., None])[..., 0]) / 6
+    )
 
 
 def _without_common(
-    apart: np.ndarray,
+    differences: np.ndarray,
     world_from_scan: np.ndarray,
     weak: Sequence[WeakDirection],
     prior_sigmas: np.ndarray | None,
 ) -> np.ndarray:
     """Differences (S, 6) without their part along weak directions of all scans together."""
     if not weak or prior_sigmas is None:
-        return apart
+        return differences
     turn = world_from_scan[:, :3, :3]
-    scaled = np.einsum("sij,skj->ski", turn, apart.reshape(-1, 2, 3)).reshape(-1, 6) / prior_sigmas
+    scaled = np.einsum("sij,skj->ski", turn, differences.reshape(-1, 2, 3)).reshape(-1, 6) / prior_sigmas
     basis = np.linalg.qr(np.stack([each.direction for each in weak], axis=1))[0]
     scaled = (scaled - scaled @ basis @ basis.T) * prior_sigmas
     return np.einsum("sji,skj->ski", turn, scaled.reshape(-1, 2, 3)).reshape(-1, 6)

@@ -45,12 +45,12 @@ def _judged(
     reference: Reference,
 ) -> dict[str, Any]:
     """Errors before and after each part that was found, accepted or not, all else as the gate judged it."""
-    found: dict[str, Any] = {}
+    judged: dict[str, Any] = {}
 
     def compare(part: str, figure: str, before: tuple[Any, ...], after: tuple[Any, ...]) -> None:
         pair = [_errors(dataset, reference, *state).get(figure) for state in (before, after)]
         if None not in pair:
-            found[part] = dict(zip(("before", "after"), pair, strict=True))
+            judged[part] = dict(zip(("before", "after"), pair, strict=True))
 
     poses, images = scans.world_from_scan, dataset.images.world_from_sensor
     if lidar.result is not None:
@@ -66,7 +66,7 @@ def _judged(
         compare("exposures", "exposure", (poses, carried), (poses, carried, result.log_exposure))
     if fused.result is not None:
         compare("fusion", "lidar", (poses, images), (fused.result.world_from_scan, images))
-    return found
+    return judged
 
 
 def _errors(
@@ -95,23 +95,23 @@ def _predicted(
     final_images: Trajectory,
     reference: Reference,
 ) -> dict[str, dict[str, Any]]:
-    found: dict[str, dict[str, Any]] = {}
+    predicted: dict[str, dict[str, Any]] = {}
     scan_alignment = references.scan_alignment(reference, final_scans)
     aligned = None if scan_alignment is None else scan_alignment.reference_from_estimate
     if scan_covariance is not None and reference.scans is not None:
-        found["lidar"] = uncertainty.against(final_scans, scan_covariance, reference.scans, aligned)
+        predicted["lidar"] = uncertainty.against(final_scans, scan_covariance, reference.scans, aligned)
     if visual.result is None:
-        return found
+        return predicted
     if accepted.cameras.accepted and reference.images is not None:
-        found["camera"] = uncertainty.against(
+        predicted["camera"] = uncertainty.against(
             final_images, visual.result.covariance, reference.images, aligned
         )
     if accepted.exposures.accepted and reference.exposures is not None:
-        found["exposure"] = uncertainty.of_exposures(
+        predicted["exposure"] = uncertainty.of_exposures(
             final_images.times,
             accepted.log_exposure,
             visual.result.log_exposure_sigma,
             reference.exposures.times,
             reference.exposures.relative,
         )
-    return found
+    return predicted

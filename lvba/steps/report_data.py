@@ -24,6 +24,8 @@ from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, ScanPoses, Vi
 from lvba.steps.plane_thickness import PlaneChange
 from lvba.steps.uncertainty import Expected
 from lvba.trajectory import Trajectory
+from lvba.visual import self_calibration
+from lvba.visual.result import VisualResult
 
 
 def collect(
@@ -38,10 +40,11 @@ def collect(
     pieces: Sequence[Callable[[], PointMap]],
     planes: Sequence[PlaneChange],
     reference: Reference | None,
+    merge: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Everything the report says about the dataset, the stages, the evaluation and the reference, and the verdict on it.
 
-    pieces: read the map, one piece at a time; planes: of all regions of space
+    pieces: read the map, one piece at a time; planes: of all regions of space; merge: facts of a run in parts
     """
     facts: dict[str, Any] = {
         "dataset": of_dataset(dataset),
@@ -59,6 +62,8 @@ def collect(
     facts["expected_error"] = expected_error.collect(expected, pieces, noise)
     facts["planes"] = plane_thickness.facts(planes)
     facts["odometry"] = of_odometry(dataset, accepted)
+    if merge is not None:
+        facts["merge"] = merge
     return verdict_data.add(plain(facts))
 
 
@@ -98,6 +103,7 @@ def of_lidar(lidar: LidarStage, scans: ScanPoses, accepted: Accepted) -> dict[st
     facts: dict[str, Any] = {
         "accepted": accepted.scans.accepted,
         "reason": accepted.scans.reason,
+        "cause": accepted.scans.cause,
         "judged": accepted.scans.figures,
         "entropy_rough": scans.entropy_rough,
         "entropy_refined": scans.entropy_refined,
@@ -115,15 +121,17 @@ def of_lidar(lidar: LidarStage, scans: ScanPoses, accepted: Accepted) -> dict[st
 
 
 def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict[str, Any]:
-    """What the visual stage did; the mount is compared with the calibration."""
+    """What the visual stage did; the extrinsic is compared with the calibration."""
     if not dataset.image_paths:
         return {"accepted": None, "problem": visual.problem}
     facts: dict[str, Any] = {
         "accepted": accepted.cameras.accepted,
         "reason": accepted.cameras.reason,
+        "cause": accepted.cameras.cause,
         "judged": accepted.cameras.figures,
         "exposures_accepted": accepted.exposures.accepted,
         "exposures_reason": accepted.exposures.reason,
+        "exposures_cause": accepted.exposures.cause,
         "exposures_judged": accepted.exposures.figures,
         "state": accepted.state,
     }
@@ -140,7 +148,8 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
     )
     facts["history"] = _history(visual)
     facts["iterations"] = len(facts["history"])
-    facts["time_offset"] = {"seconds": result.time_offset, "sigma": float(result.mount_sigma[6])}
+    facts["time_offset"] = {"seconds": result.time_offset, "sigma": float(result.extrinsic_sigma[6])}
+    facts["calibration"] = _calibration(dataset, result, accepted)
     facts["extrinsic"] = {
         "scan_from_camera": result.scan_from_camera,
         "change_deg": float(np.degrees(np.linalg.norm(change[:3]))),
@@ -156,11 +165,30 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
     return facts
 
 
+def _calibration(dataset: Dataset, result: VisualResult, accepted: Accepted) -> dict[str, Any]:
+    """What all images share, as found, with standard deviations, and the camera that comes of it."""
+    refined, sigma = result.calibration, result.calibration.layout().named(result.calibration_sigma)
+    camera = self_calibration.corrected(dataset.camera, refined)
+    intrinsics = (*self_calibration.INTRINSICS, "readout")
+    names = ["time_offset"]
+    if camera != dataset.camera or refined.readout:
+        names += intrinsics
+    return {
+        "used": accepted.cameras.accepted,
+        "calibrated_camera": dataset.camera,
+        "camera": camera,
+        "camera_from_scan": geometry.inverse(refined.scan_from_camera),
+        **{name: getattr(refined, name) for name in names},
+        "sigma": {name: sigma[name] for name in ("scan_from_camera", *names)},
+    }
+
+
 def of_fusion(fused: FusionStage, accepted: Accepted) -> dict[str, Any]:
     """What the cameras changed about the scans."""
     facts: dict[str, Any] = {
         "accepted": accepted.fusion.accepted,
         "reason": accepted.fusion.reason,
+        "cause": accepted.fusion.cause,
         "judged": accepted.fusion.figures,
     }
     if fused.result is not None:
@@ -223,16 +251,16 @@ _NOTHING = dict.fromkeys(("psnr", "ssim", "coverage", "psnr_leave_one_out", "ssi
 
 def _warnings(dataset: Dataset, lidar: LidarStage, visual: VisualStage, accepted: Accepted) -> list[str]:
     """What a user should know beside the verdicts of the stages, with what to do."""
-    found = list(dataset.warnings)
+    warnings = list(dataset.warnings)
     if lidar.result is not None:
-        found += list(lidar.result.warnings)
+        warnings += list(lidar.result.warnings)
     if visual.result is not None:
-        found += list(visual.result.warnings)
+        warnings += list(visual.result.warnings)
     if dataset.image_paths and not accepted.exposures.accepted:
-        found.append(f"Exposures: {accepted.exposures.reason}.")
+        warnings.append(f"Exposures: {accepted.exposures.reason}.")
     if accepted.remark:
-        found.append(f"Result: {accepted.remark}.")
-    return list(dict.fromkeys(found))
+        warnings.append(f"Result: {accepted.remark}.")
+    return list(dict.fromkeys(warnings))
 
 
 def _fields(value: Any, but: tuple[str, ...]) -> dict[str, Any]:

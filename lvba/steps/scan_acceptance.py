@@ -1,16 +1,21 @@
 """The steps that judge scan poses: refined ones against the rough ones, and those that learned from the cameras.
 
-What recordings in parts share with whole ones is here; how these gather it is in `lvba.blocks.regions`.
+How crisp the map is, each part says of its region of space; what images say, of the images in its core.
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from lvba.arrays import Poses
+from lvba.blocks.decoded import PhotoReader, Pieces, ScanPoints, ScanReader
+from lvba.blocks.regions import region_cloud
+from lvba.blocks.split import Part
+from lvba.blocks.survey import Survey
 from lvba.dataset import Dataset
 from lvba.products import evaluate, map_quality
-from lvba.products.cloud import Cloud
 from lvba.products.evaluate import EvaluateConfig, Scores, State
 from lvba.products.map_quality import EntropyBlocks, EntropyConfig
 from lvba.products.recorded_images import views_of
@@ -19,40 +24,147 @@ from lvba.steps import acceptance
 from lvba.steps.acceptance import CARRIED, ROUGH, GateConfig, Verdict
 from lvba.steps.lidar import carry_cameras, cloud_of
 from lvba.steps.outcomes import FusionStage, LidarStage, ScanPoses
+from lvba.steps.part_scores import as_in_whole, in_core, together
+
+
+@dataclass(frozen=True)
+class RegionEntropy:
+    """The entropies of map points in one region, at the rough and at the refined poses."""
+
+    rough: EntropyBlocks
+    refined: EntropyBlocks
+
+
+def measure_entropy(
+    dataset: Dataset,
+    cores: Sequence[Part],
+    part: int,
+    points: Pieces[ScanPoints],
+    lidar: LidarStage,
+    survey: Survey,
+    config: EntropyConfig,
+    progress: Progress = silent,
+) -> RegionEntropy:
+    """How crisp the map is in a part's region, before and after."""
+    rough = dataset.scans.world_from_sensor
+    before = map_quality.entropy_blocks(
+        region_cloud(dataset, cores, part, points, rough, survey.reach_m, progress), config
+    )
+    if lidar.result is None:
+        return RegionEntropy(before, before)
+    refined = lidar.result.world_from_scan
+    after = region_cloud(dataset, cores, part, points, refined, survey.reach_m, progress)
+    return RegionEntropy(before, map_quality.entropy_blocks(after, config))
+
+
+def measure_fused_entropy(
+    dataset: Dataset,
+    cores: Sequence[Part],
+    part: int,
+    points: Pieces[ScanPoints],
+    fused: FusionStage,
+    survey: Survey,
+    config: EntropyConfig,
+    progress: Progress = silent,
+) -> EntropyBlocks | None:
+    """The entropies of map points in a part's region, at the scans that cameras moved; None: there are none."""
+    if fused.result is None:
+        return None
+    poses = fused.result.world_from_scan
+    return map_quality.entropy_blocks(
+        region_cloud(dataset, cores, part, points, poses, survey.reach_m, progress), config
+    )
+
+
+def compare(
+    dataset: Dataset,
+    part: Part,
+    points: Pieces[ScanPoints],
+    photos: Pieces[np.ndarray],
+    images: int,
+    lidar: LidarStage,
+    entropies: Sequence[RegionEntropy],
+    config: EvaluateConfig,
+    gates: GateConfig,
+    progress: Progress = silent,
+) -> dict[str, Scores]:
+    """What images in a part's core say of refined scans: scores of ROUGH and CARRIED, with cameras carried along.
+
+    dataset: of the part's frames, points, photos: of these; images: how many the whole recording has
+    entropies: of all regions
+    Only leave-one-out figures are known, and no map entropy; empty where no image is asked.
+    """
+    core = in_core(asked_images(images), part)
+    if lidar.result is None or not len(core) or not asks_images(entropies, gates):
+        return {}
+    refined = lidar.result.world_from_scan[slice(*part.scans)]
+    read = ScanReader(points, part.scans[0])
+    before = cloud_of(dataset, dataset.scans.world_from_sensor, progress, read)
+    after = cloud_of(dataset, refined, progress, read)
+    views = views_of(dataset, PhotoReader(photos, dataset.camera, part.images[0]))
+    carried = dataclasses.replace(views, world_from_camera=carry_cameras(dataset, refined))
+    states = {ROUGH: State(before, views), CARRIED: State(after, carried)}
+    unknown = dict.fromkeys(states, float("nan"))
+    scores = evaluate.evaluate(
+        states,
+        config,
+        entropies=unknown,
+        brief=tuple(states),
+        images=core - part.images[0],
+        progress=progress,
+    )
+    return as_in_whole(scores, part)
 
 
 def judge_lidar(
     dataset: Dataset,
     lidar: LidarStage,
-    config: EvaluateConfig,
-    gates: GateConfig,
-    progress: Progress = silent,
+    entropies: Sequence[RegionEntropy],
+    compared: Sequence[Mapping[str, Scores]],
+    config: GateConfig,
 ) -> ScanPoses:
-    """The refined scan poses where map and images together speak for them, else the input's."""
+    """The refined scan poses where map and images together speak for them, else the input's.
+
+    entropies: of all regions; compared: by the images of all parts (`compare`)
+    """
     rough = dataset.scans.world_from_sensor
-    before = cloud_of(dataset, rough, progress)
-    before_blocks = map_quality.entropy_blocks(before, config.entropy)
+    before, after = _of_all_regions(entropies)
     if lidar.result is None:
-        return keep_rough(rough, before_blocks, lidar.problem)
-    after = cloud_of(dataset, lidar.result.world_from_scan, progress)
-    after_blocks = map_quality.entropy_blocks(after, config.entropy)
-    scores: Mapping[str, Scores] = {}
-    if asks_images(before_blocks, after_blocks, gates):
-        images = asked_images(len(dataset.image_paths))
-        scores = compare(dataset, lidar.result.world_from_scan, before, after, images, config, progress)
-    return decide(rough, lidar.result.world_from_scan, before_blocks, after_blocks, scores, gates)
+        return keep_rough(rough, before, lidar.problem)
+    scores = together(compared, {ROUGH: float("nan"), CARRIED: float("nan")})
+    return decide(rough, lidar.result.world_from_scan, before, after, scores, config)
 
 
-def keep_rough(rough: np.ndarray, blocks: EntropyBlocks, problem: str) -> ScanPoses:
+def _of_all_regions(entropies: Sequence[RegionEntropy]) -> tuple[EntropyBlocks, EntropyBlocks]:
+    return (
+        map_quality.blocks_together([each.rough for each in entropies]),
+        map_quality.blocks_together([each.refined for each in entropies]),
+    )
+
+
+def judge_fusion(
+    scans: ScanPoses, fused: FusionStage, entropies: Sequence[EntropyBlocks | None], config: GateConfig
+) -> ScanPoses:
+    """The fused scan poses where the map is as crisp with them, else those before; `entropy_rough` is of the latter.
+
+    entropies: of all regions. The images are asked later, with the cameras that are in use.
+    """
+    if fused.result is None:
+        return not_fused(scans, fused)
+    after = map_quality.blocks_together([each for each in entropies if each is not None])
+    return decide_fusion(scans, fused.result.world_from_scan, after, config)
+
+
+def keep_rough(rough: Poses, blocks: EntropyBlocks, problem: str) -> ScanPoses:
     """The rough scan poses, because there are no refined ones."""
-    verdict = Verdict(False, f"input poses kept: {problem}")
+    verdict = Verdict(False, "input poses kept", f"{problem}")
     return ScanPoses(rough, verdict, blocks.mean, blocks.mean, blocks)
 
 
-def asks_images(before: EntropyBlocks, after: EntropyBlocks, gates: GateConfig) -> bool:
+def asks_images(entropies: Sequence[RegionEntropy], gates: GateConfig) -> bool:
     """Whether it is for the images to say if refined scan poses are accepted."""
-    entropy = acceptance.entropy_figure(map_quality.entropy_change(before, after), gates)
-    return gates.enabled and acceptance.may_be_crisper(entropy, gates)
+    change = map_quality.entropy_change(*_of_all_regions(entropies))
+    return gates.enabled and acceptance.may_be_crisper(acceptance.entropy_figure(change, gates), gates)
 
 
 def asked_images(count: int) -> np.ndarray:
@@ -62,34 +174,9 @@ def asked_images(count: int) -> np.ndarray:
     return evaluate.judged_images(count, np.zeros(0, np.int32), acceptance.SCAN_IMAGES)
 
 
-def compare(
-    dataset: Dataset,
-    world_from_scan: np.ndarray,
-    before: Cloud,
-    after: Cloud,
-    images: np.ndarray,
-    config: EvaluateConfig,
-    progress: Progress = silent,
-) -> dict[str, Scores]:
-    """The scores of ROUGH and CARRIED over some images (J,): other scans, cameras carried along; none without images.
-
-    world_from_scan: (S, 4, 4), refined; before, after: the clouds at rough and refined poses
-    Only leave-one-out figures are known, and no map entropy.
-    """
-    if not len(images):
-        return {}
-    views = views_of(dataset)
-    carried = dataclasses.replace(views, world_from_camera=carry_cameras(dataset, world_from_scan))
-    states = {ROUGH: State(before, views), CARRIED: State(after, carried)}
-    unknown = dict.fromkeys(states, float("nan"))
-    return evaluate.evaluate(
-        states, config, entropies=unknown, brief=tuple(states), images=images, progress=progress
-    )
-
-
 def decide(
-    rough: np.ndarray,
-    refined: np.ndarray,
+    rough: Poses,
+    refined: Poses,
     before: EntropyBlocks,
     after: EntropyBlocks,
     scores: Mapping[str, Scores],
@@ -103,30 +190,10 @@ def decide(
     return ScanPoses(poses, verdict, before.mean, after.mean, blocks)
 
 
-def judge_fusion(
-    dataset: Dataset,
-    scans: ScanPoses,
-    fused: FusionStage,
-    entropy: EntropyConfig,
-    config: GateConfig,
-    progress: Progress = silent,
-) -> ScanPoses:
-    """The fused scan poses where the map is as crisp with them, else those before; `entropy_rough` is of the latter.
-
-    The images are asked later, with the cameras that are in use.
-    """
-    if fused.result is None:
-        return not_fused(scans, fused)
-    cloud = cloud_of(dataset, fused.result.world_from_scan, progress)
-    return decide_fusion(
-        scans, fused.result.world_from_scan, map_quality.entropy_blocks(cloud, entropy), config
-    )
-
-
 def decide_fusion(
-    scans: ScanPoses, world_from_scan: np.ndarray, after: EntropyBlocks, config: GateConfig
+    scans: ScanPoses, world_from_scan: Poses, after: EntropyBlocks, config: GateConfig
 ) -> ScanPoses:
-    """The same, from the map entropy at the fused scan poses (S, 4, 4)."""
+    """The scan poses in use, from the map entropy at the fused ones (S, 4, 4)."""
     change = map_quality.entropy_change(scans.map_blocks, after)
     verdict = acceptance.judge_fusion(
         rough_gain(scans), acceptance.entropy_figure(change, config), (), config
@@ -144,5 +211,5 @@ def rough_gain(scans: ScanPoses) -> float:
 
 def not_fused(scans: ScanPoses, fused: FusionStage) -> ScanPoses:
     """The scan poses as they were, because there are none that cameras had a part in."""
-    verdict = Verdict(False, f"scans stay where the LiDAR has them: {fused.problem}")
+    verdict = Verdict(False, "scans stay where the LiDAR has them", f"{fused.problem}")
     return ScanPoses(scans.world_from_scan, verdict, scans.entropy, scans.entropy, scans.map_blocks)

@@ -32,13 +32,13 @@ def find(trajectory: Trajectory) -> Jumps:
     if len(meters) < _FEWEST_STEPS:
         return Jumps(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
     interval = np.diff(trajectory.times)
-    found = []
+    jumps = []
     judged = slice(_NEIGHBORS, len(meters) - _NEIGHBORS)
     for size, least in ((meters, _LEAST_M), (degrees, _LEAST_DEG)):
         ordinary = _ORDINARY * np.median((size / interval)[judged]) * interval
-        found.append(np.where(size > np.maximum(ordinary, least), size, 0.0))
-    after = np.flatnonzero((found[0] > 0) | (found[1] > 0))
-    return Jumps(after, found[0][after], found[1][after])
+        jumps.append(np.where(size > np.maximum(ordinary, least), size, 0.0))
+    after = np.flatnonzero((jumps[0] > 0) | (jumps[1] > 0))
+    return Jumps(after, jumps[0][after], jumps[1][after])
 
 
 def unexpected(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:

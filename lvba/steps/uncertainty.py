@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from lvba import geometry, trajectory
+from lvba.arrays import LogExposures, Pose, PoseBlocks, Times
 from lvba.trajectory import Trajectory
 
 _SAME_TIME_S = 1e-3
@@ -24,9 +25,9 @@ class Expected:
 
 def against(
     estimate: Trajectory,
-    covariance: np.ndarray,
+    covariance: PoseBlocks,
     reference: Trajectory,
-    reference_from_map: np.ndarray | None = None,
+    reference_from_map: Pose | None = None,
 ) -> dict[str, float]:
     """Predicted root mean square errors and the normalized estimation error squared (1: honest).
 
@@ -53,9 +54,12 @@ def against(
 
 
 def of_exposures(
-    times: np.ndarray, log_exposure: np.ndarray, sigma: np.ndarray, true_times: np.ndarray, true: np.ndarray
+    times: Times, log_exposure: LogExposures, sigma: np.ndarray, true_times: Times, true: np.ndarray
 ) -> dict[str, Any]:
-    """The same for log exposures (I,) with standard deviations (I,), after one common scale. true: (E,) relative."""
+    """The same for log exposures (I,) with standard deviations (I,), after one common scale. true: (E,) float64 relative.
+
+    sigma: (I,) float64, of the log exposures
+    """
     pairs = matched(times, true_times)
     pairs = pairs[(np.isfinite(sigma) & (sigma > 0))[pairs[:, 0]]]
     if len(pairs) < 2:
@@ -69,7 +73,7 @@ def of_exposures(
     }
 
 
-def matched(times: np.ndarray, others: np.ndarray) -> np.ndarray:
+def matched(times: Times, others: Times) -> np.ndarray:
     """Index pairs (P, 2) of samples at the same time. Both ascending."""
     if not len(times) or not len(others):
         return np.empty((0, 2), np.int64)

@@ -9,9 +9,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Literal
 
+from lvba.products import lengths
+
 Level = Literal["good", "check", "bad"]
 
-MOST_INFLATION, MOST_SPLINE_ERROR, MOST_DISAGREEMENT = 4.5, 0.8, 1.2
+MOST_VARIANCE_FACTOR, MOST_SPLINE_ERROR, MOST_DISAGREEMENT = 4.5, 0.8, 1.2
 _FEWEST_FRAMES = 10
 """With fewer, one rigid alignment takes up much of what could be compared."""
 _FEW = 0.05
@@ -19,7 +21,7 @@ _FEW = 0.05
 VAGUE = 3.0
 """Times the median expected error from which a frame counts as known less well than the others."""
 _UNSURE = 3.0
-"""Standard deviations of the calibrated mount by which the one found may differ from it."""
+"""Standard deviations of the calibrated extrinsic by which the one found may differ from it."""
 _PROMISE_KEPT = 3.0
 """Times the promised error up to which a promise counts as kept."""
 _WORSE = 1.1
@@ -52,14 +54,14 @@ class Truth:
 class Figures:
     """What the verdict is made from; None or 0 where there is none.
 
-    inflation: how many times the pixels' information overstated itself
+    variance_factor: actual over modeled variance of the pixels
     spline_error: how far the path through the cameras misses the scans, as part of the error of leaving a camera out
     disagreement: how many times scans and cameras are further apart, squared, than both promise
     vague_scans, vague_cameras: frames expected to be off by VAGUE times the median and more, or by nobody knows what
     moved_m: how far a scan moved at most in the last round that did not settle; scan_p95_m: what 95 % of the scans are
         expected to be off by less
     jumps: frames after which the rough poses jump; jump_m, jump_deg: by at most; jump_left: whether one is still there
-    mount_sigmas: by how many standard deviations the mount found differs from the calibrated one
+    extrinsic_sigmas: by how many standard deviations the extrinsic found differs from the calibrated one
     ssim: of images predicted from the map, before and after, where the loss is beyond chance
     """
 
@@ -69,12 +71,12 @@ class Figures:
     camera_poses: Judged = field(default_factory=Judged)
     exposures: Judged = field(default_factory=Judged)
     scans_with_cameras: Judged = field(default_factory=Judged)
-    inflation: float | None = None
+    variance_factor: float | None = None
     spline_error: float | None = None
     disagreement: float | None = None
     common_weak: int = 0
     weak_scans: int = 0
-    loose_steps: int = 0
+    odometry_dependent_steps: int = 0
     vague_scans: int = 0
     vague_cameras: int = 0
     moved_m: float | None = None
@@ -84,9 +86,9 @@ class Figures:
     jump_m: float = 0.0
     jump_deg: float = 0.0
     jump_left: bool = False
-    mount_sigmas: float | None = None
-    mount_m: float = 0.0
-    mount_deg: float = 0.0
+    extrinsic_sigmas: float | None = None
+    extrinsic_m: float = 0.0
+    extrinsic_deg: float = 0.0
     ssim: tuple[float, float] | None = None
     thickness: tuple[float, float] | None = None
     truth: tuple[Truth, ...] = ()
@@ -149,7 +151,7 @@ def _alarms(figures: Figures) -> Iterator[Reason]:
     if figures.scan_poses.accepted is False:
         return  # nothing is promised
     for value, limit, text, mend in (
-        (figures.inflation, MOST_INFLATION,
+        (figures.variance_factor, MOST_VARIANCE_FACTOR,
          "Images contradict each other {value:.1f} times more than their noise explains (limit {limit})",
          "Check focal length, principal point and distortion in config.yaml; rolling shutter and blur do the same."),
         (figures.spline_error, MOST_SPLINE_ERROR,
@@ -174,11 +176,11 @@ def _odometry(figures: Figures) -> Iterator[Reason]:
             "Look at the map on both sides of the jump; if surfaces are double there, cut the recording in two.",
             more=figures.jump_left,
         )
-    if figures.loose_steps:
+    if figures.odometry_dependent_steps:
         yield Reason(
-            f"{figures.loose_steps} motions from scan to scan rest on the odometry alone: the scans before and after "
-            "hold together by little else.",
-            "Look at the map there; a slower motion, or scans that overlap more, would hold them.",
+            f"{figures.odometry_dependent_steps} motions from scan to scan depend on the odometry alone: scans "
+            "before and after them share too few planes.",
+            "Look at the map there; record more slowly, or with more overlap between scans.",
         )
     if figures.common_weak:
         yield Reason(
@@ -218,24 +220,24 @@ def _frames(figures: Figures) -> Iterator[Reason]:
 def _settled(figures: Figures) -> Iterator[Reason]:
     if figures.moved_m is not None:
         yield Reason(
-            f"Scan poses had not settled: they still moved by {1000 * figures.moved_m:.1f} mm in the last round.",
+            f"Scan poses had not converged: they still moved by {1000 * figures.moved_m:.1f} mm in the last round.",
             "Give more rounds (lidar.rounds, in parts merge.scan_rounds).",
             # covariances hold where the solution is; what still moves by more than they say is not there
             more=figures.scan_p95_m is not None and figures.moved_m > figures.scan_p95_m,
         )
     if not figures.cameras_settled:
         yield Reason(
-            "Camera poses had not settled at full resolution.",
+            "Camera poses had not converged at full resolution.",
             "Give more iterations (visual.iterations).",
         )
 
 
-def _mount(figures: Figures) -> Iterator[Reason]:
-    if figures.mount_sigmas is not None and figures.mount_sigmas > _UNSURE:
+def _extrinsic(figures: Figures) -> Iterator[Reason]:
+    if figures.extrinsic_sigmas is not None and figures.extrinsic_sigmas > _UNSURE:
         yield Reason(
-            f"The camera's mount was found {100 * figures.mount_m:.1f} cm and {figures.mount_deg:.2f} degrees off its "
-            "calibration.",
-            "If you trust the calibration, doubt the camera poses; else put the mount found (report.json) there.",
+            f"The estimated camera extrinsic differs from its calibration by {100 * figures.extrinsic_m:.1f} cm and "
+            f"{figures.extrinsic_deg:.2f} degrees.",
+            "If you trust the calibration, doubt the camera poses; otherwise use the estimated extrinsic (report.json).",
         )
 
 
@@ -260,25 +262,25 @@ def _truth(figures: Figures) -> Iterator[Reason]:
         broken = [(one, one.promised) for one in mine if one.promised is not None]
         broken = [(one, promised) for one, promised in broken if one.error > _PROMISE_KEPT * promised]
         if broken:
-            told = " and ".join(
+            listed = " and ".join(
                 f"{_amount(one.error, one.unit)} (expected: {_amount(promised, one.unit)})"
                 for one, promised in broken
             )
             yield Reason(
-                f"Against the reference, {what} are off by {told}.",
+                f"Against the reference, {what} are off by {listed}.",
                 "Go by the error against the reference, unless that is no better itself.",
                 more=True,
             )
         worse = [(one, one.rough) for one in mine if one.rough is not None]
         worse = [(one, rough) for one, rough in worse if one.error > _WORSE * rough]
         if worse:
-            told = " and ".join(
+            listed = " and ".join(
                 f"{_amount(one.error, one.unit)} instead of {_amount(rough, one.unit)}"
                 for one, rough in worse
             )
             spoiled = any(one.unit == "m" and one.error > (one.promised or 0.0) for one, _ in worse)
             yield Reason(
-                f"Against the reference, {what} are worse than the input: {told}.",
+                f"Against the reference, {what} are worse than the input: {listed}.",
                 f"Keep the input's {what}, unless the reference is no better itself.",
                 "bad" if spoiled else "check",
             )
@@ -286,7 +288,7 @@ def _truth(figures: Figures) -> Iterator[Reason]:
 
 def _amount(value: float, unit: str) -> str:
     if unit == "m":
-        return f"{1000 * value:.1f} mm" if value < 1 else f"{value:.2f} m"
+        return lengths.text(value)
     return f"{value:.2f} degrees"
 
 
@@ -297,6 +299,6 @@ _RULES: tuple[Callable[[Figures], Iterator[Reason]], ...] = (
     _odometry,
     _frames,
     _settled,
-    _mount,
+    _extrinsic,
     _looks,
 )

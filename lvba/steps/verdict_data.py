@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from lvba.lidar.bundle_adjustment import loose_steps
+from lvba.lidar.bundle_adjustment import odometry_dependent_steps
+from lvba.products import lengths
 from lvba.steps import verdict
+from lvba.steps.acceptance import standard_error
 from lvba.steps.verdict import Figures, Judged, Truth, Verdict
 
 Facts = Mapping[str, Any]
@@ -21,27 +23,27 @@ def add(facts: Facts) -> dict[str, Any]:
 
     facts: plain data, the contents of report.json
     """
-    found = figures(facts)
-    judged = verdict.judge(found)
+    known = figures(facts)
+    judged = verdict.judge(known)
     expected = {**(facts.get("expected_error") or {}), "at_least": judged.at_least}
     return {
         **facts,
         "expected_error": expected,
-        "alarms": _alarms(found),
+        "alarms": _alarms(known),
         "verdict": {
             "level": judged.level,
-            "summary": summary(judged, expected, found.truth),
+            "summary": summary(judged, expected, known.truth),
             "reasons": [{"text": each.text, "mend": each.mend} for each in judged.reasons],
         },
     }
 
 
-def _alarms(found: Figures) -> dict[str, dict[str, float | None]]:
+def _alarms(known: Figures) -> dict[str, dict[str, float | None]]:
     """What tells that covariances promise too much, each with the limit above which it does."""
     return {
-        "variance_inflation": {"value": found.inflation, "limit": verdict.MOST_INFLATION},
-        "spline_error": {"value": found.spline_error, "limit": verdict.MOST_SPLINE_ERROR},
-        "disagreement": {"value": found.disagreement, "limit": verdict.MOST_DISAGREEMENT},
+        "variance_factor": {"value": known.variance_factor, "limit": verdict.MOST_VARIANCE_FACTOR},
+        "spline_error": {"value": known.spline_error, "limit": verdict.MOST_SPLINE_ERROR},
+        "disagreement": {"value": known.disagreement, "limit": verdict.MOST_DISAGREEMENT},
     }
 
 
@@ -53,23 +55,25 @@ def figures(facts: Facts) -> Figures:
     last = (visual.get("levels") or [{}])[-1]
     history = lidar.get("history") or [{}]
     used = lidar.get("accepted") is not False
-    loose = np.asarray(lidar.get("loose") or [], float)
-    weak_scans = np.asarray(lidar.get("weak_scans") or np.zeros(len(loose) + 1), int)
-    mount = visual.get("extrinsic") or {}
+    odometry_dependence = np.asarray(lidar.get("odometry_dependence", lidar.get("loose")) or [], float)
+    weak_scans = np.asarray(lidar.get("weak_scans") or np.zeros(len(odometry_dependence) + 1), int)
+    extrinsic = visual.get("extrinsic") or {}
     fused = "moved_m" in fusion and visual.get("accepted") is not False and used
     return Figures(
         scans=dataset.get("scans") or 0,
         images=dataset.get("images") or 0,
-        scan_poses=Judged(lidar.get("accepted"), _why(lidar)),
-        camera_poses=Judged(visual.get("accepted"), _why(visual)),
-        exposures=Judged(visual.get("exposures_accepted"), _because(visual.get("exposures_reason"))),
-        scans_with_cameras=Judged(fusion.get("accepted") if fused else None, _why(fusion)),
-        inflation=last.get("inflation"),
-        spline_error=fusion.get("between"),
+        scan_poses=Judged(lidar.get("accepted"), _cause(lidar)),
+        camera_poses=Judged(visual.get("accepted"), _cause(visual)),
+        exposures=Judged(visual.get("exposures_accepted"), _cause(visual, "exposures_")),
+        scans_with_cameras=Judged(fusion.get("accepted") if fused else None, _cause(fusion)),
+        variance_factor=last.get("variance_factor", last.get("inflation")),
+        spline_error=fusion.get("interpolation_error_scale", fusion.get("between")),
         disagreement=fusion.get("disagreement"),
         common_weak=len(lidar.get("weak_directions") or []) if used else 0,
         weak_scans=int(np.count_nonzero(weak_scans)) if used else 0,
-        loose_steps=len(loose_steps(loose, weak_scans)) if used else 0,
+        odometry_dependent_steps=len(odometry_dependent_steps(odometry_dependence, weak_scans))
+        if used
+        else 0,
         vague_scans=_vague(expected.get("scans")),
         vague_cameras=_vague(expected.get("cameras")),
         moved_m=history[-1].get("moved") if used and lidar.get("converged") is False else None,
@@ -79,24 +83,19 @@ def figures(facts: Facts) -> Figures:
         jump_m=max(odometry.get("jumps_m") or [0.0]),
         jump_deg=max(odometry.get("jumps_deg") or [0.0]),
         jump_left=bool(odometry.get("jump_left")),
-        mount_sigmas=_mount_sigmas(mount, facts.get("config") or {}),
-        mount_m=mount.get("change_m") or 0.0,
-        mount_deg=mount.get("change_deg") or 0.0,
+        extrinsic_sigmas=_extrinsic_sigmas(extrinsic, facts.get("config") or {}),
+        extrinsic_m=extrinsic.get("change_m") or 0.0,
+        extrinsic_deg=extrinsic.get("change_deg") or 0.0,
         ssim=_lost_ssim(facts.get("evaluation") or {}),
         thickness=(planes["thickness_before_m"], planes["thickness_after_m"]) if planes else None,
         truth=tuple(_truth(facts.get("reference") or {})),
     )
 
 
-def _why(part: Facts) -> str:
-    return _because(part.get("reason") or part.get("problem"))
-
-
-def _because(reason: Any) -> str:
-    """The reason without saying again that the input was kept."""
-    words = str(reason or "no reason is known")
-    head, colon, rest = words.partition(": ")
-    return rest if colon and ("kept" in head or "stay" in head) else words
+def _cause(part: Facts, prefix: str = "") -> str:
+    """Why a part is used or not; reports of versions before 0.3 have the decision in front of it."""
+    known = (part.get(f"{prefix}{name}") for name in ("cause", "reason"))
+    return str(next(filter(None, known), None) or part.get("problem") or "no reason is known")
 
 
 def _vague(expected: Facts | None) -> int:
@@ -107,13 +106,14 @@ def _vague(expected: Facts | None) -> int:
     return int(np.sum(~(errors <= verdict.VAGUE * np.nanmedian(errors))))
 
 
-def _mount_sigmas(mount: Facts, config: Facts) -> float | None:
+def _extrinsic_sigmas(extrinsic: Facts, config: Facts) -> float | None:
     prior = (config.get("visual") or {}).get("prior") or {}
-    if not mount or not prior:
+    if not extrinsic or not prior:
         return None
     # three axes each: as unlikely as so many standard deviations of one
     ratio = max(
-        mount["change_m"] / prior["mount_position_m"], mount["change_deg"] / prior["mount_rotation_deg"]
+        extrinsic["change_m"] / prior["extrinsic_position_m"],
+        extrinsic["change_deg"] / prior["extrinsic_rotation_deg"],
     )
     return float(stats.norm.isf(stats.chi2.sf(ratio**2, 3) / 2))
 
@@ -131,19 +131,19 @@ def _lost_ssim(evaluation: Facts) -> tuple[float, float] | None:
     change = both[1] - both[0]
     if len(change) < 3:
         return None
-    if -change.mean() <= max(_SSIM_LOSS, _SSIM_SURE * change.std(ddof=1) / np.sqrt(len(change))):
+    if -change.mean() <= max(_SSIM_LOSS, _SSIM_SURE * standard_error(change)):
         return None
     return float(both[0].mean()), float(both[1].mean())
 
 
 def _truth(reference: Facts) -> list[Truth]:
     before = reference.get("rough") or {}
-    found = []
+    truths = []
     for key, what in (("lidar", "scans"), ("camera", "cameras")):
         error, rough = reference.get(key) or {}, before.get(key) or {}
         if error.get("ate_m") is None:
             continue
-        found += [
+        truths += [
             Truth(what, "m", error["ate_m"], rough.get("ate_m"), error.get("predicted_ate_m")),
             Truth(
                 what,
@@ -153,7 +153,7 @@ def _truth(reference: Facts) -> list[Truth]:
                 error.get("predicted_rotation_deg"),
             ),
         ]
-    return found
+    return truths
 
 
 _FRAME = "relative to the trajectory's own frame (after one rigid alignment)"
@@ -162,7 +162,7 @@ _FRAME = "relative to the trajectory's own frame (after one rigid alignment)"
 def summary(judged: Verdict, expected: Facts, truth: Sequence[Truth] = ()) -> str:
     """One sentence with the errors to expect, in mm."""
     amounts = [
-        f"{millimeters(part['position_m'])} in the {name}"
+        f"{lengths.text(part['position_m'])} in the {name}"
         for key, name in (("map", "map"), ("scans", "scan poses"), ("cameras", "camera poses"))
         if (part := expected.get(key))
     ]
@@ -171,7 +171,7 @@ def summary(judged: Verdict, expected: Facts, truth: Sequence[Truth] = ()) -> st
         sentence = f"Expect errors of {size} {_listed(amounts)}, {_FRAME}"
     else:
         sentence = "How large the errors are is not known, for the scan poses are the input's"
-    measured = [f"{each.what} are off by {millimeters(each.error)}" for each in truth if each.unit == "m"]
+    measured = [f"{each.what} are off by {lengths.text(each.error)}" for each in truth if each.unit == "m"]
     if measured:
         own = f"{sentence[0].lower()}{sentence[1:]}"
         sentence = f"Against the reference, {_listed(measured)}; without it: {own}"
@@ -180,10 +180,3 @@ def summary(judged: Verdict, expected: Facts, truth: Sequence[Truth] = ()) -> st
 
 def _listed(words: Sequence[str]) -> str:
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
-
-
-def millimeters(meters: float) -> str:
-    """A length in mm with two digits, or in m from one meter on."""
-    value, unit = (meters, "m") if meters >= 1 else (1000 * meters, "mm")
-    digits = 2 if value < 1 else 1 if value < 10 else 0
-    return f"{value:.{digits}f} {unit}"

@@ -1,15 +1,19 @@
-"""The steps that refine cameras, one pyramid level each."""
+"""The steps that refine the cameras of one part: the planes they are refined over, then one pyramid level each."""
 
+import numpy as np
+
+from lvba.blocks.decoded import Keyframes, Pieces, ScanPoints, ScanReader, keyframe_images
+from lvba.blocks.split import Frames
+from lvba.blocks.survey import Survey, keyframes_of
 from lvba.dataset import Dataset
 from lvba.errors import DegenerateProblemError
-from lvba.lidar.bundle_adjustment import LidarConfig
-from lvba.products import recorded_images
+from lvba.lidar import bundle_adjustment as lidar_ba
+from lvba.lidar.covariance import Covariance
 from lvba.progress import Progress, silent
-from lvba.steps.lidar import planes_in_use, typical_range
-from lvba.steps.outcomes import LidarStage, ScanPoses, VisualLevel, VisualStage, scan_covariance
-from lvba.visual import image, keyframes
-from lvba.visual import refine as visual_refine
-from lvba.visual.refine import VisualConfig
+from lvba.steps.outcomes import LidarStage, MapPlanes, ScanPoses, VisualLevel, VisualStage
+from lvba.visual import image, refine
+from lvba.visual.refine import Inputs, VisualConfig
+from lvba.visual.tuning import tuning
 from lvba.visual.variant import PRODUCT, Variant
 
 
@@ -18,89 +22,156 @@ def visual_levels(dataset: Dataset, config: VisualConfig) -> int:
     return image.usable_levels(dataset.camera, config.levels) if dataset.image_paths else 1
 
 
-def solve_visual_level(
+def find_planes(
     dataset: Dataset,
+    frames: Frames,
+    points: Pieces[ScanPoints],
     lidar: LidarStage,
     scans: ScanPoses,
+    survey: Survey,
+    enabled: bool = True,
+) -> MapPlanes:
+    """The planes of some frames at the scan poses in use, found anew unless the LiDAR stage has them.
+
+    dataset: of these frames only; points: of their scans; lidar, scans: of the whole recording
+    enabled: whether there are visual steps
+    """
+    poses, keyframes = scans.world_from_scan[frames.scans], keyframes_of(survey, frames)
+    if not enabled or len(keyframes) < 2:
+        return MapPlanes(
+            world_from_scan=poses,
+            keyframes=keyframes,
+            planes=None,
+            points=None,
+            uncertainty=None,
+            problem="fewer than two keyframes",
+        )
+    uncertainty = None
+    if lidar.result is not None and scans.verdict.accepted:
+        uncertainty = _uncertainty(lidar, frames.scans)
+        if len(lidar.result.planes):
+            return MapPlanes(
+                world_from_scan=poses, keyframes=keyframes, planes=None, points=None, uncertainty=uncertainty
+            )
+    try:
+        planes, plane_points = lidar_ba.find_planes(
+            ScanReader(points).load(frames.scans),
+            poses,
+            sensor_position=dataset.sensor_position_scan,
+            config=survey.lidar,
+        )
+    except DegenerateProblemError as error:
+        return MapPlanes(
+            world_from_scan=poses,
+            keyframes=keyframes,
+            planes=None,
+            points=None,
+            uncertainty=None,
+            problem=str(error),
+        )
+    return MapPlanes(
+        world_from_scan=poses,
+        keyframes=keyframes,
+        planes=planes,
+        points=plane_points,
+        uncertainty=uncertainty,
+    )
+
+
+def _uncertainty(lidar: LidarStage, scans: np.ndarray) -> Covariance:
+    """Of some scans (n,); steps between scans are known of an undivided recording only."""
+    assert lidar.result is not None
+    result = lidar.result
+    every = len(scans) == len(result.covariance)
+    steps = result.step_covariance if every else np.zeros((0, 6, 6))
+    return Covariance(result.covariance[scans], result.conditional_covariance[scans], steps)
+
+
+def solve_level(
+    dataset: Dataset,
+    frames: Frames,
+    keyframes: Pieces[Keyframes],
+    lidar: LidarStage,
+    planes: MapPlanes,
     coarser: VisualLevel,
-    lidar_config: LidarConfig,
     config: VisualConfig,
     enabled: bool = True,
     variant: Variant = PRODUCT,
     progress: Progress = silent,
 ) -> VisualLevel:
-    """One pyramid level more than `coarser`, which is empty at first."""
-    problem = _why_not(dataset, enabled) or coarser.problem
+    """One pyramid level of one part more than `coarser`, which is empty at first.
+
+    dataset: of the part's frames; keyframes: of these; lidar: of the whole recording
+    """
+    problem = _why_not(dataset, planes, enabled) or coarser.problem
     if problem:
         return VisualLevel(None, problem)
     try:
-        given = visual_inputs(dataset, lidar, scans, lidar_config, config, progress, keep=True)
-        found = visual_refine.refine_level(given, coarser.found, config, progress, variant)
+        given = inputs(dataset, frames, keyframes, lidar, planes, config)
+        return VisualLevel(refine.refine_level(given, coarser.solution, config, progress, variant))
     except DegenerateProblemError as error:
         return VisualLevel(None, str(error))
-    return VisualLevel(found)
 
 
-def solve_visual(
+def solve_finest(
     dataset: Dataset,
+    frames: Frames,
+    keyframes: Pieces[Keyframes],
     lidar: LidarStage,
-    scans: ScanPoses,
+    planes: MapPlanes,
     coarser: VisualLevel,
-    lidar_config: LidarConfig,
     config: VisualConfig,
     enabled: bool = True,
     variant: Variant = PRODUCT,
     progress: Progress = silent,
 ) -> VisualStage:
-    """Camera poses and exposures from the images, over the planes of the scan poses in use: the finest level."""
-    problem = _why_not(dataset, enabled) or coarser.problem
+    """Camera poses and exposures of one part, from the finest level. Arguments as of `solve_level`."""
+    problem = _why_not(dataset, planes, enabled) or coarser.problem
     if problem:
         return VisualStage(None, problem)
     try:
-        given = visual_inputs(dataset, lidar, scans, lidar_config, config, progress)
-        result = visual_refine.refine_finest(given, coarser.found, config, progress, variant)
+        given = inputs(dataset, frames, keyframes, lidar, planes, config)
+        result, last = refine.finest(given, coarser.solution, config, progress, variant)
     except DegenerateProblemError as error:
         return VisualStage(None, str(error))
-    return VisualStage(result)
+    return VisualStage(result, "", tuning(last))
 
 
-def _why_not(dataset: Dataset, enabled: bool) -> str:
+def _why_not(dataset: Dataset, planes: MapPlanes, enabled: bool) -> str:
     """Why there is no visual stage; empty: there is one."""
     if not dataset.image_paths:
         return "the recording has no images"
-    return "" if enabled else "visual bundle adjustment is switched off (refine_cameras)"
+    if not enabled:
+        return "visual bundle adjustment is switched off (refine_cameras)"
+    return planes.problem
 
 
-def visual_inputs(
+def inputs(
     dataset: Dataset,
+    frames: Frames,
+    keyframes: Pieces[Keyframes],
     lidar: LidarStage,
-    scans: ScanPoses,
-    lidar_config: LidarConfig,
+    planes: MapPlanes,
     config: VisualConfig,
-    progress: Progress = silent,
-    *,
-    keep: bool = False,
-) -> visual_refine.Inputs:
-    """What all levels of the visual stage work on.
-
-    keep: the images stay in memory for the next level
-    Raises DegenerateProblemError: the scans hold no planes.
-    """
-    planes, points = planes_in_use(dataset, lidar, scans, lidar_config)
-    chosen = keyframes.select(
-        dataset.images.times, dataset.images.world_from_sensor, typical_range(dataset), config.keyframes
-    )
-    levels = visual_levels(dataset, config)
-    pyramid = recorded_images.pyramid(dataset, chosen, levels, config.images, progress, keep=keep)
-    return visual_refine.Inputs(
-        pyramid,
-        chosen,
-        dataset.images,
-        dataset.scans,
-        scans.world_from_scan,
-        dataset.camera_from_scan,
-        dataset.sensor_position_scan,
-        planes,
-        points,
-        scan_covariance(lidar, scans),
+) -> Inputs:
+    """What the visual bundle adjustment of some frames works on. dataset: of these; lidar: of the whole recording."""
+    images = keyframe_images(keyframes, frames.images[planes.keyframes])
+    plane_set, points = planes.planes, planes.points
+    if plane_set is None or points is None:
+        assert lidar.result is not None
+        plane_set, points = lidar.result.planes, lidar.result.plane_points
+    return Inputs(
+        pyramid=image.build_pyramid(
+            images, image.measuring_camera(dataset.camera), visual_levels(dataset, config)
+        ),
+        keyframes=planes.keyframes,
+        images=dataset.images,
+        scans=dataset.scans,
+        refined_scans=planes.world_from_scan,
+        camera_from_scan=dataset.camera_from_scan,
+        sensor_position_scan=dataset.sensor_position_scan,
+        planes=plane_set,
+        plane_points=points,
+        scan_covariance=planes.uncertainty,
+        camera=dataset.camera,
     )

@@ -1,6 +1,7 @@
 """One pyramid level of the visual bundle adjustment: photometric cost plus prior, by Levenberg-Marquardt."""
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,14 +11,15 @@ from scipy.sparse.csgraph import connected_components
 from lvba.camera import Camera
 from lvba.optim import levenberg_marquardt, linear_solver
 from lvba.optim.levenberg_marquardt import Iteration, SolverConfig
-from lvba.optim.normal_equations import NormalEquations
-from lvba.visual import covariance, extrinsic_prior, noise, photometric, trajectory_sigmas
-from lvba.visual import trajectory_prior as priors
-from lvba.visual.covariance import Shares
+from lvba.optim.linear_solver import Covariance
+from lvba.optim.normal_equations import NormalEquations, Step
+from lvba.visual import calibration_prior, covariance, noise, photometric, trajectory_prior, trajectory_sigmas
+from lvba.visual.covariance import WallClusters
 from lvba.visual.noise import NoiseModel
+from lvba.visual.patch_shifts import Shifts
 from lvba.visual.photometric import Linearization, PhotometricState, Problem
 from lvba.visual.scene_points import SCENE_POINTS, Observations, ScenePoints
-from lvba.visual.states import Mount, VisualState
+from lvba.visual.states import Calibration, VisualState
 from lvba.visual.trajectory_prior import Prior, Source
 from lvba.visual.variant import PRODUCT, Variant
 
@@ -40,15 +42,15 @@ class LevelSolution:
     """What one level ends with.
 
     linearization: of the photometric cost at the solution
-    offset: (P,) m, how far each scene point's plane was moved along its normal
-    shares: which pieces of wall its images see
+    photometric: the same state as the photometric cost has it, with the offset of each scene point's plane
+    wall_clusters: which pieces of wall its images see
     noise: what the problem's sigma come from
     """
 
     state: VisualState
-    offset: np.ndarray
+    photometric: PhotometricState
     problem: Problem
-    shares: Shares
+    wall_clusters: WallClusters
     noise: NoiseModel
     prior: Prior | None
     linearization: Linearization
@@ -68,27 +70,30 @@ def solve(
     patch: int = SCENE_POINTS.size,
     rounds: int = ROUNDS,
     solver: SolverConfig = SOLVER,
-    inflation: float = 10.0,
+    variance_factor: float = 10.0,
     variant: Variant = PRODUCT,
+    shifts: Callable[[VisualState], Shifts] | None = None,
 ) -> LevelSolution:
     """The state of least cost at one level.
 
     images: (I, H, W, C) uint8, the level's; camera: undistorted, of the level
     prior: None for the paper's cost
     patch: side of a patch, px, odd; rounds: solves, each with noise level and prior estimated anew from the last
-    inflation: first guess of how many times the pixels' information overstates itself
+    variance_factor: first guess of actual over modeled variance of the pixels
+    shifts: how the calibration moves patches about a state, found anew for each round; None: it moves none
     """
     sigma = offset_sigma(points, PLANE_FLOOR_M) if variant.plane_offsets else None
     problem = photometric.prepare(
         images, camera, points, observations, patch,
-        offset_sigma=sigma, inflation=inflation, reference_pixels=variant.reference_pixels,
+        offset_sigma=sigma, variance_factor=variance_factor, reference_pixels=variant.reference_pixels,
     )  # fmt: skip
     free = _free(problem, prior is not None, variant.exposures == "joint")
-    at = _State(PhotometricState(state.cameras, np.zeros(len(points))), state.mount)
+    at = _State(PhotometricState(state.cameras, np.zeros(len(points))), state.calibration)
     history: tuple[Iteration, ...] = ()
     quick = replace(solver, relative_decrease=max(solver.relative_decrease, _QUICK_DECREASE))
+    problem, at = _about(problem, at, shifts)
     sums = photometric.sums(problem, at.photometric)
-    shares = covariance.shares_of(problem)
+    wall_clusters = covariance.find_wall_clusters(problem)
     for turn in range(rounds):
         last = turn == rounds - 1
         scatter = noise.estimate(sums, problem.samples)
@@ -100,20 +105,31 @@ def solve(
         linearization = model.at(at)
         sums = linearization.sums
         if not last:
-            problem, prior = _reweighted(problem, shares, prior, at, linearization, free)
-    visual = VisualState(at.photometric.cameras, at.mount)
+            problem, prior = _reweighted(problem, wall_clusters, prior, at, linearization, free)
+            problem, at = _about(problem, at, shifts)
     return LevelSolution(
-        visual,
-        at.photometric.offset,
-        problem,
-        shares,
-        scatter,
-        prior,
-        linearization,
-        free,
-        history,
-        solution.converged,
+        state=at.visual,
+        photometric=at.photometric,
+        problem=problem,
+        wall_clusters=wall_clusters,
+        noise=scatter,
+        prior=prior,
+        linearization=linearization,
+        free=free,
+        history=history,
+        converged=solution.converged,
     )
+
+
+def _about(
+    problem: Problem, at: "_State", shifts: Callable[[VisualState], Shifts] | None
+) -> tuple[Problem, "_State"]:
+    """The problem with shifts about a state, and the state as it is counted from there."""
+    if shifts is None:
+        return problem, at
+    now = shifts(at.visual)
+    photometric = replace(at.photometric, shared=np.zeros(now.size))
+    return replace(problem, shifts=now), _State(photometric, at.calibration)
 
 
 def offset_sigma(points: ScenePoints, floor_m: float) -> np.ndarray:
@@ -129,11 +145,11 @@ def offset_sigma(points: ScenePoints, floor_m: float) -> np.ndarray:
 @dataclass(frozen=True)
 class _State:
     photometric: PhotometricState
-    mount: Mount
+    calibration: Calibration
 
     @property
     def visual(self) -> VisualState:
-        return VisualState(self.photometric.cameras, self.mount)
+        return VisualState(self.photometric.cameras, self.calibration)
 
 
 class _Model:
@@ -154,41 +170,42 @@ class _Model:
     def linearize(self, state: _State) -> NormalEquations:
         return joint(self.at(state).equations, self._prior, state.visual)
 
-    def retract(self, state: _State, step: np.ndarray) -> _State:
-        moved = photometric.retract(self._problem, state.photometric, self.at(state), step[:-1])
-        return _State(moved, priors.retract(state.mount, step[-1]))
+    def retract(self, state: _State, step: Step) -> _State:
+        moved = photometric.retract(self._problem, state.photometric, self.at(state), step)
+        return _State(moved, state.calibration.retract(step.shared))
 
 
 def joint(equations: NormalEquations, prior: Prior | None, state: VisualState) -> NormalEquations:
-    """Photometric equations plus the prior's, over I + 1 blocks of 7; the last is mount and time offset."""
-    photo = equations.padded(len(state.cameras) + 1)
-    return photo if prior is None else photo + priors.linearize(prior, state)
+    """Photometric equations plus the prior's, over I blocks of 7, bordered by the calibration where there is a prior."""
+    return equations if prior is None else equations + trajectory_prior.linearize(prior, state)
 
 
 def components(pair_reference: np.ndarray, pair_target: np.ndarray, images: int) -> np.ndarray:
-    """The connected component (I,) of the co-visibility graph each image belongs to."""
+    """The connected component (I,) of the co-visibility graph each image belongs to.
+
+    pair_reference: (M,) int32, images; pair_target: (M,) int32, images
+    """
     graph = coo_matrix((np.ones(len(pair_reference)), (pair_reference, pair_target)), shape=(images, images))
     return connected_components(graph, directed=False)[1]
 
 
 def _free(problem: Problem, with_prior: bool, solve_exposures: bool) -> np.ndarray:
-    """(I + 1, 7) bool: what may move. One exposure per component is held: its scale is free (A2, one gauge each)."""
+    """(I, 7) bool: what may move. One exposure per component is held: its scale is free (A2, one gauge each)."""
     images, pairs = len(problem.images), problem.pairs
-    free = np.ones((images + 1, 7), bool)
+    free = np.ones((images, 7), bool)
     seen = np.zeros(images, bool)
     seen[pairs.reference] = seen[pairs.target] = True
     _, first = np.unique(components(pairs.reference, pairs.target, images), return_index=True)
-    free[:images, 6] = seen & solve_exposures
+    free[:, 6] = seen & solve_exposures
     free[first, 6] = False
-    free[images] = with_prior
     if not with_prior:
-        free[:images, :6] &= seen[:, None]
+        free[:, :6] &= seen[:, None]
     return free
 
 
 def _reweighted(
     problem: Problem,
-    shares: Shares,
+    wall_clusters: WallClusters,
     prior: Prior | None,
     at: _State,
     linearization: Linearization,
@@ -198,59 +215,60 @@ def _reweighted(
     if problem.offset_sigma is not None:
         scale = covariance.offset_scale(problem, at.photometric.offset, linearization.offset_hessian)
         problem = replace(problem, offset_sigma=problem.offset_sigma * scale)
-    clusters = covariance.cluster_gradients(problem, linearization, shares)
-    ratio = covariance.inflation(linearization.equations, clusters)
-    inflation = max(problem.inflation * ratio, 1.0)
+    clusters = covariance.cluster_gradients(problem, linearization, wall_clusters)
+    ratio = covariance.variance_factor(linearization.equations, clusters)
+    variance_factor = max(problem.variance_factor * ratio, 1.0)
     if prior is not None:
         total = joint(linearization.equations, prior, at.visual)
-        own, with_mount = linear_solver.covariance_blocks(total, free)
-        undecided = tuple(_undecided(prior, source, at.visual, own, with_mount) for source in prior.sources)
-        clusters = covariance.bias_reduced_gradients(problem, linearization, at.photometric, shares, total)
-        counts = _mount_information(prior, at, clusters, own[-1], with_mount, problem.inflation / inflation)
-        prior = trajectory_sigmas.reestimated(replace(prior, mount_information=counts), at.visual, undecided)
-    return replace(problem, inflation=inflation), prior
+        known = linear_solver.covariance(total, free)
+        undecided = tuple(_undecided(prior, source, at.visual, known) for source in prior.sources)
+        clusters = covariance.bias_reduced_gradients(
+            problem, linearization, at.photometric, wall_clusters, total
+        )
+        counts = _calibration_information(
+            prior, at, clusters, known, problem.variance_factor / variance_factor
+        )
+        prior = replace(prior, calibration=replace(prior.calibration, counted=counts))
+        prior = trajectory_sigmas.reestimated(prior, at.visual, undecided)
+    return replace(problem, variance_factor=variance_factor), prior
 
 
-def _mount_information(
-    prior: Prior,
-    at: _State,
-    clusters: csr_matrix,
-    covariance_mount: np.ndarray,
-    covariance_with_mount: np.ndarray,
-    deflated: float,
+def _calibration_information(
+    prior: Prior, at: _State, clusters: csr_matrix, known: Covariance, deflated: float
 ) -> np.ndarray:
-    """(7, 7): what the calibrated mount shall count, from what the images tell of it and how far they contradict it.
+    """(k, k): what the calibration shall count, from what the images tell of it and how far they contradict it.
 
-    clusters: (clusters, 7 I) gradients per piece of wall; covariance_mount: (7, 7); covariance_with_mount: (I + 1, 7, 7)
-    deflated: by what factor the information of the images is about to change
+    clusters: (clusters, 7 I + k) gradients per piece of wall; deflated: by what factor the information of the images is
+    about to change
     """
-    every = np.linalg.inv(covariance_mount)
-    now, _, _ = priors.linearize_mount(prior, at.mount)
-    gradients = clusters @ covariance_with_mount[:-1].reshape(-1, len(every)) @ every
-    return extrinsic_prior.weighed(
-        deflated * (every - now),
-        deflated**2 * (gradients.T @ gradients),
-        priors.claimed_information(prior.config),
+    every = np.linalg.inv(known.shared)
+    now = prior.calibration.hessian(at.calibration)
+    count = known.with_shared[..., 0].size
+    # by the calibration, all cameras following: the columns of the inverse over its corner
+    following = np.concatenate([known.with_shared.reshape(count, -1) @ every, np.eye(len(every))])
+    gradients = clusters @ following
+    return calibration_prior.weighed(
+        deflated * (every - now), deflated**2 * (gradients.T @ gradients), prior.calibration.claimed
     )
 
 
-def _undecided(
-    prior: Prior, source: Source, state: VisualState, own: np.ndarray, with_mount: np.ndarray
-) -> np.ndarray:
+def _undecided(prior: Prior, source: Source, state: VisualState, known: Covariance) -> np.ndarray:
     """(I, 6): posterior variance of each frame's deviation from a source of the prior."""
-    by_camera, by_mount = priors.jacobians(prior, source, state)
-    cross = by_camera @ with_mount[:-1, :6] @ np.swapaxes(by_mount, 1, 2)
-    total = by_camera @ own[:-1, :6, :6] @ np.swapaxes(by_camera, 1, 2) + cross + np.swapaxes(cross, 1, 2)
-    total += by_mount @ own[-1] @ np.swapaxes(by_mount, 1, 2)
+    by_camera, by_calibration = trajectory_prior.jacobians(prior, source, state)
+    cross = by_camera @ known.with_shared[:, :6] @ np.swapaxes(by_calibration, 1, 2)
+    total = by_camera @ known.blocks[:, :6, :6] @ np.swapaxes(by_camera, 1, 2)
+    total += cross + np.swapaxes(cross, 1, 2)
+    total += by_calibration @ known.shared @ np.swapaxes(by_calibration, 1, 2)
     return np.asarray(np.diagonal(total, axis1=1, axis2=2))
 
 
-def covariance_of(solution: LevelSolution) -> np.ndarray:
-    """(I + 1, 7, 7) covariance blocks of the images' unknowns, then of mount and time offset."""
+def covariance_of(solution: LevelSolution) -> Covariance:
+    """Of the images' unknowns, (I, 7, 7) blocks, and of the calibration."""
     total = joint(solution.linearization.equations, solution.prior, solution.state)
-    held = None if solution.prior is None else priors.spread(solution.prior, solution.state)
-    at = PhotometricState(solution.state.cameras, solution.offset)
-    clusters = covariance.bias_reduced_gradients(
-        solution.problem, solution.linearization, at, solution.shares, total
+    varies = (
+        None if solution.prior is None else trajectory_prior.gradient_variance(solution.prior, solution.state)
     )
-    return covariance.camera_covariance(total, clusters, held, solution.free)
+    clusters = covariance.bias_reduced_gradients(
+        solution.problem, solution.linearization, solution.photometric, solution.wall_clusters, total
+    )
+    return linear_solver.sandwich(total, clusters, varies, solution.free)

@@ -2,18 +2,18 @@
 
 The inverse Hessian alone promises far too much: errors of planes and of interpolation are shared by all pixels of a
 patch and by all patches of a plane. Here the pixels' information is replaced by the sandwich `H^-1 M H^-1` of a
-composite likelihood (White 1982; Varin et al. 2011), where M sums the outer products of the gradients per cluster,
-and a cluster is all that hangs on one piece of wall.
+composite likelihood (White 1982; Varin et al. 2011; `optim.linear_solver.sandwich`), where M sums the outer products of
+the gradients per cluster, and a cluster is all that hangs on one piece of wall.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, hstack
 
 from lvba import geometry
+from lvba.arrays import Indices, PoseBlocks, Poses, Times
 from lvba.kernels import plane_offsets as offset_kernels
-from lvba.optim import linear_solver
 from lvba.optim.normal_equations import NormalEquations
 from lvba.trajectory import Trajectory
 from lvba.visual import photometric
@@ -28,10 +28,11 @@ _MAP_SCANS = 11
 
 
 @dataclass(frozen=True)
-class Shares:
-    """What pieces of wall have to do with images.
+class WallClusters:
+    """Clusters of observations: one for each piece of wall and each image that sees it.
 
-    wall, image: (S,) int64; of: (O, 2) int64, the share of each observation with its reference, and with its target
+    wall, image: (S,) int64, of each cluster
+    of: (O, 2) int64, the cluster of each observation with its reference, and with its target
     """
 
     wall: np.ndarray
@@ -39,52 +40,58 @@ class Shares:
     of: np.ndarray
 
 
-def shares_of(problem: Problem) -> Shares:
+def find_wall_clusters(problem: Problem) -> WallClusters:
     """Which pieces of wall are seen in which images: the same for all states of a problem."""
     points, observations = problem.points, problem.observations
     images = np.stack([points.reference[observations.point], observations.target], axis=1)
     keys = _walls(points)[observations.point][:, None].astype(np.int64) * len(problem.images) + images
-    found, where = np.unique(keys, return_inverse=True)
-    return Shares(*np.divmod(found, len(problem.images)), where.reshape(keys.shape))
+    unique, where = np.unique(keys, return_inverse=True)
+    return WallClusters(*np.divmod(unique, len(problem.images)), where.reshape(keys.shape))
 
 
-def cluster_gradients(problem: Problem, linearization: Linearization, shares: Shares) -> csr_matrix:
-    """Gradients of the photometric cost summed per piece of wall, (clusters, 7 I) sparse."""
-    return _by_wall(shares, _summed(shares, linearization), len(problem.images))
+def cluster_gradients(problem: Problem, linearization: Linearization, walls: WallClusters) -> csr_matrix:
+    """Gradients of the photometric cost by the images summed per piece of wall, (clusters, 7 I) sparse."""
+    return _by_wall(walls, _summed(walls, linearization), len(problem.images))
 
 
 def bias_reduced_gradients(
     problem: Problem,
     linearization: Linearization,
     state: PhotometricState,
-    shares: Shares,
+    walls: WallClusters,
     known: NormalEquations,
 ) -> csr_matrix:
-    """The same, each as large as it would be had the image not been fitted to it.
+    """The same, each as large as it would be had the image not been fitted to it; (clusters, 7 I + k) sparse.
+
+    The last k columns are the gradients by the shared parameters, as they are.
 
     A wall that holds an image in some direction bends it to itself there and leaves little gradient, however wrong it
     is (bias reduced linearization, CR2: Bell and McCaffrey 2002; leaving each wall out altogether, CR3, promises errors
-    twice as large as they are where few walls are seen). known: all that is known, the images' blocks first
+    twice as large as they are where few walls are seen). known: all that is known of images and shared parameters
     """
-    gradients = _summed(shares, linearization)
-    told = information(problem, linearization, state, shares)
-    gradients[:, :6] = bias_reduced(told, gradients[:, :6], shares.image, known)
-    return _by_wall(shares, gradients, len(problem.images))
+    gradients = _summed(walls, linearization)
+    blocks = information(problem, linearization, state, walls)
+    gradients[:, :6] = bias_reduced(blocks, gradients[:, :6], walls.image, known)
+    images = _by_wall(walls, gradients, len(problem.images))
+    by_shared = np.zeros((images.shape[0], known.shared))
+    if linearization.shared is not None:
+        np.add.at(by_shared, walls.wall[walls.of[:, 0]], linearization.shared.single)
+    return hstack([images, csr_matrix(by_shared)]).tocsr()
 
 
-def _summed(shares: Shares, linearization: Linearization) -> np.ndarray:
+def _summed(walls: WallClusters, linearization: Linearization) -> np.ndarray:
     """(S, 7): the gradient of each share's cost by its image's unknowns."""
-    sums = np.zeros((len(shares.wall), 7, 1))
+    sums = np.zeros((len(walls.wall), 7, 1))
     for end in range(2):
         own = np.ascontiguousarray(linearization.single[:, 7 * end : 7 * end + 7, None])
-        offset_kernels.add_blocks(sums, np.ascontiguousarray(shares.of[:, end]), own)
+        offset_kernels.add_blocks(sums, np.ascontiguousarray(walls.of[:, end]), own)
     return sums[..., 0]
 
 
-def _by_wall(shares: Shares, gradients: np.ndarray, images: int) -> csr_matrix:
-    columns = 7 * shares.image[:, None] + np.arange(7)
-    shape = (int(shares.wall.max(initial=-1)) + 1, 7 * images)
-    return csr_matrix((gradients.ravel(), (np.repeat(shares.wall, 7), columns.ravel())), shape=shape)
+def _by_wall(walls: WallClusters, gradients: np.ndarray, images: int) -> csr_matrix:
+    columns = 7 * walls.image[:, None] + np.arange(7)
+    shape = (int(walls.wall.max(initial=-1)) + 1, 7 * images)
+    return csr_matrix((gradients.ravel(), (np.repeat(walls.wall, 7), columns.ravel())), shape=shape)
 
 
 def _walls(points: ScenePoints) -> np.ndarray:
@@ -96,39 +103,37 @@ def _walls(points: ScenePoints) -> np.ndarray:
 
 
 def information(
-    problem: Problem, linearization: Linearization, state: PhotometricState, shares: Shares
+    problem: Problem, linearization: Linearization, state: PhotometricState, walls: WallClusters
 ) -> np.ndarray:
     """(S, 6, 6): what each share tells of its image's pose, the plane offsets eliminated."""
-    found = photometric.shared_information(problem, state, linearization.sums, shares.of, len(shares.wall))
+    blocks = photometric.shared_information(problem, state, linearization.sums, walls.of, len(walls.wall))
     if problem.offset_sigma is None:
-        return found
+        return blocks
     point, points = problem.observations.point, len(problem.points)
     as_reference = np.zeros(points, np.int64)
-    as_reference[point] = shares.of[:, 0]
-    at = np.concatenate([as_reference, shares.of[:, 1]])
+    as_reference[point] = walls.of[:, 0]
+    at = np.concatenate([as_reference, walls.of[:, 1]])
     hessian = linearization.offset_hessian[np.concatenate([np.arange(points), point])]
     entry = linearization.entry[:, :6] / np.sqrt(hessian)[:, None]
-    offset_kernels.take_squares(found, at, entry)
-    return found
+    offset_kernels.take_squares(blocks, at, entry)
+    return blocks
 
 
 def bias_reduced(
-    told: np.ndarray, gradients: np.ndarray, image: np.ndarray, known: NormalEquations
+    information: PoseBlocks, gradients: np.ndarray, image: Indices, known: NormalEquations
 ) -> np.ndarray:
     """(S, 6): `(1 - I H^-1)^(-1/2) g`, H (6, 6) all that is known of the share's image when the other images stay.
 
-    told: (S, 6, 6), I; gradients: (S, 6), g; image: (S,)
+    information: (S, 6, 6), I; gradients: (S, 6) float64, g; image: (S,)
     """
-    diagonal = known.rows == known.columns
-    blocks = np.zeros((len(known.gradient), 6, 6))
-    blocks[known.rows[diagonal]] = known.blocks[diagonal][:, :6, :6]
+    blocks = known.diagonal_blocks()[:, :6, :6].copy()
     # a part more on the diagonal: without a prior, some motion of an image may be free
     blocks *= 1 + 1e-9 * np.eye(6)
-    # factored and inverted once for each image, which has hundreds of shares; one without any may be held by nothing
-    found, where = np.unique(image, return_inverse=True)
-    lower = np.linalg.cholesky(blocks[found])
+    # factored and inverted once for each image, which has hundreds of clusters; one without any may be undetermined
+    unique, where = np.unique(image, return_inverse=True)
+    lower = np.linalg.cholesky(blocks[unique])
     whitening, lower = np.linalg.inv(lower)[where], lower[where]
-    leverage, axes = np.linalg.eigh(whitening @ told @ np.swapaxes(whitening, -1, -2))
+    leverage, axes = np.linalg.eigh(whitening @ information @ np.swapaxes(whitening, -1, -2))
     along = (gradients[:, None] @ np.swapaxes(whitening, -1, -2) @ axes)[:, 0]
     along /= np.sqrt(1 - np.clip(leverage, 0.0, _GREATEST_LEVERAGE))
     return np.asarray((lower @ (axes @ along[..., None]))[..., 0])
@@ -137,8 +142,8 @@ def bias_reduced(
 def offset_scale(problem: Problem, offset: np.ndarray, hessian: np.ndarray) -> float:
     """By what factor the plane offsets scatter more than expected (variance component, robust), 0.3 to 10.
 
-    offset: (P,) m, solved; hessian: (P,) their information with the prior's. Points whose offset only the prior
-    decides have no vote.
+    offset: (P,) float64 m, solved; hessian: (P,) float64 their information with the prior's. Points whose offset only the
+    prior decides have no vote.
     """
     assert problem.offset_sigma is not None
     precision = 1 / problem.offset_sigma**2
@@ -151,8 +156,8 @@ def offset_scale(problem: Problem, offset: np.ndarray, hessian: np.ndarray) -> f
     return float(np.clip(np.sqrt(np.median(normalized[voting]) / 0.4549), 0.3, 10.0))
 
 
-def inflation(equations: NormalEquations, clusters: csr_matrix) -> float:
-    """How many times the Hessian overstates the information: the median over images of tr(H_ii^-1 M_ii) / 6."""
+def variance_factor(equations: NormalEquations, clusters: csr_matrix) -> float:
+    """Actual over modeled variance of the gradient: the median over images of tr(H_ii^-1 M_ii) / 6."""
     own = equations.rows == equations.columns
     columns, ratios = clusters.tocsc(), []
     for image, block in zip(equations.rows[own], equations.blocks[own], strict=True):
@@ -169,39 +174,11 @@ def inflation(equations: NormalEquations, clusters: csr_matrix) -> float:
     return float(np.clip(np.median(ratios), 0.1, 100.0)) if ratios else 1.0
 
 
-def camera_covariance(
-    total: NormalEquations,
-    clusters: csr_matrix,
-    prior_spread: NormalEquations | None,
-    free: np.ndarray,
-) -> np.ndarray:
-    """The sandwich covariance of the free unknowns as (I + 1, 7, 7) diagonal blocks; the last block is the mount.
-
-    total: photometric equations plus prior, over I + 1 blocks; clusters: (clusters, 7 I)
-    prior_spread: M of the prior's share (`trajectory_prior.spread`): its Hessian, as its sigmas were estimated; None: no
-        prior
-    """
-    index = np.flatnonzero(free)
-    inverse = linear_solver.inverse_columns(total, index, 10**9)(np.arange(index.size))
-    scaled = clusters[:, index[index < clusters.shape[1]]]
-    spread = inverse[:, : scaled.shape[1]] @ scaled.T
-    count = len(total.gradient)
-    blocks = np.zeros((count, 7, 7))
-    middle = None if prior_spread is None else inverse @ prior_spread.dense()[np.ix_(index, index)] @ inverse
-    starts = np.searchsorted(index, np.arange(count + 1) * 7)
-    for block in range(count):
-        mine = slice(starts[block], starts[block + 1])
-        local = index[mine] - 7 * block
-        value = spread[mine] @ spread[mine].T
-        blocks[block][np.ix_(local, local)] = value if middle is None else value + middle[mine, mine]
-    return blocks
-
-
 def of_map(
-    world_from_camera: np.ndarray,
-    times: np.ndarray,
+    world_from_camera: Poses,
+    times: Times,
     scans: Trajectory,
-    scan_covariance: np.ndarray,
+    scan_covariance: PoseBlocks,
 ) -> np.ndarray:
     """(I, 6, 6): how far the map about each camera may be off, in the camera's tangent `[rotation | translation]`.
 

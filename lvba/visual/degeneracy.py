@@ -13,7 +13,10 @@ from scipy.linalg import eigh
 
 from lvba import geometry
 from lvba.lidar.plane import Planes
-from lvba.visual import trajectory_prior as priors
+from lvba.optim import linear_solver
+from lvba.optim.levenberg_marquardt import SolverConfig, levenberg_marquardt
+from lvba.optim.normal_equations import NormalEquations, Step
+from lvba.visual import trajectory_prior
 from lvba.visual.photometric import Linearization, Problem
 from lvba.visual.states import CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior
@@ -25,7 +28,7 @@ _LEAST_TILT = 0.01
 
 
 @dataclass(frozen=True)
-class WeakDirections:
+class DegenerateDirections:
     """count: (I,) int32, per image: common motions of it and its scene that nothing it sees holds
     common: (k, 6) float64, motions `[rotation | translation]` of all images about their middle, world axes, that
     nothing any image sees holds: rad and m, unit length where a radian counts as the scene's radius (see `_radius`)
@@ -39,7 +42,7 @@ class WeakDirections:
 
 def find(
     problem: Problem, linearization: Linearization, planes: Planes, weak_m: float = 0.02
-) -> WeakDirections:
+) -> DegenerateDirections:
     """The weak directions of one solved level.
 
     weak_m: a motion is weak, too, where the images leave this much of it open (standard deviation, m)
@@ -47,7 +50,7 @@ def find(
     points, observations = problem.points, problem.observations
     images = len(problem.images)
     if len(linearization.offset_hessian) != len(points):
-        return WeakDirections(np.zeros(images, np.int32), np.zeros((0, 6)), np.zeros(3))
+        return DegenerateDirections(np.zeros(images, np.int32), np.zeros((0, 6)), np.zeros(3))
     center = points.position_world.mean(axis=0)
     arm = points.position_world - center
     radius = _radius(arm, weak_m)
@@ -62,7 +65,7 @@ def find(
     for i in range(images):
         mine = np.unique(entry[order[starts[i] : starts[i + 1]]])
         count[i] = len(_weak(known[mine].sum(axis=0), noise[mine].sum(axis=0), floor))
-    return WeakDirections(count, common / np.repeat([radius, 1.0], 3), center)
+    return DegenerateDirections(count, common / np.repeat([radius, 1.0], 3), center)
 
 
 def _radius(arm: np.ndarray, least: float) -> float:
@@ -104,51 +107,48 @@ def _weak(known: np.ndarray, noise: np.ndarray, floor: np.ndarray) -> np.ndarray
     return np.asarray(weak / np.linalg.norm(weak, axis=1, keepdims=True))
 
 
-def hold(state: VisualState, prior: Prior, directions: WeakDirections, iterations: int = 5) -> VisualState:
+_HOLD = SolverConfig(max_iterations=20, initial_damping=0.0, relative_decrease=1e-9, step_tolerance=1e-9)
+
+
+def return_to_prior(state: VisualState, prior: Prior, directions: DegenerateDirections) -> VisualState:
     """The state with all cameras moved together, along the common weak directions only, to where the prior wants them.
 
     The images know nothing of such a motion but what noise makes up; so it is the prior's alone to decide.
     """
     if len(directions.common) == 0:
         return state
-    for _ in range(iterations):
-        hessian, gradient, _ = _prior_along(state, prior, directions)
-        step = -np.linalg.solve(hessian, gradient)
-        count = len(directions.common)
-        to_center = geometry.from_rotation_translation(np.eye(3), directions.center)
-        motion = to_center @ geometry.exp(step[:count] @ directions.common) @ geometry.inverse(to_center)
-        poses = geometry.orthonormalize(motion @ state.cameras.world_from_camera)
-        cameras = CameraStates(poses, state.cameras.log_exposure)
-        state = VisualState(cameras, priors.retract(state.mount, step[count:]))
-    return state
+    # where images know nothing, there is nothing to weigh the calibration against
+    prior = replace(prior, calibration=replace(prior.calibration, counted=None))
+    to_center = geometry.from_rotation_translation(np.eye(3), directions.center)
+
+    def moved(at: VisualState, step: Step) -> VisualState:
+        motion = to_center @ geometry.exp(step.blocks[0] @ directions.common) @ geometry.inverse(to_center)
+        poses = geometry.orthonormalize(motion @ at.cameras.world_from_camera)
+        cameras = CameraStates(poses, at.cameras.log_exposure)
+        return VisualState(cameras, at.calibration.retract(step.shared))
+
+    return levenberg_marquardt(state, lambda at: _prior_along(at, prior, directions), moved, _HOLD).state
 
 
-def held_covariance(state: VisualState, prior: Prior, directions: WeakDirections) -> np.ndarray:
+def held_covariance(state: VisualState, prior: Prior, directions: DegenerateDirections) -> np.ndarray:
     """(I, 6, 6): what the prior leaves open along the common weak directions, as covariance of each camera."""
-    count = len(directions.common)
-    if count == 0:
+    if len(directions.common) == 0:
         return np.zeros((len(state.cameras), 6, 6))
-    hessian, _, local = _prior_along(state, prior, directions)
-    along = np.linalg.inv(hessian)[:count, :count]
+    prior = replace(prior, calibration=replace(prior.calibration, counted=None))
+    along = linear_solver.covariance(_prior_along(state, prior, directions)).blocks[0]
+    local = _tangents(state, directions)
     return np.asarray(local @ along @ np.swapaxes(local, 1, 2))
 
 
-def _prior_along(
-    state: VisualState, prior: Prior, directions: WeakDirections
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The prior's Hessian and gradient by [weak motions | mount], and each camera's tangent (I, 6, k) of the motions."""
-    # where images know nothing, there is nothing to weigh the calibration against
-    equations = priors.linearize(replace(prior, mount_information=None), state)
-    images = len(state.cameras)
+def _prior_along(state: VisualState, prior: Prior, directions: DegenerateDirections) -> NormalEquations:
+    """The prior's equations over the weak motions, one block, bordered by the calibration."""
+    by_motion = np.zeros((len(state.cameras), 7, len(directions.common)))
+    by_motion[:, :6] = _tangents(state, directions)
+    return trajectory_prior.linearize(prior, state).together(by_motion)
+
+
+def _tangents(state: VisualState, directions: DegenerateDirections) -> np.ndarray:
+    """(I, 6, m): each camera's tangent of the weak motions."""
     to_center = geometry.from_rotation_translation(np.eye(3), directions.center)
-    local = (
-        geometry.adjoint(geometry.inverse(state.cameras.world_from_camera) @ to_center) @ directions.common.T
-    )
-    own = equations.blocks[(equations.rows == equations.columns) & (equations.rows < images)][:, :6, :6]
-    cross = equations.blocks[(equations.rows < images) & (equations.columns == images)][:, :6]
-    mount = equations.blocks[(equations.rows == images) & (equations.columns == images)][0]
-    motion = np.einsum("nik,nij,njl->kl", local, own, local)
-    coupling = np.einsum("nik,nij->kj", local, cross)
-    hessian = np.block([[motion, coupling], [coupling.T, mount]])
-    pull = np.einsum("nik,ni->k", local, equations.gradient[:images, :6])
-    return hessian, np.concatenate([pull, equations.gradient[images]]), local
+    carry = geometry.adjoint(geometry.inverse(state.cameras.world_from_camera) @ to_center)
+    return np.asarray(carry @ directions.common.T)

@@ -9,19 +9,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lvba.arrays import Images, Indices, Poses, Times, Vectors
 from lvba.camera import Camera
 from lvba.kernels import patches_mean
+from lvba.kernels.patches_mean import REFERENCE_MEAN, SPREAD, TARGET_MEAN
 from lvba.kernels.patches_pyramid import blank_masked, halve
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.visual import scene_points, visibility
 from lvba.visual.exposure_graph import BLOCKS, Edges, Exposures, robust_std, solve_edges
-from lvba.visual.image import SATURATED, Pyramid
+from lvba.visual.image import DARK, SATURATED, Pyramid, intrinsics_of
 from lvba.visual.scene_points import HIDDEN_M, PatchRules, PointsConfig, ScenePoints
 from lvba.visual.visibility import (
     DepthBuffers,
     VisibilityMap,
     choose_global,
     global_pairs,
+    kernel_patches,
     local_pairs,
     view_scores,
 )
@@ -50,10 +53,9 @@ EDGE_FLOOR = 0.0005
 """Standard deviation of a pair of images' log ratio that no number of patches beats: what is common to all of them."""
 FEW_PATCHES = 0.01
 """A pair of images compared by n patches has at least this over n as standard deviation: one may be wrong."""
-DARK = 4.0
-"""Pixels near one of up to this grey value, in either image, are left out of both means."""
 BRIGHT = 248.0
-"""And so are pixels near one of this grey value or more: a little less than clipped, for blur has dimmed some."""
+"""Pixels near one of this grey value or more, in either image, are left out of both means, as those near one of up to
+DARK are: a little less than clipped, for blur has dimmed some."""
 MASK_REACH = 1
 """How near, px at the level compared: what blur carries from a clipped spot is in one view only."""
 MIN_USABLE = 0.3
@@ -77,11 +79,11 @@ class Ratios:
 
 def solve(
     pyramid: Pyramid,
-    world_from_camera: np.ndarray,
-    image_times: np.ndarray,
+    world_from_camera: Poses,
+    image_times: Times,
     planes: Planes,
     plane_points: PlanePoints,
-    scan_times: np.ndarray,
+    scan_times: Times,
     seen: VisibilityMap | None,
     level: int = LEVEL,
     depth: DepthBuffers | None = None,
@@ -95,11 +97,11 @@ def solve(
 
 def ratios_at(
     pyramid: Pyramid,
-    world_from_camera: np.ndarray,
-    image_times: np.ndarray,
+    world_from_camera: Poses,
+    image_times: Times,
     planes: Planes,
     plane_points: PlanePoints,
-    scan_times: np.ndarray,
+    scan_times: Times,
     seen: VisibilityMap | None,
     level: int = LEVEL,
     depth: DepthBuffers | None = None,
@@ -119,19 +121,19 @@ def ratios_at(
         levels.append(halve(levels[-1], SATURATED))
     camera = pyramid.camera.at_level(level)
     for used in range(max(level - 1, 0), level + 2):
-        levels[used] = blank_masked(levels[used], MASK_REACH, DARK, BRIGHT)
+        levels[used] = blank_masked(levels[used], MASK_REACH, float(DARK), BRIGHT)
     points = place(levels[level], camera, world_from_camera, image_times, planes, plane_points, scan_times)
     return measure(levels, level, camera, world_from_camera, points, seen, depth)
 
 
 def place(
-    images: np.ndarray,
+    images: Images,
     camera: Camera,
-    world_from_camera: np.ndarray,
-    image_times: np.ndarray,
+    world_from_camera: Poses,
+    image_times: Times,
     planes: Planes,
     plane_points: PlanePoints,
-    scan_times: np.ndarray,
+    scan_times: Times,
 ) -> ScenePoints:
     """Patches on a regular grid over every image, each on one plane, whatever the image shows there."""
     config = PointsConfig(cells=CELLS)
@@ -160,7 +162,7 @@ def measure(
     levels: list[np.ndarray],
     level: int,
     camera: Camera,
-    world_from_camera: np.ndarray,
+    world_from_camera: Poses,
     points: ScenePoints,
     seen: VisibilityMap | None,
     depth: DepthBuffers,
@@ -174,24 +176,42 @@ def measure(
         far_point, far_target = global_pairs(chosen, rows, points.reference, seen)
         far = np.abs(points.reference[far_point] - far_target) > WINDOW
         point, target = np.append(point, far_point[far]), np.append(target, far_target[far])
-    gates = np.array([
-        0.1, np.cos(np.radians(PATCH.max_view_angle_deg)), MIN_SCALE, MAX_SCALE, 0.0, 256.0, MIN_USABLE, HIDDEN_M,
-    ])  # fmt: skip
     finer = levels[level - 1] if level else images
-    found = patches_mean.measure_pairs(
-        finer, images, levels[level + 1], np.ascontiguousarray(world_from_camera),
-        np.array([camera.fx, camera.fy, camera.cx, camera.cy]), points.position_world, points.normal_world,
-        points.reference, points.pixel, point, target, window_weights(PATCH.size), gates,
-        depth.nearest, depth.points_world, depth.cell * camera.fx,
-    )  # fmt: skip
-    good = found[:, 0] > 0
-    sigma = np.sqrt(SIGMA_FLOOR**2 + found[good, 2] ** 2 / INDEPENDENT)
-    value = np.log(found[good, 1] / found[good, 0])
+    means = patches_mean.measure_pairs(
+        finer,
+        images,
+        levels[level + 1],
+        np.ascontiguousarray(world_from_camera),
+        intrinsics_of(camera),
+        kernel_patches(points),
+        point,
+        target,
+        window_weights(PATCH.size),
+        mean_gates(),
+        depth.at(camera),
+    )
+    good = means[:, REFERENCE_MEAN] > 0
+    sigma = np.sqrt(SIGMA_FLOOR**2 + means[good, SPREAD] ** 2 / INDEPENDENT)
+    value = np.log(means[good, TARGET_MEAN] / means[good, REFERENCE_MEAN])
     block = surface_blocks(points.position_world)[point[good]]
     return Ratios(points.reference[point[good]], target[good].astype(np.int32), value, sigma, block)
 
 
-def surface_blocks(position_world: np.ndarray, size: float = 1.0) -> np.ndarray:
+def mean_gates() -> patches_mean.MeanGates:
+    """What a pair must pass to be compared; what is dark or bright is already blank (`ratios_at`)."""
+    return patches_mean.MeanGates(
+        min_view_cosine=0.1,
+        min_normal_cosine=float(np.cos(np.radians(PATCH.max_view_angle_deg))),
+        min_scale=MIN_SCALE,
+        max_scale=MAX_SCALE,
+        dark=0.0,
+        bright=256.0,
+        min_usable=MIN_USABLE,
+        hiding=HIDDEN_M,
+    )
+
+
+def surface_blocks(position_world: Vectors, size: float = 1.0) -> np.ndarray:
     """Which of BLOCKS sets of voxels of `size` m each point (P, 3) falls in, (P,) int64; neighbours differ."""
     voxel = np.floor(position_world / size).astype(np.int64)
     return np.asarray((voxel @ np.array([1, 3, 5])) % BLOCKS)
@@ -212,23 +232,24 @@ def edges_of(ratios: Ratios, images: int) -> Edges:
     sigma = np.sqrt(sigma**2 + EDGE_FLOOR**2 + (FEW_PATCHES / np.maximum(count, 1)) ** 2)
     left_out = leave_out_blocks(edge, value, weight, ratios.block, mean)
     return Edges(
-        codes // images,
-        codes % images,
-        mean,
-        sigma,
-        left_out - mean[:, None],
-        len(value),
-        robust_std(value - mean[edge]),
+        first=codes // images,
+        second=codes % images,
+        mean=mean,
+        sigma=sigma,
+        changes=left_out - mean[:, None],
+        pairs=len(value),
+        spread=robust_std(value - mean[edge]),
     )
 
 
 def edge_means(
-    edge: np.ndarray, value: np.ndarray, sigma: np.ndarray, edges: int
+    edge: Indices, value: np.ndarray, sigma: np.ndarray, edges: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Robust mean (E,) of the values of every edge, its standard deviation (E,), and the weights (N,) used.
 
     edge (N,): which edge a value (N,) with standard deviation (N,) belongs to. Cauchy weights, scaled by the median of
     all normalized residuals, from the median as start.
+    value: (N,) float64; sigma: (N,) float64
     """
     mean = _medians(edge, value, edges)
     many = np.bincount(edge, minlength=edges)[edge] >= 4  # of few values the residuals say nothing
@@ -242,9 +263,12 @@ def edge_means(
 
 
 def leave_out_blocks(
-    edge: np.ndarray, value: np.ndarray, weight: np.ndarray, block: np.ndarray, mean: np.ndarray
+    edge: Indices, value: np.ndarray, weight: np.ndarray, block: Indices, mean: np.ndarray
 ) -> np.ndarray:
-    """The edges' weighted means (E, BLOCKS) without the values of one block of the surface each."""
+    """The edges' weighted means (E, BLOCKS) without the values of one block of the surface each.
+
+    value: (N,) float64; weight: (N,) float64; mean: (E,) float64, of each edge
+    """
     cell, shape = edge * BLOCKS + block, (len(mean), BLOCKS)
     weights = np.bincount(cell, weight, shape[0] * BLOCKS).reshape(shape)
     sums = np.bincount(cell, weight * value, shape[0] * BLOCKS).reshape(shape)

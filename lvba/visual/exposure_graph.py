@@ -64,6 +64,10 @@ def solve_edges(edges: Edges, images: int) -> Exposures:
 
 
 def robust_std(values: np.ndarray) -> float:
+    """Standard deviation of values about 0 by their median absolute value, as if they were normal; 0 without any.
+
+    values: (N,) float64
+    """
     return float(1.4826 * np.median(np.abs(values))) if len(values) else 0.0
 
 
@@ -155,8 +159,8 @@ class _Graph:
         joined = np.bincount(self.component)[self.component] > 1
         if not joined.any():
             return np.full(len(self.component), np.inf)
-        excess = jackknife[joined].mean() / independent[joined].mean()
-        return np.where(joined, np.sqrt(independent * max(excess, 1.0)), np.inf)
+        variance_factor = jackknife[joined].mean() / independent[joined].mean()
+        return np.where(joined, np.sqrt(independent * max(variance_factor, 1.0)), np.inf)
 
     def _centered(self, values: np.ndarray) -> np.ndarray:
         """Values (I, K) less the mean of their component."""

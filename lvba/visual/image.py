@@ -7,8 +7,11 @@ from typing import Literal
 import cv2
 import numpy as np
 
+from lvba.arrays import Images, Picture
 from lvba.camera import Camera
 from lvba.kernels.patches_pyramid import halve
+from lvba.kernels.scene import Intrinsics
+from lvba.lens import Lens, widest_angle
 from lvba.parallel import in_order
 from lvba.progress import Progress, silent
 from lvba.settings import check, setting
@@ -16,7 +19,8 @@ from lvba.settings import check, setting
 SATURATED = 250
 """Grey value (of 255) from which a pixel counts as clipped."""
 DARK = 3
-"""Grey values up to this count as no image: undistorted images are 0 where there is none, and resampling leaves a rim."""
+"""Grey values up to this count as no image, wherever images are read: undistorted images are 0 where there is none, and
+resampling leaves a rim."""
 _WIDER = 0.95
 """Focal length of undistorted images over that of the raw ones."""
 _NOISE_BLOCK = 16
@@ -27,6 +31,11 @@ _HALVED_NOISE = 0.65
 """Part of the noise that a 2x2 mean leaves at most: 0.5 for white noise, more after resampling."""
 _MIN_NOISE = 0.29
 """Standard deviation of rounding to whole grey values."""
+
+
+def intrinsics_of(camera: Camera) -> Intrinsics:
+    """The camera as kernels take it."""
+    return Intrinsics(float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy))
 
 
 @dataclass(frozen=True)
@@ -92,15 +101,23 @@ class Undistorter:
 
     def __init__(self, camera: Camera, pinhole: Camera | None = None) -> None:
         self.camera = camera
-        self.identity = not any(camera.distortion)
+        self.identity = camera.is_pinhole
         if self.identity:
             return
-        size, matrix = (camera.width, camera.height), (pinhole or camera).matrix
-        self._map_x, self._map_y = cv2.initUndistortRectifyMap(
-            camera.matrix, np.array(camera.distortion), None, matrix, size, cv2.CV_32FC1
-        )
-        inside_x = (self._map_x >= 0) & (self._map_x <= camera.width - 1)
-        self._outside = ~(inside_x & (self._map_y >= 0) & (self._map_y <= camera.height - 1))
+        target = pinhole or camera
+        size, coefficients = (camera.width, camera.height), np.array(camera.distortion)
+        if camera.lens is Lens.EQUIDISTANT:
+            self._map_x, self._map_y = cv2.fisheye.initUndistortRectifyMap(
+                camera.matrix, coefficients, np.eye(3), target.matrix, size, cv2.CV_32FC1
+            )
+        else:
+            self._map_x, self._map_y = cv2.initUndistortRectifyMap(
+                camera.matrix, coefficients, None, target.matrix, size, cv2.CV_32FC1
+            )
+        inside = (self._map_x >= 0) & (self._map_x <= camera.width - 1)
+        inside &= (self._map_y >= 0) & (self._map_y <= camera.height - 1)
+        # beyond its widest angle the model folds back into the picture
+        self._outside = ~inside | (_angles(target) >= widest_angle(camera.lens, camera.distortion))
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """The undistorted (H, W) or (H, W, C) uint8 image."""
@@ -119,6 +136,13 @@ class Undistorter:
         return resampled
 
 
+def _angles(pinhole: Camera) -> np.ndarray:
+    """(H, W) float32: radians off the axis of the pixels of a pinhole."""
+    x = (np.arange(pinhole.width, dtype=np.float32) - np.float32(pinhole.cx)) / np.float32(pinhole.fx)
+    y = (np.arange(pinhole.height, dtype=np.float32) - np.float32(pinhole.cy)) / np.float32(pinhole.fy)
+    return np.arctan(np.hypot(x[None, :], y[:, None]))
+
+
 def measuring_camera(camera: Camera) -> Camera:
     """The pinhole camera whose images the poses are measured in: of a slightly wider view where there is distortion.
 
@@ -128,17 +152,20 @@ def measuring_camera(camera: Camera) -> Camera:
     focal length it lies to every side within a few patches, and the errors cancel.
     """
     pinhole = camera.undistorted()
-    if not any(camera.distortion):
+    if camera.is_pinhole:
         return pinhole
     return replace(pinhole, fx=_WIDER * pinhole.fx, fy=_WIDER * pinhole.fy)
 
 
 def undistort(rgb: np.ndarray, camera: Camera) -> np.ndarray:
-    """The (H, W, C) uint8 image that the pinhole camera `camera.undistorted()` would have taken; 0 outside."""
+    """The (H, W, C) uint8 image that the pinhole camera `camera.undistorted()` would have taken; 0 outside.
+
+    rgb: (H, W, C) uint8
+    """
     return Undistorter(camera)(rgb)
 
 
-def grey(rgb: np.ndarray) -> np.ndarray:
+def grey(rgb: Picture) -> np.ndarray:
     """Linear luma (0.299, 0.587, 0.114) of an (H, W, 3) uint8 image, (H, W) uint8; 255 where any channel is clipped."""
     luma = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
     luma[cv2.inRange(rgb, (0, 0, 0), (SATURATED - 1,) * 3) == 0] = 255
@@ -186,7 +213,7 @@ def load_undistorted(
     return full
 
 
-def build_pyramid(full: np.ndarray, camera: Camera, levels: int) -> Pyramid:
+def build_pyramid(full: Images, camera: Camera, levels: int) -> Pyramid:
     """The pyramid over undistorted images (I, H, W, C) uint8 of a pinhole camera."""
     arrays = [full]
     for _ in range(1, levels):
@@ -198,7 +225,7 @@ def build_pyramid(full: np.ndarray, camera: Camera, levels: int) -> Pyramid:
     return Pyramid(tuple(arrays), camera, np.array(noise))
 
 
-def sensor_noise(images: np.ndarray, samples: int = 24) -> float:
+def sensor_noise(images: Images, samples: int = 24) -> float:
     """Standard deviation of white noise in (I, H, W, C) images, grey values, from the calmest parts of some of them.
 
     The residual is the second difference in both directions (Immerkaer 1996), blind to edges along rows and columns;

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba import geometry
+from lvba.arrays import Poses, Times
 from lvba.settings import check, setting
 
 
@@ -42,8 +43,8 @@ class KeyframeConfig:
 
 
 def select(
-    times: np.ndarray,
-    world_from_camera: np.ndarray,
+    times: Times,
+    world_from_camera: Poses,
     scene_depth: float,
     config: KeyframeConfig = KeyframeConfig(),
 ) -> np.ndarray:

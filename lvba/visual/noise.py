@@ -28,15 +28,21 @@ class NoiseModel:
     shift: float
 
     def sigma(self, gradient: np.ndarray) -> np.ndarray:
-        """Standard deviation (O,) of the residuals of patches of mean squared gradient (O,), grey values."""
+        """Standard deviation (O,) of the residuals of patches of mean squared gradient (O,), grey values.
+
+        gradient: (O,) float64, (grey values / px)^2
+        """
         return np.asarray(np.sqrt(self.pixel**2 + self.shift**2 * gradient))
 
 
 def gradients(sums: np.ndarray) -> np.ndarray:
-    """(O,) mean squared gradient of the residual by the patch's place, (grey values / px)^2; the median where unknown."""
+    """(O,) mean squared gradient of the residual by the patch's place, (grey values / px)^2; the median where unknown.
+
+    sums: (O, SUMS) float64, see `lvba.kernels.photometric`
+    """
     known = sums[:, WEIGHTS] > 0
-    found = (sums[:, 0] + sums[:, 2]) / np.where(known, sums[:, WEIGHTS], 1.0)
-    return np.where(known, found, np.median(found[known]) if known.any() else 0.0)
+    energy = (sums[:, 0] + sums[:, 2]) / np.where(known, sums[:, WEIGHTS], 1.0)
+    return np.where(known, energy, np.median(energy[known]) if known.any() else 0.0)
 
 
 def estimate(sums: np.ndarray, patch_samples: int, floor: float = 0.5) -> NoiseModel:
@@ -45,7 +51,7 @@ def estimate(sums: np.ndarray, patch_samples: int, floor: float = 0.5) -> NoiseM
     The median resists the patches that do not lie on their plane; within a patch the plain mean square is the
     efficient estimate. Observations with fewer than half their samples do not vote.
 
-    sums: (O, 13 or more), see `lvba.kernels.photometric`; floor: least `pixel`, grey values
+    sums: (O, SUMS) float64, see `lvba.kernels.photometric`; floor: least `pixel`, grey values
     """
     votes = sums[sums[:, COUNT] >= 0.5 * patch_samples]
     if len(votes) == 0:

@@ -1,11 +1,14 @@
 """The visual stage: from rough camera poses and refined scans to refined cameras, coarse to fine over the pyramid."""
 
+import functools
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from lvba import trajectory
+from lvba.camera import Camera
 from lvba.errors import DegenerateProblemError
 from lvba.lidar import covariance as covariances
 from lvba.lidar.covariance import Covariance
@@ -13,15 +16,24 @@ from lvba.lidar.plane import PlanePoints, Planes
 from lvba.progress import Progress, silent
 from lvba.settings import check, setting
 from lvba.trajectory import Trajectory
-from lvba.visual import bundle_adjustment, covariance, degeneracy, exposure, scene_points, visibility
+from lvba.visual import (
+    bundle_adjustment,
+    covariance,
+    degeneracy,
+    exposure,
+    scene_points,
+    self_calibration,
+    trajectory_prior,
+    visibility,
+)
 from lvba.visual import result as results
-from lvba.visual import trajectory_prior as priors
 from lvba.visual.bundle_adjustment import ROUNDS, SOLVER, LevelSolution
-from lvba.visual.degeneracy import WeakDirections
+from lvba.visual.degeneracy import DegenerateDirections
 from lvba.visual.image import ImageConfig, Pyramid
 from lvba.visual.keyframes import KeyframeConfig
+from lvba.visual.patch_shifts import Shifts
 from lvba.visual.result import LevelReport, VisualResult
-from lvba.visual.scene_points import PatchRules, PointsConfig
+from lvba.visual.scene_points import Observations, PatchRules, PointsConfig, ScenePoints
 from lvba.visual.states import CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior, PriorConfig
 from lvba.visual.variant import PRODUCT, Variant
@@ -79,8 +91,14 @@ class VisualConfig:
         unit="steps",
         low=1,
         high=1000,
-        change_when="The report says that cameras had not settled (more).",
+        change_when="The report says that cameras had not converged (more).",
         advanced=True,
+    )
+    calibrate: bool = setting(
+        False,
+        meaning="Refine focal lengths, principal point, lens and readout time of the rows with the poses, at the finest "
+        "level, as far as the images determine them.",
+        change_when="The calibration is old or from a data sheet, or the camera has a rolling shutter (true).",
     )
     images: ImageConfig = field(default_factory=ImageConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
@@ -98,8 +116,9 @@ class Inputs:
 
     pyramid: of the keyframes only; keyframes: (K,) their indices among the images
     images, scans: rough trajectories; refined_scans: (S, 4, 4), poses the planes were made with
-    camera_from_scan: (4, 4) calibrated mount; sensor_position_scan: (3,) m
+    camera_from_scan: (4, 4) calibrated extrinsic; sensor_position_scan: (3,) m
     scan_covariance: of refined_scans; None: not known
+    camera: of the raw images, with its lens; None: they had none, and their camera is not refined
     """
 
     pyramid: Pyramid
@@ -112,19 +131,20 @@ class Inputs:
     planes: Planes
     plane_points: PlanePoints
     scan_covariance: Covariance | None = None
+    camera: Camera | None = None
 
 
 @dataclass(frozen=True)
 class Coarser:
     """What the levels done so far leave to the next finer one.
 
-    prior: with its sigmas as estimated last; inflation: how many times the pixels' information overstated itself
+    prior: with its sigmas as estimated last; variance_factor: actual over modeled variance of the pixels
     reports: from coarse to fine; levels: how many are done, those at which no point was seen twice among them
     """
 
     state: VisualState
     prior: Prior | None
-    inflation: float
+    variance_factor: float
     reports: tuple[LevelReport, ...]
     levels: int = 0
 
@@ -182,13 +202,21 @@ def finest(
 ) -> tuple[VisualResult, LevelSolution]:
     """The result with the solution of the finest level behind it. Raises DegenerateProblemError as `refine` does."""
     scene = scene_of(given, config, variant)
-    found, last, directions = _solved(scene, coarser or _none_yet(scene), config, progress)
-    state, sigma = found.state, np.zeros(len(scene.image_times))
+    solution, last, directions = _solved(scene, coarser or _none_yet(scene), config, progress)
+    state, sigma = solution.state, np.zeros(len(scene.image_times))
     if variant.exposures == "means":
         state, sigma = _exposed(scene, 0, state)
     start = scene.start.cameras.world_from_camera
     result = results.collect(
-        found.reports, last, state, directions, sigma, start, scene.prior, given.keyframes, given.images.times
+        solution.reports,
+        last,
+        state,
+        directions,
+        sigma,
+        start,
+        scene.prior,
+        given.keyframes,
+        given.images.times,
     )
     return replace(result, covariance=result.covariance + _of_map(given, result.world_from_camera)), last
 
@@ -219,15 +247,16 @@ class Scene:
     seen: VisibilityMap | None
     """Which cameras are near a scan: that does not change by centimetres, so the rough poses will do."""
     variant: Variant
+    camera: Camera | None = None
 
 
 def scene_of(given: Inputs, config: VisualConfig, variant: Variant = PRODUCT) -> Scene:
     """What all levels share, from the inputs."""
     times, scans = given.images.times[given.keyframes], given.scans
     known = given.scan_covariance
-    off_map = None if known is None else covariances.off_map(known, given.refined_scans)
-    prior = priors.build(
-        scans, given.refined_scans, given.images, given.camera_from_scan, config.prior, off_map
+    local_covariance = None if known is None else covariances.local_covariance(known, given.refined_scans)
+    prior = trajectory_prior.build(
+        scans, given.refined_scans, given.images, given.camera_from_scan, config.prior, local_covariance
     )
     carried = trajectory.interpolate_corrections(scans, given.refined_scans, times)
     start = carried @ given.images.world_from_sensor[given.keyframes]
@@ -239,34 +268,37 @@ def scene_of(given: Inputs, config: VisualConfig, variant: Variant = PRODUCT) ->
         planes=given.planes,
         plane_points=given.plane_points,
         keyframes=given.keyframes,
-        start=VisualState(CameraStates(start, np.zeros(len(times))), prior.mount),
+        start=VisualState(CameraStates(start, np.zeros(len(times))), prior.calibration.reference),
         prior=prior,
         seen=_visibility_map(scans.times, sensors, times, start, given.plane_points)
         if variant.global_points
         else None,
         variant=variant,
+        camera=given.camera,
     )
 
 
 def _solved(
     scene: Scene, coarser: Coarser, config: VisualConfig, progress: Progress
-) -> tuple[Coarser, LevelSolution, WeakDirections]:
+) -> tuple[Coarser, LevelSolution, DegenerateDirections]:
     """The next level: what it leaves, its solution, and the directions that no image holds."""
     level = len(scene.pyramid) - 1 - coarser.levels
     solution = _solve_level(scene, level, coarser, config, progress)
     directions = degeneracy.find(solution.problem, solution.linearization, scene.planes)
     prior, state = solution.prior, solution.state
     if prior is not None:
-        state = degeneracy.hold(state, prior, directions)
+        state = degeneracy.return_to_prior(state, prior, directions)
     report = results.level_report(level, solution)
     logger.info("%s", report)
-    left = Coarser(state, prior, solution.problem.inflation, (*coarser.reports, report), coarser.levels + 1)
+    left = Coarser(
+        state, prior, solution.problem.variance_factor, (*coarser.reports, report), coarser.levels + 1
+    )
     return left, solution, directions
 
 
 def _none_yet(scene: Scene) -> Coarser:
     """What the coarsest level begins with."""
-    held = priors.take(scene.prior, scene.keyframes) if scene.variant.prior else None
+    held = trajectory_prior.take(scene.prior, scene.keyframes) if scene.variant.prior else None
     return Coarser(scene.start, held, _FIRST_INFLATION, ())
 
 
@@ -293,11 +325,11 @@ def _exposed(
         return state, np.zeros(len(poses))
     # coarse where the poses are still rough
     compared = max(min(level, _COARSEST_EXPOSED), exposure.LEVEL)
-    found = exposure.solve(
+    solved = exposure.solve(
         scene.pyramid, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, scene.seen,
         compared, depth,
     )  # fmt: skip
-    return replace(state, cameras=CameraStates(poses, found.log_exposure)), found.sigma
+    return replace(state, cameras=CameraStates(poses, solved.log_exposure)), solved.sigma
 
 
 def _solve_level(
@@ -324,12 +356,51 @@ def _solve_level(
         raise DegenerateProblemError(f"no scene point is seen by two images at pyramid level {level}")
     progress("camera poses", 2, 3)
     state, _ = _exposed(scene, level, coarser.state, depth)
+    shifts = None
+    if level == 0 and scene.variant.reference_pixels == "fixed":
+        shifts = calibration_shifts(scene.camera, camera, points, observations, coarser.prior, config)
     decrease = SOLVER.relative_decrease if level == 0 else _COARSE_DECREASE
     solution = bundle_adjustment.solve(
         images, camera, points, observations, state, coarser.prior,
         patch=config.patch, rounds=ROUNDS if level == 0 else _COARSE_ROUNDS,
         solver=replace(SOLVER, max_iterations=config.iterations, relative_decrease=decrease),
-        inflation=coarser.inflation, variant=scene.variant,
+        variance_factor=coarser.variance_factor, variant=scene.variant,
+        shifts=shifts,
     )  # fmt: skip
     progress("camera poses", 3, 3)
     return solution
+
+
+def calibration_shifts(
+    camera: Camera | None,
+    pinhole: Camera,
+    points: ScenePoints,
+    observations: Observations,
+    prior: Prior | None,
+    config: VisualConfig,
+) -> Callable[[VisualState], Shifts] | None:
+    """How the calibration moves the patches of the finest level, about a state; None: it is not refined.
+
+    camera: of the raw images, None: they have none; pinhole: of the undistorted ones; prior: of these images
+    """
+    if camera is None or prior is None or not config.calibrate:
+        return None
+    return functools.partial(_shifts, camera, pinhole, points, observations, prior)
+
+
+def _shifts(
+    camera: Camera,
+    pinhole: Camera,
+    points: ScenePoints,
+    observations: Observations,
+    prior: Prior,
+    state: VisualState,
+) -> Shifts:
+    velocity = self_calibration.velocities(
+        prior.rate_scan,
+        prior.velocity_world,
+        prior.sources[0].world_from_scan,
+        state.calibration.scan_from_camera,
+    )
+    poses = state.cameras.world_from_camera
+    return self_calibration.shifts(camera, pinhole, points, observations, poses, velocity, state.calibration)

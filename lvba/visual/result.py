@@ -4,13 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lvba.arrays import Indices, Poses, Times
 from lvba.optim.levenberg_marquardt import Iteration
-from lvba.visual import bundle_adjustment, degeneracy, photometric
-from lvba.visual import trajectory_prior as priors
+from lvba.optim.linear_solver import Covariance
+from lvba.visual import bundle_adjustment, degeneracy, photometric, trajectory_prior
 from lvba.visual.bundle_adjustment import LevelSolution
-from lvba.visual.degeneracy import WeakDirections
+from lvba.visual.degeneracy import DegenerateDirections
 from lvba.visual.photometric import PhotometricState
-from lvba.visual.states import CameraStates, VisualState
+from lvba.visual.states import Calibration, CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior
 
 _NAMED = 12
@@ -32,8 +33,8 @@ class LevelReport:
     """How much of it grows with the image gradient, px."""
     rms: float
     """Root mean square of all valid residuals, of 255."""
-    inflation: float
-    """How many times the pixels' information overstated itself."""
+    variance_factor: float
+    """Actual over modeled variance of the pixels."""
     prior_position_m: tuple[float, ...]
     """Spread of the cameras about the LiDAR trajectory: by eq. (1), and by splines; empty without prior."""
     prior_rotation_deg: tuple[float, ...]
@@ -48,10 +49,10 @@ class VisualResult:
     world_from_camera: (I, 4, 4) float64, all images; keyframes: (K,) indices of those that were solved
     log_exposure: (I,) float64, first image 0
     covariance: (I, 6, 6) float64, of `[rotation | translation]` in the camera's frame (rad, m)
-    covariance_on_map: (I, 6, 6) float64, the same relative to the map about each camera, without that map's own errors
+    local_covariance: (I, 6, 6) float64, the same relative to the map about each camera, without that map's own errors
     log_exposure_sigma: (I,) float64
-    scan_from_camera: (4, 4) the mount found; time_offset: s, image time + offset = LiDAR time
-    mount_sigma: (7,) standard deviations of `[rotation | translation | time offset]`
+    calibration: as found; calibration_sigma: (k,) standard deviations of its numbers, in the order and units of
+        `Calibration.layout()`
     weak: (I,) int32, number of common motions of an image and its scene that nothing it sees holds
     weak_common: (k, 6) float64, motions `[rotation | translation]` of all images about their scene's middle, world
         axes, that no image holds: there the result is the prior's
@@ -61,12 +62,11 @@ class VisualResult:
     world_from_camera: np.ndarray
     log_exposure: np.ndarray
     covariance: np.ndarray
-    covariance_on_map: np.ndarray
+    local_covariance: np.ndarray
     log_exposure_sigma: np.ndarray
     keyframes: np.ndarray
-    scan_from_camera: np.ndarray
-    time_offset: float
-    mount_sigma: np.ndarray
+    calibration: Calibration
+    calibration_sigma: np.ndarray
     weak: np.ndarray
     weak_common: np.ndarray
     levels: tuple[LevelReport, ...]
@@ -74,6 +74,22 @@ class VisualResult:
     cost_final: float
     converged: bool
     warnings: tuple[str, ...]
+
+    @property
+    def scan_from_camera(self) -> np.ndarray:
+        """(4, 4), the extrinsic found."""
+        return self.calibration.scan_from_camera
+
+    @property
+    def time_offset(self) -> float:
+        """s: image time + offset = LiDAR time."""
+        return self.calibration.time_offset
+
+    @property
+    def extrinsic_sigma(self) -> np.ndarray:
+        """(7,): standard deviations of `[rotation | translation | time offset]`, rad, m and s."""
+        sigma = Calibration.layout().named(self.calibration_sigma)
+        return np.concatenate([sigma["scan_from_camera"], sigma["time_offset"]])
 
 
 def level_report(level: int, solution: LevelSolution) -> LevelReport:
@@ -91,7 +107,7 @@ def level_report(level: int, solution: LevelSolution) -> LevelReport:
         sigma=float(np.median(solution.problem.sigma)),
         shift=solution.noise.shift,
         rms=float(np.sqrt(sums[:, photometric.SQUARE].sum() / count)),
-        inflation=solution.problem.inflation,
+        variance_factor=solution.problem.variance_factor,
         prior_position_m=tuple(float(np.median(s.sigma_position)) for s in sources),
         prior_rotation_deg=tuple(float(np.degrees(np.median(s.sigma_rotation))) for s in sources),
         iterations=solution.history,
@@ -103,86 +119,93 @@ def collect(
     levels: tuple[LevelReport, ...],
     last: LevelSolution,
     state: VisualState,
-    directions: WeakDirections,
+    directions: DegenerateDirections,
     log_exposure_sigma: np.ndarray,
-    start: np.ndarray,
+    start: Poses,
     prior: Prior,
-    keyframes: np.ndarray,
-    times: np.ndarray,
+    keyframes: Indices,
+    times: Times,
 ) -> VisualResult:
     """The result from the account of the levels, coarse to fine, and the last level's solution.
 
-    state: final, with its exposures and at the prior along the weak directions; log_exposure_sigma: (K,)
+    state: final, with its exposures and at the prior along the weak directions; log_exposure_sigma: (K,) float64
     start: (K, 4, 4), carried rough poses
     prior: of all I images, before the solve; keyframes: (K,); times: (I,) s of all images
     """
-    blocks = bundle_adjustment.covariance_of(last)
+    known = bundle_adjustment.covariance_of(last)
+    own = known.blocks[:, :6, :6]
     if last.prior is not None:
-        blocks[:-1, :6, :6] += degeneracy.held_covariance(state, last.prior, directions)
-    solved = priors.take(prior, keyframes) if last.prior is None else last.prior
-    poses, between = priors.fill(prior, solved, state, keyframes, times)
+        own = own + degeneracy.held_covariance(state, last.prior, directions)
+    solved = trajectory_prior.take(prior, keyframes) if last.prior is None else last.prior
+    poses, between = trajectory_prior.fill(prior, solved, state, keyframes, times)
     nearest = np.abs(times[keyframes][None] - times[:, None]).argmin(axis=1)
     log_exposure = np.interp(times, times[keyframes], state.cameras.log_exposure)
-    on_map = blocks[:-1, :6, :6][nearest] + between
+    local_covariance = own[nearest] + between
     return VisualResult(
         world_from_camera=poses,
         log_exposure=log_exposure - log_exposure[0],
-        covariance=on_map,
-        covariance_on_map=on_map,
+        covariance=local_covariance,
+        local_covariance=local_covariance,
         log_exposure_sigma=log_exposure_sigma[nearest],
         keyframes=keyframes,
-        scan_from_camera=state.mount.scan_from_camera,
-        time_offset=state.mount.time_offset,
-        mount_sigma=np.sqrt(np.diagonal(blocks[-1])),
+        calibration=state.calibration,
+        calibration_sigma=_calibration_sigma(known),
         weak=directions.count[nearest],
         weak_common=directions.common,
         levels=levels,
         cost_initial=_cost(last, start, state),
         cost_final=_cost(last, state.cameras.world_from_camera, state),
         converged=all(report.converged for report in levels),
-        warnings=_warnings(last, levels, directions, blocks[:-1], keyframes),
+        warnings=_warnings(last, levels, directions, own, keyframes),
     )
+
+
+def _calibration_sigma(known: Covariance) -> np.ndarray:
+    """(k,); zero where nothing was solved for."""
+    sigma = np.zeros(Calibration.layout().size)
+    sigma[: len(known.shared)] = np.sqrt(np.diagonal(known.shared))
+    return sigma
 
 
 def _cost(solution: LevelSolution, world_from_camera: np.ndarray, state: VisualState) -> float:
     """Photometric cost of the finest level over planes as the LiDAR found them."""
     cameras = CameraStates(world_from_camera, state.cameras.log_exposure)
-    at = PhotometricState(cameras, np.zeros(len(solution.problem.points)))
+    at = PhotometricState(cameras, np.zeros(len(solution.problem.points)), solution.photometric.shared)
     return photometric.cost(solution.problem, photometric.sums(solution.problem, at))
 
 
 def _warnings(
     solution: LevelSolution,
     levels: tuple[LevelReport, ...],
-    directions: WeakDirections,
+    directions: DegenerateDirections,
     blocks: np.ndarray,
     keyframes: np.ndarray,
 ) -> tuple[str, ...]:
     """What the user should know, one sentence each."""
-    found = []
+    warnings = []
     open_levels = [str(report.level) for report in levels if not report.converged]
     if open_levels:
-        found.append(
-            f"the visual bundle adjustment had not settled at pyramid level {', '.join(open_levels)}; "
+        warnings.append(
+            f"the visual bundle adjustment had not converged at pyramid level {', '.join(open_levels)}; "
             "more solver iterations (visual.iterations) may help"
         )
     held = "the LiDAR trajectory" if solution.prior is not None else "nothing (the prior is off)"
     if len(directions.common):
-        found.append(
+        warnings.append(
             f"the images do not see planes that hold all cameras in {len(directions.common)} directions; "
             f"there {held} holds them"
         )
     pairs, count = solution.problem.pairs, len(solution.problem.images)
     unseen = np.setdiff1d(np.arange(count), np.concatenate([pairs.reference, pairs.target]))
     if len(unseen):
-        found.append(f"{len(unseen)} images share no scene point with others: {_names(keyframes[unseen])}")
+        warnings.append(f"{len(unseen)} images share no scene point with others: {_names(keyframes[unseen])}")
     spread = np.sqrt(np.trace(blocks[:, 3:6, 3:6], axis1=1, axis2=2))
     vague = np.flatnonzero(spread > 3 * np.median(spread))
     if len(vague):
-        found.append(
+        warnings.append(
             f"{len(vague)} images are known 3 times less well than the others: {_names(keyframes[vague])}"
         )
-    return tuple(found)
+    return tuple(warnings)
 
 
 def _names(images: np.ndarray) -> str:

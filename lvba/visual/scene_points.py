@@ -1,16 +1,17 @@
 """Scene points and who sees them: the data between point selection, visibility and the photometric solve."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import cv2
 import numpy as np
 
+from lvba.arrays import Indices, Poses, Times, Vectors
 from lvba.camera import Camera
 from lvba.kernels import patches
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.parallel import in_order
 from lvba.settings import check, setting
-from lvba.visual.image import DARK, SATURATED
+from lvba.visual.image import DARK, SATURATED, intrinsics_of
 
 DOG_NOISE = 0.146
 """Standard deviation of the difference of Gaussians (sigma 1.0 and 1.6) of white noise of standard deviation 1."""
@@ -60,8 +61,11 @@ class Observations:
 
 
 def take(points: ScenePoints, index: np.ndarray) -> ScenePoints:
-    """The scene points at `index` (integers or booleans)."""
-    return ScenePoints(*(getattr(points, name)[index] for name in ScenePoints.__dataclass_fields__))
+    """The scene points at `index` (integers or booleans).
+
+    index: (N,) integers, or (P,) bool
+    """
+    return ScenePoints(**{field.name: getattr(points, field.name)[index] for field in fields(points)})
 
 
 @dataclass(frozen=True)
@@ -145,7 +149,10 @@ def cell_size(camera: Camera, config: PointsConfig, rules: PatchRules = SCENE_PO
 
 
 def difference_of_gaussians(image: np.ndarray) -> np.ndarray:
-    """|G(1.0) - G(1.6)| of the mean channel of an (H, W, C) image, (H, W) float32."""
+    """|G(1.0) - G(1.6)| of the mean channel of an (H, W, C) image, (H, W) float32.
+
+    image: (H, W, C) uint8 or float32
+    """
     plain = image[..., 0].astype(np.float32) if image.shape[2] == 1 else image.mean(axis=2, dtype=np.float32)
     fine = cv2.GaussianBlur(plain, (7, 7), 1.0)
     coarse = cv2.GaussianBlur(plain, (11, 11), 1.6)
@@ -153,9 +160,12 @@ def difference_of_gaussians(image: np.ndarray) -> np.ndarray:
 
 
 def near_ranges(
-    image_times: np.ndarray, scan_times: np.ndarray, scan_offsets: np.ndarray, window: np.ndarray, most: int
+    image_times: Times, scan_times: Times, scan_offsets: np.ndarray, window: Times, most: int
 ) -> np.ndarray:
-    """(I, 3) int64: first point, end and step of the points of the scans within `window` (I,) s; the nearest at least."""
+    """(I, 3) int64: first point, end and step of the points of the scans within `window` (I,) s; the nearest at least.
+
+    scan_offsets: (S + 1,) int64, see `PlanePoints`
+    """
     nearest = np.abs(scan_times[None] - image_times[:, None]).argmin(axis=1)
     first = np.minimum(np.searchsorted(scan_times, image_times - window), nearest)
     last = np.maximum(np.searchsorted(scan_times, image_times + window, side="right"), nearest + 1)
@@ -163,32 +173,49 @@ def near_ranges(
     return np.stack([start, stop, np.maximum(-(-(stop - start) // most), 1)], axis=1).astype(np.int64)
 
 
-def plane_table(planes: Planes) -> np.ndarray:
-    """(K, 7) float64 for the kernels: centre, unit normal, distance in m from which a point lies off the plane."""
+def kernel_points(planes: Planes, points: PlanePoints) -> patches.PlanePoints:
+    """The points and planes as the kernels take them, each plane with the distance from which a point is off it."""
     thickness = np.sqrt(np.maximum(planes.eigenvalues[:, 0], 0))
     tolerance = np.clip(OFF_PLANE_SIGMA * thickness, OFF_PLANE_MIN_M, OFF_PLANE_MAX_M)
-    return np.column_stack([planes.center, planes.normal, tolerance])
+    return patches.PlanePoints(
+        position=points.points_world,
+        plane=points.plane,
+        center=np.ascontiguousarray(planes.center),
+        normal=np.ascontiguousarray(planes.normal),
+        tolerance=tolerance,
+    )
 
 
-def _gates(camera: Camera, rules: PatchRules, noise: float) -> np.ndarray:
+def point_gates(camera: Camera, rules: PatchRules, noise: float) -> patches.PointGates:
+    """What LiDAR points must pass in images of this camera. noise: standard deviation of theirs, grey values"""
     half = rules.size // 2
-    cosine = np.cos(np.radians(rules.max_view_angle_deg))
-    least_score = max(rules.min_score_sigma * DOG_NOISE * noise, 1e-6)
-    return np.array([
-        half, cosine, rules.dark, rules.bright, rules.min_usable, OFF_PLANE_PART, MIN_SUPPORT,
-        MIN_DEPTH_M, half + 0.5, EXTENT_SPACINGS, max(camera.width / 160, 1.0),
-        OCCLUSION_SPACINGS, HIDDEN_M, least_score, rules.tries,
-    ])  # fmt: skip
+    return patches.PointGates(
+        half=half,
+        tries=rules.tries,
+        min_normal_cosine=float(np.cos(np.radians(rules.max_view_angle_deg))),
+        min_depth=MIN_DEPTH_M,
+        dark=float(rules.dark),
+        bright=float(rules.bright),
+        min_usable=float(rules.min_usable),
+        min_score=float(max(rules.min_score_sigma * DOG_NOISE * noise, 1e-6)),
+        max_off_plane=OFF_PLANE_PART,
+        min_support=float(MIN_SUPPORT),
+        bin=half + 0.5,
+        extent_spacings=EXTENT_SPACINGS,
+        min_buffer=max(camera.width / 160, 1.0),
+        buffer_spacings=OCCLUSION_SPACINGS,
+        hiding=HIDDEN_M,
+    )
 
 
 def select(
     images: np.ndarray,
     camera: Camera,
-    world_from_camera: np.ndarray,
-    image_times: np.ndarray,
+    world_from_camera: Poses,
+    image_times: Times,
     planes: Planes,
     plane_points: PlanePoints,
-    scan_times: np.ndarray,
+    scan_times: Times,
     noise: float,
     config: PointsConfig = PointsConfig(),
     rules: PatchRules = SCENE_POINTS,
@@ -205,15 +232,15 @@ def select(
     Source: Li et al., II-C1 and eq. (2). Ours: the point is where the ray of the whole pixel meets the plane, points
     hidden by others are left out, and the LiDAR points round the patch must lie on its plane and reach its four sides.
     """
-    table, gates = plane_table(planes), _gates(camera, rules, noise)
+    lidar, gates = kernel_points(planes, plane_points), point_gates(camera, rules, noise)
     window = np.full(len(images), config.time_window_s)
     pixel, own, seen = _select_images(
         images,
         camera,
         world_from_camera,
         image_times,
-        table,
-        plane_points,
+        lidar,
+        plane_points.scan_offsets,
         scan_times,
         window,
         gates,
@@ -226,8 +253,8 @@ def select(
             break
         window[few] *= 2
         pixel[few], own[few], seen[few] = _select_images(
-            images[few], camera, world_from_camera[few], image_times[few], table, plane_points, scan_times,
-            window[few], gates, cell_size(camera, config, rules), score,
+            images[few], camera, world_from_camera[few], image_times[few], lidar, plane_points.scan_offsets,
+            scan_times, window[few], gates, cell_size(camera, config, rules), score,
         )  # fmt: skip
     image, cell = np.nonzero(own >= 0)
     return make_points(
@@ -240,17 +267,16 @@ def _select_images(
     camera: Camera,
     world_from_camera: np.ndarray,
     image_times: np.ndarray,
-    table: np.ndarray,
-    plane_points: PlanePoints,
+    lidar: patches.PlanePoints,
+    scan_offsets: np.ndarray,
     scan_times: np.ndarray,
     window: np.ndarray,
-    gates: np.ndarray,
+    gates: patches.PointGates,
     cell: int,
     score: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`patches.select_points` over all images, a few at a time so that the scores of few are in memory."""
-    ranges = near_ranges(image_times, scan_times, plane_points.scan_offsets, window, MAX_POINTS)
-    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    ranges = near_ranges(image_times, scan_times, scan_offsets, window, MAX_POINTS)
     parts = []
     for start in range(0, len(images), _CHUNK):
         part = slice(start, start + _CHUNK)
@@ -261,30 +287,24 @@ def _select_images(
         poses = np.ascontiguousarray(world_from_camera[part])
         parts.append(
             patches.select_points(
-                plane_points.points_world,
-                plane_points.plane,
-                table,
-                ranges[part],
-                images[part],
-                scores,
-                poses,
-                intrinsics,
-                cell,
-                gates,
+                lidar, ranges[part], images[part], scores, poses, intrinsics_of(camera), cell, gates
             )
         )
     return tuple(np.concatenate(arrays) for arrays in zip(*parts, strict=True))  # type: ignore[return-value]
 
 
 def make_points(
-    reference: np.ndarray,
+    reference: Indices,
     pixel: np.ndarray,
-    plane: np.ndarray,
+    plane: Indices,
     camera: Camera,
-    world_from_camera: np.ndarray,
+    world_from_camera: Poses,
     planes: Planes,
 ) -> ScenePoints:
-    """The scene points where the rays of whole pixels (P, 2) int32 of images (P,) meet planes (P,)."""
+    """The scene points where the rays of whole pixels (P, 2) int32 of images (P,) meet planes (P,).
+
+    pixel: (P, 2) int32, (column, row)
+    """
     pose = world_from_camera[reference]
     ray_camera = np.column_stack([
         (pixel[:, 0] - camera.cx) / camera.fx, (pixel[:, 1] - camera.cy) / camera.fy, np.ones(len(pixel))
@@ -307,7 +327,7 @@ def make_points(
     )
 
 
-def offset_sigma(planes: Planes, plane: np.ndarray, position_world: np.ndarray) -> np.ndarray:
+def offset_sigma(planes: Planes, plane: Indices, position_world: Vectors) -> np.ndarray:
     """Standard deviation (P,) m of the offsets of planes (P,) at positions (P, 3): larger away from the centre.
 
     The plane's tilt is as uncertain as a regression over its points makes it: sigma^2 (1 + sum of a_k^2 / lambda_k),

@@ -1,8 +1,10 @@
 """The unknowns of the visual bundle adjustment."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+
+from lvba.optim.shared_parameters import Pose, Scalar, SharedParameters, Vector, parameter
 
 
 @dataclass(frozen=True)
@@ -21,15 +23,25 @@ class CameraStates:
 
 
 @dataclass(frozen=True)
-class Mount:
-    """How the camera sits on the LiDAR, in space and time; shared by all images.
+class Calibration(SharedParameters):
+    """What all images share: how the camera sits on the LiDAR, in space and time, and what is wrong of its intrinsics.
 
     scan_from_camera: (4, 4) float64
     time_offset: s; an image stamped t was taken at t + time_offset on the LiDAR's clock
+    focal: (2,) float64, by what part both focal lengths are longer than calibrated, and by what part fy is beyond that
+    principal_point: (2,) float64, px of the raw image, by how much cx and cy are larger
+    distortion: (4,) float64, by how much the first four coefficients of the lens are larger
+    readout: s, from the first to the last row of an image
     """
 
-    scan_from_camera: np.ndarray
-    time_offset: float = 0.0
+    scan_from_camera: np.ndarray = field(metadata=parameter(Pose()))
+    time_offset: float = field(default=0.0, metadata=parameter(Scalar("s")))
+    focal: np.ndarray = field(default_factory=lambda: np.zeros(2), metadata=parameter(Vector(2, "")))
+    principal_point: np.ndarray = field(
+        default_factory=lambda: np.zeros(2), metadata=parameter(Vector(2, "px"))
+    )
+    distortion: np.ndarray = field(default_factory=lambda: np.zeros(4), metadata=parameter(Vector(4, "")))
+    readout: float = field(default=0.0, metadata=parameter(Scalar("s")))
 
 
 @dataclass(frozen=True)
@@ -37,4 +49,4 @@ class VisualState:
     """Everything the visual bundle adjustment solves for."""
 
     cameras: CameraStates
-    mount: Mount
+    calibration: Calibration

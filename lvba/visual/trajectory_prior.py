@@ -1,4 +1,4 @@
-"""The prior that holds cameras where images do not: the LiDAR trajectory through one mount and one time offset.
+"""The prior that holds cameras where images do not: the LiDAR trajectory through one extrinsic and one time offset.
 
 p enters the homography (Li et al., eq. 7) only through n^T p, so cameras can slide along directions in which no plane
 faces them: three over one bare plane, one in a corridor. The paper has no term against that; without this prior
@@ -12,12 +12,14 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from lvba import geometry, spline, trajectory
+from lvba.arrays import Indices, Pose, PoseBlocks, Poses, Times
 from lvba.optim import normal_equations
-from lvba.optim.normal_equations import NormalEquations
+from lvba.optim.normal_equations import Border, NormalEquations
+from lvba.optim.shared_parameters import SharedPrior
 from lvba.settings import check, setting
 from lvba.trajectory import Trajectory
-from lvba.visual import extrinsic_prior
-from lvba.visual.states import Mount, VisualState
+from lvba.visual import calibration_prior
+from lvba.visual.states import Calibration, VisualState
 
 _FRAME_HUBER = 2.5
 _RATE_STEP_S = 0.02
@@ -25,19 +27,19 @@ _RATE_STEP_S = 0.02
 
 @dataclass(frozen=True)
 class PriorConfig:
-    """How well the calibrated mount of the camera and the clocks are known."""
+    """How well the calibrated extrinsic of the camera and the clocks are known."""
 
-    mount_position_m: float = setting(
+    extrinsic_position_m: float = setting(
         0.01,
-        meaning="How far the calibrated mount may be off, one standard deviation.",
+        meaning="How far the calibrated extrinsic may be off, one standard deviation.",
         unit="m",
         low=1e-4,
         high=10,
         change_when="The calibration is known to be better, or was measured by hand.",
     )
-    mount_rotation_deg: float = setting(
+    extrinsic_rotation_deg: float = setting(
         0.3,
-        meaning="How far the calibrated mount may be turned, one standard deviation.",
+        meaning="How far the calibrated extrinsic may be turned, one standard deviation.",
         unit="degrees",
         low=1e-3,
         high=90,
@@ -55,7 +57,24 @@ class PriorConfig:
     def __post_init__(self) -> None:
         check(self)
 
+    @property
+    def sigma(self) -> dict[str, float | np.ndarray]:
+        """The standard deviation of each parameter of `states.Calibration`, in the units of its steps."""
+        rotation = np.radians(self.extrinsic_rotation_deg)
+        return {
+            "scan_from_camera": np.repeat([rotation, self.extrinsic_position_m], 3),
+            "time_offset": self.time_offset_s,
+            "focal": np.array(FOCAL),
+            "principal_point": PRINCIPAL_POINT_PX,
+            "distortion": np.array(DISTORTION),
+            "readout": READOUT_S,
+        }
 
+
+FOCAL, PRINCIPAL_POINT_PX, DISTORTION, READOUT_S = (0.01, 0.001), 5.0, (0.02, 0.02, 0.002, 0.002), 0.02
+"""How far a calibration may be off, one standard deviation: relative, both focal lengths and their ratio (pixels are
+square); px; k1 k2 p1 p2; s. Real ones are wrong by 0.1 to 0.5 %, 1 to 4 px and .003 to .02 of k1, and consumer cameras
+read out in 5 to 30 ms."""
 SIGMA_POSITION_M, SIGMA_ROTATION_DEG = 0.02, 0.3
 """First guess of how far eq. (1) is off in a frame, m and degrees; estimated from the data afterwards."""
 BETWEEN_SCANS = 0.3
@@ -88,19 +107,16 @@ class Source:
 class Prior:
     """Where the LiDAR trajectory expects each camera.
 
-    sources: each an expectation of its own, all through the same mount and time offset
+    sources: each an expectation of its own, all through the same calibration
     velocity_world: (I, 3) float64, m/s; rate_scan: (I, 3) float64, rad/s, about the LiDAR's axes
-    mount: the calibrated one
-    mount_information: (7, 7), what the calibration and clocks that agree count beside the images, see
-        `extrinsic_prior.weighed`; None: as much as `config` claims
+    calibration: what is known of the calibration itself; it counts beside the images as `calibration_prior.weighed` has
+        it
     """
 
     sources: tuple[Source, ...]
     velocity_world: np.ndarray
     rate_scan: np.ndarray
-    mount: Mount
-    config: PriorConfig
-    mount_information: np.ndarray | None = None
+    calibration: SharedPrior[Calibration]
 
     def __len__(self) -> int:
         return len(self.velocity_world)
@@ -108,11 +124,11 @@ class Prior:
 
 def build(
     scans: Trajectory,
-    refined: np.ndarray,
+    refined: Poses,
     images: Trajectory,
-    camera_from_scan: np.ndarray,
+    camera_from_scan: Pose,
     config: PriorConfig = PriorConfig(),
-    scan_covariance: np.ndarray | None = None,
+    scan_covariance: PoseBlocks | None = None,
 ) -> Prior:
     """The prior of I images from the rough trajectories and the (S, 4, 4) refined scan poses.
 
@@ -127,23 +143,29 @@ def build(
     scan_from_camera = geometry.inverse(camera_from_scan)
     carried = trajectory.interpolate_corrections(scans, refined, images.times) @ images.world_from_sensor
     count = len(images)
-    off = _scan_sigmas(scans.times, scan_covariance, images.times)
+    scan_rotation, scan_position = _scan_sigmas(scans.times, scan_covariance, images.times)
     by_eq1 = Source(
-        carried @ camera_from_scan,
-        np.full(count, np.radians(SIGMA_ROTATION_DEG)),
-        np.full(count, SIGMA_POSITION_M),
-        *off,
+        world_from_scan=carried @ camera_from_scan,
+        sigma_rotation=np.full(count, np.radians(SIGMA_ROTATION_DEG)),
+        sigma_position=np.full(count, SIGMA_POSITION_M),
+        scan_rotation=scan_rotation,
+        scan_position=scan_position,
     )
     moving = Trajectory(scans.times, refined)
     sources: tuple[Source, ...] = (by_eq1,)
     if len(scans) >= spline.FEWEST_SAMPLES:
-        pose, sigma = _spline(moving, images.times)
-        sources = (by_eq1, Source(pose, *sigma, *off))
-    return Prior(sources, *_rates(moving, images.times), Mount(scan_from_camera), config)
+        pose, (rotation, position) = _spline(moving, images.times)
+        by_spline = replace(by_eq1, world_from_scan=pose, sigma_rotation=rotation, sigma_position=position)
+        sources = (by_eq1, by_spline)
+    known = calibration_prior.build(Calibration(scan_from_camera), config.sigma)
+    return Prior(sources, *_rates(moving, images.times), known)
 
 
 def take(prior: Prior, index: np.ndarray) -> Prior:
-    """The prior of some of the images."""
+    """The prior of some of the images.
+
+    index: (N,) integers, or (I,) bool
+    """
     sources = tuple(
         replace(
             s,
@@ -161,7 +183,7 @@ def take(prior: Prior, index: np.ndarray) -> Prior:
 
 
 def fill(
-    prior: Prior, solved: Prior, state: VisualState, keyframes: np.ndarray, times: np.ndarray
+    prior: Prior, solved: Prior, state: VisualState, keyframes: Indices, times: Times
 ) -> tuple[np.ndarray, np.ndarray]:
     """Poses (I, 4, 4) of all images from those of the keyframes, and the covariance (I, 6, 6) that this adds.
 
@@ -171,7 +193,7 @@ def fill(
     order = [float(np.median(s.sigma_rotation)) + float(np.median(s.sigma_position)) for s in solved.sources]
     best = int(np.argmin(order))
     source = prior.sources[best]
-    predicted = predict(prior, source, state.mount)
+    predicted = predict(prior, source, state.calibration)
     deviation = geometry.log(geometry.inverse(predicted[keyframes]) @ state.cameras.world_from_camera)
     moved = np.stack([np.interp(times, times[keyframes], deviation[:, n]) for n in range(6)], axis=1)
     poses = geometry.retract(predicted, moved)
@@ -203,7 +225,7 @@ def _scan_sigmas(
 def _spline(scans: Trajectory, times: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """The scans' poses at the images' times by splines, and what these may miss (rad, m)."""
     floors = [np.radians(FLOOR_ROTATION_DEG), FLOOR_POSITION_M]
-    sigma = BETWEEN_SCANS * spline.missed(scans, times) + floors
+    sigma = BETWEEN_SCANS * spline.leave_one_out_error(scans, times) + floors
     # beyond the scans there is nothing to interpolate: what is extrapolated counts for nothing
     sigma[spline.outside(scans, times)] *= 1e3
     return spline.through(scans, times), (sigma[:, 0], sigma[:, 1])
@@ -223,18 +245,18 @@ def _rates(scans: Trajectory, times: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return (after[:, :3, 3] - before[:, :3, 3]) / (2 * _RATE_STEP_S), rate
 
 
-def predict(prior: Prior, source: Source, mount: Mount) -> np.ndarray:
+def predict(prior: Prior, source: Source, calibration: Calibration) -> np.ndarray:
     """world_from_camera of all images if they sat on the trajectory exactly, (I, 4, 4)."""
-    turn = Rotation.from_rotvec(prior.rate_scan * mount.time_offset).as_matrix()
+    turn = Rotation.from_rotvec(prior.rate_scan * calibration.time_offset).as_matrix()
     shifted = source.world_from_scan.copy()
     shifted[:, :3, :3] = shifted[:, :3, :3] @ turn
-    shifted[:, :3, 3] += prior.velocity_world * mount.time_offset
-    return shifted @ mount.scan_from_camera
+    shifted[:, :3, 3] += prior.velocity_world * calibration.time_offset
+    return shifted @ calibration.scan_from_camera
 
 
 def residuals(prior: Prior, source: Source, state: VisualState) -> np.ndarray:
     """(I, 6): deviation of each camera from its prediction, in the predicted camera's axes, rad and m."""
-    predicted, actual = predict(prior, source, state.mount), state.cameras.world_from_camera
+    predicted, actual = predict(prior, source, state.calibration), state.cameras.world_from_camera
     back = np.swapaxes(predicted[:, :3, :3], 1, 2)
     rotation = Rotation.from_matrix(back @ actual[:, :3, :3]).as_rotvec()
     position = (back @ (actual[:, :3, 3:] - predicted[:, :3, 3:]))[..., 0]
@@ -242,93 +264,77 @@ def residuals(prior: Prior, source: Source, state: VisualState) -> np.ndarray:
 
 
 def jacobians(prior: Prior, source: Source, state: VisualState) -> tuple[np.ndarray, np.ndarray]:
-    """Of `[rotation | position]` residuals: (I, 6, 6) by the camera's pose, (I, 6, 7) by mount and time offset."""
+    """Of `[rotation | position]` residuals: (I, 6, 6) by the camera's pose, (I, 6, k) by the calibration."""
     deviation = residuals(prior, source, state)
     rotation, position = deviation[:, :3], deviation[:, 3:]
-    predicted, actual = predict(prior, source, state.mount), state.cameras.world_from_camera
+    predicted, actual = predict(prior, source, state.calibration), state.cameras.world_from_camera
     back = np.swapaxes(predicted[:, :3, :3], 1, 2)
-    by_camera, by_mount = np.zeros((len(prior), 6, 6)), np.zeros((len(prior), 6, 7))
+    by_camera = np.zeros((len(prior), 6, 6))
     by_camera[:, :3, :3] = geometry.inverse_right_jacobian(rotation)
     by_camera[:, 3:, 3:] = back @ actual[:, :3, :3]
-    by_mount[:, :3, :3] = -geometry.inverse_right_jacobian(-rotation)
-    by_mount[:, 3:, :3] = geometry.hat(position)
-    by_mount[:, 3:, 3:6] = -np.eye(3)
-    mount = state.mount.scan_from_camera
+    by_extrinsic = np.zeros((len(prior), 6, 6))
+    by_extrinsic[:, :3, :3] = -geometry.inverse_right_jacobian(-rotation)
+    by_extrinsic[:, 3:, :3] = geometry.hat(position)
+    by_extrinsic[:, 3:, 3:] = -np.eye(3)
+    extrinsic = state.calibration.scan_from_camera
     # turning the LiDAR about its own axes commutes with turning it about them by the offset so far
-    rate_camera = prior.rate_scan @ mount[:3, :3]
-    by_mount[:, :3, 6] = (by_mount[:, :3, :3] @ rate_camera[..., None])[..., 0]
-    lever = predicted[:, :3, :3] @ (mount[:3, :3].T @ np.cross(prior.rate_scan, mount[:3, 3])[..., None])
+    rate_camera = prior.rate_scan @ extrinsic[:3, :3]
+    lever = predicted[:, :3, :3] @ (
+        extrinsic[:3, :3].T @ np.cross(prior.rate_scan, extrinsic[:3, 3])[..., None]
+    )
     velocity = prior.velocity_world[..., None] + lever
-    by_mount[:, 3:, 6] = np.cross(position, rate_camera) - (back @ velocity)[..., 0]
-    return by_camera, by_mount
+    by_offset = np.zeros((len(prior), 6))
+    by_offset[:, :3] = (by_extrinsic[:, :3, :3] @ rate_camera[..., None])[..., 0]
+    by_offset[:, 3:] = np.cross(position, rate_camera) - (back @ velocity)[..., 0]
+    layout = state.calibration.layout()
+    by_calibration = np.zeros((len(prior), 6, layout.size))
+    by_calibration[:, :, layout["scan_from_camera"]] = by_extrinsic
+    by_calibration[:, :, layout["time_offset"]] = by_offset[..., None]
+    return by_camera, by_calibration
 
 
 def linearize(prior: Prior, state: VisualState) -> NormalEquations:
-    """Normal equations over I + 1 blocks of 7: the images (their log exposures untouched), then mount and offset.
+    """Normal equations over I blocks of 7, the images (their log exposures untouched), bordered by the calibration.
 
     A frame's deviation in rotation and in position each have a robust (Huber) weight: a few frames may be off.
     """
-    parts = [_linearize_source(prior, source, state) for source in prior.sources]
-    count = len(prior)
-    hessian, own_gradient, cost = linearize_mount(prior, state.mount)
-    gradient = np.zeros((count + 1, 7))
-    gradient[count] = own_gradient
-    total = normal_equations.from_blocks(np.array([count]), np.array([count]), hessian[None], gradient, cost)
-    for part in parts:
-        total = part + total
+    total = prior.calibration.linearize(state.calibration, (len(prior), 7))
+    for source in prior.sources:
+        total = _linearize_source(prior, source, state) + total
     return total
 
 
-def spread(prior: Prior, state: VisualState) -> NormalEquations:
-    """What the prior's gradient varies by: its Hessian, but for a mount that counts for more than is claimed.
+def gradient_variance(prior: Prior, state: VisualState) -> NormalEquations:
+    """What the prior's gradient varies by: its Hessian, but for a calibration that counts for more than is claimed.
 
     Blocks as in `linearize`; cost and gradient mean nothing.
     """
-    hessian = linearize(prior, state)
-    if prior.mount_information is None:
-        return hessian
-    count, claimed = len(prior), claimed_information(prior.config)
-    counted = prior.mount_information
-    varies = counted @ np.linalg.solve(claimed, counted)
-    jacobian = extrinsic_prior.jacobian(prior.mount, state.mount)
-    more = jacobian.T @ (varies - counted) @ jacobian
-    at = np.array([count])
-    return hessian + normal_equations.from_blocks(at, at, more[None], np.zeros((count + 1, 7)), 0.0)
-
-
-def claimed_information(config: PriorConfig) -> np.ndarray:
-    """(7, 7): of the calibrated mount and of clocks that agree, as the settings claim."""
-    return extrinsic_prior.claimed(config.mount_rotation_deg, config.mount_position_m, config.time_offset_s)
-
-
-def linearize_mount(prior: Prior, mount: Mount) -> tuple[np.ndarray, np.ndarray, float]:
-    """Hessian (7, 7), gradient (7,) and cost of what the mount and the time offset deviate from the calibrated ones."""
-    claims = claimed_information(prior.config)
-    counts = claims if prior.mount_information is None else prior.mount_information
-    return extrinsic_prior.linearize(prior.mount, mount, counts)
+    equations = linearize(prior, state)
+    assert equations.border is not None
+    known = prior.calibration
+    more = known.gradient_variance(state.calibration) - known.hessian(state.calibration)
+    return replace(equations, border=replace(equations.border, hessian=equations.border.hessian + more))
 
 
 def _linearize_source(prior: Prior, source: Source, state: VisualState) -> NormalEquations:
     count = len(prior)
     deviation = residuals(prior, source, state)
-    by_camera, mount = jacobians(prior, source, state)
+    by_camera, by_calibration = jacobians(prior, source, state)
     sigma = sigmas(source)
     weight, cost = _robust(deviation / sigma)
     scaled = weight / sigma**2
     camera = np.zeros((count, 6, 7))
     camera[:, :, :6] = by_camera
-    gradient = np.zeros((count + 1, 7))
-    gradient[:count] = np.einsum("nki,nk->ni", camera, scaled * deviation)
-    gradient[count] = np.einsum("nki,nk->i", mount, scaled * deviation)
-    index, shared = np.arange(count), np.full(count, count)
-    weighted_camera, weighted_mount = camera * scaled[..., None], mount * scaled[..., None]
-    blocks = [
-        np.einsum("nki,nkj->nij", weighted_camera, camera),
-        np.einsum("nki,nkj->nij", weighted_camera, mount),
-        np.einsum("nki,nkj->ij", weighted_mount, mount)[None],
-    ]
-    rows, columns = np.concatenate([index, index, [count]]), np.concatenate([index, shared, [count]])
-    return normal_equations.from_blocks(rows, columns, np.concatenate(blocks), gradient, cost)
+    pull = scaled * deviation
+    weighted = camera * scaled[..., None]
+    border = Border(
+        np.einsum("nki,nkj->nij", weighted, by_calibration),
+        np.einsum("nki,nkj->ij", by_calibration * scaled[..., None], by_calibration),
+        np.einsum("nki,nk->i", by_calibration, pull),
+    )
+    index = np.arange(count)
+    blocks, gradient = np.einsum("nki,nkj->nij", weighted, camera), np.einsum("nki,nk->ni", camera, pull)
+    return normal_equations.from_blocks(index, index, blocks, gradient, cost, border)
 
 
 def sigmas(source: Source) -> np.ndarray:
@@ -339,7 +345,10 @@ def sigmas(source: Source) -> np.ndarray:
 
 
 def by_component(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """(I, 6), of `[rotation | position]`, from sigmas (I,) of one component each."""
+    """(I, 6), of `[rotation | position]`, from sigmas (I,) of one component each.
+
+    rotation: (I,) float64, rad; position: (I,) float64, m
+    """
     return np.repeat(np.stack([rotation, position], axis=1), 3, axis=1)
 
 
@@ -350,13 +359,3 @@ def _robust(normalized: np.ndarray) -> tuple[np.ndarray, float]:
     clipped = np.minimum(size, limit)
     weight = limit / np.maximum(size, limit)
     return np.repeat(weight, 3, axis=1), float((clipped * (size - 0.5 * clipped)).sum())
-
-
-def retract(mount: Mount, step: np.ndarray) -> Mount:
-    """The mount moved by a (7,) step `[rotation | translation | time offset]`."""
-    rotation = mount.scan_from_camera[:3, :3] @ Rotation.from_rotvec(step[:3]).as_matrix()
-    translation = mount.scan_from_camera[:3, 3] + mount.scan_from_camera[:3, :3] @ step[3:6]
-    return Mount(
-        geometry.orthonormalize(geometry.from_rotation_translation(rotation, translation)),
-        mount.time_offset + float(step[6]),
-    )

@@ -3,7 +3,7 @@
 Two things make a camera deviate from where a scan pose puts it. One is its own: interpolation between scans, the noise
 of the odometry in a frame, jitter of the clocks. It shows in the differences between neighboring frames. The other is
 the error of the scans' poses, which neighbors share; how large that can be, the LiDAR bundle adjustment says. A slow
-deviation larger than both is none that a rigid mount allows: images alone drift, and then the prior must not give way.
+deviation larger than both contradicts a rigid extrinsic: images alone drift, and then the prior must not give way.
 """
 
 from dataclasses import replace

@@ -5,12 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lvba.arrays import Images, Indices, Poses, Times, Vectors
 from lvba.camera import Camera
 from lvba.kernels import visibility as kernels
+from lvba.kernels.scene import NearestPoints, PlanePatches
 from lvba.kernels.visibility_depth import nearest_points
 from lvba.lidar.plane import PlanePoints
 from lvba.settings import check, setting
-from lvba.visual.image import DARK, SATURATED
+from lvba.visual.image import DARK, SATURATED, intrinsics_of
 from lvba.visual.scene_points import HIDDEN_M, SCENE_POINTS, Observations, ScenePoints, near_ranges, take
 
 _log = logging.getLogger(__name__)
@@ -91,7 +93,7 @@ class VisibilityMap:
     cameras: np.ndarray
     voxel_m: float
 
-    def rows(self, points_world: np.ndarray) -> np.ndarray:
+    def rows(self, points_world: Vectors) -> np.ndarray:
         """The row (P,) int64 of the voxel that holds each point (P, 3); -1 where the map has none."""
         keys = kernels.voxel_keys(np.ascontiguousarray(points_world, dtype=np.float64), self.voxel_m)
         row = np.minimum(np.searchsorted(self.keys, keys), max(len(self.keys) - 1, 0))
@@ -112,16 +114,20 @@ class DepthBuffers:
     points_world: np.ndarray
     cell: float
 
+    def at(self, camera: Camera) -> NearestPoints:
+        """As kernels take it, in pixels of this camera, of any level."""
+        return NearestPoints(self.nearest, self.points_world, float(self.cell * camera.fx))
+
 
 NOTHING_HIDES = DepthBuffers(np.empty((0, 0, 0), np.int32), np.empty((0, 3), np.float32), 1.0)
 
 
 def depth_buffers(
     camera: Camera,
-    world_from_camera: np.ndarray,
-    image_times: np.ndarray,
+    world_from_camera: Poses,
+    image_times: Times,
     plane_points: PlanePoints,
-    scan_times: np.ndarray,
+    scan_times: Times,
     time_window_s: float = 0.5,
     max_points: int = 1_000_000,
 ) -> DepthBuffers:
@@ -132,7 +138,7 @@ def depth_buffers(
     """
     window = np.full(len(image_times), time_window_s)
     ranges = near_ranges(image_times, scan_times, plane_points.scan_offsets, window, max_points)
-    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    intrinsics = intrinsics_of(camera)
     poses, points = np.ascontiguousarray(world_from_camera), plane_points.points_world
 
     def buffers(part: slice, size: float) -> np.ndarray:
@@ -149,10 +155,10 @@ def depth_buffers(
 
 
 def cameras_near_scans(
-    scan_times: np.ndarray,
-    scan_positions: np.ndarray,
-    image_times: np.ndarray,
-    camera_positions: np.ndarray,
+    scan_times: Times,
+    scan_positions: Vectors,
+    image_times: Times,
+    camera_positions: Vectors,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compressed rows of the cameras that see what a scan saw: offsets (S + 1,) int64, cameras int32.
 
@@ -179,7 +185,7 @@ def build_map(
 ) -> VisibilityMap:
     """The global visibility voxel map of all scans; Li et al., II-C3a.
 
-    points_world: (M, 3) float32, scan_offsets: (S + 1,), as in PlanePoints; near: from `cameras_near_scans`
+    points_world: (M, 3) float32, scan_offsets: (S + 1,) int64, as in PlanePoints; near: from `cameras_near_scans`
     """
     keys, count = kernels.scan_voxels(points_world, scan_offsets, voxel_m)
     parts = [keys[start : start + n] for start, n in zip(scan_offsets[:-1], count, strict=True)]
@@ -193,7 +199,7 @@ def build_map(
 
 
 def view_scores(
-    points: ScenePoints, camera: Camera, world_from_camera: np.ndarray, form: str = "area"
+    points: ScenePoints, camera: Camera, world_from_camera: Poses, form: str = "area"
 ) -> np.ndarray:
     """How well the reference sees each point (P,): larger is better; Li et al., eq. (4).
 
@@ -209,8 +215,11 @@ def view_scores(
     return np.asarray(camera.fx * camera.fy * facing / depth**3)
 
 
-def choose_global(points: ScenePoints, rows: np.ndarray, score: np.ndarray) -> np.ndarray:
-    """(P,) bool: the best point of every voxel; of equal scores the first. rows: (P,) voxel, -1: none."""
+def choose_global(points: ScenePoints, rows: Indices, score: np.ndarray) -> np.ndarray:
+    """(P,) bool: the best point of every voxel; of equal scores the first. rows: (P,) voxel, -1: none.
+
+    score: (P,) float64, of `view_scores`
+    """
     order = np.lexsort((np.arange(len(rows)), -score, rows))
     best = np.ones(len(rows), bool)
     best[1:] = rows[order][1:] != rows[order][:-1]
@@ -219,7 +228,7 @@ def choose_global(points: ScenePoints, rows: np.ndarray, score: np.ndarray) -> n
     return chosen & (rows >= 0)
 
 
-def local_pairs(reference: np.ndarray, images: int, window: int) -> tuple[np.ndarray, np.ndarray]:
+def local_pairs(reference: Indices, images: int, window: int) -> tuple[np.ndarray, np.ndarray]:
     """Candidate (point, target), (O,) int32 each: the keyframes within `window` of each reference; sorted."""
     steps = np.concatenate([np.arange(-window, 0), np.arange(1, window + 1)])
     target = reference[:, None].astype(np.int64) + steps
@@ -229,9 +238,12 @@ def local_pairs(reference: np.ndarray, images: int, window: int) -> tuple[np.nda
 
 
 def global_pairs(
-    chosen: np.ndarray, rows: np.ndarray, reference: np.ndarray, seen: VisibilityMap
+    chosen: np.ndarray, rows: Indices, reference: Indices, seen: VisibilityMap
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Candidate (point, target), (O,) int32 each: the cameras of each chosen point's voxel; sorted."""
+    """Candidate (point, target), (O,) int32 each: the cameras of each chosen point's voxel; sorted.
+
+    chosen: (P,) bool, of `choose_global`
+    """
     index = np.flatnonzero(chosen)
     start, stop = seen.offsets[rows[index]], seen.offsets[rows[index] + 1]
     count = stop - start
@@ -243,9 +255,9 @@ def global_pairs(
 
 
 def find(
-    images: np.ndarray,
+    images: Images,
     camera: Camera,
-    world_from_camera: np.ndarray,
+    world_from_camera: Poses,
     points: ScenePoints,
     seen: VisibilityMap | None,
     noise: float,
@@ -282,6 +294,29 @@ def find(
 Pairs = tuple[np.ndarray, np.ndarray]
 
 
+def pair_gates(patch: int, noise: float) -> kernels.PairGates:
+    """What a pair must pass. patch: px, side; noise: standard deviation of the images' noise, grey values"""
+    return kernels.PairGates(
+        half=patch // 2,
+        min_view_cosine=MIN_VIEW_COSINE,
+        min_normal_cosine=float(np.cos(np.radians(MAX_VIEW_ANGLE_DEG))),
+        min_scale=MIN_SCALE,
+        max_scale=MAX_SCALE,
+        min_ncc=MIN_NCC,
+        contrast_floor=float((MIN_STD_SIGMA * noise) ** 2),
+        dark=float(DARK),
+        bright=float(SATURATED),
+        min_usable=MIN_USABLE,
+        hiding=HIDDEN_M,
+        noise=float(noise**2),
+    )
+
+
+def kernel_patches(points: ScenePoints) -> PlanePatches:
+    """Scene points as kernels take them."""
+    return PlanePatches(points.position_world, points.normal_world, points.reference, points.pixel)
+
+
 def _passing(
     point: np.ndarray,
     target: np.ndarray,
@@ -294,16 +329,16 @@ def _passing(
     depth: DepthBuffers,
 ) -> Pairs:
     """The pairs that pass eq. (3)."""
-    gates = np.array([
-        patch // 2, MIN_VIEW_COSINE, np.cos(np.radians(MAX_VIEW_ANGLE_DEG)), MIN_SCALE, MAX_SCALE, MIN_NCC,
-        (MIN_STD_SIGMA * noise) ** 2, DARK, SATURATED, MIN_USABLE, HIDDEN_M, noise**2,
-    ])  # fmt: skip
     verdict, _ = kernels.judge_pairs(
-        images, np.ascontiguousarray(world_from_camera),
-        np.array([camera.fx, camera.fy, camera.cx, camera.cy]), points.position_world, points.normal_world,
-        points.reference, points.pixel, point, target, gates, depth.nearest, depth.points_world,
-        depth.cell * camera.fx,
-    )  # fmt: skip
+        images,
+        np.ascontiguousarray(world_from_camera),
+        intrinsics_of(camera),
+        kernel_patches(points),
+        point,
+        target,
+        pair_gates(patch, noise),
+        depth.at(camera),
+    )
     counts = np.bincount(verdict, minlength=len(_GATES))
     _log.debug("pairs: %s", ", ".join(f"{n} {name}" for name, n in zip(_GATES, counts, strict=True)))
     good = verdict == kernels.PASSED

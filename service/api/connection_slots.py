@@ -19,41 +19,43 @@ class ConnectionSlots:
         """most_of_one: of one address, proxies excepted; never all"""
         self._most, self._most_of_one = most, min(most_of_one, most - most // 4)
         self._proxies = [ipaddress.ip_network(proxy) for proxy in proxies]
-        self._places: dict[SlotHolder, str | None] = {}
+        self._networks: dict[SlotHolder, str | None] = {}
         self._idle: dict[SlotHolder, None] = {}
         """Longest first."""
         self._counts: Counter[str | None] = Counter()
 
     def take(self, holder: SlotHolder, address: str) -> bool:
         """Whether there is room for one more, after somebody else was sent away for it if need be."""
-        place = self._place(address)
+        network = self._network(address)
         if (
-            place is not None
-            and self._counts[place] >= self._most_of_one
-            and not self._abort_longest_idle(place)
+            network is not None
+            and self._counts[network] >= self._most_of_one
+            and not self._abort_longest_idle(network)
         ):
             return False
-        if len(self._places) >= self._most and not self._abort_longest_idle(None):
+        if len(self._networks) >= self._most and not self._abort_longest_idle(None):
             return False
-        self._places[holder] = place
-        self._counts[place] += 1
+        self._networks[holder] = network
+        self._counts[network] += 1
         self._idle[holder] = None
         return True
 
-    def _place(self, address: str) -> str | None:
+    def _network(self, address: str) -> str | None:
         """What counts as one: an address, or the network of a customer. None: others stand behind it."""
         try:
-            found = ipaddress.ip_address(address.partition("%")[0])
+            parsed = ipaddress.ip_address(address.partition("%")[0])
         except ValueError:
             return None
-        found = getattr(found, "ipv4_mapped", None) or found
-        if any(found in network for network in self._proxies):
+        parsed = getattr(parsed, "ipv4_mapped", None) or parsed
+        if any(parsed in network for network in self._proxies):
             return None
-        return str(found) if found.version == 4 else str(ipaddress.ip_network((int(found), 64), strict=False))
+        return (
+            str(parsed) if parsed.version == 4 else str(ipaddress.ip_network((int(parsed), 64), strict=False))
+        )
 
-    def _abort_longest_idle(self, place: str | None) -> bool:
-        """place: of whom; None: anybody"""
-        holder = next((one for one in self._idle if place in (None, self._places[one])), None)
+    def _abort_longest_idle(self, network: str | None) -> bool:
+        """network: of whom; None: anybody"""
+        holder = next((one for one in self._idle if network in (None, self._networks[one])), None)
         if holder is None:
             return False
         self.release(holder)
@@ -62,7 +64,7 @@ class ConnectionSlots:
 
     def mark_idle(self, holder: SlotHolder) -> None:
         """A connection's request is answered."""
-        if holder in self._places:
+        if holder in self._networks:
             self._idle.setdefault(holder)
 
     def mark_busy(self, holder: SlotHolder) -> None:
@@ -71,9 +73,9 @@ class ConnectionSlots:
 
     def release(self, holder: SlotHolder) -> None:
         """A connection has ended."""
-        if holder in self._places:
-            place = self._places.pop(holder)
+        if holder in self._networks:
+            network = self._networks.pop(holder)
             self._idle.pop(holder, None)
-            self._counts[place] -= 1
-            if not self._counts[place]:
-                del self._counts[place]
+            self._counts[network] -= 1
+            if not self._counts[network]:
+                del self._counts[network]

@@ -84,7 +84,7 @@ def load_secret(file: Path) -> bytes:
 async def who(request: Request, server: Context) -> Principal:
     """Whoever sent the request.
 
-    Raises Problem: no key, or one that is worth nothing; too many requests.
+    Raises Problem: no key, or an invalid one; too many requests.
     """
     # only what may have to wait goes to another thread: going there takes as long as many a request
     return await run_in_threadpool(_known, request, server) if server.settings.asks_for_keys else keys.LOCAL

@@ -21,7 +21,7 @@ def page(description: dict[str, Any]) -> str:
         for method, operation in methods.items():
             group = (operation.get("tags") or ["other"])[0]
             groups.setdefault(group, []).append(_operation(method, path, operation, description))
-    parts = [f"<h2>{escape(group)}</h2>{''.join(found)}" for group, found in groups.items()]
+    parts = [f"<h2>{escape(group)}</h2>{''.join(operations)}" for group, operations in groups.items()]
     info = description["info"]
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(info["title"])}</title>'
@@ -34,8 +34,12 @@ def page(description: dict[str, Any]) -> str:
 
 def _operation(method: str, path: str, operation: dict[str, Any], description: dict[str, Any]) -> str:
     rows = [
-        _row(f"{found['name']} ({found['in']})", found.get("schema", {}), found.get("required", False))
-        for found in operation.get("parameters", [])
+        _row(
+            f"{parameter['name']} ({parameter['in']})",
+            parameter.get("schema", {}),
+            parameter.get("required", False),
+        )
+        for parameter in operation.get("parameters", [])
     ]
     rows += _body_rows(operation, description)
     table = f"<table>{''.join(rows)}</table>" if rows else ""
@@ -56,8 +60,8 @@ def _body_rows(operation: dict[str, Any], description: dict[str, Any]) -> list[s
 def _resolved(schema: dict[str, Any], description: dict[str, Any]) -> dict[str, Any]:
     for option in [schema, *schema.get("anyOf", [])]:
         if "$ref" in option:
-            found: dict[str, Any] = description["components"]["schemas"][option["$ref"].rsplit("/", 1)[1]]
-            return found
+            resolved: dict[str, Any] = description["components"]["schemas"][option["$ref"].rsplit("/", 1)[1]]
+            return resolved
     return schema
 
 

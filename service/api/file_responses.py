@@ -43,9 +43,9 @@ def media_type(name: str, *, strange: bool = False) -> str:
     return guessed or "application/octet-stream"
 
 
-def etag(found: os.stat_result) -> str:
+def etag(status: os.stat_result) -> str:
     """Changes whenever the file does: files are replaced, never written into."""
-    return f'"{found.st_ino:x}-{found.st_size:x}-{found.st_mtime_ns:x}"'
+    return f'"{status.st_ino:x}-{status.st_size:x}-{status.st_mtime_ns:x}"'
 
 
 def quoted(name: str) -> str:
@@ -73,9 +73,9 @@ class FileOf(FileResponse):
     ) -> None:
         self._file = file
         """Held, and with it the very file that was checked, until this answer is gone."""
-        found = os.fstat(file.fileno())
+        status = os.fstat(file.fileno())
         kind = media_type(name, strange=strange)
-        headers = {"ETag": etag(found), "Cache-Control": "private, no-cache"}
+        headers = {"ETag": etag(status), "Cache-Control": "private, no-cache"}
         if sha256 is not None:  # of the whole file, also where a part is sent (RFC 9530)
             headers["Repr-Digest"] = f"sha-256=:{base64.b64encode(bytes.fromhex(sha256)).decode()}:"
         if strange:
@@ -86,7 +86,7 @@ class FileOf(FileResponse):
             f"/dev/fd/{file.fileno()}",  # each reader has a position of its own
             headers=headers,
             media_type=kind,
-            stat_result=found,
+            stat_result=status,
             filename=Path(name).name if download else None,
         )
 
@@ -131,15 +131,15 @@ def result_shown(base: str, out: Path, name: str, row: Result | None = None) -> 
     base: path of all of them, with / at its end
     """
     try:
-        found: os.stat_result | None = os.lstat(out / name)
+        status: os.stat_result | None = os.lstat(out / name)
     except OSError:
-        found = None
+        status = None
     return {
         "name": name,
-        "bytes": row.bytes if row else found.st_size if found else 0,
+        "bytes": row.bytes if row else status.st_size if status else 0,
         "sha256": row.sha256 if row else None,
         "media_type": media_type(name),
-        "modified": serializers.time(found.st_mtime) if found else None,
-        "etag": etag(found) if found else None,
+        "modified": serializers.time(status.st_mtime) if status else None,
+        "etag": etag(status) if status else None,
         "url": base + quoted(name),
     }

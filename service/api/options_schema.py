@@ -8,8 +8,8 @@ from lvba import config
 from lvba.pipeline import Config
 from service.api.schemas import NewJob
 
-_MORE = ("level", "unit", "minimum", "maximum")
-"""What is told of a setting where it is declared with it."""
+_FACTS = ("level", "unit", "meaning", "range", "change_when", "minimum", "maximum")
+"""Of a setting, where its declaration has them."""
 
 
 @functools.cache
@@ -53,7 +53,7 @@ def _flat(schema: Mapping[str, Any], prefix: str) -> Iterator[dict[str, Any]]:
             continue
         option = {"name": prefix + name, "group": prefix.rstrip("."), "default": one["default"]}
         option |= {"type": _kind(one), "help": one.get("description", "")}
-        option |= {fact: one[fact] for fact in _MORE if fact in one}
+        option |= {fact: one[fact] for fact in _FACTS if fact in one}
         yield option | ({"choices": one["enum"]} if "enum" in one else {})
 
 

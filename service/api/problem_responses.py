@@ -32,7 +32,7 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(RequestValidationError)
     async def _invalid(request: Request, error: RequestValidationError) -> JSONResponse:
         errors = first_errors(error.errors())
-        detail = "; ".join(f"{found['where']}: {found['message']}" for found in errors[:3])
+        detail = "; ".join(f"{each['where']}: {each['message']}" for each in errors[:3])
         return Problem("invalid", detail, errors=errors).response(request.url.path)
 
     @app.exception_handler(ClientDisconnect)

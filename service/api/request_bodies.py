@@ -44,14 +44,14 @@ class Timely:
 
 async def whole(receive: Receive) -> bytes | None:
     """All of a body; None: the client has gone, or is too slow."""
-    found = bytearray()
+    body = bytearray()
     while True:
         message = await receive()
         if message["type"] != "http.request":
             return None
-        found += message.get("body", b"")
+        body += message.get("body", b"")
         if not message.get("more_body", False):
-            return bytes(found)
+            return bytes(body)
 
 
 def again(body: bytes, receive: Receive) -> Receive:

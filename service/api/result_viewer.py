@@ -30,7 +30,7 @@ _BASE = "/v1/result/results/"
 
 
 @dataclass(frozen=True)
-class Shown:
+class ViewedResult:
     """A result folder, and where what a viewer needs lies: in it, or made for this occasion beside it."""
 
     result: Path
@@ -38,10 +38,10 @@ class Shown:
 
     def paths(self) -> dict[str, Path]:
         """The folder of each file, by name; of the octree and its pictures those of `viewer` alone."""
-        found = {
+        folders = {
             name: self.result for name in result_files.result_names(self.result) if not _is_viewers(name)
         }
-        return found | {
+        return folders | {
             name: self.viewer for name in result_files.result_names(self.viewer) if _is_viewers(name)
         }
 
@@ -50,11 +50,11 @@ def _is_viewers(name: str) -> bool:
     return name.startswith(("cloud/", "frames/"))
 
 
-def create(shown: Shown, settings: Settings) -> FastAPI:
+def create(viewed: ViewedResult, settings: Settings) -> FastAPI:
     """The ASGI application: the page asks it as it asks the service, about one result instead of a job."""
     app = FastAPI(title="lvba view", openapi_url=None, docs_url=None, redoc_url=None, redirect_slashes=False)
     problem_responses.install(app)
-    name = shown.result.name
+    name = viewed.result.name
 
     @app.get("/")
     def root() -> Response:
@@ -74,7 +74,7 @@ def create(shown: Shown, settings: Settings) -> FastAPI:
 
     @app.get("/v1/result/results")
     def results() -> dict[str, Any]:
-        paths = sorted(shown.paths().items())
+        paths = sorted(viewed.paths().items())
         return {
             "items": [file_responses.result_shown(_BASE, folder, name) for name, folder in paths],
             "next": None,
@@ -83,7 +83,7 @@ def create(shown: Shown, settings: Settings) -> FastAPI:
     @app.head("/v1/result/results/{name:path}")
     @app.get("/v1/result/results/{name:path}")
     def one(name: str, download: bool = False) -> FileResponse:
-        folder = shown.viewer if _is_viewers(name) else shown.result
+        folder = viewed.viewer if _is_viewers(name) else viewed.result
         if not result_files.is_result(name):
             raise Problem("not-found", "there is no such file in the result")
         try:
@@ -93,18 +93,18 @@ def create(shown: Shown, settings: Settings) -> FastAPI:
 
     @app.get("/v1/result/frames")
     def frames() -> dict[str, Any]:
-        return {"items": frames_of(shown)}
+        return {"items": frames_of(viewed)}
 
     app.add_middleware(Guard, settings=settings)
     return app
 
 
-def frames_of(shown: Shown) -> list[dict[str, Any]]:
+def frames_of(viewed: ViewedResult) -> list[dict[str, Any]]:
     """The images as the page asks for them; none where nothing for a viewer tells of images."""
     try:
-        with file_names.opened(shown.viewer, "cloud/cloud.json") as file:
+        with file_names.opened(viewed.viewer, "cloud/cloud.json") as file:
             images = json.load(file)["images"]
-            there = shown.paths()
+            there = viewed.paths()
             return [
                 {
                     "index": i,
@@ -144,15 +144,15 @@ class _Web(uvicorn.Server):
         self.handle_exit(number, frame)
 
 
-def view(shown: Shown, port: int, ready: Callable[[str], None]) -> None:
+def view(viewed: ViewedResult, port: int, ready: Callable[[str], None]) -> None:
     """Serve until a signal comes.
 
     port: 0: any that is free; ready: called with the address once it answers
     Raises InputError: the port cannot be listened on.
     """
     settings = Settings(port=port)
-    shares = descriptors.shares(settings.limits.connections)
-    web = _Web(serving.configuration(create(shown, settings), settings, shares), ready)
+    limits = descriptors.raise_limits(settings.limits.connections)
+    web = _Web(serving.configuration(create(viewed, settings), settings, limits), ready)
     with serving.listening(web, settings) as sockets:
         web.run(sockets=sockets)
     sys.stderr.flush()

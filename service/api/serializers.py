@@ -66,10 +66,10 @@ def jobs(session: Session, rows: Sequence[Job], paths: Paths, settings: Settings
 
 def job(session: Session, row: Job, paths: Paths, settings: Settings) -> dict[str, Any]:
     """A job with its stages and attempts."""
-    [found] = jobs(session, [row], paths, settings)
+    [fields] = jobs(session, [row], paths, settings)
     attempts = select(Attempt).where(Attempt.job_id == row.id).order_by(Attempt.number)
     return {
-        **found,
+        **fields,
         "stages": row.stages,
         "attempts": [_attempt(attempt) for attempt in session.scalars(attempts)],
     }
@@ -80,7 +80,7 @@ def _job(
 ) -> dict[str, Any]:
     links = {name: f"/v1/jobs/{row.id}/{name}" for name in ("events", "logs", "results", "archive", "frames")}
     log = paths.log(row.id)
-    found = {
+    fields = {
         **{name: getattr(row, name) for name in ("id", "name")},
         "dataset": row.dataset_id,
         "batch": row.batch_id,
@@ -97,10 +97,10 @@ def _job(
         "links": {"self": f"/v1/jobs/{row.id}", **links},
     }
     if row.state == QUEUED:
-        found["position"] = positions.get(row.id, 0)
+        fields["position"] = positions.get(row.id, 0)
         needed = (row.error or {}).get("needed_bytes", 0)
-        found["error"] = full or (_waits_for_room(paths, needed) if needed else None) or row.error
-    return found
+        fields["error"] = full or (_waits_for_room(paths, needed) if needed else None) or row.error
+    return fields
 
 
 def _waits(row: Dataset) -> bool:

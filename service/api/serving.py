@@ -24,7 +24,7 @@ from service.jobs.supervisor import Supervisor
 from service.jobs.webhooks import Messenger
 from service.settings import Settings
 from service.system import descriptors
-from service.system.descriptors import Shares
+from service.system.descriptors import DescriptorLimits
 from service.system.paths import Paths
 
 _log = logging.getLogger(__name__)
@@ -40,10 +40,10 @@ class _Uvicorn(uvicorn.Server):
     """Ends on the first signal, after its streams; and does not send itself the signal again."""
 
     def __init__(
-        self, config: uvicorn.Config, broadcaster: Broadcaster, words: str, notes: list[str], threads: int
+        self, config: uvicorn.Config, broadcaster: Broadcaster, banner: str, notes: list[str], threads: int
     ) -> None:
         super().__init__(config)
-        self._broadcaster, self._words, self._notes = broadcaster, words, notes
+        self._broadcaster, self._banner, self._notes = broadcaster, banner, notes
         self._threads = threads
 
     async def startup(self, sockets: list[Any] | None = None) -> None:
@@ -56,7 +56,7 @@ class _Uvicorn(uvicorn.Server):
         for socket in sockets or []:
             host, port = socket.getsockname()[:2]
             shown = f"[{host}]" if ":" in host else host
-            sys.stderr.write(f"lvba: serving http://{shown}:{port} {self._words}\n")
+            sys.stderr.write(f"lvba: serving http://{shown}:{port} {self._banner}\n")
         sys.stderr.flush()
 
     @contextlib.contextmanager
@@ -81,7 +81,7 @@ def serve(settings: Settings) -> None:
     Raises LvbaError: the data folder, the database or the address cannot be used.
     """
     recording_roots.check(settings)
-    shares = descriptors.shares(settings.limits.connections)
+    limits = descriptors.raise_limits(settings.limits.connections)
     paths = Paths(settings.data.resolve())  # below it no link is followed
     database = open_database(settings, paths)
     supervisor = Supervisor(database, paths, settings)
@@ -89,10 +89,10 @@ def serve(settings: Settings) -> None:
     secret = context.load_secret(paths.root / "secret")
     server = context.Server(database, paths, settings, supervisor, broadcaster, secret)
     keys = "with keys" if settings.asks_for_keys else "without keys: for this machine only"
-    words = f"({keys}); data in {settings.data}"
+    banner = f"({keys}); data in {settings.data}"
     notes = startup_notices.at_start(settings, database)
-    served = configuration(app.create(server), settings, shares)
-    web = _Uvicorn(served, broadcaster, words, notes, shares.threads)
+    served = configuration(app.create(server), settings, limits)
+    web = _Uvicorn(served, broadcaster, banner, notes, limits.threads)
     messenger = Messenger(database, settings) if settings.webhooks else None
     sys.setswitchinterval(_SWITCH_S)
     with listening(web, settings) as sockets:
@@ -108,14 +108,14 @@ def serve(settings: Settings) -> None:
             database.close()
 
 
-def configuration(application: Any, settings: Settings, shares: Shares) -> uvicorn.Config:
+def configuration(application: Any, settings: Settings, limits: DescriptorLimits) -> uvicorn.Config:
     """How an application is served."""
-    slots = ConnectionSlots(shares.connections, settings.limits.connections_of_one, settings.proxies)
+    slots = ConnectionSlots(limits.connections, settings.limits.connections_of_one, settings.proxies)
     return uvicorn.Config(
         application,
         http=cast(Any, partial(Connection, slots=slots, limits=settings.limits)),
         ws="none",
-        backlog=shares.accepts,
+        backlog=limits.accepts,
         host=settings.host,
         port=settings.port,
         log_config=None,

@@ -52,9 +52,9 @@ def zipped(
 
 
 def _entry(name: str, file: BinaryIO, compression: int) -> zipfile.ZipInfo:
-    found = os.fstat(file.fileno())
-    changed = time.localtime(max(found.st_mtime, _OLDEST))[:6]
+    status = os.fstat(file.fileno())
+    changed = time.localtime(max(status.st_mtime, _OLDEST))[:6]
     entry = zipfile.ZipInfo(name, changed)
-    entry.compress_type, entry.file_size = compression, found.st_size
-    entry.external_attr = (found.st_mode & 0xFFFF) << 16
+    entry.compress_type, entry.file_size = compression, status.st_size
+    entry.external_attr = (status.st_mode & 0xFFFF) << 16
     return entry

@@ -46,8 +46,8 @@ def queue(
     Raises Problem: it cannot be run as it is, a quota, no room.
     """
     dataset = _check(server, session, principal, wanted)
-    found = estimates.estimate(session, dataset, server.settings.threads)
-    _check_room(server, session, principal, found)
+    estimate = estimates.estimate(session, dataset, server.settings.threads)
+    _check_room(server, session, principal, estimate)
     job = Job(
         id=new_id("job"),
         owner=principal.owner,
@@ -63,7 +63,7 @@ def queue(
         request_digest=digest(wanted.model_dump()),
         created=now(),
         updated=now(),
-        estimate=found,
+        estimate=estimate,
     )
     session.add(job)
     session.flush()
@@ -110,13 +110,13 @@ def _check_webhook(server: Server, url: str) -> None:
         raise of_input(error) from None
 
 
-def _check_room(server: Server, session: Session, principal: Principal, found: dict[str, Any]) -> None:
+def _check_room(server: Server, session: Session, principal: Principal, estimate: dict[str, Any]) -> None:
     limits = server.settings.limits
-    disk_bytes = int(found.get("disk_bytes", 0))
+    disk_bytes = int(estimate.get("disk_bytes", 0))
     quota.check(server.database, session, principal.owner, limits, disk_bytes, 1)
     _check_waiting(server, session, principal.owner)
     free = disk_space.free_bytes(server.paths.root)
-    needed = int(found.get("disk_bytes", 0)) + limits.disk_reserve_bytes + _promised(session)
+    needed = int(estimate.get("disk_bytes", 0)) + limits.disk_reserve_bytes + _promised(session)
     if needed > free:
         raise Problem(
             "disk-full",
@@ -143,4 +143,4 @@ def _check_waiting(server: Server, session: Session, owner: str) -> None:
 def _promised(session: Session) -> int:
     """What the jobs that have not ended may still take."""
     pending = session.scalars(select(Job.estimate).where(Job.state.not_in(ENDED), Job.deleted.is_(False)))
-    return sum(int(found.get("disk_bytes", 0)) for found in pending)
+    return sum(int(estimate.get("disk_bytes", 0)) for estimate in pending)

@@ -108,10 +108,10 @@ def end(server: Server, upload: Upload, wanted: Piece, stream: BinaryIO, receive
                 headers={"Upload-Offset": "0"},
             )
     with server.database.write() as session:
-        found = _settled(session, upload)
+        record = _settled(session, upload)
         if digest:
-            found.complete, found.sha256 = True, digest.hex()
-    return found
+            record.complete, record.sha256 = True, digest.hex()
+    return record
 
 
 def settle(server: Server, upload: Upload) -> None:
@@ -124,9 +124,9 @@ def settle(server: Server, upload: Upload) -> None:
 
 
 def _settled(session: Session, upload: Upload) -> Upload:
-    found = session.get(Upload, upload.id)
-    if found is None:
+    record = session.get(Upload, upload.id)
+    if record is None:
         raise Problem("not-found", "the upload was removed meanwhile")
     # a transaction waits for the disk only if it changes something
-    session.execute(update(Dataset).where(Dataset.id == found.dataset_id).values(updated=now()))
-    return found
+    session.execute(update(Dataset).where(Dataset.id == record.dataset_id).values(updated=now()))
+    return record

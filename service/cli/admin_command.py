@@ -41,8 +41,8 @@ def _do(arguments: argparse.Namespace, settings: Settings, database: Database, p
     elif arguments.key_action == "revoke":
         keys.revoke(database, arguments.key)
     else:
-        for found in keys.every(database):
-            sys.stdout.write(_line(found) + "\n")
+        for row in keys.every(database):
+            sys.stdout.write(_line(row) + "\n")
 
 
 def _line(key: Key) -> str:

@@ -87,7 +87,7 @@ class Queue:
                 self._end(job)
             started = self._start()
             if ended or started:
-                self._tell()
+                self._show_progress()
             time.sleep(_WAIT_SECONDS)
 
     def stop(self) -> None:
@@ -117,7 +117,7 @@ class Queue:
             row.state, row.message = FAILED, _last_words(job)
             self._display.note(f"{row.name}: {row.message}")
 
-    def _tell(self) -> None:
+    def _show_progress(self) -> None:
         batch_summary.write(self._out, list(self._rows.values()))
         ended = sum(row.state in (DONE, FAILED) for row in self._rows.values())
         self._display.progress("recordings", ended, len(self._rows))
@@ -125,8 +125,8 @@ class Queue:
 
 def command(arguments: argparse.Namespace, entry: Entry, out: Path) -> list[str]:
     """The `lvba run` of one recording."""
-    found = [sys.executable, "-m", "service.cli", "run", str(entry.dataset), "--out", str(out), "--quiet"]
-    found += [word for setting in entry.settings for word in ("--set", setting)]
+    words = [sys.executable, "-m", "service.cli", "run", str(entry.dataset), "--out", str(out), "--quiet"]
+    words += [word for setting in entry.settings for word in ("--set", setting)]
     options = {
         "config": entry.config,
         "reference": entry.reference,
@@ -139,7 +139,7 @@ def command(arguments: argparse.Namespace, entry: Entry, out: Path) -> list[str]
         "tls-cert": arguments.tls_cert,
         "tls-key": arguments.tls_key,
     }
-    return found + [f"--{name}={value}" for name, value in options.items() if value is not None]
+    return words + [f"--{name}={value}" for name, value in options.items() if value is not None]
 
 
 def _launch(words: list[str], entry: Entry, out: Path) -> Job:

@@ -31,10 +31,10 @@ def read(manifest: Path) -> list[Entry]:
 
     Raises InputError: no list of recordings, an unknown field, two entries of one name.
     """
-    found = plain_yaml.load(files.read_text(manifest, MAX_BYTES), manifest, "mend it")
-    if not isinstance(found, list) or not found:
+    document = plain_yaml.load(files.read_text(manifest, MAX_BYTES), manifest, "mend it")
+    if not isinstance(document, list) or not document:
         raise InputError(manifest, "is not a list of recordings", _MEND)
-    entries = [_entry(f"{manifest}, entry {i + 1}", manifest.parent, item) for i, item in enumerate(found)]
+    entries = [_entry(f"{manifest}, entry {i + 1}", manifest.parent, item) for i, item in enumerate(document)]
     for number, entry in enumerate(entries):
         if any(entry.name == other.name for other in entries[:number]):
             raise InputError(

@@ -244,9 +244,9 @@ class Client:
     def wait_while(self, path: str, read: Callable[[Any], Waited], states: tuple[str, ...]) -> Waited:
         """What a path answers, once its state is none of these."""
         while True:
-            found = self.get(path, read)
-            if found.state not in states:
-                return found
+            record = self.get(path, read)
+            if record.state not in states:
+                return record
             self.pause()
 
     def pause(self) -> None:

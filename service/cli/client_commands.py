@@ -97,11 +97,11 @@ def register(client: Client, url: str, name: str, display: Display) -> str:
 
 
 def _checked(client: Client, dataset: Dataset, recording: object) -> str:
-    found = client.wait_while(f"/v1/datasets/{dataset.id}", server_responses.dataset, ("validating",))
-    if found.state != "ready":
-        error = found.error or Failure(f"the dataset is {found.state}", "submit it again")
+    checked = client.wait_while(f"/v1/datasets/{dataset.id}", server_responses.dataset, ("validating",))
+    if checked.state != "ready":
+        error = checked.error or Failure(f"the dataset is {checked.state}", "submit it again")
         raise InputError(recording, error.cause, error.hint)
-    return found.id
+    return checked.id
 
 
 def _files(recording: Path) -> list[tuple[Path, str | None]]:
@@ -110,8 +110,8 @@ def _files(recording: Path) -> list[tuple[Path, str | None]]:
         if not recording.name.lower().endswith(_ARCHIVES):
             raise InputError(recording, "is no archive", f"give a folder, or one of {', '.join(_ARCHIVES)}")
         return [(recording, None)]
-    found = sorted(path for path in recording.rglob("*") if path.is_file())
-    inside = [(path, path.relative_to(recording).as_posix()) for path in found]
+    paths = sorted(path for path in recording.rglob("*") if path.is_file())
+    inside = [(path, path.relative_to(recording).as_posix()) for path in paths]
     plain = [
         (path, name) for path, name in inside if not any(part.startswith(".") for part in name.split("/"))
     ]
@@ -183,12 +183,12 @@ def logs(arguments: argparse.Namespace, client: Client, display: Display) -> Non
     """What a job has said; with --follow also what it will say."""
     start = 0
     while True:
-        found = client.get(f"{_path(arguments.job)}/logs", server_responses.log_piece, {"from": start})
-        sys.stdout.write(found.text)
+        piece = client.get(f"{_path(arguments.job)}/logs", server_responses.log_piece, {"from": start})
+        sys.stdout.write(piece.text)
         sys.stdout.flush()
-        more = start < found.next < found.size
-        start = found.next
-        if not more and (found.ended or not arguments.follow):
+        more = start < piece.next < piece.size
+        start = piece.next
+        if not more and (piece.ended or not arguments.follow):
             return
         if not more:
             client.pause()
@@ -258,7 +258,7 @@ def get_results(
 
 def _results(client: Client, job_id: str) -> list[Result]:
     """What a job made; no name of it leads elsewhere, or is there twice."""
-    found, taken = [], set[str]()
+    results, taken = [], set[str]()
     for result in client.every(f"{_path(job_id)}/results", server_responses.result):
         try:
             file_names.take(result.name, taken)
@@ -266,5 +266,5 @@ def _results(client: Client, job_id: str) -> list[Result]:
             raise LvbaError(_DISTRUST.format(error.where, error.problem)) from None
         if any(part.startswith(".") for part in result.name.split("/")):
             raise LvbaError(_DISTRUST.format(repr(result.name), "is hidden"))
-        found.append(result)
-    return found
+        results.append(result)
+    return results

@@ -22,9 +22,9 @@ def changed(wanted: Config) -> dict[str, Any]:
 
 
 def _difference(values: dict[str, Any], defaults: dict[str, Any]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    difference: dict[str, Any] = {}
     for name, value in values.items():
         inner = _difference(value, defaults[name]) if isinstance(value, dict) else value
         if inner != defaults[name] and inner != {}:
-            found[name] = inner
-    return found
+            difference[name] = inner
+    return difference

@@ -55,14 +55,14 @@ def memory_bytes(arguments: argparse.Namespace) -> int | None:
     from dask.utils import parse_bytes
 
     try:
-        found = int(parse_bytes(f"{text} GB" if text.replace(".", "", 1).isdigit() else text))
+        size = int(parse_bytes(f"{text} GB" if text.replace(".", "", 1).isdigit() else text))
     except ValueError:
-        found = 0
-    if found < _LEAST_MEMORY_BYTES:
+        size = 0
+    if size < _LEAST_MEMORY_BYTES:
         raise InputError(
             f"--memory-limit {text}", "is not an amount of memory to work with", "write for example 8GB"
         )
-    return found
+    return size
 
 
 def tls(arguments: argparse.Namespace) -> "Tls | None":

@@ -26,39 +26,39 @@ class EventDisplay(Display):
         check: Callable[[], None] = lambda: None,
     ) -> None:
         super().__init__(clock=clock, quiet=quiet, check=check)
-        self._tell_clock = clock
+        self._clock = clock
         self._file: TextIO = _open(events)
-        self._told_stage = self._told_what = ""
-        self._told_at = float("-inf")
+        self._sent_stage = self._sent_what = ""
+        self._sent_at = float("-inf")
 
     def stages(self, names: Sequence[str]) -> None:
         super().stages(names)
-        self._tell("stages", names=list(names))
+        self._send("stages", names=list(names))
 
     def stage(self, name: str, index: int, total: int, reused: bool | None = None) -> None:
-        self._told_stage, self._told_what = name, ""
+        self._sent_stage, self._sent_what = name, ""
         index, total = self._counted(name, index, total)
-        self._tell("stage", name=name, index=index, total=total, reused=reused)
+        self._send("stage", name=name, index=index, total=total, reused=reused)
         super().stage(name, index, total, reused)
 
     def progress(self, what: str, done: int, total: int) -> None:
         super().progress(what, done, total)
-        now = self._tell_clock()
-        if what == self._told_what and now - self._told_at < _WAIT:
+        now = self._clock()
+        if what == self._sent_what and now - self._sent_at < _WAIT:
             return
-        self._told_what, self._told_at = what, now
-        self._tell("progress", stage=self._told_stage, what=what, done=done, total=total)
+        self._sent_what, self._sent_at = what, now
+        self._send("progress", stage=self._sent_stage, what=what, done=done, total=total)
 
     def record(self, name: str, seconds: float, peak_memory_mb: float, reused: bool) -> None:
-        self._tell("record", name=name, seconds=seconds, peak_memory_mb=peak_memory_mb, reused=reused)
+        self._send("record", name=name, seconds=seconds, peak_memory_mb=peak_memory_mb, reused=reused)
 
     def end(self, code: int, reason: EndReason, message: str, error: BaseException | None) -> None:
         named = {"where": "", "problem": "", "mend": ""}
         if isinstance(error, InputError):
             named = {"where": error.where, "problem": error.problem, "mend": error.mend}
-        self._tell("end", code=code, reason=reason, message=message, **named)
+        self._send("end", code=code, reason=reason, message=message, **named)
 
-    def _tell(self, event: str, **facts: Any) -> None:
+    def _send(self, event: str, **facts: Any) -> None:
         # one write a line: whoever reads along sees whole lines, but for the last
         self._file.write(json.dumps({"event": event, "time": time.time(), **facts}) + "\n")
         self._file.flush()

@@ -24,8 +24,8 @@ Each command has its own help: lvba run --help"""
 _RUN = """\
 Refine the scan poses, camera poses and exposures of a recording, and color its map.
 
-OUT holds the result (poses, exposures, map.ply, report.html, report.json, config.yaml) and, in OUT/stages, what every
-stage made. A run that was stopped goes on from the finished stages when the same command is given again."""
+OUT gets the result (poses, exposures, map.ply, report.html, report.json, config.yaml) and, in OUT/stages, the
+intermediate results. The same command continues a stopped run after its last finished stage."""
 
 _RUN_EXAMPLES = """\
 examples:
@@ -35,14 +35,14 @@ examples:
   lvba run recording --out result --workers 4
   lvba run recording --out result --scheduler tcp://head:8786 --store s3://bucket/recording
 
-Every setting with its value and what it means is in OUT/config.yaml, which can be given as --config."""
+OUT/config.yaml has every setting with its value and meaning, and can be given as --config."""
 
 _BATCH = """\
-Refine many recordings, a few at a time, and say in one table how each went.
+Refine many recordings, a few at a time, and write one table of their results.
 
 MANIFEST is a YAML list; each entry has `dataset`, and may have `name`, `config`, `set` (a list), `reference` and
-`group`. Paths are relative to MANIFEST. Groups take turns, so that a long list does not hold up a short one. One that
-fails does not stop the others. The same command goes on after an interruption."""
+`group`. Paths are relative to MANIFEST. Groups take turns, so that a short list does not wait for a long one. A recording
+that fails does not stop the others. The same command continues an interrupted batch."""
 
 _BATCH_EXAMPLES = """\
 examples:
@@ -50,14 +50,14 @@ examples:
   lvba batch recordings.yaml --out results --jobs 4 --scheduler tcp://head:8786
   lvba batch recordings.yaml --out results --server http://host:8080
 
-OUT/NAME is the result of a recording, OUT/NAME.log what it said; OUT/summary.json and OUT/summary.csv are the table.
+OUT/NAME is the result of a recording, OUT/NAME.log its log; OUT/summary.json and OUT/summary.csv are the table.
 Exit code 1: some failed."""
 
 _WORKER = """\
-Work for the Dask scheduler at ADDRESS until stopped: one step at a time, with --threads threads.
+Run steps for the Dask scheduler at ADDRESS until stopped: one at a time, with --threads threads.
 
-Start one on each machine, or several with --threads and --memory-limit. A worker that loses its scheduler waits for it
-to come back. Whoever can talk to a scheduler can run code on its workers: use tls:// outside a trusted network."""
+Start one on each machine, or several with --threads and --memory-limit. A worker that loses its scheduler waits for
+it. Whoever can connect to a scheduler can run code on its workers: use tls:// outside a trusted network."""
 
 _WORKER_EXAMPLES = """\
 examples:
@@ -65,9 +65,9 @@ examples:
   lvba worker tls://head:8786 --tls-ca ca.pem --tls-cert node.pem --tls-key node.key"""
 
 _EVALUATE = """\
-Judge poses and exposures made by any method, as `lvba run` judges its own.
+Evaluate poses and exposures of any method by the figures that `lvba run` reports of its own.
 
-"rough" in the report is the dataset as it is, "refined" is with the files given here in its place."""
+In the report, "rough" is the recording as it is, and "refined" is the recording with the files given here."""
 
 _EVALUATE_EXAMPLES = """\
 examples:
@@ -76,7 +76,7 @@ examples:
   lvba evaluate recording --out judged --reference truth"""
 
 _SIMULATE = """\
-Make a recording of a made-up place, with known truth in OUT/reference."""
+Simulate a recording of a generated scene; OUT/reference has the true poses and exposures."""
 
 _SIMULATE_EXAMPLES = """\
 examples:
@@ -86,20 +86,20 @@ examples:
   lvba simulate block --out block --length 400 --frames 200 --closing 1 2"""
 
 _VIEW = """\
-Show a result in the browser: the map in 3D, photographs beside the map, figures and files. Only this machine can ask, and
-nothing is written. The address goes to stdout; Ctrl-C ends it."""
+Show a result in the browser: the map in 3D, photographs beside the map, figures and files. The server answers this
+machine only and writes nothing. The address goes to stdout; Ctrl-C ends it."""
 
 _VIEW_EXAMPLES = """\
 examples:
   lvba view result
   lvba view result --port 8090 --no-browser
 
-Where a run was made without --viewer, the map is prepared first, in a temporary folder; `lvba export RESULT lod` keeps
-what is prepared."""
+Without --viewer in the run, the map is first converted in a temporary folder; `lvba export RESULT lod` keeps the
+converted files."""
 
 _EXPORT = """\
-Write the map or the poses of a result in another format; lod: the map with levels of detail, and what a viewer shows
-beside it, into cloud/ and frames/ of RESULT."""
+Write the map or the poses of a result in another format. lod: the map with levels of detail and the pictures of the
+viewer, in cloud/ and frames/ of RESULT."""
 
 _EXPORT_EXAMPLES = """\
 examples:
@@ -157,12 +157,12 @@ def _add_run(commands: "argparse._SubParsersAction[Parser]") -> None:
     _add_settings(run)
     run.add_argument("--reference", type=Path, metavar="DIR", help="folder of true poses to compare with")
     run.add_argument(
-        "--store", metavar="URL", help="folder or URL for what stages make (default: OUT/stages)"
+        "--store", metavar="URL", help="folder or URL of intermediate results (default: OUT/stages)"
     )
-    run.add_argument("--redo", metavar="STAGE", help="make this stage and all that depends on it again")
-    run.add_argument("--name", help="what the report calls the recording (default: its folder)")
-    run.add_argument("--events", type=Path, metavar="FILE", help="add what happens to FILE, as JSON lines")
-    run.add_argument("--viewer", action="store_true", help="at last what `lvba export OUT lod` writes")
+    run.add_argument("--redo", metavar="STAGE", help="repeat this stage and all that depend on it")
+    run.add_argument("--name", help="name of the recording in the report (default: its folder)")
+    run.add_argument("--events", type=Path, metavar="FILE", help="append events to FILE, as JSON lines")
+    run.add_argument("--viewer", action="store_true", help="also write what `lvba export OUT lod` writes")
     _add_cluster(run)
 
 
@@ -175,20 +175,24 @@ def _add_batch(commands: "argparse._SubParsersAction[Parser]") -> None:
     batch.add_argument(
         "--jobs", type=_count, default=1, metavar="N", help="recordings at a time (default: 1)"
     )
-    batch.add_argument("--store", metavar="URL", help="folder or URL for what stages make (default: in OUT)")
+    batch.add_argument(
+        "--store", metavar="URL", help="folder or URL of intermediate results (default: in OUT)"
+    )
     server_parser.add_server(batch, asked=False)
     _add_cluster(batch)
 
 
 def _add_worker(commands: "argparse._SubParsersAction[Parser]") -> None:
-    worker = _command(commands, "worker", "work for a cluster's scheduler", _WORKER, _WORKER_EXAMPLES)
+    worker = _command(
+        commands, "worker", "run steps for the scheduler of a cluster", _WORKER, _WORKER_EXAMPLES
+    )
     worker.add_argument("address", metavar="ADDRESS", help="scheduler: tcp://HOST:PORT or tls://HOST:PORT")
-    worker.add_argument("--memory-limit", metavar="GB", help="for example 8GB (default: all there is)")
+    worker.add_argument("--memory-limit", metavar="GB", help="for example 8GB (default: all memory)")
     _add_tls(worker)
 
 
 def _add_evaluate(commands: "argparse._SubParsersAction[Parser]") -> None:
-    evaluate = _command(commands, "evaluate", "judge poses and exposures", _EVALUATE, _EVALUATE_EXAMPLES)
+    evaluate = _command(commands, "evaluate", "evaluate poses and exposures", _EVALUATE, _EVALUATE_EXAMPLES)
     _add_dataset_and_out(evaluate)
     _add_settings(evaluate)
     evaluate.add_argument("--lidar-poses", type=Path, metavar="FILE", help="TUM, world from scan")
@@ -201,7 +205,7 @@ def _add_evaluate(commands: "argparse._SubParsersAction[Parser]") -> None:
 
 def _add_simulate(commands: "argparse._SubParsersAction[Parser]") -> None:
     simulate = _command(
-        commands, "simulate", "make a recording with known truth", _SIMULATE, _SIMULATE_EXAMPLES
+        commands, "simulate", "simulate a recording with known truth", _SIMULATE, _SIMULATE_EXAMPLES
     )
     simulate.add_argument(
         "scene", metavar="SCENE", help="courtyard, rooms, corridor, street, plane, block, terrace, cabinet"
@@ -209,9 +213,8 @@ def _add_simulate(commands: "argparse._SubParsersAction[Parser]") -> None:
     simulate.add_argument("--out", type=Path, required=True, metavar="DATASET", help="folder to write")
     simulate.add_argument("--frames", type=int, metavar="N", help="images (default: the scene's)")
     simulate.add_argument("--seed", type=int, default=0, metavar="S", help="of all randomness (default: 0)")
-    simulate.add_argument(
-        "--difficulty", choices=["easy", "medium", "hard"], default="medium", help="of the drift"
-    )
+    levels = ["easy", "medium", "hard"]
+    simulate.add_argument("--difficulty", choices=levels, default="medium", help="of the drift")
     simulate.add_argument(
         "--lidar", choices=["spinning", "non_repetitive"], default="spinning", help="its scan pattern"
     )
@@ -224,23 +227,42 @@ def _add_simulate(commands: "argparse._SubParsersAction[Parser]") -> None:
         "--height", type=int, default=480, metavar="PX", help="of the images (default: 480)"
     )
     simulate.add_argument(
-        "--length", type=float, metavar="M", help="of a street, a corridor, a flight or a way around, m"
+        "--length",
+        type=float,
+        metavar="M",
+        help="length of the path of a street, corridor, flight or loop, m",
     )
     simulate.add_argument(
         "--closing",
         type=float,
         nargs=2,
         metavar=("M", "DEG"),
-        help="by how much the rough ends of a loop miss each other, beside the difficulty",
+        help="offset between the rough ends of a loop, in addition to the drift",
     )
     simulate.add_argument(
         "--image-poses",
         choices=["camera", "body"],
         default="camera",
-        help="what image_poses.txt holds: camera to world, or body to world as FAST-LIVO2 writes (default: camera)",
+        help="poses in image_poses.txt: camera to world, or body to world as FAST-LIVO2 writes (default: camera)",
+    )
+    simulate.add_argument(
+        "--lens",
+        choices=["pinhole", "fisheye"],
+        default="pinhole",
+        help="of about 65 or 160 degrees (default: pinhole)",
+    )
+    simulate.add_argument(
+        "--disturb",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="NAME=VALUE",
+        help="what real sensors do, see docs/simulation.md: a number, typical or severe; as rolling_shutter=0.015",
     )
     simulate.add_argument("--vignetting", action="store_true", help="images darker towards their corners")
-    simulate.add_argument("--motion-blur", action="store_true", help="the shutter is open for a while")
+    simulate.add_argument(
+        "--motion-blur", action="store_true", help="images blurred by motion during the exposure"
+    )
     simulate.add_argument("--shot-noise", action="store_true", help="image noise grows with brightness")
 
 
@@ -248,7 +270,7 @@ def _add_view(commands: "argparse._SubParsersAction[Parser]") -> None:
     view = _command(commands, "view", "show a result in the browser", _VIEW, _VIEW_EXAMPLES)
     view.add_argument("result", type=Path, metavar="RESULT", help="the OUT folder of a run")
     view.add_argument("--port", type=int, default=0, metavar="PORT", help="to listen on (default: any)")
-    view.add_argument("--no-browser", action="store_true", help="print the address, open nothing")
+    view.add_argument("--no-browser", action="store_true", help="print the address only")
 
 
 def _add_export(commands: "argparse._SubParsersAction[Parser]") -> None:
@@ -262,7 +284,7 @@ def _add_export(commands: "argparse._SubParsersAction[Parser]") -> None:
         "--crs",
         default="",
         metavar="CRS",
-        help="las, laz: what the coordinates are of, as a file of WKT (.prj) or EPSG:CODE; nothing is converted",
+        help="las, laz: coordinate reference system, a WKT file (.prj) or EPSG:CODE; coordinates are not converted",
     )
 
 
@@ -279,7 +301,7 @@ def _command(
     command.add_argument("--threads", type=_count, metavar="N", help="threads to use (default: all cores)")
     talk = command.add_mutually_exclusive_group()
     talk.add_argument("--quiet", action="store_true", help="no progress on stderr")
-    talk.add_argument("--verbose", action="store_true", help="say more on stderr")
+    talk.add_argument("--verbose", action="store_true", help="print details on stderr")
     return command
 
 

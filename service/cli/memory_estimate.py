@@ -4,6 +4,7 @@ import argparse
 import os
 
 from lvba.blocks import split, survey
+from lvba.blocks.split import Load
 from lvba.dataset import Dataset
 from lvba.errors import InputError
 from lvba.pipeline import Config
@@ -14,8 +15,8 @@ _LEAST_PART_GB = 0.5
 """What split.memory_gb may be at least."""
 
 
-def announce(arguments: argparse.Namespace, dataset: Dataset, config: Config, display: Display) -> None:
-    """Say in one line what a part will take, and of what.
+def announce(arguments: argparse.Namespace, dataset: Dataset, config: Config, display: Display) -> Load:
+    """Say in one line what a part will take, and of what; what the recording asks of memory comes back.
 
     Raises InputError: more than --memory-limit gives.
     """
@@ -28,6 +29,7 @@ def announce(arguments: argparse.Namespace, dataset: Dataset, config: Config, di
     what = "memory" if len(cores) == 1 else f"memory for each of {len(cores)} parts"
     limit = _limit(arguments, given)
     display.tell(f"{what}: about {needed / 1e9:.1f} GB{limit}")
+    return load
 
 
 def _limit(arguments: argparse.Namespace, given: int | None) -> str:

@@ -9,7 +9,7 @@ from lvba.plan import MissingError
 
 
 @contextmanager
-def told(out: Path, keys: Collection[str]) -> Iterator[None]:
+def explained(out: Path, keys: Collection[str]) -> Iterator[None]:
     """Turn the failure to read an artifact or a file in OUT that was there before into one line that says so.
 
     keys: of all artifacts of the plan

@@ -27,17 +27,17 @@ _REFERENCE = (
 
 def rows(report: dict[str, Any]) -> list[Row]:
     """Name, value before, value after and unit of each figure that there is."""
-    found: list[Row] = []
+    table: list[Row] = []
     reference = report.get("reference") or {}
     for title, part, name, unit, factor in _REFERENCE:
         after = reference.get(part) or {}
         before = (reference.get("rough") or {}).get(part) or {}
-        found.append(
+        table.append(
             (f"{title}, error", _times(before.get(name), factor), _times(after.get(name), factor), unit)
         )
     rough, refined = (report["evaluation"][state] for state in ("rough", "refined"))
-    found += [(title, rough.get(name), refined.get(name), unit) for title, name, unit, _ in _EVALUATION]
-    return [row for row in found if row[1] is not None and row[2] is not None]
+    table += [(title, rough.get(name), refined.get(name), unit) for title, name, unit, _ in _EVALUATION]
+    return [row for row in table if row[1] is not None and row[2] is not None]
 
 
 def table(report: dict[str, Any]) -> str:

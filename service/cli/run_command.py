@@ -46,9 +46,9 @@ def run(arguments: argparse.Namespace, display: Display) -> None:
     display.stage("input", 0, 1)
     dataset = open_dataset(arguments.dataset)
     reference = read_reference(arguments.reference) if arguments.reference else None
-    memory_estimate.announce(arguments, dataset, config, display)
+    load = memory_estimate.announce(arguments, dataset, config, display)
     first_run.announce(display, images=bool(dataset.image_paths))
-    work = pipeline.refine(_for_workers(dataset), config, reference, versions.key_version())
+    work = pipeline.refine(_for_workers(dataset), config, reference, versions.key_version(), load=load)
     opened = StageRecord(
         "input", round(time.perf_counter() - started, 3), round(local.peak_memory_mb(), 1), 1, False
     )
@@ -93,7 +93,7 @@ def _refine(
 ) -> Result:
     out = result_folder.prepare(arguments.out)
     store = open_store(_place(arguments.store or str(out / "stages")))
-    with store.lock(out), removed_stages.told(out, work.steps):
+    with store.lock(out), removed_stages.explained(out, work.steps):
         store.tidy(work.version)
         if arguments.redo:
             _forget(work, store, arguments.redo)

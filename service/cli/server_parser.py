@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 _SERVE = """\
-Serve the REST API and the page, and run the jobs that come in, until stopped.
+Serve the REST API and the page, and run submitted jobs, until stopped.
 
-Everything is kept below --data: database, uploads, results. On a loopback address no keys are asked for; elsewhere each
-request needs one (`lvba admin key create`). Every option can come from the environment, as LVBA_DATA, LVBA_PORT, ..."""
+--data has the database, uploads and results. On a loopback address requests need no key; on others each request needs
+one (`lvba admin key create`). Every option can also be set in the environment: LVBA_DATA, LVBA_PORT, ..."""
 
 _SERVE_EXAMPLES = """\
 examples:
@@ -18,7 +18,7 @@ examples:
   lvba serve --database postgresql://lvba@db/lvba --scheduler tls://head:8786 --tls-ca ca.pem ..."""
 
 _ADMIN = """\
-Keys and tables of a server: on its machine, with its --data and --database."""
+Manage keys and tables of a server, on its machine, with its --data and --database."""
 
 _ADMIN_EXAMPLES = """\
 examples:
@@ -29,10 +29,10 @@ examples:
   lvba admin sweep"""
 
 _SUBMIT = """\
-Send a recording to a server and have it run.
+Send a recording to a server and start a job.
 
-RECORDING is a folder or an archive, which is uploaded (again: what has arrived is not sent twice), or the id of a dataset
-that is there, or a URL in an object store from which the server may fetch. The job's id goes to stdout."""
+RECORDING is a folder or an archive to upload (an interrupted upload continues), the id of a dataset on the server, or a
+URL in an object store that the server may read. The id of the job goes to stdout."""
 
 _SUBMIT_EXAMPLES = """\
 examples:
@@ -41,7 +41,7 @@ examples:
   lvba submit recording.tar.gz --name yard --priority 5
   lvba submit s3://recordings/yard
 
-LVBA_SERVER and LVBA_KEY stand for --server and --key-file."""
+LVBA_SERVER and LVBA_KEY replace --server and --key-file."""
 
 Add = Callable[..., Any]
 """`main._command`."""
@@ -60,41 +60,50 @@ def _add_serve(commands: Any, command: Add) -> None:
     _add_place(serve)
     serve.add_argument("--host", metavar="ADDRESS", help="to listen on (default: 127.0.0.1)")
     serve.add_argument("--port", type=int, metavar="PORT", help="to listen on (default: 8080; 0: any)")
-    serve.add_argument("--auth", action="store_true", default=None, help="ask for keys on loopback too")
+    serve.add_argument("--auth", action="store_true", default=None, help="require keys on loopback too")
     serve.add_argument(
-        "--host-name", action="append", dest="hosts", metavar="NAME", help="requests may call it so; repeat"
+        "--host-name",
+        action="append",
+        dest="hosts",
+        metavar="NAME",
+        help="host name accepted in requests; repeatable",
     )
     serve.add_argument(
         "--proxy",
         action="append",
         dest="proxies",
         metavar="NET",
-        help="address or network of a reverse proxy that says who asks; repeat",
+        help="address or network of a reverse proxy whose X-Forwarded-For is trusted; repeatable",
     )
     serve.add_argument(
         "--root",
         action="append",
         dest="roots",
         metavar="PLACE",
-        help="recordings below may be registered; a folder, or s3://BUCKET/PATH; repeat",
+        help="recordings in it may be registered; a folder, or s3://BUCKET/PATH; repeatable",
     )
-    serve.add_argument("--jobs", type=int, metavar="N", help="jobs at a time (default: 1; 0: only answer)")
+    serve.add_argument("--jobs", type=int, metavar="N", help="jobs at a time (default: 1; 0: run none)")
     serve.add_argument("--workers", type=int, metavar="N", help="worker processes of a job")
     serve.add_argument("--memory-limit", metavar="GB", help="of each of the --workers, for example 8GB")
     serve.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler on which jobs run")
     for name in ("ca", "cert", "key"):
         serve.add_argument(f"--tls-{name}", type=Path, metavar="FILE", help="PEM, for the scheduler")
     serve.add_argument(
-        "--keep-days", type=float, metavar="D", help="ended jobs go after D days (default: never)"
+        "--keep-days", type=float, metavar="D", help="remove ended jobs after D days (default: never)"
     )
-    serve.add_argument("--webhooks", action="store_true", default=None, help="tell addresses that users give")
     serve.add_argument(
-        "--webhook-allow", action="append", metavar="ORIGIN", help="may be told though not public; repeat"
+        "--webhooks", action="store_true", default=None, help="allow webhooks to addresses given by users"
+    )
+    serve.add_argument(
+        "--webhook-allow",
+        action="append",
+        metavar="ORIGIN",
+        help="allow webhooks to this address though it is not public; repeatable",
     )
 
 
 def _add_place(parser: Any) -> None:
-    parser.add_argument("--data", type=Path, metavar="DIR", help="folder of everything (default: lvba-data)")
+    parser.add_argument("--data", type=Path, metavar="DIR", help="data folder (default: lvba-data)")
     parser.add_argument("--database", metavar="URL", help="postgresql://... (default: SQLite in --data)")
 
 
@@ -104,19 +113,17 @@ def _add_admin(commands: Any, command: Add) -> None:
     key = actions.add_parser("key", help="API keys").add_subparsers(
         dest="key_action", metavar="ACTION", required=True
     )
-    create = key.add_parser("create", help="make a key; it is shown once")
-    create.add_argument(
-        "owner", metavar="OWNER", help="who it belongs to: keys of one owner see the same jobs"
-    )
+    create = key.add_parser("create", help="create a key; it is shown once")
+    create.add_argument("owner", metavar="OWNER", help="owner; keys of one owner see the same jobs")
     create.add_argument("--scopes", default="read,submit", help="of read, submit, metrics, admin")
     create.add_argument("--days", type=float, metavar="D", help="the key expires after D days")
-    create.add_argument("--note", default="", help="what it is for")
+    create.add_argument("--note", default="", help="purpose of the key")
     revoke = key.add_parser("revoke", help="revoke a key")
-    revoke.add_argument("key", metavar="ID", help="as in the list")
+    revoke.add_argument("key", metavar="ID", help="as listed by `lvba admin key list`")
     others = [
         key.add_parser("list", help="all keys, without their secrets"),
-        actions.add_parser("migrate", help="bring the tables to this version"),
-        actions.add_parser("sweep", help="remove at once what has had its time"),
+        actions.add_parser("migrate", help="migrate the tables to this version"),
+        actions.add_parser("sweep", help="remove now what retention would remove"),
     ]
     for parser in (create, revoke, *others):
         _add_place(parser)
@@ -137,7 +144,9 @@ def _add_submit(commands: Any, command: Add) -> None:
         "--priority", type=int, default=0, metavar="P", help="-10..10, higher first (default: 0)"
     )
     submit.add_argument("--reference", action="store_true", help="compare with reference/ in the recording")
-    submit.add_argument("--wait", action="store_true", help="until it has ended; exit code 1 if it failed")
+    submit.add_argument(
+        "--wait", action="store_true", help="wait until it has ended; exit code 1 if it failed"
+    )
     add_server(submit)
 
 
@@ -148,8 +157,8 @@ def _add_questions(commands: Any, command: Add) -> None:
     jobs.add_argument("--state", metavar="STATE", help="queued, running, done, failed or canceled only")
     add_server(jobs)
     for name, summary in (
-        ("status", "how far a job is"),
-        ("logs", "what a job says"),
+        ("status", "show the progress of a job"),
+        ("logs", "show the log of a job"),
         ("cancel", "stop a job; finished stages stay on the server"),
         ("fetch", "get the results of a job"),
     ):
@@ -167,7 +176,7 @@ def _add_questions(commands: Any, command: Add) -> None:
 
 def add_server(parser: Any, *, asked: bool = True) -> None:
     """Add --server and --key-file; asked: a server is asked also where none is named."""
-    default = "default: LVBA_SERVER, or http://127.0.0.1:8080" if asked else "have this server do the work"
+    default = "default: LVBA_SERVER, or http://127.0.0.1:8080" if asked else "run the jobs on this server"
     parser.add_argument("--server", metavar="URL", help=default)
     parser.add_argument("--key-file", type=Path, metavar="FILE", help="holds the API key (default: LVBA_KEY)")
 

@@ -103,54 +103,54 @@ class Fields:
 
     def plain(self, name: str) -> str:
         """A text as it came: never to be shown."""
-        found = self._value.get(name)
-        if found is not None and not isinstance(found, str):
+        value = self._value.get(name)
+        if value is not None and not isinstance(value, str):
             raise self._wrong(name, "text")
-        return found or ""
+        return value or ""
 
     def one_of(self, name: str, known: tuple[str, ...]) -> str:
         """One of the words that are known."""
-        found = self._value.get(name)
-        if found not in known:
+        value = self._value.get(name)
+        if value not in known:
             raise self._wrong(name, "word that is known")
-        return str(found)
+        return str(value)
 
     def matching(self, name: str, pattern: re.Pattern[str]) -> str:
         """A text of this form."""
-        found = self._value.get(name)
-        if not isinstance(found, str) or not pattern.fullmatch(found):
+        value = self._value.get(name)
+        if not isinstance(value, str) or not pattern.fullmatch(value):
             raise self._wrong(name, "text of that form")
-        return found
+        return value
 
     def number(self, name: str) -> float | None:
         """A number; None where there is none."""
-        found = self._value.get(name)
-        if found is None:
+        value = self._value.get(name)
+        if value is None:
             return None
-        if isinstance(found, bool) or not isinstance(found, int | float) or not math.isfinite(found):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise self._wrong(name, "number")
-        if abs(found) > _MOST:
+        if abs(value) > _MOST:
             raise self._wrong(name, "number of a size that makes sense")
-        return float(found)
+        return float(value)
 
     def count(self, name: str) -> int:
         """A number of things; 0 where there is none."""
-        found = self.number(name) or 0.0
-        if found < 0 or found != int(found):
+        value = self.number(name) or 0.0
+        if value < 0 or value != int(value):
             raise self._wrong(name, "count")
-        return int(found)
+        return int(value)
 
     def each(self, name: str, read: Callable[[Any], Value]) -> tuple[Value, ...]:
         """A list; empty where there is none."""
-        found = self._value.get(name)
-        if found is not None and not isinstance(found, list):
+        values = self._value.get(name)
+        if values is not None and not isinstance(values, list):
             raise self._wrong(name, "list")
-        return tuple(read(value) for value in found or ())
+        return tuple(read(value) for value in values or ())
 
     def maybe(self, name: str, read: Callable[[Any], Value]) -> Value | None:
         """What is there; None where there is nothing."""
-        found = self._value.get(name)
-        return None if found is None else read(found)
+        value = self._value.get(name)
+        return None if value is None else read(value)
 
     def _wrong(self, name: str, kind: str) -> WrongAnswerError:
         return WrongAnswerError(f"`{name}` of {self._what} is no {kind}")
@@ -204,10 +204,10 @@ def log_piece(value: Any) -> LogPiece:
 def page(value: Any, read: Callable[[Any], Value]) -> tuple[tuple[Value, ...], str | None]:
     """Items of a list, and the cursor of the next page; None: that was all. Raises WrongAnswerError."""
     of = Fields(value, "a list")
-    found = of.maybe("items", lambda _: of.each("items", read))
-    if found is None:
+    items = of.maybe("items", lambda _: of.each("items", read))
+    if items is None:
         raise WrongAnswerError("a list has no `items`")
-    return found, of.plain("next") or None
+    return items, of.plain("next") or None
 
 
 def _failure(value: Any) -> Failure:

@@ -17,6 +17,8 @@ from service.settings import GB, PREFIX, Limits, Settings
 _HEAD = """\
 # Settings of the server
 
+*Reference.* Every setting of `lvba serve`, with its default.
+
 `lvba serve` takes each setting from its command line, or from the environment; the command line wins. `NAME_FILE` in
 place of `NAME` names a file that holds the value: for what should not be in an environment. Lists have commas between
 their items. systemd reads them from `/etc/lvba/lvba.env`, Docker Compose from `deploy/.env`; Kubernetes has them in

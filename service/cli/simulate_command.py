@@ -7,6 +7,7 @@ from service.cli.progress import Display
 
 def simulate(arguments: argparse.Namespace, display: Display) -> None:
     """Write the dataset folder."""
+    from lvba.simulate import disturbances
     from lvba.simulate import simulate as make
 
     display.stage(f"simulate {arguments.scene}", 0, 1)
@@ -27,5 +28,7 @@ def simulate(arguments: argparse.Namespace, display: Display) -> None:
         length=arguments.length,
         closing=arguments.closing,
         image_poses=arguments.image_poses,
+        lens=arguments.lens,
+        disturb=disturbances.parse(arguments.disturb),
         progress=display.progress,
     )

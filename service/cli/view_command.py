@@ -72,7 +72,7 @@ def _serve(arguments: argparse.Namespace, display: Display, result: Path, viewer
         if not arguments.quiet:
             sys.stderr.write(f"lvba: showing {result}; Ctrl-C ends it\n")
 
-    result_viewer.view(result_viewer.Shown(result, viewer.resolve()), arguments.port, ready)
+    result_viewer.view(result_viewer.ViewedResult(result, viewer.resolve()), arguments.port, ready)
 
 
 def has_display(platform: str = sys.platform, environment: Mapping[str, str] = os.environ) -> bool:

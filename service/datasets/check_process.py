@@ -99,10 +99,10 @@ def _hidden(text: str, task: dict[str, Any]) -> str:
 
 def _inside(where: str, task: dict[str, Any]) -> str | None:
     """The file or folder of the recording that is meant, seen from its root; None: no one of them."""
-    found = _hidden(where, task)
-    if not found.startswith("DATASET/"):
+    path = _hidden(where, task)
+    if not path.startswith("DATASET/"):
         return None
-    return re.sub(r"(:\d+)+$", "", found.removeprefix("DATASET/"))
+    return re.sub(r"(:\d+)+$", "", path.removeprefix("DATASET/"))
 
 
 def _refused(code: str, cause: str, hint: str, **more: Any) -> dict[str, Any]:

@@ -111,8 +111,8 @@ class DatasetCheck:
 
     def _answered(self) -> dict[str, Any]:
         try:
-            found = json.loads(self._answer.read_text())
-            return found if isinstance(found, dict) else {"error": self._died(0)}
+            answer = json.loads(self._answer.read_text())
+            return answer if isinstance(answer, dict) else {"error": self._died(0)}
         except (OSError, ValueError) as error:
             return {"error": _lost(messages.of_error(error), self._paths)}
 

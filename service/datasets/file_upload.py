@@ -69,9 +69,9 @@ def _digest(headers: Headers, name: str) -> bytes | None:
     text = headers.get(name)
     if text is None:
         return None
-    found = _SHA256.search(text)
+    match = _SHA256.search(text)
     try:
-        digest = base64.b64decode(found.group(1), validate=True) if found else b""
+        digest = base64.b64decode(match.group(1), validate=True) if match else b""
     except binascii.Error:
         digest = b""
     if len(digest) != 32:

@@ -39,12 +39,12 @@ class IntakeBudget:
     _folders: set[str] = field(default_factory=set)
     _taken: set[str] = field(default_factory=set)
     _packed: int | None = None
-    _loose: tuple[int, int] = (0, 0)
+    _unpacked: tuple[int, int] = (0, 0)
     """Files and folders, and bytes, that were there before the archive."""
 
     def begin_archive(self, size: int) -> None:
         """What comes from now on comes out of an archive of so many bytes."""
-        self._packed, self._loose = size, (self.files + len(self._folders), self.bytes)
+        self._packed, self._unpacked = size, (self.files + len(self._folders), self.bytes)
 
     def add_file(self, name: str, mend: str = "give it another name") -> None:
         """One more, before it is there.
@@ -55,7 +55,7 @@ class IntakeBudget:
         self.files += 1
         parts = name.split("/")[:-1]
         self._folders.update("/".join(parts[: number + 1]) for number in range(len(parts)))
-        entries = self.files + len(self._folders) - self._loose[0]
+        entries = self.files + len(self._folders) - self._unpacked[0]
         if self._packed is not None and entries > self.limits.archive_entries:
             allowed = f"{self.limits.archive_entries} files and folders"
             raise InputError("the archive", f"holds more than {allowed}", "split it into datasets")
@@ -68,7 +68,7 @@ class IntakeBudget:
         """
         self.bytes += count
         if self._packed is not None:
-            self._check_archive(self._packed, self.bytes - self._loose[1])
+            self._check_archive(self._packed, self.bytes - self._unpacked[1])
         self._check_room()
 
     def _check_archive(self, packed: int, unpacked: int) -> None:

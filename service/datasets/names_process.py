@@ -33,10 +33,10 @@ def main(folder: str, name: str, most: int) -> int:
     try:
         _lay_out(root, sys.stdin.buffer, most)
         recording_names.check(root)
-    except InputError as found:
-        cause = f"{found.where}: {found.problem}"
-        error = {"code": "input", "cause": _hidden(cause, root), "hint": _hidden(found.mend, root)}
-        error["path"] = _inside(_hidden(found.where, root))
+    except InputError as caught:
+        cause = f"{caught.where}: {caught.problem}"
+        error = {"code": "input", "cause": _hidden(cause, root), "hint": _hidden(caught.mend, root)}
+        error["path"] = _inside(_hidden(caught.where, root))
     json.dump({"error": error}, sys.stdout)
     return 0
 

@@ -92,13 +92,13 @@ def _unreadable(url: str, error: Exception) -> InputError:
 def _listed(url: str, store: Any, root: str, limits: Limits) -> dict[str, _Object]:
     """The objects by their paths below the root."""
     try:
-        found = store.find(root, detail=True)
+        listing = store.find(root, detail=True)
     except Exception as error:
         raise _unreadable(url, error) from error
     objects: dict[str, _Object] = {}
     places: set[str] = set()
     total = 0
-    for path, facts in sorted(found.items()):
+    for path, facts in sorted(listing.items()):
         if path.endswith("/") or facts.get("type") == "directory" or path == root:
             continue
         name = file_names.take(path.removeprefix(root + "/"), places)
@@ -118,8 +118,8 @@ def _version(facts: Mapping[str, Any]) -> str:
 
 def _known(listing: Path) -> dict[str, str]:
     try:
-        found: dict[str, str] = json.loads(listing.read_text())
-        return found
+        digests: dict[str, str] = json.loads(listing.read_text())
+        return digests
     except (OSError, ValueError):
         return {}
 

@@ -44,9 +44,9 @@ def used(session: Session, owner: str, but: str | None = None) -> Used:
     return Used(bytes_, files)
 
 
-def exceeds(found: Used, limits: Limits, more_bytes: int = 0, more_files: int = 0) -> bool:
+def exceeds(used: Used, limits: Limits, more_bytes: int = 0, more_files: int = 0) -> bool:
     """Whether an owner who has that may not have so much more."""
-    return found.bytes + more_bytes > limits.owner_bytes or found.files + more_files > limits.owner_files
+    return used.bytes + more_bytes > limits.owner_bytes or used.files + more_files > limits.owner_files
 
 
 def check(

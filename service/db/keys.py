@@ -40,7 +40,7 @@ def create(
 ) -> str:
     """A new key, to be shown once.
 
-    days: after which it is worth nothing; None: never
+    days: after which it expires; None: never
     Raises InputError: a scope that does not exist, an owner without a name.
     """
     unknown = set(scopes) - set(SCOPES)
@@ -84,8 +84,8 @@ def known(database: Database, name: str) -> tuple[Principal, str] | None:
 def readers(database: Database, names: Collection[str]) -> dict[str, str]:
     """The owner of each key of these that may read at this moment."""
     with database.read() as session:
-        found = session.scalars(select(Key).where(Key.id.in_(names))).all()
-    return {key.id: key.owner for key in found if _good(key) and {READ, ADMIN} & set(key.scopes)}
+        rows = session.scalars(select(Key).where(Key.id.in_(names))).all()
+    return {key.id: key.owner for key in rows if _good(key) and {READ, ADMIN} & set(key.scopes)}
 
 
 def _good(key: Key) -> bool:
@@ -93,7 +93,7 @@ def _good(key: Key) -> bool:
 
 
 def revoke(database: Database, name: str) -> None:
-    """Have a key be worth nothing from now on.
+    """Revoke a key, with effect from now on.
 
     Raises InputError: there is no such key.
     """

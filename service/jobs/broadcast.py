@@ -58,7 +58,7 @@ class _Listener:
     key_id: str | None = None
     """Of whoever listens; None: no key is asked for."""
     ended: bool = False
-    """The key is worth nothing any more."""
+    """The key was revoked or has expired."""
     cursor: int = 0
     """Up to which it has heard everything."""
     wake: asyncio.Event = field(default_factory=asyncio.Event)
@@ -238,8 +238,8 @@ class Broadcaster:
             raise
 
     def _page(self, cursor: int, job_id: str | None, owner: str | None, upto: int) -> tuple[list[_Sent], int]:
-        found = self._read(cursor, job_id, owner, upto)
-        return found, found[-1].id if len(found) == _PAGE else upto
+        events = self._read(cursor, job_id, owner, upto)
+        return events, events[-1].id if len(events) == _PAGE else upto
 
     def _read(self, cursor: int, job_id: str | None, owner: str | None, upto: int | None) -> list[_Sent]:
         with self._database.read() as session:

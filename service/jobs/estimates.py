@@ -42,7 +42,7 @@ def estimate(session: Session, dataset: Dataset, threads: int | None) -> dict[st
     plain = of_counts(dataset.facts, threads or os.cpu_count() or 1)
     ratios = _ratios(session)
     needed = int(plain.memory_bytes * ratios["memory"])
-    found: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "seconds": round(plain.seconds * ratios["seconds"], 1),
         "memory_bytes": needed,
         "disk_bytes": int(plain.disk_bytes * ratios["disk"]),
@@ -56,10 +56,10 @@ def estimate(session: Session, dataset: Dataset, threads: int | None) -> dict[st
     }
     memory = memory_bytes()
     if memory and needed > memory:
-        found["warnings"].append(
+        fields["warnings"].append(
             f"about {needed / 1e9:.1f} GB of memory are needed, this machine has {memory / 1e9:.1f} GB"
         )
-    return found
+    return fields
 
 
 def memory_bytes() -> int:

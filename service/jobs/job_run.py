@@ -30,7 +30,7 @@ from service.system.file_lock import EXIT_LOCKED
 from service.system.paths import Paths, now, size_of
 
 _log = logging.getLogger(__name__)
-_TELL_S = 1.0
+_WRITE_S = 1.0
 """Seconds between two events of progress of a job."""
 _HISTORY = 20
 
@@ -45,10 +45,10 @@ class JobRun:
         self._log = paths.log(job.id)
         self._written: list[str] | None = None
         """What the result held when its last stage began."""
-        self._told = 0.0
+        self._wrote_at = 0.0
         self._log_bytes = -1
-        self._progress: timeline.Told | None = None
-        self._pending: list[timeline.Told] = []
+        self._progress: timeline.JobEvent | None = None
+        self._pending: list[timeline.JobEvent] = []
         """Events that are not in the journal yet."""
         self._lost = ""
         """What of its files is gone without which it cannot end well."""
@@ -88,9 +88,9 @@ class JobRun:
         )
 
     def _command(self, job: Job, folder: Path) -> list[str]:
-        found = ["run", str(self._recording), f"--out={self._paths.out(job.id)}"]
-        found += [f"--config={folder / 'config.yaml'}", f"--events={self._events}", "--viewer"]
-        found += [f"--name={self._name}"]
+        arguments = ["run", str(self._recording), f"--out={self._paths.out(job.id)}"]
+        arguments += [f"--config={folder / 'config.yaml'}", f"--events={self._events}", "--viewer"]
+        arguments += [f"--name={self._name}"]
         options = {
             "reference": self._recording / "reference" if job.reference else None,
             "redo": job.redo,
@@ -102,7 +102,7 @@ class JobRun:
             "tls-cert": self._settings.tls_cert,
             "tls-key": self._settings.tls_key,
         }
-        return found + [f"--{name}={value}" for name, value in options.items() if value is not None]
+        return arguments + [f"--{name}={value}" for name, value in options.items() if value is not None]
 
     def stop(self, *, for_good: bool) -> None:
         """Have it stop; for_good: because it is canceled, not because the service ends."""
@@ -116,10 +116,10 @@ class JobRun:
         if code is not None:
             if self._disk_was_full is None:  # now, not when the database can be told
                 self._disk_was_full = self._disk_is_full(code)
-            self._tell(last=True)
+            self._write_events(last=True)
             self._end(code)
             return False
-        if not self._tell(last=False):
+        if not self._write_events(last=False):
             self.child.end()
             return False
         return True
@@ -140,10 +140,10 @@ class JobRun:
         if self._written is None and self._timeline.current() == VIEWER:
             self._written = list(results.result_names(self._paths.out(self.lease.id)))
 
-    def _tell(self, *, last: bool) -> bool:
+    def _write_events(self, *, last: bool) -> bool:
         """Add events to the journal; False: the lease is lost."""
         size = tail.size(self._log)
-        if last or time.monotonic() > self._told + _TELL_S:
+        if last or time.monotonic() > self._wrote_at + _WRITE_S:
             if self._progress is not None:
                 self._pending.append(self._progress)
                 self._progress = None
@@ -162,7 +162,7 @@ class JobRun:
                 journal.add(session, job, kind, data)
                 if kind == journal.STAGES:
                     job.redo = None  # done by now: an attempt after this one goes on
-        self._pending, self._told = [], time.monotonic()
+        self._pending, self._wrote_at = [], time.monotonic()
         return True
 
     def _show_progress(self, job: Job) -> None:
@@ -173,13 +173,13 @@ class JobRun:
     def _end(self, code: int) -> None:
         """What becomes of the job, after its process has ended."""
         end = self._timeline.end
-        told_to_stop = end is not None and end.reason is EndReason.STOPPED
+        stopped = end is not None and end.reason is EndReason.STOPPED
         if code == EXIT_LOCKED:
             leases.lose(self._database, self.lease, "the attempt before was still at it", counts=False)
         elif code == EXIT_LEASE_EXPIRED or self._stopping:
             why = "the service was stopped" if self._stopping else "the service lost its lease"
             leases.lose(self._database, self.lease, why, counts=code == EXIT_LEASE_EXPIRED)
-        elif (code < 0 and (end is None or end.code == 0)) or told_to_stop or self._disk_was_full:
+        elif (code < 0 and (end is None or end.code == 0)) or stopped or self._disk_was_full:
             # somebody ended it, such as the system for want of memory; what fails by itself would fail again
             self._settle(code, crashed=True)
         else:
@@ -283,8 +283,8 @@ class JobRun:
                 if job.state == QUEUED
                 else "make room, then restart it"
             )
-            found = {"code": "disk-full", "stage": self._timeline.current(), "cause": "the disk was full"}
-            return {**found, "hint": hint, "needed_bytes": needed}
+            error = {"code": "disk-full", "stage": self._timeline.current(), "cause": "the disk was full"}
+            return {**error, "hint": hint, "needed_bytes": needed}
         if job.state == QUEUED:
             return None
         hint = "the log may say more; finished stages are kept: restart the job once it is mended"
@@ -305,10 +305,10 @@ def _lost(message: str) -> dict[str, Any]:
 def _parsed(line: bytes) -> dict[str, Any] | None:
     """What a line of the run says; None: it was cut short, as on a full disk."""
     try:
-        found = json.loads(line)
+        event = json.loads(line)
     except ValueError:
         return None
-    return found if isinstance(found, dict) else None
+    return event if isinstance(event, dict) else None
 
 
 def _history(session: Session) -> list[list[dict[str, Any]]]:

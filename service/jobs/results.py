@@ -37,20 +37,20 @@ class Noted:
     """Changes whenever the file is written or replaced."""
 
 
-def stamp(found: os.stat_result) -> str:
+def stamp(status: os.stat_result) -> str:
     """What tells a file that nobody has touched from one that must be read again to know."""
-    return f"{found.st_ino:x}-{found.st_size:x}-{found.st_mtime_ns:x}-{found.st_ctime_ns:x}"
+    return f"{status.st_ino:x}-{status.st_size:x}-{status.st_mtime_ns:x}-{status.st_ctime_ns:x}"
 
 
 def result_names(out: Path) -> Iterator[str]:
     """Names of all files of a result folder, sorted; what stages made is not among them, nor are links."""
-    found: list[str] = []
+    names: list[str] = []
     for folder, folders, here in os.walk(out):
         inside = os.path.relpath(folder, out)
         folders[:] = [name for name in folders if name[0] != "." and not (inside == "." and name == "stages")]
         plain = [name for name in here if name[0] != "." and not os.path.islink(os.path.join(folder, name))]
-        found += [os.path.normpath(os.path.join(inside, name)) for name in plain]
-    yield from sorted(found)
+        names += [os.path.normpath(os.path.join(inside, name)) for name in plain]
+    yield from sorted(names)
 
 
 def is_result(name: str) -> bool:
@@ -61,11 +61,11 @@ def is_result(name: str) -> bool:
 
 def note(out: Path, file: Path) -> None:
     """Write down every file of a result folder with its digest."""
-    found = []
+    notes = []
     for name in result_names(out):
         with file_names.opened(out, name) as stream:
-            found.append(_noted(name, stream, hashlib.file_digest(stream, "sha256").hexdigest()))
-    files.write_text(file, json.dumps([dataclasses.asdict(each) for each in found]), durable=True)
+            notes.append(_noted(name, stream, hashlib.file_digest(stream, "sha256").hexdigest()))
+    files.write_text(file, json.dumps([dataclasses.asdict(each) for each in notes]), durable=True)
 
 
 def read_notes(out: Path, file: Path) -> list[Noted]:
@@ -77,18 +77,18 @@ def read_notes(out: Path, file: Path) -> list[Noted]:
         noted = {each["name"]: Noted(**each) for each in json.loads(files.read_text(file))}
     except (InputError, ValueError, TypeError, KeyError):
         noted = {}
-    found = []
+    notes = []
     for name in result_names(out):
         if name not in noted:
             with file_names.opened(out, name) as stream:
                 noted[name] = _noted(name, stream, None)
-        found.append(noted[name])
-    return found
+        notes.append(noted[name])
+    return notes
 
 
 def _noted(name: str, stream: BufferedReader, sha256: str | None) -> Noted:
-    found = os.fstat(stream.fileno())
-    return Noted(name, found.st_size, sha256, stamp(found))
+    status = os.fstat(stream.fileno())
+    return Noted(name, status.st_size, sha256, stamp(status))
 
 
 def keep(session: Session, job_id: str, noted: Sequence[Noted]) -> None:
@@ -146,11 +146,11 @@ class Checker:
         return stream
 
     def _check(self, stream: BufferedReader, row: Result) -> None:
-        found = os.fstat(stream.fileno())
-        if found.st_size != row.bytes:
-            said = f"{row.name} has {found.st_size} bytes instead of {row.bytes}"
+        status = os.fstat(stream.fileno())
+        if status.st_size != row.bytes:
+            said = f"{row.name} has {status.st_size} bytes instead of {row.bytes}"
             raise Problem("damaged", said, name=row.name)
-        seen = (row.sha256 or "", stamp(found))
+        seen = (row.sha256 or "", stamp(status))
         if row.sha256 is None or seen[1] == row.stamp or seen in self._right:
             return
         with self._hashing:

@@ -6,7 +6,7 @@ from typing import Any
 from service.db.journal import PROGRESS, STAGE, STAGES
 from service.jobs.run_events import EndReason, RunEnd, run_end
 
-Told = tuple[str, dict[str, Any]]
+JobEvent = tuple[str, dict[str, Any]]
 """Kind and data of an event for the journal."""
 
 WAITING, RUNNING, DONE, FAILED, STOPPED = "waiting", "running", "done", "failed", "stopped"
@@ -28,7 +28,7 @@ class Timeline:
         self._stage_began = self._count_began = now
         self._fraction = 0.0
 
-    def take(self, line: Mapping[str, Any], now: float) -> list[Told]:
+    def take(self, line: Mapping[str, Any], now: float) -> list[JobEvent]:
         """Add what a line of the run says; the events that it makes."""
         kind = line.get("event")
         if kind == "stages":
@@ -96,17 +96,17 @@ class Timeline:
     def _weight(self, stage: Mapping[str, Any]) -> float:
         return self._weights.get(stage["name"], self._other)
 
-    def _begin(self, name: str, reused: bool | None, now: float) -> list[Told]:
-        told = self._end_running(DONE, now)
+    def _begin(self, name: str, reused: bool | None, now: float) -> list[JobEvent]:
+        records = self._end_running(DONE, now)
         for stage in self.stages:
             if stage["name"] == name:
                 stage["state"], stage["reused"] = RUNNING, reused
                 self._stage_began = self._count_began = now
-                told.append(self._shown(stage))
-        return told
+                records.append(self._shown(stage))
+        return records
 
-    def _end_running(self, state: str, now: float) -> list[Told]:
-        told = []
+    def _end_running(self, state: str, now: float) -> list[JobEvent]:
+        records = []
         for stage in self.stages:
             if stage["state"] == RUNNING:
                 stage["state"], stage["eta_s"] = state, None
@@ -114,14 +114,14 @@ class Timeline:
                     stage["done"] = stage["total"]
                 if not stage["reused"]:
                     stage["seconds"] = round(now - self._stage_began, 3)
-                told.append(self._shown(stage))
-        return told
+                records.append(self._shown(stage))
+        return records
 
-    def _shown(self, stage: Mapping[str, Any]) -> Told:
+    def _shown(self, stage: Mapping[str, Any]) -> JobEvent:
         facts = {name: stage[name] for name in ("name", "state", "reused", "seconds", "peak_memory_mb")}
         return STAGE, {"index": self.stages.index(dict(stage)), "total": len(self.stages), **facts}
 
-    def _count(self, line: Mapping[str, Any], now: float) -> list[Told]:
+    def _count(self, line: Mapping[str, Any], now: float) -> list[JobEvent]:
         for stage in self.stages:
             if stage["name"] == line["stage"]:
                 if stage["what"] != line["what"]:
@@ -138,13 +138,13 @@ class Timeline:
             if stage["name"] == line["name"]:
                 stage.update({name: line[name] for name in ("seconds", "peak_memory_mb", "reused")})
 
-    def _finish(self, line: Mapping[str, Any], now: float) -> list[Told]:
+    def _finish(self, line: Mapping[str, Any], now: float) -> list[JobEvent]:
         self.end = run_end(line)
         states = {EndReason.DONE: DONE, EndReason.STOPPED: STOPPED}
-        told = self._end_running(states.get(self.end.reason, FAILED), now)
+        records = self._end_running(states.get(self.end.reason, FAILED), now)
         if self.end.reason is EndReason.DONE:
             self._fraction = 1.0
-        return told
+        return records
 
 
 def _waiting(name: str) -> dict[str, Any]:
@@ -167,9 +167,9 @@ def _left(done: int, total: int, seconds: float) -> float | None:
 
 def shares(history: list[list[dict[str, Any]]]) -> dict[str, float]:
     """Mean share of the time of each stage, by name, in the runs that were finished."""
-    found: dict[str, list[float]] = {}
+    fractions: dict[str, list[float]] = {}
     for stages in history:
         total = sum(stage["seconds"] or 0.0 for stage in stages)
         for stage in stages if total else []:
-            found.setdefault(stage["name"], []).append((stage["seconds"] or 0.0) / total)
-    return {name: sum(parts) / len(parts) for name, parts in found.items()}
+            fractions.setdefault(stage["name"], []).append((stage["seconds"] or 0.0) / total)
+    return {name: sum(parts) / len(parts) for name, parts in fractions.items()}

@@ -54,12 +54,12 @@ def public_address(host: str, port: int) -> str:
     Raises InputError: the name is not known, or any of its addresses is not public.
     """
     try:
-        found = {str(info[4][0]) for info in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)}
+        addresses = {str(info[4][0]) for info in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)}
     except OSError:
         raise InputError("webhook.url", "its host is not known", "check the name") from None
-    if not found or not all(is_public(address) for address in found):
+    if not addresses or not all(is_public(address) for address in addresses):
         raise InputError("webhook.url", "its host is not public", "give an address of the internet")
-    return min(found)
+    return min(addresses)
 
 
 class _Line:

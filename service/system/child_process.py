@@ -66,7 +66,7 @@ class Child:
 def _environment() -> dict[str, str]:
     """Without what only the service may know."""
     secret = ("LVBA_DATABASE", "LVBA_DATABASE_FILE")
-    found = {name: value for name, value in os.environ.items() if name not in secret}
+    environment = {name: value for name, value in os.environ.items() if name not in secret}
     # found also where the program was started from its source folder
-    paths = [str(Path(__file__).parents[2]), found.get("PYTHONPATH", "")]
-    return {**found, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}
+    paths = [str(Path(__file__).parents[2]), environment.get("PYTHONPATH", "")]
+    return {**environment, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}

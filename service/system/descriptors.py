@@ -22,7 +22,7 @@ _FOR_A_PROCESS = 12
 
 
 @dataclass(frozen=True)
-class Shares:
+class DescriptorLimits:
     """What each may take, so that together they never take all."""
 
     connections: int
@@ -33,7 +33,7 @@ class Shares:
     """Connections that are taken up at once, before anybody counts them."""
 
 
-def shares(connections: int) -> Shares:
+def raise_limits(connections: int) -> DescriptorLimits:
     """Raise the number of this process to what the system allows, and share it out.
 
     connections: as many as are wanted
@@ -51,13 +51,13 @@ def _soft() -> int:
     return _MOST if soft == resource.RLIM_INFINITY else soft
 
 
-def _of(count: int, connections: int) -> Shares:
+def _of(count: int, connections: int) -> DescriptorLimits:
     if count < LEAST:
         raise InputError(
             f"ulimit -n {count}", "is too few open files for a service", f"allow {LEAST} or more"
         )
     kept = min(max(_KEPT_LEAST, count // 4), _KEPT_MOST)
-    return Shares(
+    return DescriptorLimits(
         connections=min(connections, (count - kept) // 2),
         threads=min(_THREADS, kept // 8),
         accepts=min(100, kept // 4),

@@ -11,8 +11,8 @@ LEAST_FREE_FILES = 1000
 
 def free_bytes(folder: Path) -> int:
     """What the disk of a folder has left for this user."""
-    found = os.statvfs(folder)
-    return found.f_bavail * found.f_frsize
+    status = os.statvfs(folder)
+    return status.f_bavail * status.f_frsize
 
 
 def lacking(place: Path | int, needed: int = LEAST_FREE) -> str | None:
@@ -20,12 +20,12 @@ def lacking(place: Path | int, needed: int = LEAST_FREE) -> str | None:
 
     Where a file system does not count its files, they never run out.
     """
-    found = os.statvfs(place)
-    free = found.f_bavail * found.f_frsize
+    status = os.statvfs(place)
+    free = status.f_bavail * status.f_frsize
     if free < needed:
         return f"{size(free)} are free, {size(needed)} are needed"
-    if found.f_files and found.f_favail < LEAST_FREE_FILES:
-        return f"the file system can take {found.f_favail} more files, {LEAST_FREE_FILES} are needed"
+    if status.f_files and status.f_favail < LEAST_FREE_FILES:
+        return f"the file system can take {status.f_favail} more files, {LEAST_FREE_FILES} are needed"
     return None
 
 

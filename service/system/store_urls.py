@@ -37,5 +37,5 @@ def below_roots(url: str, roots: tuple[str, ...]) -> str | None:
 
 
 def _plain(url: str) -> str | None:
-    found = _URL.fullmatch(url)
-    return f"{found[1]}://{found[2]}" if found else None
+    match = _URL.fullmatch(url)
+    return f"{match[1]}://{match[2]}" if match else None

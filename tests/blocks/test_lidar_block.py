@@ -71,7 +71,7 @@ def test_the_equations_of_all_shares_add_up_to_those_of_the_whole(world, parts):
     features = voxel_map.find_planes(grid, rough, SENSOR, STAGE.plane_test).features
     whole = plane_factor.linearize(features, rough, 1.0, exact=False)
     scaled = [
-        lidar_block.ShareEquations(
+        lidar_block.BlockEquations(
             each.scans,
             each.equations.scaled(each.sigma**2),
             each.information,
@@ -150,7 +150,7 @@ def test_joint_rounds_end_where_the_undivided_problem_does(world):
 def test_a_settled_state_comes_back_as_it_is(world):
     scans, _, rough = world
     state, found = rounds(scans, rough, rough, 2, ((2, 1),))
-    state = replace(state, settled=2)
+    state = replace(state, converged_stage=2)
     assert lidar_joint.step(state, found, 2, STAGE, CONFIG) is state
 
 

@@ -109,5 +109,5 @@ def test_every_seam_has_a_row(split):
         (2, 3, 4),
     ]
     # a solved part and one that is not differ where they overlap
-    assert merged.seams[0].jump_m < 0.3
-    assert merged.seams[2].apart_m < 0.005 < merged.seams[0].apart_m
+    assert merged.seams[0].offset_before_m < 0.3
+    assert merged.seams[2].residual_m < 0.005 < merged.seams[0].residual_m

@@ -49,7 +49,7 @@ def test_parts_come_into_one_frame_and_the_first_pose_stays(truth):
     np.testing.assert_array_equal(merged.world_from_scan[0], parts[0].world_from_scan[0])
     # what the noise of 100 steps, in turns too, comes to; the parts themselves are half a meter off and more
     assert position_error(merged.world_from_scan, truth) < 0.3
-    assert min(seam.jump_m for seam in merged.seams) > 0.3
+    assert min(seam.offset_before_m for seam in merged.seams) > 0.3
     np.testing.assert_array_equal(merged.parts_of_scan[18:28], [1, 1, 2, 2, 2, 2, 2, 1, 1, 1])
     assert merged.converged
 
@@ -79,9 +79,9 @@ def test_rows_of_seams_tell_how_far_parts_were_apart(truth):
     for seam in merged.seams:
         later, earlier = parts[seam.second], parts[seam.first]
         jump = np.linalg.norm((later.world_from_scan[:5] - earlier.world_from_scan[-5:])[:, :3, 3], axis=1)
-        assert jump.min() - 0.02 < seam.jump_m < jump.max() + 0.02
-        assert seam.apart_m < 0.02
-        assert 0 < seam.left_m < 0.03
+        assert jump.min() - 0.02 < seam.offset_before_m < jump.max() + 0.02
+        assert seam.residual_m < 0.02
+        assert 0 < seam.offset_after_m < 0.03
         length = np.linalg.norm(np.diff(truth[earlier.scans[-5:], :3, 3], axis=0), axis=1).sum()
         assert seam.length == pytest.approx(length, rel=0.02)
 

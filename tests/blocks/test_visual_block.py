@@ -13,6 +13,7 @@ from lvba.blocks.visual_joint import JointCameras
 from lvba.visual import refine, trajectory_prior
 from lvba.visual.refine import Inputs, VisualConfig
 from lvba.visual.states import CameraStates, VisualState
+from lvba.visual.tuning import tuning
 
 CONFIG = VisualConfig()
 ALL = np.arange(COUNT)
@@ -29,7 +30,7 @@ def solved(room):
     given = Inputs(**{name: value for name, value in room[0].items() if name in Inputs.__dataclass_fields__})
     coarser = refine.refine_level(given, None, CONFIG)
     result, last = refine.finest(given, coarser, CONFIG)
-    return given, result, last, visual_block.tuning(last)
+    return given, result, last, tuning(last)
 
 
 def core(first, end):
@@ -39,16 +40,18 @@ def core(first, end):
 
 
 def shares(given, state, known, cores):
-    laid = [visual_block.lay_out(given, state, ALL, mine, known, CONFIG) for mine in cores]
+    laid = [visual_block.select_scene_points(given, state, ALL, mine, known, None, CONFIG) for mine in cores]
     images, camera = given.pyramid.levels[0], given.pyramid.camera
-    return laid, [visual_block.linearize(images, camera, each, state, known, CONFIG) for each in laid]
+    return laid, [
+        visual_block.linearize(images, camera, each, state, known, None, camera, CONFIG) for each in laid
+    ]
 
 
 def test_tuning_is_what_the_solve_found(solved):
     _, _, last, known = solved
     assert known.noise == last.noise
     assert known.noise.shift > 0
-    assert known.inflation == last.problem.inflation
+    assert known.variance_factor == last.problem.variance_factor
     assert known.offset_scale > 0
     assert known.sigma_rotation.shape == (len(last.prior.sources), COUNT)
 
@@ -76,7 +79,8 @@ def rounds(given, laid, start, last, known, count=8):
     for _ in range(count):
         found = [
             visual_block.linearize(
-                given.pyramid.levels[0], given.pyramid.camera, each, now.state, known, CONFIG
+                *(given.pyramid.levels[0], given.pyramid.camera, each, now.state, known),
+                *(None, given.pyramid.camera, CONFIG),
             )
             for each in laid
         ]
@@ -89,12 +93,12 @@ def test_joint_rounds_end_at_one_solution_wherever_they_begin(solved):
     laid, _ = shares(given, last.state, known, [core(0, 5), core(5, COUNT)])
     delta = np.random.default_rng(1).normal(size=(COUNT, 6)) * np.repeat([1e-3, 2e-3], 3)
     poses = geometry.retract(last.state.cameras.world_from_camera, delta)
-    start = VisualState(CameraStates(poses, last.state.cameras.log_exposure), last.state.mount)
+    start = VisualState(CameraStates(poses, last.state.cameras.log_exposure), last.state.calibration)
     near, _ = rounds(given, laid, last.state, last, known)
     far, found = rounds(given, laid, start, last, known)
     ends = [now.state.cameras.world_from_camera for now in (near, far)]
-    assert near.settled
-    assert far.settled
+    assert near.converged
+    assert far.converged
     assert (
         np.abs(geometry.log(geometry.inverse(ends[0]) @ ends[1])).max() < 1.5e-4 < 2e-3 < np.abs(delta).max()
     )
@@ -109,7 +113,7 @@ def test_a_step_that_costs_more_is_taken_back(solved):
     _, found = shares(given, last.state, known, [core(0, COUNT)])
     now = JointCameras(last.state, last.state, last.prior, np.zeros(COUNT))
     moved = visual_joint.step(now, found)
-    again = visual_joint.step(replace(moved, settled=False, cost=0.5 * moved.cost), found)
+    again = visual_joint.step(replace(moved, converged=False, cost=0.5 * moved.cost), found)
     assert again.history[-1].taken_back
     assert again.state is moved.before
     assert again.damping > moved.damping
@@ -119,11 +123,11 @@ def test_exposures_of_shares_are_those_of_the_whole(solved):
     given, _, last, known = solved
     parts, _ = shares(given, last.state, known, [core(0, 5), core(5, COUNT)])
     (whole,), _ = shares(given, last.state, known, [core(0, COUNT)])
-    tied = visual_joint.tie([each.edges for each in parts], COUNT)
-    alone = visual_joint.tie([whole.edges], COUNT)
+    tied = visual_joint.solve_exposures([each.edges for each in parts], COUNT)
+    alone = visual_joint.solve_exposures([whole.edges], COUNT)
     assert tied.pairs == alone.pairs
     np.testing.assert_allclose(tied.log_exposure, alone.log_exposure, atol=2e-3)
-    assert visual_joint.tie([], COUNT) is None
+    assert visual_joint.solve_exposures([], COUNT) is None
 
 
 def test_without_prior_only_images_that_are_seen_move(solved):

@@ -86,8 +86,8 @@ def test_errors_of_a_path_are_counted_after_umeyama():
     rng = np.random.default_rng(1)
     along = np.linspace(0, 80, 100)
     truth, estimate = _on_path(np.c_[along, 8 * np.sin(along / 15), 2 * np.cos(along / 9)], rng)
-    mount = geometry.exp(np.radians([0, 0.5, 0.5, 0, 0, 0]))
-    estimate = estimate @ mount
+    extrinsic = geometry.exp(np.radians([0, 0.5, 0.5, 0, 0, 0]))
+    estimate = estimate @ extrinsic
     estimate[:, :3, 3] += rng.normal(0, 0.02, (100, 3))
     found = trajectory.align_for_errors(estimate, truth)
     assert found.by == "positions"

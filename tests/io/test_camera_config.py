@@ -7,6 +7,7 @@ import small_recording
 from lvba.errors import InputError
 from lvba.io import camera_config
 from lvba.io.image_header import ImageSize
+from lvba.lens import Lens
 
 CAMERA_ONLY = """\
 cam_model: Pinhole
@@ -166,8 +167,8 @@ def test_images_that_are_no_scaled_version_are_refused(tmp_path: Path, size: tup
         ("cam_width: 32", "cam_width: 32.5", "no whole numbers"),
         ("cam_width: 32", "cam_width: 1e99", "cam_width is '1e99'"),
         ("scale: 1.0", "scale: 0", "scale is '0'"),
-        ("cam_d3: -0.002", "cam_d3: -0.002\n  cam_d4: 0.1", "k3"),
-        ("scale: 1.0", "model: EquidistantCamera", "'EquidistantCamera' is not known"),
+        ("cam_d3: -0.002", "cam_d3: -0.002\n  cam_d8: 0.1", "cam_d8"),
+        ("scale: 1.0", "model: OcamCamera", "'OcamCamera' is not known"),
         ("Rcl: [0, -1, 0, 0, 0, -1, 1, 0, 0]", "Rcl: [0, -1, 0, 0, 0, -1, 1, 0, 0.1]", "Rcl is no rotation"),
         ("Rcl: [0, -1, 0, 0, 0, -1, 1, 0, 0]", "Rcl: [0, -1, 0, 0, 0, -1, -1, 0, 0]", "a reflection"),
         ("Rcl: [0, -1, 0, 0, 0, -1, 1, 0, 0]", "Rcl: [0, 0, 0, 0, 0, 0, 0, 0, 0]", "Rcl is no rotation"),
@@ -203,6 +204,7 @@ def test_a_bomb_of_aliases_does_not_explode(tmp_path: Path):
         camera_config.read_calibration(tmp_path)
 
 
+BROWN, FISHEYE = Lens.RADIAL_TANGENTIAL, Lens.EQUIDISTANT
 DISTORTION = """\
   cam_d0: -0.1
   cam_d1: 0.02
@@ -265,14 +267,14 @@ def test_cameras_as_other_programs_write_them(tmp_path: Path, section: str):
         (DISTORTION, "  cam_q0: -0.1\n", "cam_model.cam_q0 is not known"),
         (DISTORTION, "  cam_kk1: -0.1\n", "did you mean cam_k1?"),
         (DISTORTION, "  lens: wide\n", "cam_model.lens is not known"),
-        (DISTORTION, "  k1: -0.1\n  k3: 0.1\n  p1: 0\n  p2: 0\n", "k3 is '0.1': the distortion model k1 k2 p1 p2 k3"),
-        (DISTORTION, "  D: [-0.1, 0.02, 0.001, -0.002, -0.0222]\n", "D (k3) is '-0.0222'"),
-        (DISTORTION, "  D: [-0.1, 0.02, 0.001, -0.002, 0, 0.5, 0, 0]\n", "rational"),
         (DISTORTION, "  D: [-0.1, 0.02]\n", "D has 2 numbers"),
-        (DISTORTION, "  distortion_model: equidistant\n  D: [-0.1, 0.02, 0.001, -0.002]\n", "'equidistant' is not known"),
+        (DISTORTION, "  D: [-0.1, 0.02, 0, 0, 0, 0, 0, 0, 0.5, 0, 0, 0]\n", "with such a coefficient is not known"),
+        (DISTORTION, "  distortion_model: equidistant\n  D: [0.1, 0, 0, 0, 0.2]\n", "such a coefficient is not known"),
+        (DISTORTION, "  distortion_model: equidistant\n  k1: 0.1\n  p1: 0.1\n", "an equidistant lens has no p1"),
+        (DISTORTION, "  distortion_model: ftheta\n  D: [-0.1, 0.02, 0.001, -0.002]\n", "'ftheta' is not known"),
+        ("scale: 1.0", "model: OcamCamera", "'OcamCamera' is not known"),
         (DISTORTION, "  xi: 1.5\n", "omnidirectional (Mei)"),
         (DISTORTION, DISTORTION + "  k1: -0.2\n", "cam_d0 and k1 say different things"),
-        ("scale: 1.0", "model: EquidistantCamera\n  k1: 0.1\n  k4: 0.1", "'EquidistantCamera' is not known"),
         ("cam_fx: 30.5", "camera_matrix: [30.5, 1, 15.5, 0, 31, 11.5, 0, 0, 1]", "no matrix of fx"),
     ],
 )  # fmt: skip
@@ -285,13 +287,36 @@ def test_what_is_not_known_of_a_camera_is_an_error(tmp_path: Path, old: str, new
     assert "config.yaml" in str(caught.value)
 
 
-def test_fast_livo_s_fisheye_file_is_named(tmp_path: Path):
+def test_fast_livo_s_fisheye_file_opens(tmp_path: Path):
     text = CAMERA_ONLY[: CAMERA_ONLY.index("cam_d0")].replace("Pinhole", "EquidistantCamera")
     coefficients = "k1: -0.037\nk2: -0.009\nk3: 0.009\nk4: -0.004\n"
     (tmp_path / "camera_fisheye.yaml").write_text(text + coefficients)
     (tmp_path / "avia.yaml").write_text(EXTRINSIC_ONLY)
-    with pytest.raises(InputError, match=r"camera_fisheye\.yaml: the camera model 'EquidistantCamera'"):
-        camera_config.read_calibration(tmp_path)
+    camera = camera_config.read_calibration(tmp_path).camera
+    assert (camera.lens, camera.distortion) == (Lens.EQUIDISTANT, (-0.037, -0.009, 0.009, -0.004))
+
+
+@pytest.mark.parametrize(
+    ("keys", "lens", "distortion"),
+    [
+        ("  k1: -0.1\n  k2: 0.02\n  p1: 0.001\n  p2: 0\n  k3: 0.1\n", BROWN, (-0.1, 0.02, 0.001, 0, 0.1)),
+        ("  D: [-0.1, 0.02, 0.001, -0.002, -0.0222]\n", BROWN, (-0.1, 0.02, 0.001, -0.002, -0.0222)),
+        ("  cam_d0: -0.1\n  cam_d4: 0.1\n", BROWN, (-0.1, 0, 0, 0, 0.1)),
+        (
+            "  distortion_model: rational_polynomial\n  D: [-0.1, 0.02, 0.001, -0.002, 0, 0.5, 0, 0]\n",
+            BROWN,
+            (-0.1, 0.02, 0.001, -0.002, 0, 0.5, 0, 0),
+        ),
+        ("  distortion_model: equidistant\n  D: [-0.1, 0.02, 0.001, 0]\n", FISHEYE, (-0.1, 0.02, 0.001, 0)),
+        ("  model: EquidistantCamera\n  k1: 0.1\n  k4: 0.2\n", FISHEYE, (0.1, 0, 0, 0.2)),
+        ("  model: kannala_brandt\n  cam_d0: 0.1\n  cam_d3: 0.2\n", FISHEYE, (0.1, 0, 0, 0.2)),
+    ],
+)
+def test_lenses_of_more_coefficients_and_fisheyes(tmp_path: Path, keys, lens, distortion):
+    text = small_recording.CONFIG.replace(DISTORTION, keys)
+    (tmp_path / "config.yaml").write_text(text)
+    camera = camera_config.read_calibration(tmp_path).camera
+    assert (camera.lens, camera.distortion) == (lens, distortion)
 
 
 def test_other_settings_beside_the_camera_at_top_level_are_passed_over(tmp_path: Path):
@@ -311,8 +336,8 @@ cam_name: left
         others + CAMERA_ONLY + EXTRINSIC_ONLY[EXTRINSIC_ONLY.index("extrin") :]
     )
     _check_fast_livo(tmp_path)
-    (tmp_path / "config.yaml").write_text(others + CAMERA_ONLY + "cam_d7: 1\n" + EXTRINSIC_ONLY)
-    with pytest.raises(InputError, match="cam_d7"):
+    (tmp_path / "config.yaml").write_text(others + CAMERA_ONLY + "cam_d9: 1\n" + EXTRINSIC_ONLY)
+    with pytest.raises(InputError, match="cam_d9"):
         camera_config.read_calibration(tmp_path)
 
 

@@ -16,8 +16,8 @@ from lvba.io.dataset import open_dataset
 from lvba.io.reference import Reference, of_cameras, read_reference
 from lvba.trajectory import Trajectory
 
-SMALL_MOUNT = np.array([-0.008, 0.008, 0.003, 0.0255, 0.0, -0.002])
-TINY_MOUNT = np.array([2e-3, -1e-3, 1e-3, 2e-3, 1e-3, 2e-3])
+SMALL_EXTRINSIC = np.array([-0.008, 0.008, 0.003, 0.0255, 0.0, -0.002])
+TINY_EXTRINSIC = np.array([2e-3, -1e-3, 1e-3, 2e-3, 1e-3, 2e-3])
 
 
 def poses_path(root: Path) -> Path:
@@ -28,23 +28,23 @@ def rewrite(root: Path, kind: str) -> Path:
     """The recording with poses of that kind in its file, nothing else changed."""
     rough = tum.read_trajectory(poses_path(root))
     calibration = camera_config.read_calibration(root)
-    mount = calibration.camera_from_lidar @ geometry.inverse(calibration.body_from_lidar)
+    extrinsic = calibration.camera_from_lidar @ geometry.inverse(calibration.body_from_lidar)
     tum.write_trajectory(
         poses_path(root),
-        Trajectory(rough.times, image_poses.from_camera(rough.world_from_sensor, kind, mount)),
+        Trajectory(rough.times, image_poses.from_camera(rough.world_from_sensor, kind, extrinsic)),
         digits=12,
     )
     return root
 
 
-def with_mount(root: Path, delta: np.ndarray, noise: float = 0.0) -> Path:
+def with_extrinsic(root: Path, delta: np.ndarray, noise: float = 0.0) -> Path:
     """A recording of cameras mounted so (camera_from_lidar = exp(delta)), with white noise (rad, and a tenth m)."""
     small_recording.write(root, scans=20, pictures=19)
-    mount = geometry.exp(delta)
+    extrinsic = geometry.exp(delta)
     text = small_recording.CONFIG.split("extrin_calib")[0]
     rows = {
-        "Rcl": mount[:3, :3].ravel(),
-        "Pcl": mount[:3, 3],
+        "Rcl": extrinsic[:3, :3].ravel(),
+        "Pcl": extrinsic[:3, 3],
         "extrinsic_T": np.zeros(3),
         "extrinsic_R": np.eye(3).ravel(),
     }
@@ -53,7 +53,7 @@ def with_mount(root: Path, delta: np.ndarray, noise: float = 0.0) -> Path:
     times = tum.read_trajectory(poses_path(root)).times
     scale = noise * np.array([1, 1, 1, 0.1, 0.1, 0.1])
     off = geometry.exp(scale * np.random.default_rng(1).normal(size=(len(times), 6)))
-    poses = small_recording.walk(times) @ geometry.inverse(mount) @ off
+    poses = small_recording.walk(times) @ geometry.inverse(extrinsic) @ off
     tum.write_trajectory(poses_path(root), Trajectory(times, poses), digits=12)
     return root
 
@@ -72,16 +72,16 @@ def test_poses_of_the_body_open_as_those_of_its_camera(tmp_path: Path, offset: n
 @pytest.mark.parametrize("kind", [CAMERA, BODY])
 @pytest.mark.parametrize("noise", [0.0, 0.004])
 def test_a_camera_whose_axes_nearly_are_the_body_s(tmp_path: Path, kind: str, noise: float):
-    found = open_dataset(rewrite(with_mount(tmp_path, SMALL_MOUNT, noise), kind))
+    found = open_dataset(rewrite(with_extrinsic(tmp_path, SMALL_EXTRINSIC, noise), kind))
     assert found.image_poses == kind
     assert found.warnings == ()
-    truth = small_recording.walk(found.images.times) @ geometry.inverse(geometry.exp(SMALL_MOUNT))
+    truth = small_recording.walk(found.images.times) @ geometry.inverse(geometry.exp(SMALL_EXTRINSIC))
     np.testing.assert_allclose(found.images.world_from_sensor, truth, atol=1e-8 + 4 * noise)
 
 
 @pytest.mark.parametrize("kind", [CAMERA, BODY])
-def test_a_mount_too_small_to_tell_by_needs_the_key(tmp_path: Path, kind: str):
-    root = rewrite(with_mount(tmp_path, TINY_MOUNT, 0.02), kind)
+def test_an_extrinsic_too_small_to_tell_by_needs_the_key(tmp_path: Path, kind: str):
+    root = rewrite(with_extrinsic(tmp_path, TINY_EXTRINSIC, 0.02), kind)
     found = open_dataset(root)
     assert found.image_poses == BODY  # as in FAST-LIVO2's folders
     assert any("image_poses: body" in warning and "config.yaml" in warning for warning in found.warnings)
@@ -94,7 +94,7 @@ def test_a_mount_too_small_to_tell_by_needs_the_key(tmp_path: Path, kind: str):
 
 
 def test_the_file_s_own_comment_counts_for_more_than_the_key(tmp_path: Path):
-    root = with_mount(tmp_path, TINY_MOUNT, 0.02)
+    root = with_extrinsic(tmp_path, TINY_EXTRINSIC, 0.02)
     with open(root / "config.yaml", "a") as file:
         file.write("image_poses: body\n")
     text = poses_path(root).read_text()
@@ -176,16 +176,16 @@ def test_poses_beside_every_scan_cannot_be_compared(tmp_path: Path):
 
 
 @pytest.mark.parametrize("kind", [CAMERA, BODY])
-@pytest.mark.parametrize("mount", [None, SMALL_MOUNT, TINY_MOUNT])
-def test_a_result_holds_what_the_input_holds_and_comes_back(tmp_path: Path, kind: str, mount):
+@pytest.mark.parametrize("extrinsic", [None, SMALL_EXTRINSIC, TINY_EXTRINSIC])
+def test_a_result_holds_what_the_input_holds_and_comes_back(tmp_path: Path, kind: str, extrinsic):
     root = tmp_path / "in"
-    root = small_recording.write(root) if mount is None else with_mount(root, mount, 0.001)
-    if mount is TINY_MOUNT:
+    root = small_recording.write(root) if extrinsic is None else with_extrinsic(root, extrinsic, 0.001)
+    if extrinsic is TINY_EXTRINSIC:
         with open(root / "config.yaml", "a") as file:
             file.write(f"image_poses: {kind}\n")
     dataset = open_dataset(rewrite(root, kind))
     assert dataset.image_poses == kind
-    # cameras further from where they were than the mount is long: the file itself must say what it holds
+    # cameras further from where they were than the extrinsic is long: the file itself must say what it holds
     moved = dataset.images.world_from_sensor @ geometry.exp(np.array([0.01, 0, 0.01, 0.04, 0.05, 0]))
     result_folder.write_poses(tmp_path, dataset, dataset.scans.world_from_sensor, moved)
     written = tmp_path / "image_poses.txt"
@@ -216,10 +216,10 @@ def test_a_reference_in_a_world_of_its_own_is_understood_by_its_data(tmp_path: P
 
 
 @pytest.mark.parametrize("kind", [CAMERA, BODY])
-def test_a_reference_whose_mount_differs_a_little_is_what_the_recording_holds(tmp_path: Path, kind: str):
-    """Of a Kinect: the kinds are 0.8 degrees and 5 mm apart, the true mount 0.3 degrees and 5 mm off config.yaml."""
+def test_a_reference_whose_extrinsic_differs_a_little_is_what_the_recording_holds(tmp_path: Path, kind: str):
+    """Of a Kinect: the kinds are 0.8 degrees and 5 mm apart, the true extrinsic 0.3 degrees and 5 mm off config.yaml."""
     delta = np.array([0.008, -0.01, 0.005, 0.003, 0.004, 0.0])
-    dataset = open_dataset(with_mount(tmp_path, delta, noise=0.017))
+    dataset = open_dataset(with_extrinsic(tmp_path, delta, noise=0.017))
     dataset = dataclasses.replace(dataset, image_poses=kind)
     off = geometry.exp(np.array([0.003, 0.004, 0.0, 0.003, 0.004, 0.0]))
     truth = dataset.images.world_from_sensor @ off

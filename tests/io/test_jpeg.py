@@ -25,7 +25,7 @@ KEYS = sorted(TABLES)  # DC 0, DC 1, AC 0, AC 1
 
 def _walk(data: bytes, dc: list[int], ac: list[int], units: int) -> int:
     codes = np.stack([jpeg._lookup(TABLES[key]) for key in KEYS])
-    padded = np.frombuffer(data + bytes(kernel.PADDING + -len(data) % 4), ">u4").astype(np.uint32)
+    padded = np.frombuffer(data + bytes(-len(data) % 4), ">u4").astype(np.uint32)
     return kernel.walk(padded, 8 * len(data), codes, np.array(dc), np.array(ac), units)
 
 

@@ -166,7 +166,7 @@ def test_a_coarse_plane_that_finer_ones_contradict_is_refused():
     points = gather(plane_world.scan_all(world, poses, 16000, 0.01, "spinning", 1))
     grid = voxel_map.build(points, poses, (0.5, 1.0, 2.0, 4.0))
     strict = voxel_map.find_planes(grid, poses, np.zeros(3), PlaneTest()).features
-    loose = voxel_map.find_planes(grid, poses, np.zeros(3), PlaneTest(excess=np.inf)).features
+    loose = voxel_map.find_planes(grid, poses, np.zeros(3), PlaneTest(max_residual_growth=np.inf)).features
     # the finest cells have no finer ones to contradict them
     strict, loose = (features.select(features.size >= 2.0) for features in (strict, loose))
     thickness = [np.sqrt(fit(features, poses).eigenvalues[:, 0].max()) for features in (strict, loose)]
@@ -298,8 +298,8 @@ def test_rounds_end_when_poses_move_by_much_less_than_their_uncertainty(yard):
     scans, _, rough, _ = yard
     *first, last = STAGES
     stopped, forever = (
-        refine(scans, rough, stages=(*first, replace(last, settled=0.0, **more)))
-        for more in ({}, {"least_gain": 0.0})
+        refine(scans, rough, stages=(*first, replace(last, pose_tolerance=0.0, **more)))
+        for more in ({}, {"cost_tolerance": 0.0})
     )
     assert stopped.converged
     assert not forever.converged

@@ -26,7 +26,7 @@ def yard():
 
 
 def dense(problem, poses, doubted):
-    """(marginal, conditional, step, excess) by whole matrices."""
+    """(marginal, conditional, step, variance_factor) by whole matrices."""
     scans = len(poses)
     fits = fit(problem.features, poses)
     information = problem.linearize(poses, exact=False, fits=fits).dense()
@@ -34,8 +34,8 @@ def dense(problem, poses, doubted):
     odometry = (information - planes)[6:, 6:]
     spread = covariance._gradient_spread(problem, poses, fits).dense()[6:, 6:] + odometry
     inverse = np.linalg.inv(information[6:, 6:])
-    excess = max(1.0, np.trace(inverse @ spread) / len(inverse))
-    whole = scipy.linalg.block_diag(np.zeros((6, 6)), excess * inverse)
+    variance_factor = max(1.0, np.trace(inverse @ spread) / len(inverse))
+    whole = scipy.linalg.block_diag(np.zeros((6, 6)), variance_factor * inverse)
     step = []
     for i in range(scans - 1):
         by_both = np.zeros((6, 6 * scans))
@@ -45,19 +45,19 @@ def dense(problem, poses, doubted):
     if doubted:
         noise = noise_information.linearize(problem.features, fits, poses, SIGMA).dense()[6:, 6:]
         certain = noise_information.certain(planes[6:, 6:], noise, odometry)
-        whole[6:, 6:] = np.linalg.inv(certain / excess + odometry)
+        whole[6:, 6:] = np.linalg.inv(certain / variance_factor + odometry)
     motion, pick = covariance.alignment(poses)
     free = np.eye(6 * scans) - motion @ np.linalg.inv(pick.T @ motion) @ pick.T
     aligned = free @ whole @ free.T
     own = scipy.linalg.block_diag(
         *(np.linalg.inv(information[6 * i : 6 * i + 6, 6 * i : 6 * i + 6]) for i in range(scans))
     )
-    conditional = excess * own
+    conditional = variance_factor * own
 
     def blocks(matrix):
         return [matrix[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i in range(scans)]
 
-    return blocks(aligned), blocks(conditional), step, excess
+    return blocks(aligned), blocks(conditional), step, variance_factor
 
 
 @pytest.mark.parametrize("doubted", [False, True])
@@ -65,10 +65,10 @@ def test_covariance_against_whole_matrices(yard, doubted, monkeypatch):
     poses, problem = yard
     monkeypatch.setattr(covariance, "MOST_DOUBTED", len(poses) if doubted else 0)
     got = covariance.estimate(problem, poses)
-    marginal, conditional, step, excess = dense(problem, poses, doubted)
-    assert got.excess == pytest.approx(excess, rel=1e-9)
-    assert excess > 1.0, "or it is not seen to be multiplied in"
-    assert len(got.loose) == (len(poses) - 1 if doubted else 0)
+    marginal, conditional, step, variance_factor = dense(problem, poses, doubted)
+    assert got.variance_factor == pytest.approx(variance_factor, rel=1e-9)
+    assert variance_factor > 1.0, "or it is not seen to be multiplied in"
+    assert len(got.odometry_dependence) == (len(poses) - 1 if doubted else 0)
     for name, found, want in (
         ("marginal", got.marginal, marginal),
         ("conditional", got.conditional, conditional),

@@ -19,8 +19,8 @@ from lvba.lidar import (
     voxel_map,
 )
 from lvba.lidar.plane_feature import PlaneFeatures
-from lvba.lidar.point_cluster import PointClusters, split
-from lvba.lidar.problem import Problem, retract
+from lvba.lidar.point_cluster import PointClusters
+from lvba.lidar.problem import Problem
 from lvba.lidar.scan import Scans, gather
 from lvba.optim.normal_equations import NormalEquations
 
@@ -67,7 +67,7 @@ def a_problem(scans, planes):
     rng = np.random.default_rng(5)
     poses = poses_of(rng, scans)
     plain = planes_of(rng, poses, planes)
-    disturbed = retract(poses, rng.normal(size=(scans, 6)) * 0.005)
+    disturbed = geometry.retract(poses, rng.normal(size=(scans, 6)) * 0.005)
     return disturbed, plain, packed(plain)
 
 
@@ -147,9 +147,8 @@ def test_cells_and_their_clusters_against_the_points():
     points[7] = 1e30
     offsets = np.array([0, 400, 400, 900])
     poses = poses_of(rng, 3)
-    rotation, translation = split(poses)
     shift = np.full(3, 64.0)
-    local, keys, count = voxel.assign(points, offsets, rotation, translation + shift, 0.5)
+    local, keys, count = voxel.assign(points, offsets, voxel_map.at_origin(poses, -shift), 0.5)
     starts = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
     turned = np.arange(starts[-1])[::-1].copy()
     found = voxel.accumulate(points, offsets, local, starts, turned)
@@ -157,7 +156,7 @@ def test_cells_and_their_clusters_against_the_points():
     assert count[1] == 0
     for s in range(3):
         own = points[offsets[s] : offsets[s + 1]].astype(float)
-        world = own @ rotation[s].T + translation[s]
+        world = geometry.transform_points(poses[s], own)
         world[np.abs(world).max(1) > 50] = np.nan
         expected = naive.cells(world + shift, 0.5)
         assert count[s] == len(expected)
@@ -177,8 +176,7 @@ def test_planes_of_cells_and_sides_against_the_points(two_sided):
     level, clusters = grid.levels[0], grid.levels[0].clusters
     sensor = poses[:, :3, 3] + [0.1, 0.2, 0.3]
     side, total, scans, center, values, normals = voxel.fit_cells(
-        level.starts, level.scan, *split(poses), sensor,
-        clusters.count, clusters.mean, clusters.scatter, 8, two_sided,
+        level.starts, level.scan, poses, sensor, clusters.arrays, 8, two_sided,
     )  # fmt: skip
     world = np.concatenate([geometry.transform_points(p, c) for p, c in zip(poses, clouds, strict=True)])
     scan = np.repeat(np.arange(5), [len(c) for c in clouds])
@@ -210,8 +208,7 @@ def test_planes_of_cells_and_sides_against_the_points(two_sided):
 def test_a_table_that_has_to_grow():
     grid = np.stack(np.meshgrid(*[np.arange(40)] * 3, indexing="ij"), -1).reshape(-1, 3)
     points = (grid + 0.5).astype(np.float32)
-    eye = np.eye(3)[None]
-    _, keys, count = voxel.assign(points, np.array([0, len(points)]), eye, np.zeros((1, 3)), 1.0)
+    _, keys, count = voxel.assign(points, np.array([0, len(points)]), np.eye(4)[None], 1.0)
     assert count[0] == 40**3
     assert len(np.unique(keys)) == 40**3
 
@@ -236,7 +233,7 @@ def test_gradient_and_hessian_against_differences_of_the_cost(problem):
     poses, _, features = problem
 
     def cost(step):
-        return 0.5 * plane_feature.fit(features, retract(poses, step)).cost
+        return 0.5 * plane_feature.fit(features, geometry.retract(poses, step)).cost
 
     equations = plane_factor.linearize(features, poses, 1.0)
     rng = np.random.default_rng(3)
@@ -258,7 +255,7 @@ def test_gauss_newton_is_never_indefinite_and_meets_the_hessian_where_planes_are
     exact = plane_factor.linearize(features, poses, 1.0).dense()
     newton = plane_factor.linearize(features, poses, 1.0, exact=False).dense()
     np.testing.assert_allclose(newton, exact, atol=1e-6 * np.abs(exact).max())
-    far = retract(poses, rng.normal(size=(5, 6)) * 0.2)
+    far = geometry.retract(poses, rng.normal(size=(5, 6)) * 0.2)
     values = np.linalg.eigvalsh(plane_factor.linearize(features, far, 1.0, exact=False).dense())
     assert values[0] > -1e-9 * values[-1]
 
@@ -267,13 +264,12 @@ def test_hessian_kernel_against_its_twin(several_tiles):
     poses, _, features = several_tiles
     fits = plane_feature.fit(features, poses)
     clusters = features.clusters.weighted(features.weight)
-    laid = panels.lay_out(features, len(poses))
+    laid = panels.pack(features, len(poses))
     _, diagonal, columns = kernel.linearize(
-        *split(poses), *panels.by_scan(features, len(poses)), features.feature,
-        clusters.count, clusters.mean, clusters.scatter,
-        fits.total, fits.center, fits.eigenvalues, fits.eigenvectors, laid.panel, len(laid.feature), True,
+        poses, panels.by_scan(features, len(poses)), features.feature, clusters.arrays, fits.arrays, laid.panel,
+        len(laid.feature), True,
     )  # fmt: skip
-    still = np.broadcast_to(np.eye(3), (len(poses), 3, 3)).copy()
+    still = np.broadcast_to(np.eye(4), (len(poses), 4, 4)).copy()
     got = dense_of(plane_factor.hessian_blocks(laid, diagonal, columns, still))
     place = 6 * (features.scan % kernel.TILE)[:, None] + np.arange(6)
     by_observation = columns[laid.panel[:, None, None], np.arange(3)[:, None], place[:, None]]
@@ -281,7 +277,7 @@ def test_hessian_kernel_against_its_twin(several_tiles):
     np.testing.assert_allclose(got, expected, atol=1e-11 * np.abs(expected).max())
     assert np.array_equal(got, got.T)
     turn = scipy.linalg.block_diag(*(part for pose in poses for part in [pose[:3, :3]] * 2))
-    turned = dense_of(plane_factor.hessian_blocks(laid, diagonal, columns, split(poses)[0]))
+    turned = dense_of(plane_factor.hessian_blocks(laid, diagonal, columns, poses))
     np.testing.assert_allclose(turned, turn.T @ got @ turn, atol=1e-12 * np.abs(got).max())
     # W is what the planes' own freedom takes away: nothing, of a motion that all scans share
     motion = np.tile([0, 0, 0, 0.3, -0.5, 0.2], len(poses))
@@ -290,7 +286,7 @@ def test_hessian_kernel_against_its_twin(several_tiles):
 
 def test_a_panel_for_each_feature_and_tile(several_tiles):
     poses, _, features = several_tiles
-    laid = panels.lay_out(features, len(poses))
+    laid = panels.pack(features, len(poses))
     tile = np.repeat(np.arange(len(laid.starts) - 1), np.diff(laid.starts))
     pairs = list(zip(features.feature, features.scan // kernel.TILE, strict=True))
     assert [(laid.feature[p], tile[p]) for p in laid.panel] == pairs
@@ -304,13 +300,11 @@ def test_a_panel_for_each_feature_and_tile(several_tiles):
 def test_distances_against_the_points(problem):
     poses, plain, features = problem
     fits = plane_feature.fit(features, poses)
-    clusters = features.clusters
     distance, within = kernel.distances(
-        *split(poses),
+        poses,
         features.offsets,
         features.scan,
-        clusters.mean,
-        clusters.scatter,
+        features.clusters.arrays,
         fits.center,
         fits.normal,
     )
@@ -344,13 +338,12 @@ def test_spread_of_the_planes_gradients(several_tiles):
 
 def test_information_kernel_against_its_twin(problem):
     poses, plain, features = problem
-    starts, by_scan = panels.by_scan(features, len(poses))
     fits = plane_feature.fit(features, poses)
     clusters = features.clusters.weighted(features.weight)
-    args = (features.feature, clusters.count, clusters.mean, clusters.scatter)
     found, noise = kernel.information(
-        split(poses)[0], starts, by_scan, *args, fits.eigenvectors, degeneracy.normal_variance(fits)
-    )
+        poses, panels.by_scan(features, len(poses)), features.feature, clusters.arrays, fits.eigenvectors,
+        degeneracy.normal_variance(fits),
+    )  # fmt: skip
     points = [points for feature in plain for _, points, _ in feature]
     expected = naive.information(
         poses[:, :3, :3], features.feature, features.scan, points, features.weight,

@@ -55,9 +55,9 @@ def apart():
 def test_the_step_between_two_groups_is_named(apart):
     result, _ = apart
     assert not result.weak_scans.any(), "each scan for itself is held"
-    assert np.argmax(result.loose) == GROUP - 1
-    assert result.loose[GROUP - 1] > 0.7
-    assert np.delete(result.loose, GROUP - 1).max() < 0.5
+    assert np.argmax(result.odometry_dependence) == GROUP - 1
+    assert result.odometry_dependence[GROUP - 1] > 0.7
+    assert np.delete(result.odometry_dependence, GROUP - 1).max() < 0.5
     (told,) = [one for one in result.warnings if "odometry" in one]
     assert f"(after scan {GROUP - 1})" in told
 
@@ -75,7 +75,7 @@ def test_no_group_is_promised_more_than_it_keeps(apart):
 def test_a_floor_that_all_see_leaves_nothing_loose():
     scans, _, rough = two_floors(one_floor=True)
     result = refine(scans, rough)
-    assert result.loose.max() < 0.5
+    assert result.odometry_dependence.max() < 0.5
     assert not any("odometry" in one for one in result.warnings)
 
 

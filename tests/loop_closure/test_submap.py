@@ -50,13 +50,13 @@ def test_surfels_are_the_means_of_the_points_of_a_plane_in_a_cell(yard):
         plane, count, nearest = plain[twin[k]]
         np.testing.assert_allclose(built.normal[k], planes.normal[plane], atol=1e-6)
         assert built.weight[k] == count
-        assert built.seen_from[k] == nearest
+        assert built.observer[k] == nearest
 
 
 def test_a_submap_is_small_and_cells_of_small_places_too(yard):
     planes, points, poses = yard
     built = submap.build(planes, points, poses, np.arange(6))
-    arrays = (built.center, built.normal, built.thickness, built.weight, built.seen_from)
+    arrays = (built.center, built.normal, built.thickness, built.weight, built.observer)
     assert sum(array.nbytes for array in arrays) < 0.3 * points.points_world.nbytes
     assert built.cell == 0.4
     small = submap.build(planes, points, poses, np.arange(6), config=SubmapConfig(enough=10**6, full=4))
@@ -72,12 +72,12 @@ def test_a_part_without_planes_has_an_empty_submap(yard):
 def test_a_patch_is_in_the_frame_of_its_scan(yard, patch):
     _, _, poses = yard
     assert np.linalg.norm(patch.center, axis=1).max() <= 20.0
-    away = np.linalg.norm(patch.seen_from, axis=1)
+    away = np.linalg.norm(patch.observer, axis=1)
     np.testing.assert_allclose(away.min(), 0.0, atol=1e-9)
     back = patch.moved(poses[2])
     ground = np.abs(back.normal[:, 2]) > 0.99
     assert np.median(np.abs(back.center[ground & (back.center[:, 2] < 0.2), 2])) < 0.02
-    facing = np.einsum("ki,ki->k", patch.normal, patch.seen_from - patch.center)
+    facing = np.einsum("ki,ki->k", patch.normal, patch.observer - patch.center)
     assert np.mean(facing > 0) > 0.98
     with pytest.raises(KeyError):
         submap.around(submap.build(*yard, np.arange(10, 16)), 3, 20.0)
@@ -169,7 +169,7 @@ def test_the_same_place_agrees_and_one_that_is_seen_through_does_not(patch):
         np.full(25, 0.01),
         0.4,
     )
-    behind = Patch(wall.center + np.array([3.0, 0, 0]), wall.normal, wall.seen_from, wall.thickness, 0.4)
+    behind = Patch(wall.center + np.array([3.0, 0, 0]), wall.normal, wall.observer, wall.thickness, 0.4)
     told = verification.evidence(Target.of(wall), Target.of(behind), np.eye(4), 0.1)
     assert told.share == 0.0
     assert np.count_nonzero(told.against_b) > 10
@@ -183,7 +183,7 @@ def test_certainty_knows_the_number_of_surfels_and_open_directions():
         flat, np.tile([0.0, 0, 1], (400, 1)), flat + np.array([0, 0, 2.0]), np.full(400, 0.01), 0.4
     )
     lifted = Patch(
-        flat + rng.normal(0, [0, 0, 0.01], (400, 3)), ground.normal, ground.seen_from, ground.thickness, 0.4
+        flat + rng.normal(0, [0, 0, 0.01], (400, 3)), ground.normal, ground.observer, ground.thickness, 0.4
     )
     target = Target.of(ground)
     found = surfel_icp.match(target, lifted, np.eye(4), 0.5, 20.0)
@@ -204,8 +204,8 @@ def test_doubt_of_a_scan_grows_on_the_way_to_the_scans_that_saw_the_surfaces(yar
     built = submap.build(planes, points, poses, np.arange(10, 16), covariance=each)
     near = np.linalg.norm(built.center - poses[2, :3, 3], axis=1) <= 12.0
     plain = np.zeros((6, 6))
-    for seen in built.seen_from[near]:
+    for seen in built.observer[near]:
         for scan in range(min(2, seen), max(2, seen) + 1):
             carried = geometry.adjoint(geometry.inverse(poses[2]) @ poses[scan])
             plain += carried @ each[scan] @ carried.T / np.count_nonzero(near)
-    np.testing.assert_allclose(submap.doubt(built, 12, 12.0), plain, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(submap.uncertainty(built, 12, 12.0), plain, rtol=1e-6, atol=1e-12)

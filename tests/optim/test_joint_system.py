@@ -51,7 +51,9 @@ class Scene:
         world, self.truth = textured_planes.room(), textured_planes.walk(COUNT)
         images = textured_planes.render(world, self.truth, CAMERA, np.ones(COUNT), noise=2.0, supersample=1)
         points, observations = textured_planes.scene_points(world, self.truth, CAMERA, step=14)
-        self.problem = photometric.prepare(images, CAMERA, points, observations, 7, sigma=4.0, inflation=5.0)
+        self.problem = photometric.prepare(
+            images, CAMERA, points, observations, 7, sigma=4.0, variance_factor=5.0
+        )
         scans = self.truth @ geometry.inverse(SCAN_FROM_CAMERA)
         self.features = clusters(world, scans, np.random.default_rng(1))
         self.free = np.ones((COUNT, 7), bool)
@@ -75,6 +77,10 @@ class Scene:
         return self.visual(cameras) + self.lidar(cameras)
 
 
+def moved(cameras, step):
+    return photometric.moved(cameras, step.blocks)
+
+
 @pytest.fixture(scope="module")
 def scene():
     with pytest.MonkeyPatch.context() as patch:
@@ -90,7 +96,7 @@ def start(scene):
 @pytest.fixture(scope="module")
 def solved(scene, start):
     config = SolverConfig(max_iterations=60, relative_decrease=1e-12, step_tolerance=1e-10, refusals=20)
-    return levenberg_marquardt(start, scene.joint, photometric.moved, config, scene.free).state
+    return levenberg_marquardt(start, scene.joint, moved, config, scene.free).state
 
 
 def test_the_sum_is_the_sum_of_both_quadratic_models(scene, start):
@@ -131,10 +137,10 @@ def test_together_they_know_more_than_each_alone(scene, solved):
     poses = scene.free.copy()
     poses[:, 6] = False
     found = [
-        linear_solver.covariance_blocks(equations, scene.free if visual else poses)[0][1:, :6, :6]
+        linear_solver.covariance(equations, scene.free if visual else poses).blocks[1:, :6, :6]
         for equations, visual in ((scene.visual(solved), True), (scene.lidar(solved), False))
     ]
-    together = linear_solver.covariance_blocks(scene.joint(solved), scene.free)[0][1:, :6, :6]
+    together = linear_solver.covariance(scene.joint(solved), scene.free).blocks[1:, :6, :6]
     for alone in found:
         for a, b in zip(together, alone, strict=True):
             # in units of what one alone leaves open

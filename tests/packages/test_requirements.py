@@ -1,6 +1,7 @@
 """What pyproject.toml asks for is what the code imports; what is left out is named by the error that misses it."""
 
 import ast
+import importlib
 import re
 import sys
 import tomllib
@@ -131,6 +132,8 @@ def test_error_names_the_extra_of_laz(tmp_path, monkeypatch):
 
 def test_error_names_the_extra_of_stores_in_buckets(monkeypatch):
     monkeypatch.setitem(sys.modules, "s3fs", None)
+    # other tests in this process may have used a bucket
+    monkeypatch.setattr(importlib.import_module("fsspec.registry"), "_registry", {})
     with pytest.raises(InputError, match=re.escape("pip install 'lvba[s3]'")):
         UrlStore("s3://bucket/folder")
 

@@ -176,7 +176,7 @@ def look(read, wanted):
 def test_what_is_asked_for_late_is_read_only_then(wanted):
     work, store = Plan("1"), Counting()
     first = work.add("count", count, 1)
-    looked = work.add("look", look, plan.Late(first.key), wanted)
+    looked = work.add("look", look, plan.LazyRef(first.key), wanted)
     plan.run(work, store)
     assert store.reads == ([first.key] if wanted else [])
     assert store[looked.key] == (10.0 if wanted else -1.0)
@@ -203,7 +203,7 @@ class Holding(Counting):
 
 
 @pytest.mark.parametrize(("kind", "before", "after"), [
-    (plan.Late, False, True), (plan.Passing, False, False), (plan.Passing, True, True),
+    (plan.LazyRef, False, True), (plan.StreamedRef, False, False), (plan.StreamedRef, True, True),
 ])  # fmt: skip
 def test_what_passes_is_not_held_unless_it_was(kind, before, after):
     work, store = Plan("1"), Holding()
@@ -219,7 +219,7 @@ def test_what_passes_is_not_held_unless_it_was(kind, before, after):
 def test_late_artifact_that_is_gone_is_named():
     work, store = Plan("1"), {}
     first = work.add("count", count, 1)
-    work.add("look", look, plan.Late(first.key), True)
+    work.add("look", look, plan.LazyRef(first.key), True)
     with pytest.raises(plan.MissingError) as gone:
         plan.compute(list(work.steps.values())[1], store)
     assert gone.value.key == first.key

@@ -45,6 +45,7 @@ class All:
 def test_a_service_that_is_given_the_dataclass_describes_it_with_text_and_range():
     found = TypeAdapter(Part).json_schema()["properties"]
     facts = {"default": 2.0, "minimum": 0, "maximum": 1000, "unit": "m", "level": "basic", "type": "number"}
+    facts |= {"range": "0 to 1000", "meaning": "How long a part is.", "change_when": "Parts are too large."}
     text = "How long a part is. 0 to 1000 m. Change it when: Parts are too large."
     assert found["size"] == {**facts, "description": text, "title": "Size"}
     assert found["side"]["level"] == "advanced"

@@ -10,21 +10,20 @@ import plane_world
 import pytest
 import textured_room
 
-from lvba import config
-from lvba.blocks import plan as blocks_plan
+from lvba import config, pipeline
 from lvba.blocks import split
 from lvba.camera import Camera
 from lvba.dataset import Dataset
 from lvba.lidar import bundle_adjustment
 from lvba.pipeline import Config
-from lvba.plan import Plan, digest, identity
+from lvba.plan import digest, identity
 from lvba.products import evaluate, map_file
 from lvba.products.map_quality import EntropyChange
 from lvba.steps import acceptance
 from lvba.steps.fusion import solve_fusion
 from lvba.steps.lidar import solve_lidar
 from lvba.steps.outcomes import LidarStage, VisualLevel
-from lvba.steps.visual import solve_visual, visual_levels
+from lvba.steps.visual import solve_finest, visual_levels
 from lvba.trajectory import Trajectory
 from lvba.visual import image, keyframes, refine
 
@@ -47,13 +46,17 @@ def ring(scans=120):
     )
 
 
+LOAD = split.Load(30_000, 640 * 480)
+
+
 def parts(settings):
-    return split.parts(ring(), settings.split, split.Load(30_000, 640 * 480))
+    return split.parts(ring(), settings.split, LOAD)
 
 
 def steps(settings):
-    plan = blocks_plan.refine(Plan(""), ring(), parts(settings), settings, None)
-    return [step.name for step in plan.steps.values()]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pipeline.survey, "load_of", lambda _: LOAD)
+        return [step.name for step in pipeline.refine(ring(), settings).steps.values()]
 
 
 def near(settings):
@@ -96,7 +99,12 @@ def room():
 
 def cameras(settings):
     found = refine.refine_level(room(), None, settings.visual)
-    return found.state.cameras.world_from_camera, found.state.mount.scan_from_camera
+    return found.state.cameras.world_from_camera, found.state.calibration.scan_from_camera
+
+
+def focal(settings):
+    given = replace(room(), camera=room().pyramid.camera)
+    return refine.refine_level(given, None, settings.visual).state.calibration.focal
 
 
 def chosen(settings):
@@ -118,20 +126,16 @@ def loaded(settings):
 def scans_as_they_are(settings):
     nothing = replace(ring(), scan_paths=(), scans=Trajectory(np.zeros(0), np.zeros((0, 4, 4))))
     try:
-        return solve_lidar(nothing, settings.lidar, settings.refine_scans).problem
+        whole = SimpleNamespace(scan_numbers=range(0))
+        return solve_lidar(nothing, whole, [], settings.lidar, settings.refine_scans).problem
     except (ValueError, IndexError) as error:
         return type(error).__name__
 
 
 def cameras_as_they_are(settings):
-    return solve_visual(
-        ring(),
-        None,
-        None,
-        VisualLevel(None, "stopped"),
-        settings.lidar,
-        settings.visual,
-        settings.refine_cameras,
+    planes = SimpleNamespace(problem="no planes")
+    return solve_finest(
+        ring(), None, [], None, planes, VisualLevel(None), settings.visual, settings.refine_cameras
     ).problem
 
 
@@ -188,6 +192,7 @@ CASES = {
     "visual.levels": (lambda settings: visual_levels(ring(), settings.visual), "2"),
     "visual.patch": (cameras, "7"),
     "visual.iterations": (cameras, "1"),
+    "visual.calibrate": (focal, "true"),
     "visual.images.channels": (loaded, "3"),
     "visual.keyframes.interval_s": (chosen, "0.1"),
     "visual.keyframes.translation_ratio": (chosen, "0.02", "visual.keyframes.interval_s=9"),
@@ -199,8 +204,8 @@ CASES = {
     "visual.visibility.window": (cameras, "2"),
     "visual.visibility.max_local": (cameras, "2"),
     "visual.visibility.max_global": (cameras, "1"),
-    "visual.prior.mount_position_m": (cameras, "0.001"),
-    "visual.prior.mount_rotation_deg": (cameras, "0.01"),
+    "visual.prior.extrinsic_position_m": (cameras, "0.001"),
+    "visual.prior.extrinsic_rotation_deg": (cameras, "0.01"),
     "visual.prior.time_offset_s": (cameras, "0.001"),
     "fusion.enabled": (fused, "false"),
     "gate.enabled": (gate, "false"),

@@ -58,13 +58,27 @@ def of_version_0_1(**changes):
     return yaml.safe_dump(config._plain(nested(old)))
 
 
-def test_config_of_an_earlier_version_is_read_and_one_line_names_what_is_passed_over(caplog):
+def test_config_of_an_earlier_version_is_read_with_one_short_warning(caplog):
     with caplog.at_level(logging.WARNING, "lvba"):
-        found = config.load(Config, of_version_0_1(**{"visual.levels": 2}), where="old.yaml")
-    assert found == config.override(Config(), ["visual.levels=2"])
+        loaded = config.load(Config, of_version_0_1(**{"visual.levels": 2}), where="old.yaml")
+    assert loaded == config.override(Config(), ["visual.levels=2"])
     (record,) = caplog.records
-    assert record.getMessage().startswith("old.yaml: passed over, being settings no more: ")
-    assert all(name in record.getMessage() for name in retired_settings.DEFAULTS)
+    assert record.getMessage() == (
+        "old.yaml: 97 settings of an earlier version are ignored: "
+        "evaluate.colors, evaluate.entropy.min_neighbors, evaluate.entropy.voxel_m and 94 more (--verbose names all)"
+    )
+
+
+def test_all_ignored_settings_are_named_where_more_is_asked_for(caplog):
+    with caplog.at_level(logging.DEBUG, "lvba"):
+        config.load(Config, of_version_0_1(), where="old.yaml")
+    listed = caplog.records[-1].getMessage()
+    assert all(name in listed for name in retired_settings.DEFAULTS)
+
+
+def test_few_ignored_settings_are_all_in_the_warning(caplog):
+    config.load(Config, "merge: {align: true}", where="old.yaml")
+    assert caplog.messages == ["old.yaml: ignored, because they were removed: merge.align"]
 
 
 @pytest.mark.parametrize(
@@ -84,8 +98,19 @@ def test_value_of_a_setting_that_is_none_any_more_is_an_error_with_the_mend(name
     assert f"old.yaml: {name}" in str(refused.value)
 
 
+@pytest.mark.parametrize("old", retired_settings.RENAMED)
+def test_renamed_settings_still_work_by_their_old_names(old):
+    new = retired_settings.RENAMED[old]
+    by_old, by_new = (config.override(Config(), [f"{name}=0.5"]) for name in (old, new))
+    assert by_old == by_new != Config()
+    both = nested({old: 0.25, new: 0.5})
+    assert config.from_mapping(Config, both) == by_new
+
+
 def test_no_setting_is_known_and_retired():
-    assert not set(retired_settings.DEFAULTS) & {each.name for each in EVERY}
+    names = {each.name for each in EVERY}
+    assert not (retired_settings.DEFAULTS.keys() | retired_settings.RENAMED.keys()) & names
+    assert set(retired_settings.RENAMED.values()) <= names
 
 
 def test_mends_that_name_an_ablation_name_one_that_there_is(monkeypatch):

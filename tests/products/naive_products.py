@@ -6,9 +6,9 @@ import numpy as np
 
 
 def project(points, pose, intrinsics):
-    """u, v, z (N,) float32 of points (N, 3); pose (3, 4): rotation rows and camera center."""
-    d = (points - pose[:, 3]).astype(np.float32)
-    x, y, z = ((pose[a, 0] * d[:, 0] + pose[a, 1] * d[:, 1]) + pose[a, 2] * d[:, 2] for a in range(3))
+    """u, v, z (N,) float32 of points (N, 3); pose (4, 4): world_from_camera."""
+    d = (points - pose[:3, 3]).astype(np.float32)
+    x, y, z = ((pose[0, a] * d[:, 0] + pose[1, a] * d[:, 1]) + pose[2, a] * d[:, 2] for a in range(3))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         inverse = np.float32(1) / z
         return intrinsics[0] * x * inverse + intrinsics[2], intrinsics[1] * y * inverse + intrinsics[3], z
@@ -82,7 +82,7 @@ def first_points(points, surface, tolerance, pose, intrinsics, cell, height, wid
             found = np.unravel_index(window.argmin(), window.shape)
             i = index[0, r * cell + found[0], c * cell + found[1]]
             normal = surface[i, :3]
-            normal = normal * (1 if normal @ (pose[:, 3] - points[i]) > 0 else -1)
+            normal = normal * (1 if normal @ (pose[:3, 3] - points[i]) > 0 else -1)
             out[r, c] = [*points[i], *normal, allowed(surface[i], tolerance), window.min()]
     front = np.zeros((rows, columns, 2, 2), int)
     for r, c, a, b in np.ndindex(front.shape):
@@ -99,13 +99,13 @@ def first_points(points, surface, tolerance, pose, intrinsics, cell, height, wid
 
 def allowed(surface, tolerance):
     """How far points may be apart across a surface that are on it, m."""
-    return surface[6] * tolerance[0 if surface[:3].any() else 1]
+    return surface[6] * (tolerance.known if surface[:3].any() else tolerance.unknown)
 
 
 def hidden(first_seen, point, pose, depth, surface, tolerance, touching):
     """Whether what is in front hides a point: it is behind that surface, and that one in front of its own."""
     normal = surface[:3]
-    if not surface[3:6].any() and normal @ (pose[:, 3] - point) < 0:
+    if not surface[3:6].any() and normal @ (pose[:3, 3] - point) < 0:
         normal = -normal
     for front in first_seen:  # of its own cell, and of those about it
         if depth <= front[7]:
@@ -120,7 +120,7 @@ def hidden(first_seen, point, pose, depth, surface, tolerance, touching):
 
 def rank(point, surface, pose, pixel):
     """One over the mean square distance along the surface of what a view shows from the point; 0: too steep."""
-    ray = point - pose[:, 3]
+    ray = point - pose[:3, 3]
     square, normal = ray @ ray, surface[:3]
     if not normal.any():
         return 1 / (2 * pixel**2 * square)
@@ -133,10 +133,9 @@ def rank(point, surface, pose, pixel):
     return 1 / (pixel**2 * square * (1 + 1 / cosine**2) + surface[6] ** 2 * (beam_and_view @ beam_and_view))
 
 
-def best_views(
-    point, surface, tolerance, poses, intrinsics, pictures, valid, first_seen, front, cell, limits, slots
-):
+def best_views(point, surface, tolerance, poses, intrinsics, pictures, valid, seen_first, usable, slots):
     """The best (rank, color, image) of one point, best first."""
+    first_seen, front, cell = seen_first
     found, pixel = [], 1 / min(intrinsics[:2])
     for k, pose in enumerate(poses):
         (u,), (v,), (z,) = project(point[None], pose, intrinsics)
@@ -155,7 +154,7 @@ def best_views(
         if good == 0:
             continue
         color, highest = bilinear(pictures[k], np.clip(u, 0, width - 1), np.clip(v, 0, height - 1))
-        if highest >= limits[1] or highest <= limits[0]:
+        if highest >= usable.bright or highest <= usable.dark:
             good *= 1e-9
         found.append((good, color, k))
     return sorted(found, key=lambda view: -view[0])[:slots]
@@ -203,12 +202,12 @@ def entropies(points, radius, min_neighbors):
     return out
 
 
-def surfaces(points, start, seen_from, max_angle):
+def surfaces(points, start, observer, max_angle):
     """(M, 8) of points (M, 3) in blocks, see the kernel: planes by the scatter of those in the same eighth, or block, and
     the same octant, fitted again without what is off them; else the nearest plane of the block."""
     out = np.zeros((len(points), 8))
     for first, last in itertools.pairwise(start):
-        here, sensors = points[first:last].astype(float), seen_from[first:last]
+        here, sensors = points[first:last].astype(float), observer[first:last]
         octant = (sensors > points[first:last]) @ [4, 2, 1]
         upper = 2 * (points[first:last] - points[first:last].min(0)) > np.ptp(points[first:last], axis=0)
         eighth = upper @ [4, 2, 1]

@@ -10,11 +10,14 @@ from lvba.camera import Camera
 from lvba.kernels import colorize as colorize_kernels
 from lvba.kernels import occlusion
 from lvba.kernels import zbuffer as kernels
+from lvba.kernels.occlusion import FirstPoints
+from lvba.kernels.scene import BlockPoints, Intrinsics
 from lvba.products import cloud as clouds
 from lvba.products import colorize
 from lvba.products.views import Views
 
 HEIGHT, WIDTH = 40, 56
+TOLERANCE = occlusion.Tolerance(np.float32(6), np.float32(3))
 
 
 @pytest.fixture(scope="module")
@@ -38,10 +41,9 @@ def test_each_pixel_sees_the_nearest_splat(scene, radius, guard):
     blocks = clouds.sort_into_blocks(points)
     ordered, sources = points[blocks.order], source[blocks.order]
     hidden = 0
-    for i, pose in enumerate(views.kernel_poses()):
+    for i, pose in enumerate(views.poses):
         entries = kernels.splat(
-            by_axis(ordered), sources, blocks.start, blocks.spheres, pose, views.intrinsics, i, guard, radius,
-            HEIGHT, WIDTH,
+            blocks.holding(by_axis(ordered)), sources, pose, views.intrinsics, i, guard, radius, HEIGHT, WIDTH
         )  # fmt: skip
         depth, index = kernels.split(entries)
         expected = naive.nearest_points(
@@ -57,8 +59,8 @@ def test_each_pixel_sees_the_nearest_splat(scene, radius, guard):
 def test_of_points_at_one_depth_the_first_wins():
     points = np.array([[0, 0, 2.0], [0, 0, 1.5], [0, 0, 1.5]], np.float32)
     entries = kernels.splat(
-        by_axis(points), np.zeros(3, np.int32), np.array([0, 3]), np.array([[0, 0, 2, 1]], np.float32),
-        np.eye(4, dtype=np.float32)[:3], np.array([10, 10, 2, 2], np.float32), 1, 0, 0, 5, 5,
+        BlockPoints(by_axis(points), np.array([0, 3]), np.array([[0, 0, 2, 1]], np.float32)),
+        np.zeros(3, np.int32), np.eye(4, dtype=np.float32), Intrinsics(*np.float32([10, 10, 2, 2])), 1, 0, 0, 5, 5,
     )  # fmt: skip
     depth, index = kernels.split(entries)
     assert index[0, 2, 2] == 1
@@ -80,9 +82,9 @@ def test_cells_know_how_deep_they_see(scene, cell, gaps):
     points, views, _ = scene
     points = points[np.abs(points).max(1) < 10]
     blocks = clouds.sort_into_blocks(points)
-    ordered, poses = points[blocks.order], views.kernel_poses()
+    ordered, poses = points[blocks.order], views.poses
     cells = kernels.seen_depths(
-        by_axis(ordered), blocks.start, blocks.spheres, poses, views.intrinsics, cell, HEIGHT, WIDTH
+        blocks.holding(by_axis(ordered)), poses, views.intrinsics, cell, HEIGHT, WIDTH
     )
     assert np.isinf(cells).any() == gaps
     for i in range(6):
@@ -111,7 +113,7 @@ def test_a_floor_seen_at_a_grazing_angle_does_not_hide_itself():
 
 def test_one_view_samples_match_plain_bilinear_interpolation(scene):
     points, views, pictures = scene
-    pose = views.kernel_poses()[2]
+    pose = views.poses[2]
     valid = np.random.default_rng(1).random((HEIGHT, WIDTH)) > 0.1
     radiance, seen = np.zeros((len(points), 3), np.float32), np.zeros(len(points), bool)
     colorize_kernels.sample_image(points, pose, views.intrinsics, pictures[2], valid, radiance, seen)
@@ -133,47 +135,36 @@ def test_best_views_match_a_plain_sort(scene):
     pictures = pictures // 2 + 60
     pictures[:, :, 10:20] = 255
     valid = rng.random((HEIGHT, WIDTH)) > 0.1
-    tolerance, limits = np.array([6, 3], np.float32), np.array([5, 250], np.float32)
+    usable = colorize_kernels.UsableGray(np.float32(5), np.float32(250))
     blocks = clouds.sort_into_blocks(points)
-    ordered, surface, poses = points[blocks.order], surface[blocks.order], views.kernel_poses()
+    ordered, surface, poses = points[blocks.order], surface[blocks.order], views.poses
     slots = (len(points), 2)
     ranks, images, colors = (
         np.zeros(slots, np.float32),
         np.full(slots, -1, np.int32),
         np.zeros((*slots, 3), np.uint8),
     )
-    first_seen, front = occlusion.first_points(
-        by_axis(ordered),
-        surface,
-        tolerance,
-        blocks.start,
-        blocks.spheres,
-        poses,
-        views.intrinsics,
-        4,
-        HEIGHT,
-        WIDTH,
-    )
+    cloud = blocks.holding(by_axis(ordered))
+    seen_first = occlusion.first_points(cloud, surface, TOLERANCE, poses, views.intrinsics, 4, HEIGHT, WIDTH)
     for batch in (slice(0, 4), slice(4, 6)):
+        part = FirstPoints(seen_first.point[batch], seen_first.front[batch], 4)
         colorize_kernels.collect_views(
-            by_axis(ordered), surface, tolerance, blocks.start, blocks.spheres, poses[batch], views.intrinsics,
-            pictures[batch], np.arange(6, dtype=np.int32)[batch], valid, first_seen[batch], front[batch], 4, limits,
-            ranks, colors, images,
+            cloud, surface, TOLERANCE, poses[batch], views.intrinsics, pictures[batch],
+            np.arange(6, dtype=np.int32)[batch], valid, part, usable,
+            colorize_kernels.Samples(ranks, colors, images),
         )  # fmt: skip
     lengths = []
     for k in range(len(points)):
         expected = naive.best_views(
             ordered[k],
             surface[k],
-            tolerance,
+            TOLERANCE,
             poses,
             views.intrinsics,
             pictures,
             valid,
-            first_seen,
-            front,
-            4,
-            limits,
+            seen_first,
+            usable,
             2,
         )
         lengths.append(len(expected))
@@ -202,20 +193,19 @@ def some_surfaces(count, rng):
 def test_cells_know_what_they_see_first(scene):
     points, views, _ = scene
     points = points[np.abs(points).max(1) < 10]
-    surface, tolerance = some_surfaces(len(points), np.random.default_rng(5)), np.array([6, 3], np.float32)
+    surface = some_surfaces(len(points), np.random.default_rng(5))
     blocks = clouds.sort_into_blocks(points)
     ordered, surface = points[blocks.order], surface[blocks.order]
-    found, front = occlusion.first_points(
-        by_axis(ordered), surface, tolerance, blocks.start, blocks.spheres, views.kernel_poses(), views.intrinsics, 4,
-        HEIGHT, WIDTH,
+    found, front, _ = occlusion.first_points(
+        blocks.holding(by_axis(ordered)), surface, TOLERANCE, views.poses, views.intrinsics, 4, HEIGHT, WIDTH
     )  # fmt: skip
-    assert np.isfinite(found[..., 7]).any()
-    for i, pose in enumerate(views.kernel_poses()):
+    assert np.isfinite(found[..., occlusion.FIRST_DEPTH]).any()
+    for i, pose in enumerate(views.poses):
         expected, nearest = naive.first_points(
-            ordered, surface, tolerance, pose, views.intrinsics, 4, HEIGHT, WIDTH
+            ordered, surface, TOLERANCE, pose, views.intrinsics, 4, HEIGHT, WIDTH
         )
         np.testing.assert_allclose(found[i], expected, atol=1e-5)
-        filled = np.isfinite(found[i].reshape(-1, 8)[front[i], 7])
+        filled = np.isfinite(found[i].reshape(-1, 8)[front[i], occlusion.FIRST_DEPTH])
         np.testing.assert_array_equal(front[i][filled], nearest[filled])
 
 

@@ -12,14 +12,14 @@ from browsers import browser_or_skip, check_accessible
 
 from lvba.products import report
 from lvba.products.pictures import Picture, Pictures
-from lvba.products.report import charts, words
+from lvba.products.report import charts, formats
 from service.cli import result_table
 
 EVIL = '</script><script>alert(1)</script>"<img src=http://example.org/x.png onerror=alert(2)>&'
 
 
 def scores(shift):
-    keys = [kind.key for kind in words.MEASURES]
+    keys = [kind.key for kind in formats.MEASURES]
     values = [*(np.random.default_rng(0).random(5) + shift), float("nan")]
     per_image = {key: values for key in ("psnr_leave_one_out", "ssim_leave_one_out")}
     return dict.fromkeys(keys, 20.0 + shift) | {"images": list(range(6)), "per_image": per_image}
@@ -142,8 +142,8 @@ def test_sliders_work_by_keyboard():
 def test_a_worse_result_is_called_worse():
     worse = facts()
     worse["evaluation"]["rough"], worse["evaluation"]["refined"] = scores(1.0), scores(0.0)
-    assert "1.00\N{NO-BREAK SPACE}dB worse" in words.verdict(worse)
-    assert "scan poses were kept" in words.verdict(worse)
+    assert "1.00\N{NO-BREAK SPACE}dB worse" in formats.verdict(worse)
+    assert "scan poses were kept" in formats.verdict(worse)
     assert 'class="gain bad"' in report.page(worse)
 
 
@@ -181,10 +181,10 @@ def test_charts_survive_flat_missing_and_single_values():
 
 @pytest.mark.parametrize(
     ("meters", "expected"),
-    [(0.00031, "0.31 mm"), (0.0123, "12.3 mm"), (0.25, "25.0 cm"), (51.2, "51.20 m"), (None, "–")],
+    [(0.00031, "0.31 mm"), (0.0123, "12 mm"), (0.25, "250 mm"), (51.2, "51 m"), (None, "–")],
 )
 def test_lengths_have_the_unit_that_suits_them(meters, expected):
-    assert words.length(meters).replace("\N{NO-BREAK SPACE}", " ") == expected
+    assert formats.length(meters).replace("\N{NO-BREAK SPACE}", " ") == expected
 
 
 def test_each_part_has_its_own_verdict():
@@ -244,11 +244,11 @@ def test_the_page_begins_with_the_verdict_then_photo_before_and_after():
     page = report.page(with_verdict(), replace(shown, best=shown.views[0]))
     text = " ".join(parsed(page).text)
     order = ["Check", "at least 12 mm in the map", "reason 0", "mend 0", "Photo", "Map before", "Map after",
-             "Map error, expected", "Worth knowing"]  # fmt: skip
-    places = [text.index(words_shown) for words_shown in order]
+             "Map error, expected", "Notes"]  # fmt: skip
+    places = [text.index(shown) for shown in order]
     assert places == sorted(places)
     assert "2 more reasons" in text
-    assert "\N{GREATER-THAN OR EQUAL TO} 12.3" in text
+    assert "\N{GREATER-THAN OR EQUAL TO} 12" in text
     assert "95 % of" not in text
     good = with_verdict(verdict={"level": "good", "summary": "Expect 12 mm.", "reasons": []})
     good["expected_error"]["at_least"] = False
@@ -262,17 +262,17 @@ def test_figures_of_stages_are_explained_and_costs_that_cannot_be_compared_are_n
         assert value in text, value
     assert "Photometric cost" not in text
     assert "LiDAR cost" not in text
-    assert "1, not settled" in text
-    assert "Weak directions" not in text
+    assert "1, not converged" in text
+    assert "Degenerate directions" not in text
 
 
-def test_weak_directions_are_told_in_words():
+def test_degenerate_directions_are_counted():
     some = facts()
     some["lidar"] |= {"weak_scans": [0, 1, 0, 3], "weak_directions": [{}]}
     some["visual"] |= {"weak_directions": {"count": 67, "per_image": [0] * 30 + [3] * 20}}
     text = " ".join(parsed(report.page(some)).text)
-    assert "Scans that planes hold in every direction 2 of 4" in text
-    assert "see too few surfaces to hold them, where the scans do 20 of 50" in text
+    assert "Scans that planes determine in every direction 2 of 4" in text
+    assert "do not determine (kept near the scans) 20 of 50" in text
     assert "67" not in text
 
 

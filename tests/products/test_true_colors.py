@@ -134,9 +134,7 @@ def by_distance_alone(seen):
     ordered = np.ascontiguousarray(points[blocks.order].T)
     surface = np.empty((len(points), 8), np.float32)
     surface[blocks.order] = clouds.surfaces(ordered, blocks, seen.cloud.origins(seen.kept), 0.5 * np.pi)
-    depths = zbuffer.seen_depths(
-        ordered, blocks.start, blocks.spheres, views.kernel_poses(), views.intrinsics, 4, *views.mask.shape
-    )
+    depths = zbuffer.seen_depths(blocks.holding(ordered), views.poses, views.intrinsics, 4, *views.mask.shape)
     mine = np.flatnonzero(side)
     rank, gray = np.zeros((len(views), len(mine))), np.zeros((len(views), len(mine), 3))
     for image, pose in enumerate(views.world_from_camera):

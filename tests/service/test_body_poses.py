@@ -29,7 +29,7 @@ def test_the_same_result_as_with_the_camera_s_poses(lvba, tiny_recording, tiny_r
     np.testing.assert_allclose(found, expected, atol=2e-9)  # nine decimals in either file
     page, facts = (out / "report.html").read_text(), json.loads((out / "report.json").read_text())
     assert facts["dataset"]["image_poses"]["of"] == "body"
-    assert "image_poses.txt holds poses of the body, and so does the result" in page
+    assert "image_poses.txt holds poses of the body, and so does the file of the result" in page
 
     lvba("export", out, "nerfstudio")
     transforms = json.loads((out / "nerfstudio" / "transforms.json").read_text())

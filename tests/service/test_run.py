@@ -18,18 +18,20 @@ from lvba.io import ply, tum
 ROOT = Path(__file__).resolve().parents[2]
 
 STAGES = [
-    *("lidar", "lidar-gate", "visual-level-2", "visual-level-1", "visual"),
     *(
-        "fusion",
-        "fusion-gate",
-        "evaluate",
-        "visual-gate",
-        "expected-error",
-        "map",
-        "planes",
-        "pictures",
-        "facts",
+        "survey",
+        "scans",
+        "lidar",
+        "lidar-entropy",
+        "photos",
+        "lidar-images",
+        "lidar-gate",
+        "images",
+        "visual-planes",
     ),
+    *("visual-level-2", "visual-level-1", "visual", "fusion", "fusion-entropy", "fusion-gate"),
+    *("evaluate", "visual-gate", "evaluate-result", "expected-error"),
+    *("map", "planes", "renderings", "pictures", "facts"),
 ]
 PRODUCTS = ["lidar_poses.txt", "image_poses.txt", "exposures.csv", "map.ply", "config.yaml"]
 
@@ -165,7 +167,7 @@ def test_progress_elsewhere_than_on_a_terminal_is_plain_lines(undisturbed):
     # one count from the first stage to the last: reading the input is the first
     assert [int(place) for place, _, _ in counted] == list(range(2, len(counted) + 2))
     assert {int(total) for _, total, _ in counted} == {len(counted) + 1}
-    assert (counted[0][2], counted[-1][2]) == ("lidar", "write")
+    assert (counted[0][2], counted[-1][2]) == ("survey", "write")
 
 
 def test_same_command_again_reuses_every_stage(undisturbed, recording, lvba):
@@ -191,14 +193,19 @@ def test_config_of_a_result_repeats_it(undisturbed, recording, lvba):
     assert all(reused(out)[name] for name in STAGES)
 
 
-def test_stopped_in_every_stage_in_turn_it_ends_with_the_same_bytes(undisturbed, recording, lvba, tmp_path):
+STOPS = ("lidar", "visual-level-1", "visual-gate", "facts")
+"""Of each kind: scans, images, judgement, report. Steps of every shape are stopped in `tests/workers`."""
+
+
+def test_stopped_again_and_again_it_ends_with_the_same_bytes(undisturbed, recording, lvba, tmp_path):
     out = tmp_path / "out"
     run = ["run", recording, "--out", out, "--reference", recording / "reference", "--threads", 1]
-    for number, name in enumerate(STAGES):
+    for turn, name in enumerate(STOPS):
+        number = STAGES.index(name)
         for finished in (out / "stages").glob(f"{name}-{'[0-9a-f]' * 20}"):
             shutil.rmtree(finished)
-        script = STOPPED_WRITING if number % 2 else STOPPED_IN
-        done = lvba(f'"{name}"' if number % 2 else name, *run, program=("-c", script), code=130)
+        script = STOPPED_WRITING if turn % 2 else STOPPED_IN
+        done = lvba(f'"{name}"' if turn % 2 else name, *run, program=("-c", script), code=130)
         assert f"[{number + 2}/{len(STAGES) + 2}] {name}" in done.stderr
         assert done.stderr.splitlines()[-1].startswith("lvba: stopped; finished stages are kept")
         kept = sorted(p.name.rsplit("-", 1)[0] for p in (out / "stages").glob("[!.]*"))

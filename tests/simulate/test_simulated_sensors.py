@@ -1,35 +1,27 @@
 """The simulated camera and LiDAR, each alone."""
 
-import cv2
 import numpy as np
 import pytest
 
-from lvba import geometry
+from lvba import geometry, lens
 from lvba.camera import Camera
 from lvba.errors import InputError
+from lvba.lens import Lens
 from lvba.simulate import camera as cameras
 from lvba.simulate import drift, lidar
 from lvba.simulate.camera import Sensor
 from lvba.simulate.world import Builder, RayCaster
 from lvba.trajectory import pose_error
 
+MODEL = Lens.RADIAL_TANGENTIAL
 DISTORTION = (-0.12, 0.04, 8e-4, -6e-4)
-
-
-def test_distortion_is_opencv_s_and_its_inverse_is_exact():
-    x, y = np.random.default_rng(0).uniform(-0.7, 0.7, (2, 500))
-    u, v = cameras.distort(x, y, DISTORTION)
-    points = np.stack([x, y, np.ones_like(x)], axis=-1)
-    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), np.array(DISTORTION))
-    np.testing.assert_allclose(np.stack([u, v], -1), expected[:, 0], atol=1e-12)
-    np.testing.assert_allclose(cameras.undistort(u, v, DISTORTION), (x, y), atol=1e-11)
 
 
 def test_rays_surround_the_center_of_their_pixel():
     camera = Camera(40, 30, 35.0, 36.0, 19.0, 15.5, DISTORTION)
     rays = cameras.rays(camera)
     assert rays.shape == (30, 40, 4, 3)
-    u, v = cameras.distort(rays[..., 0], rays[..., 1], DISTORTION)
+    u, v = lens.distort(MODEL, DISTORTION, rays[..., 0], rays[..., 1])
     column, row = u * camera.fx + camera.cx, v * camera.fy + camera.cy
     np.testing.assert_allclose(column.mean(-1), np.tile(np.arange(40), (30, 1)), atol=1e-9)
     np.testing.assert_allclose(row.mean(-1), np.tile(np.arange(30)[:, None], (1, 40)), atol=1e-9)
@@ -81,7 +73,7 @@ def test_points_lie_on_surfaces_within_the_range_noise(name):
     pose = geometry.exp(np.array([0.1, 0.2, 0.9, 1.0, -0.5, 0.3]))
     directions = lidar.PATTERNS[name](20_000, rng)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1)
-    points, intensity = lidar.scan(caster, world.build(), pose, directions, rng)
+    points, intensity, _ = lidar.scan(lidar.Surroundings(world.build(), caster), pose, directions, rng)
     assert points.dtype == intensity.dtype == np.float32
     assert 0.97 * len(directions) < len(points) < len(directions)
     in_scene = geometry.transform_points(pose, points)
@@ -112,7 +104,8 @@ def test_beams_into_the_open_give_no_points():
     world.rectangle((5, -1, -1), (0, 2, 0), (0, 0, 2))
     built = world.build()
     rng = np.random.default_rng(4)
-    points, _ = lidar.scan(RayCaster(built), built, np.eye(4), lidar.spinning(20_000, rng), rng)
+    around = lidar.Surroundings(built, RayCaster(built))
+    points, _, _ = lidar.scan(around, np.eye(4), lidar.spinning(20_000, rng), rng)
     assert 0 < len(points) < 2000
     assert points[:, 0].min() > 4.8
 

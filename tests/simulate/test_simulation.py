@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lvba import geometry
+from lvba import geometry, lens
 from lvba.errors import InputError
 from lvba.io import reference
 from lvba.io.dataset import load_image, load_scan, open_dataset
 from lvba.simulate import blocks, scenes, simulate, truth
-from lvba.simulate import camera as cameras
 from lvba.simulate.drift import Closing, difficulty
 from lvba.simulate.world import RayCaster
 from lvba.trajectory import pose_error
@@ -75,7 +74,7 @@ def look_up(dataset, index: int, true, points_world: np.ndarray) -> np.ndarray:
     camera, grey = dataset.camera, load_image(dataset, index).mean(axis=2)
     points = geometry.transform_points(geometry.inverse(true.images.world_from_sensor[index]), points_world)
     x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
-    u, v = cameras.distort(x, y, camera.distortion)
+    u, v = lens.distort(camera.lens, camera.distortion, x, y)
     column, row = np.rint(u * camera.fx + camera.cx), np.rint(v * camera.fy + camera.cy)
     inside = (points[:, 2] > 0) & (np.abs(x) < 0.8) & (np.abs(y) < 0.8)
     inside &= (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)

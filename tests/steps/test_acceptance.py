@@ -152,7 +152,7 @@ def test_scans_that_cameras_moved_may_be_contradicted_by_images():
 
 def poses(figures=(), accepted=False):
     blocks = EntropyBlocks(np.arange(2), np.array([[-3.0, 1.0], [-3.0, 1.0]]))
-    return ScanPoses(np.eye(4)[None], Verdict(accepted, "", figures), -2.6, -3.0, blocks)
+    return ScanPoses(np.eye(4)[None], Verdict(accepted, "", "", figures), -2.6, -3.0, blocks)
 
 
 def choose(carried=BASE, exposed=BASE + 1, posed=BASE + 1, visual=BASE + 2, fused=None, config=CONFIG):

@@ -46,12 +46,14 @@ def scans(rng, loose=(), along=5, off=0.03):
     return Trajectory(SCAN_TIMES, found), Covariance(blocks(sigma), blocks(sigma)), truth
 
 
-def cameras(rng, sigma=TIGHT, mount_sigma=None):
+def cameras(rng, sigma=TIGHT, extrinsic_sigma=None):
     truth = path(IMAGE_TIMES + OFFSET) @ MOUNT
     spread = np.tile(sigma, (len(IMAGE_TIMES), 1))
     poses = geometry.retract(truth, rng.normal(size=spread.shape) * spread)
-    mount_sigma = np.zeros(7) if mount_sigma is None else mount_sigma
-    return pose_fusion.seen_from(poses, IMAGE_TIMES, blocks(spread), MOUNT, OFFSET, mount_sigma)
+    extrinsic_sigma = np.zeros(7) if extrinsic_sigma is None else extrinsic_sigma
+    return pose_fusion.scan_poses_from_cameras(
+        poses, IMAGE_TIMES, blocks(spread), MOUNT, OFFSET, extrinsic_sigma
+    )
 
 
 def lifted(given, which, by):
@@ -229,11 +231,11 @@ def test_cameras_that_are_off_together_beyond_all_promises_move_no_scan():
     assert errors(found.world_from_scan, truth).max() < 0.003
 
 
-def test_what_the_mount_leaves_open_is_no_news_to_the_scans():
-    """All cameras off together, as far as the mount may be: scans must not follow."""
+def test_what_the_extrinsic_leaves_open_is_no_news_to_the_scans():
+    """All cameras off together, as far as the extrinsic may be: scans must not follow."""
     rng = np.random.default_rng(4)
     given, covariance, truth = scans(rng)
-    good = cameras(rng, mount_sigma=np.array([0, 0, 0, 0.01, 0.01, 0.01, 0]))
+    good = cameras(rng, extrinsic_sigma=np.array([0, 0, 0, 0.01, 0.01, 0.01, 0]))
     poses = good.world_from_scan.world_from_sensor @ geometry.exp(np.array([0, 0, 0, 0.01, 0, 0]))
     found = pose_fusion.fuse(
         given,
@@ -267,7 +269,7 @@ def test_covariances_that_promise_too_much_are_widened():
     sure = Covariance(covariance.marginal / 400, covariance.conditional / 400)
     good = cameras(rng)
     found = pose_fusion.fuse(given, sure, replace(good, covariance=good.covariance / 400))
-    assert found.between == pytest.approx(1.0)
+    assert found.interpolation_error_scale == pytest.approx(1.0)
     honest = pose_fusion.fuse(given, covariance, good)
     assert honest.disagreement < 1.2
     assert np.trace(found.covariance[30]) * found.disagreement > np.trace(sure.marginal[30])
@@ -279,7 +281,7 @@ def test_too_few_cameras_tell_nothing():
     given, covariance, _ = scans(rng)
     spread = blocks(np.tile(TIGHT, (6, 1)))
     spread[:3] = np.nan
-    few = pose_fusion.seen_from(
+    few = pose_fusion.scan_poses_from_cameras(
         path(IMAGE_TIMES[:6]) @ MOUNT, IMAGE_TIMES[:6], spread, MOUNT, OFFSET, np.zeros(7)
     )
     assert len(few.world_from_scan) == 3
@@ -315,11 +317,14 @@ def test_splines_are_off_by_a_part_of_what_is_missed_and_by_more_at_their_ends()
     samples = Trajectory(SCAN_TIMES, path(SCAN_TIMES))
     inside = ~spline.outside(samples, times)
     wrong = geometry.log(geometry.inverse(path(times)) @ spline.through(samples, times))[inside]
-    missed, end = spline.missed(samples, times)[inside], spline.end_effect(samples, times)[inside]
+    leave_one_out_error, end = (
+        spline.leave_one_out_error(samples, times)[inside],
+        spline.boundary_error(samples, times)[inside],
+    )
     for part, column in ((slice(3), 0), (slice(3, 6), 1)):
         off = np.linalg.norm(wrong[:, part], axis=1) / np.sqrt(3.0)
         for where, share in ((end > 0.2, 1.0), (end < 0.001, 0.1)):
-            assert off[where].max() < share * missed[where, column].max()
+            assert off[where].max() < share * leave_one_out_error[where, column].max()
 
 
 def test_splines_meet_their_samples_and_stand_still_beyond_the_ends():

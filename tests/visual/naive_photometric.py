@@ -43,8 +43,8 @@ def observation_sums(problem, states, o: int, offset: float = 0.0) -> np.ndarray
     eps_r, eps_t = np.exp(states.log_exposure[[r, target]])
     norm = np.hypot(eps_r, eps_t)
     low, high, limit = (
-        photometric.LEAST_INTENSITY,
-        photometric.GREATEST_INTENSITY,
+        photometric.DARK,
+        photometric.SATURATED,
         photometric.HUBER * problem.sigma[o],
     )
     total = np.zeros(13)
@@ -103,7 +103,7 @@ def normal_equations(problem, states, offsets=None) -> tuple[np.ndarray, np.ndar
     for o in range(len(problem.observations)):
         point, target = problem.observations.point[o], problem.observations.target[o]
         offset = 0.0 if offsets is None else offsets[point]
-        information = 1 / (problem.sigma[o] ** 2 * problem.inflation)
+        information = 1 / (problem.sigma[o] ** 2 * problem.variance_factor)
         s = observation_sums(problem, states, o, offset)
         cost += information * (s[9] + 0.5 * problem.sigma[o] ** 2 * (every - s[10]))
         s *= information

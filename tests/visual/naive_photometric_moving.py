@@ -23,7 +23,7 @@ def samples(problem, states, o: int, offset: float = 0.0) -> np.ndarray:
     r = points.reference[point]
     eps_r, eps_t = np.exp(states.log_exposure[[r, target]])
     norm = np.hypot(eps_r, eps_t)
-    low, high = photometric.LEAST_INTENSITY, photometric.GREATEST_INTENSITY
+    low, high = photometric.DARK, photometric.SATURATED
     height, width = problem.images.shape[1:3]
     middle, found = center(problem, states, point, offset), []
     for j in range(-(problem.patch // 2), problem.patch // 2 + 1):
@@ -75,10 +75,10 @@ def normal_equations(problem, states, offsets: np.ndarray) -> tuple[np.ndarray, 
     for o in range(len(problem.observations)):
         point, target = problem.observations.point[o], problem.observations.target[o]
         rows = samples(problem, states, o, offsets[point])
-        information = 1 / (problem.sigma[o] ** 2 * problem.inflation)
+        information = 1 / (problem.sigma[o] ** 2 * problem.variance_factor)
         limit = photometric.HUBER * problem.sigma[o]
         weighed = information * np.array([naive.huber(r, limit) for r in rows[:, 5]]).reshape(-1, 2)
-        cost += weighed[:, 0].sum() + 0.5 * (problem.samples - len(rows)) / problem.inflation
+        cost += weighed[:, 0].sum() + 0.5 * (problem.samples - len(rows)) / problem.variance_factor
         by = rows[:, :5] @ jacobian(problem, states, o, offsets[point])
         reference = 7 * problem.points.reference[point] + np.arange(7)
         index = np.concatenate([reference, 7 * target + np.arange(7), [cameras + point]])

@@ -36,7 +36,7 @@ def in_image(uvz, width, height, nearest):
     return (z > nearest) & (u >= -0.5) & (v >= -0.5) & (u < width - 0.5) & (v < height - 0.5)
 
 
-def hidden(uvz, points, plane, planes, size, tolerance):
+def hidden(uvz, points, plane, lidar, size, tolerance):
     """Per point: 2 when its own cell's nearest point, or those of most cells around, hide it; 1 when any does."""
     cells = np.floor((uvz[:, :2] + 0.5) / size).astype(int)
     nearest = {}
@@ -46,26 +46,29 @@ def hidden(uvz, points, plane, planes, size, tolerance):
     result = np.zeros(len(uvz), np.uint8)
     for k, (i, j) in enumerate(cells):
         around = [nearest.get((i + di, j + dj)) for di in (-1, 0, 1) for dj in (-1, 0, 1)]
-        hides = [q is not None and _hides(q, k, uvz, points, plane, planes, tolerance) for q in around]
+        hides = [q is not None and _hides(q, k, uvz, points, plane, lidar, tolerance) for q in around]
         held = sum(q is not None for q in around)
         result[k] = 2 if hides[4] or sum(hides) > held / 2 else int(any(hides))
     return result
 
 
-def _hides(q, k, uvz, points, plane, planes, tolerance):
+def off_plane(lidar, k, points):
+    return (points - lidar.center[k]) @ lidar.normal[k]
+
+
+def _hides(q, k, uvz, points, plane, lidar, tolerance):
     z = uvz[k, 2]
     if uvz[q, 2] >= z - tolerance - 0.02 * z:
         return False
     if plane[k] < 0:
         return uvz[q, 2] < z - 2 * tolerance - 0.1 * z
-    p = planes[plane[k]]
-    return abs((points[q] - p[:3]) @ p[3:6]) > max(p[6], 0.004 * z)
+    own = plane[k]
+    return abs(off_plane(lidar, own, points[q])) > max(lidar.tolerance[own], 0.004 * z)
 
 
-def support(column, row, own, reach, wide, uvz, hidden_flags, points, planes):
+def support(column, row, own, reach, wide, uvz, hidden_flags, points, lidar):
     du, dv = uvz[:, 0] - column, uvz[:, 1] - row
-    p = planes[own]
-    on_plane = np.abs((points - p[:3]) @ p[3:6]) <= np.maximum(p[6], 0.004 * uvz[:, 2])
+    on_plane = np.abs(off_plane(lidar, own, points)) <= np.maximum(lidar.tolerance[own], 0.004 * uvz[:, 2])
     counted = hidden_flags < 2
     inside = counted & (np.abs(du) <= reach) & (np.abs(dv) <= reach)
     near = counted & on_plane & (np.abs(du) <= wide) & (np.abs(dv) <= wide)
@@ -73,51 +76,49 @@ def support(column, row, own, reach, wide, uvz, hidden_flags, points, planes):
     return [np.sum(inside & on_plane), np.sum(inside & ~on_plane), *extent]
 
 
-def select_points(points, plane, planes, ranges, images, scores, poses, intrinsics, cell, gates):
+def select_points(lidar, ranges, images, scores, poses, intrinsics, cell, gates):
     """Per image a dict from grid cell (row, column) to (pixel column, pixel row, plane)."""
-    half, cosine, dark, bright, usable, off_part, least_on, depth, _, spacings, *rest = gates
-    least_buffer, buffer_spacings, tolerance, floor, tries = rest
+    half, points, plane = gates.half, lidar.position, lidar.plane
     height, width = images.shape[1:3]
     result = []
     for image, score, pose, (start, stop, step) in zip(images, scores, poses, ranges, strict=True):
         pts, own = points[start:stop:step].astype(float), plane[start:stop:step]
         uvz = project(pts, pose, intrinsics)
-        good = in_image(uvz, width, height, depth)
+        good = in_image(uvz, width, height, gates.min_depth)
         pts, own, uvz = pts[good], own[good], uvz[good]
         spacing = np.sqrt(width * height / max(len(pts), 1))
-        buffer = max(least_buffer, min(buffer_spacings * spacing, 2 * half + 1))
-        flags = hidden(uvz, pts, own, planes, buffer, tolerance)
+        buffer = max(gates.min_buffer, min(gates.buffer_spacings * spacing, 2 * half + 1))
+        flags = hidden(uvz, pts, own, lidar, buffer, gates.hiding)
         pixel = np.floor(uvz[:, :2] + 0.5).astype(int)
         margin = half + 1
         inside = (pixel >= margin).all(1) & (pixel[:, 0] < width - margin) & (pixel[:, 1] < height - margin)
         value = np.zeros(len(pts))
         value[inside] = score[pixel[inside, 1], pixel[inside, 0]]
-        value[(own < 0) | (flags > 0) | (value < floor)] = 0
+        value[(own < 0) | (flags > 0) | (value < gates.min_score)] = 0
         cells = np.floor((uvz[:, :2] + 0.5) / cell).astype(int)
-        wide = np.clip(spacings * spacing / (half + 0.5), 2, 4) * (half + 0.5)
+        wide = np.clip(gates.extent_spacings * spacing / (half + 0.5), 2, 4) * (half + 0.5)
         found = {}
         for column_row in np.unique(cells, axis=0):
             members = np.flatnonzero((cells == column_row).all(1) & (value > 0))
-            members = members[np.argsort(-value[members], kind="stable")][: int(tries)]
+            members = members[np.argsort(-value[members], kind="stable")][: gates.tries]
             for k in members:
                 u, v = pixel[k]
-                p = planes[own[k]]
+                center, normal = lidar.center[own[k]], lidar.normal[own[k]]
                 ray = pose[:3, :3] @ [
                     (u - intrinsics[2]) / intrinsics[0],
                     (v - intrinsics[3]) / intrinsics[1],
                     1,
                 ]
-                met = p[3:6] @ (p[:3] - pose[:3, 3]) / (p[3:6] @ ray)
-                if abs(p[3:6] @ ray) / np.linalg.norm(ray) < cosine or met < depth:
+                met = normal @ (center - pose[:3, 3]) / (normal @ ray)
+                if abs(normal @ ray) / np.linalg.norm(ray) < gates.min_normal_cosine or met < gates.min_depth:
                     continue
                 if abs(met - uvz[k, 2]) > 0.05 * uvz[k, 2] + 0.1:
                     continue
-                h = int(half)
-                patch = image[v - h : v + h + 1, u - h : u + h + 1]
-                if ((patch > dark) & (patch < bright)).all(axis=2).mean() < usable:
+                patch = image[v - half : v + half + 1, u - half : u + half + 1]
+                if ((patch > gates.dark) & (patch < gates.bright)).all(axis=2).mean() < gates.min_usable:
                     continue
-                on, off, *extent = support(u, v, own[k], 2 * (half + 0.5), wide, uvz, flags, pts, planes)
-                if on < least_on or off > off_part * (on + off) or min(extent) < half:
+                on, off, *extent = support(u, v, own[k], 2 * (half + 0.5), wide, uvz, flags, pts, lidar)
+                if on < gates.min_support or off > gates.max_off_plane * (on + off) or min(extent) < half:
                     continue
                 found[int(column_row[1]), int(column_row[0])] = (int(u), int(v), int(own[k]))
                 break
@@ -147,15 +148,14 @@ def bilinear(image, x, y):
 
 def judge(images, poses, intrinsics, position, normal, reference, target, pixel, gates):
     """(verdict, NCC) of one pair, by the order of gates of the kernel."""
-    half, alpha_1, alpha_2, least, largest, alpha_3, floor, dark, bright, usable, _, noise = gates
-    half = int(half)
+    half = gates.half
     r, t = poses[reference], poses[target]
     height, width, channels = images.shape[1:]
     d_t, d_r = position - t[:3, 3], position - r[:3, 3]
     d_t, d_r = d_t / np.linalg.norm(d_t), d_r / np.linalg.norm(d_r)
-    if not d_t @ t[:3, 2] > alpha_1:
+    if not d_t @ t[:3, 2] > gates.min_view_cosine:
         return 1, 0
-    if not min(-d_t @ normal, -d_r @ normal) > alpha_2:
+    if not min(-d_t @ normal, -d_r @ normal) > gates.min_normal_cosine:
         return 3, 0
     u, v = pixel
 
@@ -174,7 +174,7 @@ def judge(images, poses, intrinsics, position, normal, reference, target, pixel,
         np.array([moved(e, 0)[:2], moved(0, e)[:2]]) - np.array([moved(-e, 0)[:2], moved(0, -e)[:2]])
     ) / (2 * e)
     large, small = np.linalg.svd(jacobian)[1]
-    if small < least or large > largest:
+    if small < gates.min_scale or large > gates.max_scale:
         return 4, 0
     first, second, kept = [], [], []
     for i in range(-half, half + 1):
@@ -182,7 +182,7 @@ def judge(images, poses, intrinsics, position, normal, reference, target, pixel,
             a = images[reference, v + i, u + j].astype(float)
             x, y = moved(j, i)[:2]
             b, four = bilinear(images[target], x, y)
-            if ((a > dark) & (a < bright)).all() and ((four > dark) & (four < bright)).all():
+            if all(((x > gates.dark) & (x < gates.bright)).all() for x in (a, four)):
                 first.append(a)
                 second.append(b)
                 p, q = x % 1, y % 1
@@ -191,13 +191,13 @@ def judge(images, poses, intrinsics, position, normal, reference, target, pixel,
         return 6, 0
     first, second = np.array(first) - np.mean(first, axis=0), np.array(second) - np.mean(second, axis=0)
     variances = [
-        max((x**2).mean(axis=0).sum() - noise * part * channels, floor * channels)
+        max((x**2).mean(axis=0).sum() - gates.noise * part * channels, gates.contrast_floor * channels)
         for x, part in ((first, 1.0), (second, np.mean(kept)))
     ]
     ncc = (first * second).mean(axis=0).sum() / np.sqrt(variances[0] * variances[1])
-    if len(first) / (2 * half + 1) ** 2 < usable:
+    if len(first) / (2 * half + 1) ** 2 < gates.min_usable:
         return 6, ncc
-    return (0 if ncc > alpha_3 else 7), ncc
+    return (0 if ncc > gates.min_ncc else 7), ncc
 
 
 def nearest_points(points, ranges, poses, intrinsics, width, height, cell, nearest):

@@ -7,8 +7,10 @@ import numpy as np
 
 from lvba import geometry
 from lvba.camera import Camera
+from lvba.kernels.visibility import PairGates
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.visual import visibility
+from lvba.visual.image import intrinsics_of
 
 
 @dataclass(frozen=True)
@@ -147,8 +149,13 @@ def look(position, target, up=(0, 0, 1)):
 
 
 CAMERA = Camera(200, 150, 150.0, 150.0, 99.5, 74.5)
-INTRINSICS = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
-NOTHING = (visibility.NOTHING_HIDES.nearest, visibility.NOTHING_HIDES.points_world, 1.0)
+INTRINSICS = intrinsics_of(CAMERA)
+NOTHING = visibility.NOTHING_HIDES.at(CAMERA)
+GATES = PairGates(
+    half=4, min_view_cosine=0.17, min_normal_cosine=0.2, min_scale=0.45, max_scale=2.5, min_ncc=0.8, contrast_floor=4.0,
+    dark=3.0, bright=250.0, min_usable=0.8, hiding=0.15, noise=0.0,
+)  # fmt: skip
+"""Of pairs of images in tests; those of runs are in `visibility.pair_gates`."""
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,8 @@ import textured_planes
 from lvba import geometry, trajectory
 from lvba.camera import Camera
 from lvba.optim.normal_equations import NormalEquations
-from lvba.visual import bundle_adjustment, covariance, extrinsic_prior, trajectory_prior
-from lvba.visual.photometric import PhotometricState
-from lvba.visual.states import CameraStates, Mount, VisualState
+from lvba.visual import bundle_adjustment, calibration_prior, covariance, trajectory_prior
+from lvba.visual.states import Calibration, CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior, PriorConfig, Source
 from lvba.visual.variant import Variant
 
@@ -39,12 +38,12 @@ def still(world_from_camera: np.ndarray, sigma_m: float = 0.02, sigma_deg: float
     source = Source(
         world_from_camera, np.full(count, np.radians(sigma_deg)), np.full(count, sigma_m), exact, exact
     )
-    return Prior((source,), none, none, Mount(np.eye(4)), PriorConfig())
+    return Prior((source,), none, none, calibration_prior.build(Calibration(np.eye(4)), PriorConfig().sigma))
 
 
 def start(poses: np.ndarray, seed: int = 0) -> VisualState:
     rough = textured_planes.disturbed(poses, 0.005, 0.1, seed)
-    return VisualState(CameraStates(rough, np.zeros(len(poses))), Mount(np.eye(4)))
+    return VisualState(CameraStates(rough, np.zeros(len(poses))), Calibration(np.eye(4)))
 
 
 def errors(state: VisualState, poses: np.ndarray) -> tuple[float, float]:
@@ -68,7 +67,7 @@ def test_poses_and_exposures_are_found_in_a_room_without_any_prior(scene):
     assert 1.5 < np.median(found.problem.sigma) < 3.0
 
 
-def test_a_prior_with_a_wrong_mount_does_not_pull_and_the_mount_is_found(scene):
+def test_a_prior_with_a_wrong_extrinsic_does_not_pull_and_the_extrinsic_is_found(scene):
     images, points, observations, poses, _ = scene
     wrong = geometry.exp(np.array([0.01, -0.02, 0.01, 0.01, 0.02, -0.01]))
     rough = start(poses)
@@ -78,7 +77,9 @@ def test_a_prior_with_a_wrong_mount_does_not_pull_and_the_mount_is_found(scene):
     millimeters, degrees = errors(found.state, poses)
     assert millimeters < 1.5
     assert degrees < 0.02
-    assert geometry.log(wrong @ found.state.mount.scan_from_camera) == pytest.approx(np.zeros(6), abs=1.5e-3)
+    assert geometry.log(wrong @ found.state.calibration.scan_from_camera) == pytest.approx(
+        np.zeros(6), abs=1.5e-3
+    )
     assert found.prior is not None
     assert found.prior.sources[0].sigma_position.max() < 0.004
 
@@ -94,15 +95,15 @@ def bent(points, poses):
     return replace(points, position_world=eye + reach[:, None] * ray, normal_world=normal)
 
 
-def test_walls_that_contradict_each_other_do_not_draw_the_mount_from_where_it_was_calibrated(
+def test_walls_that_contradict_each_other_do_not_draw_the_extrinsic_from_where_it_was_calibrated(
     scene, monkeypatch
 ):
     images, points, observations, poses, _ = scene
-    claims = trajectory_prior.claimed_information(PriorConfig())
+    claims = still(poses).calibration.claimed
     variant = Variant(plane_offsets=False, exposures="joint")
     off, counts = [], []
-    for weighed in (extrinsic_prior.weighed, lambda *_: claims):
-        monkeypatch.setattr(extrinsic_prior, "weighed", weighed)
+    for weighed in (calibration_prior.weighed, lambda *_: claims):
+        monkeypatch.setattr(calibration_prior, "weighed", weighed)
         found = bundle_adjustment.solve(
             images,
             CAMERA,
@@ -113,9 +114,9 @@ def test_walls_that_contradict_each_other_do_not_draw_the_mount_from_where_it_wa
             variant=variant,
         )
         assert found.prior is not None
-        assert found.prior.mount_information is not None
-        counts.append(np.linalg.eigvals(np.linalg.solve(claims, found.prior.mount_information)).real)
-        off.append(np.linalg.norm(found.state.mount.scan_from_camera[:3, 3]))
+        assert found.prior.calibration.counted is not None
+        counts.append(np.linalg.eigvals(np.linalg.solve(claims, found.prior.calibration.counted)).real)
+        off.append(np.linalg.norm(found.state.calibration.scan_from_camera[:3, 3]))
     assert counts[0].max() > 5
     assert counts[0].min() > 1 - 1e-9
     assert off[0] < 0.8 * off[1]
@@ -139,7 +140,9 @@ def test_over_one_bare_plane_the_cameras_stay_at_the_prior(scene):
 
 def test_exposures_that_are_not_to_be_solved_stay(scene):
     images, points, observations, poses, log_exposure = scene
-    state = VisualState(CameraStates(start(poses).cameras.world_from_camera, log_exposure), Mount(np.eye(4)))
+    state = VisualState(
+        CameraStates(start(poses).cameras.world_from_camera, log_exposure), Calibration(np.eye(4))
+    )
     found = bundle_adjustment.solve(images, CAMERA, points, observations, state, None)
     assert (found.state.cameras.log_exposure == log_exposure).all()
     assert errors(found.state, poses)[0] < 3.0
@@ -157,15 +160,15 @@ def test_what_walls_tell_of_an_image_adds_up_to_what_the_equations_say(scene):
     found = bundle_adjustment.solve(
         images, CAMERA, points, observations, start(poses), still(poses), variant=JOINT
     )
-    at = PhotometricState(found.state.cameras, found.offset)
-    shares = covariance.shares_of(found.problem)
-    told = covariance.information(found.problem, found.linearization, at, shares)
+    at = found.photometric
+    wall_clusters = covariance.find_wall_clusters(found.problem)
+    told = covariance.information(found.problem, found.linearization, at, wall_clusters)
     total = np.zeros((COUNT, 6, 6))
-    np.add.at(total, shares.image, told)
+    np.add.at(total, wall_clusters.image, told)
     equations = found.linearization.equations
     own = equations.rows == equations.columns
     assert total == pytest.approx(equations.blocks[own][:, :6, :6], rel=1e-7, abs=1e-3)
-    plain = covariance.cluster_gradients(found.problem, found.linearization, shares)
+    plain = covariance.cluster_gradients(found.problem, found.linearization, wall_clusters)
     wanted = np.zeros((COUNT, 7))
     for n, (point, target) in enumerate(
         zip(found.problem.observations.point, found.problem.observations.target)

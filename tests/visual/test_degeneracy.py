@@ -7,10 +7,10 @@ import textured_planes
 from lvba import geometry
 from lvba.camera import Camera
 from lvba.lidar.plane import Planes
-from lvba.visual import degeneracy, photometric, scene_points
+from lvba.visual import calibration_prior, degeneracy, photometric, scene_points
 from lvba.visual.photometric import PhotometricState
 from lvba.visual.scene_points import Observations
-from lvba.visual.states import CameraStates, Mount, VisualState
+from lvba.visual.states import Calibration, CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior, PriorConfig, Source
 
 CAMERA = Camera(160, 120, 80.0, 80.0, 79.5, 59.5)
@@ -34,7 +34,7 @@ def scene():
     return world, poses, images, points, observations
 
 
-def found(scene, keep: set[int]) -> degeneracy.WeakDirections:
+def found(scene, keep: set[int]) -> degeneracy.DegenerateDirections:
     """The weak directions where only some of the planes are used."""
     world, poses, images, points, observations = scene
     mine = np.isin(points.plane[observations.point], list(keep))
@@ -82,8 +82,8 @@ def test_points_in_one_place_leave_all_but_the_motion_along_their_normal(scene, 
     blind = np.setdiff1d(np.arange(8), [one.reference[0], *target])
     assert (directions.count[blind] == 6).all()
     assert (np.delete(directions.count, blind) == 5).all()
-    held = degeneracy.hold(
-        VisualState(CameraStates(poses, np.zeros(8)), Mount(np.eye(4))), prior_at(poses), directions
+    held = degeneracy.return_to_prior(
+        VisualState(CameraStates(poses, np.zeros(8)), Calibration(np.eye(4))), prior_at(poses), directions
     )
     assert np.isfinite(held.cameras.world_from_camera).all()
 
@@ -92,18 +92,18 @@ def prior_at(poses: np.ndarray) -> Prior:
     count = len(poses)
     none = np.zeros((count, 3))
     source = Source(poses, np.full(count, 0.002), np.full(count, 0.01), np.zeros(count), np.zeros(count))
-    return Prior((source,), none, none, Mount(np.eye(4)), PriorConfig())
+    return Prior((source,), none, none, calibration_prior.build(Calibration(np.eye(4)), PriorConfig().sigma))
 
 
 def test_a_common_slide_along_a_weak_direction_goes_back_to_the_prior(scene):
     poses = scene[1]
-    directions = degeneracy.WeakDirections(
+    directions = degeneracy.DegenerateDirections(
         np.ones(8, np.int32), np.array([[0, 0, 0, 1.0, 0, 0]]), np.zeros(3)
     )
     slid = poses.copy()
     slid[:, :3, 3] += [0.3, 0.1, 0.0]
-    state = VisualState(CameraStates(slid, np.zeros(8)), Mount(np.eye(4)))
-    held = degeneracy.hold(state, prior_at(poses), directions)
+    state = VisualState(CameraStates(slid, np.zeros(8)), Calibration(np.eye(4)))
+    held = degeneracy.return_to_prior(state, prior_at(poses), directions)
     moved = held.cameras.world_from_camera[:, :3, 3] - poses[:, :3, 3]
     assert moved[:, 0] == pytest.approx(np.zeros(8), abs=0.02)
     assert moved[:, 1] == pytest.approx(np.full(8, 0.1), abs=1e-6)
@@ -114,6 +114,9 @@ def test_a_common_slide_along_a_weak_direction_goes_back_to_the_prior(scene):
 
 
 def test_without_weak_directions_nothing_moves(scene):
-    state = VisualState(CameraStates(scene[1], np.zeros(8)), Mount(np.eye(4)))
-    none = degeneracy.WeakDirections(np.zeros(8, np.int32), np.zeros((0, 6)), np.zeros(3))
-    assert degeneracy.hold(state, prior_at(geometry.retract(scene[1], np.full((8, 6), 0.01))), none) is state
+    state = VisualState(CameraStates(scene[1], np.zeros(8)), Calibration(np.eye(4)))
+    none = degeneracy.DegenerateDirections(np.zeros(8, np.int32), np.zeros((0, 6)), np.zeros(3))
+    assert (
+        degeneracy.return_to_prior(state, prior_at(geometry.retract(scene[1], np.full((8, 6), 0.01))), none)
+        is state
+    )

@@ -9,10 +9,11 @@ from naive_points import warp_by_plane
 from rectangle_world import CAMERA, look, plane_points, planes_of, rectangle, render, room_with_screen, scan
 
 from lvba.kernels import patches_mean
+from lvba.kernels.scene import PlanePatches
 from lvba.visual import exposure, exposure_graph, image, visibility
 from lvba.visual.exposure import Ratios, solve_ratios
 from lvba.visual.exposure_graph import BLOCKS
-from lvba.visual.image import Pyramid
+from lvba.visual.image import Pyramid, intrinsics_of
 
 
 def _solve(rec, images=None, levels=2):
@@ -231,12 +232,13 @@ def test_measuring_matches_its_twin(dilation, channels):
     poses = rec.poses[:4].copy()
     poses[3, :3, 3] += 1.6 * poses[3, :3, 2]  # one much nearer, so that other levels are read
     weights = exposure.window_weights(7)
-    gates = np.array([0.1, 0.2, 0.3, 4.0, 0.0, 256.0, 0.5, 0.15])
-    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    gates = exposure.mean_gates()._replace(
+        min_normal_cosine=0.2, min_scale=0.3, max_scale=4.0, min_usable=0.5
+    )
+    intrinsics = intrinsics_of(camera)
     found = patches_mean.measure_pairs(
-        finer, images, coarser, poses, intrinsics, position, normal, reference, pixel,
-        np.arange(40, dtype=np.int32), target, weights, gates, visibility.NOTHING_HIDES.nearest,
-        visibility.NOTHING_HIDES.points_world, 1.0,
+        finer, images, coarser, poses, intrinsics, PlanePatches(position, normal, reference, pixel),
+        np.arange(40, dtype=np.int32), target, weights, gates, visibility.NOTHING_HIDES.at(camera),
     )  # fmt: skip
     used = 0
     for k in range(40):

@@ -3,9 +3,9 @@ import pytest
 from naive_points import blank_masked as naive_blank_masked
 from naive_points import halve as naive_halve
 
+from lvba import lens
 from lvba.camera import Camera
 from lvba.kernels.patches_pyramid import blank_masked, halve
-from lvba.simulate import camera as simulated
 from lvba.visual import image
 from lvba.visual.image import ImageConfig
 
@@ -74,7 +74,9 @@ def test_fine_details_are_not_pulled_to_one_side_where_poses_are_measured():
     row, column = np.mgrid[:400, :480].astype(float)
     pulled = {camera.undistorted(): [], wider: []}
     for seed in range(6):
-        raw_x, raw_y = simulated.undistort((column - 239.5) / 500, (row - 199.5) / 500, camera.distortion)
+        raw_x, raw_y = lens.undistort(
+            camera.lens, camera.distortion, (column - 239.5) / 500, (row - 199.5) / 500
+        )
         raw = np.round(_fine_texture(np.random.default_rng(seed), raw_x, raw_y, 500)).astype(np.uint8)
         for pinhole, errors in pulled.items():
             x, y = (column - pinhole.cx) / pinhole.fx, (row - pinhole.cy) / pinhole.fy

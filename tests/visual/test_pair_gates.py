@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 from naive_points import warp_by_plane
-from rectangle_world import INTRINSICS, NOTHING, random_pair
+from rectangle_world import GATES, INTRINSICS, NOTHING, random_pair
 
 from lvba import geometry
 from lvba.kernels import visibility as kernels
+from lvba.kernels.homography import plane_homography
+from lvba.kernels.scene import PlanePatches
 
 
 def test_homography_is_ray_plane_intersection():
@@ -14,7 +16,7 @@ def test_homography_is_ray_plane_intersection():
     for _ in range(100):
         r, t, position, normal = random_pair(rng)
         u, v = rng.uniform(0, 200), rng.uniform(0, 150)
-        h = kernels.plane_homography(r, t, position, normal, INTRINSICS, INTRINSICS)
+        h = plane_homography(np.stack([r, t]), 0, 1, position, normal, INTRINSICS)
         x, y, ratio = kernels.warp(h, u, v)
         expected = warp_by_plane(u, v, r, t, position, normal, INTRINSICS)
         assert np.hypot(x - expected[0], y - expected[1]) < 1e-9
@@ -23,7 +25,14 @@ def test_homography_is_ray_plane_intersection():
         )
 
 
-def _one_pair(gates=(), **changes):
+def _patch(u=100, v=75, position=(0, 0, 4.0), normal=(0, 0, -1.0)):
+    """One patch of a wall 4 m ahead, in image 0."""
+    return PlanePatches(
+        np.array([position]), np.array([normal]), np.zeros(1, np.int32), np.array([[u, v]], np.int32)
+    )
+
+
+def _one_pair(gates=GATES, **changes):
     """The verdict of a point 4 m ahead on a facing wall, seen from two places, with some things changed."""
     setup = {
         "target": np.zeros(3), "turn": np.zeros(3), "normal": np.array([0, 0, -1.0]), "position": np.array([0, 0, 4.0]),
@@ -34,12 +43,8 @@ def _one_pair(gates=(), **changes):
     images = np.stack([image, setup["change"](image).astype(np.uint8)])
     poses = np.stack([np.eye(4), geometry.exp(np.concatenate([setup["turn"], [0, 0, 0]]))])
     poses[1, :3, 3] = setup["target"]
-    values = np.array([4, 0.17, 0.2, 0.45, 2.5, 0.8, 4.0, 3.0, 250.0, 0.8, 0.15, 0.0])
-    for index, value in gates:
-        values[index] = value
-    return kernels.judge(
-        images, poses, INTRINSICS, setup["position"], setup["normal"], 0, 1, 100, 75, values, *NOTHING
-    )
+    patch = _patch(position=setup["position"], normal=setup["normal"])
+    return kernels.judge(images, poses, INTRINSICS, patch, 0, 1, gates, NOTHING)
 
 
 def test_same_view_passes_and_gain_does_not_matter():
@@ -61,10 +66,9 @@ def test_faint_texture_agrees_with_itself_under_noise_and_noise_with_nothing():
         poses = np.stack([np.eye(4)] * 2)
         rows = []
         for noise_known in (0.0, noise**2):
-            gates = np.array([4, 0.17, 0.2, 0.45, 2.5, 0.8, noise**2 / 4, 3.0, 250.0, 0.8, 0.15, noise_known])
+            gates = GATES._replace(contrast_floor=noise**2 / 4, noise=noise_known)
             rows.append([
-                kernels.judge(stack, poses, INTRINSICS, np.array([0, 0, 4.0]), np.array([0, 0, -1.0]), 0, 1, a, b,
-                              gates, *NOTHING)[0] == kernels.PASSED
+                kernels.judge(stack, poses, INTRINSICS, _patch(a, b), 0, 1, gates, NOTHING)[0] == kernels.PASSED
                 for a in range(20, 180, 10) for b in range(20, 130, 10)
             ])  # fmt: skip
         return np.mean(rows, axis=1)
@@ -87,7 +91,7 @@ def test_the_other_side_of_a_wall_is_not_what_is_seen_from_the_next_room():
     assert along == pytest.approx(1.0)
     assert facing == pytest.approx(-1.0)
     behind = {"target": pose[:3, 3], "turn": np.array([0, np.pi, 0])}
-    assert _one_pair(gates=[(5, -2.0)], **behind)[0] == kernels.SLANTED
+    assert _one_pair(gates=GATES._replace(min_ncc=-2.0), **behind)[0] == kernels.SLANTED
 
 
 @pytest.mark.parametrize(
@@ -110,8 +114,8 @@ def test_flat_patches_fail_by_the_variance_floor():
     def faint(image):
         return 120 + np.round((image - 120.0) / 20)
 
-    with_floor = _one_pair(change=faint, gates=[(6, 25.0)])
-    without = _one_pair(change=faint, gates=[(6, 0.0)])
+    with_floor = _one_pair(change=faint, gates=GATES._replace(contrast_floor=25.0))
+    without = _one_pair(change=faint, gates=GATES._replace(contrast_floor=0.0))
     assert without[0] == kernels.PASSED
     assert with_floor[0] == kernels.UNLIKE
 
@@ -122,20 +126,8 @@ def test_color_contrast_alone_does_not_pass():
     images = np.full((2, 150, 200, 3), [40, 120, 200], np.uint8) + rng.integers(
         0, 3, (2, 150, 200, 3), np.uint8
     )
-    gates = np.array([4, 0.17, 0.2, 0.45, 2.5, 0.8, 0.5, 3.0, 250.0, 0.8, 0.15, 0.0])
+    gates = GATES._replace(contrast_floor=0.5)
     poses = np.tile(np.eye(4), (2, 1, 1))
-    verdict, ncc = kernels.judge(
-        images,
-        poses,
-        INTRINSICS,
-        np.array([0, 0, 4.0]),
-        np.array([0, 0, -1.0]),
-        0,
-        1,
-        100,
-        75,
-        gates,
-        *NOTHING,
-    )
+    verdict, ncc = kernels.judge(images, poses, INTRINSICS, _patch(), 0, 1, gates, NOTHING)
     assert verdict == kernels.UNLIKE
     assert abs(ncc) < 0.5

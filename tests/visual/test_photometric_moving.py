@@ -11,7 +11,7 @@ from lvba.camera import Camera
 from lvba.kernels import photometric_moving as kernels
 from lvba.visual import bundle_adjustment, photometric
 from lvba.visual.photometric import PhotometricState
-from lvba.visual.states import CameraStates, Mount, VisualState
+from lvba.visual.states import Calibration, CameraStates, VisualState
 from lvba.visual.variant import Variant
 
 CAMERA = Camera(160, 120, 95.0, 97.0, 79.3, 59.1)
@@ -45,7 +45,7 @@ def test_the_centers_of_a_patch_move_as_differences_say(small):
     for o in range(0, len(problem.observations), 7):
         p = problem.observations.point[o]
         found = kernels.observation_jacobian(
-            np.ascontiguousarray(pose[:, :3, :3]), np.ascontiguousarray(pose[:, :3, 3]), problem.intrinsics,
+            np.ascontiguousarray(pose), problem.intrinsics,
             points.position_world[p], points.normal_world[p], points.reference[p],
             problem.observations.target[o],
         )  # fmt: skip
@@ -57,7 +57,7 @@ def test_the_centers_of_a_patch_move_as_differences_say(small):
 @pytest.mark.parametrize("growth", [0.0, 0.0625])
 def test_the_normal_equations_agree_with_the_plain_twin(small, growth, monkeypatch):
     *_, near = small
-    monkeypatch.setattr(photometric, "GREATEST_INTENSITY", 200.0)
+    monkeypatch.setattr(photometric, "SATURATED", 200.0)
     monkeypatch.setattr(photometric, "NOISE_GROWTH", growth)
     problem = problem_of(small, **MOVING, sigma=np.linspace(2.0, 6.0, len(small[2])))
     offset = np.linspace(-0.01, 0.01, len(problem.points))
@@ -116,8 +116,8 @@ def test_the_gradient_is_the_slope_of_the_cost(small, monkeypatch):
 
 def test_where_no_camera_has_moved_the_cost_is_that_of_fixed_pixels(small, monkeypatch):
     *_, poses, near = small
-    monkeypatch.setattr(photometric, "LEAST_INTENSITY", 0.0)
-    monkeypatch.setattr(photometric, "GREATEST_INTENSITY", 255.0)
+    monkeypatch.setattr(photometric, "DARK", 0.0)
+    monkeypatch.setattr(photometric, "SATURATED", 255.0)
     fixed, moving = (problem_of(small, reference_pixels=how) for how in ("fixed", "moving"))
     true = still(CameraStates(poses, near.log_exposure), fixed)
     one, other = photometric.sums(fixed, true), photometric.sums(moving, true)[:, :13]
@@ -171,7 +171,7 @@ def test_the_variant_reaches_the_solve():
     images = textured_planes.render(world, poses, camera, np.ones(count), noise=2.0)
     points, observations = textured_planes.scene_points(world, poses, camera, step=20)
     rough = textured_planes.disturbed(poses, 0.005, 0.1)
-    start = VisualState(textured_planes.states(rough), Mount(np.eye(4)))
+    start = VisualState(textured_planes.states(rough), Calibration(np.eye(4)))
     found = {}
     for how in ("fixed", "moving"):
         variant = Variant(reference_pixels=how, exposures="joint")
@@ -182,7 +182,7 @@ def test_the_variant_reaches_the_solve():
         after = trajectory.pose_error(found[how].state.cameras.world_from_camera, poses)
         assert after.ate_m < 0.5 * before.ate_m
         assert after.rotation_deg < 0.5 * before.rotation_deg
-        assert np.abs(found[how].offset).max() > 0
+        assert np.abs(found[how].photometric.offset).max() > 0
     # both patches are read between pixels, which smooths the noise of both
     fixed, moving = (np.median(found[how].problem.sigma) for how in ("fixed", "moving"))
     assert moving < 0.9 * fixed

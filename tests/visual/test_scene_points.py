@@ -18,10 +18,12 @@ from rectangle_world import (
 
 from lvba import geometry
 from lvba.kernels import patches
+from lvba.kernels.scene import Intrinsics
 from lvba.visual import scene_points
+from lvba.visual.image import intrinsics_of
 from lvba.visual.scene_points import PatchRules, PointsConfig
 
-INTRINSICS = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
+INTRINSICS = intrinsics_of(CAMERA)
 FORWARD = geometry.from_rotation_translation(np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))
 """A camera at the origin that looks along world x, y to its left, z up."""
 
@@ -45,17 +47,14 @@ def select(rec, config=PointsConfig(), images=None, *, plane_points=None, **rule
 def test_selection_matches_its_twin():
     rec = room_with_screen()
     config = PointsConfig(cells=150)
-    table, gates = (
-        scene_points.plane_table(rec.planes),
-        scene_points._gates(CAMERA, PatchRules(), rec.noise),
-    )
+    lidar = scene_points.kernel_points(rec.planes, rec.plane_points)
+    gates = scene_points.point_gates(CAMERA, PatchRules(), rec.noise)
     cell = scene_points.cell_size(CAMERA, config)
     scores = np.stack([scene_points.difference_of_gaussians(image) for image in rec.images])
     window = np.full(len(rec.times), 0.3)
     ranges = scene_points.near_ranges(rec.times, rec.times, rec.plane_points.scan_offsets, window, 9000)
     args = (
-        rec.plane_points.points_world, rec.plane_points.plane, table, ranges[:3], rec.images[:3], scores[:3],
-        rec.poses[:3], INTRINSICS, cell, gates,
+        lidar, ranges[:3], rec.images[:3], scores[:3], rec.poses[:3], INTRINSICS, cell, gates,
     )  # fmt: skip
     pixel, own, _ = patches.select_points(*args)
     expected = naive_select_points(*args)
@@ -78,7 +77,7 @@ def test_points_lie_where_the_ray_of_their_pixel_meets_the_truth():
     ray = np.einsum(
         "pij,pj->pi",
         pose[:, :3, :3],
-        np.column_stack([(points.pixel - INTRINSICS[2:]) / INTRINSICS[:2], np.ones(len(points))]),
+        np.column_stack([(points.pixel - np.array(INTRINSICS[2:])) / INTRINSICS[:2], np.ones(len(points))]),
     )
     depth, hit = (
         np.array([cast(rec.world, p[:3, 3], r[None]) for p, r in zip(pose, ray, strict=True)]).squeeze().T
@@ -99,7 +98,9 @@ def _whole_patch_on_one_rectangle(rec, points, half=4):
     for du in (-half, 0, half):
         for dv in (-half, 0, half):
             pixel = points.pixel + np.array([du, dv])
-            local = np.column_stack([(pixel - INTRINSICS[2:]) / INTRINSICS[:2], np.ones(len(points))])
+            local = np.column_stack(
+                [(pixel - np.array(INTRINSICS[2:])) / INTRINSICS[:2], np.ones(len(points))]
+            )
             ray = np.einsum("pij,pj->pi", pose[:, :3, :3], local)
             for i in np.unique(points.reference):
                 of = points.reference == i
@@ -273,7 +274,7 @@ def test_a_point_at_the_very_border_stays_inside_the_cells(gap):
     width, height, size = 640, 480, 4.0
     points = np.array([[width - 0.5 - gap, 3.0, 1.0], [3.0, height - 0.5 - gap, 1.0]])
     uvz, _ = patches.project_near(
-        points, 0, 2, 1, np.eye(4), np.array([1.0, 1.0, 0.0, 0.0]), width, height, 0.1
+        points, 0, 2, 1, np.eye(4), Intrinsics(1.0, 1.0, 0.0, 0.0), width, height, 0.1
     )
     assert (uvz[:, 0] + 0.5 < width).all()
     assert (uvz[:, 1] + 0.5 < height).all()

@@ -5,10 +5,11 @@ import pytest
 
 from lvba import geometry
 from lvba.trajectory import Trajectory
-from lvba.visual import trajectory_prior as priors
-from lvba.visual import trajectory_sigmas
-from lvba.visual.states import CameraStates, Mount, VisualState
+from lvba.visual import trajectory_prior, trajectory_sigmas
+from lvba.visual.states import Calibration, CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior, PriorConfig
+
+SIZE = Calibration.layout().size
 
 
 def handheld(times: np.ndarray) -> np.ndarray:
@@ -21,7 +22,7 @@ def handheld(times: np.ndarray) -> np.ndarray:
     )
 
 
-MOUNT = geometry.inverse(geometry.exp(np.array([1.2, -1.1, 1.0, 0.05, -0.1, 0.08])))
+EXTRINSIC = geometry.inverse(geometry.exp(np.array([1.2, -1.1, 1.0, 0.05, -0.1, 0.08])))
 
 
 def problem(seed: int = 0, offset: float = 0.013, scatter: float = 0.0):
@@ -29,26 +30,26 @@ def problem(seed: int = 0, offset: float = 0.013, scatter: float = 0.0):
     rng = np.random.default_rng(seed)
     times = np.sort(rng.uniform(0.3, 9.7, 30))
     scan_times = np.arange(0, 10.05, 0.1)
-    calibrated = MOUNT @ geometry.exp(np.array([0.01, -0.02, 0.015, 0.02, -0.01, 0.03]))
-    truth = handheld(times + offset) @ MOUNT
+    calibrated = EXTRINSIC @ geometry.exp(np.array([0.01, -0.02, 0.015, 0.02, -0.01, 0.03]))
+    truth = handheld(times + offset) @ EXTRINSIC
     rough = handheld(times) @ calibrated
-    prior = priors.build(
+    prior = trajectory_prior.build(
         Trajectory(scan_times, handheld(scan_times)), handheld(scan_times), Trajectory(times, rough),
         geometry.inverse(calibrated),
     )  # fmt: skip
     truth = geometry.retract(truth, scatter * rng.normal(size=(30, 6)))
-    return prior, VisualState(CameraStates(truth, np.zeros(30)), Mount(MOUNT, offset))
+    return prior, VisualState(CameraStates(truth, np.zeros(30)), Calibration(EXTRINSIC, offset))
 
 
-def moved(state: VisualState, camera: np.ndarray, mount: np.ndarray) -> VisualState:
+def moved(state: VisualState, camera: np.ndarray, calibration: np.ndarray) -> VisualState:
     cameras = CameraStates(
         geometry.retract(state.cameras.world_from_camera, camera), state.cameras.log_exposure
     )
-    return VisualState(cameras, priors.retract(state.mount, mount))
+    return VisualState(cameras, state.calibration.retract(calibration))
 
 
 def stacked(prior: Prior, state: VisualState, source: int = 1) -> np.ndarray:
-    return priors.residuals(prior, prior.sources[source], state)
+    return trajectory_prior.residuals(prior, prior.sources[source], state)
 
 
 def test_cameras_on_the_trajectory_have_no_residual():
@@ -60,23 +61,23 @@ def test_cameras_on_the_trajectory_have_no_residual():
 def test_the_jacobians_agree_with_differences():
     prior, state = problem()
     rng = np.random.default_rng(1)
-    state = moved(state, 0.1 * rng.normal(size=(30, 6)), 0.1 * rng.normal(size=7))
-    by_camera, by_mount = priors.jacobians(prior, prior.sources[1], state)
+    state = moved(state, 0.1 * rng.normal(size=(30, 6)), 0.1 * rng.normal(size=SIZE))
+    by_camera, by_calibration = trajectory_prior.jacobians(prior, prior.sources[1], state)
     h = 1e-6
     for n in range(6):
         step = np.zeros((30, 6))
         step[:, n] = h
         ahead, behind = (
-            stacked(prior, moved(state, step, np.zeros(7))),
-            stacked(prior, moved(state, -step, np.zeros(7))),
+            stacked(prior, moved(state, step, np.zeros(SIZE))),
+            stacked(prior, moved(state, -step, np.zeros(SIZE))),
         )
         assert by_camera[:, :, n] == pytest.approx((ahead - behind) / (2 * h), abs=1e-7)
-    for n in range(7):
-        step = np.zeros(7)
+    for n in range(SIZE):
+        step = np.zeros(SIZE)
         step[n] = h
         still = np.zeros((30, 6))
         ahead, behind = stacked(prior, moved(state, still, step)), stacked(prior, moved(state, still, -step))
-        assert by_mount[:, :, n] == pytest.approx((ahead - behind) / (2 * h), abs=1e-6)
+        assert by_calibration[:, :, n] == pytest.approx((ahead - behind) / (2 * h), abs=1e-6)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 5e-4, 2e-3, 0.7, 3.0])
@@ -96,15 +97,17 @@ def test_the_inverse_right_jacobian_agrees_with_differences(angle):
 
 def test_the_normal_equations_are_the_derivatives_of_the_cost():
     prior, state = problem(scatter=0.004)
-    equations = priors.linearize(prior, state)
-    assert equations.gradient.shape == (31, 7)
+    equations = trajectory_prior.linearize(prior, state)
+    assert equations.gradient.shape == (30, 7)
+    assert equations.border is not None
     rng = np.random.default_rng(2)
     for _ in range(5):
-        step = rng.normal(size=(31, 7))
+        step, shared = rng.normal(size=(30, 7)), rng.normal(size=SIZE)
         h = 1e-6
-        ahead = priors.linearize(prior, moved(state, h * step[:30, :6], h * step[30])).cost
-        behind = priors.linearize(prior, moved(state, -h * step[:30, :6], -h * step[30])).cost
-        assert (ahead - behind) / (2 * h) == pytest.approx((equations.gradient * step).sum(), rel=1e-5)
+        slope = (equations.gradient * step).sum() + equations.border.gradient @ shared
+        ahead = trajectory_prior.linearize(prior, moved(state, h * step[:, :6], h * shared)).cost
+        behind = trajectory_prior.linearize(prior, moved(state, -h * step[:, :6], -h * shared)).cost
+        assert (ahead - behind) / (2 * h) == pytest.approx(slope, rel=1e-5)
 
 
 def test_one_frame_far_off_pulls_no_harder_than_a_bounded_amount():
@@ -113,7 +116,9 @@ def test_one_frame_far_off_pulls_no_harder_than_a_bounded_amount():
     for distance in (0.1, 1.0, 5.0):
         step = np.zeros((30, 6))
         step[7, 3] = distance
-        pulls.append(np.abs(priors.linearize(prior, moved(state, step, np.zeros(7))).gradient[7, 3]))
+        pulls.append(
+            np.abs(trajectory_prior.linearize(prior, moved(state, step, np.zeros(SIZE))).gradient[7, 3])
+        )
     assert pulls[2] == pytest.approx(pulls[1], rel=0.05)
     assert pulls[1] < 3 * pulls[0]
 
@@ -124,7 +129,7 @@ def test_sigmas_are_estimated_from_the_deviations_and_resist_a_few_bad_frames():
     step = np.concatenate([0.002 * rng.normal(size=(30, 3)), 0.008 * rng.normal(size=(30, 3))], axis=1)
     step[[4, 20]] *= 30
     none = (np.zeros((30, 6)), np.zeros((30, 6)))
-    found = trajectory_sigmas.reestimated(prior, moved(state, step, np.zeros(7)), none)
+    found = trajectory_sigmas.reestimated(prior, moved(state, step, np.zeros(SIZE)), none)
     for source in found.sources:
         assert np.median(source.sigma_rotation) == pytest.approx(0.002, rel=0.4)
         assert np.median(source.sigma_position) == pytest.approx(0.008, rel=0.4)
@@ -137,8 +142,8 @@ def test_deviations_that_only_the_prior_decided_do_not_count_as_agreement():
     # along two of the camera's axes the images see nothing: there it sits exactly on the prior
     step[:, 3] = 0.01 * rng.normal(size=30)
     undecided = np.zeros((30, 6))
-    undecided[:, 4:] = priors.sigmas(prior.sources[0])[:, 4:] ** 2
-    found = trajectory_sigmas.reestimated(prior, moved(state, step, np.zeros(7)), (undecided, undecided))
+    undecided[:, 4:] = trajectory_prior.sigmas(prior.sources[0])[:, 4:] ** 2
+    found = trajectory_sigmas.reestimated(prior, moved(state, step, np.zeros(SIZE)), (undecided, undecided))
     assert found.sources[0].sigma_position[0] == pytest.approx(0.01, rel=0.35)
 
 
@@ -154,30 +159,30 @@ def test_a_slow_deviation_is_allowed_only_as_far_as_the_scans_may_be_off(scan_m,
     sure = np.tile(np.diag([1e-8] * 3 + [scan_m**2] * 3), (101, 1, 1))
     scans = Trajectory(np.arange(0, 10.05, 0.1), handheld(np.arange(0, 10.05, 0.1)))
     times = np.linspace(0.5, 9.5, 30)
-    cameras = Trajectory(times, handheld(times) @ MOUNT)
-    prior = priors.build(
-        scans, scans.world_from_sensor, cameras, geometry.inverse(MOUNT), scan_covariance=sure
+    cameras = Trajectory(times, handheld(times) @ EXTRINSIC)
+    prior = trajectory_prior.build(
+        scans, scans.world_from_sensor, cameras, geometry.inverse(EXTRINSIC), scan_covariance=sure
     )
     none = (np.zeros((30, 6)), np.zeros((30, 6)))
     off = moved(
-        VisualState(CameraStates(cameras.world_from_sensor, np.zeros(30)), Mount(MOUNT, 0.0)),
+        VisualState(CameraStates(cameras.world_from_sensor, np.zeros(30)), Calibration(EXTRINSIC, 0.0)),
         drifted(),
-        np.zeros(7),
+        np.zeros(SIZE),
     )
     found = trajectory_sigmas.reestimated(prior, off, none)
     for source in found.sources:
         assert source.sigma_position.max() < 0.004
-        assert (priors.sigmas(source)[:, 3].min() > 0.03) == free
+        assert (trajectory_prior.sigmas(source)[:, 3].min() > 0.03) == free
 
 
 def test_a_spline_is_sure_of_itself_at_the_scans():
     times = np.arange(0, 10.05, 0.5)
     at = np.array([2.0, 2.25, 2.5])
-    images = Trajectory(at, handheld(at) @ MOUNT)
-    source = priors.build(
-        Trajectory(times, handheld(times)), handheld(times), images, geometry.inverse(MOUNT)
+    images = Trajectory(at, handheld(at) @ EXTRINSIC)
+    source = trajectory_prior.build(
+        Trajectory(times, handheld(times)), handheld(times), images, geometry.inverse(EXTRINSIC)
     ).sources[1]
-    assert source.sigma_position[0] == pytest.approx(priors.FLOOR_POSITION_M)
+    assert source.sigma_position[0] == pytest.approx(trajectory_prior.FLOOR_POSITION_M)
     assert source.sigma_position[1] > 1.5 * source.sigma_position[[0, 2]].max()
 
 
@@ -187,8 +192,11 @@ def test_a_spline_trusts_itself_where_motion_is_smooth_and_not_where_it_is_jerky
     jerky = smooth.copy()
     jerky[8:13] = jerky[8:13] @ geometry.exp(0.05 * np.random.default_rng(0).normal(size=(5, 6)))
     at = np.array([2.3, 5.3])
-    images = Trajectory(at, handheld(at) @ MOUNT)
-    build = [priors.build(Trajectory(times, s), s, images, geometry.inverse(MOUNT)) for s in (smooth, jerky)]
+    images = Trajectory(at, handheld(at) @ EXTRINSIC)
+    build = [
+        trajectory_prior.build(Trajectory(times, s), s, images, geometry.inverse(EXTRINSIC))
+        for s in (smooth, jerky)
+    ]
     calm, shaken = (prior.sources[1] for prior in build)
     assert shaken.sigma_rotation[1] > 5 * calm.sigma_rotation[1]
     assert shaken.sigma_position[1] > 5 * calm.sigma_position[1]
@@ -197,14 +205,16 @@ def test_a_spline_trusts_itself_where_motion_is_smooth_and_not_where_it_is_jerky
 
 def test_beyond_the_scans_the_spline_says_nothing():
     times = np.arange(0, 5.05, 0.5)
-    images = Trajectory(np.array([2.0, 7.0]), handheld(np.array([2.0, 7.0])) @ MOUNT)
-    prior = priors.build(Trajectory(times, handheld(times)), handheld(times), images, geometry.inverse(MOUNT))
+    images = Trajectory(np.array([2.0, 7.0]), handheld(np.array([2.0, 7.0])) @ EXTRINSIC)
+    prior = trajectory_prior.build(
+        Trajectory(times, handheld(times)), handheld(times), images, geometry.inverse(EXTRINSIC)
+    )
     assert prior.sources[1].sigma_position[1] > 100 * prior.sources[1].sigma_position[0]
     assert np.isfinite(prior.sources[0].world_from_scan).all()
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"mount_position_m": 0.0}, {"time_offset_s": 100.0}, {"mount_rotation_deg": -1.0}]
+    "wrong", [{"extrinsic_position_m": 0.0}, {"time_offset_s": 100.0}, {"extrinsic_rotation_deg": -1.0}]
 )
 def test_settings_out_of_range_are_refused_by_name(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):

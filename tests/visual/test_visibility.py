@@ -9,6 +9,7 @@ from naive_points import nearest_points as naive_nearest_points
 from naive_points import visibility_map as naive_visibility_map
 from rectangle_world import (
     CAMERA,
+    GATES,
     INTRINSICS,
     NOTHING,
     box,
@@ -59,9 +60,9 @@ def test_judge_matches_its_twin():
     images = np.repeat(rec.images, 2, axis=3)
     images[..., 1] = 255 - images[..., 1]
     images[3, 60:100, 60:120] = 255
-    gates = np.array([4, 0.17, 0.45, 0.9, 1.08, 0.75, 4.0, 3.0, 250.0, 0.8, 0.15, 9.0])
-    args = (images, rec.poses, INTRINSICS, points.position_world, points.normal_world)
-    verdict, ncc = kernels.judge_pairs(*args, points.reference, points.pixel, point, target, gates, *NOTHING)
+    gates = GATES._replace(min_normal_cosine=0.45, min_scale=0.9, max_scale=1.08, min_ncc=0.75, noise=9.0)
+    patches = visibility.kernel_patches(points)
+    verdict, ncc = kernels.judge_pairs(images, rec.poses, INTRINSICS, patches, point, target, gates, NOTHING)
     expected = [
         naive_judge(images, rec.poses, INTRINSICS, points.position_world[p], points.normal_world[p],
                     points.reference[p], t, points.pixel[p], gates)
@@ -264,10 +265,11 @@ def test_depth_buffers_refuse_hidden_targets_without_looking_at_the_images():
     depth = visibility.depth_buffers(CAMERA, rec.poses, rec.times, rec.plane_points, rec.times)
     half_camera = CAMERA.at_level(1)
     half = visibility.depth_buffers(half_camera, rec.poses, rec.times, rec.plane_points, rec.times)
-    gates = np.array([4, 0.17, 0.2, 0.1, 10, -2, 4.0, -1.0, 300.0, 0.0, 0.15, 0.0])
+    gates = GATES._replace(
+        min_scale=0.1, max_scale=10.0, min_ncc=-2.0, dark=-1.0, bright=300.0, min_usable=0.0
+    )
     verdict, _ = kernels.judge_pairs(
-        rec.images, rec.poses, INTRINSICS, points.position_world, points.normal_world, points.reference, points.pixel,
-        point, target, gates, depth.nearest, depth.points_world, depth.cell * CAMERA.fx,
+        rec.images, rec.poses, INTRINSICS, visibility.kernel_patches(points), point, target, gates, depth.at(CAMERA)
     )  # fmt: skip
     judged = np.isin(verdict, [kernels.PASSED, kernels.HIDDEN])
     hidden = verdict == kernels.HIDDEN

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import threading
+from pathlib import PurePosixPath
 
 from real_cluster import ROOT
 from toy_steps import wait_for
@@ -40,8 +41,23 @@ def products(out):
 def artifacts(folder):
     """Every file of the steps' artifacts but the manifests, which hold times."""
     paths = [p.relative_to(folder) for p in folder.glob("[!.]*/**/*") if p.is_file()]
-    kept = [p for p in paths if p.parts[0].split("-")[0] not in SENT]
-    return {p.as_posix(): (folder / p).read_bytes() for p in kept if p.name != "manifest.json"}
+    return {p.as_posix(): (folder / p).read_bytes() for p in paths if of_step(p)}
+
+
+def artifacts_in_bucket(bucket, prefix):
+    """The same of a store in the bucket `maps`."""
+    pages = bucket.get_paginator("list_objects_v2").paginate(Bucket="maps", Prefix=f"{prefix}/")
+    paths = [PurePosixPath(item["Key"]).relative_to(prefix) for page in pages for item in page["Contents"]]
+    return {
+        p.as_posix(): bucket.get_object(Bucket="maps", Key=f"{prefix}/{p}")["Body"].read()
+        for p in paths
+        if p.parts[0][0] != "." and of_step(p)
+    }
+
+
+def of_step(path):
+    """Whether a file of a store belongs to the artifact of a step."""
+    return path.parts[0].split("-")[0] not in SENT and path.name != "manifest.json"
 
 
 def manifests(folder):

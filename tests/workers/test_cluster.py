@@ -16,7 +16,7 @@ from real_cluster import Cluster
 from toy_steps import chain, said, wait_for
 
 from lvba.errors import InputError
-from lvba.plan import Late, Plan, Ref
+from lvba.plan import LazyRef, Plan, Ref
 from workers import cluster, connection, local, versions
 from workers.store import ZarrStore
 
@@ -244,7 +244,7 @@ def test_artifact_that_is_read_late_is_made_again_only_where_it_is_wanted(toy_cl
     work = Plan(versions.key_version())
     a = work.add("a", toy_steps.make, str(tmp_path), "a")
     spoiled = work.add("spoil", toy_steps.spoil, str(tmp_path), str(tmp_path / "store"), a)
-    asked = work.add("ask", toy_steps.ask, str(tmp_path), Late(a.key), wants, spoiled)
+    asked = work.add("ask", toy_steps.ask, str(tmp_path), LazyRef(a.key), wants, spoiled)
     records = run(toy_cluster, tmp_path, work)
     assert len(records) == 3
     times = 2 if wants else 1

@@ -2,7 +2,7 @@
 
 import pytest
 from real_cluster import Cluster, tls_files
-from split_street import artifacts, products
+from split_street import artifacts, artifacts_in_bucket, products
 
 from workers import connection
 
@@ -31,3 +31,20 @@ def test_over_tls(undisturbed, recording, lvba, tls_cluster, tmp_path):
     lvba("run", recording, "--out", tmp_path, "--reference", recording / "reference", *tls_cluster.on())
     assert products(tmp_path) == products(undisturbed[0])
     assert artifacts(tmp_path / "stages") == artifacts(undisturbed[0] / "stages")
+
+
+def test_with_a_store_in_a_bucket(undisturbed, recording, lvba, bucket, tmp_path):
+    run = [
+        "run",
+        recording,
+        "--out",
+        tmp_path,
+        "--reference",
+        recording / "reference",
+        "--store",
+        "s3://maps/run",
+    ]
+    lvba(*run, "--workers", 2)
+    assert products(tmp_path) == products(undisturbed[0])
+    assert not (tmp_path / "stages").exists()
+    assert artifacts_in_bucket(bucket, "run") == artifacts(undisturbed[0] / "stages")

@@ -114,7 +114,7 @@ def _thinned(line: Line, log: bool) -> Line:
     if len(x) > MAX_POINTS:
         rows = np.unique(np.linspace(0, len(x) - 1, MAX_POINTS).round().astype(int))
         x, y = x[rows], y[rows]
-    return Line(line.name, x, y, line.color, line.dash, line.dots)
+    return Line(name=line.name, x=x, y=y, color=line.color, dash=line.dash, dots=line.dots)
 
 
 def _bounds(values: Sequence[np.ndarray], pad: float, zero: bool = False) -> tuple[float, float]:
@@ -138,9 +138,9 @@ def _axis_y(bounds: tuple[float, float], to_y, log: bool) -> str:  # type: ignor
     out = []
     for place in places:
         y = float(to_y(np.log10(place) if log else place))
-        words = _plain(place) if log else label(place, step)
+        tick = _plain(place) if log else label(place, step)
         out.append(f'<line class="rule" x1="{_LEFT}" x2="{WIDTH - _RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>')
-        out.append(f'<text x="{_LEFT - 7}" y="{y + 4:.1f}" text-anchor="end">{words}</text>')
+        out.append(f'<text x="{_LEFT - 7}" y="{y + 4:.1f}" text-anchor="end">{tick}</text>')
     return "".join(out)
 
 
@@ -201,8 +201,8 @@ def _scale_bar(scale: float, height: float) -> str:
     power = 10 ** math.floor(math.log10(exact))
     length = next(power * m for m in (5, 2, 1) if power * m <= exact * 1.0001)
     pixels = length * scale
-    words = f"{length:g} m" if length >= 0.1 else f"{100 * length:g} cm"
+    caption = f"{length:g} m" if length >= 0.1 else f"{100 * length:g} cm"
     return (
         f'<line class="axis" x1="12" x2="{12 + pixels:.1f}" y1="{height - 12:.0f}" y2="{height - 12:.0f}"/>'
-        f'<text x="{18 + pixels:.1f}" y="{height - 8:.0f}">{words}</text>'
+        f'<text x="{18 + pixels:.1f}" y="{height - 8:.0f}">{caption}</text>'
     )

@@ -31,7 +31,7 @@ def _track(trajectory: Facts) -> str:
         return ""
     axes = _flattest(both["refined"])
     lines = [
-        Line(name, both[key] @ axes[0], both[key] @ axes[1], color, dash)
+        Line(name=name, x=both[key] @ axes[0], y=both[key] @ axes[1], color=color, dash=dash)
         for name, key, color, dash in (
             ("before", "rough", "--before", True),
             ("after", "refined", "--after", False),
@@ -61,7 +61,7 @@ def _errors(facts: Facts) -> str:
         times = (trajectory.get(of) or {}).get("times") or []
         if errors and len(errors) == len(times):
             y = np.array([np.nan if value is None else 1000 * value for value in errors], float)
-            lines.append(Line(name, np.asarray(times, float) - _start(trajectory), y, color))
+            lines.append(Line(name=name, x=np.asarray(times, float) - _start(trajectory), y=y, color=color))
     least = "At least so much: see the reasons above" if expected.get("at_least") else ""
     return charts.chart("Expected error by frame", lines, "time, s", "Position, mm", zero=True, note=least)
 
@@ -75,7 +75,7 @@ def _moved(trajectory: Facts) -> str:
             change = np.linalg.norm(
                 np.asarray(part["refined"], float) - np.asarray(part["rough"], float), axis=1
             )
-            lines.append(Line(name, times - _start(trajectory), 100 * change, color))
+            lines.append(Line(name=name, x=times - _start(trajectory), y=100 * change, color=color))
     return charts.chart("How far poses moved", lines, "time, s", "Change of position, cm", zero=True)
 
 
@@ -91,12 +91,14 @@ def _exposure(exposure: Facts) -> str:
         return ""
     times = np.asarray(exposure["times"], float)
     relative = np.asarray(exposure["relative"], float)
-    lines = [Line("found", times - times[0], relative, "--after")]
+    lines = [Line(name="solved", x=times - times[0], y=relative, color="--after")]
     if exposure.get("reference"):
         truth = np.array([np.nan if value is None else value for value in exposure["reference"]], float)
         known = np.isfinite(truth)
         scale = np.exp(np.mean(np.log(relative[known] / truth[known]))) if known.any() else 1.0
-        lines.append(Line("reference, scaled", times - times[0], truth * scale, "--s3", dash=True))
+        lines.append(
+            Line(name="reference, scaled", x=times - times[0], y=truth * scale, color="--s3", dash=True)
+        )
     return charts.chart("Relative exposure", lines, "time, s", "Exposure time, first image = 1")
 
 
@@ -114,7 +116,11 @@ def per_image(facts: Facts) -> str:
             values = (scores.get("per_image") or {}).get(key)
             if values:
                 y = np.array([np.nan if value is None else value for value in values], float)
-                lines.append(Line(label, np.asarray(scores.get("images", range(len(y))), float), y, color))
+                lines.append(
+                    Line(
+                        name=label, x=np.asarray(scores.get("images", range(len(y))), float), y=y, color=color
+                    )
+                )
         cards.append(
             charts.chart(name, lines, "image", f"Leave-one-out, {unit}" if unit != "1" else "Leave-one-out")
         )

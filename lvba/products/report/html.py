@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 import cv2
 import numpy as np
 
+from lvba.arrays import Picture
 from lvba.products.report.script import SCRIPT
 from lvba.products.report.style import STYLE
 
@@ -38,7 +39,7 @@ def section(name: str, heading: str, content: str, lead: str = "") -> str:
     return f'<section id="{name}"><h2>{text(heading)}</h2>{intro}{content}</section>'
 
 
-_WIDE = 5
+_WIDE = 4
 """Columns that a phone shows side by side."""
 
 
@@ -53,7 +54,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], kind: str = "") ->
     top = "".join(f'<th scope="col">{cell}</th>' if cell else "<td></td>" for cell in head)
     named = f"<thead><tr>{top}</tr></thead>" if any(head) else ""
     # what may be scrolled must be reached by the keyboard
-    reach = ' tabindex="0" role="region" aria-label="Wide table"' if len(head) > _WIDE else ""
+    reach = ' tabindex="0" role="group" aria-label="Wide table"' if len(head) >= _WIDE else ""
     inner = f"{named}<tbody>{''.join(lines)}</tbody>"
     return f'<div class="scroll"{reach}><table class="{kind}">{inner}</table></div>'
 
@@ -63,11 +64,11 @@ def details(summary: str, content: str) -> str:
     return f"<details><summary>{text(summary)}</summary>{content}</details>" if content else ""
 
 
-def jpeg(rgb: np.ndarray, max_width: int = 960, quality: int = 82) -> str:
+def jpeg(rgb: Picture, max_width: int = 960, quality: int = 82) -> str:
     """A picture (H, W, 3) uint8 as a JPEG data URI."""
     if rgb.shape[1] > max_width:
         size = (max_width, round(rgb.shape[0] * max_width / rgb.shape[1]))
-        rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+        rgb = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
     bgr = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2BGR)
     _, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")

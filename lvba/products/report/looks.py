@@ -1,7 +1,7 @@
 """Pictures of the page: photographs beside the map from rough and from refined poses."""
 
 from lvba.products.pictures import Picture, Pictures
-from lvba.products.report import words
+from lvba.products.report import formats
 from lvba.products.report.html import jpeg, text
 
 BEST = (
@@ -25,8 +25,8 @@ def best(pictures: Pictures) -> str:
         f'<figure class="{kind}"><img alt="{alt}" src="{jpeg(rgb, 640)}"><figcaption>{alt}{value}</figcaption></figure>'
         for kind, alt, rgb, value in (
             ("photo", "Photo", one.raw, f", {text(one.title)}"),
-            ("map", "Map before", one.before, f", {words.number(one.psnr_before, 1, 'dB')}"),
-            ("map", "Map after", one.after, f", {words.number(one.psnr_after, 1, 'dB')}"),
+            ("map", "Map before", one.before, f", {formats.number(one.psnr_before, 1, 'dB')}"),
+            ("map", "Map after", one.after, f", {formats.number(one.psnr_after, 1, 'dB')}"),
         )
     )
     return (
@@ -60,7 +60,7 @@ def _slider(number: int, picture: Picture) -> str:
             ("after", "map after", picture.after, "top"),
         )
     )
-    psnr = f"{words.number(picture.psnr_before, 2)} \N{RIGHTWARDS ARROW} {words.number(picture.psnr_after, 2, 'dB')}"
+    psnr = f"{formats.number(picture.psnr_before, 2)} \N{RIGHTWARDS ARROW} {formats.number(picture.psnr_after, 2, 'dB')}"
     return (
         f'<div class="card compare"><div class="head"><p>{text(picture.title)}, {psnr}</p>'
         f'<fieldset class="pick" aria-label="what to compare">{picks}</fieldset></div><div class="stage">{images}'
@@ -78,8 +78,8 @@ def crops(pictures: Pictures) -> str:
             f'<div><img alt="{alt}" src="{jpeg(rgb, 480)}">{alt}{value}</div>'
             for alt, rgb, value in (
                 ("photo", picture.raw, f", {text(picture.title)}"),
-                ("before", picture.before, f", {words.number(picture.psnr_before, 1, 'dB')}"),
-                ("after", picture.after, f", {words.number(picture.psnr_after, 1, 'dB')}"),
+                ("before", picture.before, f", {formats.number(picture.psnr_before, 1, 'dB')}"),
+                ("after", picture.after, f", {formats.number(picture.psnr_after, 1, 'dB')}"),
             )
         )
         rows.append(f'<figure class="crop">{cells}</figure>')

@@ -1,16 +1,27 @@
-"""What a recording that was solved in parts says about them: how parts fit, which places were seen again."""
+"""Parts of a long recording: how they fit at their seams, and which places were revisited."""
 
 from collections.abc import Mapping
 from typing import Any
 
-from lvba.products.report import words
+from lvba.products.report import formats
 from lvba.products.report.html import details, table, text
 
 LEAD = (
-    "The recording was solved in overlapping parts, merged, and finished as one problem. Each row says how two parts "
-    "differed over the frames that both hold before they were merged, and how thick walls are across the seam now, "
-    "beside walls that one side saw alone."
+    "The recording was solved in overlapping parts, merged, and finished as one problem. Each row has "
+    "the offset of two parts over the frames that both contain, before they were merged, and the thickness of walls "
+    "across the seam, before and after, beside walls that only one of the parts saw."
 )
+
+_SEAMS = (
+    "Parts",
+    "Common scans",
+    "Offset before merging",
+    "Exposure",
+    "Walls before",
+    "Walls after",
+    "Walls of one part",
+)
+_LOOPS = ("Parts of the loop", "Used", "Offset before merging", "Residual", "Reason")
 
 
 def section(facts: Mapping[str, Any]) -> str:
@@ -19,12 +30,11 @@ def section(facts: Mapping[str, Any]) -> str:
     if not merge:
         return ""
     return (
-        table(["Parts", "Scans shared", "Jump", "Exposure", "Walls before", "Walls now", "One side"],
-              [_seam(row) for row in merge["seams"]])
-        + table(["Seen again", "Used", "Missed by", "Left", "Why"], [_loop(row) for row in merge["loops"]])
+        table(_SEAMS, [_seam(row) for row in merge["seams"]])
+        + table(_LOOPS, [_loop(row) for row in merge["loops"]])
         + details("Joint rounds", _rounds(merge))
-        + _accounted(merge)
-    )  # fmt: skip
+        + _counts(merge)
+    )
 
 
 def _names(row: Mapping[str, Any]) -> str:
@@ -34,19 +44,24 @@ def _names(row: Mapping[str, Any]) -> str:
 def _seam(row: Mapping[str, Any]) -> list[str]:
     return [
         _names(row),
-        words.count(row["scans"]),
-        f"{words.length(row['jump_m'])}, {words.number(row['jump_deg'], 3, 'deg')}",
-        words.number(row.get("exposure_ratio"), 3, ""),
-        *(words.length(row.get(name)) for name in ("wall_rough_m", "wall_m", "wall_one_side_m")),
+        formats.count(row["scans"]),
+        f"{formats.length(_offset(row, 'm'))}, {formats.number(_offset(row, 'deg'), 3, 'deg')}",
+        formats.number(row.get("exposure_ratio"), 3, ""),
+        *(formats.length(row.get(name)) for name in ("wall_rough_m", "wall_m", "wall_one_side_m")),
     ]
+
+
+def _offset(row: Mapping[str, Any], unit: str) -> Any:
+    """Before merging; results of versions before 0.3 call it a jump."""
+    return row.get(f"offset_before_{unit}", row.get(f"jump_{unit}"))
 
 
 def _loop(row: Mapping[str, Any]) -> list[str]:
     return [
         _names(row),
         "yes" if row["used"] else "no",
-        f"{words.length(row['before_m'])}, {words.number(row['before_deg'], 2, 'deg')}",
-        f"{words.length(row['after_m'])}, {words.number(row['after_deg'], 3, 'deg')}",
+        f"{formats.length(row['before_m'])}, {formats.number(row['before_deg'], 2, 'deg')}",
+        f"{formats.length(row['after_m'])}, {formats.number(row['after_deg'], 3, 'deg')}",
         text(row["reason"]),
     ]
 
@@ -55,25 +70,25 @@ def _rounds(merge: Mapping[str, Any]) -> str:
     scans = [
         [
             f"scans {k + 1}",
-            words.count(row["planes"]),
-            words.number(row["cost"], 4, ""),
-            words.length(row["moved"]),
+            formats.count(row["planes"]),
+            formats.number(row["cost"], 4, ""),
+            formats.length(row["moved"]),
         ]
         for k, row in enumerate(merge["scan_rounds"])
     ]
     images = [
         [
             f"cameras {k + 1}",
-            words.count(row["points"]),
-            words.number(row["cost"], 4, ""),
-            words.length(row["moved_m"]),
+            formats.count(row["points"]),
+            formats.number(row["cost"], 4, ""),
+            formats.length(row["moved_m"]),
         ]
         for k, row in enumerate(merge["image_rounds"])
     ]
-    return table(["Round", "Planes or points", "Cost", "Furthest move"], [*scans, *images])
+    return table(["Round", "Planes or points", "Cost", "Largest motion"], [*scans, *images])
 
 
-def _accounted(merge: Mapping[str, Any]) -> str:
+def _counts(merge: Mapping[str, Any]) -> str:
     poses = merge["poses"]
     return (
         f"<p>{len(merge['parts'])} parts; {poses['scans_accounted_for']} of {poses['scans']} scans and "

@@ -6,7 +6,7 @@ from typing import Any
 
 from lvba.products import part_verdicts
 from lvba.products.pictures import Pictures
-from lvba.products.report import figures, looks, parts, verdict, words, work
+from lvba.products.report import figures, formats, looks, parts, verdict, work
 from lvba.products.report.html import details, section, table, text
 
 Facts = Mapping[str, Any]
@@ -19,31 +19,31 @@ def title(facts: Facts) -> str:
 
 def body(facts: Facts, pictures: Pictures | None) -> str:
     """Everything between the page's head and its script."""
-    shown = pictures or Pictures((), ())
-    shown_in_order = [
+    available = pictures or Pictures((), ())
+    sections = [
         verdict.section(facts),
-        looks.best(shown),
+        looks.best(available),
         _tiles(facts),
-        section("notes", "Worth knowing", _notes(facts)),
-        section("look", "Photo and map", looks.sliders(shown), looks.SLIDERS),
-        section("crops", "Where it changed most", looks.crops(shown), looks.CROPS),
+        section("notes", "Notes", _notes(facts)),
+        section("look", "Photograph and map", looks.sliders(available), looks.SLIDERS),
+        section("crops", "Largest changes", looks.crops(available), looks.CROPS),
         section("paths", "Path and exposure", figures.paths(facts), _PATHS),
         section(
             "quality", "Quality", figures.per_image(facts) + _scores(facts) + _states(facts), _quality(facts)
         ),
         section("truth", "Against the reference", _reference(facts), _REFERENCE),
         section("parts", "Parts and seams", parts.section(facts), parts.LEAD),
-        section("work", "How it got there", work.progress(facts) + _stages(facts)),
+        section("work", "Rounds and stages", work.progress(facts) + _stages(facts)),
         section("run", "Time and memory", _times(facts)),
         section("more", "Details", _explanations() + _settings(facts)),
     ]
-    return f"{_header(facts)}<main>{''.join(shown_in_order)}</main>{_footer(facts)}"
+    return f"{_header(facts)}<main>{''.join(sections)}</main>{_footer(facts)}"
 
 
-_PATHS = "Seen from above, and how far each pose was moved."
+_PATHS = "Top view, and the distance that each pose moved."
 _REFERENCE = (
     "Root mean squares after one rigid alignment, by positions where these determine it; cameras in the frame of "
-    "the LiDAR map. Expected is what the covariances of the result itself promise."
+    "the LiDAR map. Expected: as the covariances of the result predict."
 )
 
 
@@ -55,13 +55,13 @@ def _name(facts: Facts) -> str:
 def _header(facts: Facts) -> str:
     dataset = facts.get("dataset", {})
     items = [
-        (words.count(dataset.get("scans")), "scans"),
-        (words.count(dataset.get("images")), "images"),
-        (words.number(dataset.get("duration_s"), 0, "s"), "long"),
-        (words.length(dataset.get("path_length_m")), "of path"),
-        (words.number(_total(facts, "seconds"), 1, "s"), "of work"),
+        (formats.count(dataset.get("scans")), "scans"),
+        (formats.count(dataset.get("images")), "images"),
+        (formats.number(dataset.get("duration_s"), 0, "s"), "long"),
+        (formats.length(dataset.get("path_length_m")), "of path"),
+        (formats.number(_total(facts, "seconds"), 1, "s"), "of work"),
     ]
-    listed = "".join(f"<li><b>{value}</b> {name}</li>" for value, name in items if value != words.MISSING)
+    listed = "".join(f"<li><b>{value}</b> {name}</li>" for value, name in items if value != formats.MISSING)
     return (
         '<header class="top"><p class="kicker">LiDAR-visual bundle adjustment</p>'
         f'<h1>{text(_name(facts))}</h1><ul class="facts">{listed}</ul></header>'
@@ -76,11 +76,12 @@ def _total(facts: Facts, key: str) -> float | None:
 def _tiles(facts: Facts) -> str:
     evaluation = facts.get("evaluation", {})
     rough, refined = evaluation.get("rough") or {}, evaluation.get("refined") or {}
-    tiles = [_tile(name, value, below, "") for name, value, below in verdict.tiles(facts)]
+    tiles = [_tile(name, value, note, "") for name, value, note in verdict.tiles(facts)]
     tiles += [
-        _tile(kind.name, words.measure(refined.get(kind.key), kind), _before(words.measure(rough.get(kind.key), kind)),
+        _tile(kind.name, formats.measure(refined.get(kind.key), kind),
+              _before(formats.measure(rough.get(kind.key), kind)),
               _gain(rough.get(kind.key), refined.get(kind.key), kind))
-        for kind in words.MEASURES[:3]
+        for kind in formats.MEASURES[:3]
         if refined.get(kind.key) is not None
     ]  # fmt: skip
     reference = facts.get("reference") or {}
@@ -92,23 +93,23 @@ def _tiles(facts: Facts) -> str:
         error, old = reference.get(key), before.get(key) or {}
         if error:
             tiles.append(
-                _tile(name, words.length(error["ate_m"]), _before(words.length(old.get("ate_m"))), "")
+                _tile(name, formats.length(error["ate_m"]), _before(formats.length(old.get("ate_m"))), "")
             )
     return f'<div class="tiles">{"".join(tiles)}</div>' if tiles else ""
 
 
 def _before(value: str) -> str:
-    return f"before {value}" if value != words.MISSING else ""
+    return f"before {value}" if value != formats.MISSING else ""
 
 
-def _tile(name: str, value: str, below: str, gain: str) -> str:
+def _tile(name: str, value: str, note: str, gain: str) -> str:
     main, _, unit = value.partition("\N{NO-BREAK SPACE}")
-    origin = f'<div class="from">{below} {gain}</div>' if below else ""
+    origin = f'<div class="from">{note} {gain}</div>' if note else ""
     figure = f'<div class="value">{main} <small>{unit}</small></div>'
     return f'<div class="tile"><div class="name">{name}</div>{figure}{origin}</div>'
 
 
-def _gain(before: Any, after: Any, kind: words.Measure, unit: bool = True) -> str:
+def _gain(before: Any, after: Any, kind: formats.Measure, unit: bool = True) -> str:
     """The change with its sign, colored as good or bad where that is known."""
     if before is None or after is None:
         return ""
@@ -117,7 +118,7 @@ def _gain(before: Any, after: Any, kind: words.Measure, unit: bool = True) -> st
     if kind.higher_is_better is not None and abs(change) >= 0.5 * 10**-kind.digits:
         tone = "good" if (change > 0) == kind.higher_is_better else "bad"
     sign = "+" if change > 0 else ""
-    return f'<span class="gain {tone}">{sign}{words.measure(change, kind, unit=unit)}</span>'
+    return f'<span class="gain {tone}">{sign}{formats.measure(change, kind, unit=unit)}</span>'
 
 
 def _notes(facts: Facts) -> str:
@@ -136,17 +137,16 @@ def _notes(facts: Facts) -> str:
 
 
 def _image_poses(facts: Facts) -> str:
-    """What the image poses on file are of, and why that was taken."""
-    found = (facts.get("dataset") or {}).get("image_poses") or {}
-    if not found.get("reason"):
+    """Whether the image poses on file are of the body or of the camera, and the reason."""
+    recorded = (facts.get("dataset") or {}).get("image_poses") or {}
+    if not recorded.get("reason"):
         return ""
-    return (
-        f"image_poses.txt holds poses of the {found.get('of')}, and so does the result's: {found['reason']}."
-    )
+    of, reason = recorded.get("of"), recorded["reason"]
+    return f"image_poses.txt holds poses of the {of}, and so does the file of the result: {reason}."
 
 
 def _not_used(facts: Facts) -> list[tuple[str, str]]:
-    """Results of stages that were not used, with the reasons; the verdict tells them where there is one."""
+    """Results of stages that were not used, with the reasons; the verdict lists them where there is one."""
     return [
         (f"{part.name.capitalize()}: {part.reason}", "")
         for part in part_verdicts.of_report(facts)
@@ -159,9 +159,9 @@ def _scores(facts: Facts) -> str:
     rough, refined = evaluation.get("rough") or {}, evaluation.get("refined") or {}
     rows = [
         (f"{kind.name}, {kind.unit}" if kind.unit else kind.name,
-         *(words.measure(state.get(kind.key), kind, unit=False) for state in (rough, refined)),
+         *(formats.measure(state.get(kind.key), kind, unit=False) for state in (rough, refined)),
          _gain(rough.get(kind.key), refined.get(kind.key), kind, unit=False))
-        for kind in words.MEASURES
+        for kind in formats.MEASURES
         if rough.get(kind.key) is not None or refined.get(kind.key) is not None
     ]  # fmt: skip
     head = ("", "before", "after", "change")
@@ -170,16 +170,14 @@ def _scores(facts: Facts) -> str:
 
 
 def _quality(facts: Facts) -> str:
-    return (
-        f"How well the colored map explains the photos, image by image and on average. {words.verdict(facts)}"
-    )
+    return f"How well the colored map predicts the photos, image by image and on average. {formats.verdict(facts)}"
 
 
 _STATES = {
     "rough": "The input",
-    "carried": "with refined scan poses; cameras move along",
+    "carried": "with refined scan poses; cameras moved with them",
     "posed": "with refined camera poses as well",
-    "fused_posed": "with scans that learned from the cameras",
+    "fused_posed": "with scans refined with the cameras",
     "exposed": "with relative exposures as well",
     "visual": "with relative exposures as well",
     "fused": "with relative exposures as well",
@@ -204,7 +202,7 @@ def _states(facts: Facts) -> str:
     if len(known) < 3:
         return ""
     rows = [
-        (name, words.number(value, 2), "" if last is None else words.number(value - last, 2))
+        (name, formats.number(value, 2), "" if last is None else formats.number(value - last, 2))
         for (name, value), last in zip(known, [None, *(value for _, value in known)], strict=False)
     ]
     note = (
@@ -228,28 +226,28 @@ def _reference(facts: Facts) -> str:
         if error := reference.get(key):
             old = before.get(key) or {}
             rows += [
-                (f"{name}, position", *(words.length(e.get("ate_m")) for e in (old, error)),
-                 words.length(error.get("predicted_ate_m"))),
-                (f"{name}, rotation", *(words.angle(e.get("rotation_deg")) for e in (old, error)),
-                 words.angle(error.get("predicted_rotation_deg"))),
-                (f"{name}, frame to frame", *(words.length(e.get("rpe_m")) for e in (old, error)), words.MISSING),
+                (f"{name}, position", *(formats.length(e.get("ate_m")) for e in (old, error)),
+                 formats.length(error.get("predicted_ate_m"))),
+                (f"{name}, rotation", *(formats.angle(e.get("rotation_deg")) for e in (old, error)),
+                 formats.angle(error.get("predicted_rotation_deg"))),
+                (f"{name}, frame to frame", *(formats.length(e.get("rpe_m")) for e in (old, error)), formats.MISSING),
             ]  # fmt: skip
     if error := reference.get("exposure"):
         old = before.get("exposure") or {}
-        rows.append(("Exposure, after one scale", *(words.number(e.get("rms_percent"), 2, "%") for e in (old, error)),
-                     words.number(error.get("predicted_percent"), 2, "%")))  # fmt: skip
+        rows.append(("Exposure, after one scale", *(formats.number(e.get("rms_percent"), 2, "%") for e in (old, error)),
+                     formats.number(error.get("predicted_percent"), 2, "%")))  # fmt: skip
     inner = table(("", "before", "after", "expected"), rows)
     return f'<div class="card">{inner}</div>' if inner else ""
 
 
 def _stages(facts: Facts) -> str:
-    """Counts, extrinsic, time offset, weak directions: what the two adjustments found."""
+    """Counts, extrinsic, time offset and degenerate directions of the two adjustments."""
     cards = "".join(
         f'<div class="card"><h3>{name} {_pills(facts, parts_of)}</h3>{table(("", ""), rows)}</div>'
         for name, parts_of, rows in (
             ("LiDAR bundle adjustment", ("scans",), work.lidar_rows(facts)),
             ("Visual bundle adjustment", ("cameras", "exposures"), work.visual_rows(facts)),
-            ("Scans with what the cameras know", ("scans, from the cameras",), work.fusion_rows(facts)),
+            ("Scans refined with the cameras", ("scans, from the cameras",), work.fusion_rows(facts)),
         )
         if rows
     )
@@ -257,7 +255,7 @@ def _stages(facts: Facts) -> str:
 
 
 def _pills(facts: Facts, names: tuple[str, ...]) -> str:
-    """For each of some parts, whether the result holds what was found; the part is named where there are several."""
+    """Whether each of some parts of the result is refined; the part is named where there are several."""
     return " ".join(
         f'<span class="pill {"good" if part.accepted else "bad"}">{f"{part.name}: " if len(names) > 1 else ""}'
         f"{'used' if part.accepted else 'input kept'}</span>"
@@ -273,8 +271,8 @@ def _times(facts: Facts) -> str:
         (
             text(stage.get("name", "")) + (" (reused)" if stage.get("reused") else ""),
             f'<span class="bar" style="width:{100 * (stage.get("seconds") or 0) / longest:.1f}%"></span>',
-            words.number(stage.get("seconds"), 2, "s"),
-            words.number(stage.get("peak_memory_mb"), 0, "MB"),
+            formats.number(stage.get("seconds"), 2, "s"),
+            formats.number(stage.get("peak_memory_mb"), 0, "MB"),
         )
         for stage in stages
     ]
@@ -287,18 +285,18 @@ def _times(facts: Facts) -> str:
 def _explanations() -> str:
     terms = (
         ("Leave-one-out",
-         "An image is rendered only from points that other images colored. This decides whether a result is better."),
+         "An image is compared with the map colored from all other images. Acceptance uses it."),
         ("Paper protocol",
-         "Each point has the color of the one image nearest in time, without an occlusion test, and may judge itself."),
+         "A point has the color of the image nearest in time, without an occlusion test; that may be the image itself."),
         ("PSNR, SSIM",
-         "Likeness of rendering and photo; higher is better. Over covered pixels unless holes are said to be black."),
+         "Similarity of rendering and photograph; higher is better. Over covered pixels, or with holes in black."),
         ("Same pixels",
          "Over the pixels that the maps before and after both cover, so that covering less gains nothing."),
         ("Mean map entropy",
-         "How thick surfaces are within 0.3 m of each point; lower is crisper. Below 0.02, differences mean little."),
+         "How thick surfaces are within 0.3 m of each point; lower is sharper. Differences below 0.02 mean little."),
         ("Coverage", "Part of the image that the colored points fill."),
-        ("Weak direction",
-         "A motion that the data hardly determine, as along a corridor; there the result stays near the input."),
+        ("Degenerate direction",
+         "A motion that the data do not determine, as along a corridor; there the result stays near the input."),
     )  # fmt: skip
     listed = "".join(f"<dt>{name}</dt><dd>{what}</dd>" for name, what in terms)
     return details("What the figures mean", f"<dl>{listed}</dl>")
@@ -315,4 +313,4 @@ def _settings(facts: Facts) -> str:
 def _footer(facts: Facts) -> str:
     versions = facts.get("versions") or {}
     made = f"Made by lvba {text(versions['lvba'])}. " if "lvba" in versions else ""
-    return f"<footer>{made}The same facts for programs are in report.json.</footer>"
+    return f"<footer>{made}report.json has the same facts for programs.</footer>"

@@ -3,15 +3,15 @@
 from collections.abc import Mapping
 from typing import Any
 
-from lvba.products.report import words
+from lvba.products.report import formats
 from lvba.products.report.html import details, text
 
 Facts = Mapping[str, Any]
 
 _WORDS = {"good": "Good", "check": "Check", "bad": "Bad"}
 _MEANING = {
-    "good": "nothing speaks against the expected errors",
-    "check": "use it, but look at the reasons first",
+    "good": "no check contradicts the expected errors",
+    "check": "read the reasons before you use it",
     "bad": "do not rely on it",
 }
 _SHOWN = 3
@@ -20,15 +20,15 @@ _SHOWN = 3
 
 def section(facts: Facts) -> str:
     """The verdict with its reasons, and the expected errors; nothing where the facts have none."""
-    found = facts.get("verdict")
-    if not found:
+    judged = facts.get("verdict")
+    if not judged:
         return ""
-    level = found["level"] if found.get("level") in _WORDS else "check"
+    level = judged["level"] if judged.get("level") in _WORDS else "check"
     return (
         f'<section id="verdict" class="judged {level}" aria-label="Verdict">'
         f'<p class="level"><strong>{_WORDS[level]}</strong> <span>{_MEANING[level]}</span></p>'
-        f'<p class="summary">{text(found.get("summary", ""))}</p>'
-        f"{_reasons(found.get('reasons') or [])}</section>"
+        f'<p class="summary">{text(judged.get("summary", ""))}</p>'
+        f"{_reasons(judged.get('reasons') or [])}</section>"
     )
 
 
@@ -49,14 +49,14 @@ def _list(items: list[str]) -> str:
 
 
 def tiles(facts: Facts) -> list[tuple[str, str, str]]:
-    """Name, value and what stands below it: expected errors of map, scans and cameras, and thickness of planes."""
+    """Name, value and note of expected errors of map, scans and cameras, and thickness of planes."""
     expected, planes = facts.get("expected_error") or {}, facts.get("planes") or {}
     sign = "\N{GREATER-THAN OR EQUAL TO} " if expected.get("at_least") else ""
-    found = [
+    named = [
         (
             f"{name} error, expected",
-            sign + words.length(part.get("position_m")),
-            f"95 % of {kind} below {words.length(part.get('position_p95_m'))}"
+            sign + formats.length(part.get("position_m")),
+            f"95 % of {kind} below {formats.length(part.get('position_p95_m'))}"
             if not sign
             else "at least; see the reasons",
         )
@@ -68,11 +68,11 @@ def tiles(facts: Facts) -> list[tuple[str, str, str]]:
         if (part := expected.get(key))
     ]
     if planes:
-        found.append(
+        named.append(
             (
                 "Thickness of planes",
-                words.length(planes["thickness_after_m"]),
-                f"before {words.length(planes['thickness_before_m'])}",
+                formats.length(planes["thickness_after_m"]),
+                f"before {formats.length(planes['thickness_before_m'])}",
             )
         )
-    return found
+    return named

@@ -1,11 +1,11 @@
-"""What the two adjustments did: planes by round, images by pyramid level, and what was found."""
+"""Progress of the two adjustments: planes by round, images by pyramid level, and the counts of each."""
 
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from lvba.products.report import charts, words
+from lvba.products.report import charts, formats
 from lvba.products.report.charts import Line
 from lvba.products.report.html import table, text
 
@@ -23,10 +23,10 @@ def progress(facts: Facts) -> str:
 
 def _planes(lidar: Facts) -> str:
     noise = _of_rounds(lidar, "sigma")
-    line = Line("points", np.arange(1.0, len(noise) + 1), 1000 * noise, "--after", dots=True)
-    note = "Each round finds planes anew, in finer cells as it goes on."
+    line = Line(name="points", x=np.arange(1.0, len(noise) + 1), y=1000 * noise, color="--after", dots=True)
+    note = "Each round fits planes again, in finer cells from round to round."
     return charts.chart(
-        "How far points are off their plane", [line], "round", "Typical, mm", log=True, note=note
+        "Distance of points from their plane", [line], "round", "Typical, mm", log=True, note=note
     )
 
 
@@ -39,9 +39,9 @@ def _levels(visual: Facts) -> str:
     rows = [
         (
             f"1/{1 << level['level']} size" if level["level"] else "full size",
-            words.count(level["local_pairs"] + level["global_pairs"]),
-            words.number(level["rms"], 1),
-            f"{len(level.get('iterations') or [])}{'' if level.get('converged') else ', not settled'}",
+            formats.count(level["local_pairs"] + level["global_pairs"]),
+            formats.number(level["rms"], 1),
+            f"{len(level.get('iterations') or [])}{'' if level.get('converged') else ', not converged'}",
         )
         for level in visual.get("levels") or []
     ]
@@ -60,52 +60,58 @@ def _is_number(value: Any) -> bool:
 
 
 def lidar_rows(facts: Facts) -> list[tuple[str, str]]:
-    """What the LiDAR bundle adjustment found."""
+    """Figures of the LiDAR bundle adjustment."""
     stage = facts.get("lidar") or {}
-    rows = _known(stage, (("planes", "Planes", words.count), ("iterations", "Iterations", words.count)))
+    rows = _known(stage, (("planes", "Planes", formats.count), ("iterations", "Iterations", formats.count)))
     noise = _of_rounds(stage, "sigma")
     if len(noise):
-        span = f"{words.length(noise[0])}, {words.length(noise[-1])}"
-        rows.append(("Points off their plane, first and last round", span))
+        span = f"{formats.length(noise[0])}, {formats.length(noise[-1])}"
+        rows.append(("Distance of points from their plane, first and last round", span))
     scans = stage.get("weak_scans") or []
     if scans:
         held = sum(not count for count in scans)
-        rows.append(("Scans that planes hold in every direction", f"{held} of {len(scans)}"))
+        rows.append(("Scans that planes determine in every direction", f"{held} of {len(scans)}"))
     if stage.get("weak_directions") is not None:
         rows.append(
-            (f"Motions of the whole map that planes leave open{_HELD}", _number_of(stage["weak_directions"]))
+            (
+                f"Motions of the whole map that planes do not determine{_HELD}",
+                _number_of(stage["weak_directions"]),
+            )
         )
     return rows
 
 
-_HELD = ", where it stays near the odometry"
+_HELD = " (kept near the odometry)"
 
 
 def fusion_rows(facts: Facts) -> list[tuple[str, str]]:
-    """What the cameras changed about the scans."""
+    """How far scans moved when they were refined with the cameras."""
     stage = facts.get("fusion") or {}
     moved = [value for value in stage.get("moved_m") or [] if _is_number(value)]
     if not moved:
         return []
     return [
-        ("Scans moved by, half of them less than", words.length(float(np.median(moved)))),
-        ("Scans moved by at most", words.length(max(moved))),
-        ("Scans that contradict the cameras, and stay", words.count(stage.get("contradicted"))),
+        ("Scans moved by, median", formats.length(float(np.median(moved)))),
+        ("Scans moved by, maximum", formats.length(max(moved))),
+        ("Scans that contradict the cameras (not moved)", formats.count(stage.get("contradicted"))),
     ]
 
 
 def visual_rows(facts: Facts) -> list[tuple[str, str]]:
-    """What the visual bundle adjustment found."""
+    """Figures of the visual bundle adjustment."""
     stage = facts.get("visual") or {}
     rows = _known(
         stage,
-        (("keyframes", "Keyframes", words.count), ("scene_points", "Scene points", words.count),
-         ("global_points", "of them found across the map", words.count), ("observations", "Pairs of views", words.count),
-         ("local_pairs", "of them near in time", words.count), ("global_pairs", "of them across the map", words.count),
-         ("iterations", "Iterations", words.count)),
+        (("keyframes", "Keyframes", formats.count), ("scene_points", "Scene points", formats.count),
+         ("global_points", "of these, across the map", formats.count),
+         ("observations", "Pairs of views", formats.count),
+         ("local_pairs", "of these, near in time", formats.count),
+         ("global_pairs", "of these, across the map", formats.count),
+         ("iterations", "Iterations", formats.count)),
     )  # fmt: skip
     rows += _cost(stage) + _extrinsic(stage.get("extrinsic")) + _offset(stage.get("time_offset"))
-    return rows + _open_to_images(stage.get("weak_directions"))
+    rows += _calibration(stage.get("calibration"))
+    return rows + _undetermined_images(stage.get("weak_directions"))
 
 
 def _cost(stage: Facts) -> list[tuple[str, str]]:
@@ -113,7 +119,7 @@ def _cost(stage: Facts) -> list[tuple[str, str]]:
     before, after = stage.get("cost_initial"), stage.get("cost_final")
     if not (_is_number(before) and _is_number(after)) or not before:
         return []
-    return [("Photometric cost at full resolution", f"{words.number(100 * (after / before - 1), 0)} %")]
+    return [("Photometric cost at full resolution", f"{formats.number(100 * (after / before - 1), 0)} %")]
 
 
 def _known(stage: Facts, names: tuple[tuple[str, str, Any], ...]) -> list[tuple[str, str]]:
@@ -128,8 +134,8 @@ def _extrinsic(extrinsic: Any) -> list[tuple[str, str]]:
         return []
     rows = []
     for key, name, write in (
-        ("change_m", "Extrinsic moved by", words.length),
-        ("change_deg", "Extrinsic turned by", words.angle),
+        ("change_m", "Extrinsic moved by", formats.length),
+        ("change_deg", "Extrinsic turned by", formats.angle),
     ):
         value = extrinsic.get(key)
         if value is not None:
@@ -145,25 +151,54 @@ def _offset(offset: Any) -> list[tuple[str, str]]:
         seconds, sigma = offset, None
     if not isinstance(seconds, int | float):
         return []
-    spread = f" ± {words.number(1000 * sigma, 2)}" if isinstance(sigma, int | float) else ""
-    return [("Time offset of the camera", words.number(1000 * seconds, 2) + spread + "\N{NO-BREAK SPACE}ms")]
+    spread = f" ± {formats.number(1000 * sigma, 2)}" if isinstance(sigma, int | float) else ""
+    return [
+        ("Time offset of the camera", formats.number(1000 * seconds, 2) + spread + "\N{NO-BREAK SPACE}ms")
+    ]
 
 
-def _open_to_images(weak: Any) -> list[tuple[str, str]]:
-    """How many images see too few surfaces to be held by themselves: given by image, or as one number or list."""
-    if isinstance(weak, Mapping) and isinstance(weak.get("per_image"), list):
-        images = weak["per_image"]
+def _calibration(calibration: Any) -> list[tuple[str, str]]:
+    """How intrinsics and readout time differ from the calibration, with standard deviations."""
+    if not isinstance(calibration, Mapping) or not isinstance(calibration.get("sigma"), Mapping):
+        return []
+    rows = []
+    for key, index, name, scale, digits, unit in _CALIBRATED:
+        values, sigmas = (
+            np.atleast_1d(calibration.get(key, [])),
+            np.atleast_1d(calibration["sigma"].get(key, [])),
+        )
+        if len(values) > index and len(sigmas) > index and sigmas[index] > 0:
+            value = formats.number(scale * float(values[index]), digits)
+            sigma = formats.number(scale * float(sigmas[index]), digits)
+            rows.append((name, f"{value} ± {sigma}\N{NO-BREAK SPACE}{unit}".rstrip()))
+    return rows
+
+
+_CALIBRATED = (
+    ("focal", 0, "Focal lengths longer than calibrated by", 100.0, 3, "%"),
+    ("principal_point", 0, "Principal point to the right by", 1.0, 2, "px"),
+    ("principal_point", 1, "Principal point down by", 1.0, 2, "px"),
+    ("distortion", 0, "k1 larger by", 1.0, 5, ""),
+    ("readout", 0, "Readout time of the image rows", 1000.0, 2, "ms"),
+)
+"""Key in the facts, index, name, scale, digits and unit."""
+
+
+def _undetermined_images(directions: Any) -> list[tuple[str, str]]:
+    """How many images their own scene points do not determine: given by image, or as one number or list."""
+    if isinstance(directions, Mapping) and isinstance(directions.get("per_image"), list):
+        images = directions["per_image"]
         value = f"{sum(bool(count) for count in images)} of {len(images)}"
-    elif weak is not None:
-        value = _number_of(weak)
+    elif directions is not None:
+        value = _number_of(directions)
     else:
         return []
-    return [("Images that see too few surfaces to hold them, where the scans do", value)]
+    return [("Images that their scene points do not determine (kept near the scans)", value)]
 
 
-def _number_of(weak: Any) -> str:
-    """Weak directions, a number or a list with or without descriptions."""
-    if isinstance(weak, list):
-        shown = [text(item) for item in weak[:3] if isinstance(item, str)]
-        return "<br>".join([words.count(len(weak)), *shown])
-    return words.count(weak.get("count") if isinstance(weak, Mapping) else weak)
+def _number_of(directions: Any) -> str:
+    """Degenerate directions, a number or a list with or without descriptions."""
+    if isinstance(directions, list):
+        named = [text(item) for item in directions[:3] if isinstance(item, str)]
+        return "<br>".join([formats.count(len(directions)), *named])
+    return formats.count(directions.get("count") if isinstance(directions, Mapping) else directions)

@@ -113,13 +113,13 @@ def _shown(server: Server, session: Session, batch: Batch, *, with_jobs: bool) -
     rows = _jobs(session, batch)
     counts = Counter(row.state for row in rows)
     parts = [1.0 if row.state in ENDED else row.progress for row in rows]
-    found = {
+    fields = {
         "id": batch.id,
         "name": batch.name,
         "created": serializers.time(batch.created),
         "counts": {state: counts[state] for state in JOB_STATES},
         "progress": round(sum(parts) / len(parts), 4) if parts else 1.0,
     }
-    return found | (
+    return fields | (
         {"jobs": serializers.jobs(session, rows, server.paths, server.settings)} if with_jobs else {}
     )

@@ -41,10 +41,10 @@ def create(body: NewDataset, server: Context, principal: Submitter, response: Re
         quota.check(server.database, session, principal.owner, server.settings.limits, 0, 1)
         session.add(row)
         session.flush()
-        found = serializers.dataset(session, row, server.paths, server.settings)
+        answer = serializers.dataset(session, row, server.paths, server.settings)
     server.supervisor.wake()
     response.headers["Location"] = f"/v1/datasets/{row.id}"
-    return found
+    return answer
 
 
 def _registered(server: Server, folder: str) -> str:
@@ -109,9 +109,9 @@ def finish(dataset_id: str, server: Context, principal: Submitter) -> dict[str, 
         row = queries.one(session, Dataset, dataset_id, principal, lock=True)
         if row.state in (UPLOADING, INVALID):
             _begin_check(session, row)
-        found = serializers.dataset(session, row, server.paths, server.settings)
+        answer = serializers.dataset(session, row, server.paths, server.settings)
     server.supervisor.wake()
-    return found
+    return answer
 
 
 def _begin_check(session: Session, row: Dataset) -> None:
@@ -137,9 +137,9 @@ def files(
             .order_by(Upload.path)
             .limit(limit + 1)
         )
-        found = session.scalars(wanted).all()
-    items = [upload_shown(server, upload) for upload in found[:limit]]
-    return {"items": items, "next": found[limit - 1].path if len(found) > limit else None}
+        uploads = session.scalars(wanted).all()
+    items = [upload_shown(server, upload) for upload in uploads[:limit]]
+    return {"items": items, "next": uploads[limit - 1].path if len(uploads) > limit else None}
 
 
 def upload_shown(server: Server, upload: Upload) -> dict[str, Any]:
@@ -171,10 +171,10 @@ def frames_of(server: Server, row: Dataset) -> list[dict[str, Any]]:
     known = server.paths.frames(row.id)
     if row.state != READY or not known.exists():
         raise Problem("not-ready", f"the dataset is {row.state}", "wait until it is ready")
-    found: list[dict[str, Any]] = json.loads(known.read_text())
+    frames: list[dict[str, Any]] = json.loads(known.read_text())
     return [
         {**frame, "url": f"/v1/datasets/{row.id}/files/{file_responses.quoted(frame['path'])}"}
-        for frame in found
+        for frame in frames
     ]
 
 
@@ -187,7 +187,7 @@ def file(dataset_id: str, path: str, server: Context, principal: Reader) -> File
         raise Problem("not-ready", f"the dataset is {row.state}", "wait until it is ready")
     root = server.paths.recording(row.id, row.folder)
     try:
-        found = file_names.opened(root, path)
+        opened = file_names.opened(root, path)
     except InputError as error:
         raise Problem("not-found", f"{error.where}: {error.problem}", error.mend) from None
-    return file_responses.FileOf(found, path, strange=True)
+    return file_responses.FileOf(opened, path, strange=True)

@@ -73,8 +73,8 @@ def _shown(server: Server, principal: Principal, job_id: str) -> dict[str, Any]:
 def estimate(body: NewJob, server: Context, principal: Submitter) -> dict[str, Any]:
     """What a run would take; nothing is queued."""
     with server.database.read() as session:
-        found = submission.estimate(server, session, principal, body)
-    return {name: value for name, value in found.items() if name != "plain"}
+        fields = submission.estimate(server, session, principal, body)
+    return {name: value for name, value in fields.items() if name != "plain"}
 
 
 @router.get("/jobs")
@@ -176,7 +176,7 @@ def restart(
 
 def _check_stage(job: Job, stage: str | None) -> None:
     # these are not kept: they are done anew each time anyway
-    known = [found["name"] for found in job.stages if found["name"] not in ("input", "write", VIEWER)]
+    known = [record["name"] for record in job.stages if record["name"] not in ("input", "write", VIEWER)]
     if stage is not None and stage not in known:
         raise Problem(
             "invalid", f"the job has no stage {stage!r}", f"one of these: {', '.join(known) or '(none yet)'}"

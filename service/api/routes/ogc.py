@@ -144,8 +144,8 @@ def execute(
     try:
         wanted = NewJob.model_validate(body.inputs)
     except ValidationError as error:
-        found = first_errors([{**one, "loc": ("inputs", *one["loc"])} for one in error.errors()])
-        raise Problem("invalid", f"{found[0]['where']}: {found[0]['message']}", errors=found) from None
+        errors = first_errors([{**one, "loc": ("inputs", *one["loc"])} for one in error.errors()])
+        raise Problem("invalid", f"{errors[0]['where']}: {errors[0]['message']}", errors=errors) from None
     job_id = native.submit(wanted, server, principal, response)["id"]
     response.headers["Location"] = f"{str(request.base_url).rstrip('/')}/jobs/{job_id}"
     response.headers["Preference-Applied"] = "respond-async"
@@ -189,7 +189,7 @@ def _status(row: Job, request: Request) -> dict[str, Any]:
         results = "http://www.opengis.net/def/rel/ogc/1.0/results"
         links.append(_link(f"/jobs/{row.id}/results", results, _JSON, "results"))
     running = next((stage["name"] for stage in row.stages if stage["state"] == "running"), "")
-    found = {
+    fields = {
         "jobID": row.id,
         "id": row.id,
         "processID": "lvba",
@@ -203,7 +203,7 @@ def _status(row: Job, request: Request) -> dict[str, Any]:
         },
         "links": _absolute(links, request),
     }
-    return {name: value for name, value in found.items() if value is not None}
+    return {name: value for name, value in fields.items() if value is not None}
 
 
 @router.delete("/jobs/{job_id}")

@@ -51,10 +51,10 @@ def app(path: str = "") -> Response:
     """A file of the page; the page itself for its own addresses."""
     try:
         file = (FOLDER / path).resolve()
-        found = path != "" and file.is_relative_to(FOLDER) and file.is_file()
+        exists = path != "" and file.is_relative_to(FOLDER) and file.is_file()
     except OSError:  # no file has a name as long as that
         raise Problem("not-found", "there is no such file") from None
-    if found:
+    if exists:
         lasting = path.startswith("assets/")  # their names change with their contents
         cached = "public, max-age=31536000, immutable" if lasting else "no-cache"
         return FileResponse(file, headers={"Cache-Control": cached})

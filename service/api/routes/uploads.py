@@ -89,19 +89,19 @@ def head_archive(dataset_id: str, server: Context, principal: Submitter) -> Resp
 
 def _head(server: Server, principal: Principal, dataset_id: str, path: str) -> Response:
     upload = _find(server, principal, dataset_id, path)
-    found = upload_shown(server, upload)
+    record = upload_shown(server, upload)
     if not upload.complete:
         # what is said to be there may be forgotten by the client: also if the request that brings it is not answered yet
         with suppress(FileNotFoundError):
             sync(server.paths.upload(dataset_id, upload.id))
         upload_record.settle(server, upload)
     headers = {
-        "Upload-Offset": str(found["received"]),
-        "Upload-Length": str(found["length"]),
-        "Upload-Complete": "?1" if found["complete"] else "?0",
+        "Upload-Offset": str(record["received"]),
+        "Upload-Length": str(record["length"]),
+        "Upload-Complete": "?1" if record["complete"] else "?0",
         "Cache-Control": "no-store",
     }
-    return Response(headers=headers | ({"Upload-Digest": found["sha256"]} if found["complete"] else {}))
+    return Response(headers=headers | ({"Upload-Digest": record["sha256"]} if record["complete"] else {}))
 
 
 def _find(server: Server, principal: Principal, dataset_id: str, path: str) -> Upload:

@@ -120,7 +120,7 @@ export function withQuery(url: string, ...queries: string[]): string {
 }
 
 /** What to tell people about an error. */
-export function told(error: unknown): { cause: string; hint: string } {
+export function troubleOf(error: unknown): { cause: string; hint: string } {
   if (error instanceof Problem) {
     const more = error.errors.filter((one) => !error.cause_.includes(one.message)).map((one) => `${one.where}: ${one.message}`);
     return { cause: [error.cause_, ...more].join("; "), hint: error.hint };

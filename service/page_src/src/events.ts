@@ -13,7 +13,7 @@ const LONGEST_WAIT_MS = 15_000;
 
 /**
  * Follows a stream of events until the signal stops it or the stream ends by itself (`end` event).
- * connected: told whenever the line comes up or goes down.
+ * connected: called whenever the line comes up or goes down.
  */
 export async function follow(
   path: string,
@@ -72,19 +72,19 @@ async function* parse(response: Response): AsyncGenerator<ServerEvent> {
 }
 
 function one(block: string): ServerEvent | null {
-  const found = { id: "", event: "message", data: [] as string[] };
+  const event = { id: "", event: "message", data: [] as string[] };
   for (const line of block.split("\n")) {
     const at = line.indexOf(":");
     if (at <= 0) continue; // a comment, or nothing
     const value = line.slice(at + 1).replace(/^ /, "");
     const name = line.slice(0, at);
-    if (name === "id") found.id = value;
-    else if (name === "event") found.event = value;
-    else if (name === "data") found.data.push(value);
+    if (name === "id") event.id = value;
+    else if (name === "event") event.event = value;
+    else if (name === "data") event.data.push(value);
   }
-  if (found.data.length === 0) return null;
+  if (event.data.length === 0) return null;
   try {
-    return { id: found.id, event: found.event, data: JSON.parse(found.data.join("\n")) as Record<string, unknown> };
+    return { id: event.id, event: event.event, data: JSON.parse(event.data.join("\n")) as Record<string, unknown> };
   } catch {
     return null;
   }

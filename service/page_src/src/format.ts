@@ -50,12 +50,6 @@ export function moment(time: string | null): string {
   return time === null ? "–" : new Date(time).toLocaleString();
 }
 
-export function length(meters: number | null | undefined): string {
-  if (meters === null || meters === undefined) return "–";
-  if (meters < 0.01) return `${(meters * 1000).toFixed(2)} mm`;
-  return meters < 1 ? `${(meters * 100).toFixed(1)} cm` : `${meters.toFixed(1)} m`;
-}
-
 /** A length in mm with two digits, or in m from one meter on. */
 export function millimeters(meters: number | null | undefined): string {
   if (meters === null || meters === undefined) return "not known";

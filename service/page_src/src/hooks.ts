@@ -2,7 +2,7 @@
 
 import { useCallback, useEffect, useRef, useState } from "preact/hooks";
 
-import { get, told } from "./api";
+import { get, troubleOf } from "./api";
 import { follow, type ServerEvent } from "./events";
 
 export interface Fetched<T> {
@@ -23,7 +23,7 @@ export function useFetched<T>(path: string | null, load: (path: string, signal: 
         if (!stop.signal.aborted) setState({ data, trouble: null });
       },
       (error: unknown) => {
-        if (!stop.signal.aborted) setState((old) => ({ data: old.data, trouble: told(error) }));
+        if (!stop.signal.aborted) setState((old) => ({ data: old.data, trouble: troubleOf(error) }));
       },
     );
     return () => {

@@ -66,8 +66,8 @@ function Frame() {
   };
   const enter = (): void => {
     get<Me>("/v1/me").then(
-      (found) => {
-        setMe(found);
+      (answer) => {
+        setMe(answer);
         setLocked(false);
         setProblem("");
       },

@@ -129,7 +129,7 @@ export interface Artifact {
 export interface Frame {
   index: number;
   time: number;
-  /** Of the image's file; the last part of `raw` where it is not told. */
+  /** Of the image's file; the last part of `raw` where it is not known. */
   name?: string;
   raw: string | null;
   before: string | null;
@@ -173,6 +173,11 @@ export interface Schema {
   properties?: Record<string, Schema>;
   minimum?: number;
   maximum?: number;
+  level?: "basic" | "advanced";
+  unit?: string;
+  meaning?: string;
+  range?: string;
+  change_when?: string;
   $ref?: string;
   $defs?: Record<string, Schema>;
 }

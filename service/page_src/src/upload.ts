@@ -1,4 +1,4 @@
-// Uploads that go on after a broken connection, a pause, or a reload of the page: the server knows what it has.
+// Uploads that continue after a broken connection, a pause, or a reload of the page: the server knows what it has.
 
 import { all, Problem, request, send } from "./api";
 import { pause } from "./events";
@@ -50,18 +50,18 @@ export function placedAt(items: Item[], wrong: string): Item[] {
 /** Files and folders that were dropped, with their paths. */
 export async function dropped(transfer: DataTransfer): Promise<Item[]> {
   const entries = [...transfer.items].map((item) => item.webkitGetAsEntry()).filter((entry) => entry !== null);
-  const found: Item[] = [];
-  for (const entry of entries) await walk(entry, "", found);
-  return found;
+  const items: Item[] = [];
+  for (const entry of entries) await walk(entry, "", items);
+  return items;
 }
 
-async function walk(entry: FileSystemEntry, above: string, found: Item[]): Promise<void> {
+async function walk(entry: FileSystemEntry, above: string, items: Item[]): Promise<void> {
   const path = above === "" ? entry.name : `${above}/${entry.name}`;
   if (entry.isFile) {
     const file = await new Promise<File>((resolve, reject) => {
       (entry as FileSystemFileEntry).file(resolve, reject);
     });
-    found.push({ path, file });
+    items.push({ path, file });
     return;
   }
   const reader = (entry as FileSystemDirectoryEntry).createReader();
@@ -70,7 +70,7 @@ async function walk(entry: FileSystemEntry, above: string, found: Item[]): Promi
       reader.readEntries(resolve, reject);
     });
     if (some.length === 0) return;
-    for (const child of some) await walk(child, path, found);
+    for (const child of some) await walk(child, path, items);
   }
 }
 

@@ -67,7 +67,7 @@ def job(browser, served, recording):
     page.get_by_role("link", name="See the result").wait_for()
     assert page.locator(".timeline .step").count() == page.locator(".timeline .step-done").count()
     page.get_by_role("log").get_by_text("report:").wait_for()
-    page.get_by_text("Settings that were changed").click()
+    page.get_by_text("Changed settings").click()
     page.get_by_text('"levels": 2').wait_for()
     watched.accessible()
     job = page.url.rsplit("/", 1)[-1]

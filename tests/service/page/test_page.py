@@ -111,8 +111,8 @@ def test_on_a_phone_nothing_lies_beside_the_screen_and_letters_can_be_read(brows
 
 def test_every_figure_of_a_step_is_explained_by_the_state_before_it(watched, job):
     show_map(watched, job)
-    kept = watched.page.get_by_role("region", name="What was kept")
-    kept.get_by_text("Each part is compared with the state before it").wait_for()
+    kept = watched.page.get_by_role("region", name="Acceptance of stages")
+    kept.get_by_text("Each stage is compared with the state before it").wait_for()
     top = (
         watched.page.get_by_role("list", name="The input and the result").get_by_text("dB").all_inner_texts()
     )
@@ -180,7 +180,7 @@ def test_an_upload_goes_on_after_lost_connections_and_a_reload(watched, recordin
     first, stop_after = list(sent), 10_000
     sent.clear()
     page.reload()
-    page.get_by_role("list", name="Unfinished uploads").get_by_role("button", name="go on").click()
+    page.get_by_role("list", name="Unfinished uploads").get_by_role("button", name="continue").click()
     choose_folder(page, recording)
     page.get_by_role("button", name="Upload", exact=True).click()
     page.get_by_role("radio", name="cut off").wait_for()
@@ -306,7 +306,7 @@ def test_a_restart_with_another_setting_shows_what_was_reused(watched, served, j
     assert lidar.get_by_text("reused").count() == 1
     of_map = page.locator(".step").filter(has=page.get_by_text("map", exact=True))
     assert of_map.get_by_text("reused").count() == 0
-    page.get_by_text("Settings that were changed").click()
+    page.get_by_text("Changed settings").click()
     page.get_by_text('"paper"').wait_for()
     watched.check()
 

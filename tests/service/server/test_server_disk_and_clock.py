@@ -1,12 +1,10 @@
 """A disk that fills up and a clock that jumps under a running job: it ends done, once, with the same bytes."""
 
-import os
-import shutil
-import subprocess
 import time
 
 import pytest
 from real_server import PATIENCE, Service, ended, submit, until, upload
+from small_disk import small_disk
 from sqlalchemy import select
 from test_server_faults import assert_done_once_with_the_same_bytes, job_processes, runs
 
@@ -17,15 +15,9 @@ from service.settings import Limits, Settings
 
 
 @pytest.fixture
-def small_disk(tmp_path):
-    if os.geteuid() or shutil.which("mount") is None:
-        pytest.skip("only root can mount a small disk")
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=300m", "tmpfs", folder], check=False).returncode:
-        pytest.skip("no disk can be mounted here")
-    yield folder
-    subprocess.run(["umount", "-l", folder], check=True)
+def disk_of_300_mb(tmp_path):
+    with small_disk(tmp_path / "disk", "300m"):
+        yield tmp_path / "disk"
 
 
 def fill(folder):
@@ -48,16 +40,20 @@ def until_no_job_runs(data):
         time.sleep(0.05)
 
 
-def test_full_disk_holds_up_a_job_until_there_is_room(small_disk, tiny_recording, tiny_result, on_database):
+def test_full_disk_holds_up_a_job_until_there_is_room(
+    disk_of_300_mb, tiny_recording, tiny_result, on_database
+):
     environment = {"LVBA_LIMITS_DISK_RESERVE_BYTES": "0"}
-    service = Service(small_disk / "data", *on_database, environment=environment)  # SQLite is on the disk too
+    service = Service(
+        disk_of_300_mb / "data", *on_database, environment=environment
+    )  # SQLite is on the disk too
     dataset = upload(service.http, tiny_recording)
     with service.held("visual"):
         job_id = submit(service.http, dataset)["id"]
         until(service.http, f"/v1/jobs/{job_id}", runs("visual"))
         behind = submit(service.http, dataset)["id"]
         assert service.http.get(f"/v1/jobs/{behind}").json()["error"] is None
-        filler = fill(small_disk)
+        filler = fill(disk_of_300_mb)
     until_no_job_runs(service.data)
     error = service.http.get(f"/v1/jobs/{behind}").json()["error"]
     assert (error["code"], error["cause"]) == (
@@ -69,7 +65,7 @@ def test_full_disk_holds_up_a_job_until_there_is_room(small_disk, tiny_recording
     assert "67.1 MB are needed" in unready.json()["detail"]
     assert service.http.get("/readyz?exclude=disk").json() == {"status": "ready"}
     with pytest.raises(OSError, match="No space left"):  # nor is anything unpacked there
-        IntakeBudget(small_disk, Limits(disk_reserve_bytes=0)).add_file("scan")
+        IntakeBudget(disk_of_300_mb, Limits(disk_reserve_bytes=0)).add_file("scan")
     if on_database:  # SQLite could not note it on a full disk
         waiting = until(service.http, f"/v1/jobs/{job_id}", lambda job: job["state"] == "queued")
         assert waiting["error"]["code"] == "disk-full"
@@ -96,18 +92,19 @@ def beats(url, job_id):
         database.close()
 
 
-def until_renewed(url, job_id, times):
-    first, end = beats(url, job_id), time.monotonic() + PATIENCE
-    while beats(url, job_id) < first + times:
+def until_renewed(url, job_ids, times):
+    """Until the lease of each job was renewed so often."""
+    first, end = {job_id: beats(url, job_id) for job_id in job_ids}, time.monotonic() + PATIENCE
+    while any(beats(url, job_id) < first[job_id] + times for job_id in job_ids):
         assert time.monotonic() < end
         time.sleep(0.1)
 
 
 def test_clock_that_jumps_by_an_hour_moves_no_job(tiny_recording, tiny_result, tmp_path, on_database):
     clocks = [tmp_path / "clock-0", tmp_path / "clock-1"]
+    environments = [{"LVBA_TEST_CLOCK": str(clock), "LVBA_LEASE_S": "12"} for clock in clocks]
     services = [
-        Service(tmp_path / "data", *on_database, environment={"LVBA_TEST_CLOCK": str(clock)})
-        for clock in clocks
+        Service(tmp_path / "data", *on_database, environment=environment) for environment in environments
     ]
     one, two = services
     url = Settings(data=one.data, database="".join(on_database[1:])).database_url
@@ -119,8 +116,7 @@ def test_clock_that_jumps_by_an_hour_moves_no_job(tiny_recording, tiny_result, t
         for offsets in (("3600", "-3600"), ("-7200", "0")):
             for clock, offset in zip(clocks, offsets):
                 clock.write_text(offset)
-            for job_id in jobs:
-                until_renewed(url, job_id, 2)
+            until_renewed(url, jobs, 2)
         assert len(job_processes(one.data)) == 2
         jobs.append(submit(two.http, dataset, name="between")["id"])
     found = [ended(two.http, job_id) for job_id in jobs]

@@ -55,8 +55,8 @@ def unfinished_put(service, dataset, data, offset, length):
     return connection
 
 
-def test_killed_throughout_a_job_nothing_is_lost(street, result, tmp_path, on_database):
-    service = Service(tmp_path / "data", *on_database)
+def test_killed_throughout_a_job_nothing_is_lost(street, result, tmp_path):
+    service = Service(tmp_path / "data")
     dataset = _arrives(service, packed(street))
     job_id = submit(service.http, dataset, config=IN_PARTS)["id"]
     with service.held("lidar-merge"):

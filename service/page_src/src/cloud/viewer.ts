@@ -91,7 +91,7 @@ export class Viewer {
     this.setLooks(looks);
   }
 
-  /** Whether rough and refined can be told apart. */
+  /** Whether rough and refined can be shown one at a time. */
   get hasRough(): boolean {
     return this.facts !== null && this.octree.range("scan") !== null;
   }

@@ -1,6 +1,6 @@
-// The figures of a result: what became better, image by image, and which steps were kept.
+// The figures of a result: gains image by image, and which stages were accepted.
 
-import { length, plural } from "../format";
+import { millimeters, plural } from "../format";
 import type { Report, ScoresFacts } from "../types";
 import { Card } from "./basic";
 import { Chart, type Series } from "./chart";
@@ -31,11 +31,11 @@ export function Headline({ report }: { report: Report }) {
   const add = (name: string, before: number | null | undefined, after: number | null | undefined, show: (value: number) => string): void => {
     if (before !== null && before !== undefined && after !== null && after !== undefined) rows.push([name, show(before), show(after)]);
   };
-  add("PSNR of images left out", rough?.psnr_leave_one_out, refined?.psnr_leave_one_out, (value) => `${value.toFixed(1)} dB`);
-  add("SSIM of images left out", rough?.ssim_leave_one_out, refined?.ssim_leave_one_out, (value) => value.toFixed(2));
+  add("PSNR, leave-one-out", rough?.psnr_leave_one_out, refined?.psnr_leave_one_out, (value) => `${value.toFixed(1)} dB`);
+  add("SSIM, leave-one-out", rough?.ssim_leave_one_out, refined?.ssim_leave_one_out, (value) => value.toFixed(2));
   add("Map entropy", rough?.map_entropy, refined?.map_entropy, (value) => value.toFixed(2));
-  add("Scans off the reference", truth?.rough?.lidar?.ate_m, truth?.lidar?.ate_m, length);
-  add("Cameras off the reference", truth?.rough?.camera?.ate_m, truth?.camera?.ate_m, length);
+  add("Scans, error against the reference", truth?.rough?.lidar?.ate_m, truth?.lidar?.ate_m, millimeters);
+  add("Cameras, error against the reference", truth?.rough?.camera?.ate_m, truth?.camera?.ate_m, millimeters);
   return (
     <ul class="headline" aria-label="The input and the result">
       {rows.map(([name, before, after]) => (
@@ -60,7 +60,7 @@ export function Figures({ report, image, choose }: { report: Report; image: numb
       {scores.images.length > 0 && (
         <Card title="How well the map predicts each image" id="psnr">
           <Chart
-            title="PSNR, image left out" unit="dB" xName="image" labels={scores.images.map(String)} chosen={place === -1 ? null : place}
+            title="PSNR, leave-one-out" unit="dB" xName="image" labels={scores.images.map(String)} chosen={place === -1 ? null : place}
             choose={(at) => { choose(scores.images[at] ?? 0); }}
             series={[{ name: "before", values: scores.before, kind: "before" }, { name: "after", values: scores.after, kind: "after" }]}
           />
@@ -78,27 +78,27 @@ export function Figures({ report, image, choose }: { report: Report; image: numb
 
 /** What is refined in each state that was judged, from the input on. */
 const STATES: [string, string][] = [
-  ["rough", "The input"], ["carried", "Scans (cameras move along)"], ["exposed", "Scans and exposures"], ["posed", "Scans and cameras"],
-  ["visual", "Scans, cameras and exposures"], ["fused_posed", "Scans and cameras, scans once more from the cameras"],
-  ["fused", "All of these, scans once more from the cameras"],
+  ["rough", "The input"], ["carried", "Scans (cameras moved with them)"], ["exposed", "Scans and exposures"], ["posed", "Scans and cameras"],
+  ["visual", "Scans, cameras and exposures"], ["fused_posed", "Scans and cameras, scans refined with the cameras"],
+  ["fused", "All of these, scans refined with the cameras"],
 ];
 
 function Kept({ report }: { report: Report }) {
   const rows: [string, boolean | null | undefined, string | undefined][] = [
     ["Scans", report.lidar?.accepted, report.lidar?.reason], ["Exposures", report.visual?.exposures_accepted, report.visual?.exposures_reason],
-    ["Cameras", report.visual?.accepted, report.visual?.reason], ["Scans, from cameras", report.fusion?.accepted, report.fusion?.reason],
+    ["Cameras", report.visual?.accepted, report.visual?.reason], ["Scans refined with the cameras", report.fusion?.accepted, report.fusion?.reason],
   ];
-  const told = rows.filter(([, , reason]) => reason !== undefined && reason !== "");
+  const explained = rows.filter(([, , reason]) => reason !== undefined && reason !== "");
   const warnings = report.warnings ?? [];
-  if (told.length === 0 && warnings.length === 0) return null;
+  if (explained.length === 0 && warnings.length === 0) return null;
   return (
-    <Card title="What was kept" id="kept">
-      <p class="quiet small">Each part is compared with the state before it, all else equal, and kept only where it is better. The figures of the result as a whole compare it with the input.</p>
+    <Card title="Acceptance of stages" id="kept">
+      <p class="quiet small">Each stage is compared with the state before it and accepted only where it improves that state. The figures at the top compare the whole result with the input.</p>
       <Steps states={report.evaluation?.states ?? {}} result={report.visual?.state ?? ""} />
       <ul class="plain kept">
-        {told.map(([name, accepted, reason]) => (
+        {explained.map(([name, accepted, reason]) => (
           <li key={name}>
-            <strong>{name}</strong> {accepted === true ? <span class="tag tag-good">✓ kept</span> : accepted === false ? <span class="tag">– left as before</span> : null}
+            <strong>{name}</strong> {accepted === true ? <span class="tag tag-good">✓ accepted</span> : accepted === false ? <span class="tag">– rejected</span> : null}
             <span class="quiet small">{reason}</span>
           </li>
         ))}
@@ -108,13 +108,13 @@ function Kept({ report }: { report: Report }) {
   );
 }
 
-/** The same score after each step, so that every number beside a step can be found in the row above it. */
+/** The same score after each stage: the numbers in the reason of a stage are in the row above it. */
 function Steps({ states, result }: { states: Record<string, ScoresFacts>; result: string }) {
   const known = STATES.filter(([name]) => typeof states[name]?.psnr_leave_one_out === "number");
   if (known.length < 2) return null;
   return (
     <table class="steps">
-      <thead><tr><th scope="col">Refined</th><th scope="col">PSNR of images left out</th></tr></thead>
+      <thead><tr><th scope="col">Refined</th><th scope="col">PSNR, leave-one-out</th></tr></thead>
       <tbody>
         {known.map(([name, words]) => <tr key={name}><th scope="row">{words} {name === result && <span class="tag tag-good">the result</span>}</th><td>{states[name]?.psnr_leave_one_out?.toFixed(1)} dB</td></tr>)}
       </tbody>

@@ -1,8 +1,9 @@
 // A form made from the JSON Schema of the settings; only what differs from the defaults is sent.
 
+import type { ComponentChildren } from "preact";
 import { useMemo, useState } from "preact/hooks";
 
-import { Problem, told } from "../api";
+import { Problem, troubleOf } from "../api";
 import type { Options, Schema } from "../types";
 
 export type Changes = Record<string, unknown>;
@@ -15,18 +16,18 @@ interface Field {
 
 /** Every setting with its full name, in the order of the schema. */
 export function fieldsOf(options: Options): Field[] {
-  const found: Field[] = [];
+  const fields: Field[] = [];
   const walk = (schema: Schema, defaults: unknown, above: string): void => {
     for (const [key, raw] of Object.entries(schema.properties ?? {})) {
       const child = resolved(raw, options.schema);
       const name = above === "" ? key : `${above}.${key}`;
       const fallback = (defaults as Record<string, unknown> | null | undefined)?.[key] ?? child.default ?? null;
       if (child.properties !== undefined) walk(child, fallback, name);
-      else found.push({ name, schema: { ...child, ...without(raw) }, fallback });
+      else fields.push({ name, schema: { ...child, ...without(raw) }, fallback });
     }
   };
   walk(options.schema, options.defaults, "");
-  return found;
+  return fields;
 }
 
 function without(schema: Schema): Schema {
@@ -55,10 +56,10 @@ export function nested(changes: Changes): Record<string, unknown> {
 /** What a refusal says of single settings, to be shown beside them, and what is left to say elsewhere. */
 export function placed(error: unknown, options: Options | null): { errors: Record<string, string>; trouble: { cause: string; hint: string } } {
   const known = new Set(options === null ? [] : fieldsOf(options).map((field) => field.name));
-  const found = error instanceof Problem ? error.errors.map((one): [string, string] => [one.where.replace(/^(body\.)?config\./, ""), one.message]) : [];
-  if (found.length === 0 || !found.every(([name]) => known.has(name))) return { errors: {}, trouble: told(error) };
-  const names = found.map(([name]) => name).join(", ");
-  return { errors: Object.fromEntries(found), trouble: { cause: `Among the settings, mend ${names}.`, hint: "What is wrong is said beside it." } };
+  const refused = error instanceof Problem ? error.errors.map((one): [string, string] => [one.where.replace(/^(body\.)?config\./, ""), one.message]) : [];
+  if (refused.length === 0 || !refused.every(([name]) => known.has(name))) return { errors: {}, trouble: troubleOf(error) };
+  const names = refused.map(([name]) => name).join(", ");
+  return { errors: Object.fromEntries(refused), trouble: { cause: `Correct these settings: ${names}.`, hint: "The reason is beside each of them." } };
 }
 
 /** The other way round, for the settings of an earlier job. */
@@ -73,42 +74,58 @@ export function flat(config: unknown, fields: Field[]): Changes {
 
 export function OptionsForm(props: { options: Options; changes: Changes; set: (changes: Changes) => void; errors: Record<string, string> }) {
   const { options, changes, set, errors } = props;
-  const [words, setWords] = useState("");
+  const [query, setQuery] = useState("");
   const fields = useMemo(() => fieldsOf(options), [options]);
-  const wanted = words.toLowerCase().split(/\s+/).filter((word) => word !== "");
-  const shown = fields.filter(({ name, schema }) => {
+  const wanted = query.toLowerCase().split(/\s+/).filter((word) => word !== "");
+  const matching = fields.filter(({ name, schema }) => {
     const text = `${name} ${schema.description ?? ""}`.toLowerCase();
     return name in errors || wanted.every((word) => text.includes(word));
   });
-  const groups = new Map<string, Field[]>();
-  for (const field of shown) {
-    const group = field.name.includes(".") ? field.name.slice(0, field.name.lastIndexOf(".")) : "general";
-    groups.set(group, [...(groups.get(group) ?? []), field]);
-  }
   const change = (name: string, value: unknown): void => {
     const next = { ...changes };
     if (value === undefined) Reflect.deleteProperty(next, name);
     else next[name] = value;
     set(next);
   };
+  const groups = (members: Field[], kind: string): ComponentChildren => [...grouped(members)].map(([group, inside]) => (
+    <section key={group} class="group" aria-label={`${kind}: ${group}`}>
+      <h3>{TITLES[group] ?? group}</h3>
+      {inside.map((field) => (
+        <Row key={field.name} field={field} value={field.name in changes ? changes[field.name] : field.fallback}
+          changed={field.name in changes} error={errors[field.name] ?? ""} change={change} />
+      ))}
+    </section>
+  ));
+  const basic = matching.filter((field) => field.schema.level !== "advanced");
+  const advanced = matching.filter((field) => field.schema.level === "advanced");
   return (
     <div class="options">
       <div class="toolbar">
-        <input type="search" aria-label="Search settings" placeholder="Search settings, e.g. voxel" value={words} onInput={(event) => { setWords(event.currentTarget.value); }} />
-        <span class="quiet" role="status">{Object.keys(changes).length === 0 ? "All as by default" : `${String(Object.keys(changes).length)} changed`}</span>
+        <input type="search" aria-label="Search settings" placeholder="Search settings, e.g. voxel" value={query} onInput={(event) => { setQuery(event.currentTarget.value); }} />
+        <span class="quiet" role="status">{Object.keys(changes).length === 0 ? "All at their defaults" : `${String(Object.keys(changes).length)} changed`}</span>
       </div>
-      {[...groups].map(([group, members]) => (
-        <details key={group} open={wanted.length > 0 || members.some((field) => field.name in changes || field.name in errors)}>
-          <summary><span class="group-name">{group}</span><span class="quiet small">{members.length}</span></summary>
-          {members.map((field) => (
-            <Row key={field.name} field={field} value={field.name in changes ? changes[field.name] : field.fallback}
-              changed={field.name in changes} error={errors[field.name] ?? ""} change={change} />
-          ))}
+      {groups(basic, "Settings")}
+      {advanced.length > 0 && (
+        <details class="advanced" open={wanted.length > 0 || advanced.some((field) => field.name in changes || field.name in errors)}>
+          <summary><span class="group-name">Advanced settings</span><span class="quiet small">{advanced.length}</span></summary>
+          {groups(advanced, "Advanced settings")}
         </details>
-      ))}
-      {shown.length === 0 && <p class="quiet">No setting matches.</p>}
+      )}
+      {matching.length === 0 && <p class="quiet">No setting matches.</p>}
     </div>
   );
+}
+
+const TITLES: Record<string, string> = { lidar: "LiDAR", gate: "Acceptance", split: "Parts of long recordings", merge: "Merging of parts", fusion: "Scans refined with the cameras" };
+
+/** Fields by the group at the top of their name. */
+function grouped(fields: Field[]): Map<string, Field[]> {
+  const groups = new Map<string, Field[]>();
+  for (const field of fields) {
+    const group = field.name.includes(".") ? (field.name.split(".")[0] ?? "") : "general";
+    groups.set(group, [...(groups.get(group) ?? []), field]);
+  }
+  return groups;
 }
 
 interface RowProps {
@@ -121,20 +138,41 @@ interface RowProps {
 
 function Row({ field, value, changed, error, change }: RowProps) {
   const id = `option-${field.name.replaceAll(".", "-")}`;
-  const last = field.name.split(".").at(-1) ?? field.name;
+  const [above, name] = labelOf(field.name, field.schema.unit ?? "");
+  const { meaning, unit = "", range = "", change_when: advice = "", description = "" } = field.schema;
   return (
     <div class={`option${changed ? " option-changed" : ""}`}>
-      <label for={id}><span class="visually-hidden">{field.name.slice(0, -last.length).replaceAll(".", " ")}</span>{last.replaceAll("_", " ")}</label>
+      <label for={id}><span class="visually-hidden">{above} </span>{name}</label>
       <div class="option-input">
         <Input id={id} field={field} value={value} change={(next) => { change(field.name, next); }} />
-        {changed && <button type="button" class="link" aria-label={`Default for ${field.name}`} onClick={() => { change(field.name, undefined); }}>default</button>}
+        {unit !== "" && <span class="quiet small unit">{unit}</span>}
       </div>
-      <p id={`${id}-help`} class="quiet small">
-        {field.schema.description ?? ""} <span class="default">Default: {text(field.fallback)}</span>
-      </p>
+      <div id={`${id}-help`} class="option-help small">
+        <p><Prose text={meaning ?? description} /></p>
+        {advice !== "" && <p class="quiet">Change it when: <Prose text={advice} /></p>}
+        <p class="quiet">
+          {range !== "" && <span>Range: {range}{unit === "" ? "" : ` ${unit}`}. </span>}<span>Default: {text(field.fallback)}</span>
+          {changed && <>{" "}<button type="button" class="link" aria-label={`Default for ${field.name}`} onClick={() => { change(field.name, undefined); }}>reset</button></>}
+        </p>
+      </div>
       {error !== "" && <p id={`${id}-error`} class="field-problem" role="alert">{error}</p>}
     </div>
   );
+}
+
+/** Text in which names of settings stand between backticks. */
+function Prose({ text }: { text: string }) {
+  return <>{text.split("`").map((part, at) => (at % 2 === 1 ? <code key={at}>{part}</code> : part))}</>;
+}
+
+const SUFFIXES: Record<string, string> = { m: "_m", s: "_s", GB: "_gb", px: "_px", degrees: "_deg" };
+
+/** The group at the top, for screen readers only, and the rest of a setting's name without the unit. */
+function labelOf(name: string, unit: string): [string, string] {
+  const suffix = SUFFIXES[unit];
+  const [group = "", ...rest] = (suffix !== undefined && name.endsWith(suffix) ? name.slice(0, -suffix.length) : name).split(".");
+  const words = (parts: string[]): string => parts.join(" ").replaceAll("_", " ");
+  return rest.length === 0 ? ["", words([group])] : [words([group]), words(rest)];
 }
 
 function text(value: unknown): string {

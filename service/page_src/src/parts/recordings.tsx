@@ -1,8 +1,8 @@
-// Recordings on the server: which one to take, which to go on with, and getting rid of those that are not needed.
+// Recordings on the server: which one to take, which to continue, and getting rid of those that are not needed.
 
 import { useRef, useState } from "preact/hooks";
 
-import { send, told } from "../api";
+import { send, troubleOf } from "../api";
 import { ago, bytes, duration, plural } from "../format";
 import type { Dataset } from "../types";
 import { Trouble } from "./basic";
@@ -30,14 +30,14 @@ function size(dataset: Dataset): string {
 }
 
 /** Uploads that were not finished, and recordings in which something is missing or wrong. */
-export function Unfinished({ datasets, goOn, gone }: { datasets: Dataset[]; goOn: (dataset: Dataset) => void; gone: () => void }) {
+export function Unfinished({ datasets, resume, gone }: { datasets: Dataset[]; resume: (dataset: Dataset) => void; gone: () => void }) {
   return (
     <ul class="unfinished" aria-label="Unfinished uploads">
       {datasets.map((one) => (
         <li key={one.id}>
           <strong>{one.name}</strong>: {one.state === "invalid" ? `${one.error?.cause ?? "invalid"}; ${one.error?.hint ?? ""}` : `${bytes(one.bytes)} there`}
           <span class="actions">
-            {one.source === "upload" && <button type="button" class="link" aria-label={`go on with ${one.name}`} onClick={() => { goOn(one); }}>go on</button>}
+            {one.source === "upload" && <button type="button" class="link" aria-label={`continue ${one.name}`} onClick={() => { resume(one); }}>continue</button>}
             <span class="quiet small">{size(one)}</span>
             <Delete dataset={one} gone={gone} />
           </span>
@@ -53,7 +53,7 @@ function Delete({ dataset, gone }: { dataset: Dataset; gone: () => void }) {
   const remove = (): void => {
     send("DELETE", `/v1/datasets/${dataset.id}`).then(
       () => { dialog.current?.close(); gone(); },
-      (error: unknown) => { setTrouble(told(error)); },
+      (error: unknown) => { setTrouble(troubleOf(error)); },
     );
   };
   const title = `delete-${dataset.id}`;

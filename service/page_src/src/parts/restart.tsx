@@ -1,4 +1,4 @@
-// Doing an ended job again: from a stage on, or with other settings, so that only what depends on them is done anew.
+// Restarting a job from a stage, or with other settings; stages that do not depend on them are reused.
 
 import { useMemo, useRef, useState } from "preact/hooks";
 
@@ -36,20 +36,20 @@ function Form({ job, close, done }: { job: Job; close: () => void; done: () => v
       close();
       done();
     } catch (error) {
-      const { trouble: rest, errors: found } = placed(error, options.data);
+      const { trouble: rest, errors: refused } = placed(error, options.data);
       setTrouble(rest);
-      setErrors(found);
+      setErrors(refused);
     }
   };
   return (
     <form method="dialog" onSubmit={(event) => { event.preventDefault(); void restart(); }}>
       <h2 id="restart-title">Restart {job.name}</h2>
-      <p class="quiet">Finished stages are used again where nothing that they depend on changes.</p>
+      <p class="quiet">Finished stages are reused unless a setting that they depend on changes.</p>
       <div class="field">
-        <label for="restart-from">Do again</label>
+        <label for="restart-from">Repeat</label>
         <select id="restart-from" value={from} onChange={(event) => { setFrom(event.currentTarget.value); }}>
-          <option value="">what is missing, and what depends on changed settings</option>
-          {names.map((name) => <option key={name} value={name}>{name}, and what depends on it</option>)}
+          <option value="">missing stages, and those that depend on changed settings</option>
+          {names.map((name) => <option key={name} value={name}>{name}, and the stages that depend on it</option>)}
         </select>
       </div>
       <details class="more">
@@ -58,7 +58,7 @@ function Form({ job, close, done }: { job: Job; close: () => void; done: () => v
       </details>
       <Trouble trouble={trouble ?? options.trouble} />
       <div class="actions dialog-end">
-        <button type="button" onClick={close}>Leave it</button>
+        <button type="button" onClick={close}>Cancel</button>
         <button type="submit" class="primary">Restart</button>
       </div>
     </form>

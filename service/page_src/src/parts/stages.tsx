@@ -12,8 +12,8 @@ interface Group {
 
 /** `name-1-0` as `name` and `1-0`. */
 function cut(name: string): [string, string] {
-  const found = /^(.+?)((?:[-/]\d+)+)$/.exec(name);
-  return found === null ? [name, ""] : [found[1] ?? name, found[2]?.slice(1) ?? ""];
+  const match = /^(.+?)((?:[-/]\d+)+)$/.exec(name);
+  return match === null ? [name, ""] : [match[1] ?? name, match[2]?.slice(1) ?? ""];
 }
 
 /** Stages in order; those that share a name but for numbers that count from 0 are parts of one. */

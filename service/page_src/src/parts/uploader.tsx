@@ -1,8 +1,8 @@
-// Choosing files, sending them with progress, pausing and going on, and waiting for the server's check.
+// Choosing files, sending them with progress, pausing and continuing, and waiting for the server's check.
 
 import { useEffect, useRef, useState } from "preact/hooks";
 
-import { get, send, told } from "../api";
+import { get, send, troubleOf } from "../api";
 import { pause } from "../events";
 import { bytes, count, duration, percent, plural } from "../format";
 import type { Dataset } from "../types";
@@ -29,9 +29,9 @@ export function Uploader({ unfinished, ready, failed }: { unfinished: Dataset | 
   }, [phase]);
 
   const wrong = unfinished?.state === "invalid" ? (unfinished.error?.path ?? null) : null;
-  const take = (found: Item[]): void => {
-    const kept = wrong === null ? withoutCommonFolder(found) : placedAt(found, wrong);
-    const folder = found[0]?.path.includes("/") === true ? found[0].path.split("/")[0] : found[0]?.file.name.replace(/\.(zip|tar.*|tgz)$/i, "");
+  const take = (given: Item[]): void => {
+    const kept = wrong === null ? withoutCommonFolder(given) : placedAt(given, wrong);
+    const folder = given[0]?.path.includes("/") === true ? given[0].path.split("/")[0] : given[0]?.file.name.replace(/\.(zip|tar.*|tgz)$/i, "");
     setItems(kept);
     setFolder(folder ?? "");
     setName(unfinished?.name ?? folder ?? "");
@@ -43,10 +43,10 @@ export function Uploader({ unfinished, ready, failed }: { unfinished: Dataset | 
     setPhase("sending");
     stop.current = new AbortController();
     try {
-      const found = unfinished === null && upload.current === null ? await checkNames(items, folder) : null;
-      if (found !== null) {
+      const refused = unfinished === null && upload.current === null ? await checkNames(items, folder) : null;
+      if (refused !== null) {
         setPhase("choose");
-        setTrouble(found);
+        setTrouble(refused);
         return;
       }
       if (upload.current === null) {
@@ -69,7 +69,7 @@ export function Uploader({ unfinished, ready, failed }: { unfinished: Dataset | 
       }
     } catch (error) {
       setPhase("paused");
-      if (!stop.current.signal.aborted) setTrouble(told(error));
+      if (!stop.current.signal.aborted) setTrouble(troubleOf(error));
     }
   };
 
@@ -98,7 +98,7 @@ export function Uploader({ unfinished, ready, failed }: { unfinished: Dataset | 
       <Sending phase={phase} progress={progress} total={total} />
       <Trouble trouble={trouble} />
       {phase === "sending" && <button type="button" onClick={() => { stop.current.abort(); }}>Pause</button>}
-      {phase === "paused" && <button type="button" class="primary" onClick={() => { void run(); }}>Go on</button>}
+      {phase === "paused" && <button type="button" class="primary" onClick={() => { void run(); }}>Continue</button>}
     </div>
   );
 }
@@ -171,7 +171,7 @@ function Chooser({ take, single }: { take: (items: Item[]) => void; single: bool
           <input type="file" class="visually-hidden" accept=".zip,.tar,.tgz,.gz,.bz2,.xz" onChange={(event) => { take(list(event.currentTarget.files)); }} />
         </label>
       </div>
-      <p class="quiet small">all_image, all_pcd_body and config.yaml, as FAST-LIVO2 writes them; zip or tar. An upload that breaks goes on where it stopped.</p>
+      <p class="quiet small">all_image, all_pcd_body and config.yaml, as FAST-LIVO2 writes them; zip or tar. An interrupted upload continues where it stopped.</p>
     </div>
   );
 }

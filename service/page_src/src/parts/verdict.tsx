@@ -1,4 +1,4 @@
-// Is the map good? The verdict in words, the millimeters to expect, and why it is not simply good.
+// The verdict, the expected errors, and the reasons.
 
 import { millimeters, plural } from "../format";
 import type { ExpectedError, Level, Report } from "../types";
@@ -6,8 +6,8 @@ import { Card } from "./basic";
 import { Chart } from "./chart";
 
 const WORDS: Record<Level, [string, string, string]> = {
-  good: ["✓", "Good", "nothing speaks against the expected errors"],
-  check: ["!", "Check", "use it, but look at the reasons first"],
+  good: ["✓", "Good", "no check contradicts the expected errors"],
+  check: ["!", "Check", "read the reasons before you use it"],
   bad: ["✕", "Bad", "do not rely on it"],
 };
 const SHOWN = 2;
@@ -61,7 +61,7 @@ function Tiles({ report }: { report: Report }) {
           <div key={name}>
             <dt>{name}, expected error</dt>
             <dd><strong>{known && least ? "at least " : ""}{millimeters(error?.position_m)}</strong></dd>
-            <dd class="quiet small">{!known ? (name === "Cameras" ? "not refined: moved along with the scans" : "as the input has them") : least ? "see the reasons" : `95 % of ${kind} below ${millimeters(error.position_p95_m)}`}</dd>
+            <dd class="quiet small">{!known ? (name === "Cameras" ? "not refined: moved with the scans" : "not refined: the input poses") : least ? "see the reasons" : `95 % of ${kind} below ${millimeters(error.position_p95_m)}`}</dd>
           </div>
         );
       })}

@@ -2,7 +2,7 @@
 
 import { useState } from "preact/hooks";
 
-import { all, send, told } from "../api";
+import { all, send, troubleOf } from "../api";
 import { ago, moment, percent } from "../format";
 import { useEvents, useFetched, useThrottled, useTitle } from "../hooks";
 import { Bar, Badge, Empty, Trouble } from "../parts/basic";
@@ -56,7 +56,7 @@ function One({ id }: { id: string }) {
       <div class="page-head">
         <h1>{data.name === "" ? data.id : data.name}</h1>
         {open && (
-          <button type="button" onClick={() => { send("POST", `/v1/batches/${id}/cancel`).then(batch.again, (error: unknown) => { setTrouble(told(error)); }); }}>
+          <button type="button" onClick={() => { send("POST", `/v1/batches/${id}/cancel`).then(batch.again, (error: unknown) => { setTrouble(troubleOf(error)); }); }}>
             Cancel all
           </button>
         )}

@@ -21,15 +21,15 @@ export function Dashboard() {
   const jobs = useFetched<Job[]>("/v1/jobs", (path) => all<Job>(path));
   const info = useFetched<Info>("/v1/info");
   const [filter, setFilter] = useState<Filter>("all");
-  const [words, setWords] = useState("");
+  const [query, setQuery] = useState("");
   useTitle("Jobs");
   const refresh = useThrottled(jobs.again, 700);
   const up = useEvents("/v1/events", refresh);
   useEvery(up ? 20_000 : 4000, jobs.again);
   const listed = jobs.data ?? [];
   const shown = useMemo(
-    () => listed.filter((job) => MATCHES[filter](job.state) && matches(job, words)),
-    [listed, filter, words],
+    () => listed.filter((job) => MATCHES[filter](job.state) && matches(job, query)),
+    [listed, filter, query],
   );
   const count = (name: Filter): string => String(listed.filter((job) => MATCHES[name](job.state)).length);
   return (
@@ -41,11 +41,11 @@ export function Dashboard() {
       <div class="toolbar">
         <Segments
           label="Show" value={filter} choose={setFilter}
-          options={[["all", `All ${count("all")}`], ["active", `Active ${count("active")}`], ["done", `Done ${count("done")}`], ["failed", `Ended early ${count("failed")}`]]}
+          options={[["all", `All ${count("all")}`], ["active", `Active ${count("active")}`], ["done", `Done ${count("done")}`], ["failed", `Stopped ${count("failed")}`]]}
         />
         <input
-          type="search" aria-label="Filter by name" placeholder="Filter by name" value={words}
-          onInput={(event) => { setWords(event.currentTarget.value); }}
+          type="search" aria-label="Filter by name" placeholder="Filter by name" value={query}
+          onInput={(event) => { setQuery(event.currentTarget.value); }}
         />
         {info.data !== null && (
           <span class="quiet toolbar-end">
@@ -65,9 +65,9 @@ export function Dashboard() {
   );
 }
 
-function matches(job: Job, words: string): boolean {
+function matches(job: Job, query: string): boolean {
   const text = `${job.name} ${job.id} ${job.dataset}`.toLowerCase();
-  return words.toLowerCase().split(/\s+/).every((word) => text.includes(word));
+  return query.toLowerCase().split(/\s+/).every((word) => text.includes(word));
 }
 
 export function Table({ jobs }: { jobs: Job[] }) {

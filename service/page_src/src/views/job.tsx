@@ -1,8 +1,8 @@
-// One job: how far it is, what it does, what it says.
+// One job: progress, stages, log.
 
 import { useEffect, useRef, useState } from "preact/hooks";
 
-import { send, told } from "../api";
+import { send, troubleOf } from "../api";
 import type { ServerEvent } from "../events";
 import { about, bytes, duration, millimeters, moment, percent } from "../format";
 import { go, useEvents, useEvery, useFetched, useThrottled, useTitle } from "../hooks";
@@ -37,7 +37,7 @@ export function JobView({ id }: { id: string }) {
     send("DELETE", `/v1/jobs/${id}`).then(
       () => { go("jobs"); },
       (error: unknown) => {
-        setTrouble(told(error));
+        setTrouble(troubleOf(error));
         setLeaving(false);
       },
     );
@@ -52,7 +52,7 @@ export function JobView({ id }: { id: string }) {
     setRound((n) => n + 1);
   };
   const cancel = (): void => {
-    send("POST", `/v1/jobs/${id}/cancel`).then(again, (error: unknown) => { setTrouble(told(error)); });
+    send("POST", `/v1/jobs/${id}/cancel`).then(again, (error: unknown) => { setTrouble(troubleOf(error)); });
   };
   if (leaving) return <p class="quiet" role="status">Deleting {job.name}…</p>;
   return (
@@ -69,7 +69,7 @@ export function JobView({ id }: { id: string }) {
       <Head job={job} up={up} />
       <div class="columns job-columns">
         <Card title="Stages" id="stages">
-          {(job.stages ?? []).length === 0 ? <p class="quiet">{job.state === "queued" ? "The job waits for its turn." : "Told by the run when it begins."}</p> : <Timeline stages={withLive(job.stages ?? [], live)} />}
+          {(job.stages ?? []).length === 0 ? <p class="quiet">{job.state === "queued" ? "The job waits for its turn." : "The stages are listed when the run starts."}</p> : <Timeline stages={withLive(job.stages ?? [], live)} />}
         </Card>
         <div>
           <Card title="Log" id="log"><Log key={String(job.attempts?.length ?? 0)} job={id} size={job.log_bytes ?? 0} /></Card>
@@ -109,7 +109,7 @@ function withLive(stages: Stage[], live: LiveJob): Stage[] {
 
 function Head({ job, up }: { job: Job; up: boolean }) {
   const active = !ENDED.has(job.state);
-  const told10 = Math.floor(job.progress * 10) * 10;
+  const tens = Math.floor(job.progress * 10) * 10;
   return (
     <section class="card job-now" aria-label="Progress">
       {active && <Bar fraction={job.state === "queued" ? 0 : job.progress} label="Progress of the job" />}
@@ -125,7 +125,7 @@ function Head({ job, up }: { job: Job; up: boolean }) {
         {job.state === "done" && <a class="button primary large" href={`#/jobs/${job.id}/result`}>See the result</a>}
       </div>
       {!up && active && <p class="quiet small">The live connection is down; asking every few seconds instead.</p>}
-      <p class="visually-hidden" role="status">{active ? `${job.state}, ${String(told10)} percent` : `The job is ${job.state}`}</p>
+      <p class="visually-hidden" role="status">{active ? `${job.state}, ${String(tens)} percent` : `The job is ${job.state}`}</p>
     </section>
   );
 }
@@ -140,7 +140,7 @@ function Step({ job }: { job: Job }) {
 function Gains({ job }: { job: Job }) {
   const { psnr_before: before = null, psnr_after: after = null } = job.summary ?? {};
   if (before === null || after === null) return null;
-  return <Big name="PSNR of images left out" value={`${before.toFixed(1)} → ${after.toFixed(1)} dB`} />;
+  return <Big name="PSNR, leave-one-out" value={`${before.toFixed(1)} → ${after.toFixed(1)} dB`} />;
 }
 
 function Big({ name, value }: { name: string; value: string }) {
@@ -157,7 +157,7 @@ function Actions({ job, cancel, remove, restarted }: { job: Job; cancel: () => v
       {ended && <button type="button" class="danger" onClick={() => { dialog.current?.showModal(); }}>Delete</button>}
       <dialog ref={dialog} aria-labelledby="delete-title">
         <h2 id="delete-title">Delete {job.name}?</h2>
-        <p>Its result and everything its stages made will be gone. The recording stays.</p>
+        <p>This deletes its result and all intermediate results. The recording stays.</p>
         <div class="actions">
           <button type="button" onClick={() => { dialog.current?.close(); }}>Keep it</button>
           <button type="button" class="danger" onClick={remove}>Delete</button>
@@ -179,7 +179,7 @@ function About({ job, dataset }: { job: Job; dataset: string }) {
           ...(estimate ? [["Estimated", `${duration(estimate.seconds)}, ${bytes(estimate.memory_bytes)} memory${estimate.basis === undefined ? "" : `, from ${estimate.basis}`}`] as [string, string]] : []),
         ]}
       />
-      {changed && <details class="more"><summary>Settings that were changed</summary><pre class="small">{JSON.stringify(job.config, null, 1)}</pre></details>}
+      {changed && <details class="more"><summary>Changed settings</summary><pre class="small">{JSON.stringify(job.config, null, 1)}</pre></details>}
       {(job.attempts ?? []).length > 1 && (
         <details class="more">
           <summary>{job.attempts?.length} attempts</summary>

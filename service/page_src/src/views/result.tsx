@@ -1,4 +1,4 @@
-// What came out: the map in 3D, pictures, figures and files.
+// The result: the map in 3D, pictures, figures and files.
 
 import { useEffect, useRef, useState } from "preact/hooks";
 
@@ -87,11 +87,11 @@ function pictures(frame: Frame | undefined, base: string, names: Set<string>, qu
   if (frame === undefined) return {};
   const plain = `frames/photo/${String(frame.index).padStart(6, "0")}.jpg`;
   const photo = names.has(plain) ? base + plain : frame.raw;
-  const found = Object.entries({ photo, before: frame.before, after: frame.after }).filter(([, url]) => url !== null);
-  return Object.fromEntries(found.map(([kind, url]) => [kind, withQuery(url ?? "", query)]));
+  const known = Object.entries({ photo, before: frame.before, after: frame.after }).filter(([, url]) => url !== null);
+  return Object.fromEntries(known.map(([kind, url]) => [kind, withQuery(url ?? "", query)]));
 }
 
-const TOLD: Record<string, string> = {
+const DESCRIPTIONS: Record<string, string> = {
   "map.ply": "the colored map", "lidar_poses.txt": "scan poses, TUM", "image_poses.txt": "camera poses, TUM", "exposures.csv": "relative exposures",
   "report.html": "the report for people", "report.json": "the report for programs", "config.yaml": "every setting",
 };
@@ -105,7 +105,7 @@ function Downloads({ artifacts, query }: { artifacts: Artifact[]; query: string 
         {own.map((one) => (
           <li key={one.name}>
             <a href={withQuery(one.url, "download=1", query)} download>{one.name}</a>
-            <span class="quiet small">{TOLD[one.name] ?? ""}</span>
+            <span class="quiet small">{DESCRIPTIONS[one.name] ?? ""}</span>
             <span class="quiet small number">{bytes(one.bytes)}</span>
           </li>
         ))}

@@ -3,7 +3,7 @@
 import type { ComponentChildren } from "preact";
 import { useEffect, useMemo, useState } from "preact/hooks";
 
-import { all, send, told } from "../api";
+import { all, send, troubleOf } from "../api";
 import { about, bytes } from "../format";
 import { go, useFetched, useTitle } from "../hooks";
 import { Card, Facts, Trouble } from "../parts/basic";
@@ -39,7 +39,7 @@ export function Submit({ dataset: wanted }: { dataset: string | null }) {
               <Uploader key={unfinished?.id ?? "new"} unfinished={unfinished} ready={(one) => { setUnfinished(null); setChosen(one.id); datasets.again(); }} failed={(one) => { setUnfinished(one); datasets.again(); }} />
             </details>
             {(info.data?.roots ?? []).length > 0 && <Register roots={info.data?.roots ?? []} done={datasets.again} />}
-            {open.length > 0 && <Unfinished datasets={open} goOn={setUnfinished} gone={gone} />}
+            {open.length > 0 && <Unfinished datasets={open} resume={setUnfinished} gone={gone} />}
           </Card>
       </JobForm>
     </>
@@ -58,7 +58,7 @@ function Register({ roots, done }: { roots: string[]; done: () => void }) {
         type="button"
         onClick={() => {
           const name = folder.replace(/\/+$/, "").split("/").pop() ?? folder;
-          send("POST", "/v1/datasets", { name, folder }).then(() => { setTrouble(null); done(); setTimeout(done, 3000); }, (error: unknown) => { setTrouble(told(error)); });
+          send("POST", "/v1/datasets", { name, folder }).then(() => { setTrouble(null); done(); setTimeout(done, 3000); }, (error: unknown) => { setTrouble(troubleOf(error)); });
         }}
       >
         Add
@@ -92,9 +92,9 @@ function JobForm({ dataset, children }: { dataset: Dataset | null; children: Com
       go("jobs", job.id);
     } catch (error) {
       setMark(crypto.getRandomValues(new Uint32Array(4)).join("-"));
-      const { trouble: rest, errors: found } = placed(error, options.data);
+      const { trouble: rest, errors: refused } = placed(error, options.data);
       setTrouble(rest);
-      setErrors(found);
+      setErrors(refused);
       setSending(false);
     }
   };
@@ -135,7 +135,7 @@ function Cost({ body }: { body: object }) {
     let current = true;
     const timer = setTimeout(() => {
       send<Estimate>("POST", "/v1/estimates", body).then(
-        (found) => { if (current) setEstimate(found); },
+        (estimate) => { if (current) setEstimate(estimate); },
         () => { if (current) setEstimate(null); },
       );
     }, 400);

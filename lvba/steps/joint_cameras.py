@@ -1,4 +1,4 @@
-"""The cameras of all parts: merged, then one joint problem in rounds."""
+"""The steps that make the cameras of all parts one: merged, then one joint problem in rounds."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -7,24 +7,24 @@ import numpy as np
 
 from lvba import geometry
 from lvba.blocks import visual_block, visual_joint
-from lvba.blocks.lidar_steps import JointScans
+from lvba.blocks.decoded import Keyframes, Pieces, keyframe_images
 from lvba.blocks.split import Frames, Part
 from lvba.blocks.survey import Survey, keyframes_of
 from lvba.blocks.visual_block import CameraPoints, CameraShare
 from lvba.blocks.visual_joint import JointCameras
-from lvba.blocks.visual_steps import Ground, PartCameras, inputs
 from lvba.dataset import Dataset
+from lvba.optim.shared_parameters import common_sigma, weighted_mean
 from lvba.products.views import nearest_in_time
 from lvba.steps.lidar import carry_cameras
-from lvba.steps.outcomes import ScanPoses, VisualStage
+from lvba.steps.outcomes import LidarStage, MapPlanes, ScanPoses, VisualStage
+from lvba.steps.visual import inputs
 from lvba.trajectory import Trajectory
-from lvba.visual import covariance
-from lvba.visual import trajectory_prior as priors
+from lvba.visual import covariance, trajectory_prior
 from lvba.visual.exposure_graph import Edges
 from lvba.visual.image import measuring_camera
 from lvba.visual.refine import VisualConfig, VisualResult
 from lvba.visual.result import LevelReport
-from lvba.visual.states import CameraStates, Mount, VisualState
+from lvba.visual.states import Calibration, CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior
 
 
@@ -32,15 +32,15 @@ from lvba.visual.trajectory_prior import Prior
 class ImageSeam:
     """Two neighboring parts at the images that both solved.
 
-    images: how many; jump_m, jump_deg: median difference of their poses; exposure_ratio: by which the later part's
-    exposures were off the earlier one's scale; spread_percent: what is left of the difference
+    images: how many; offset_before_m, offset_before_deg: median difference of their poses
+    exposure_ratio: scale of the later part's exposures over that of the earlier one; spread_percent: residual without it
     """
 
     first: int
     second: int
     images: int
-    jump_m: float
-    jump_deg: float
+    offset_before_m: float
+    offset_before_deg: float
     exposure_ratio: float
     spread_percent: float
 
@@ -57,24 +57,24 @@ class MergedCameras:
 def merge_cameras(
     dataset: Dataset,
     cores: Sequence[Part],
-    found: Sequence[PartCameras],
-    joint_scans: JointScans,
+    stages: Sequence[VisualStage],
+    lidar: LidarStage,
     scans: ScanPoses,
     survey: Survey,
     config: VisualConfig,
     align: bool = True,
 ) -> MergedCameras:
-    """Each keyframe as the part has it whose core it is in; one scale of exposures; the mount all parts agree on."""
-    solved = [part for part in found if part.result is not None]
+    """Each keyframe as the part has it whose core it is in; one scale of exposures; the parts' mean calibration."""
+    solved = [part for part in stages if part.result is not None]
     if not solved:
-        return MergedCameras(None, (), found[0].problem)
-    scale, seams = _exposure_scales(cores, found)
+        return MergedCameras(None, (), stages[0].problem)
+    scale, seams = _exposure_scales(cores, stages)
     if not align:
         scale = np.zeros(len(cores))
     carried = carry_cameras(dataset, scans.world_from_scan)
     poses, log_exposure = carried.copy(), np.zeros(len(carried))
     sigma = np.full(len(carried), np.inf)
-    for core, part, shift in zip(cores, found, scale, strict=True):
+    for core, part, shift in zip(cores, stages, scale, strict=True):
         if part.result is None:
             continue
         mine, own = slice(*core.core_images), core.core_of_images
@@ -84,20 +84,25 @@ def merge_cameras(
     keyframes = survey.keyframes
     state = VisualState(
         CameraStates(poses[keyframes], log_exposure[keyframes] - log_exposure[keyframes[0]]),
-        _common_mount(dataset, [part.result for part in solved if part.result is not None]),
+        _common_calibration([part.result for part in solved if part.result is not None]),
     )
-    prior = _prior(dataset, cores, found, joint_scans, scans, survey, config)
-    settled = all(part.result is not None and len(part.result.weak_common) for part in solved)
-    return MergedCameras(JointCameras(state, state, prior, sigma[keyframes], settled=settled), seams)
+    prior = _prior(dataset, cores, stages, lidar, scans, survey, config)
+    converged = all(part.result is not None and len(part.result.weak_common) for part in solved)
+    return MergedCameras(
+        JointCameras(
+            state=state, before=state, prior=prior, exposure_sigma=sigma[keyframes], converged=converged
+        ),
+        seams,
+    )
 
 
 def _exposure_scales(
-    cores: Sequence[Part], found: Sequence[PartCameras]
+    cores: Sequence[Part], stages: Sequence[VisualStage]
 ) -> tuple[np.ndarray, tuple[ImageSeam, ...]]:
     """What to add to each part's log exposures so that parts agree on the images they share, (parts,), and the seams."""
     rows, values, seams = [], [], []
-    for b, later in enumerate(found):
-        for a, earlier in enumerate(found[:b]):
+    for b, later in enumerate(stages):
+        for a, earlier in enumerate(stages[:b]):
             low = max(cores[a].images[0], cores[b].images[0])
             high = min(cores[a].images[1], cores[b].images[1])
             if high <= low or earlier.result is None or later.result is None:
@@ -106,7 +111,7 @@ def _exposure_scales(
             other = slice(low - cores[b].images[0], high - cores[b].images[0])
             difference = earlier.result.log_exposure[mine] - later.result.log_exposure[other]
             middle = float(np.median(difference))
-            row = np.zeros(len(found))
+            row = np.zeros(len(stages))
             row[a], row[b] = -1.0, 1.0
             rows.append(row * np.sqrt(high - low))
             values.append(middle * np.sqrt(high - low))
@@ -116,61 +121,58 @@ def _exposure_scales(
             )
             seams.append(
                 ImageSeam(
-                    a,
-                    b,
-                    high - low,
-                    float(np.median(np.linalg.norm(apart[:, :3, 3], axis=1))),
-                    float(np.median(geometry.rotation_angle_deg(apart))),
-                    float(np.exp(-middle)),
-                    float(100 * np.std(difference)),
+                    first=a,
+                    second=b,
+                    images=high - low,
+                    offset_before_m=float(np.median(np.linalg.norm(apart[:, :3, 3], axis=1))),
+                    offset_before_deg=float(np.median(geometry.rotation_angle_deg(apart))),
+                    exposure_ratio=float(np.exp(-middle)),
+                    spread_percent=float(100 * np.std(difference)),
                 )
             )
     if not rows:
-        return np.zeros(len(found)), ()
+        return np.zeros(len(stages)), ()
     scale = np.linalg.lstsq(np.array(rows), np.array(values), rcond=None)[0]
     return scale - scale[0], tuple(seams)
 
 
-def _common_mount(dataset: Dataset, results: Sequence[VisualResult]) -> Mount:
-    """The mean of the parts' mounts, each weighed by what its part knows of it."""
-    calibrated = geometry.inverse(dataset.camera_from_scan)
-    change = np.array(
-        [
-            [*geometry.log(geometry.inverse(calibrated) @ result.scan_from_camera), result.time_offset]
-            for result in results
-        ]
-    )
-    weight = np.array([1 / np.maximum(result.mount_sigma, 1e-12) ** 2 for result in results])
-    mean = (weight * change).sum(0) / weight.sum(0)
-    return Mount(geometry.retract(calibrated, mean[:6]), float(mean[6]))
+def _common_calibration(results: Sequence[VisualResult]) -> Calibration:
+    """The mean of the parts' calibrations, each number weighed by what its part knows of it."""
+    calibrations = [result.calibration for result in results]
+    return weighted_mean(calibrations[0], calibrations, [result.calibration_sigma for result in results])
 
 
-def _prior_of_all(dataset: Dataset, joint_scans: JointScans, scans: ScanPoses, config: VisualConfig) -> Prior:
+def _prior_of_all(dataset: Dataset, lidar: LidarStage, scans: ScanPoses, config: VisualConfig) -> Prior:
     """Of all images, with sigmas as first guessed."""
-    off_map = None
-    if joint_scans.lidar.result is not None and scans.verdict.accepted:
-        off_map = joint_scans.lidar.result.conditional_covariance
-    return priors.build(
-        dataset.scans, scans.world_from_scan, dataset.images, dataset.camera_from_scan, config.prior, off_map
+    local_covariance = None
+    if lidar.result is not None and scans.verdict.accepted:
+        local_covariance = lidar.result.conditional_covariance
+    return trajectory_prior.build(
+        dataset.scans,
+        scans.world_from_scan,
+        dataset.images,
+        dataset.camera_from_scan,
+        config.prior,
+        local_covariance,
     )
 
 
 def _prior(
     dataset: Dataset,
     cores: Sequence[Part],
-    found: Sequence[PartCameras],
-    joint_scans: JointScans,
+    stages: Sequence[VisualStage],
+    lidar: LidarStage,
     scans: ScanPoses,
     survey: Survey,
     config: VisualConfig,
 ) -> Prior:
     """Of all keyframes, with the sigmas that the parts found."""
-    prior = priors.take(_prior_of_all(dataset, joint_scans, scans, config), survey.keyframes)
+    prior = trajectory_prior.take(_prior_of_all(dataset, lidar, scans, config), survey.keyframes)
     sources = []
     for number, source in enumerate(prior.sources):
         rotation, position = source.sigma_rotation.copy(), source.sigma_position.copy()
         memories = []
-        for core, part in zip(cores, found, strict=True):
+        for core, part in zip(cores, stages, strict=True):
             if part.tuning is None or number >= len(part.tuning.memory):
                 continue
             local = core.image_numbers[keyframes_of(survey, core.frames)]
@@ -183,83 +185,91 @@ def _prior(
         sources.append(
             replace(source, sigma_rotation=rotation, sigma_position=position, memory=(memory[0], memory[1]))
         )
-    tunings = [part.tuning for part in found if part.tuning is not None]
-    counts = [tuning.mount_information for tuning in tunings if tuning.mount_information is not None]
+    tunings = [part.tuning for part in stages if part.tuning is not None]
+    counts = [
+        tuning.calibration_information for tuning in tunings if tuning.calibration_information is not None
+    ]
     # what images tell and how far they contradict it both add up over the parts: their ratio is a mean
     mean = np.mean(counts, axis=0) if counts else None
-    return replace(prior, sources=tuple(sources), mount_information=mean)
+    return replace(prior, sources=tuple(sources), calibration=replace(prior.calibration, counted=mean))
 
 
-def lay_out(
+def select_points(
     dataset: Dataset,
     frames: Frames,
-    pictures: np.ndarray,
-    below: Ground,
-    found: PartCameras,
+    keyframes: Pieces[Keyframes],
+    lidar: LidarStage,
+    planes: MapPlanes,
+    stage: VisualStage,
     merged: MergedCameras,
     survey: Survey,
     config: VisualConfig,
 ) -> CameraPoints | None:
-    """The scene points of a part's core at the merged poses; none where the part has nothing to say.
+    """The scene points of a part's core at the merged poses; None where the part has nothing to say.
 
-    dataset, frames, pictures (`undistorted`), below: of the part with what others took at the same place; found: of the
-    part
+    dataset, frames, keyframes, planes: of the part with what others took at the same place; stage: of the part
     """
     now = merged.cameras
-    if now is None or found.tuning is None or below.problem:
+    if now is None or stage.tuning is None or planes.problem:
         return None
-    numbers = frames.images[below.keyframes]
-    images = np.searchsorted(survey.keyframes, numbers)
+    numbers = frames.images[planes.keyframes]
+    among = np.searchsorted(survey.keyframes, numbers)
     core = (numbers >= frames.core_images[0]) & (numbers < frames.core_images[1])
-    given = inputs(dataset, pictures, below, config)
-    return visual_block.lay_out(given, _state_of(now, images), images, core, found.tuning, config)
+    given = inputs(dataset, frames, keyframes, lidar, planes, config)
+    prior = None if now.prior is None else trajectory_prior.take(now.prior, among)
+    return visual_block.select_scene_points(
+        given, _state_of(now, among), among, core, stage.tuning, prior, config
+    )
 
 
 def _state_of(now: JointCameras, images: np.ndarray) -> VisualState:
     cameras = now.state.cameras
     return VisualState(
-        CameraStates(cameras.world_from_camera[images], cameras.log_exposure[images]), now.state.mount
+        CameraStates(cameras.world_from_camera[images], cameras.log_exposure[images]), now.state.calibration
     )
 
 
-def brightness(laid: CameraPoints | None) -> Edges | None:
-    """What a part measured of the brightness of its images; None where it did not."""
-    return None if laid is None else laid.edges
+def exposure_pairs(points: CameraPoints | None) -> Edges | None:
+    """How much brighter images of a part are than others; None where that was not measured."""
+    return None if points is None else points.edges
 
 
-def tie_exposures(merged: MergedCameras, found: Sequence[Edges | None]) -> MergedCameras:
-    """Exposures of all keyframes at once, from the brightness that all parts measured."""
+def solve_exposures(merged: MergedCameras, edges: Sequence[Edges | None]) -> MergedCameras:
+    """Exposures of all keyframes at once, from the pairs that all parts measured."""
     if merged.cameras is None:
         return merged
     return replace(
         merged,
-        cameras=visual_joint.with_exposures(merged.cameras, [each for each in found if each is not None]),
+        cameras=visual_joint.with_exposures(merged.cameras, [each for each in edges if each is not None]),
     )
 
 
 def linearize_cameras(
     dataset: Dataset,
-    read_pictures: Callable[[], np.ndarray],
-    found: PartCameras,
-    read_laid: Callable[[], CameraPoints | None],
+    keyframes: Pieces[Keyframes],
+    stage: VisualStage,
+    read_points: Callable[[], CameraPoints | None],
     merged: MergedCameras,
+    survey: Survey,
     config: VisualConfig,
 ) -> CameraShare | None:
-    """A part's share at the state so far; none where that has settled, or the part has nothing to say."""
+    """A part's normal equations at the state so far; None where that has converged, or the part has nothing to say."""
     now = merged.cameras
-    if now is None or found.tuning is None or now.settled:
+    if now is None or stage.tuning is None or now.converged:
         return None
-    laid = read_laid()
-    if laid is None:
+    points = read_points()
+    if points is None:
         return None
-    state = _state_of(now, laid.images)
+    state = _state_of(now, points.images)
     camera = measuring_camera(dataset.camera)
-    return visual_block.linearize(read_pictures(), camera, laid, state, found.tuning, config)
+    images = keyframe_images(keyframes, survey.keyframes[points.images])
+    prior = None if now.prior is None else trajectory_prior.take(now.prior, points.images)
+    return visual_block.linearize(images, camera, points, state, stage.tuning, prior, dataset.camera, config)
 
 
-def step_cameras(merged: MergedCameras, found: Sequence[CameraShare | None]) -> MergedCameras:
+def step_cameras(merged: MergedCameras, blocks: Sequence[CameraShare | None]) -> MergedCameras:
     """One round of the joint problem."""
-    known = [each for each in found if each is not None]
+    known = [each for each in blocks if each is not None]
     if merged.cameras is None or not known:
         return merged
     return replace(merged, cameras=visual_joint.step(merged.cameras, known))
@@ -268,9 +278,9 @@ def step_cameras(merged: MergedCameras, found: Sequence[CameraShare | None]) -> 
 def finish_cameras(
     dataset: Dataset,
     cores: Sequence[Part],
-    found: Sequence[PartCameras],
+    stages: Sequence[VisualStage],
     merged: MergedCameras,
-    joint_scans: JointScans,
+    lidar: LidarStage,
     scans: ScanPoses,
     survey: Survey,
     config: VisualConfig,
@@ -280,21 +290,19 @@ def finish_cameras(
     if now is None:
         return VisualStage(None, merged.problem)
     times, keyframes = dataset.images.times, survey.keyframes
-    prior = _prior_of_all(dataset, joint_scans, scans, config)
-    solved = now.prior if now.prior is not None else priors.take(prior, keyframes)
-    poses, _ = priors.fill(prior, solved, now.state, keyframes, times)
+    prior = _prior_of_all(dataset, lidar, scans, config)
+    solved = now.prior if now.prior is not None else trajectory_prior.take(prior, keyframes)
+    poses, _ = trajectory_prior.fill(prior, solved, now.state, keyframes, times)
     log_exposure = np.interp(times, times[keyframes], now.state.cameras.log_exposure)
-    results = [part.result for part in found if part.result is not None]
-    spread, on_map = _of_parts(cores, found, len(times))
-    if joint_scans.lidar.result is not None and scans.verdict.accepted:
+    results = [part.result for part in stages if part.result is not None]
+    spread, local_covariance = _of_parts(cores, stages, len(times))
+    if lidar.result is not None and scans.verdict.accepted:
         where = Trajectory(dataset.scans.times, scans.world_from_scan)
         unsolved = ~np.isfinite(spread[:, 0, 0])
-        spread[unsolved] = covariance.of_map(poses, times, where, joint_scans.lidar.result.covariance)[
-            unsolved
-        ]
+        spread[unsolved] = covariance.of_map(poses, times, where, lidar.result.covariance)[unsolved]
     nearest = nearest_in_time(times[keyframes], times)
     weak = np.zeros(len(times), np.int32)
-    for core, part in zip(cores, found, strict=True):
+    for core, part in zip(cores, stages, strict=True):
         if part.result is not None:
             weak[slice(*core.core_images)] = part.result.weak[core.core_of_images]
     fewest = min(results, key=lambda result: len(result.weak_common))
@@ -303,39 +311,38 @@ def finish_cameras(
             world_from_camera=poses,
             log_exposure=log_exposure - log_exposure[0],
             covariance=spread,
-            covariance_on_map=on_map,
+            local_covariance=local_covariance,
             log_exposure_sigma=now.exposure_sigma[nearest],
             keyframes=keyframes,
-            scan_from_camera=now.state.mount.scan_from_camera,
-            time_offset=now.state.mount.time_offset,
-            mount_sigma=1 / np.sqrt(np.sum([1 / result.mount_sigma**2 for result in results], axis=0)),
+            calibration=now.state.calibration,
+            calibration_sigma=common_sigma([result.calibration_sigma for result in results]),
             weak=weak,
             weak_common=fewest.weak_common,
             levels=_levels(results),
             cost_initial=float(sum(result.cost_initial for result in results)),
             cost_final=float(sum(result.cost_final for result in results)),
             converged=all(result.converged for result in results),
-            warnings=_warnings(cores, found),
+            warnings=_warnings(cores, stages),
         )
     )
 
 
 def _of_parts(
-    cores: Sequence[Part], found: Sequence[PartCameras], images: int
+    cores: Sequence[Part], stages: Sequence[VisualStage], images: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """(I, 6, 6) covariance of each camera as the part of its core has it, and that relative to the map around it; NaN
     where that was not solved."""
-    spread, on_map = np.full((2, images, 6, 6), np.nan)
-    for core, part in zip(cores, found, strict=True):
+    spread, local_covariance = np.full((2, images, 6, 6), np.nan)
+    for core, part in zip(cores, stages, strict=True):
         if part.result is not None:
             mine, own = slice(*core.core_images), core.core_of_images
             spread[mine] = part.result.covariance[own]
-            on_map[mine] = part.result.covariance_on_map[own]
-    return spread, on_map
+            local_covariance[mine] = part.result.local_covariance[own]
+    return spread, local_covariance
 
 
 def _levels(results: Sequence[VisualResult]) -> tuple[LevelReport, ...]:
-    """The account of every level over all parts; images shared by two parts count in both."""
+    """The report of every level over all parts; images shared by two parts count in both."""
     return tuple(_level(rows) for rows in zip(*(result.levels for result in results), strict=True))
 
 
@@ -349,18 +356,20 @@ def _level(rows: Sequence[LevelReport]) -> LevelReport:
         sigma=float(np.mean([row.sigma for row in rows])),
         shift=float(np.mean([row.shift for row in rows])),
         rms=float(np.mean([row.rms for row in rows])),
-        inflation=max(row.inflation for row in rows),  # an alarm: one part is enough
+        variance_factor=max(row.variance_factor for row in rows),  # an alarm: one part is enough
         iterations=tuple(entry for row in rows for entry in row.iterations),
         converged=all(row.converged for row in rows),
     )
 
 
-def _warnings(cores: Sequence[Part], found: Sequence[PartCameras]) -> tuple[str, ...]:
-    told = []
-    for core, part in zip(cores, found, strict=True):
+def _warnings(cores: Sequence[Part], stages: Sequence[VisualStage]) -> tuple[str, ...]:
+    warnings = []
+    for core, part in zip(cores, stages, strict=True):
         name = f"part {core.number + 1} of {len(cores)}"
         if part.result is None:
-            told.append(f"{name} has no visual solution ({part.problem}); its cameras move with the scans")
+            warnings.append(
+                f"{name} has no visual solution ({part.problem}); its cameras move with the scans"
+            )
         else:
-            told += [f"{name}: {warning}" for warning in part.result.warnings]
-    return tuple(told)
+            warnings += [f"{name}: {warning}" for warning in part.result.warnings]
+    return tuple(warnings)

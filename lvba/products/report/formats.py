@@ -1,10 +1,10 @@
-"""Numbers and verdicts in words."""
+"""How the report writes numbers, lengths and verdicts."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from lvba.products import part_verdicts
+from lvba.products import lengths, part_verdicts
 
 MISSING = "\N{EN DASH}"
 
@@ -43,8 +43,8 @@ def number(value: Any, digits: int = 2, unit: str = "") -> str:
     """A number with a true minus sign and its unit; a dash where it is missing."""
     if not isinstance(value, int | float):
         return MISSING
-    words = f"{value:,.{digits}f}".replace("-", "\N{MINUS SIGN}").replace(",", "\N{THIN SPACE}")
-    return f"{words}\N{NO-BREAK SPACE}{unit}" if unit else words
+    digits_text = f"{value:,.{digits}f}".replace("-", "\N{MINUS SIGN}").replace(",", "\N{THIN SPACE}")
+    return f"{digits_text}\N{NO-BREAK SPACE}{unit}" if unit else digits_text
 
 
 def measure(value: Any, kind: Measure, unit: bool = True) -> str:
@@ -55,13 +55,10 @@ def measure(value: Any, kind: Measure, unit: bool = True) -> str:
 
 
 def length(meters: Any) -> str:
-    """A length in the unit that suits it: mm, cm or m."""
+    """A length in mm, or in m from one meter on; a dash where it is missing."""
     if not isinstance(meters, int | float):
         return MISSING
-    size = abs(meters)
-    if size < 0.0995:
-        return number(1000 * meters, 1 if size >= 0.001 else 2, "mm")
-    return number(100 * meters, 1, "cm") if size < 0.995 else number(meters, 2, "m")
+    return lengths.text(meters, "\N{NO-BREAK SPACE}").replace("-", "\N{MINUS SIGN}")
 
 
 def angle(degrees: Any) -> str:
@@ -77,7 +74,7 @@ def count(value: Any) -> str:
 
 
 def verdict(facts: Mapping[str, Any]) -> str:
-    """What came out, in a sentence or two of HTML without user text."""
+    """How the result compares with the input, in a sentence or two of HTML without user text."""
     rough, refined = (facts.get("evaluation", {}).get(name) or {} for name in ("rough", "refined"))
     sentences = []
     before, after = rough.get("psnr_leave_one_out"), refined.get("psnr_leave_one_out")
@@ -86,28 +83,30 @@ def verdict(facts: Mapping[str, Any]) -> str:
         if gain > 0.005:
             better = number(gain, 2, "dB")
             sentences.append(
-                f"The map predicts images that it has not seen <strong>{better} better</strong> than before."
+                f"Images left out of the coloring are predicted <strong>{better} better</strong> than before."
             )
         elif gain < -0.005:
             worse = number(-gain, 2, "dB")
             sentences.append(
-                f"The map predicts images that it has not seen <strong>{worse} worse</strong> than before."
+                f"Images left out of the coloring are predicted <strong>{worse} worse</strong> than before."
             )
         else:
             sentences.append(
-                "The map predicts images that it has not seen <strong>as well as before</strong>."
+                "Images left out of the coloring are predicted <strong>as well as before</strong>."
             )
     before, after = rough.get("map_entropy"), refined.get("map_entropy")
     if before is not None and after is not None and abs(after - before) > 5e-4:
-        word = "crisper" if after < before else "less crisp"
-        sentences.append(f"Its surfaces are <strong>{word}</strong>.")
+        word = "sharper" if after < before else "less sharp"
+        sentences.append(f"Surfaces of the map are <strong>{word}</strong>.")
     kept = [
         _KEPT[part.name]
         for part in part_verdicts.of_report(facts)
         if not part.accepted and part.name in _KEPT
     ]
     if kept:
-        sentences.append(f"The input's <strong>{_listed(kept)} were kept</strong>: see below why.")
+        sentences.append(
+            f"The input's <strong>{_listed(kept)} were kept</strong>, for the reasons given below."
+        )
     return " ".join(sentences)
 
 

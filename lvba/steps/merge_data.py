@@ -1,4 +1,4 @@
-"""What the report says about parts: what each held, how they fitted, and what the joint rounds did."""
+"""The facts of a run in parts: what each part held, how they fitted, and what the joint rounds did."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -6,17 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from lvba.blocks.camera_steps import MergedCameras
-from lvba.blocks.lidar_steps import JointScans, MergedStage
-from lvba.blocks.product_steps import SeamWalls
 from lvba.blocks.split import Part
 from lvba.dataset import Dataset
 from lvba.steps import report_data
+from lvba.steps.joint_cameras import MergedCameras
+from lvba.steps.joint_scans import JointScans, MergedStage
 from lvba.steps.outcomes import Accepted
+from lvba.steps.seams import SeamWalls
 
 
 def collect(
-    told: dict[str, Any],
     dataset: Dataset,
     cores: Sequence[Part],
     merged: MergedStage,
@@ -25,20 +24,17 @@ def collect(
     walls: Sequence[SeamWalls],
     accepted: Accepted,
 ) -> dict[str, Any]:
-    """The facts of the whole recording, with those of its parts under "merge"."""
+    """The `merge` part of report.json."""
     history = () if cameras.cameras is None else cameras.cameras.history
-    return told | {
-        "merge": report_data.plain(
-            {
-                "parts": [_part(dataset, part) for part in cores],
-                "seams": _seams(merged, cameras, walls),
-                "loops": [dataclasses.asdict(loop) for loop in merged.merged.loops],
-                "scan_rounds": [dataclasses.asdict(entry) for entry in joint.rounds],
-                "image_rounds": [dataclasses.asdict(entry) for entry in history],
-                "poses": _accounted(cores, accepted),
-            }
-        )
+    facts = {
+        "parts": [_part(dataset, part) for part in cores],
+        "seams": _seams(merged, cameras, walls),
+        "loops": [dataclasses.asdict(loop) for loop in merged.merged.loops],
+        "scan_rounds": [dataclasses.asdict(entry) for entry in joint.rounds],
+        "image_rounds": [dataclasses.asdict(entry) for entry in history],
+        "poses": _accounted(cores, accepted),
     }
+    return dict(report_data.plain(facts))
 
 
 def _part(dataset: Dataset, part: Part) -> dict[str, Any]:
@@ -64,8 +60,8 @@ def _seams(merged: MergedStage, cameras: MergedCameras, walls: Sequence[SeamWall
         if other is not None:
             row |= {
                 "images": other.images,
-                "camera_jump_m": other.jump_m,
-                "camera_jump_deg": other.jump_deg,
+                "camera_offset_m": other.offset_before_m,
+                "camera_offset_deg": other.offset_before_deg,
                 "exposure_ratio": other.exposure_ratio,
                 "exposure_spread_percent": other.spread_percent,
             }

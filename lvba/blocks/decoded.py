@@ -1,0 +1,260 @@
+"""The frames of a recording decoded once, in pieces that all later steps read: points of scans, keyframes, images.
+
+Each piece holds frames of one core, so that no frame is in two of them. A step is given the pieces of the frames that it
+works on, and holds one of them (two of images) at a time beside what it copies out.
+"""
+
+import functools
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Generic, TypeVar
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from lvba.arrays import Indices
+from lvba.blocks.split import Part
+from lvba.blocks.survey import Survey
+from lvba.camera import Camera
+from lvba.dataset import Dataset
+from lvba.io import dataset as recordings
+from lvba.parallel import in_order
+from lvba.plan import Ref, StreamedRef
+from lvba.progress import Progress, silent
+from lvba.visual import image
+from lvba.visual.image import ImageConfig
+
+PIECE_BYTES = 1 << 25
+"""Images in color are kept in pieces of about this size: so much of them is in memory at a time."""
+
+T = TypeVar("T")
+Range = tuple[int, int]
+"""Half-open, of numbers of frames in the whole recording."""
+Pieces = Sequence[tuple[Range, Callable[[], T]]]
+"""Pieces by the frames they hold, ascending, as functions that read them."""
+Made = tuple[Range, Ref]
+Given = tuple[Range, StreamedRef]
+"""A piece in a plan: as a step makes it, and as it is given to another one."""
+_REGION_M = 300.0
+"""Scans of parts whose paths come this near to a part's may have points in its region of space: twice the reach of usual
+sensors. Of parts further off, where there are such points all the same, the files are read again."""
+
+
+def given(pieces: Sequence[Made], numbers: Indices) -> list[Given]:
+    """The pieces that hold some frames, ascending numbers (n,)."""
+    return [
+        ((first, end), StreamedRef(ref.key))
+        for (first, end), ref in pieces
+        if np.searchsorted(numbers, first) < np.searchsorted(numbers, end)
+    ]
+
+
+def about_region(dataset: Dataset, part: Part, pieces: Sequence[Made]) -> list[Given]:
+    """The scans that may have points in the region of space that a part owns. dataset: the whole recording."""
+    path = dataset.scans.world_from_sensor[:, :3, 3]
+    near = cKDTree(path[slice(*part.core_scans)]).query(path, distance_upper_bound=_REGION_M)[0]
+    return given(pieces, np.flatnonzero(np.isfinite(near)))
+
+
+@dataclass(frozen=True)
+class ScanPoints:
+    """Points of successive scans, one after another.
+
+    points: (M, 3) float32, m, scan frame, all finite; offsets: (n + 1,) int64, where each scan begins
+    intensity: (M,) float32, NaN where the file has none; None: not kept
+    """
+
+    points: np.ndarray
+    offsets: np.ndarray
+    intensity: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Keyframes:
+    """Keyframes as the visual bundle adjustment reads them. numbers: (k,) int64; images: (k, H, W, C) uint8"""
+
+    numbers: np.ndarray
+    images: np.ndarray
+
+
+def decode_scans(dataset: Dataset, scans: Range, progress: Progress = silent) -> ScanPoints:
+    """The points of some scans, with intensities where there are no images that would color the map.
+
+    Raises InputError: a scan cannot be read.
+    """
+    points, intensity = [], []
+    for scan in in_order(lambda number: recordings.load_scan(dataset, number), range(*scans)):
+        points.append(scan.points)
+        if not dataset.image_paths:
+            known = scan.intensity
+            intensity.append(np.full(len(scan), np.nan, np.float32) if known is None else known)
+        progress("scans", len(points), scans[1] - scans[0])
+    return ScanPoints(
+        np.concatenate(points),
+        np.concatenate([[0], np.cumsum([len(each) for each in points])]).astype(np.int64),
+        np.concatenate(intensity).astype(np.float32) if intensity else None,
+    )
+
+
+def decode_keyframes(
+    dataset: Dataset,
+    images: Range,
+    survey: Survey,
+    config: ImageConfig,
+    enabled: bool = True,
+    progress: Progress = silent,
+) -> Keyframes:
+    """The keyframes among some images, as `image.measuring_camera` sees them. enabled: False: none, nobody needs them.
+
+    Raises InputError: an image cannot be read.
+    """
+    numbers = survey.keyframes
+    chosen = numbers[(numbers >= images[0]) & (numbers < images[1])]
+    if not enabled or not len(chosen):
+        return Keyframes(chosen[:0], np.zeros((0, 1, 1, config.channels), np.uint8))
+    gathered = image.load_undistorted(
+        lambda index: recordings.load_image(dataset, int(chosen[index])),
+        len(chosen),
+        dataset.camera,
+        config,
+        progress,
+    )
+    return Keyframes(chosen, gathered)
+
+
+def decode_photos(dataset: Dataset, images: Range, progress: Progress = silent) -> np.ndarray:
+    """Some images in color as they were taken, (n, H, W, 3) uint8: which lens they have is known better later.
+
+    Raises InputError: an image cannot be read.
+    """
+    camera, first = dataset.camera, images[0]
+    photos = np.empty((images[1] - first, camera.height, camera.width, 3), np.uint8)
+
+    def load(number: int) -> None:
+        photos[number - first] = recordings.load_image(dataset, number)
+
+    for done, _ in enumerate(in_order(load, range(*images))):
+        progress("images", done + 1, len(photos))
+    return photos
+
+
+def photo_ranges(dataset: Dataset, images: Range) -> list[Range]:
+    """Some images cut into ranges of about PIECE_BYTES of color each."""
+    count = images[1] - images[0]
+    if not count:
+        return []
+    size = 3 * dataset.camera.width * dataset.camera.height
+    pieces = max(1, -(-count * size // PIECE_BYTES))
+    bounds = [images[0] + count * k // pieces for k in range(pieces + 1)]
+    return [each for each in pairwise(bounds) if each[0] < each[1]]
+
+
+class _Reader(Generic[T]):
+    """Reads pieces, and keeps the last ones. May be called from several threads."""
+
+    def __init__(self, pieces: Pieces[T], keep: int = 1) -> None:
+        self._pieces, self._keep = pieces, keep
+        self._kept: OrderedDict[int, T] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def find(self, number: int) -> tuple[int, T] | None:
+        """The first frame of the piece that holds a frame, and the piece; None where no piece does."""
+        for index, ((first, end), read) in enumerate(self._pieces):
+            if first <= number < end:
+                with self._lock:
+                    if index not in self._kept:
+                        while len(self._kept) >= self._keep:
+                            self._kept.popitem(last=False)
+                        self._kept[index] = read()
+                    self._kept.move_to_end(index)
+                    return first, self._kept[index]
+        return None
+
+
+class ScanReader:
+    """Points of scans.
+
+    first: number in the whole recording of the scan called 0; whole: the recording, whose files are read for scans that
+    no piece holds
+    """
+
+    def __init__(self, pieces: Pieces[ScanPoints], first: int = 0, whole: Dataset | None = None) -> None:
+        self._pieces, self._first, self._whole = pieces, first, whole
+        self._reader = _Reader(pieces)
+
+    def __call__(self, scan: int) -> np.ndarray:
+        """(N, 3) float32, m, scan frame.
+
+        Raises InputError: it is in no piece, and its file cannot be read.
+        """
+        held = self._reader.find(self._first + scan)
+        if held is not None:
+            index = self._first + scan - held[0]
+            return held[1].points[held[1].offsets[index] : held[1].offsets[index + 1]]
+        if self._whole is None:
+            raise IndexError(f"no piece holds scan {self._first + scan}")
+        return recordings.load_scan(self._whole, self._first + scan).points
+
+    def load(self, scans: Sequence[int] | np.ndarray) -> list[np.ndarray]:
+        """The points of some scans, copied where a view would hold more than one piece in memory."""
+        many = len(self._pieces) > 1
+        return [self(int(scan)).copy() if many else self(int(scan)) for scan in scans]
+
+    def intensities(self, scans: Sequence[int] | np.ndarray) -> np.ndarray:
+        """Of the points of some scans, one after another, (M,) float32, NaN where not known."""
+        gathered = []
+        for scan in map(int, scans):
+            held = self._reader.find(self._first + scan)
+            if held is None or held[1].intensity is None:
+                gathered.append(np.full(len(self(scan)), np.nan, np.float32))
+                continue
+            index = self._first + scan - held[0]
+            gathered.append(held[1].intensity[held[1].offsets[index] : held[1].offsets[index + 1]])
+        return np.concatenate(gathered)
+
+
+class PhotoReader:
+    """Images in color without distortion, as the camera has it.
+
+    pieces: of raw images; camera: theirs, with its lens; first: number in the whole recording of the image called 0
+    """
+
+    def __init__(self, pieces: Pieces[np.ndarray], camera: Camera, first: int = 0) -> None:
+        undistort = image.Undistorter(camera)
+
+        def without_distortion(read: Callable[[], np.ndarray]) -> np.ndarray:
+            raw = read()
+            return (
+                raw
+                if undistort.identity
+                else np.stack(list(in_order(lambda k: undistort(raw[k]), range(len(raw)))))
+            )
+
+        plain = [(held, functools.partial(without_distortion, read)) for held, read in pieces]
+        self._first, self._reader = first, _Reader(plain, keep=2)
+
+    def __call__(self, index: int) -> np.ndarray:
+        """(H, W, 3) uint8 RGB."""
+        held = self._reader.find(self._first + index)
+        if held is None:
+            raise IndexError(f"no piece holds image {self._first + index}")
+        return np.asarray(held[1][self._first + index - held[0]])
+
+
+def keyframe_images(pieces: Pieces[Keyframes], numbers: Indices) -> np.ndarray:
+    """The images (k, H, W, C) uint8 of some keyframes (k,), ascending numbers in the whole recording."""
+    gathered: np.ndarray | None = None
+    for (first, end), read in pieces:
+        wanted = np.flatnonzero((numbers >= first) & (numbers < end))
+        if not len(wanted):
+            continue
+        piece = read()
+        if len(wanted) == len(numbers) == len(piece.numbers):
+            return piece.images
+        if gathered is None:
+            gathered = np.empty((len(numbers), *piece.images.shape[1:]), np.uint8)
+        gathered[wanted] = piece.images[np.searchsorted(piece.numbers, numbers[wanted])]
+    return np.zeros((0, 1, 1, 1), np.uint8) if gathered is None else gathered

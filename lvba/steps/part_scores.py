@@ -1,0 +1,30 @@
+"""Scores of the images in the core of each part, and of all of them together."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lvba.arrays import Indices
+from lvba.blocks.split import Part
+from lvba.products import evaluate
+from lvba.products.evaluate import Scores
+
+
+def in_core(images: Indices, part: Part) -> np.ndarray:
+    """Those of some images (J,), numbered as in the whole recording, that are in the part's core."""
+    return images[(images >= part.core_images[0]) & (images < part.core_images[1])]
+
+
+def as_in_whole(scores: Mapping[str, Scores], part: Part) -> dict[str, Scores]:
+    """The scores of a part's images, numbered as in the whole recording."""
+    first = np.int32(part.images[0])
+    return {name: replace(each, images=each.images + first) for name, each in scores.items()}
+
+
+def together(scores: Sequence[Mapping[str, Scores]], entropy: Mapping[str, float]) -> dict[str, Scores]:
+    """The scores of all parts as one; entropy: mean map entropy of the whole by state. Empty where no part has any."""
+    known = [each for each in scores if each]
+    if not known:
+        return {}
+    return {name: evaluate.together([each[name] for each in known], entropy[name]) for name in known[0]}

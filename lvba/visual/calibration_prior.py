@@ -1,0 +1,56 @@
+"""The prior on the calibration (extrinsic, time offset), weighed against what the images say about it.
+
+All images share one calibration, so their information about it adds up, and so do errors that they share. A hundred
+images of a Kinect claimed the extrinsic to a millimeter and moved it by 43 mm. How far separate pieces of wall contradict
+each other about the calibration shows how much of that information is real; where they contradict each other more than
+they claim, the calibrated values get a larger weight.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.linalg import eigh
+
+from lvba.optim.shared_parameters import SharedPrior, information
+from lvba.visual.states import Calibration
+
+_TELLS_NOTHING = 1e-6
+"""Part of the calibration's information that the images are taken to tell at least, in any direction."""
+
+
+def build(calibrated: Calibration, sigma: Mapping[str, float | np.ndarray]) -> SharedPrior[Calibration]:
+    """The prior of calibrated values with these standard deviations, by parameter."""
+    return SharedPrior(calibrated, information(calibrated.layout(), sigma))
+
+
+def weighed(information: np.ndarray, spread: np.ndarray, claims: np.ndarray) -> np.ndarray:
+    """(k, k): what the calibration shall count beside images of this `information`, never less than it claims itself.
+
+    information: (k, k) float64, of the images about the calibration, with all cameras eliminated
+    spread: (k, k) float64, variance of their gradient by it, summed over pieces of wall (see `visual.covariance`)
+    claims: (k, k) float64, information of the calibration
+
+    Where the spread is mu > 1 times the information (generalized eigenvectors), the images are good for
+    `information / mu`. What this and the calibration agree on is reached with all of it, too, by a calibration that
+    counts more: along the axes that they share by as much as the images overstate.
+    """
+    root = np.linalg.cholesky(claims)
+    # in units of the calibration: its information is 1
+    information, spread = _positive(_whitened(information, root)), _whitened(spread, root)
+    overstated, axes = eigh(spread, information)
+    back = information @ axes
+    believed = (back / np.maximum(overstated, 1.0)) @ back.T
+    good, shared = np.linalg.eigh(believed)
+    counts = np.einsum("ik,ij,jk->k", shared, information, shared) / np.maximum(good, 1e-12)
+    half = root @ shared
+    return np.asarray((half * np.maximum(counts, 1.0)) @ half.T)
+
+
+def _whitened(information: np.ndarray, root: np.ndarray) -> np.ndarray:
+    left = np.linalg.solve(root, 0.5 * (information + information.T))
+    return np.asarray(np.linalg.solve(root, left.T))
+
+
+def _positive(information: np.ndarray) -> np.ndarray:
+    values, axes = np.linalg.eigh(information)
+    return np.asarray((axes * np.maximum(values, _TELLS_NOTHING)) @ axes.T)

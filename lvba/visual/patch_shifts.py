@@ -1,0 +1,33 @@
+"""How parameters that all images share move the patches of the photometric cost in their target images."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Shifts:
+    """How shared parameters move the patches in their target images, linear about their values at that time.
+
+    at: (O, 2) float64, px of the level, what the values themselves move; by: (O, 2, m) float64, px per step of m
+    parameters; columns: (m,) int64, which of the `size` numbers of a step of all shared parameters these are
+    """
+
+    at: np.ndarray
+    by: np.ndarray
+    columns: np.ndarray
+    size: int
+
+    @property
+    def jacobian(self) -> np.ndarray:
+        """(O, 3, m) float64: target pixel, px, and log exposure difference (none), by the m parameters."""
+        return np.concatenate([self.by, np.zeros_like(self.by[:, :1])], axis=1)
+
+    def spread(self, values: np.ndarray) -> np.ndarray:
+        """(..., size) float64: values of all parameters, zero where these are not.
+
+        values: (..., m) float64, of these parameters
+        """
+        every = np.zeros((*values.shape[:-1], self.size))
+        every[..., self.columns] = values
+        return every

@@ -1,0 +1,46 @@
+"""What a solve found out about noise, for later solves of the same images that are to weigh them alike."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lvba.visual import bundle_adjustment
+from lvba.visual.bundle_adjustment import LevelSolution
+from lvba.visual.noise import NoiseModel
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """What the solve of one part found about noise, kept in the joint rounds.
+
+    noise: of residuals; variance_factor: actual over modeled variance of the pixels
+    offset_scale: how many times further than the LiDAR says planes are off
+    sigma_rotation, sigma_position: (sources, k) of each source of the prior, rad and m; memory: (sources, 2)
+    calibration_information: (k, k), what the calibration counts beside the images; None: there is no prior
+    """
+
+    noise: NoiseModel
+    variance_factor: float
+    offset_scale: float
+    sigma_rotation: np.ndarray
+    sigma_position: np.ndarray
+    memory: np.ndarray
+    calibration_information: np.ndarray | None
+
+
+def tuning(solution: LevelSolution) -> Tuning:
+    """The tuning that a level was solved with last."""
+    problem, sources = solution.problem, () if solution.prior is None else solution.prior.sources
+    scale = 1.0
+    if problem.offset_sigma is not None and len(problem.points):
+        first = bundle_adjustment.offset_sigma(problem.points, bundle_adjustment.PLANE_FLOOR_M)
+        scale = float(problem.offset_sigma[0] / first[0])
+    return Tuning(
+        noise=solution.noise,
+        variance_factor=problem.variance_factor,
+        offset_scale=scale,
+        sigma_rotation=np.array([source.sigma_rotation for source in sources]),
+        sigma_position=np.array([source.sigma_position for source in sources]),
+        memory=np.array([source.memory for source in sources]),
+        calibration_information=None if solution.prior is None else solution.prior.calibration.counted,
+    )

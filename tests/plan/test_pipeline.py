@@ -1,0 +1,78 @@
+"""One sequence of steps, for one part and for many."""
+
+import ast
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lvba
+from lvba import pipeline
+from lvba.blocks.split import Load, SplitConfig
+from lvba.camera import Camera
+from lvba.dataset import Dataset
+from lvba.pipeline import Config
+from lvba.trajectory import Trajectory
+from lvba.visual.variant import Variant
+
+JOINT = ("joint_scans", "joint_cameras", "seams", "merge_data")
+"""Modules whose steps only a run in parts has."""
+
+
+@pytest.fixture
+def plan_of(monkeypatch):
+    """The plan of a recording along a line, cut into cores of so many scans, or not at all."""
+    monkeypatch.setattr(pipeline.survey, "load_of", lambda _: Load(30_000, 640 * 480))
+    poses = np.tile(np.eye(4), (60, 1, 1))
+    poses[:, 0, 3] = np.arange(60.0)
+    path = Trajectory(np.arange(60.0), poses)
+    names = tuple(map(str, range(60)))
+    dataset = Dataset("line", names, path, names, path, Camera(640, 480, 500, 500, 320, 240), np.eye(4))
+
+    def make(size, **options):
+        split = SplitConfig(by="count", size=size) if size else SplitConfig(by="none")
+        return pipeline.refine(dataset, replace(Config(), split=split), **options)
+
+    return make
+
+
+def functions(plan):
+    return {step.function for step in plan.steps.values()}
+
+
+def test_one_part_takes_the_steps_that_many_take_without_the_joint_ones(plan_of):
+    one, many = functions(plan_of(0)), functions(plan_of(20))
+    assert {function.__name__ for function in one - many} == {
+        "solve_lidar"
+    }  # in parts, `solve_part` calls it
+    joint = {function for function in many if function.__module__.rpartition(".")[2] in JOINT}
+    assert {function.__name__ for function in many - joint - one} == {"merge_scores"}
+
+
+def test_steps_of_whole_recordings_have_the_same_names_in_parts(plan_of):
+    one, many = ({step.name for step in plan_of(size).steps.values()} for size in (0, 20))
+    per_part = one - many
+    assert {f"{name}-{part}" for name in per_part for part in range(3)} <= {
+        name.replace("-part-", "-") for name in many
+    }
+    assert {"lidar", "lidar-gate", "visual", "fusion", "visual-gate", "pictures", "facts"} <= one & many
+
+
+def test_no_other_module_adds_steps():
+    folder = Path(lvba.__file__).parent
+    makers = set()
+    for path in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Plan":
+                makers.add(path.relative_to(folder).as_posix())
+            if isinstance(node, ast.ClassDef) and node.name == "Plan":
+                makers.add(path.relative_to(folder).as_posix())
+    assert makers == {"plan.py", "pipeline.py"}
+
+
+def test_a_variant_of_parts_with_joint_rounds_is_refused(plan_of):
+    variant = Variant(global_points=False)
+    assert plan_of(0, variant=variant).steps.keys() != plan_of(0).steps.keys()
+    with pytest.raises(ValueError, match=r"merge\.image_rounds = 0"):
+        plan_of(20, variant=variant)

@@ -1,0 +1,129 @@
+"""The field's standard terms are used: terms that were retired do not come back, in code or in text."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("lvba", "workers", "service", "benchmarks")
+IDENTIFIERS = {
+    "Mount": "Extrinsic",
+    "mount": "extrinsic",
+    "mount_sigma": "extrinsic_sigma",
+    "Weakness": "DegenerateDirections",
+    "weakness": "directions",
+    "WeakDirections": "DegenerateDirections",
+    "excess": "variance_factor",
+    "inflation": "variance_factor",
+    "Share": "BlockClusters",
+    "ShareEquations": "BlockEquations",
+    "Shares": "WallClusters, DescriptorLimits",
+    "Ground": "MapPlanes",
+    "Late": "LazyRef",
+    "Passing": "StreamedRef",
+    "lay_out": "select_scene_points, pack",
+    "tie_exposures": "solve_exposures",
+    "on_map": "local_covariance",
+    "off_map": "local_covariance",
+    "loose": "odometry_dependence",
+    "between": "interpolation_error_scale",
+    "missed": "leave_one_out_error",
+    "end_effect": "boundary_error",
+    "least_gain": "cost_tolerance",
+    "settled": "converged, pose_tolerance",
+    "hold": "project_degenerate, return_to_prior",
+    "seen_from": "scan_poses_from_cameras, observer",
+    "feigned": "noise_information",
+    "doubt": "degeneracy",
+    "priors": "trajectory_prior",
+    "found": "a noun for what was found",
+    "told": "a noun for what is said",
+    "deed": "action",
+}
+"""Retired names of variables, functions, classes, arguments and fields, and the standard ones."""
+TEXT = {
+    "Ended early": "Stopped",
+    "Told by the run": "listed when the run starts",
+    "Go on": "Continue",
+    "DEED": "ACTION",
+    "be worth nothing": "be revoked",
+    "with what the cameras know": "refined with the cameras",
+    "images left out": "leave-one-out",
+    "none any more": "removed",
+    "not settled": "not converged",
+}
+"""Retired wording that users would see, and the plain one."""
+ALLOWED = {
+    "lvba/simulate/truth.py": {
+        "missed"
+    },  # the offset at the end of a simulated loop: how far its ends miss each other
+    "lvba/blocks/merge.py": {"missed"},  # the same, of a loop between parts
+    "lvba/visual/result.py": {
+        "between"
+    },  # the covariance of images between keyframes, as interpolation gives it
+    "lvba/io/timestamps.py": {"between"},  # files between two poses
+    "service/system/repeat_filter.py": {"missed"},  # records of the log that were left out
+}
+"""Ordinary English, with the reason."""
+HISTORY = {"CHANGELOG.md", "docs/results.md"}
+"""What was, in the words of then."""
+
+
+def sources() -> list[Path]:
+    return [
+        path
+        for name in PACKAGES
+        for path in sorted((ROOT / name).rglob("*.py"))
+        if "node_modules" not in path.parts
+    ]
+
+
+def texts() -> list[Path]:
+    pages = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
+    views = [
+        path for path in (ROOT / "service/page_src/src").rglob("*.ts*") if "node_modules" not in path.parts
+    ]
+    return [path for path in [*pages, *views] if path.relative_to(ROOT).as_posix() not in HISTORY]
+
+
+def names(tree: ast.AST) -> set[str]:
+    """Of all that code defines or uses."""
+    named: set[str] = set()
+    for node in ast.walk(tree):
+        for field in ("id", "attr", "arg", "name", "asname"):
+            value = getattr(node, field, None)
+            if isinstance(value, str):
+                named.add(value)
+    return named
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_retired_identifier_is_used(package):
+    retired = {}
+    for path in sources():
+        place = path.relative_to(ROOT).as_posix()
+        if place.startswith(f"{package}/"):
+            used = names(ast.parse(path.read_text())) & IDENTIFIERS.keys() - ALLOWED.get(place, set())
+            retired |= {f"{place}: {name}": IDENTIFIERS[name] for name in used}
+    assert retired == {}, "retired: standard"
+
+
+def test_no_retired_wording_is_in_a_text():
+    retired = {}
+    for path in [*sources(), *texts()]:
+        words = path.read_text()
+        for old, plain in TEXT.items():
+            if re.search(rf"(?<!\w){re.escape(old)}(?!\w)", words):
+                retired[f"{path.relative_to(ROOT)}: {old}"] = plain
+    assert retired == {}, "retired: plain"
+
+
+def test_what_is_allowed_is_there():
+    for place, allowed in ALLOWED.items():
+        assert allowed <= names(ast.parse((ROOT / place).read_text())), place
+
+
+def test_a_retired_term_is_noticed():
+    assert {"Mount", "found", "hold"} <= names(ast.parse("def hold(found: Mount): ..."))

@@ -1,0 +1,96 @@
+"""What the calibration counts beside images that overstate what they tell of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_trajectory_prior import moved, problem
+
+from lvba.visual import calibration_prior, trajectory_prior
+from lvba.visual.states import Calibration
+from lvba.visual.trajectory_prior import PriorConfig
+
+CLAIMS = calibration_prior.build(Calibration(np.eye(4)), PriorConfig().sigma).claimed
+
+SIZE = len(CLAIMS)
+
+
+def told(seed: int, strength: float) -> np.ndarray:
+    """(SIZE, SIZE): information of images, so many times that of the calibration, with axes of their own."""
+    factor = np.random.default_rng(seed).normal(size=(SIZE, 40)) / np.sqrt(40)
+    root = np.sqrt(CLAIMS)
+    return np.asarray(strength * root @ factor @ factor.T @ root)
+
+
+def test_claims_are_the_inverse_variances():
+    mounting = [np.radians(0.3)] * 3 + [0.01] * 3 + [0.02]
+    intrinsics = [0.01, 0.001, 5.0, 5.0, 0.02, 0.02, 0.002, 0.002]
+    sigma = np.array([*mounting, *intrinsics, 0.02])
+    assert np.diag(CLAIMS) == pytest.approx(1 / sigma**2)
+    assert np.count_nonzero(CLAIMS) == SIZE
+
+
+@pytest.mark.parametrize("overstated", [0.1, 1.0])
+def test_images_that_keep_what_they_promise_leave_the_calibration_as_it_is(overstated):
+    images = told(0, 50.0)
+    assert calibration_prior.weighed(images, overstated * images, CLAIMS) == pytest.approx(
+        CLAIMS, rel=1e-6, abs=1e-3
+    )
+
+
+def test_images_that_overstate_all_alike_meet_the_calibration_where_honest_ones_would():
+    images = told(1, 50.0)
+    wants = np.random.default_rng(3).normal(size=SIZE) / np.sqrt(np.diag(CLAIMS))
+    counts = calibration_prior.weighed(images, 30 * images, CLAIMS)
+    assert counts == pytest.approx(30 * CLAIMS, rel=1e-6, abs=1e-3)
+    met = np.linalg.solve(images + counts, images @ wants)
+    assert met == pytest.approx(np.linalg.solve(images / 30 + CLAIMS, images @ wants / 30))
+
+
+def test_walls_that_contradict_each_other_in_one_direction_are_doubted_there_alone():
+    images = 1000 * CLAIMS
+    contradiction = np.zeros(SIZE)
+    contradiction[3] = np.sqrt(400 * images[3, 3])
+    spread = 0.5 * images + np.outer(contradiction, contradiction)
+    counts = calibration_prior.weighed(images, spread, CLAIMS)
+    assert counts[3, 3] == pytest.approx(400.5 * CLAIMS[3, 3])
+    others = np.delete(np.arange(SIZE), 3)
+    assert counts[np.ix_(others, others)] == pytest.approx(CLAIMS[np.ix_(others, others)])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_calibration_never_counts_less_than_it_claims(seed):
+    counts = calibration_prior.weighed(told(seed, 20.0), told(seed + 100, 300.0), CLAIMS)
+    assert np.linalg.eigvals(np.linalg.solve(CLAIMS, counts)).real.min() > 1 - 1e-9
+    assert counts == pytest.approx(counts.T)
+
+
+def test_images_that_tell_nothing_in_some_directions_leave_finite_weights():
+    nothing = np.zeros((SIZE, SIZE))
+    nothing[0, 0] = CLAIMS[0, 0]
+    counts = calibration_prior.weighed(nothing, nothing, CLAIMS)
+    assert counts == pytest.approx(CLAIMS, rel=1e-6, abs=1e-3)
+    # as rounding leaves it: a little less than nothing
+    assert np.isfinite(calibration_prior.weighed(nothing - 1e-9 * CLAIMS, nothing, CLAIMS)).all()
+
+
+def test_a_calibration_that_counts_more_keeps_derivatives_and_tells_the_spread_it_claims():
+    prior, state = problem(scatter=0.004)
+    known = prior.calibration
+    weighed = replace(prior, calibration=replace(known, counted=50 * known.claimed))
+    rng = np.random.default_rng(5)
+    equations = trajectory_prior.linearize(weighed, state)
+    assert equations.border is not None
+    step, h = rng.normal(size=SIZE), 1e-6
+    ahead = trajectory_prior.linearize(weighed, moved(state, np.zeros((30, 6)), h * step)).cost
+    behind = trajectory_prior.linearize(weighed, moved(state, np.zeros((30, 6)), -h * step)).cost
+    assert (ahead - behind) / (2 * h) == pytest.approx(equations.border.gradient @ step, rel=1e-5)
+    last = slice(210, 210 + SIZE)
+    own = [each.dense()[last, last] for each in (trajectory_prior.linearize(prior, state), equations)]
+    frames = own[0] - known.hessian(state.calibration)
+    spread = trajectory_prior.gradient_variance(weighed, state).dense()[last, last]
+    # 50 times the weight on an error of the same size: 2,500 times the variance
+    assert spread - frames == pytest.approx(2500 * (own[0] - frames), rel=1e-6, abs=1e-3)
+    assert trajectory_prior.gradient_variance(prior, state).dense() == pytest.approx(
+        trajectory_prior.linearize(prior, state).dense()
+    )

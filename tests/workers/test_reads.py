@@ -1,0 +1,77 @@
+"""How often a run reads and decodes each scan and each image, counted in the readers of files."""
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from split_street import make_street
+
+from lvba import pipeline
+from lvba.blocks import decoded
+from lvba.blocks.split import SplitConfig
+from lvba.io import images, pcd
+from lvba.io.dataset import open_dataset
+from lvba.pipeline import Config
+from workers import local
+from workers.store import ZarrStore
+
+MOST_SCANS, MOST_IMAGES = 3, 2
+"""Of a scan: what memory it takes (4 of all), survey (16 of all), all else. Of an image: for poses, in color."""
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory):
+    return make_street(tmp_path_factory.mktemp("street") / "street")
+
+
+@pytest.fixture
+def reads(monkeypatch):
+    """How often each file was decoded, by path."""
+    counts = Counter()
+
+    def counted(module, name):
+        real = getattr(module, name)
+
+        def read(path, *arguments, **options):
+            counts[str(path)] += 1
+            return real(path, *arguments, **options)
+
+        monkeypatch.setattr(module, name, read)
+
+    counted(pcd, "read_pcd")
+    counted(images, "read_image")
+    return counts
+
+
+@pytest.mark.parametrize("size", [0, 10])
+@pytest.mark.parametrize("held", [0, local.HELD_BYTES])
+def test_frames_are_decoded_once_for_each_use(street, reads, tmp_path, monkeypatch, size, held):
+    """Also where nothing stays in memory between steps, and by all parts together where there are two."""
+    monkeypatch.setattr(local, "HELD_BYTES", held)
+    monkeypatch.setattr(decoded, "PIECE_BYTES", 6 * 3 * 160 * 120)
+    split = SplitConfig(by="count", size=size, overlap=5) if size else SplitConfig(by="none")
+    dataset = open_dataset(street)
+    opened = Counter(reads)
+    plan = pipeline.refine(dataset, replace(Config(), split=split))
+    store = ZarrStore(tmp_path)
+    local.run(plan, store)
+    names = [step.name for step in plan.steps.values()]
+    assert len([name for name in names if name.startswith("photos-")]) > 2
+    assert not opened, "to open a recording is to decode nothing"
+    scans, photos = ([reads[path] for path in paths] for paths in (dataset.scan_paths, dataset.image_paths))
+    assert min(scans) >= 1
+    assert max(scans) <= MOST_SCANS
+    assert np.mean(scans) <= (MOST_SCANS if len(scans) <= 20 else 1 + 20 / len(scans))
+    assert set(photos) == {MOST_IMAGES}  # every image is a keyframe here
+    assert store[next(step.key for step in plan.steps.values() if step.name == "visual-gate")].scans.accepted
+
+
+def test_a_scan_that_no_piece_holds_is_read_from_its_file(street):
+    dataset = open_dataset(street)
+    piece = decoded.decode_scans(dataset, (3, 6))
+    reader = decoded.ScanReader([((3, 6), lambda: piece)], whole=dataset)
+    for scan in (0, 3, 5, 6):
+        np.testing.assert_array_equal(reader(scan), pcd.read_pcd(dataset.scan_paths[scan]).points)
+    with pytest.raises(IndexError, match="no piece holds scan 7"):
+        decoded.ScanReader([((3, 6), lambda: piece)], first=4)(3)
