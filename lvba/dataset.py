@@ -1,6 +1,6 @@
 """What goes in: scans and images by path, with rough poses; nothing is loaded until asked for."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -33,6 +33,18 @@ class Scan:
 
 
 @dataclass(frozen=True)
+class MountedCamera:
+    """A camera and where it is on the sensor rig.
+
+    camera: intrinsics of the raw (distorted) images, at the size of the files
+    camera_from_scan: (4, 4) float64, m, rough extrinsic
+    """
+
+    camera: Camera
+    camera_from_scan: np.ndarray
+
+
+@dataclass(frozen=True)
 class Dataset:
     """A recording: files and matched rough poses, in time order.
 
@@ -47,10 +59,8 @@ class Dataset:
     image_paths: tuple[str, ...]
     images: Trajectory
     """world_from_camera of each image, (I, 4, 4); z forward."""
-    camera: Camera
-    """Intrinsics of the raw (distorted) images, at the size of the files; NO_CAMERA if there are no images."""
-    camera_from_scan: np.ndarray
-    """(4, 4), rough extrinsic."""
+    cameras: tuple[MountedCamera, ...]
+    """The cameras that took the images: today one, or none if there are no images."""
     sensor_position_scan: np.ndarray = field(default_factory=lambda: np.zeros(3))
     """(3,), m: where the LiDAR is in the scan frame (from extrinsic_T); view directions start here."""
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -68,3 +78,22 @@ class Dataset:
     """What was left out, and why, one sentence each."""
     digest: str = ""
     """sha256 over names, sizes and contents of everything used: equal digest, equal input."""
+
+    @property
+    def camera(self) -> Camera:
+        """Intrinsics of the one camera; NO_CAMERA if there are no images."""
+        return self._mounted().camera
+
+    @property
+    def camera_from_scan(self) -> np.ndarray:
+        """(4, 4) float64, m: rough extrinsic of the one camera; the identity if there are no images."""
+        return self._mounted().camera_from_scan
+
+    def with_camera(self, camera: Camera) -> "Dataset":
+        """The recording with other intrinsics of its one camera."""
+        return replace(self, cameras=(replace(self._mounted(), camera=camera),))
+
+    def _mounted(self) -> MountedCamera:
+        if len(self.cameras) > 1:
+            raise NotImplementedError("images of several cameras are not refined yet")
+        return self.cameras[0] if self.cameras else MountedCamera(NO_CAMERA, np.eye(4))

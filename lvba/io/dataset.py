@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from lvba import geometry
-from lvba.dataset import CAMERA, NO_CAMERA, Dataset, Scan
+from lvba.dataset import CAMERA, Dataset, MountedCamera, Scan
 from lvba.errors import InputError
 from lvba.io import (
     bags,
@@ -99,8 +99,7 @@ def _open_fast_livo(root: Path) -> Dataset:
         image_paths=(),
         images=Trajectory(np.zeros(0), np.zeros((0, 4, 4))),
         scan_stamps=scans.stamps,
-        camera=NO_CAMERA,
-        camera_from_scan=_camera_from_scan(calibration),
+        cameras=(),
         sensor_position_scan=calibration.body_from_lidar[:3, 3].copy(),
         warnings=scans.warnings + calibration.warnings,
         digest=_digest(calibration, scans),
@@ -117,12 +116,13 @@ def _with_images(
     poses = _poses_of(root, folder, IMAGE_POSES)
     pictures = _open_images(root, folder, poses, calibration)
     reading = _decide(poses, pictures.poses, scans.poses, calibration)
-    cameras = image_poses.to_camera(pictures.poses.world_from_sensor, reading.kind, dataset.camera_from_scan)
+    camera_from_scan = _camera_from_scan(calibration)
+    poses_of_camera = image_poses.to_camera(pictures.poses.world_from_sensor, reading.kind, camera_from_scan)
     return dataclasses.replace(
         dataset,
         image_paths=pictures.paths,
-        images=Trajectory(pictures.poses.times, cameras),
-        camera=camera_config.for_size(calibration, pictures.sizes[0]),
+        images=Trajectory(pictures.poses.times, poses_of_camera),
+        cameras=(MountedCamera(camera_config.for_size(calibration, pictures.sizes[0]), camera_from_scan),),
         image_stamps=pictures.stamps,
         image_poses=reading.kind,
         image_poses_reason=reading.reason,

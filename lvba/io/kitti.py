@@ -17,7 +17,7 @@ import numpy as np
 
 from lvba import geometry
 from lvba.camera import Camera
-from lvba.dataset import NO_CAMERA, Dataset
+from lvba.dataset import Dataset, MountedCamera
 from lvba.errors import InputError
 from lvba.io import files, frames, images, posed_frames, velodyne
 from lvba.io.frames import Frame
@@ -43,8 +43,9 @@ def open_kitti(root: Path) -> Dataset:
     world_from_scan = world_from_camera0 @ calibration["Tr"]
     scans = _open_frames(root / SCAN_FOLDER, (velodyne.SUFFIX,), "scan", times, world_from_scan, pose_path)
     image_folder = next((name for name in IMAGE_FOLDERS if os.path.isdir(root / name)), None)
+    cameras: tuple[MountedCamera, ...] = ()
     if image_folder is None:
-        pictures, camera, camera_from_camera0 = None, NO_CAMERA, np.eye(4)
+        pictures = None
     else:
         intrinsics, camera_from_camera0 = _split_projection(root, calibration, IMAGE_FOLDERS[image_folder])
         world_from_camera = world_from_camera0 @ geometry.inverse(camera_from_camera0)
@@ -55,14 +56,14 @@ def open_kitti(root: Path) -> Dataset:
         fx, fy, cx, cy = intrinsics
         size = pictures.sizes[0]
         camera = Camera(width=size.width, height=size.height, fx=fx, fy=fy, cx=cx, cy=cy)
+        cameras = (MountedCamera(camera, camera_from_camera0 @ calibration["Tr"]),)
     dataset = Dataset(
         root=str(root),
         scan_paths=scans.paths,
         scans=scans.poses,
         image_paths=() if pictures is None else pictures.paths,
         images=Trajectory(np.zeros(0), np.zeros((0, 4, 4))) if pictures is None else pictures.poses,
-        camera=camera,
-        camera_from_scan=camera_from_camera0 @ calibration["Tr"],
+        cameras=cameras,
         warnings=scans.warnings + (() if pictures is None else pictures.warnings),
         digest=posed_frames.digest(
             scans, pictures, [files.sha256(root / name) for name in (CALIBRATION, TIMES)]

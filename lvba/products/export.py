@@ -3,7 +3,6 @@
 import json
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -254,4 +253,4 @@ def _recording(result: Path) -> Dataset:
         raise InputError(report, "does not say which recording it is of", "run again") from error
     dataset = recordings.open_dataset(path)
     camera = calibration.read_camera(result) if dataset.image_paths else None
-    return dataset if camera is None else replace(dataset, camera=camera)
+    return dataset if camera is None else dataset.with_camera(camera)

@@ -184,7 +184,7 @@ def judged_states(
     states = {}
     for name, cameras in camera_states(dataset, scans, fused, visual).items():
         if cameras.camera not in views:
-            seen_by = dataclasses.replace(dataset, camera=cameras.camera)
+            seen_by = dataset.with_camera(cameras.camera)
             views[cameras.camera] = views_of(seen_by, PhotoReader(photos, cameras.camera, part.images[0]))
         poses, exposures = cameras.world_from_camera, cameras.log_exposure
         at = dataclasses.replace(views[cameras.camera], world_from_camera=poses, log_exposure=exposures)

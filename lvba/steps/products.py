@@ -59,7 +59,7 @@ def color_map(
 
 def _seen_by(dataset: Dataset, accepted: Accepted) -> Dataset:
     """The recording with the camera that the result supposes."""
-    return dataset if accepted.camera is None else dataclasses.replace(dataset, camera=accepted.camera)
+    return dataset if accepted.camera is None else dataset.with_camera(accepted.camera)
 
 
 def _photos(photos: Pieces[np.ndarray], accepted: Accepted, part: Part) -> PhotoReader | None:

@@ -9,7 +9,6 @@ import pytest
 
 from lvba import plan
 from lvba.blocks.split import Part
-from lvba.camera import Camera
 from lvba.dataset import Dataset
 from lvba.pipeline import Config
 from lvba.plan import Plan, Ref
@@ -23,8 +22,7 @@ def recording(name, scans=40):
     poses = Trajectory(np.arange(float(scans)), np.tile(np.eye(4), (scans, 1, 1)))
     empty = Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
     paths = tuple(f"/data/{i:06}.pcd" for i in range(scans))
-    camera = Camera(4, 3, 1, 1, 2, 2)
-    return Dataset("/data", paths, poses, (), empty, camera, np.eye(4), digest=f"digest-{name}")
+    return Dataset("/data", paths, poses, (), empty, (), digest=f"digest-{name}")
 
 
 def work_on(*arguments, **options):
