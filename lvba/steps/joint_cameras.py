@@ -191,7 +191,10 @@ def _prior(
     ]
     # what images tell and how far they contradict it both add up over the parts: their ratio is a mean
     mean = np.mean(counts, axis=0) if counts else None
-    return replace(prior, sources=tuple(sources), calibration=replace(prior.calibration, counted=mean))
+    prior = replace(prior, sources=tuple(sources), calibration=replace(prior.calibration, counted=mean))
+    # a value that one part proves wrong is wrong in all
+    held = set.intersection(*(set(tuning.held) for tuning in tunings)) if tunings else set()
+    return trajectory_prior.hold(prior, sorted(held))
 
 
 def select_points(

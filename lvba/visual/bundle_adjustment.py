@@ -13,7 +13,15 @@ from lvba.optim import levenberg_marquardt, linear_solver
 from lvba.optim.levenberg_marquardt import Iteration, SolverConfig
 from lvba.optim.linear_solver import Covariance
 from lvba.optim.normal_equations import NormalEquations, Step
-from lvba.visual import calibration_prior, covariance, noise, photometric, trajectory_prior, trajectory_sigmas
+from lvba.visual import (
+    calibration_prior,
+    covariance,
+    held_calibration,
+    noise,
+    photometric,
+    trajectory_prior,
+    trajectory_sigmas,
+)
 from lvba.visual.covariance import WallClusters
 from lvba.visual.noise import NoiseModel
 from lvba.visual.patch_shifts import Shifts
@@ -45,6 +53,8 @@ class LevelSolution:
     photometric: the same state as the photometric cost has it, with the offset of each scene point's plane
     wall_clusters: which pieces of wall its images see
     noise: what the problem's sigma come from
+    prior: nothing of the calibration held, so that covariances have what it may be off; held: names of the parameters of
+        the calibration that were, all the same
     """
 
     state: VisualState
@@ -53,6 +63,7 @@ class LevelSolution:
     wall_clusters: WallClusters
     noise: NoiseModel
     prior: Prior | None
+    held: tuple[str, ...]
     linearization: Linearization
     free: np.ndarray
     history: tuple[Iteration, ...]
@@ -94,17 +105,20 @@ def solve(
     problem, at = _about(problem, at, shifts)
     sums = photometric.sums(problem, at.photometric)
     wall_clusters = covariance.find_wall_clusters(problem)
+    held: tuple[str, ...] = ()
     for turn in range(rounds):
         last = turn == rounds - 1
         scatter = noise.estimate(sums, problem.samples)
         problem = replace(problem, sigma=scatter.sigma(noise.gradients(sums)))
-        model = _Model(problem, prior)
+        model = _Model(problem, prior if prior is None else trajectory_prior.hold(prior, held))
         how = solver if last else quick
         solution = levenberg_marquardt.levenberg_marquardt(at, model.linearize, model.retract, how, free)
         at, history = solution.state, history + solution.history
         linearization = model.at(at)
         sums = linearization.sums
         if not last:
+            if shifts is not None and prior is not None and turn == rounds - 2:
+                held = _held(problem, wall_clusters, prior, at, linearization, free)
             problem, prior = _reweighted(problem, wall_clusters, prior, at, linearization, free)
             problem, at = _about(problem, at, shifts)
     return LevelSolution(
@@ -114,6 +128,7 @@ def solve(
         wall_clusters=wall_clusters,
         noise=scatter,
         prior=prior,
+        held=held,
         linearization=linearization,
         free=free,
         history=history,
@@ -264,11 +279,38 @@ def _undecided(prior: Prior, source: Source, state: VisualState, known: Covarian
 
 def covariance_of(solution: LevelSolution) -> Covariance:
     """Of the images' unknowns, (I, 7, 7) blocks, and of the calibration."""
-    total = joint(solution.linearization.equations, solution.prior, solution.state)
-    varies = (
-        None if solution.prior is None else trajectory_prior.gradient_variance(solution.prior, solution.state)
+    return _covariance(
+        solution.problem,
+        solution.wall_clusters,
+        solution.prior,
+        _State(solution.photometric, solution.state.calibration),
+        solution.linearization,
+        solution.free,
     )
-    clusters = covariance.bias_reduced_gradients(
-        solution.problem, solution.linearization, solution.photometric, solution.wall_clusters, total
-    )
-    return linear_solver.sandwich(total, clusters, varies, solution.free)
+
+
+def _covariance(
+    problem: Problem,
+    wall_clusters: WallClusters,
+    prior: Prior | None,
+    at: _State,
+    linearization: Linearization,
+    free: np.ndarray,
+) -> Covariance:
+    total = joint(linearization.equations, prior, at.visual)
+    varies = None if prior is None else trajectory_prior.gradient_variance(prior, at.visual)
+    clusters = covariance.bias_reduced_gradients(problem, linearization, at.photometric, wall_clusters, total)
+    return linear_solver.sandwich(total, clusters, varies, free)
+
+
+def _held(
+    problem: Problem,
+    wall_clusters: WallClusters,
+    prior: Prior,
+    at: _State,
+    linearization: Linearization,
+    free: np.ndarray,
+) -> tuple[str, ...]:
+    """The parameters of the calibration that the images do not call to correct."""
+    spread = _covariance(problem, wall_clusters, prior, at, linearization, free).shared
+    return held_calibration.insignificant(at.calibration.deviation(prior.calibration.reference), spread)

@@ -5,10 +5,10 @@ faces them: three over one bare plane, one in a corridor. The paper has no term 
 (`Variant.prior = False`) its form comes back.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from lvba import geometry, spline, trajectory
@@ -18,7 +18,7 @@ from lvba.optim.normal_equations import Border, NormalEquations
 from lvba.optim.shared_parameters import SharedPrior
 from lvba.settings import check, setting
 from lvba.trajectory import Trajectory
-from lvba.visual import calibration_prior
+from lvba.visual import calibration_prior, held_calibration
 from lvba.visual.states import Calibration, VisualState
 
 _FRAME_HUBER = 2.5
@@ -182,6 +182,13 @@ def take(prior: Prior, index: np.ndarray) -> Prior:
     )
 
 
+def hold(prior: Prior, names: Collection[str]) -> Prior:
+    """The prior with these parameters of the calibration held at their calibrated values."""
+    if not names:
+        return prior
+    return replace(prior, calibration=held_calibration.hold(prior.calibration, names))
+
+
 def fill(
     prior: Prior, solved: Prior, state: VisualState, keyframes: Indices, times: Times
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -235,13 +242,11 @@ def _rates(scans: Trajectory, times: np.ndarray) -> tuple[np.ndarray, np.ndarray
     """Velocity in the world (Q, 3) m/s and angular rate in the sensor's frame (Q, 3) rad/s."""
     if len(scans) < 2:
         return np.zeros((len(times), 3)), np.zeros((len(times), 3))
+    between = spline.through if len(scans) >= spline.FEWEST_SAMPLES else trajectory.sample
     clamped = np.clip(times, scans.times[0] + _RATE_STEP_S, scans.times[-1] - _RATE_STEP_S)
-    before = trajectory.sample(scans, clamped - _RATE_STEP_S)
-    after = trajectory.sample(scans, clamped + _RATE_STEP_S)
+    before, after = between(scans, clamped - _RATE_STEP_S), between(scans, clamped + _RATE_STEP_S)
     turn = np.swapaxes(before[:, :3, :3], 1, 2) @ after[:, :3, :3]
     rate = Rotation.from_matrix(turn).as_rotvec() / (2 * _RATE_STEP_S)
-    if len(scans) > 2:
-        return CubicSpline(scans.times, scans.world_from_sensor[:, :3, 3])(clamped, 1), rate
     return (after[:, :3, 3] - before[:, :3, 3]) / (2 * _RATE_STEP_S), rate
 
 

@@ -5,6 +5,7 @@ TASK is JSON: {"lock": FILE, "without_links": [FOLDER, ...], "out": OUT, "notes"
 server may write into, and where sizes and digests of the results go
 """
 
+import contextlib
 import json
 import sys
 from pathlib import Path
@@ -13,11 +14,14 @@ from lvba.errors import InputError
 from lvba.io import no_links
 from service.cli import main as command_line
 from service.jobs import results
-from service.system import deadline, durable, file_lock
+from service.system import deadline, disk_space, durable, file_lock
 
 
 def main(task: str, *words: str) -> int:
-    """Exit code of `lvba WORDS`; file_lock.EXIT_LOCKED: another process is at it."""
+    """Exit code of `lvba WORDS`; file_lock.EXIT_LOCKED: another process is at it; disk_space.EXIT_DISK_FULL.
+
+    On a full disk neither events nor the log take what happened, and by the time that somebody looks there may be room.
+    """
     deadline.watch()
     wanted = json.loads(task)
     no_links.refuse_below(wanted["without_links"])
@@ -28,6 +32,12 @@ def main(task: str, *words: str) -> int:
     except BlockingIOError:
         sys.stderr.write("lvba: the attempt before has not let go of the job yet\n")
         return file_lock.EXIT_LOCKED
+    except Exception as error:
+        if not disk_space.is_full(error):
+            raise
+        with contextlib.suppress(OSError):
+            sys.stderr.write("lvba: the disk is full\n")
+        return disk_space.EXIT_DISK_FULL
 
 
 def _keep(wanted: dict[str, str]) -> int:
@@ -36,6 +46,8 @@ def _keep(wanted: dict[str, str]) -> int:
         results.note(Path(wanted["out"]), Path(wanted["notes"]))
         durable.sync_all(Path(wanted["lock"]).parent)
     except (InputError, OSError) as error:
+        if disk_space.is_full(error):
+            raise
         sys.stderr.write(f"lvba: {error}\n")
         return 1
     return 0

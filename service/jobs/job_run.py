@@ -25,7 +25,7 @@ from service.settings import Settings
 from service.system import durable, messages
 from service.system.child_process import Child
 from service.system.deadline import EXIT_LEASE_EXPIRED
-from service.system.disk_space import LEAST_FREE, free_bytes
+from service.system.disk_space import EXIT_DISK_FULL, LEAST_FREE, free_bytes
 from service.system.file_lock import EXIT_LOCKED
 from service.system.paths import Paths, now, size_of
 
@@ -269,7 +269,7 @@ class JobRun:
         end = self._timeline.end
         said = end is not None and end.reason is EndReason.DISK_FULL
         silent = (end is None or not end.problem) and free_bytes(self._paths.root) < LEAST_FREE
-        return code > 0 and (said or silent)
+        return code == EXIT_DISK_FULL or (code > 0 and (said or silent))
 
     def _why_crashed(self, code: int) -> str:
         return "the disk was full" if self._disk_was_full else messages.of_exit(code)

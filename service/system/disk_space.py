@@ -1,5 +1,6 @@
 """What the disk has left, and whether that is enough to begin something."""
 
+import errno
 import os
 from pathlib import Path
 
@@ -7,6 +8,18 @@ LEAST_FREE = 64 << 20
 """Bytes of disk without which nothing is begun."""
 LEAST_FREE_FILES = 1000
 """Files that the disk must be able to take beside."""
+
+EXIT_DISK_FULL = 74
+"""Exit code: the disk was full, and so nothing else could be told."""
+
+
+def is_full(error: BaseException | None) -> bool:
+    """Whether an error, or one that led to it, says that the disk is full."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def free_bytes(folder: Path) -> int:

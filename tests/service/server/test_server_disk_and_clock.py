@@ -1,5 +1,6 @@
 """A disk that fills up and a clock that jumps under a running job: it ends done, once, with the same bytes."""
 
+import json
 import time
 
 import pytest
@@ -12,6 +13,8 @@ from service.datasets.intake_budget import IntakeBudget
 from service.db.database import Database
 from service.db.tables import Job
 from service.settings import Limits, Settings
+from service.system.child_process import Child
+from service.system.disk_space import EXIT_DISK_FULL
 
 
 @pytest.fixture
@@ -38,6 +41,27 @@ def until_no_job_runs(data):
     while job_processes(data):
         assert time.monotonic() < end
         time.sleep(0.05)
+
+
+def test_process_of_a_job_tells_of_a_full_disk_by_its_exit_code(tmp_path, tiny_recording):
+    """Neither events nor log take a word there, and when the service looks there may be room again."""
+    with small_disk(tmp_path / "disk", "1m"):
+        folder = tmp_path / "disk"
+        fill(folder)
+        task = {
+            "lock": folder / ".lock",
+            "without_links": [],
+            "out": folder / "out",
+            "notes": folder / "notes",
+        }
+        words = ["run", str(tiny_recording), f"--out={folder / 'out'}", f"--events={folder / 'events'}"]
+        child = Child(
+            "service.cli.job_process", [json.dumps(task, default=str), *words], folder / "log", PATIENCE
+        )
+        end = time.monotonic() + PATIENCE
+        while (code := child.ended()) is None and time.monotonic() < end:
+            time.sleep(0.05)
+    assert code == EXIT_DISK_FULL
 
 
 def test_full_disk_holds_up_a_job_until_there_is_room(

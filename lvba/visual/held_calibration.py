@@ -1,0 +1,70 @@
+"""Which corrections of the camera's calibration the images call for; the others stay as calibrated.
+
+A principal point that is off looks much like a camera that is turned, a focal length like one that sits further ahead.
+Where the images cannot tell the two apart, an estimate would be noise that the poses have to follow. A group of numbers
+is refined only if its correction cannot be chance: backward elimination by Wald tests (Wald 1943), the least significant
+group first, the estimates of the others as they are without it.
+"""
+
+from collections.abc import Collection
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from lvba.optim.shared_parameters import SharedPrior
+from lvba.visual.states import Calibration
+
+CORRECTIONS = ("focal", "principal_point", "distortion", "readout")
+"""Parameters of `states.Calibration` that may be held at their calibrated values."""
+CHANCE = 6e-5
+"""How often a right value is taken for a wrong one: four standard deviations. Covariances are not exact."""
+_HELD = 1e8
+"""How many times over the claimed information a value counts that is held."""
+
+
+def insignificant(deviation: np.ndarray, covariance: np.ndarray) -> tuple[str, ...]:
+    """The parameters among CORRECTIONS whose deviations may be chance.
+
+    deviation: (k,) float64, of all parameters from their calibrated values, in the units of their steps
+    covariance: (k, k) float64, of that
+    """
+    layout = Calibration.layout()
+    every = {name: np.arange(layout.size)[layout[name]] for name in CORRECTIONS}
+    off, spread = deviation, covariance
+    held: list[str] = []
+    while len(held) < len(CORRECTIONS):
+        chance = {name: _chance(off, spread, index) for name, index in every.items() if name not in held}
+        least = max(chance, key=lambda name: chance[name])
+        if chance[least] <= CHANCE:
+            break
+        held.append(least)
+        off, spread = _without(off, spread, every[least])
+    return tuple(name for name in CORRECTIONS if name in held)
+
+
+def hold(prior: SharedPrior[Calibration], names: Collection[str]) -> SharedPrior[Calibration]:
+    """The prior with these parameters held at its reference."""
+    layout, counted = Calibration.layout(), prior.information.copy()
+    for name in names:
+        mine = np.arange(layout.size)[layout[name]]
+        counted[mine, :] = counted[:, mine] = 0.0
+        counted[mine, mine] = _HELD * np.diagonal(prior.claimed)[mine]
+    return replace(prior, counted=counted)
+
+
+def _chance(off: np.ndarray, spread: np.ndarray, index: np.ndarray) -> float:
+    """How often numbers that are right deviate as much."""
+    mine = spread[np.ix_(index, index)]
+    return float(chi2.sf(off[index] @ np.linalg.solve(mine, off[index]), len(index)))
+
+
+def _without(off: np.ndarray, spread: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Deviations and covariance given that the numbers at `index` do not deviate; those keep rows of zeros but for a one
+    on the diagonal."""
+    gain = np.linalg.solve(spread[np.ix_(index, index)], spread[index]).T
+    off, spread = off - gain @ off[index], spread - gain @ spread[index]
+    off[index] = 0.0
+    spread[index, :] = spread[:, index] = 0.0
+    spread[index, index] = 1.0
+    return off, spread

@@ -1,0 +1,94 @@
+"""Which corrections of a camera's calibration are made: those that cannot be chance, by a plain regression as twin."""
+
+import numpy as np
+import pytest
+
+from lvba.optim.shared_parameters import SharedPrior, information
+from lvba.visual import held_calibration
+from lvba.visual.states import Calibration
+from lvba.visual.trajectory_prior import PriorConfig
+
+LAYOUT = Calibration.layout()
+SIGMA = np.concatenate([np.broadcast_to(s, LAYOUT.kinds[n].size) for n, s in PriorConfig().sigma.items()])
+
+
+def estimate(true, rows, noise=1.0, seed=0):
+    """Deviations and covariance from rows of a linear model, with the prior's zero as one more observation of each."""
+    measured = rows @ true + noise * np.random.default_rng(seed).normal(size=len(rows))
+    covariance = np.linalg.inv(rows.T @ rows / noise**2 + np.diag(SIGMA**-2.0))
+    return covariance @ rows.T @ measured / noise**2, covariance
+
+
+def rows_of(count, seed=1):
+    """Each number seen about twenty times as well as its prior knows it, all mixed."""
+    return np.random.default_rng(seed).normal(size=(count, LAYOUT.size)) / SIGMA * 20 / np.sqrt(count)
+
+
+def wrong(**off):
+    true = np.zeros(LAYOUT.size)
+    for name, value in off.items():
+        true[LAYOUT[name]] = value
+    return true
+
+
+def test_right_calibrations_are_left_alone():
+    held = [held_calibration.insignificant(*estimate(wrong(), rows_of(300), seed=s)) for s in range(200)]
+    assert all(names == held_calibration.CORRECTIONS for names in held)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("focal", (0.01, 0)), ("principal_point", (4, 0)), ("readout", 0.02)]
+)
+def test_a_wrong_one_is_corrected_and_only_that(name, value):
+    for seed in range(50):
+        held = held_calibration.insignificant(*estimate(wrong(**{name: value}), rows_of(300), seed=seed))
+        assert name not in held
+        assert len(held) == 3
+
+
+def test_what_looks_like_a_turned_camera_is_not_corrected():
+    """A principal point that only a turn of the camera differs from by nothing."""
+    rows = rows_of(300)
+    place = np.arange(LAYOUT.size)[LAYOUT["principal_point"]]
+    turn = np.arange(LAYOUT.size)[LAYOUT["scan_from_camera"]][:2]
+    rows[:, place] = rows[:, turn] * SIGMA[turn] / SIGMA[place]
+    off, covariance = estimate(wrong(principal_point=4), rows)
+    assert abs(off[place]).min() > 1  # half of it is taken for the one, half for the other
+    assert "principal_point" in held_calibration.insignificant(off, covariance)
+
+
+def test_the_others_are_judged_as_they_are_without_what_is_held():
+    """Two that each could be chance beside the other, but not both: one is kept, whichever it is."""
+    rows = rows_of(300)
+    readout, focal = LAYOUT["readout"], LAYOUT["focal"].start
+    rows[:, readout] = (rows[:, focal] * SIGMA[focal] / SIGMA[readout])[:, None] * (
+        1 + 0.02 * np.random.default_rng(3).normal(size=(300, 1))
+    )
+    off, covariance = estimate(wrong(readout=0.02), rows)
+    held = held_calibration.insignificant(off, covariance)
+    assert ("readout" in held) != ("focal" in held)
+
+
+def test_estimates_without_a_parameter_are_those_of_a_model_without_it():
+    rows, place = rows_of(300), LAYOUT["principal_point"]
+    off, covariance = estimate(wrong(focal=0.01, principal_point=3), rows)
+    index = np.arange(LAYOUT.size)[place]
+    others = np.setdiff1d(np.arange(LAYOUT.size), index)
+    less = rows[:, others]
+    measured = rows @ wrong(focal=0.01, principal_point=3) + np.random.default_rng(0).normal(size=300)
+    expected = np.linalg.inv(less.T @ less + np.diag(SIGMA[others] ** -2.0))
+    found, spread = held_calibration._without(off, covariance, index)
+    np.testing.assert_allclose(found[others], expected @ less.T @ measured, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(spread[np.ix_(others, others)], expected, rtol=1e-6, atol=1e-12)
+
+
+def test_held_means_at_the_reference():
+    claimed = information(LAYOUT, PriorConfig().sigma)
+    prior = SharedPrior(Calibration(np.eye(4)), claimed, 3 * claimed)
+    held = held_calibration.hold(prior, ["readout"])
+    assert held.information[LAYOUT["readout"], LAYOUT["readout"]] == 1e8 / 0.02**2
+    others = np.arange(LAYOUT.size) != LAYOUT["readout"].start
+    np.testing.assert_array_equal(
+        held.information[np.ix_(others, others)], 3 * claimed[np.ix_(others, others)]
+    )
+    assert held.reference is prior.reference
