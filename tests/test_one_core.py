@@ -44,6 +44,7 @@ LINEAR_ALGEBRA = {
     "lvba/steps/uncertainty.py": (1, "normalized errors, 6 x 6"),
     "lvba/visual/bundle_adjustment.py": (1, "information of the shared parameters from their covariance, k x k"),
     "lvba/visual/calibration_prior.py": (2, "whitening by the calibration's information, k x k"),
+    "lvba/visual/fixed_calibration.py": (2, "estimates given that some are fixed, Wald tests: at most 8 x 8"),
     "lvba/visual/covariance.py": (3, "6 x 6 blocks: whitening, mean of map covariances"),
     "lvba/visual/self_calibration.py": (1, "derivative of the lens, 2 x 2"),
     "lvba/visual/exposure_graph.py": (1, "log exposures from ratios: linear, one unknown per image"),

@@ -193,8 +193,8 @@ def _prior(
     mean = np.mean(counts, axis=0) if counts else None
     prior = replace(prior, sources=tuple(sources), calibration=replace(prior.calibration, counted=mean))
     # a value that one part proves wrong is wrong in all
-    held = set.intersection(*(set(tuning.held) for tuning in tunings)) if tunings else set()
-    return trajectory_prior.hold(prior, sorted(held))
+    fixed = set.intersection(*(set(tuning.fixed) for tuning in tunings)) if tunings else set()
+    return trajectory_prior.with_fixed(prior, sorted(fixed))
 
 
 def select_points(

@@ -16,7 +16,7 @@ from lvba.optim.normal_equations import NormalEquations, Step
 from lvba.visual import (
     calibration_prior,
     covariance,
-    held_calibration,
+    fixed_calibration,
     noise,
     photometric,
     trajectory_prior,
@@ -53,7 +53,7 @@ class LevelSolution:
     photometric: the same state as the photometric cost has it, with the offset of each scene point's plane
     wall_clusters: which pieces of wall its images see
     noise: what the problem's sigma come from
-    prior: nothing of the calibration held, so that covariances have what it may be off; held: names of the parameters of
+    prior: nothing of the calibration fixed, so that covariances have what it may be off; fixed: names of the parameters of
         the calibration that were, all the same
     """
 
@@ -63,7 +63,7 @@ class LevelSolution:
     wall_clusters: WallClusters
     noise: NoiseModel
     prior: Prior | None
-    held: tuple[str, ...]
+    fixed: tuple[str, ...]
     linearization: Linearization
     free: np.ndarray
     history: tuple[Iteration, ...]
@@ -105,12 +105,12 @@ def solve(
     problem, at = _about(problem, at, shifts)
     sums = photometric.sums(problem, at.photometric)
     wall_clusters = covariance.find_wall_clusters(problem)
-    held: tuple[str, ...] = ()
+    fixed: tuple[str, ...] = ()
     for turn in range(rounds):
         last = turn == rounds - 1
         scatter = noise.estimate(sums, problem.samples)
         problem = replace(problem, sigma=scatter.sigma(noise.gradients(sums)))
-        model = _Model(problem, prior if prior is None else trajectory_prior.hold(prior, held))
+        model = _Model(problem, prior if prior is None else trajectory_prior.with_fixed(prior, fixed))
         how = solver if last else quick
         solution = levenberg_marquardt.levenberg_marquardt(at, model.linearize, model.retract, how, free)
         at, history = solution.state, history + solution.history
@@ -118,7 +118,7 @@ def solve(
         sums = linearization.sums
         if not last:
             if shifts is not None and prior is not None and turn == rounds - 2:
-                held = _held(problem, wall_clusters, prior, at, linearization, free)
+                fixed = _fixed(problem, wall_clusters, prior, at, linearization, free)
             problem, prior = _reweighted(problem, wall_clusters, prior, at, linearization, free)
             problem, at = _about(problem, at, shifts)
     return LevelSolution(
@@ -128,7 +128,7 @@ def solve(
         wall_clusters=wall_clusters,
         noise=scatter,
         prior=prior,
-        held=held,
+        fixed=fixed,
         linearization=linearization,
         free=free,
         history=history,
@@ -303,7 +303,7 @@ def _covariance(
     return linear_solver.sandwich(total, clusters, varies, free)
 
 
-def _held(
+def _fixed(
     problem: Problem,
     wall_clusters: WallClusters,
     prior: Prior,
@@ -313,4 +313,4 @@ def _held(
 ) -> tuple[str, ...]:
     """The parameters of the calibration that the images do not call to correct."""
     spread = _covariance(problem, wall_clusters, prior, at, linearization, free).shared
-    return held_calibration.insignificant(at.calibration.deviation(prior.calibration.reference), spread)
+    return fixed_calibration.insignificant(at.calibration.deviation(prior.calibration.reference), spread)

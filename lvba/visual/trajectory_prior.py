@@ -18,7 +18,7 @@ from lvba.optim.normal_equations import Border, NormalEquations
 from lvba.optim.shared_parameters import SharedPrior
 from lvba.settings import check, setting
 from lvba.trajectory import Trajectory
-from lvba.visual import calibration_prior, held_calibration
+from lvba.visual import calibration_prior, fixed_calibration
 from lvba.visual.states import Calibration, VisualState
 
 _FRAME_HUBER = 2.5
@@ -182,11 +182,11 @@ def take(prior: Prior, index: np.ndarray) -> Prior:
     )
 
 
-def hold(prior: Prior, names: Collection[str]) -> Prior:
-    """The prior with these parameters of the calibration held at their calibrated values."""
+def with_fixed(prior: Prior, names: Collection[str]) -> Prior:
+    """The prior with these parameters of the calibration fixed at their calibrated values."""
     if not names:
         return prior
-    return replace(prior, calibration=held_calibration.hold(prior.calibration, names))
+    return replace(prior, calibration=fixed_calibration.with_fixed(prior.calibration, names))
 
 
 def fill(
@@ -242,9 +242,9 @@ def _rates(scans: Trajectory, times: np.ndarray) -> tuple[np.ndarray, np.ndarray
     """Velocity in the world (Q, 3) m/s and angular rate in the sensor's frame (Q, 3) rad/s."""
     if len(scans) < 2:
         return np.zeros((len(times), 3)), np.zeros((len(times), 3))
-    between = spline.through if len(scans) >= spline.FEWEST_SAMPLES else trajectory.sample
+    interpolate = spline.through if len(scans) >= spline.FEWEST_SAMPLES else trajectory.sample
     clamped = np.clip(times, scans.times[0] + _RATE_STEP_S, scans.times[-1] - _RATE_STEP_S)
-    before, after = between(scans, clamped - _RATE_STEP_S), between(scans, clamped + _RATE_STEP_S)
+    before, after = interpolate(scans, clamped - _RATE_STEP_S), interpolate(scans, clamped + _RATE_STEP_S)
     turn = np.swapaxes(before[:, :3, :3], 1, 2) @ after[:, :3, :3]
     rate = Rotation.from_matrix(turn).as_rotvec() / (2 * _RATE_STEP_S)
     return (after[:, :3, 3] - before[:, :3, 3]) / (2 * _RATE_STEP_S), rate

@@ -17,7 +17,7 @@ class Tuning:
     offset_scale: how many times further than the LiDAR says planes are off
     sigma_rotation, sigma_position: (sources, k) of each source of the prior, rad and m; memory: (sources, 2)
     calibration_information: (k, k), what the calibration counts beside the images; None: there is no prior
-    held: names of the parameters of the calibration that the images do not call to correct
+    fixed: names of the parameters of the calibration that the images do not call to correct
     """
 
     noise: NoiseModel
@@ -27,7 +27,7 @@ class Tuning:
     sigma_position: np.ndarray
     memory: np.ndarray
     calibration_information: np.ndarray | None
-    held: tuple[str, ...] = ()
+    fixed: tuple[str, ...] = ()
 
 
 def tuning(solution: LevelSolution) -> Tuning:
@@ -45,5 +45,5 @@ def tuning(solution: LevelSolution) -> Tuning:
         sigma_position=np.array([source.sigma_position for source in sources]),
         memory=np.array([source.memory for source in sources]),
         calibration_information=None if solution.prior is None else solution.prior.calibration.counted,
-        held=solution.held,
+        fixed=solution.fixed,
     )

@@ -16,11 +16,11 @@ from lvba.optim.shared_parameters import SharedPrior
 from lvba.visual.states import Calibration
 
 CORRECTIONS = ("focal", "principal_point", "distortion", "readout")
-"""Parameters of `states.Calibration` that may be held at their calibrated values."""
+"""Parameters of `states.Calibration` that may be fixed at their calibrated values."""
 CHANCE = 6e-5
 """How often a right value is taken for a wrong one: four standard deviations. Covariances are not exact."""
-_HELD = 1e8
-"""How many times over the claimed information a value counts that is held."""
+_FIXED = 1e8
+"""How many times over the claimed information a value counts that is fixed."""
 
 
 def insignificant(deviation: np.ndarray, covariance: np.ndarray) -> tuple[str, ...]:
@@ -32,24 +32,24 @@ def insignificant(deviation: np.ndarray, covariance: np.ndarray) -> tuple[str, .
     layout = Calibration.layout()
     every = {name: np.arange(layout.size)[layout[name]] for name in CORRECTIONS}
     off, spread = deviation, covariance
-    held: list[str] = []
-    while len(held) < len(CORRECTIONS):
-        chance = {name: _chance(off, spread, index) for name, index in every.items() if name not in held}
+    fixed: list[str] = []
+    while len(fixed) < len(CORRECTIONS):
+        chance = {name: _chance(off, spread, index) for name, index in every.items() if name not in fixed}
         least = max(chance, key=lambda name: chance[name])
         if chance[least] <= CHANCE:
             break
-        held.append(least)
+        fixed.append(least)
         off, spread = _without(off, spread, every[least])
-    return tuple(name for name in CORRECTIONS if name in held)
+    return tuple(name for name in CORRECTIONS if name in fixed)
 
 
-def hold(prior: SharedPrior[Calibration], names: Collection[str]) -> SharedPrior[Calibration]:
-    """The prior with these parameters held at its reference."""
+def with_fixed(prior: SharedPrior[Calibration], names: Collection[str]) -> SharedPrior[Calibration]:
+    """The prior with these parameters fixed at its reference."""
     layout, counted = Calibration.layout(), prior.information.copy()
     for name in names:
         mine = np.arange(layout.size)[layout[name]]
         counted[mine, :] = counted[:, mine] = 0.0
-        counted[mine, mine] = _HELD * np.diagonal(prior.claimed)[mine]
+        counted[mine, mine] = _FIXED * np.diagonal(prior.claimed)[mine]
     return replace(prior, counted=counted)
 
 

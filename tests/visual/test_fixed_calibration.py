@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lvba.optim.shared_parameters import SharedPrior, information
-from lvba.visual import held_calibration
+from lvba.visual import fixed_calibration
 from lvba.visual.states import Calibration
 from lvba.visual.trajectory_prior import PriorConfig
 
@@ -32,8 +32,8 @@ def wrong(**off):
 
 
 def test_right_calibrations_are_left_alone():
-    held = [held_calibration.insignificant(*estimate(wrong(), rows_of(300), seed=s)) for s in range(200)]
-    assert all(names == held_calibration.CORRECTIONS for names in held)
+    fixed = [fixed_calibration.insignificant(*estimate(wrong(), rows_of(300), seed=s)) for s in range(200)]
+    assert all(names == fixed_calibration.CORRECTIONS for names in fixed)
 
 
 @pytest.mark.parametrize(
@@ -41,9 +41,9 @@ def test_right_calibrations_are_left_alone():
 )
 def test_a_wrong_one_is_corrected_and_only_that(name, value):
     for seed in range(50):
-        held = held_calibration.insignificant(*estimate(wrong(**{name: value}), rows_of(300), seed=seed))
-        assert name not in held
-        assert len(held) == 3
+        fixed = fixed_calibration.insignificant(*estimate(wrong(**{name: value}), rows_of(300), seed=seed))
+        assert name not in fixed
+        assert len(fixed) == 3
 
 
 def test_what_looks_like_a_turned_camera_is_not_corrected():
@@ -54,10 +54,10 @@ def test_what_looks_like_a_turned_camera_is_not_corrected():
     rows[:, place] = rows[:, turn] * SIGMA[turn] / SIGMA[place]
     off, covariance = estimate(wrong(principal_point=4), rows)
     assert abs(off[place]).min() > 1  # half of it is taken for the one, half for the other
-    assert "principal_point" in held_calibration.insignificant(off, covariance)
+    assert "principal_point" in fixed_calibration.insignificant(off, covariance)
 
 
-def test_the_others_are_judged_as_they_are_without_what_is_held():
+def test_the_others_are_judged_as_they_are_without_what_is_fixed():
     """Two that each could be chance beside the other, but not both: one is kept, whichever it is."""
     rows = rows_of(300)
     readout, focal = LAYOUT["readout"], LAYOUT["focal"].start
@@ -65,8 +65,8 @@ def test_the_others_are_judged_as_they_are_without_what_is_held():
         1 + 0.02 * np.random.default_rng(3).normal(size=(300, 1))
     )
     off, covariance = estimate(wrong(readout=0.02), rows)
-    held = held_calibration.insignificant(off, covariance)
-    assert ("readout" in held) != ("focal" in held)
+    fixed = fixed_calibration.insignificant(off, covariance)
+    assert ("readout" in fixed) != ("focal" in fixed)
 
 
 def test_estimates_without_a_parameter_are_those_of_a_model_without_it():
@@ -77,7 +77,7 @@ def test_estimates_without_a_parameter_are_those_of_a_model_without_it():
     less = rows[:, others]
     measured = rows @ wrong(focal=0.01, principal_point=3) + np.random.default_rng(0).normal(size=300)
     expected = np.linalg.inv(less.T @ less + np.diag(SIGMA[others] ** -2.0))
-    found, spread = held_calibration._without(off, covariance, index)
+    found, spread = fixed_calibration._without(off, covariance, index)
     np.testing.assert_allclose(found[others], expected @ less.T @ measured, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(spread[np.ix_(others, others)], expected, rtol=1e-6, atol=1e-12)
 
@@ -85,10 +85,10 @@ def test_estimates_without_a_parameter_are_those_of_a_model_without_it():
 def test_held_means_at_the_reference():
     claimed = information(LAYOUT, PriorConfig().sigma)
     prior = SharedPrior(Calibration(np.eye(4)), claimed, 3 * claimed)
-    held = held_calibration.hold(prior, ["readout"])
-    assert held.information[LAYOUT["readout"], LAYOUT["readout"]] == 1e8 / 0.02**2
+    fixed = fixed_calibration.with_fixed(prior, ["readout"])
+    assert fixed.information[LAYOUT["readout"], LAYOUT["readout"]] == 1e8 / 0.02**2
     others = np.arange(LAYOUT.size) != LAYOUT["readout"].start
     np.testing.assert_array_equal(
-        held.information[np.ix_(others, others)], 3 * claimed[np.ix_(others, others)]
+        fixed.information[np.ix_(others, others)], 3 * claimed[np.ix_(others, others)]
     )
-    assert held.reference is prior.reference
+    assert fixed.reference is prior.reference
