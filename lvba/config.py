@@ -93,7 +93,8 @@ def from_mapping(
     """
     if getattr(kind, "KNOWS_RETIRED", False) and isinstance(values, Mapping):
         values = retired_settings.with_new_names(_without_retired(values, where))
-    return _build(kind, values, where, "", base)
+    built: Config = _build(kind, values, where, "", base)
+    return built
 
 
 def _without_retired(values: Mapping[str, Any], where: str) -> Mapping[str, Any]:

@@ -121,7 +121,7 @@ def inverse_right_jacobian(rotation: np.ndarray) -> np.ndarray:
         small, 1 / 12 + angle**2 / 720, 1 / safe**2 - (1 + np.cos(safe)) / (2 * safe * np.sin(safe))
     )
     skew = hat(rotation)
-    return np.eye(3) + 0.5 * skew + factor * (skew @ skew)
+    return np.asarray(np.eye(3) + 0.5 * skew + factor * (skew @ skew))
 
 
 def retract(a_from_b: Transforms, delta: Tangents) -> np.ndarray:
@@ -172,4 +172,4 @@ def rotation_angle_deg(transform: Transforms) -> np.ndarray:
     """The rotation angles of (..., 4, 4) transforms, (...), degrees."""
     rotation = transform[..., :3, :3].reshape(-1, 3, 3)
     angle = Rotation.from_matrix(rotation).magnitude()
-    return np.degrees(angle).reshape(transform.shape[:-2])
+    return np.asarray(np.degrees(angle).reshape(transform.shape[:-2]))

@@ -65,7 +65,7 @@ def _leave_one_out(samples: Trajectory) -> np.ndarray:
     weight = _cubic_weights(samples.times[index] - samples.times[2:-2, None])
     off = np.einsum("sa,saj->sj", weight, around)
     size = np.stack([np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(off[:, 3:], axis=1)], axis=1)
-    return np.pad(size, ((2, 2), (0, 0)), mode="edge") / np.sqrt(3.0)
+    return np.asarray(np.pad(size, ((2, 2), (0, 0)), mode="edge") / np.sqrt(3.0))
 
 
 def _cubic_weights(offset: np.ndarray) -> np.ndarray:

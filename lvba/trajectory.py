@@ -46,7 +46,7 @@ def interpolate_corrections(rough: Trajectory, refined: Poses, times: Times) -> 
     after = np.minimum(before + 1, len(rough) - 1)
     rough_at = geometry.interpolate(rough.world_from_sensor[before], rough.world_from_sensor[after], fraction)
     refined_at = geometry.interpolate(refined[before], refined[after], fraction)
-    return refined_at @ geometry.inverse(rough_at)
+    return np.asarray(refined_at @ geometry.inverse(rough_at))
 
 
 def sample(trajectory: Trajectory, times: Times) -> np.ndarray:

@@ -95,9 +95,10 @@ class UrlStore(ZarrStore):
         """The version that an artifact's manifest names; None where it names none or cannot be read."""
         try:
             manifest = json.loads(self._files.cat_file(self._path(key, MANIFEST)))
-            return manifest.get("version")
+            version = manifest.get("version")
         except (OSError, ValueError, AttributeError):
             return None
+        return None if version is None else str(version)
 
     @contextmanager
     def lock(self, out: Path | None = None) -> Iterator[None]:

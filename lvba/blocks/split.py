@@ -235,7 +235,7 @@ def path_length(dataset: Dataset) -> np.ndarray:
 def _position(dataset: Dataset, config: SplitConfig) -> np.ndarray:
     """Where each scan is along what is cut, (S,): m, s or numbers."""
     if config.starts or config.by == "time":
-        return dataset.scans.times - dataset.scans.times[0]
+        return np.asarray(dataset.scans.times - dataset.scans.times[0])
     if config.by == "length":
         return path_length(dataset)
     return np.arange(len(dataset.scans), dtype=float)

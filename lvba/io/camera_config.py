@@ -254,7 +254,7 @@ def _rotation(path: Path, key: str, matrix: np.ndarray) -> np.ndarray:
             path, f"{key} is no rotation: {reason}", "write its 9 numbers row by row, with 6 digits"
         )
     u, _, vt = np.linalg.svd(matrix)
-    return u @ vt
+    return np.asarray(u @ vt)
 
 
 def _numbers(path: Path, keys: dict[str, Any], key: str, count: int) -> np.ndarray:

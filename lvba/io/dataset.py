@@ -313,7 +313,7 @@ def _camera_from_scan(calibration: Calibration) -> np.ndarray:
     """camera_from_lidar @ lidar_from_body (the scans are in the body frame); identity without camera."""
     if calibration.camera_from_lidar is None:
         return np.eye(4)
-    return calibration.camera_from_lidar @ geometry.inverse(calibration.body_from_lidar)
+    return np.asarray(calibration.camera_from_lidar @ geometry.inverse(calibration.body_from_lidar))
 
 
 def _digest(

@@ -119,4 +119,4 @@ def normal_variance(fits: PlaneFits) -> np.ndarray:
     gap = np.minimum(fits.total, TRUSTED_POINTS)[:, None] * (
         fits.eigenvalues[:, 1:] - fits.eigenvalues[:, :1]
     )
-    return np.divide(smallest, gap, out=np.zeros_like(gap), where=gap > 0.0)
+    return np.asarray(np.divide(smallest, gap, out=np.zeros_like(gap), where=gap > 0.0))

@@ -73,7 +73,7 @@ def certain(information: np.ndarray, noise: np.ndarray, odometry: np.ndarray) ->
     left = information - floor
     try:
         scipy.linalg.cholesky(left, check_finite=False)
-        return left
+        return np.asarray(left)
     except np.linalg.LinAlgError:
         values, vectors = scipy.linalg.eigh(
             information, floor, subset_by_value=(-np.inf, 1.0), check_finite=False

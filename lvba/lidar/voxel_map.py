@@ -245,7 +245,9 @@ def _fit_cells(level: Level, world_from_scan: np.ndarray, sensor: np.ndarray, te
 def _squares(cells: CellPlanes) -> np.ndarray:
     """Sum of squared distances to the plane (C, 2), m^2, as it would be if fitting took no freedom away."""
     total = cells.total
-    return total * cells.eigenvalues[:, :, 0] * np.where(total > 3, total / np.maximum(total - 3, 1.0), 1.0)
+    return np.asarray(
+        total * cells.eigenvalues[:, :, 0] * np.where(total > 3, total / np.maximum(total - 3, 1.0), 1.0)
+    )
 
 
 def _first_child(finer: Level, level: Level) -> np.ndarray:

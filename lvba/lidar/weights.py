@@ -74,7 +74,7 @@ def _own_variance(features: PlaneFeatures, within: np.ndarray, sigma: float) -> 
     freedom = np.bincount(feature, count - 1, len(features)) + _SHRINK
     plane = (squares / freedom)[feature]
     own = (within + _SHRINK * plane) / (count - 1 + _SHRINK)
-    return np.maximum(own, (_FLOOR * sigma) ** 2)
+    return np.asarray(np.maximum(own, (_FLOOR * sigma) ** 2))
 
 
 def _distances(

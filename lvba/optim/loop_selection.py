@@ -83,7 +83,7 @@ def _blocks(matrix: np.ndarray) -> np.ndarray:
 
 def _distances(error: np.ndarray, joint: np.ndarray) -> np.ndarray:
     """Of each loop alone, (L,)."""
-    return np.einsum("li,li->l", error, np.linalg.solve(_blocks(joint), error[..., None])[..., 0])
+    return np.asarray(np.einsum("li,li->l", error, np.linalg.solve(_blocks(joint), error[..., None])[..., 0]))
 
 
 def _conditioned(error: np.ndarray, joint: np.ndarray, loop: int) -> tuple[np.ndarray, np.ndarray]:

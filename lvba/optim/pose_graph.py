@@ -290,7 +290,7 @@ def _derivative(edges: Edges, by_first: np.ndarray, by_second: np.ndarray, nodes
 
 
 def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    return np.einsum("eij,ej->ei", matrix, vector)
+    return np.asarray(np.einsum("eij,ej->ei", matrix, vector))
 
 
 def _result(start: np.ndarray, poses: np.ndarray, edges: Edges, choice: Choice, converged: bool) -> PoseGraph:

@@ -112,7 +112,7 @@ class Vector:
 
         value: (size,) float64; step: (size,) float64
         """
-        return value + step
+        return np.asarray(value + step)
 
     def deviation(self, reference: np.ndarray, value: np.ndarray) -> np.ndarray:
         """(size,): the difference.

@@ -76,7 +76,7 @@ class PaperColors:
     def radiance(self, log_exposure: LogExposures) -> np.ndarray:
         """(M, 3) float32: gray values over the relative exposure of their image."""
         gain = np.exp(-np.append(log_exposure, 0.0)).astype(np.float32)
-        return self.gray * gain[self.source][:, None]
+        return np.asarray(self.gray * gain[self.source][:, None])
 
 
 @dataclass(frozen=True)

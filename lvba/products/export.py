@@ -233,7 +233,7 @@ def valid_rectangle(valid: np.ndarray) -> tuple[slice, slice]:
 
 
 def _valid(camera: Camera, undistort: Undistorter) -> np.ndarray:
-    return undistort(np.full((camera.height, camera.width, 3), 255, np.uint8))[..., 0] == 255
+    return np.asarray(undistort(np.full((camera.height, camera.width, 3), 255, np.uint8))[..., 0] == 255)
 
 
 def _cut_camera(camera: Camera, cut: tuple[slice, slice]) -> Camera:

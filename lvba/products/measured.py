@@ -99,4 +99,4 @@ def as_uint16(intensity: np.ndarray) -> np.ndarray:
     """
     if len(intensity) and intensity.max() <= 1 and (intensity != np.rint(intensity)).any():
         intensity = intensity * 65535
-    return np.clip(np.rint(intensity), 0, 65535).astype(np.uint16)
+    return np.asarray(np.clip(np.rint(intensity), 0, 65535).astype(np.uint16))

@@ -136,7 +136,7 @@ def _telling(gain: np.ndarray, count: int) -> np.ndarray:
     if not len(order):
         return order
     places = np.unique(np.linspace(0, len(order) - 1, count).round().astype(int))
-    return order[places]
+    return np.asarray(order[places])
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def _shown(cloud: ColoredCloud, state: State, image: int, config: RenderConfig |
 
 def leave_one_out(cloud: ColoredCloud, state: State, image: int) -> np.ndarray:
     """An image as the points of the other images show it, (H, W, 3) uint8, black where there are none."""
-    return np.rint(_shown(cloud, state, image, None).filled).astype(np.uint8)
+    return np.asarray(np.rint(_shown(cloud, state, image, None).filled).astype(np.uint8))
 
 
 def _change(raw: np.ndarray, shown: list[_Shown], valid: np.ndarray) -> np.ndarray:

@@ -98,7 +98,7 @@ def _placed(x: float, middle: float, left: bool) -> np.ndarray:
     """scene_from_house, (4, 4): a house to the left or to the right of a lane."""
     turn = np.array([0, 0, np.pi if left else 0.0, 0, 0, 0])
     place = (x + (_PERIOD_M if left else 0.0), middle, 0.0)
-    return geometry.from_rotation_translation(np.eye(3), np.array(place)) @ geometry.exp(turn)
+    return np.asarray(geometry.from_rotation_translation(np.eye(3), np.array(place)) @ geometry.exp(turn))
 
 
 def _alike(world: Builder) -> None:

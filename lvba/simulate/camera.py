@@ -69,7 +69,7 @@ def _falloff(height: int, width: int, missing: float) -> np.ndarray:
     """(H, W) float32: 1 in the middle, 1 - missing in the corners."""
     y, x = np.mgrid[0:height, 0:width]
     square = (x - (width - 1) / 2) ** 2 + (y - (height - 1) / 2) ** 2
-    return (1 - missing * square / square.max()).astype(np.float32)
+    return np.asarray((1 - missing * square / square.max()).astype(np.float32))
 
 
 def random_camera(width: int, height: int, rng: np.random.Generator) -> Camera:
@@ -141,7 +141,7 @@ def exposures(count: int, rng: np.random.Generator) -> np.ndarray:
         change = change + rng.choice([-0.4, 0.4]) * (after > 0) * np.exp(-after / 20)
     change = change - change[0]
     largest = float(np.abs(change).max(initial=1e-9))
-    return np.exp(change * rng.uniform(0.85, 1.0) * np.log(2.0) / max(largest, 1e-3))
+    return np.asarray(np.exp(change * rng.uniform(0.85, 1.0) * np.log(2.0) / max(largest, 1e-3)))
 
 
 def white_balances(count: int, size: float, rng: np.random.Generator) -> np.ndarray:

@@ -73,7 +73,7 @@ class Drift:
     def at(self, times: Times, scale: tuple[float, float]) -> np.ndarray:
         """(N, 6) tangents at (N,) s; scale: of rotation (rad) and translation (m)."""
         inside = np.clip(times, self.knots[0], self.knots[-1])
-        return CubicSpline(self.knots, self.walk)(inside) * np.repeat(scale, 3)
+        return np.asarray(CubicSpline(self.knots, self.walk)(inside) * np.repeat(scale, 3))
 
 
 def rough_scans(
@@ -168,4 +168,4 @@ def camera_error(motion: Poses, level: Difficulty, rng: np.random.Generator) -> 
 def _noise(count: int, size_m: float, size_deg: float, rng: np.random.Generator) -> np.ndarray:
     """(count, 6) tangents of that root mean square length."""
     sigma = np.repeat([np.radians(size_deg), size_m], 3) / np.sqrt(3)
-    return rng.normal(size=(count, 6)) * sigma
+    return np.asarray(rng.normal(size=(count, 6)) * sigma)

@@ -53,7 +53,7 @@ class People:
     def center(self, moment: float) -> np.ndarray:
         """(P, 3), m, scene frame, at so many seconds since the start of the motion."""
         part = np.sin(2 * np.pi * moment / self.period + self.phase)
-        return self.home + part[:, None] * self.walk
+        return np.asarray(self.home + part[:, None] * self.walk)
 
     def meet(self, moment: float, origins: np.ndarray, directions: Vectors) -> Met:
         """Whom rays meet at a moment (s since the start of the motion).

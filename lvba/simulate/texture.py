@@ -88,4 +88,4 @@ def _band(rng: np.random.Generator) -> np.ndarray:
     gain[0, 0] = 0.0
     noise = np.fft.ifft2(np.fft.fft2(rng.normal(size=(_TILE, _TILE))) * gain).real
     bounded = np.clip(noise / (2.5 * noise.std()), -0.95, 0.95)
-    return bounded - bounded.mean()
+    return np.asarray(bounded - bounded.mean())

@@ -87,4 +87,6 @@ def _wave(time: np.ndarray, period: float, rng: np.random.Generator) -> np.ndarr
     """(N,) within -1 to 1: two sines whose periods (s) do not fit together."""
     first, second = rng.uniform(0, 2 * np.pi, 2)
     other = period * rng.uniform(0.55, 0.7)
-    return 0.6 * np.sin(2 * np.pi * time / period + first) + 0.4 * np.sin(2 * np.pi * time / other + second)
+    return np.asarray(
+        0.6 * np.sin(2 * np.pi * time / period + first) + 0.4 * np.sin(2 * np.pi * time / other + second)
+    )

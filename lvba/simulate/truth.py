@@ -121,7 +121,9 @@ def build(
 def _random_world(rng: np.random.Generator) -> np.ndarray:
     """world_from_scene, (4, 4): any heading, tens of meters away, z nearly up."""
     turn = np.array([*rng.normal(0, 0.015, 2), rng.uniform(-np.pi, np.pi), 0, 0, 0])
-    return geometry.from_rotation_translation(np.eye(3), rng.uniform(-60, 60, 3)) @ geometry.exp(turn)
+    return np.asarray(
+        geometry.from_rotation_translation(np.eye(3), rng.uniform(-60, 60, 3)) @ geometry.exp(turn)
+    )
 
 
 def _clock(first: float, last: float, count: int, rng: np.random.Generator) -> np.ndarray:

@@ -33,7 +33,7 @@ class World:
     def normal(self) -> np.ndarray:
         """(Q, 3), unit length; the side is arbitrary."""
         normal = np.cross(self.edge_u, self.edge_v)
-        return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+        return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
 
 class Builder:

@@ -269,4 +269,4 @@ def _without_common(
     scaled = np.einsum("sij,skj->ski", turn, differences.reshape(-1, 2, 3)).reshape(-1, 6) / prior_sigmas
     basis = np.linalg.qr(np.stack([each.direction for each in weak], axis=1))[0]
     scaled = (scaled - scaled @ basis @ basis.T) * prior_sigmas
-    return np.einsum("sji,skj->ski", turn, scaled.reshape(-1, 2, 3)).reshape(-1, 6)
+    return np.asarray(np.einsum("sji,skj->ski", turn, scaled.reshape(-1, 2, 3)).reshape(-1, 6))

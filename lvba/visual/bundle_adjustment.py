@@ -53,7 +53,7 @@ class LevelSolution:
     photometric: the same state as the photometric cost has it, with the offset of each scene point's plane
     wall_clusters: which pieces of wall its images see
     noise: what the problem's sigma come from
-    prior: nothing of the calibration fixed, so that covariances have what it may be off; fixed: names of the parameters of
+    prior: nothing of the calibration fixed, so that covariances have what it may be off; fixed: which parameters of
         the calibration that were, all the same
     """
 
@@ -201,7 +201,7 @@ def components(pair_reference: np.ndarray, pair_target: np.ndarray, images: int)
     pair_reference: (M,) int32, images; pair_target: (M,) int32, images
     """
     graph = coo_matrix((np.ones(len(pair_reference)), (pair_reference, pair_target)), shape=(images, images))
-    return connected_components(graph, directed=False)[1]
+    return np.asarray(connected_components(graph, directed=False)[1])
 
 
 def _free(problem: Problem, with_prior: bool, solve_exposures: bool) -> np.ndarray:

@@ -113,7 +113,7 @@ class _Factor:
                 own[self.free[here]] = self.solver.solve(unit)[here, here - begin]
         count = np.bincount(self.component)
         total = np.bincount(self.component, with_all) / count**2
-        return own - 2.0 * with_all / count[self.component] + total[self.component]
+        return np.asarray(own - 2.0 * with_all / count[self.component] + total[self.component])
 
 
 @dataclass(frozen=True)

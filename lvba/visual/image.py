@@ -140,7 +140,7 @@ def _angles(pinhole: Camera) -> np.ndarray:
     """(H, W) float32: radians off the axis of the pixels of a pinhole."""
     x = (np.arange(pinhole.width, dtype=np.float32) - np.float32(pinhole.cx)) / np.float32(pinhole.fx)
     y = (np.arange(pinhole.height, dtype=np.float32) - np.float32(pinhole.cy)) / np.float32(pinhole.fy)
-    return np.arctan(np.hypot(x[None, :], y[:, None]))
+    return np.asarray(np.arctan(np.hypot(x[None, :], y[:, None])))
 
 
 def measuring_camera(camera: Camera) -> Camera:
@@ -253,4 +253,4 @@ def _block_noise(channels: np.ndarray) -> np.ndarray:
         return cut.transpose(0, 1, 3, 2, 4).reshape(-1, b * b)
 
     good = ~blocks(masked[:, 1:-1, 1:-1]).any(axis=1)
-    return blocks(residual)[good].mean(axis=1) / (6 * np.sqrt(2 / np.pi))
+    return np.asarray(blocks(residual)[good].mean(axis=1) / (6 * np.sqrt(2 / np.pi)))

@@ -39,7 +39,7 @@ def residual(
     reference, target: float64 of one shape (...), intensities
     """
     norm = np.hypot(exposure_reference, exposure_target)
-    return (exposure_reference * target - exposure_target * reference) / norm
+    return np.asarray((exposure_reference * target - exposure_target * reference) / norm)
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Problem:
     @property
     def samples(self) -> int:
         """Samples of a whole patch, all channels."""
-        return self.patch**2 * self.images.shape[3]
+        return int(self.patch**2 * self.images.shape[3])
 
 
 def prepare(

@@ -145,7 +145,8 @@ OCCLUSION_SPACINGS = 1.5
 
 def cell_size(camera: Camera, config: PointsConfig, rules: PatchRules = SCENE_POINTS) -> int:
     """Edge of a grid cell at this camera's size, px."""
-    return max(round((camera.width * camera.height / config.cells) ** 0.5), rules.min_cell_px)
+    side = float((camera.width * camera.height / config.cells) ** 0.5)
+    return max(round(side), rules.min_cell_px)
 
 
 def difference_of_gaussians(image: np.ndarray) -> np.ndarray:

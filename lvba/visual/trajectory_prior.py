@@ -256,7 +256,7 @@ def predict(prior: Prior, source: Source, calibration: Calibration) -> np.ndarra
     shifted = source.world_from_scan.copy()
     shifted[:, :3, :3] = shifted[:, :3, :3] @ turn
     shifted[:, :3, 3] += prior.velocity_world * calibration.time_offset
-    return shifted @ calibration.scan_from_camera
+    return np.asarray(shifted @ calibration.scan_from_camera)
 
 
 def residuals(prior: Prior, source: Source, state: VisualState) -> np.ndarray:

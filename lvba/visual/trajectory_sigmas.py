@@ -72,7 +72,7 @@ def _own_scale(deviation: np.ndarray, own: np.ndarray, share: np.ndarray, part: 
 
 def _within(sigma: np.ndarray, before: np.ndarray, limits: np.ndarray) -> np.ndarray:
     """Estimates (I,) between floor and ceiling; one that began above the ceiling (far from any scan) may stay there."""
-    return np.clip(sigma, limits[0], np.maximum(before, limits[1]))
+    return np.asarray(np.clip(sigma, limits[0], np.maximum(before, limits[1])))
 
 
 def _memory(normalized: np.ndarray) -> float:

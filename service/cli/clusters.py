@@ -75,7 +75,8 @@ def tls(arguments: argparse.Namespace) -> "Tls | None":
         return None
     if None in given:
         raise InputError("--tls-ca, --tls-cert, --tls-key", "one of them is missing", "give all three")
-    return connections().Tls(*given)
+    files: Tls = connections().Tls(*given)
+    return files
 
 
 def _tls_files(arguments: argparse.Namespace) -> list[Path | None]:
