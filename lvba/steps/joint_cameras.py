@@ -19,7 +19,7 @@ from lvba.steps.lidar import carry_cameras
 from lvba.steps.outcomes import LidarStage, MapPlanes, ScanPoses, VisualStage
 from lvba.steps.visual import inputs
 from lvba.trajectory import Trajectory
-from lvba.visual import covariance, trajectory_prior
+from lvba.visual import covariance, fixed_calibration, trajectory_prior
 from lvba.visual.exposure_graph import Edges
 from lvba.visual.image import measuring_camera
 from lvba.visual.refine import VisualConfig, VisualResult
@@ -192,9 +192,13 @@ def _prior(
     # what images tell and how far they contradict it both add up over the parts: their ratio is a mean
     mean = np.mean(counts, axis=0) if counts else None
     prior = replace(prior, sources=tuple(sources), calibration=replace(prior.calibration, counted=mean))
-    # a value that one part proves wrong is wrong in all
-    fixed = set.intersection(*(set(tuning.fixed) for tuning in tunings)) if tunings else set()
-    return trajectory_prior.with_fixed(prior, sorted(fixed))
+    return trajectory_prior.with_fixed(prior, _fixed(stages))
+
+
+def _fixed(stages: Sequence[VisualStage]) -> list[str]:
+    """The parameters of the calibration that no part corrects: a value that one proves wrong is wrong in all."""
+    fixed = [set(part.tuning.fixed) for part in stages if part.tuning is not None]
+    return sorted(set.intersection(*fixed)) if fixed else []
 
 
 def select_points(
@@ -317,7 +321,7 @@ def finish_cameras(
             local_covariance=local_covariance,
             log_exposure_sigma=now.exposure_sigma[nearest],
             keyframes=keyframes,
-            calibration=now.state.calibration,
+            calibration=_calibration(now, prior, stages),
             calibration_sigma=common_sigma([result.calibration_sigma for result in results]),
             weak=weak,
             weak_common=fewest.weak_common,
@@ -328,6 +332,11 @@ def finish_cameras(
             warnings=_warnings(cores, stages),
         )
     )
+
+
+def _calibration(now: JointCameras, prior: Prior, stages: Sequence[VisualStage]) -> Calibration:
+    reference = prior.calibration.reference
+    return fixed_calibration.restored(now.state.calibration, reference, _fixed(stages))
 
 
 def _of_parts(

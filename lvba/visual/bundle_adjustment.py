@@ -121,8 +121,11 @@ def solve(
                 fixed = _fixed(problem, wall_clusters, prior, at, linearization, free)
             problem, prior = _reweighted(problem, wall_clusters, prior, at, linearization, free)
             problem, at = _about(problem, at, shifts)
+    calibration = at.calibration
+    if prior is not None:
+        calibration = fixed_calibration.restored(calibration, prior.calibration.reference, fixed)
     return LevelSolution(
-        state=at.visual,
+        state=VisualState(at.photometric.cameras, calibration),
         photometric=at.photometric,
         problem=problem,
         wall_clusters=wall_clusters,

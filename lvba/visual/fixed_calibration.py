@@ -53,6 +53,11 @@ def with_fixed(prior: SharedPrior[Calibration], names: Collection[str]) -> Share
     return replace(prior, counted=counted)
 
 
+def restored(values: Calibration, reference: Calibration, names: Collection[str]) -> Calibration:
+    """The values with these parameters exactly as in the reference: a solve leaves them there but for rounding."""
+    return replace(values, **{name: getattr(reference, name) for name in names})
+
+
 def _chance(off: np.ndarray, spread: np.ndarray, index: np.ndarray) -> float:
     """How often numbers that are right deviate as much."""
     mine = spread[np.ix_(index, index)]

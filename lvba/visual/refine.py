@@ -95,10 +95,10 @@ class VisualConfig:
         advanced=True,
     )
     calibrate: bool = setting(
-        False,
+        True,
         meaning="Refine focal lengths, principal point, lens and readout time of the rows with the poses, at the finest "
-        "level, as far as the images determine them.",
-        change_when="The calibration is old or from a data sheet, or the camera has a rolling shutter (true).",
+        "level, each only where its correction cannot be chance.",
+        change_when="The intrinsics are known to be exact and the shutter is global (false).",
     )
     images: ImageConfig = field(default_factory=ImageConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
