@@ -196,7 +196,7 @@ def judge_scans(entropy: Figure, images: Sequence[Figure], config: GateConfig) -
     PSNR. SSIM alone contradicts nothing here: the cameras are not refined yet, and where they are centimeters off, SSIM
     punishes a crisp map for structure in the wrong place, and a blurred one less. In a simulated courtyard, scans that
     come from 56 to 0.4 mm change PSNR by +0.05 +- 0.11 dB and SSIM by -0.019 +- 0.004. In small rooms few blocks make the
-    error of the entropy large; there the images may decide, if both of their figures allow it.
+    error of the entropy large; there PSNR may decide: where SSIM denies it, by as many standard errors as deny anything.
     """
     figures = (entropy, *images)
     change = _words(entropy)
@@ -214,7 +214,7 @@ def judge_scans(entropy: Figure, images: Sequence[Figure], config: GateConfig) -
             f"but images are predicted worse ({_words(*_leading(images))})",
             figures,
         )
-    seen = _PSNR in gained and _SSIM not in lost
+    seen = _PSNR in gained and (_SSIM not in lost or _beyond(asked, CONTRADICTION))
     if entropy.finding != "better" and not seen:
         why = "not crisper" if entropy.gain <= 0 else "not crisper by more than chance"
         return Verdict(
@@ -224,6 +224,11 @@ def judge_scans(entropy: Figure, images: Sequence[Figure], config: GateConfig) -
             figures,
         )
     return Verdict(True, "accepted", f"{_words(entropy, *_leading(images))}", figures)
+
+
+def _beyond(images: Sequence[Figure], errors: float) -> bool:
+    """Whether PSNR gains by more than so many standard errors, over either kind of pixels."""
+    return all(each.gain > errors * each.error for each in images if each.name in (_PSNR, "psnr_common"))
 
 
 def judge_cameras(before: Scores, after: Scores, config: GateConfig) -> Verdict:

@@ -26,6 +26,8 @@ from lvba.steps.outcomes import ScanPoses, VisualStage
 CONFIG = GateConfig()
 BASE = np.array([20.0, 22.0, 24.0, 21.0, 25.0])
 CHANCE = np.array([0.5, -0.4, 0.3, -0.5, 0.2])
+WEAK = 0.5 + CHANCE
+"""A gain of 2.6 standard errors."""
 
 
 def _mean(values):
@@ -105,7 +107,10 @@ def test_images_may_contradict_a_crisper_map(psnr, common, ssim, accepted):
         (-3.1, 0.06, 1.0, 1.0, 0.5, True),
         (-3.1, 0.06, 1.0, 0.0, 0.5, False),
         (-3.1, 0.06, CHANCE, CHANCE, 0.5, False),
-        (-3.1, 0.06, 1.0, 1.0, 0.4, False),
+        (-3.1, 0.06, 1.0, 1.0, 0.4, True),
+        (-3.1, 0.06, 1.0 + CHANCE, 1.0 + CHANCE, 0.4, True),
+        (-3.1, 0.06, WEAK, WEAK, 0.5, True),
+        (-3.1, 0.06, WEAK, WEAK, 0.4, False),
         (-3.1, 0.06, 0.0, 0.0, 0.6, False),
         (-3.015, 0.001, 1.0, 1.0, 0.5, False),
         (-2.9, 0.06, 1.0, 1.0, 0.5, False),
@@ -113,7 +118,8 @@ def test_images_may_contradict_a_crisper_map(psnr, common, ssim, accepted):
     ],
 )
 def test_images_may_speak_for_a_map_that_is_crisper_within_chance(after, error, psnr, common, ssim, accepted):
-    """By PSNR over own and common pixels, not against SSIM; not for a map that gains too little, or loses."""
+    """By PSNR over own and common pixels, against SSIM only if far beyond chance; not for a map that gains too little, or
+    loses."""
     told = images(scores(BASE), scores(BASE + psnr, BASE + common, ssim))
     verdict = acceptance.judge_scans(entropy(-3.0, after, error), told, CONFIG)
     assert verdict.accepted is accepted
