@@ -3,10 +3,10 @@
     python benchmarks/neighbors.py DATASET POSES [POSES ...]
 
 POSES: folders with image_poses.txt: results, a recording's `reference`, or DATASET itself for its input poses.
-For each pair of successive images: SIFT features (Lowe 2004) matched both ways, depths of the first image's features from
-the scan nearest in time (by the calibrated extrinsic), the pose of the second image by PnP with RANSAC (OpenCV). It shares
-nothing with the bundle adjustments, and nothing with the reference. Prints one JSON object: for each folder the median and
-root mean square of the differences, degrees and mm, over the pairs that could be measured.
+For each pair of successive images: SIFT features (Lowe 2004) matched both ways, depths of the first image's features
+from the scan nearest in time (by the calibrated extrinsic), the pose of the second image by PnP with RANSAC (OpenCV).
+It shares nothing with the bundle adjustments, and nothing with the reference. Prints one JSON object: for each folder
+the median and root mean square of the differences, degrees and mm, over the pairs that could be measured.
 """
 
 import json

@@ -33,6 +33,13 @@ class Camera:
         """K, (3, 3) float64."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
 
+    def normalized(self, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Coordinates (N,) right and (N,) down behind the lens, of what a pinhole of this K sees at pixels.
+
+        pixels: (N, 2) float64, px
+        """
+        return (pixels[:, 0] - self.cx) / self.fx, (pixels[:, 1] - self.cy) / self.fy
+
     def undistorted(self) -> "Camera":
         """The pinhole camera whose images `lvba.visual.image.undistort` makes: same K and size, no distortion."""
         return Camera(width=self.width, height=self.height, fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy)

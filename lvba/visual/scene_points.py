@@ -307,9 +307,7 @@ def make_points(
     pixel: (P, 2) int32, (column, row)
     """
     pose = world_from_camera[reference]
-    ray_camera = np.column_stack([
-        (pixel[:, 0] - camera.cx) / camera.fx, (pixel[:, 1] - camera.cy) / camera.fy, np.ones(len(pixel))
-    ])  # fmt: skip
+    ray_camera = np.column_stack([*camera.normalized(pixel), np.ones(len(pixel))])
     ray = np.einsum("pij,pj->pi", pose[:, :3, :3], ray_camera)
     normal = planes.normal[plane]
     depth = np.einsum("pi,pi->p", normal, planes.center[plane] - pose[:, :3, 3]) / np.einsum(

@@ -53,7 +53,7 @@ def displacement(camera: Camera, pinhole: Camera, pixels: np.ndarray) -> np.ndar
     camera: the raw camera that the images were undistorted with; pinhole: that of the undistorted images
     pixels: (N, 2) float64, px, undistorted
     """
-    x, y = (pixels[:, 0] - pinhole.cx) / pinhole.fx, (pixels[:, 1] - pinhole.cy) / pinhole.fy
+    x, y = pinhole.normalized(pixels)
     across, down = lens.distort(camera.lens, camera.distortion, x, y)
     focal = np.array([camera.fx, camera.fy])
     by_ray = focal[:, None] * np.stack(
@@ -94,7 +94,7 @@ def row_part(camera: Camera, pinhole: Camera, pixels: np.ndarray) -> np.ndarray:
 
     pixels: (N, 2) float64, px, of the undistorted image
     """
-    x, y = (pixels[:, 0] - pinhole.cx) / pinhole.fx, (pixels[:, 1] - pinhole.cy) / pinhole.fy
+    x, y = pinhole.normalized(pixels)
     _, down = lens.distort(camera.lens, camera.distortion, x, y)
     return np.asarray((camera.fy * down + camera.cy) / camera.height - 0.5)
 
@@ -169,10 +169,8 @@ def _centers(
 
 def _carried(camera: Camera, other: Camera, pinhole: Camera, pixels: np.ndarray) -> np.ndarray:
     """(N, 2): where in an image that was undistorted for `other` is what pixels (N, 2) of one for `camera` show."""
-    x, y = (pixels[:, 0] - pinhole.cx) / pinhole.fx, (pixels[:, 1] - pinhole.cy) / pinhole.fy
+    x, y = pinhole.normalized(pixels)
     u, v = lens.distort(camera.lens, camera.distortion, x, y)
-    raw = camera.fx * u + camera.cx, camera.fy * v + camera.cy
-    x, y = lens.undistort(
-        other.lens, other.distortion, (raw[0] - other.cx) / other.fx, (raw[1] - other.cy) / other.fy
-    )
+    raw = np.stack([camera.fx * u + camera.cx, camera.fy * v + camera.cy], axis=-1)
+    x, y = lens.undistort(other.lens, other.distortion, *other.normalized(raw))
     return np.stack([x * pinhole.fx + pinhole.cx, y * pinhole.fy + pinhole.cy], axis=-1)
