@@ -3,7 +3,8 @@
 All images share one calibration, so their information about it adds up, and so do errors that they share. A hundred
 images of a Kinect claimed the extrinsic to a millimeter and moved it by 43 mm. How far separate pieces of wall contradict
 each other about the calibration shows how much of that information is real; where they contradict each other more than
-they claim, the calibrated values get a larger weight.
+they claim, the calibrated values get a larger weight. Where an estimate would be less certain than the calibration itself
+all the same, the calibration stays.
 """
 
 from collections.abc import Mapping
@@ -16,6 +17,11 @@ from lvba.visual.states import Calibration
 
 _TELLS_NOTHING = 1e-6
 """Part of the calibration's information that the images are taken to tell at least, in any direction."""
+
+_NO_BETTER = 1.01
+"""Times the variance of the calibration that an estimate may have."""
+_KEPT = 1e6
+"""Times over that a calibration counts in a direction that it keeps."""
 
 
 def build(calibrated: Calibration, sigma: Mapping[str, float | np.ndarray]) -> SharedPrior[Calibration]:
@@ -42,8 +48,23 @@ def weighed(information: np.ndarray, spread: np.ndarray, claims: np.ndarray) -> 
     believed = (back / np.maximum(overstated, 1.0)) @ back.T
     good, shared = np.linalg.eigh(believed)
     counts = np.einsum("ik,ij,jk->k", shared, information, shared) / np.maximum(good, 1e-12)
-    half = root @ shared
-    return np.asarray((half * np.maximum(counts, 1.0)) @ half.T)
+    counted = (shared * np.maximum(counts, 1.0)) @ shared.T
+    return np.asarray(root @ _kept_where_better(counted, information, spread) @ root.T)
+
+
+def _kept_where_better(counted: np.ndarray, information: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """The calibration counting so much that no direction of the estimate is less certain than the calibration itself.
+
+    All in units of the calibration. Axes that images overstate and axes that calibration and images share are not the
+    same, so along some directions the estimate may still follow what the images contradict themselves about.
+    """
+    for _ in range(len(counted)):
+        inverse = np.linalg.inv(information + counted)
+        variance, axes = np.linalg.eigh(inverse @ (spread + counted @ counted) @ inverse)
+        if variance[-1] <= _NO_BETTER:
+            break
+        counted = counted + _KEPT * np.outer(axes[:, -1], axes[:, -1])
+    return counted
 
 
 def _whitened(information: np.ndarray, root: np.ndarray) -> np.ndarray:
