@@ -14,6 +14,7 @@ from lvba.visual import refine, trajectory_prior
 from lvba.visual.refine import Inputs, VisualConfig
 from lvba.visual.states import CameraStates, VisualState
 from lvba.visual.tuning import tuning
+from lvba.visual.vignetting import NONE
 
 CONFIG = VisualConfig()
 ALL = np.arange(COUNT)
@@ -40,10 +41,13 @@ def core(first, end):
 
 
 def shares(given, state, known, cores):
-    laid = [visual_block.select_scene_points(given, state, ALL, mine, known, None, CONFIG) for mine in cores]
+    laid = [
+        visual_block.select_scene_points(given, state, ALL, mine, known, None, NONE, CONFIG) for mine in cores
+    ]
     images, camera = given.pyramid.levels[0], given.pyramid.camera
     return laid, [
-        visual_block.linearize(images, camera, each, state, known, None, camera, CONFIG) for each in laid
+        visual_block.linearize(images, camera, each, state, known, None, camera, NONE, CONFIG)
+        for each in laid
     ]
 
 
@@ -80,7 +84,7 @@ def rounds(given, laid, start, last, known, count=8):
         found = [
             visual_block.linearize(
                 *(given.pyramid.levels[0], given.pyramid.camera, each, now.state, known),
-                *(None, given.pyramid.camera, CONFIG),
+                *(None, given.pyramid.camera, NONE, CONFIG),
             )
             for each in laid
         ]
