@@ -133,7 +133,7 @@ def places(camera: Camera, pinhole: Camera, pixels: np.ndarray) -> np.ndarray:
 
     camera: of the raw images; pinhole: of the undistorted ones, at any size; pixels: (N, 2) float64, px
     """
-    x, y = (pixels[:, 0] - pinhole.cx) / pinhole.fx, (pixels[:, 1] - pinhole.cy) / pinhole.fy
+    x, y = pinhole.normalized(pixels)
     with np.errstate(over="ignore", invalid="ignore"):
         u, v = lens.distort(camera.lens, camera.distortion, x, y)
         place = np.stack([camera.fx * u, camera.fy * v], axis=1) / (
