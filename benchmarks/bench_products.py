@@ -69,7 +69,7 @@ def run(scans: int = 100, points: int = 30_000, images: int = 100, repeats: int 
     cloud, bad = (clouds.assemble(lambda s: loaded[s], p, np.arange(float(scans))) for p in (poses, rough))
     states = {"rough": State(bad, views), "refined": State(cloud, views)}
     colors = colorize.paper(cloud, views)
-    colored = render.colored_cloud(cloud.points_world, colors.gray, colors.source)
+    colored = render.colored_cloud(cloud.points_world, colors)
     scores = evaluate.evaluate(states)
     made = pictures.make(states["rough"], states["refined"], scores)
     facts = {"evaluation": {name: score.facts() for name, score in scores.items()}}
@@ -79,9 +79,7 @@ def run(scans: int = 100, points: int = 30_000, images: int = 100, repeats: int 
         works: dict[str, Callable[[], Any]] = {
             "assemble cloud": lambda: clouds.assemble(lambda s: loaded[s], poses, np.arange(float(scans))),
             "color by the paper": lambda: colorize.paper(cloud, views),
-            "sort colored cloud": lambda: render.colored_cloud(
-                cloud.points_world, colors.gray, colors.source
-            ),
+            "sort colored cloud": lambda: render.colored_cloud(cloud.points_world, colors),
             "render one image, one thread": lambda: render.render(colored, views, 0),
             "mean map entropy": lambda: map_quality.mean_map_entropy(cloud),
             "evaluate rough and refined": lambda: evaluate.evaluate(states),

@@ -20,6 +20,7 @@ from lvba.products import map_file, report
 from lvba.products.map_file import PointMap
 from lvba.products.pictures import Pictures
 from lvba.progress import Progress, silent
+from lvba.visual.vignetting import NONE, Vignetting
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,8 @@ class Result:
     report: dict[str, Any]
     camera: Camera | None = None
     """Of the raw images, as the camera poses suppose it; None: there are none."""
+    vignetting: Vignetting = NONE
+    """Of the images, as the exposures suppose it."""
 
     @cached_property
     def map(self) -> PointMap:
@@ -89,6 +92,7 @@ class Result:
             used.get("time_offset", 0.0),
             used.get("readout", 0.0),
             used.get("sigma", {}),
+            self.vignetting.numbers if self.vignetting else None,
         )
 
     def _write_map(self, path: Path) -> None:
@@ -135,6 +139,7 @@ def collect(dataset: Dataset, config: Config, work: Plan, store: Store) -> Resul
         pictures=store[keys["pictures"]],
         report=facts,
         camera=accepted.camera,
+        vignetting=accepted.vignetting,
     )
 
 

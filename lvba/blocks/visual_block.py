@@ -19,6 +19,7 @@ from lvba.visual.scene_points import Observations, PatchRules, ScenePoints
 from lvba.visual.states import VisualState
 from lvba.visual.trajectory_prior import Prior
 from lvba.visual.tuning import Tuning
+from lvba.visual.vignetting import PairPlaces, Vignetting
 
 
 @dataclass(frozen=True)
@@ -60,36 +61,39 @@ def select_scene_points(
     core: np.ndarray,
     known: Tuning,
     prior: Prior | None,
+    light: Vignetting,
     config: VisualConfig,
 ) -> CameraPoints:
     """The scene points whose reference is in the core, who sees them, and how bright they are, at the finest level.
 
     state, prior: of the keyframes of `given`; images: (k,) int64, their numbers in the whole; core: (k,) bool
+    light: the vignetting of all parts
     """
     scene = scene_of(given, config)
-    levels, camera = scene.pyramid.levels, scene.pyramid.camera
+    camera = scene.pyramid.camera
+    full = light.taken_out_of(scene.pyramid.levels[0], given.camera, camera)
     noise, poses = float(scene.pyramid.noise[0]), state.cameras.world_from_camera
     points = scene_points.select(
-        levels[0], camera, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, noise,
+        full, camera, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, noise,
         config.points, PatchRules(size=config.patch),
     )  # fmt: skip
     depth = visibility.depth_buffers(
         camera, poses, scene.image_times, scene.plane_points, scene.scan_times, config.points.time_window_s
     )
     points, observations = visibility.find(
-        levels[0], camera, poses, points, scene.seen, noise, config.visibility, depth, patch=config.patch
+        full, camera, poses, points, scene.seen, noise, config.visibility, depth, patch=config.patch
     )
     mine = core[points.reference]
     off = bundle_adjustment.offset_sigma(points, bundle_adjustment.PLANE_FLOOR_M)
     off = (off * known.offset_scale)[mine]
     points, observations = _of_points(points, observations, mine)
-    problem = photometric.prepare(levels[0], camera, points, observations, config.patch)
+    problem = photometric.prepare(full, camera, points, observations, config.patch)
     problem = _with_shifts(problem, given.camera, state, prior, config)
     sums = photometric.sums(problem, PhotometricState(state.cameras, np.zeros(len(points))))
     sigma = known.noise.sigma(noise_models.gradients(sums))
     ratios = exposure.ratios_at(
         scene.pyramid, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, scene.seen,
-        depth=depth,
+        depth=depth, raw=given.camera if config.vignetting else None,
     )  # fmt: skip
     edges = exposure.edges_of(_of_core(ratios, core), len(images))
     edges = replace(edges, first=images[edges.first], second=images[edges.second])
@@ -106,15 +110,16 @@ def linearize(
     known: Tuning,
     prior: Prior | None,
     raw: Camera,
+    light: Vignetting,
     config: VisualConfig,
 ) -> CameraShare:
     """The photometric normal equations of the laid out points.
 
     images: (n, H, W, C) uint8, the share's keyframes at full size; camera: theirs; state, prior: of these keyframes
-    raw: the camera of the images before they were undistorted
+    raw: the camera of the images before they were undistorted; light: their vignetting
     """
     problem = photometric.prepare(
-        images, camera, laid.points, laid.observations, config.patch,
+        light.taken_out_of(images, raw, camera), camera, laid.points, laid.observations, config.patch,
         offset_sigma=laid.offset_sigma, sigma=laid.sigma, variance_factor=known.variance_factor,
     )  # fmt: skip
     problem = _with_shifts(problem, raw, state, prior, config)
@@ -150,6 +155,14 @@ def _of_points(
 def _of_core(ratios: exposure.Ratios, core: np.ndarray) -> exposure.Ratios:
     """The ratios of patches that were laid out in core images."""
     mine = core[ratios.first]
+    places = ratios.places
+    if places is not None:
+        places = PairPlaces(places.reference[mine], places.target[mine])
     return exposure.Ratios(
-        ratios.first[mine], ratios.second[mine], ratios.value[mine], ratios.sigma[mine], ratios.block[mine]
+        first=ratios.first[mine],
+        second=ratios.second[mine],
+        value=ratios.value[mine],
+        sigma=ratios.sigma[mine],
+        block=ratios.block[mine],
+        places=places,
     )

@@ -7,7 +7,9 @@ import numpy as np
 import yaml
 
 from lvba.camera import Camera
-from lvba.io import camera_config, files
+from lvba.errors import InputError
+from lvba.io import camera_config, files, yaml_files
+from lvba.io.camera_keys import as_float
 from lvba.lens import Lens
 
 NAME = "calibration.yaml"
@@ -20,20 +22,25 @@ def write(
     time_offset_s: float,
     readout_s: float,
     sigma: dict[str, list[float]],
+    vignetting: np.ndarray | None = None,
 ) -> None:
     """Writes the calibration; its `cam_model` may be put in place of that of a recording.
 
     camera: of the raw images; camera_from_scan: (4, 4) float64
     sigma: standard deviations by parameter; empty: not refined
+    vignetting: (5,) float64, numbers of a `visual.vignetting.Vignetting`; None: none was found
     Raises InputError: it cannot be written.
     """
-    facts = {
+    facts: dict[str, Any] = {
         "cam_model": camera_keys(camera),
         "camera_from_scan": [float(value) for value in camera_from_scan.ravel()],
         "time_offset_s": float(time_offset_s),
         "rolling_shutter_readout_s": float(readout_s),
         "standard_deviations": sigma,
     }
+    if vignetting is not None:
+        numbers = [float(value) for value in vignetting]
+        facts["vignetting"] = {"coefficients": numbers[:3], "center": numbers[3:]}
     head = "# The camera as the run used it; px, m and s. Image time + time_offset_s = LiDAR time.\n"
     text = yaml.safe_dump(facts, sort_keys=False, default_flow_style=None, width=120)
     files.write_text(files.make_folder(folder) / NAME, head + text, durable=True)
@@ -54,6 +61,24 @@ def camera_keys(camera: Camera) -> dict[str, Any]:
         keys["model"] = "EquidistantCamera"
         return keys | {f"k{index}": float(value) for index, value in enumerate(camera.distortion, 1)}
     return keys | {f"cam_d{index}": float(value) for index, value in enumerate(camera.distortion)}
+
+
+def read_vignetting(folder: str | Path) -> np.ndarray | None:
+    """(5,) float64, as of `write`; None where the result has none.
+
+    Raises InputError: its calibration.yaml is damaged.
+    """
+    path = Path(folder) / NAME
+    facts = yaml_files.read_yaml(path) if path.is_file() else None
+    section = facts.get("vignetting") if isinstance(facts, dict) else None
+    if not isinstance(section, dict):
+        return None
+    lists = [section.get(name) for name in ("coefficients", "center")]
+    if [len(each) if isinstance(each, list) else 0 for each in lists] == [3, 2]:
+        numbers = [as_float(value) for each in lists for value in each or ()]
+        if None not in numbers:
+            return np.array(numbers, float)
+    raise InputError(path, "vignetting is not three coefficients and a center", "run again")
 
 
 def read_camera(folder: str | Path) -> Camera | None:

@@ -368,6 +368,7 @@ def shade_blended(
     gains: np.ndarray,
     floor: np.float32,
     image: int,
+    light: np.ndarray,
     color: np.ndarray,
     covered: np.ndarray,
 ) -> None:
@@ -375,7 +376,8 @@ def shade_blended(
 
     entries: (2, H, W) int64 of lvba.kernels.zbuffer; radiance: (M, 3) float32, of all samples: the first picture. In
     the second, points with a sample of the image itself are blended again without it.
-    gains: (I,) float32, see `blend_views`; color: (2, H, W, 3) float32, out; covered: (2, H, W) bool, out
+    gains: (I,) float32, see `blend_views`; light: (H, W) float32, part of it that arrives at each pixel
+    color: (2, H, W, 3) float32, out; covered: (2, H, W) bool, out
     """
     slots = best.ranks.shape[1]
     samples, weights = np.empty((3, slots), np.float32), np.empty(slots, np.float32)
@@ -399,4 +401,4 @@ def shade_blended(
                     count, gain = _gather(best, i, gains, image, samples, weights)
                     robust_mean(samples, weights, count, floor * gain / np.float32(count), scratch, value)
                 for c in range(3):
-                    color[variant, row, column, c] = min(value[c] * exposure, white)
+                    color[variant, row, column, c] = min(value[c] * exposure * light[row, column], white)

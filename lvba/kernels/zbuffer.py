@@ -334,6 +334,7 @@ def shade(
     gray: np.ndarray,
     source: np.ndarray,
     ratio: np.ndarray,
+    light: np.ndarray,
     first: int,
     color: np.ndarray,
     covered: np.ndarray,
@@ -341,8 +342,9 @@ def shade(
     """Writes the colors (2, H, W, 3) float32, 0..255, and whether anything is seen (2, H, W) bool.
 
     entries: (2, H, W) int64; gray: (M, 3) float32, gray values in the source image; source: (M,) int32; ratio: (I,)
-    float32, relative exposure of this image over that of each source. Clipped at 255, as the sensor does. first: 1 if the
-    first picture's colors are not wanted, and are not written; else 0
+    float32, relative exposure of this image over that of each source. Clipped at 255, as the sensor does. light: (H, W)
+    float32, part of it that arrives at each pixel. first: 1 if the first picture's colors are not wanted, and are not
+    written; else 0
     color: (2, H, W, 3) float32, out; covered: (2, H, W) bool, out
     """
     for row in range(entries.shape[1]):
@@ -360,5 +362,6 @@ def shade(
                         color[1, row, column, c] = color[0, row, column, c]
                 else:
                     i = np.int32(entry & 0xFFFFFFFF)
+                    gain = ratio[source[i]] * light[row, column]
                     for c in range(3):
-                        color[variant, row, column, c] = min(gray[i, c] * ratio[source[i]], np.float32(255.0))
+                        color[variant, row, column, c] = min(gray[i, c] * gain, np.float32(255.0))

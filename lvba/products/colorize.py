@@ -68,15 +68,18 @@ class PaperColors:
 
     gray: (M, 3) float32, gray values 0..255 in that image, 0 where uncolored
     source: (M,) int32, the image the color is from; -1: uncolored
+    even: (M, 3) float32, the gray values if all light had arrived; None: it has
     """
 
     gray: np.ndarray
     source: np.ndarray
+    even: np.ndarray | None = None
 
     def radiance(self, log_exposure: LogExposures) -> np.ndarray:
         """(M, 3) float32: gray values over the relative exposure of their image."""
         gain = np.exp(-np.append(log_exposure, 0.0)).astype(np.float32)
-        return np.asarray(self.gray * gain[self.source][:, None])
+        gray = self.gray if self.even is None else self.even
+        return np.asarray(gray * gain[self.source][:, None])
 
 
 @dataclass(frozen=True)
@@ -120,8 +123,10 @@ def paper(
     usable = np.setdiff1d(np.arange(len(views)), [] if held_out is None else held_out)
     gray = np.zeros((len(cloud), 3), np.float32)
     source = np.full(len(cloud), -1, np.int32)
+    light = None if views.light is None else np.repeat(views.light[:, :, None], 3, axis=2)
+    part = None if light is None else np.ones_like(gray)
     if not len(usable):
-        return PaperColors(gray, source)
+        return PaperColors(gray, source, part)
     image_of_scan = usable[nearest_in_time(views.times[usable], cloud.scan_times)]
     mask, intrinsics, images = views.mask, views.intrinsics, np.unique(image_of_scan)
     poses = views.poses
@@ -133,10 +138,14 @@ def paper(
             seen = np.empty(span.stop - span.start, bool)
             kernels.sample_image(cloud.points_world[span], pose, intrinsics, picture, mask, gray[span], seen)
             source[span][seen] = image
+            if light is not None and part is not None:
+                kernels.sample_image(
+                    cloud.points_world[span], pose, intrinsics, light, mask, part[span], seen
+                )
 
     for done, _ in enumerate(in_order(color, map(int, images))):
         progress("color points", done + 1, len(images))
-    return PaperColors(gray, source)
+    return PaperColors(gray, source, None if part is None else gray / part)
 
 
 def blended(
@@ -190,7 +199,7 @@ def collect(
         np.zeros(slots, np.float32), np.zeros((*slots, 3), np.uint8), np.full(slots, -1, np.int32)
     )
     usable = np.setdiff1d(np.arange(len(views)), [] if held_out is None else held_out).astype(np.int32)
-    pictures = in_order(views.load, map(int, usable))
+    pictures = in_order(views.load_even, map(int, usable))
     for first in range(0, len(usable), batch):
         numbers = usable[first : first + batch]
         stack = np.stack([next(pictures) for _ in numbers])

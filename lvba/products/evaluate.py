@@ -132,7 +132,10 @@ def evaluate(
     config = config or EvaluateConfig()
     out_of_color = np.unique(np.asarray([] if held_out is None else held_out, np.int32))
     geometries = _geometries(states, colors)
-    clouds = [_colored(states[names[0]], colors, out_of_color, progress) for names in geometries]
+    clouds = [
+        _colored(_with_light([states[name] for name in names]), colors, out_of_color, progress)
+        for names in geometries
+    ]
     if images is None:
         count = len(next(iter(states.values())).views)
         images = judged_images(count, out_of_color, config.max_images)
@@ -144,7 +147,9 @@ def evaluate(
         ]
         renderings = {
             name: render.shade(
-                entry, cloud, states[name].views.log_exposure, image, only_others=name in brief
+                *(entry, cloud, states[name].views.log_exposure, image),
+                only_others=name in brief,
+                light=states[name].views.light,
             )
             for entry, cloud, names in zip(entries, clouds, geometries, strict=True)
             for name in names
@@ -186,10 +191,14 @@ def completed(brief: Scores, full: Scores) -> Scores:
 
 
 def _geometries(states: Mapping[str, State], colors: str) -> list[list[str]]:
-    """Names of the states, those with the same cloud and camera poses together (blended colors need exposures, too)."""
+    """Names of the states, those with the same cloud and camera poses together (blended colors need exposures and light,
+    too)."""
     groups: dict[tuple[int, bytes], list[str]] = {}
     for name, state in states.items():
-        exposures = state.views.log_exposure.tobytes() if colors == "blended" else b""
+        exposures = b""
+        if colors == "blended":
+            light = state.views.light
+            exposures = state.views.log_exposure.tobytes() + (b"" if light is None else light.tobytes())
         poses = repr(state.views.camera).encode() + state.views.world_from_camera.tobytes()
         key = id(state.cloud), poses + exposures
         groups.setdefault(key, []).append(name)
@@ -207,6 +216,11 @@ def _entropies(
     return {name: entropies[id(state.cloud)] for name, state in states.items()}
 
 
+def _with_light(states: Sequence[State]) -> State:
+    """The first of some states of one geometry that knows how light falls off, so that its colors serve all."""
+    return next((state for state in states if state.views.light is not None), states[0])
+
+
 def _colored(state: State, colors: str, held_out: np.ndarray, progress: Progress) -> ColoredCloud:
     if colors == "paper":
         return color_by_paper(state, held_out, progress)
@@ -218,7 +232,7 @@ def color_by_paper(
 ) -> ColoredCloud:
     """The cloud colored by eq. (10), ready to be rendered."""
     colors = colorize.paper(state.cloud, state.views, held_out, progress)
-    return render.colored_cloud(state.cloud.points_world, colors.gray, colors.source)
+    return render.colored_cloud(state.cloud.points_world, colors)
 
 
 def judge(

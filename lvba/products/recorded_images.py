@@ -4,10 +4,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from lvba.camera import Camera
 from lvba.dataset import Dataset
 from lvba.io import dataset as recordings
 from lvba.products.views import Views
-from lvba.visual import image
+from lvba.visual import image, vignetting
+from lvba.visual.vignetting import Vignetting
 
 
 class Undistorted:
@@ -33,10 +35,17 @@ class Undistorted:
         return picture
 
 
-def views_of(dataset: Dataset, load: Callable[[int], np.ndarray] | None = None) -> Views:
+def light_in(vignette: Vignetting, camera: Camera) -> np.ndarray | None:
+    """(H, W) float32: the light at each pixel of the undistorted images; None: all. camera: of the raw images"""
+    return vignetting.light_of_pixels(vignette, camera, camera.undistorted()) if vignette else None
+
+
+def views_of(
+    dataset: Dataset, load: Callable[[int], np.ndarray] | None = None, vignette: Vignetting = vignetting.NONE
+) -> Views:
     """The undistorted images at their rough poses, all equally exposed, by the camera that the dataset has.
 
-    load: gives image i as (H, W, 3) uint8 RGB, undistorted; None: from the files
+    load: gives image i as (H, W, 3) uint8 RGB, undistorted; None: from the files; vignette: how light falls off in them
     """
     camera = dataset.camera
     return Views(
@@ -46,4 +55,5 @@ def views_of(dataset: Dataset, load: Callable[[int], np.ndarray] | None = None) 
         world_from_camera=dataset.images.world_from_sensor,
         log_exposure=np.zeros(len(dataset.image_paths)),
         valid=image.undistort(np.full((camera.height, camera.width, 3), 255, np.uint8), camera)[..., 0] > 0,
+        light=light_in(vignette, camera),
     )

@@ -8,7 +8,7 @@ from lvba.arrays import CloudPoints, Indices, LogExposures
 from lvba.kernels import colorize as color_kernels
 from lvba.kernels import zbuffer as kernels
 from lvba.products.cloud import Blocks, Cloud, sort_into_blocks
-from lvba.products.colorize import NOISE, ColorizeConfig, Samples, blend, collect
+from lvba.products.colorize import NOISE, ColorizeConfig, PaperColors, Samples, blend, collect
 from lvba.products.views import Views
 from lvba.settings import check, setting
 
@@ -46,6 +46,7 @@ class ColoredCloud:
     samples: of points colored by several images; then gray holds radiances, and source is the image of points that only
         one image colored, else SEVERAL
     noise: of a gray value of the samples
+    even: (M, 3) float32, gray values if all light had arrived; None: it has
     """
 
     points_world: np.ndarray
@@ -54,6 +55,7 @@ class ColoredCloud:
     blocks: Blocks
     samples: Samples | None = None
     noise: float = 0.0
+    even: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -68,19 +70,17 @@ class Rendering:
     covered: np.ndarray
 
 
-def colored_cloud(points_world: CloudPoints, gray: np.ndarray, source: np.ndarray) -> ColoredCloud:
-    """The colored ones (source >= 0) of the points (M, 3), sorted into blocks.
-
-    gray: (M, 3) float32, gray values in the image that colors each point; source: (M,) int32, that image, -1: none
-    """
-    colored = np.flatnonzero(source >= 0)
+def colored_cloud(points_world: CloudPoints, colors: PaperColors) -> ColoredCloud:
+    """The colored ones of the points (M, 3), sorted into blocks."""
+    colored = np.flatnonzero(colors.source >= 0)
     blocks = sort_into_blocks(points_world[colored])
     order = colored[blocks.order]
     return ColoredCloud(
         points_world=np.ascontiguousarray(points_world[order].T),
-        gray=gray[order],
-        source=source[order],
+        gray=colors.gray[order],
+        source=colors.source[order],
         blocks=blocks,
+        even=None if colors.even is None else colors.even[order],
     )
 
 
@@ -139,22 +139,27 @@ def shade(
     image: int,
     *,
     only_others: bool = False,
+    light: np.ndarray | None = None,
 ) -> Rendering:
     """The rendering of an image: gray values divided by their image's exposure, times this one's, clipped at 255.
 
     only_others: the colors of ALL are not wanted, and are anything
+    light: (H, W) float32, part of the light that arrives at each pixel of all images, as of `Views`; None: all
     entries: (2, H, W) int64, of `nearest`
     """
     color = np.empty((*entries.shape, 3), np.float32)
     covered = np.empty(entries.shape, bool)
+    arriving = np.ones(entries.shape[1:], np.float32) if light is None else light
     if cloud.samples is not None:
         gains = np.exp(-log_exposure).astype(np.float32)
         color_kernels.shade_blended(
-            entries, cloud.gray, cloud.samples.arrays, gains, np.float32(cloud.noise), image, color, covered
+            *(entries, cloud.gray, cloud.samples.arrays, gains, np.float32(cloud.noise), image, arriving),
+            *(color, covered),
         )
         return Rendering(color, covered)
     ratio = np.exp(log_exposure[image] - log_exposure).astype(np.float32)
-    kernels.shade(entries, cloud.gray, cloud.source, ratio, int(only_others), color, covered)
+    gray = cloud.gray if light is None or cloud.even is None else cloud.even
+    kernels.shade(entries, gray, cloud.source, ratio, arriving, int(only_others), color, covered)
     return Rendering(color, covered)
 
 
@@ -178,4 +183,5 @@ def render(
     cloud: ColoredCloud, views: Views, image: int, config: RenderConfig | None = None, guard_images: int = 0
 ) -> Rendering:
     """One image, rendered from all points and from those of other images; guard_images: as of `nearest`."""
-    return shade(nearest(cloud, views, image, config, guard_images), cloud, views.log_exposure, image)
+    entries = nearest(cloud, views, image, config, guard_images)
+    return shade(entries, cloud, views.log_exposure, image, light=views.light)

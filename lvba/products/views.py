@@ -8,6 +8,7 @@ import numpy as np
 from lvba.arrays import Times
 from lvba.camera import Camera
 from lvba.kernels.scene import Intrinsics
+from lvba.visual import vignetting
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,7 @@ class Views:
     world_from_camera: (I, 4, 4) float64
     log_exposure: (I,) float64, natural log of the relative exposure time
     valid: (H, W) bool, pixels that hold a picture (undistortion leaves empty corners); None: all
+    light: (H, W) float32, part of the light that arrives at each pixel (`visual.vignetting`); None: all
     """
 
     load: Callable[[int], np.ndarray]
@@ -28,9 +30,15 @@ class Views:
     world_from_camera: np.ndarray
     log_exposure: np.ndarray
     valid: np.ndarray | None = field(default=None)
+    light: np.ndarray | None = field(default=None)
 
     def __len__(self) -> int:
         return len(self.times)
+
+    def load_even(self, index: int) -> np.ndarray:
+        """Image i as if all light had arrived, (H, W, 3) uint8."""
+        picture = self.load(index)
+        return picture if self.light is None else vignetting.divided(picture[None], self.light)[0]
 
     @property
     def intrinsics(self) -> Intrinsics:

@@ -11,6 +11,7 @@ from lvba.blocks.split import Part
 from lvba.camera import Camera
 from lvba.dataset import Dataset
 from lvba.products import evaluate as evaluation
+from lvba.products import recorded_images
 from lvba.products.evaluate import EvaluateConfig, Scores, State
 from lvba.products.recorded_images import views_of
 from lvba.products.views import Views
@@ -31,6 +32,7 @@ from lvba.steps.lidar import carry_cameras, cloud_of
 from lvba.steps.outcomes import Accepted, ScanPoses, VisualStage
 from lvba.steps.part_scores import as_in_whole, in_core, together
 from lvba.visual import self_calibration
+from lvba.visual.vignetting import NONE, Vignetting
 
 
 @dataclass(frozen=True)
@@ -45,11 +47,13 @@ class Choice:
 
 @dataclass(frozen=True)
 class Cameras:
-    """world_from_camera: (I, 4, 4); log_exposure: (I,); camera: of the raw images, as these poses suppose it"""
+    """world_from_camera: (I, 4, 4); log_exposure: (I,); camera: of the raw images, as these poses suppose it; vignetting:
+    as these exposures do"""
 
     world_from_camera: np.ndarray
     log_exposure: np.ndarray
     camera: Camera
+    vignetting: Vignetting = NONE
 
 
 def evaluate(
@@ -187,7 +191,10 @@ def judged_states(
             seen_by = dataset.with_camera(cameras.camera)
             views[cameras.camera] = views_of(seen_by, PhotoReader(photos, cameras.camera, part.images[0]))
         poses, exposures = cameras.world_from_camera, cameras.log_exposure
-        at = dataclasses.replace(views[cameras.camera], world_from_camera=poses, log_exposure=exposures)
+        light = recorded_images.light_in(cameras.vignetting, cameras.camera)
+        at = dataclasses.replace(
+            views[cameras.camera], world_from_camera=poses, log_exposure=exposures, light=light
+        )
         states[name] = State(clouds.get(name, own), at)
     return states
 
@@ -203,11 +210,12 @@ def camera_states(
     if visual.result is None:
         return states
     poses, exposures = visual.result.world_from_camera, visual.result.log_exposure
+    light = visual.result.vignetting
     refined = self_calibration.corrected(camera, visual.result.calibration)
     states |= {
-        EXPOSED: Cameras(carried, exposures, camera),
+        EXPOSED: Cameras(carried, exposures, camera, light),
         POSED: Cameras(poses, equal, refined),
-        VISUAL: Cameras(poses, exposures, refined),
+        VISUAL: Cameras(poses, exposures, refined, light),
     }
     if fused.verdict.accepted:
         states |= {FUSED_POSED: states[POSED], FUSED: states[VISUAL]}
@@ -264,6 +272,7 @@ def decide(
         world_from_camera=cameras.world_from_camera,
         log_exposure=cameras.log_exposure,
         camera=cameras.camera if dataset.image_paths else None,
+        vignetting=cameras.vignetting,
         scans=scans.verdict,
         cameras=chosen.cameras,
         exposures=chosen.exposures,

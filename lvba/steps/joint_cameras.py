@@ -19,7 +19,7 @@ from lvba.steps.lidar import carry_cameras
 from lvba.steps.outcomes import LidarStage, MapPlanes, ScanPoses, VisualStage
 from lvba.steps.visual import inputs
 from lvba.trajectory import Trajectory
-from lvba.visual import covariance, fixed_calibration, trajectory_prior
+from lvba.visual import covariance, fixed_calibration, trajectory_prior, vignetting
 from lvba.visual.exposure_graph import Edges
 from lvba.visual.image import measuring_camera
 from lvba.visual.refine import VisualConfig, VisualResult
@@ -90,7 +90,14 @@ def merge_cameras(
     converged = all(part.result is not None and len(part.result.weak_common) for part in solved)
     return MergedCameras(
         JointCameras(
-            state=state, before=state, prior=prior, exposure_sigma=sigma[keyframes], converged=converged
+            state=state,
+            before=state,
+            prior=prior,
+            exposure_sigma=sigma[keyframes],
+            converged=converged,
+            vignetting=vignetting.mean(
+                [part.result.vignetting for part in solved if part.result is not None]
+            ),
         ),
         seams,
     )
@@ -225,7 +232,7 @@ def select_points(
     given = inputs(dataset, frames, keyframes, lidar, planes, config)
     prior = None if now.prior is None else trajectory_prior.take(now.prior, among)
     return visual_block.select_scene_points(
-        given, _state_of(now, among), among, core, stage.tuning, prior, config
+        given, _state_of(now, among), among, core, stage.tuning, prior, now.vignetting, config
     )
 
 
@@ -271,7 +278,9 @@ def linearize_cameras(
     camera = measuring_camera(dataset.camera)
     images = keyframe_images(keyframes, survey.keyframes[points.images])
     prior = None if now.prior is None else trajectory_prior.take(now.prior, points.images)
-    return visual_block.linearize(images, camera, points, state, stage.tuning, prior, dataset.camera, config)
+    return visual_block.linearize(
+        images, camera, points, state, stage.tuning, prior, dataset.camera, now.vignetting, config
+    )
 
 
 def step_cameras(merged: MergedCameras, blocks: Sequence[CameraShare | None]) -> MergedCameras:
@@ -330,6 +339,7 @@ def finish_cameras(
             cost_final=float(sum(result.cost_final for result in results)),
             converged=all(result.converged for result in results),
             warnings=_warnings(cores, stages),
+            vignetting=now.vignetting,
         )
     )
 

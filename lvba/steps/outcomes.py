@@ -14,6 +14,7 @@ from lvba.steps.pose_fusion import Fused
 from lvba.visual import refine as visual_refine
 from lvba.visual.refine import VisualResult
 from lvba.visual.tuning import Tuning
+from lvba.visual.vignetting import NONE, Vignetting
 
 
 @dataclass(frozen=True)
@@ -111,6 +112,8 @@ class Accepted:
     state: str
     """Which of the judged states this is."""
     remark: str = ""
+    vignetting: Vignetting = NONE
+    """Of the images, as the exposures suppose it."""
 
 
 def scan_covariance(lidar: LidarStage, scans: ScanPoses) -> Covariance | None:

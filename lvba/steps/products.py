@@ -16,7 +16,7 @@ from lvba.products.cloud import Cloud, thin
 from lvba.products.evaluate import EvaluateConfig, Scores, State
 from lvba.products.map_file import MapConfig, PointMap
 from lvba.products.pictures import Choice, Pictures, Shown
-from lvba.products.recorded_images import views_of
+from lvba.products.recorded_images import light_in, views_of
 from lvba.progress import Progress, silent
 from lvba.steps.acceptance import ROUGH
 from lvba.steps.lidar import cloud_of
@@ -105,7 +105,7 @@ def colored_map(
             cloud_of(dataset, accepted.world_from_scan, progress, read), intensity, config
         )
     views = dataclasses.replace(
-        views_of(dataset, load),
+        views_of(dataset, load, accepted.vignetting),
         world_from_camera=accepted.world_from_camera,
         log_exposure=accepted.log_exposure,
     )
@@ -166,7 +166,10 @@ def show_images(
     )
     read = ScanReader(points, part.scans[0])
     final = dataclasses.replace(
-        views, world_from_camera=state.world_from_camera, log_exposure=state.log_exposure
+        views,
+        world_from_camera=state.world_from_camera,
+        log_exposure=state.log_exposure,
+        light=light_in(accepted.vignetting, _seen_by(dataset, accepted).camera),
     )
     return pictures.show(
         State(cloud_of(dataset, dataset.scans.world_from_sensor, progress, read), views),

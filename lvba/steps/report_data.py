@@ -26,6 +26,7 @@ from lvba.steps.uncertainty import Expected
 from lvba.trajectory import Trajectory
 from lvba.visual import self_calibration
 from lvba.visual.result import VisualResult
+from lvba.visual.vignetting import Vignetting
 
 
 def collect(
@@ -150,6 +151,7 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
     facts["iterations"] = len(facts["history"])
     facts["time_offset"] = {"seconds": result.time_offset, "sigma": float(result.extrinsic_sigma[6])}
     facts["calibration"] = _calibration(dataset, result, accepted)
+    facts["vignetting"] = _vignetting(result.vignetting, accepted)
     facts["extrinsic"] = {
         "scan_from_camera": result.scan_from_camera,
         "change_deg": float(np.degrees(np.linalg.norm(change[:3]))),
@@ -180,6 +182,17 @@ def _calibration(dataset: Dataset, result: VisualResult, accepted: Accepted) -> 
         "camera_from_scan": geometry.inverse(refined.scan_from_camera),
         **{name: getattr(refined, name) for name in names},
         "sigma": {name: sigma[name] for name in ("scan_from_camera", *names)},
+    }
+
+
+def _vignetting(vignette: Vignetting, accepted: Accepted) -> dict[str, Any]:
+    """How the light falls off in the images."""
+    return {
+        "used": bool(vignette) and accepted.exposures.accepted,
+        "corner_loss": vignette.corner_loss,
+        "sigma": vignette.loss_sigma,
+        "coefficients": vignette.coefficients,
+        "center": vignette.center,
     }
 
 

@@ -11,14 +11,15 @@ import numpy as np
 
 from lvba.arrays import Images, Indices, Poses, Times, Vectors
 from lvba.camera import Camera
-from lvba.kernels import patches_mean
+from lvba.kernels import patches_mean, photometric_shared
 from lvba.kernels.patches_mean import REFERENCE_MEAN, SPREAD, TARGET_MEAN
 from lvba.kernels.patches_pyramid import blank_masked, halve
 from lvba.lidar.plane import PlanePoints, Planes
-from lvba.visual import scene_points, visibility
+from lvba.visual import scene_points, vignetting, visibility
 from lvba.visual.exposure_graph import BLOCKS, Edges, Exposures, robust_std, solve_edges
 from lvba.visual.image import DARK, SATURATED, Pyramid, intrinsics_of
 from lvba.visual.scene_points import HIDDEN_M, PatchRules, PointsConfig, ScenePoints
+from lvba.visual.vignetting import FalloffSums, PairPlaces
 from lvba.visual.visibility import (
     DepthBuffers,
     VisibilityMap,
@@ -60,6 +61,9 @@ MASK_REACH = 1
 """How near, px at the level compared: what blur carries from a clipped spot is in one view only."""
 MIN_USABLE = 0.3
 """Least part of a patch's weight that must be left."""
+_FALLOFF_ROUNDS = 20
+"""Most times that patches are weighed anew while the vignetting is found."""
+_FALLOFF_SETTLED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,7 @@ class Ratios:
 
     first, second: (N,) int32, images; value, sigma: (N,) float64
     block: (N,) int64, 0 to BLOCKS - 1: which part of the surface the patch lies on
+    places: of the patches in both images, where vignetting is asked for; None: it is not
     """
 
     first: np.ndarray
@@ -75,6 +80,7 @@ class Ratios:
     value: np.ndarray
     sigma: np.ndarray
     block: np.ndarray
+    places: PairPlaces | None = None
 
 
 def solve(
@@ -87,10 +93,11 @@ def solve(
     seen: VisibilityMap | None,
     level: int = LEVEL,
     depth: DepthBuffers | None = None,
+    raw: Camera | None = None,
 ) -> Exposures:
     """The relative exposures of all images at given poses; arguments as of `ratios_at`."""
     ratios = ratios_at(
-        pyramid, world_from_camera, image_times, planes, plane_points, scan_times, seen, level, depth
+        pyramid, world_from_camera, image_times, planes, plane_points, scan_times, seen, level, depth, raw
     )
     return solve_ratios(ratios, len(world_from_camera))
 
@@ -105,12 +112,14 @@ def ratios_at(
     seen: VisibilityMap | None,
     level: int = LEVEL,
     depth: DepthBuffers | None = None,
+    raw: Camera | None = None,
 ) -> Ratios:
     """The log ratios of all patches at given poses; `first` is the image that a patch was laid out in.
 
     world_from_camera: (I, 4, 4); image_times: (I,) s; scan_times: (S,) s of the scans in `plane_points`
     seen: the global visibility map, which ties images that are far apart in time; None: neighbours only
     level: of the pyramid, whose patches are compared; depth: of the same images; None: made here
+    raw: camera of the raw images, where vignetting is asked for
     """
     if depth is None:
         depth = visibility.depth_buffers(
@@ -123,7 +132,7 @@ def ratios_at(
     for used in range(max(level - 1, 0), level + 2):
         levels[used] = blank_masked(levels[used], MASK_REACH, float(DARK), BRIGHT)
     points = place(levels[level], camera, world_from_camera, image_times, planes, plane_points, scan_times)
-    return measure(levels, level, camera, world_from_camera, points, seen, depth)
+    return measure(levels, level, camera, world_from_camera, points, seen, depth, raw)
 
 
 def place(
@@ -166,6 +175,7 @@ def measure(
     points: ScenePoints,
     seen: VisibilityMap | None,
     depth: DepthBuffers,
+    raw: Camera | None = None,
 ) -> Ratios:
     """The log ratios of all patches in all images that see them; levels[level] belongs to `camera`."""
     images = levels[level]
@@ -193,8 +203,28 @@ def measure(
     good = means[:, REFERENCE_MEAN] > 0
     sigma = np.sqrt(SIGMA_FLOOR**2 + means[good, SPREAD] ** 2 / INDEPENDENT)
     value = np.log(means[good, TARGET_MEAN] / means[good, REFERENCE_MEAN])
-    block = surface_blocks(points.position_world)[point[good]]
-    return Ratios(points.reference[point[good]], target[good].astype(np.int32), value, sigma, block)
+    point, target = point[good].astype(np.int32), target[good].astype(np.int32)
+    block = surface_blocks(points.position_world)[point]
+    places = None if raw is None else _places(raw, camera, world_from_camera, points, point, target)
+    return Ratios(
+        first=points.reference[point], second=target, value=value, sigma=sigma, block=block, places=places
+    )
+
+
+def _places(
+    raw: Camera,
+    camera: Camera,
+    world_from_camera: np.ndarray,
+    points: ScenePoints,
+    point: np.ndarray,
+    target: np.ndarray,
+) -> PairPlaces:
+    """Where points (N,) are in their reference images and in targets (N,)."""
+    landed, _, _ = photometric_shared.centers(
+        point, target, np.ascontiguousarray(world_from_camera), intrinsics_of(camera), kernel_patches(points)
+    )
+    reference = vignetting.places(raw, camera, points.pixel.astype(float))
+    return PairPlaces(reference[point], vignetting.places(raw, camera, landed))
 
 
 def mean_gates() -> patches_mean.MeanGates:
@@ -225,8 +255,15 @@ def solve_ratios(ratios: Ratios, images: int) -> Exposures:
 def edges_of(ratios: Ratios, images: int) -> Edges:
     """The ratios summed up robustly per pair of images."""
     low, high = np.minimum(ratios.first, ratios.second), np.maximum(ratios.first, ratios.second)
-    value = np.where(ratios.first == low, ratios.value, -ratios.value)
+    sign = np.where(ratios.first == low, 1.0, -1.0)
+    value = sign * ratios.value
     codes, edge = np.unique(low.astype(np.int64) * images + high, return_inverse=True)
+    vignette, falloff, by_numbers = vignetting.NONE, None, np.zeros((len(value), vignetting.NUMBERS))
+    if ratios.places is not None:
+        falloff = falloff_sums(edge, sign, ratios)
+        vignette = vignetting.solve(falloff)
+        value = sign * (ratios.value - ratios.places.log_ratio(vignette))
+        by_numbers = sign[:, None] * ratios.places.by_numbers(vignette)
     mean, sigma, weight = edge_means(edge, value, ratios.sigma, len(codes))
     count = np.bincount(edge, minlength=len(codes))
     sigma = np.sqrt(sigma**2 + EDGE_FLOOR**2 + (FEW_PATCHES / np.maximum(count, 1)) ** 2)
@@ -239,7 +276,47 @@ def edges_of(ratios: Ratios, images: int) -> Edges:
         changes=left_out - mean[:, None],
         pairs=len(value),
         spread=robust_std(value - mean[edge]),
+        vignetting=vignette,
+        by_vignetting=_weighted_means(edge, weight, by_numbers, len(codes)),
+        falloff=falloff,
     )
+
+
+def falloff_sums(edge: Indices, sign: np.ndarray, ratios: Ratios) -> FalloffSums:
+    """What the log ratios tell of the vignetting, the level of each edge left open; robust as `edge_means`.
+
+    edge: (N,) of each ratio; sign: (N,) float64, 1 or -1, of the ratio in its edge
+    """
+    assert ratios.places is not None
+    edges, value = int(edge.max(initial=-1)) + 1, sign * ratios.value
+    vignette, mean, weight = vignetting.NONE, _medians(edge, value, edges), ratios.sigma**-2
+    known = vignetting.sums(
+        edge, ratios.block, value, weight, np.zeros((len(value), vignetting.NUMBERS)), BLOCKS
+    )
+    for _ in range(_FALLOFF_ROUNDS if len(value) else 0):
+        residual = (value - sign * ratios.places.log_ratio(vignette) - mean[edge]) / ratios.sigma
+        scale = max(robust_std(residual), 1e-3)
+        weight = 1 / (ratios.sigma**2 * (1 + (residual / (2 * scale)) ** 2))
+        by_numbers = sign[:, None] * ratios.places.by_numbers(vignette)
+        linear = (
+            value
+            - sign * ratios.places.log_ratio(vignette)
+            + np.einsum("nk,k->n", by_numbers, vignette.numbers)
+        )
+        known = vignetting.sums(edge, ratios.block, linear, weight, by_numbers, BLOCKS)
+        before, vignette = vignette, vignetting.best(known)
+        flat = value - sign * ratios.places.log_ratio(vignette)
+        mean = np.bincount(edge, weight * flat, edges) / np.bincount(edge, weight, edges)
+        if np.abs(vignette.numbers - before.numbers).max() < _FALLOFF_SETTLED:
+            break
+    return known
+
+
+def _weighted_means(edge: Indices, weight: np.ndarray, values: np.ndarray, edges: int) -> np.ndarray:
+    """(E, K): of the values (N, K) of every edge."""
+    total = np.bincount(edge, weight, edges)
+    means = [np.bincount(edge, weight * column, edges) / total for column in values.T]
+    return np.stack(means, axis=1)
 
 
 def edge_means(

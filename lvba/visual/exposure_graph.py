@@ -7,6 +7,8 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
+from lvba.visual.vignetting import NONE, FalloffSums, Vignetting
+
 BLOCKS = 8
 """Parts of the surface that the jackknife leaves out in turn."""
 
@@ -21,6 +23,7 @@ class Exposures:
     component: (I,) int32, connected component of the graph of compared images, by first image
     pairs: number of patch comparisons used
     spread: robust standard deviation of the log ratios of patches about the solution
+    vignetting: that the exposures suppose
     """
 
     log_exposure: np.ndarray
@@ -28,6 +31,7 @@ class Exposures:
     component: np.ndarray
     pairs: int
     spread: float
+    vignetting: Vignetting = NONE
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,8 @@ class Edges:
     first, second: (E,) int64, images; mean, sigma: (E,) of log(brightness in `second` / in `first`)
     changes: (E, BLOCKS) of the mean when one block of the surface is left out
     pairs: number of patch comparisons; spread: their robust standard deviation about the edges' means
+    vignetting: that the means suppose; by_vignetting: (E, 5), derivative of the light in a mean by its numbers
+    falloff: what the patches say of the vignetting; None: they were not asked
     """
 
     first: np.ndarray
@@ -46,6 +52,14 @@ class Edges:
     changes: np.ndarray
     pairs: int
     spread: float
+    vignetting: Vignetting
+    by_vignetting: np.ndarray
+    falloff: FalloffSums | None
+
+    def supposing(self, vignetting: Vignetting) -> np.ndarray:
+        """(E,): the means as they are with another vignetting, the patches weighed as before."""
+        change = vignetting.numbers - self.vignetting.numbers
+        return np.asarray(self.mean - np.einsum("ek,k->e", self.by_vignetting, change))
 
 
 def solve_edges(edges: Edges, images: int) -> Exposures:
@@ -60,6 +74,7 @@ def solve_edges(edges: Edges, images: int) -> Exposures:
         component=component,
         pairs=edges.pairs,
         spread=edges.spread,
+        vignetting=edges.vignetting,
     )
 
 

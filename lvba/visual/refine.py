@@ -24,6 +24,7 @@ from lvba.visual import (
     scene_points,
     self_calibration,
     trajectory_prior,
+    vignetting,
     visibility,
 )
 from lvba.visual import result as results
@@ -37,6 +38,7 @@ from lvba.visual.scene_points import Observations, PatchRules, PointsConfig, Sce
 from lvba.visual.states import CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior, PriorConfig
 from lvba.visual.variant import PRODUCT, Variant
+from lvba.visual.vignetting import Vignetting
 from lvba.visual.visibility import DepthBuffers, VisibilityConfig, VisibilityMap
 
 __all__ = [
@@ -99,6 +101,12 @@ class VisualConfig:
         meaning="Refine focal lengths, principal point, lens and readout time of the rows with the poses, at the finest "
         "level, each only where its correction cannot be chance.",
         change_when="The intrinsics are known to be exact and the shutter is global (false).",
+    )
+    vignetting: bool = setting(
+        True,
+        meaning="Find how light falls off towards the corners of images, and take it out of them.",
+        change_when="Images were corrected for it before (false).",
+        advanced=True,
     )
     images: ImageConfig = field(default_factory=ImageConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
@@ -204,8 +212,10 @@ def finest(
     scene = scene_of(given, config, variant)
     solution, last, directions = _solved(scene, coarser or _none_yet(scene), config, progress)
     state, sigma = solution.state, np.zeros(len(scene.image_times))
+    light = vignetting.NONE
     if variant.exposures == "means":
-        state, sigma = _exposed(scene, 0, state)
+        exposed = _exposed(scene, 0, state)
+        state, sigma, light = exposed.state, exposed.sigma, exposed.vignetting
     start = scene.start.cameras.world_from_camera
     result = results.collect(
         solution.reports,
@@ -218,7 +228,8 @@ def finest(
         given.keyframes,
         given.images.times,
     )
-    return replace(result, covariance=result.covariance + _of_map(given, result.world_from_camera)), last
+    spread = result.covariance + _of_map(given, result.world_from_camera)
+    return replace(result, covariance=spread, vignetting=light), last
 
 
 def _of_map(given: Inputs, world_from_camera: np.ndarray) -> np.ndarray:
@@ -248,6 +259,8 @@ class Scene:
     """Which cameras are near a scan: that does not change by centimetres, so the rough poses will do."""
     variant: Variant
     camera: Camera | None = None
+    vignetting: bool = False
+    """Whether it is asked for."""
 
 
 def scene_of(given: Inputs, config: VisualConfig, variant: Variant = PRODUCT) -> Scene:
@@ -275,6 +288,7 @@ def scene_of(given: Inputs, config: VisualConfig, variant: Variant = PRODUCT) ->
         else None,
         variant=variant,
         camera=given.camera,
+        vignetting=config.vignetting,
     )
 
 
@@ -313,23 +327,28 @@ def _visibility_map(
     return visibility.build_map(points.points_world, points.scan_offsets, near, len(world_from_camera))
 
 
-def _exposed(
-    scene: Scene,
-    level: int,
-    state: VisualState,
-    depth: DepthBuffers | None = None,
-) -> tuple[VisualState, np.ndarray]:
-    """The state with exposures solved anew, and their standard deviations (K,)."""
+@dataclass(frozen=True)
+class _Exposed:
+    """A state with exposures solved anew, their standard deviations (K,), and the vignetting that they suppose."""
+
+    state: VisualState
+    sigma: np.ndarray
+    vignetting: Vignetting = vignetting.NONE
+
+
+def _exposed(scene: Scene, level: int, state: VisualState, depth: DepthBuffers | None = None) -> _Exposed:
+    """The state with exposures solved anew, at a level and its depth buffers."""
     poses = state.cameras.world_from_camera
     if scene.variant.exposures == "none":
-        return state, np.zeros(len(poses))
+        return _Exposed(state, np.zeros(len(poses)))
     # coarse where the poses are still rough
     compared = max(min(level, _COARSEST_EXPOSED), exposure.LEVEL)
     solved = exposure.solve(
         scene.pyramid, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, scene.seen,
-        compared, depth,
+        compared, depth, scene.camera if scene.vignetting and scene.variant.exposures == "means" else None,
     )  # fmt: skip
-    return replace(state, cameras=CameraStates(poses, solved.log_exposure)), solved.sigma
+    state = replace(state, cameras=CameraStates(poses, solved.log_exposure))
+    return _Exposed(state, solved.sigma, solved.vignetting)
 
 
 def _solve_level(
@@ -339,15 +358,17 @@ def _solve_level(
     images, camera = scene.pyramid.levels[level], scene.pyramid.camera.at_level(level)
     noise = float(scene.pyramid.noise[level])
     poses = coarser.state.cameras.world_from_camera
-    progress("scene points", 0, 3)
+    progress("exposures", 0, 3)
+    depth = visibility.depth_buffers(
+        camera, poses, scene.image_times, scene.plane_points, scene.scan_times, config.points.time_window_s
+    )
+    exposed = _exposed(scene, level, coarser.state, depth)
+    state, images = exposed.state, exposed.vignetting.taken_out_of(images, scene.camera, camera)
+    progress("scene points", 1, 3)
     points = scene_points.select(
         images, camera, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, noise,
         config.points, PatchRules(size=config.patch),
     )  # fmt: skip
-    progress("visibility", 1, 3)
-    depth = visibility.depth_buffers(
-        camera, poses, scene.image_times, scene.plane_points, scene.scan_times, config.points.time_window_s
-    )
     points, observations = visibility.find(
         images, camera, poses, points, scene.seen, noise, config.visibility, depth,
         patch=config.patch, score=scene.variant.score,
@@ -355,7 +376,6 @@ def _solve_level(
     if len(observations) == 0:
         raise DegenerateProblemError(f"no scene point is seen by two images at pyramid level {level}")
     progress("camera poses", 2, 3)
-    state, _ = _exposed(scene, level, coarser.state, depth)
     shifts = None
     if level == 0 and scene.variant.reference_pixels == "fixed":
         shifts = calibration_shifts(scene.camera, camera, points, observations, coarser.prior, config)

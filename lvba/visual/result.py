@@ -13,6 +13,7 @@ from lvba.visual.degeneracy import DegenerateDirections
 from lvba.visual.photometric import PhotometricState
 from lvba.visual.states import Calibration, CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior
+from lvba.visual.vignetting import NONE, Vignetting
 
 _NAMED = 12
 """At most so many frames are named in a warning."""
@@ -57,6 +58,7 @@ class VisualResult:
     weak_common: (k, 6) float64, motions `[rotation | translation]` of all images about their scene's middle, world
         axes, that no image holds: there the result is the prior's
     cost_initial, cost_final: photometric cost of the finest level at the carried rough poses and at the result
+    vignetting: that poses and exposures suppose
     """
 
     world_from_camera: np.ndarray
@@ -74,6 +76,7 @@ class VisualResult:
     cost_final: float
     converged: bool
     warnings: tuple[str, ...]
+    vignetting: Vignetting = NONE
 
     @property
     def scan_from_camera(self) -> np.ndarray:

@@ -10,10 +10,11 @@ from textured_room import COUNT
 from lvba import geometry
 from lvba.blocks import visual_block, visual_joint
 from lvba.blocks.visual_joint import JointCameras
-from lvba.visual import refine, trajectory_prior
+from lvba.visual import image, refine, trajectory_prior, vignetting
 from lvba.visual.refine import Inputs, VisualConfig
 from lvba.visual.states import CameraStates, VisualState
 from lvba.visual.tuning import tuning
+from lvba.visual.vignetting import NONE, Vignetting
 
 CONFIG = VisualConfig()
 ALL = np.arange(COUNT)
@@ -40,10 +41,13 @@ def core(first, end):
 
 
 def shares(given, state, known, cores):
-    laid = [visual_block.select_scene_points(given, state, ALL, mine, known, None, CONFIG) for mine in cores]
+    laid = [
+        visual_block.select_scene_points(given, state, ALL, mine, known, None, NONE, CONFIG) for mine in cores
+    ]
     images, camera = given.pyramid.levels[0], given.pyramid.camera
     return laid, [
-        visual_block.linearize(images, camera, each, state, known, None, camera, CONFIG) for each in laid
+        visual_block.linearize(images, camera, each, state, known, None, camera, NONE, CONFIG)
+        for each in laid
     ]
 
 
@@ -80,7 +84,7 @@ def rounds(given, laid, start, last, known, count=8):
         found = [
             visual_block.linearize(
                 *(given.pyramid.levels[0], given.pyramid.camera, each, now.state, known),
-                *(None, given.pyramid.camera, CONFIG),
+                *(None, given.pyramid.camera, NONE, CONFIG),
             )
             for each in laid
         ]
@@ -128,6 +132,26 @@ def test_exposures_of_shares_are_those_of_the_whole(solved):
     assert tied.pairs == alone.pairs
     np.testing.assert_allclose(tied.log_exposure, alone.log_exposure, atol=2e-3)
     assert visual_joint.solve_exposures([], COUNT) is None
+
+
+def test_all_shares_have_one_vignetting(solved):
+    given, _, last, known = solved
+    true, pyramid = Vignetting((-0.4, -0.1, 0.0)), given.pyramid
+    light = vignetting.light_of_pixels(true, pyramid.camera, pyramid.camera)
+    full = np.rint(pyramid.levels[0] * light[..., None]).astype(np.uint8)
+    dark = image.build_pyramid(full, pyramid.camera, len(pyramid))
+    given = replace(given, pyramid=dark, camera=pyramid.camera)
+    parts, _ = shares(given, last.state, known, [core(0, 5), core(5, COUNT)])
+    (whole,), _ = shares(given, last.state, known, [core(0, COUNT)])
+    tied = visual_joint.solve_exposures([each.edges for each in parts], COUNT)
+    alone = visual_joint.solve_exposures([whole.edges], COUNT)
+    assert tied.vignetting.corner_loss == pytest.approx(alone.vignetting.corner_loss, abs=0.01)
+    assert alone.vignetting.corner_loss == pytest.approx(true.corner_loss, abs=0.05)
+    np.testing.assert_allclose(tied.log_exposure, alone.log_exposure, atol=2e-3)
+    now = visual_joint.with_exposures(
+        JointCameras(last.state, last.state, last.prior, np.zeros(COUNT)), [each.edges for each in parts]
+    )
+    assert now.vignetting == tied.vignetting
 
 
 def test_without_prior_only_images_that_are_seen_move(solved):

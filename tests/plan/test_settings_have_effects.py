@@ -25,7 +25,8 @@ from lvba.steps.lidar import solve_lidar
 from lvba.steps.outcomes import LidarStage, VisualLevel
 from lvba.steps.visual import solve_finest, visual_levels
 from lvba.trajectory import Trajectory
-from lvba.visual import image, keyframes, refine
+from lvba.visual import image, keyframes, refine, vignetting
+from lvba.visual.vignetting import Vignetting
 
 
 @cache
@@ -106,6 +107,15 @@ def focal(settings):
     wrong = replace(right, fx=1.01 * right.fx, fy=1.01 * right.fy)
     given = replace(room(), camera=wrong, pyramid=replace(room().pyramid, camera=wrong))
     return refine.refine_level(given, None, settings.visual).state.calibration.focal
+
+
+def dark_corners(settings):
+    pyramid = room().pyramid
+    light = vignetting.light_of_pixels(Vignetting((-0.5, -0.1, 0.0)), pyramid.camera, pyramid.camera)
+    dark = np.rint(pyramid.levels[0] * light[..., None]).astype(np.uint8)
+    pyramid = replace(pyramid, levels=(dark, *pyramid.levels[1:]))
+    given = replace(room(), camera=pyramid.camera, pyramid=pyramid)
+    return refine.refine_finest(given, None, settings.visual).vignetting.numbers
 
 
 def chosen(settings):
@@ -194,6 +204,7 @@ CASES = {
     "visual.patch": (cameras, "7"),
     "visual.iterations": (cameras, "1"),
     "visual.calibrate": (focal, "false"),
+    "visual.vignetting": (dark_corners, "false"),
     "visual.images.channels": (loaded, "3"),
     "visual.keyframes.interval_s": (chosen, "0.1"),
     "visual.keyframes.translation_ratio": (chosen, "0.02", "visual.keyframes.interval_s=9"),

@@ -1,0 +1,252 @@
+"""How much less light arrives towards the corners of an image than in its middle, alike in all images of a camera.
+
+What one surface looks like in two images, at different distances from the axis, says how the light falls off. Only
+differences between patches of the same pair of images count: how much brighter one image is than the other is left
+open, so that an exposure that drifts is not taken for vignetting, nor vignetting for that drift.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lvba import lens
+from lvba.arrays import Images, Indices
+from lvba.camera import Camera
+from lvba.visual.image import DARK, SATURATED
+
+TERMS = 3
+"""Even powers of the distance from the center in the logarithm of the light: 2, 4 and 6."""
+NUMBERS = TERMS + 2
+"""The coefficients of these, and where the center is."""
+PRIOR_SIGMA = np.array([1.0, 1.0, 1.0, 0.02, 0.02])
+"""Standard deviations about zero where patches say nothing. Of each coefficient: a loss of 60 % is a sum of 0.9; of the
+center: lenses sit within some pixels of where they are calibrated."""
+LEAST_LIGHT = 0.2
+"""Light left at the corner below which the result is refused: lenses keep more."""
+SMALLEST = 0.01
+"""Loss at the corner below which there is taken to be none: less is of the order of what shine feigns."""
+SIGNIFICANCE = 3.0
+"""Standard deviations by which the loss must exceed its error somewhere in the image."""
+RISE = 0.003
+"""By how much light may seem to grow again farther out: an error of the fit, not of a lens."""
+_FAR = 10.0
+"""Half diagonals from the principal point that no pixel is beyond, but where a lens model has no meaning."""
+_PLACES = np.linspace(0.0, 1.0, 41) ** 2
+"""Squares of distances from the center at which a result is looked at."""
+
+
+@dataclass(frozen=True)
+class Vignetting:
+    """The light at a distance rho from the center, over that in the middle: exp(sum of a_k rho^2k).
+
+    Places and distances are those in the raw image from its principal point, over half its diagonal.
+    coefficients: a_1 to a_3; all 0: none was found, or it was held at none
+    center: where it is greatest
+    loss_sigma: standard deviation of the part of the light that is missing at rho = 1; inf: nothing was measured
+    """
+
+    coefficients: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    center: tuple[float, float] = (0.0, 0.0)
+    loss_sigma: float = float("inf")
+
+    def __bool__(self) -> bool:
+        return any(self.coefficients)
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """(5,) float64: coefficients and center."""
+        return np.array([*self.coefficients, *self.center])
+
+    @property
+    def corner_loss(self) -> float:
+        """The part of the light that is missing at rho = 1."""
+        return 1.0 - float(np.exp(sum(self.coefficients)))
+
+    def log_light(self, places: np.ndarray) -> np.ndarray:
+        """(N,) float64 at places (N, 2) float64; beyond rho = 1 as there."""
+        return np.asarray(np.einsum("nk,k->n", _powers(_squares(self, places)), self.coefficients))
+
+    def taken_out_of(self, images: Images, camera: Camera | None, pinhole: Camera) -> np.ndarray:
+        """Undistorted images (I, H, W, C) uint8 as if all light had arrived, themselves where none is missing.
+
+        camera: of the raw images, None: they have none; pinhole: of these, at any size
+        """
+        if camera is None or not self:
+            return images
+        return divided(images, light_of_pixels(self, camera, pinhole))
+
+
+NONE = Vignetting()
+
+
+def mean(parts: Sequence[Vignetting]) -> Vignetting:
+    """Of several parts of a recording, each weighed by what it knows; of the first where none knows anything."""
+    weights = np.array([each.loss_sigma**-2.0 for each in parts])
+    if not weights.sum() > 0:
+        return parts[0]
+    numbers = np.einsum("n,nk->k", weights / weights.sum(), np.array([each.numbers for each in parts]))
+    return of_numbers(numbers, float(weights.sum() ** -0.5))
+
+
+def of_numbers(numbers: np.ndarray | None, loss_sigma: float = float("inf")) -> Vignetting:
+    """The vignetting of some numbers; NONE of None. numbers: (5,) float64, coefficients and center"""
+    if numbers is None:
+        return NONE
+    a, b, c, right, down = (float(value) for value in numbers)
+    return Vignetting((a, b, c), (right, down), loss_sigma)
+
+
+@dataclass(frozen=True)
+class FalloffSums:
+    """Normal equations of the numbers of a vignetting, by block of the surface: those of several parts of a recording
+    add up.
+
+    information: (B, 5, 5) float64; gradient: (B, 5) float64, so that one over the other is the numbers
+    """
+
+    information: np.ndarray
+    gradient: np.ndarray
+
+    def __add__(self, other: "FalloffSums") -> "FalloffSums":
+        return FalloffSums(self.information + other.information, self.gradient + other.gradient)
+
+
+@dataclass(frozen=True)
+class PairPlaces:
+    """Where patches are in their reference and in their target image, each (N, 2) float64, as of `Vignetting`."""
+
+    reference: np.ndarray
+    target: np.ndarray
+
+    def log_ratio(self, vignette: Vignetting) -> np.ndarray:
+        """(N,) float64: log of the light in the target over that in the reference."""
+        return np.asarray(vignette.log_light(self.target) - vignette.log_light(self.reference))
+
+    def by_numbers(self, vignette: Vignetting) -> np.ndarray:
+        """(N, 5) float64: derivative of `log_ratio` by the numbers."""
+        return np.asarray(_by_numbers(vignette, self.target) - _by_numbers(vignette, self.reference))
+
+
+def places(camera: Camera, pinhole: Camera, pixels: np.ndarray) -> np.ndarray:
+    """(N, 2) float64: where pixels of an undistorted image are in the raw one, as of `Vignetting`.
+
+    camera: of the raw images; pinhole: of the undistorted ones, at any size; pixels: (N, 2) float64, px
+    """
+    x, y = pinhole.normalized(pixels)
+    with np.errstate(over="ignore", invalid="ignore"):
+        u, v = lens.distort(camera.lens, camera.distortion, x, y)
+        place = np.stack([camera.fx * u, camera.fy * v], axis=1) / (
+            0.5 * np.hypot(camera.width, camera.height)
+        )
+    return np.asarray(np.clip(np.nan_to_num(place, nan=_FAR), -_FAR, _FAR))
+
+
+def light_of_pixels(vignette: Vignetting, camera: Camera, pinhole: Camera) -> np.ndarray:
+    """(H, W) float32: the light at each pixel of undistorted images. camera, pinhole: as of `places`"""
+    column, row = np.meshgrid(np.arange(pinhole.width), np.arange(pinhole.height))
+    pixels = np.stack([column.ravel(), row.ravel()], axis=1).astype(float)
+    light = np.exp(vignette.log_light(places(camera, pinhole, pixels)))
+    return np.asarray(light.reshape(pinhole.height, pinhole.width), np.float32)
+
+
+def divided(images: Images, light: np.ndarray) -> np.ndarray:
+    """The images (I, H, W, C) uint8 as if all light had arrived, rounded; 255 where that is too much for a byte.
+
+    Clipped pixels become 255, and those without a picture stay as they are. light: (H, W) float32
+    """
+    gain = (1 / light)[..., None].astype(np.float32)
+    corrected = np.empty_like(images)
+    for index, image in enumerate(images):
+        grey = np.rint(np.minimum(image * gain, np.float32(255.0))).astype(np.uint8)
+        grey = np.where(image <= DARK, image, grey)
+        corrected[index] = np.where(image >= SATURATED, np.uint8(255), grey)
+    return corrected
+
+
+def sums(
+    edge: Indices, block: Indices, value: np.ndarray, weight: np.ndarray, by_numbers: np.ndarray, blocks: int
+) -> FalloffSums:
+    """The normal equations of the numbers, what is common to all values of an edge left open.
+
+    edge, block: (N,) of each value; value, weight: (N,) float64, what by_numbers (N, 5) float64 times the numbers is
+    """
+    edges = int(edge.max(initial=-1)) + 1
+    total = np.maximum(np.bincount(edge, weight, edges), 1e-300)
+    inside = [
+        each - (np.bincount(edge, weight * each, edges) / total)[edge] for each in (*by_numbers.T, value)
+    ]
+    table = np.zeros((blocks, NUMBERS, NUMBERS + 1))
+    for row in range(NUMBERS):
+        for column in range(NUMBERS + 1):
+            table[:, row, column] = np.bincount(block, weight * inside[row] * inside[column], blocks)
+    return FalloffSums(table[:, :, :NUMBERS], table[:, :, NUMBERS])
+
+
+def best(known: FalloffSums) -> Vignetting:
+    """The vignetting that fits the sums best, whatever it is."""
+    return of_numbers(_solved(known.information.sum(axis=0), known.gradient.sum(axis=0), TERMS), float("inf"))
+
+
+def solve(known: FalloffSums) -> Vignetting:
+    """The vignetting that the sums tell: none where it is not significant, or no lens has such.
+
+    With fewer terms where all three give a light that grows again farther out.
+    """
+    information, gradient = known.information.sum(axis=0), known.gradient.sum(axis=0)
+    if not information.any():
+        return NONE
+    covariance = _covariance(known)[:TERMS, :TERMS]
+    sigma = np.sqrt(np.einsum("nk,kl,nl->n", _powers(_PLACES), covariance, _powers(_PLACES)))
+    for terms in range(TERMS, 0, -1):
+        numbers = _solved(information, gradient, terms)
+        log_light = np.einsum("nk,k->n", _powers(_PLACES), numbers[:TERMS])
+        light = np.exp(log_light)
+        if (light <= np.minimum.accumulate(light) + RISE).all() and light[-1] >= LEAST_LIGHT:
+            significant = (-log_light > SIGNIFICANCE * sigma)[1:].any() and 1 - light.min() >= SMALLEST
+            return of_numbers(numbers if significant else NONE.numbers, float(light[-1] * sigma[-1]))
+    return Vignetting(loss_sigma=float(sigma[-1]))
+
+
+def _solved(information: np.ndarray, gradient: np.ndarray, terms: int) -> np.ndarray:
+    """(5,): the numbers that fit best, the later coefficients 0; where nothing tells, the prior does."""
+    free = np.r_[:terms, TERMS:NUMBERS]
+    numbers = np.zeros(NUMBERS)
+    numbers[free] = np.linalg.solve(_with_prior(information)[np.ix_(free, free)], gradient[free])
+    return numbers
+
+
+def _with_prior(information: np.ndarray) -> np.ndarray:
+    return np.asarray(information + np.diag(1 / PRIOR_SIGMA**2))
+
+
+def _covariance(known: FalloffSums) -> np.ndarray:
+    """(5, 5): of the numbers, by leaving out one block of the surface in turn: patches on one surface err alike."""
+    information, gradient = known.information.sum(axis=0), known.gradient.sum(axis=0)
+    change = np.array(
+        [
+            _solved(information - own, gradient - its, TERMS) - _solved(information, gradient, TERMS)
+            for own, its in zip(known.information, known.gradient, strict=True)
+        ]
+    )
+    count = len(change)
+    spread = (count - 1) / count * np.einsum("bk,bl->kl", change, change)
+    return np.asarray(spread + np.linalg.inv(_with_prior(information)))
+
+
+def _squares(vignette: Vignetting, places: np.ndarray) -> np.ndarray:
+    """(N,): of rho, at most 1."""
+    return np.asarray(np.minimum(((places - np.array(vignette.center)) ** 2).sum(axis=1), 1.0))
+
+
+def _by_numbers(vignette: Vignetting, places: np.ndarray) -> np.ndarray:
+    """(N, 5): derivative of the log of the light by the numbers."""
+    square = _squares(vignette, places)
+    slope = np.polynomial.polynomial.polyval(square, np.arange(1, TERMS + 1) * vignette.coefficients)
+    by_center = -2 * slope[:, None] * (places - np.array(vignette.center))
+    return np.concatenate([_powers(square), np.where(square[:, None] < 1, by_center, 0.0)], axis=1)
+
+
+def _powers(square: np.ndarray) -> np.ndarray:
+    """(..., 3): the square, its square and its cube."""
+    return np.stack([square, square**2, square**3], axis=-1)
