@@ -63,7 +63,8 @@ MIN_USABLE = 0.3
 """Least part of a patch's weight that must be left."""
 _FALLOFF_ROUNDS = 20
 """Most times that patches are weighed anew while the vignetting is found."""
-_FALLOFF_SETTLED = 1e-6
+_FALLOFF_SETTLED = 1e-4
+"""Change of all numbers below which they are not weighed again: a hundredth of a percent of the light."""
 
 
 @dataclass(frozen=True)
@@ -293,20 +294,17 @@ def falloff_sums(edge: Indices, sign: np.ndarray, ratios: Ratios) -> FalloffSums
     known = vignetting.sums(
         edge, ratios.block, value, weight, np.zeros((len(value), vignetting.NUMBERS)), BLOCKS
     )
+    light = np.zeros_like(value)
     for _ in range(_FALLOFF_ROUNDS if len(value) else 0):
-        residual = (value - sign * ratios.places.log_ratio(vignette) - mean[edge]) / ratios.sigma
+        residual = (value - light - mean[edge]) / ratios.sigma
         scale = max(robust_std(residual), 1e-3)
         weight = 1 / (ratios.sigma**2 * (1 + (residual / (2 * scale)) ** 2))
         by_numbers = sign[:, None] * ratios.places.by_numbers(vignette)
-        linear = (
-            value
-            - sign * ratios.places.log_ratio(vignette)
-            + np.einsum("nk,k->n", by_numbers, vignette.numbers)
-        )
+        linear = value - light + np.einsum("nk,k->n", by_numbers, vignette.numbers)
         known = vignetting.sums(edge, ratios.block, linear, weight, by_numbers, BLOCKS)
         before, vignette = vignette, vignetting.best(known)
-        flat = value - sign * ratios.places.log_ratio(vignette)
-        mean = np.bincount(edge, weight * flat, edges) / np.bincount(edge, weight, edges)
+        light = sign * ratios.places.log_ratio(vignette)
+        mean = np.bincount(edge, weight * (value - light), edges) / np.bincount(edge, weight, edges)
         if np.abs(vignette.numbers - before.numbers).max() < _FALLOFF_SETTLED:
             break
     return known

@@ -178,8 +178,11 @@ def sums(
     ]
     table = np.zeros((blocks, NUMBERS, NUMBERS + 1))
     for row in range(NUMBERS):
-        for column in range(NUMBERS + 1):
-            table[:, row, column] = np.bincount(block, weight * inside[row] * inside[column], blocks)
+        weighted = weight * inside[row]
+        for column in range(row, NUMBERS + 1):
+            table[:, row, column] = np.bincount(block, weighted * inside[column], blocks)
+            if column < NUMBERS:
+                table[:, column, row] = table[:, row, column]
     return FalloffSums(table[:, :, :NUMBERS], table[:, :, NUMBERS])
 
 
@@ -236,17 +239,19 @@ def _covariance(known: FalloffSums) -> np.ndarray:
 
 def _squares(vignette: Vignetting, places: np.ndarray) -> np.ndarray:
     """(N,): of rho, at most 1."""
-    return np.asarray(np.minimum(((places - np.array(vignette.center)) ** 2).sum(axis=1), 1.0))
+    right, down = (places[:, axis] - vignette.center[axis] for axis in range(2))
+    return np.asarray(np.minimum(right * right + down * down, 1.0))
 
 
 def _by_numbers(vignette: Vignetting, places: np.ndarray) -> np.ndarray:
     """(N, 5): derivative of the log of the light by the numbers."""
     square = _squares(vignette, places)
-    slope = np.polynomial.polynomial.polyval(square, np.arange(1, TERMS + 1) * vignette.coefficients)
+    a, b, c = vignette.coefficients
+    slope = a + square * (2 * b + square * 3 * c)
     by_center = -2 * slope[:, None] * (places - np.array(vignette.center))
     return np.concatenate([_powers(square), np.where(square[:, None] < 1, by_center, 0.0)], axis=1)
 
 
 def _powers(square: np.ndarray) -> np.ndarray:
     """(..., 3): the square, its square and its cube."""
-    return np.stack([square, square**2, square**3], axis=-1)
+    return np.stack([square, square * square, square * square * square], axis=-1)
