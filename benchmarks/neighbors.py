@@ -100,11 +100,11 @@ def measured(dataset: Dataset, index: int, one: tuple, other: tuple) -> np.ndarr
     if known.sum() < _LEAST_INLIERS:
         return None
     points = np.column_stack([here, np.ones(len(here))])[known] * depth[known, None]
-    found, turn, shift, inliers = cv2.solvePnPRansac(
+    solved, turn, shift, inliers = cv2.solvePnPRansac(
         points, there[known], np.eye(3), None, reprojectionError=_REPROJECTION_PX / dataset.camera.fx,
         iterationsCount=2000, confidence=0.9999,
     )  # fmt: skip
-    if not found or inliers is None or len(inliers) < _LEAST_INLIERS:
+    if not solved or inliers is None or len(inliers) < _LEAST_INLIERS:
         return None
     agreed = inliers.ravel()
     turn, shift = cv2.solvePnPRefineLM(points[agreed], there[known][agreed], np.eye(3), None, turn, shift)
@@ -142,11 +142,11 @@ def main() -> None:
     pairs, before = {}, features(dataset, 0)
     for index in range(len(dataset.image_paths) - 1):
         after = features(dataset, index + 1)
-        if (found := measured(dataset, index, before, after)) is not None:
-            pairs[index] = found
+        if (relative := measured(dataset, index, before, after)) is not None:
+            pairs[index] = relative
         before = after
-    told = {str(each): differences(cameras(dataset, each), pairs) for each in poses}
-    print(json.dumps({"pairs": len(pairs), "of": len(dataset.image_paths) - 1, **told}, indent=1))
+    judged = {str(each): differences(cameras(dataset, each), pairs) for each in poses}
+    print(json.dumps({"pairs": len(pairs), "of": len(dataset.image_paths) - 1, **judged}, indent=1))
 
 
 if __name__ == "__main__":
