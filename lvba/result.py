@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from lvba import config as settings
 from lvba import pipeline, plan
@@ -117,7 +118,9 @@ def refine(
     """
     config = config or Config()
     work = pipeline.refine(dataset, config, reference)
-    store = plan.run(work, {} if store is None else store, progress)
+    # as the command does: with more, BLAS sums in another order, and its threads and numba's slow each other down
+    with threadpool_limits(1, "blas"):
+        store = plan.run(work, {} if store is None else store, progress)
     return collect(dataset, config, work, store)
 
 

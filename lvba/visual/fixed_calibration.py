@@ -17,8 +17,9 @@ from lvba.visual.states import Calibration
 
 CORRECTIONS = ("focal", "principal_point", "distortion", "readout")
 """Parameters of `states.Calibration` that may be fixed at their calibrated values."""
-CHANCE = 6e-5
-"""How often a right value is taken for a wrong one: four standard deviations. Covariances are not exact."""
+CHANCE = 2e-9
+"""How often a right value may be taken for a wrong one: six standard deviations, for errors can be twice the promised
+ones."""
 _FIXED = 1e8
 """How many times over the claimed information a value counts that is fixed."""
 

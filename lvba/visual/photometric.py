@@ -339,7 +339,8 @@ def _explained_border(
     over = shared.entry / hessian[:, None]
     coupling = np.zeros_like(shared.border.coupling)
     shared_kernels.eliminate(coupling, entry, over, points.reference, observations.target, observations.point)
-    return Border(coupling, -shared.entry.T @ over, -over.T @ own)
+    # not by BLAS, which sums over points in an order that depends on its threads
+    return Border(coupling, -np.einsum("pk,pl->kl", shared.entry, over), -np.einsum("pk,p->k", over, own))
 
 
 def _assembled(
