@@ -102,8 +102,8 @@ class _Window:
     def probe(dataset: Dataset, place: float) -> "_Window":
         """Few scans about a place, 0 to 1, of the recording."""
         count = len(dataset.scan_paths)
-        between = float(np.median(np.diff(dataset.scans.times))) if count > 1 else _PROBE_STEP_S
-        step = int(np.clip(round(_PROBE_STEP_S / max(between, 1e-3)), 1, max(1, count // _PROBE)))
+        interval = float(np.median(np.diff(dataset.scans.times))) if count > 1 else _PROBE_STEP_S
+        step = int(np.clip(round(_PROBE_STEP_S / max(interval, 1e-3)), 1, max(1, count // _PROBE)))
         first = round(place * max(count - _PROBE * step, 0))
         numbers = np.arange(first, min(first + _PROBE * step, count), step)
         return _Window(numbers, slice(0, len(numbers)), _thinned(dataset, numbers, _PROBE_POINTS))
@@ -133,33 +133,33 @@ class _Measurement:
 
     def of(self, probes: list[_Window]) -> MotionLeft:
         """By some windows; only where they tell of a part, by more of the recording."""
-        found, _ = self._of_windows(probes, 0.0, None)
-        sigma = found.sigma if np.isfinite(found.sigma) else None
-        if not abs(found.change) >= max(_LEAST, _SURE * found.sigma):
-            part = None if sigma is None else round(found.change, 6)
+        evidence, _ = self._of_windows(probes, 0.0, None)
+        sigma = evidence.sigma if np.isfinite(evidence.sigma) else None
+        if not abs(evidence.change) >= max(_LEAST, _SURE * evidence.sigma):
+            part = None if sigma is None else round(evidence.change, 6)
             return MotionLeft(self.clock, part, sigma, np.zeros((0, 6)))
         windows = _windows(len(self.dataset.scan_paths))
         chosen = np.unique(np.linspace(0, len(windows) - 1, _SAMPLED + 2)[1:-1].astype(int))
         sampled = [_Window.of(self.dataset, windows[number]) for number in chosen]
-        part, twists, changes = found.change, None, [found.change]
+        part, twists, changes = evidence.change, None, [evidence.change]
         for turn in range(_ROUNDS):
             self.progress("motion left in scans", turn, _ROUNDS)
-            found, twists = self._of_windows(sampled, part, twists)
-            part += found.change
-            changes.append(found.change)
-            if abs(found.change) < _SETTLED:
+            evidence, twists = self._of_windows(sampled, part, twists)
+            part += evidence.change
+            changes.append(evidence.change)
+            if abs(evidence.change) < _SETTLED:
                 break
-        return self._judged(part, found.sigma, changes, windows)
+        return self._judged(part, evidence.sigma, changes, windows)
 
     def _of_windows(
         self, windows: list[_Window], part: float, twists: list[np.ndarray] | None
     ) -> tuple[Evidence, list[np.ndarray]]:
         """What windows tell together, and their twists at the poses found. twists: None: of the rough poses"""
         twists = twists or [self._rough_twists(window) for window in windows]
-        told = [self._evidence(*each) for each in zip(windows, [part] * len(windows), twists, strict=True)]
-        found = sum((evidence for evidence, _ in told), NOTHING)
-        _log.info("motion left: %.4f and %.5f more, +- %.5f", part, found.change, found.sigma)
-        return found, [twist for _, twist in told]
+        pairs = [self._evidence(*each) for each in zip(windows, [part] * len(windows), twists, strict=True)]
+        evidence = sum((each for each, _ in pairs), NOTHING)
+        _log.info("motion left: %.4f and %.5f more, +- %.5f", part, evidence.change, evidence.sigma)
+        return evidence, [twist for _, twist in pairs]
 
     def _judged(
         self, part: float, sigma: float, changes: list[float], windows: list[tuple[int, int]]
@@ -196,20 +196,20 @@ class _Measurement:
             if result is None:
                 continue
             points, tau = self._corrected(window, part, twist)
-            told = scan_motion.deviations(
+            terms = scan_motion.deviations(
                 *(gather(points), np.concatenate(tau), result.world_from_scan),
                 *(result.planes, result.plane_points),
             )
-            information[own], gradient[own] = told[0][inside], told[1][inside]
+            information[own], gradient[own] = terms[0][inside], terms[1][inside]
         return np.asarray(motions + scan_motion.most_likely(information, gradient))
 
     def _evidence(self, window: _Window, part: float, twist: np.ndarray) -> tuple[Evidence, np.ndarray]:
-        """Of a window, and its twists at the poses found."""
+        """Of a window, and its twists at the poses evidence."""
         result, own = self._solved(window, part, twist)
         if result is None or own is None:
             return NOTHING, twist
         points, tau = self._corrected(window, part, twist)
-        found = scan_motion.evidence(
+        evidence = scan_motion.evidence(
             gather(points),
             np.concatenate(tau),
             own,
@@ -217,7 +217,7 @@ class _Measurement:
             result.planes,
             result.plane_points,
         )
-        return found, own
+        return evidence, own
 
     def _solved(
         self, window: _Window, part: float, twist: np.ndarray
