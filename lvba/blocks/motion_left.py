@@ -204,7 +204,7 @@ class _Measurement:
         return np.asarray(motions + scan_motion.most_likely(information, gradient))
 
     def _evidence(self, window: _Window, part: float, twist: np.ndarray) -> tuple[Evidence, np.ndarray]:
-        """Of a window, and its twists at the poses evidence."""
+        """Of a window, and its twists at the poses found."""
         result, own = self._solved(window, part, twist)
         if result is None or own is None:
             return NOTHING, twist
