@@ -11,13 +11,15 @@ FEWEST_SAMPLES = 5
 """Of a trajectory, for anything here."""
 
 
-def through(samples: Trajectory, times: Times) -> np.ndarray:
+def through(samples: Trajectory, times: Times, beyond: float = 0.0) -> np.ndarray:
     """Poses (Q, 4, 4) at times (Q,) by twice differentiable cubic splines; beyond the ends, those there.
+
+    beyond: s, for which the splines are followed past the ends
 
     Rotations by splines of the quaternions' components: a spline that does not accelerate at its ends (as of rotation
     vectors, `scipy.spatial.transform.RotationSpline`) is off there by a hundred times as much as between.
     """
-    clamped = np.clip(times, samples.times[0], samples.times[-1])
+    clamped = np.clip(times, samples.times[0] - beyond, samples.times[-1] + beyond)
     turn = geometry.quaternion(samples.world_from_sensor)
     opposite = np.cumsum((turn[1:] * turn[:-1]).sum(1) < 0) % 2 == 1
     turn[1:][opposite] *= -1.0

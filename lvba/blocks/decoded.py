@@ -19,8 +19,9 @@ from lvba.arrays import Indices
 from lvba.blocks.split import Part
 from lvba.blocks.survey import Survey
 from lvba.camera import Camera
-from lvba.dataset import Dataset
+from lvba.dataset import Dataset, Scan
 from lvba.io import dataset as recordings
+from lvba.lidar.scan_motion import MotionLeft
 from lvba.parallel import in_order
 from lvba.plan import Ref, StreamedRef
 from lvba.progress import Progress, silent
@@ -65,11 +66,13 @@ class ScanPoints:
 
     points: (M, 3) float32, m, scan frame, all finite; offsets: (n + 1,) int64, where each scan begins
     intensity: (M,) float32, NaN where the file has none; None: not kept
+    motion: by which points were moved; None: they are as in their files
     """
 
     points: np.ndarray
     offsets: np.ndarray
     intensity: np.ndarray | None = None
+    motion: MotionLeft | None = None
 
 
 @dataclass(frozen=True)
@@ -80,14 +83,19 @@ class Keyframes:
     images: np.ndarray
 
 
-def decode_scans(dataset: Dataset, scans: Range, progress: Progress = silent) -> ScanPoints:
+def decode_scans(
+    dataset: Dataset, scans: Range, motion: MotionLeft | None = None, progress: Progress = silent
+) -> ScanPoints:
     """The points of some scans, with intensities where there are no images that would color the map.
 
+    motion: left in the scans of the recording: points are moved to where they belong
     Raises InputError: a scan cannot be read.
     """
+    motion = motion if motion is not None and motion.corrected else None
     points, intensity = [], []
-    for scan in in_order(lambda number: recordings.load_scan(dataset, number), range(*scans)):
-        points.append(scan.points)
+    loaded = in_order(lambda number: recordings.load_scan(dataset, number), range(*scans))
+    for number, scan in enumerate(loaded, scans[0]):
+        points.append(_placed(dataset, number, scan, motion))
         if not dataset.image_paths:
             known = scan.intensity
             intensity.append(np.full(len(scan), np.nan, np.float32) if known is None else known)
@@ -96,7 +104,13 @@ def decode_scans(dataset: Dataset, scans: Range, progress: Progress = silent) ->
         np.concatenate(points),
         np.concatenate([[0], np.cumsum([len(each) for each in points])]).astype(np.int64),
         np.concatenate(intensity).astype(np.float32) if intensity else None,
+        motion,
     )
+
+
+def _placed(dataset: Dataset, number: int, scan: Scan, motion: MotionLeft | None) -> np.ndarray:
+    """The points (N, 3) float32, m, of a scan where they belong."""
+    return scan.points if motion is None else motion.points(scan, number, float(dataset.scans.times[number]))
 
 
 def decode_keyframes(
@@ -196,7 +210,9 @@ class ScanReader:
             return held[1].points[held[1].offsets[index] : held[1].offsets[index + 1]]
         if self._whole is None:
             raise IndexError(f"no piece holds scan {self._first + scan}")
-        return recordings.load_scan(self._whole, self._first + scan).points
+        number = self._first + scan
+        motion = self._pieces[0][1]().motion if self._pieces else None
+        return _placed(self._whole, number, recordings.load_scan(self._whole, number), motion)
 
     def load(self, scans: Sequence[int] | np.ndarray) -> list[np.ndarray]:
         """The points of some scans, copied where a view would hold more than one piece in memory."""

@@ -5,6 +5,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -66,13 +67,19 @@ def writing(folder: Path) -> Iterator[None]:
         os.unlink(folder / _WRITING)
 
 
+def read_report(out: str | Path) -> dict[str, Any] | None:
+    """The facts in a result's report.json; None: there is none that can be read."""
+    try:
+        facts = json.loads(files.read_text(Path(out) / REPORT, _LARGEST_REPORT))
+    except (InputError, ValueError, RecursionError):
+        return None
+    return facts if isinstance(facts, dict) else None
+
+
 def _is_ours(folder: Path) -> bool:
     """Whether it holds a report of ours."""
-    try:
-        facts = json.loads(files.read_text(folder / REPORT, _LARGEST_REPORT))
-    except (InputError, ValueError, RecursionError):
-        return False
-    return isinstance(facts, dict) and "schema" in facts and isinstance(facts.get("dataset"), dict)
+    facts = read_report(folder)
+    return facts is not None and "schema" in facts and isinstance(facts.get("dataset"), dict)
 
 
 def write_poses(out: str | Path, dataset: Dataset, world_from_scan: Poses, world_from_camera: Poses) -> None:

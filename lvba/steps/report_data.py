@@ -9,6 +9,7 @@ import numpy as np
 from lvba import geometry
 from lvba.dataset import Dataset
 from lvba.io.reference import Reference
+from lvba.lidar.scan_motion import MotionLeft
 from lvba.products.evaluate import Scores
 from lvba.products.map_file import PointMap
 from lvba.steps import (
@@ -42,14 +43,16 @@ def collect(
     planes: Sequence[PlaneChange],
     reference: Reference | None,
     merge: Mapping[str, Any] | None = None,
+    motion: MotionLeft | None = None,
 ) -> dict[str, Any]:
     """Everything the report says about the dataset, the stages, the evaluation and the reference, and the verdict on it.
 
     pieces: read the map, one piece at a time; planes: of all regions of space; merge: facts of a run in parts
+    motion: left in the scans; None: not measured
     """
     facts: dict[str, Any] = {
         "dataset": of_dataset(dataset),
-        "lidar": of_lidar(lidar, scans, accepted),
+        "lidar": of_lidar(lidar, scans, accepted) | of_motion(motion),
         "visual": of_visual(dataset, visual, accepted),
         "fusion": of_fusion(fused, accepted),
         "trajectory": of_trajectories(dataset, accepted),
@@ -58,7 +61,7 @@ def collect(
     }
     if reference is not None:
         facts["reference"] = reference_data.collect(dataset, lidar, scans, visual, fused, accepted, reference)
-    facts["warnings"] = _warnings(dataset, lidar, visual, accepted)
+    facts["warnings"] = _warnings(dataset, lidar, visual, accepted) + warnings_of_motion(motion)
     noise = lidar.result.history[-1].sigma if lidar.result is not None and lidar.result.history else None
     facts["expected_error"] = expected_error.collect(expected, pieces, noise)
     facts["planes"] = plane_thickness.facts(planes)
@@ -119,6 +122,25 @@ def of_lidar(lidar: LidarStage, scans: ScanPoses, accepted: Accepted) -> dict[st
         )
         facts["planes"] = len(lidar.result.planes)
     return facts
+
+
+def of_motion(motion: MotionLeft | None) -> dict[str, Any]:
+    """The part of the motion that was left in scans, and by what their points were moved."""
+    return {} if motion is None else {"motion_left": motion}
+
+
+def warnings_of_motion(motion: MotionLeft | None) -> list[str]:
+    """That points were moved, or why not."""
+    if motion is None:
+        return []
+    if motion.corrected:
+        return [
+            f"{100 * (motion.part or 0.0):.1f} % of the motion during scans was left in them: points were moved by the "
+            "refined trajectory. Deskew scans in the odometry to spare that"
+        ]
+    if not motion.problem:
+        return []
+    return [f"Motion left in scans is not corrected: {motion.problem}. Deskew scans in the odometry"]
 
 
 def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict[str, Any]:

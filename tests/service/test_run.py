@@ -20,6 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 STAGES = [
     *(
         "survey",
+        "motion-left",
         "scans",
         "lidar",
         "lidar-entropy",

@@ -67,6 +67,9 @@ def lidar_rows(facts: Facts) -> list[tuple[str, str]]:
     if len(noise):
         span = f"{formats.length(noise[0])}, {formats.length(noise[-1])}"
         rows.append(("Distance of points from their plane, first and last round", span))
+    left = stage.get("motion_left") or {}
+    if left.get("part") is not None:
+        rows.append((f"Motion left in scans{', taken out' if left.get('motion') else ''}", _part_of(left)))
     scans = stage.get("weak_scans") or []
     if scans:
         held = sum(not count for count in scans)
@@ -79,6 +82,13 @@ def lidar_rows(facts: Facts) -> list[tuple[str, str]]:
             )
         )
     return rows
+
+
+def _part_of(left: Facts) -> str:
+    """The part of the motion that was left, with its standard deviation."""
+    sigma = left.get("sigma")
+    error = "" if sigma is None else f" \N{PLUS-MINUS SIGN} {formats.number(100 * sigma, 2)}"
+    return f"{formats.number(100 * left['part'], 2)}{error} %"
 
 
 _HELD = " (kept near the odometry)"

@@ -1,0 +1,127 @@
+"""The motion left in the scans of a recording: found, taken out, and left alone where there is none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lvba.blocks import decoded, motion_left
+from lvba.io import dataset as recordings
+from lvba.io import reference
+from lvba.io.dataset import open_dataset
+from lvba.lidar import bundle_adjustment
+from lvba.lidar.config import LidarConfig
+from lvba.simulate.disturbances import Disturbances
+from lvba.simulate.simulation import simulate
+from lvba.trajectory import pose_error
+
+SMALL = {"frames": 2, "scans": 36, "seed": 5, "width": 64, "height": 48, "points_per_scan": 4000}
+LEFT = 0.4
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """By the part that is left: the same recording, with times; with no part, as a sensor without times gives it."""
+    root = tmp_path_factory.mktemp("left")
+    for name, left in (("clean", 1e-12), ("left", LEFT), ("timeless", 0.0)):
+        simulate("courtyard", root / name, disturb=Disturbances(motion_left=left), **SMALL)
+    return {name: open_dataset(root / name) for name in ("clean", "left", "timeless")}
+
+
+@pytest.fixture(scope="module")
+def found(recording):
+    """Of the recording with motion left in its scans."""
+    return measured(recording["left"])
+
+
+def measured(dataset):
+    return motion_left.measure(dataset, LidarConfig())
+
+
+def error_m(dataset, points):
+    """Of refined scan poses."""
+    found = bundle_adjustment.refine(points, dataset.scans.world_from_sensor)
+    truth = reference.read_reference(f"{dataset.root}/reference").scans.world_from_sensor
+    return pose_error(found.world_from_scan, truth).ate_m
+
+
+def test_what_is_left_is_found_and_taken_out(recording, found):
+    dataset, motion = recording["left"], found
+    assert motion is not None
+    assert motion.corrected
+    assert motion.part == pytest.approx(LEFT, abs=5 * motion.sigma + 0.005)
+    piece = decoded.decode_scans(dataset, (0, 36), motion)
+    points = [piece.points[a:b] for a, b in zip(piece.offsets[:-1], piece.offsets[1:], strict=True)]
+    clean = recordings.load_scans(recording["clean"])
+    best, before = (error_m(dataset, each) for each in (clean, recordings.load_scans(dataset)))
+    after = error_m(dataset, points)
+    assert before > 4 * best
+    assert after < 2 * best
+
+
+def test_deskewed_scans_keep_their_bytes(recording):
+    dataset = recording["clean"]
+    motion = measured(dataset)
+    assert motion is not None
+    assert not motion.corrected
+    assert abs(motion.part) < 4 * motion.sigma
+    piece = decoded.decode_scans(dataset, (0, 36), motion)
+    np.testing.assert_array_equal(piece.points, decoded.decode_scans(dataset, (0, 36)).points)
+    assert piece.motion is None
+
+
+def test_scans_without_times_are_not_looked_at(recording, monkeypatch):
+    monkeypatch.setattr(recordings, "load_scan", None)
+    assert measured(recording["timeless"]) is None
+    assert motion_left.measure(recording["left"], LidarConfig(), enabled=False) is None
+
+
+def with_times(monkeypatch, change):
+    """Scans with other times. change: of times (N,) and the stamp"""
+    real = recordings.load_scan
+
+    def load(dataset, index):
+        scan = real(dataset, index)
+        return replace(scan, time=change(scan.time, dataset.scans.times[index]))
+
+    monkeypatch.setattr(recordings, "load_scan", load)
+
+
+def test_times_of_chance_correct_nothing(recording, monkeypatch):
+    with_times(monkeypatch, lambda times, stamp: np.random.default_rng(1).permutation(times))
+    motion = measured(recording["left"])
+    assert motion is not None
+    assert not motion.corrected
+
+
+def test_constant_times_say_nothing_and_long_ones_are_told(recording, monkeypatch):
+    with_times(monkeypatch, lambda times, stamp: np.full(len(times), stamp))
+    constant = measured(recording["left"])
+    assert constant is not None
+    assert constant.part is None
+    assert not constant.problem
+    monkeypatch.undo()
+    with_times(monkeypatch, lambda times, stamp: 70 * (times - stamp))
+    long = measured(recording["left"])
+    assert long is not None
+    assert not long.corrected
+    assert "no sweep" in long.problem
+
+
+def test_times_from_the_start_of_the_sweep_find_the_same_part(recording, found, monkeypatch):
+    """In whole microseconds. The pose is then that of the middle of the sweep."""
+    dataset = recording["left"]
+    with_times(monkeypatch, lambda times, stamp: np.round(1e6 * (times - stamp + 0.1)))
+    motion = measured(dataset)
+    assert motion is not None
+    assert motion.clock.unit == 1e-6
+    assert motion.part == pytest.approx(found.part, abs=0.01)
+
+
+def test_a_scan_of_another_part_is_moved_as_well(recording, found):
+    """The reader that finds a scan in no piece reads its file, and moves its points as the pieces' were."""
+    dataset = recording["left"]
+    whole = decoded.decode_scans(dataset, (0, 6), found)
+    few = decoded.decode_scans(dataset, (0, 3), found)
+    reader = decoded.ScanReader([((0, 3), lambda: few)], whole=dataset)
+    np.testing.assert_array_equal(reader(5), whole.points[whole.offsets[5] :][: len(reader(5))])

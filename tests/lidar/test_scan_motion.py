@@ -1,0 +1,145 @@
+"""The part of the motion left in scans, from planes: against its definition, and against a plain least squares."""
+
+import numpy as np
+import pytest
+
+from lvba import geometry
+from lvba.lidar import scan_motion
+from lvba.lidar.plane import PlanePoints, Planes
+from lvba.lidar.point_times import PointClock
+from lvba.lidar.scan import gather
+from lvba.lidar.scan_motion import MotionLeft
+
+SCANS, PLANES, EACH = 4, 7, 60
+
+
+def made(part, seed=0, noise=1e-4):
+    """Scans of random planes with a part of the motion in them, at their true poses; planes as they are seen there."""
+    rng = np.random.default_rng(seed)
+    poses = geometry.exp(rng.normal(size=(SCANS, 6)) * [0.3, 0.3, 0.3, 1, 1, 1])
+    twist = rng.normal(size=(SCANS, 6)) * [0.2, 0.2, 0.2, 1, 1, 1]
+    axes = np.linalg.qr(rng.normal(size=(PLANES, 3, 3)))[0]
+    center = rng.uniform(-5, 5, (PLANES, 3))
+    points, tau, labels = [], [], np.tile(np.repeat(np.arange(PLANES), EACH), SCANS)
+    world = []
+    for scan in range(SCANS):
+        flat = (
+            rng.uniform(-1, 1, (PLANES * EACH, 3)) * [0, 1, 1] + rng.normal(size=(PLANES * EACH, 3)) * noise
+        )
+        on = center[labels[: PLANES * EACH]] + np.einsum("nij,nj->ni", axes[labels[: PLANES * EACH]], flat)
+        when = rng.uniform(-0.1, 0, len(on))
+        true = geometry.transform_points(geometry.inverse(poses[scan]), on)
+        back = geometry.exp(-part * when[:, None] * twist[scan])
+        points.append(np.einsum("nij,nj->ni", back[:, :3, :3], true) + back[:, :3, 3])
+        tau.append(when)
+        world.append(geometry.transform_points(poses[scan], points[-1]))
+    count = np.full(PLANES, SCANS * EACH)
+    planes = Planes(
+        center=center,
+        normal=axes[:, :, 0],
+        eigenvalues=np.tile([1e-4, 0.3, 0.3], (PLANES, 1)),
+        axes=axes,
+        count=count,
+        scans=np.full(PLANES, SCANS, np.int32),
+        size=np.ones(PLANES),
+        sigma_offset=np.full(PLANES, 1e-3),
+    )
+    scans = gather(points)
+    points_world = np.concatenate(world).astype(np.float32)
+    return (
+        scans,
+        np.concatenate(tau),
+        twist,
+        poses,
+        planes,
+        PlanePoints(points_world, labels.astype(np.int32), scans.offsets),
+    )
+
+
+def least_squares(scans, tau, twist, poses, planes, labels):
+    """The same from one dense system of poses, planes and the part, point by point."""
+    rows, distances = [], []
+    for scan in range(SCANS):
+        for index in range(scans.offsets[scan], scans.offsets[scan + 1]):
+            plane, point = labels.plane[index], scans.points[index].astype(float)
+            normal, scale = planes.normal[plane], 100.0
+            local = poses[scan][:3, :3].T @ normal
+            by_pose = np.concatenate([np.cross(point, local), local])
+            away = poses[scan][:3, :3] @ point + poses[scan][:3, 3] - planes.center[plane]
+            row = np.zeros(6 * SCANS + 3 * PLANES + 1)
+            row[6 * scan : 6 * scan + 6] = by_pose
+            row[6 * SCANS + 3 * plane :][:3] = [1.0, *(planes.axes[plane][:, 1:].T @ away)]
+            row[-1] = tau[index] * by_pose @ twist[scan]
+            rows.append(scale * row)
+            distances.append(scale * normal @ away)
+    prior = np.diag(np.concatenate([np.tile(1 / scan_motion._POSE_SIGMA, SCANS), np.zeros(3 * PLANES + 1)]))
+    rows, distances = np.array(rows), np.array(distances)
+    normal = rows.T @ rows + prior**2
+    step = -np.linalg.solve(normal, rows.T @ distances)
+    through = np.append(-np.linalg.solve(normal[:-1, :-1], normal[:-1, -1]), 1.0)
+    own = np.bincount(labels.plane, (rows @ through) * distances, PLANES)
+    return step[-1], np.sqrt(np.sum(own**2)) * np.linalg.inv(normal)[-1, -1]
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_evidence_is_that_of_all_unknowns_together(seed):
+    scene = made(0.3, seed)
+    found = scan_motion.evidence(*scene)
+    change, sigma = least_squares(*scene)
+    assert found.change == pytest.approx(change, rel=1e-4)
+    assert found.sigma == pytest.approx(sigma, rel=1e-3)
+    assert found.change == pytest.approx(0.3, rel=0.05)
+
+
+def test_nothing_left_is_found_within_its_deviation():
+    changes = [scan_motion.evidence(*made(0.0, seed, noise=0.01)) for seed in range(20)]
+    normalized = np.array([each.change / each.sigma for each in changes])
+    assert 0.5 < np.sqrt(np.mean(normalized**2)) < 1.7
+    together = sum(changes[1:], changes[0])
+    assert abs(together.change) < 3.5 * together.sigma
+
+
+def test_no_planes_no_evidence():
+    scans, tau, twist, poses, planes, labels = made(0.3)
+    none = PlanePoints(labels.points_world, np.full_like(labels.plane, -1), labels.scan_offsets)
+    assert scan_motion.evidence(scans, tau, twist, poses, planes, none).sigma == np.inf
+    still = scan_motion.evidence(scans, tau, 0 * twist, poses, planes, labels)
+    assert still.change == 0
+
+
+def test_scans_that_move_as_no_path_says_tell_it_themselves():
+    """Points that were moved by the wrong motion: each scan's own is found; noise is drawn to zero."""
+    scans, tau, twist, poses, planes, labels = made(1.0)
+    information, gradient = scan_motion.deviations(scans, tau, poses, planes, labels)
+    np.testing.assert_allclose(scan_motion.most_likely(information, gradient), twist, atol=0.1)
+    scans, tau, _, poses, planes, labels = made(0.0, noise=0.01)
+    information, gradient = scan_motion.deviations(scans, tau, poses, planes, labels)
+    alone = np.linalg.solve(information, gradient[..., None])[..., 0]
+    assert np.abs(scan_motion.most_likely(information, gradient)).mean() < 0.5 * np.abs(alone).mean()
+    unseen = np.zeros_like(information), np.zeros_like(gradient)
+    assert not scan_motion.most_likely(*unseen).any()
+
+
+def test_points_move_as_the_sensor_did():
+    rng = np.random.default_rng(0)
+    points, tau = rng.uniform(-30, 30, (50, 3)).astype(np.float32), rng.uniform(-0.1, 0.0, 50)
+    motion = np.array([0.3, -0.5, 0.4, 2.0, 1.0, -3.0])
+    expected = geometry.exp(tau[:, None] * motion)
+    exact = np.einsum("nij,nj->ni", expected[:, :3, :3], points) + expected[:, :3, 3]
+    np.testing.assert_allclose(scan_motion.moved(points, tau, motion), exact, atol=1e-5)
+
+
+def test_facts_bring_it_back():
+    motion = MotionLeft(PointClock(1e-6, 0.1, -0.1, True), 0.5, 1e-3, np.arange(12.0).reshape(2, 6))
+    facts = {
+        "clock": {"unit": 1e-6, "sweep": 0.1, "begin": -0.1, "absolute": True},
+        "part": 0.5,
+        "sigma": 1e-3,
+        "motion": motion.motion.tolist(),
+    }
+    found = MotionLeft.of_facts(facts)
+    assert found is not None
+    assert found.clock == motion.clock
+    np.testing.assert_array_equal(found.motion, motion.motion)
+    assert MotionLeft.of_facts({"motion": []}) is None
+    assert MotionLeft.of_facts(None) is None
