@@ -40,6 +40,7 @@ LINEAR_ALGEBRA = {
     "lvba/lidar/covariance.py": (6, "6 x 6 information, rigid alignment; all pairs of poses, whose trace is taken"),
     "lvba/loop_closure/registration.py": (1, "map noise added to 6 x 6 information"),
     "lvba/loop_closure/surfel_icp.py": (1, "6 x 6 information of an alignment"),
+    "lvba/lidar/scan_motion.py": (4, "6 x 6 information of single scans, one part for all"),
     "lvba/steps/pose_fusion.py": (11, "6 x 6 covariances of single scans and of a chain's links"),
     "lvba/steps/uncertainty.py": (1, "normalized errors, 6 x 6"),
     "lvba/visual/bundle_adjustment.py": (1, "information of the shared parameters from their covariance, k x k"),
@@ -55,6 +56,7 @@ LINEAR_ALGEBRA = {
 TURNS = {
     "lvba/geometry.py": (2, "the tangent itself: retract, interpolate"),
     "lvba/lidar/bundle_adjustment.py": (1, "a constant rotation of the grid of cells"),
+    "lvba/lidar/scan_motion.py": (1, "where the sensor was at each point of a scan"),
     "lvba/loop_closure/correlation.py": (1, "a search over rotations, no steps"),
     "lvba/visual/degeneracy.py": (1, "one motion of all cameras about a common center"),
     "lvba/visual/trajectory_prior.py": (1, "how far the LiDAR turns during the time offset"),
