@@ -1,5 +1,7 @@
 """The steps that make the cameras of all parts one: merged, then one joint problem in rounds."""
 
+import functools
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -19,7 +21,7 @@ from lvba.steps.lidar import carry_cameras
 from lvba.steps.outcomes import LidarStage, MapPlanes, ScanPoses, VisualStage
 from lvba.steps.visual import inputs
 from lvba.trajectory import Trajectory
-from lvba.visual import covariance, fixed_calibration, trajectory_prior, vignetting
+from lvba.visual import calibration_prior, covariance, fixed_calibration, trajectory_prior, vignetting
 from lvba.visual.exposure_graph import Edges
 from lvba.visual.image import measuring_camera
 from lvba.visual.refine import VisualConfig, VisualResult
@@ -193,12 +195,12 @@ def _prior(
             replace(source, sigma_rotation=rotation, sigma_position=position, memory=(memory[0], memory[1]))
         )
     tunings = [part.tuning for part in stages if part.tuning is not None]
-    counts = [
-        tuning.calibration_information for tuning in tunings if tuning.calibration_information is not None
-    ]
-    # what images tell and how far they contradict it both add up over the parts: their ratio is a mean
-    mean = np.mean(counts, axis=0) if counts else None
-    prior = replace(prior, sources=tuple(sources), calibration=replace(prior.calibration, counted=mean))
+    said = [tuning.evidence for tuning in tunings if tuning.evidence is not None]
+    counted = None
+    if said:
+        whole = functools.reduce(operator.add, said)
+        counted = calibration_prior.weighed(whole.information, whole.spread, prior.calibration.claimed)
+    prior = replace(prior, sources=tuple(sources), calibration=replace(prior.calibration, counted=counted))
     return trajectory_prior.with_fixed(prior, _fixed(stages))
 
 

@@ -22,6 +22,7 @@ from lvba.visual import (
     trajectory_prior,
     trajectory_sigmas,
 )
+from lvba.visual.calibration_prior import Evidence
 from lvba.visual.covariance import WallClusters
 from lvba.visual.noise import NoiseModel
 from lvba.visual.patch_shifts import Shifts
@@ -36,6 +37,9 @@ logger = logging.getLogger(__name__)
 _QUICK_DECREASE = 1e-3
 """Where weights are about to be estimated anew, a solve stops at this relative decrease."""
 
+_LAST_DAMPING = 1e-8
+"""First damping of the last solve, which begins near its solution: damping relative to the diagonal would leave what all
+images share where the rounds before had it, along motions that they hardly determine."""
 
 ROUNDS = 3
 """Solves per level, each with noise level and prior estimated anew from the last: a fourth changes neither."""
@@ -111,7 +115,13 @@ def solve(
         scatter = noise.estimate(sums, problem.samples)
         problem = replace(problem, sigma=scatter.sigma(noise.gradients(sums)))
         model = _Model(problem, prior if prior is None else trajectory_prior.with_fixed(prior, fixed))
-        how = solver if last else quick
+        how = (
+            replace(solver, initial_damping=_LAST_DAMPING)
+            if last and rounds > 1
+            else solver
+            if last
+            else quick
+        )
         solution = levenberg_marquardt.levenberg_marquardt(at, model.linearize, model.retract, how, free)
         at, history = solution.state, history + solution.history
         linearization = model.at(at)
@@ -243,18 +253,15 @@ def _reweighted(
         clusters = covariance.bias_reduced_gradients(
             problem, linearization, at.photometric, wall_clusters, total
         )
-        counts = _calibration_information(
-            prior, at, clusters, known, problem.variance_factor / variance_factor
-        )
-        prior = replace(prior, calibration=replace(prior.calibration, counted=counts))
+        said = _evidence(prior, at, clusters, known, problem.variance_factor / variance_factor)
+        counts = calibration_prior.weighed(said.information, said.spread, prior.calibration.claimed)
+        prior = replace(prior, calibration=replace(prior.calibration, counted=counts), evidence=said)
         prior = trajectory_sigmas.reestimated(prior, at.visual, undecided)
     return replace(problem, variance_factor=variance_factor), prior
 
 
-def _calibration_information(
-    prior: Prior, at: _State, clusters: csr_matrix, known: Covariance, deflated: float
-) -> np.ndarray:
-    """(k, k): what the calibration shall count, from what the images tell of it and how far they contradict it.
+def _evidence(prior: Prior, at: _State, clusters: csr_matrix, known: Covariance, deflated: float) -> Evidence:
+    """What the images tell of the calibration, and how far they contradict themselves about it.
 
     clusters: (clusters, 7 I + k) gradients per piece of wall; deflated: by what factor the information of the images is
     about to change
@@ -265,9 +272,7 @@ def _calibration_information(
     # by the calibration, all cameras following: the columns of the inverse over its corner
     following = np.concatenate([known.with_shared.reshape(count, -1) @ every, np.eye(len(every))])
     gradients = clusters @ following
-    return calibration_prior.weighed(
-        deflated * (every - now), deflated**2 * (gradients.T @ gradients), prior.calibration.claimed
-    )
+    return Evidence(deflated * (every - now), deflated**2 * (gradients.T @ gradients))
 
 
 def _undecided(prior: Prior, source: Source, state: VisualState, known: Covariance) -> np.ndarray:

@@ -8,6 +8,7 @@ all the same, the calibration stays.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import eigh
@@ -22,6 +23,21 @@ _NO_BETTER = 1.01
 """Times the variance of the calibration that an estimate may have."""
 _KEPT = 1e6
 """Times over that a calibration counts in a direction that it keeps."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What images say of the calibration. That of several parts of a recording adds up.
+
+    information: (k, k) float64, with all cameras eliminated; spread: (k, k) float64, variance of their gradient by it,
+        summed over pieces of wall (see `visual.covariance`)
+    """
+
+    information: np.ndarray
+    spread: np.ndarray
+
+    def __add__(self, other: "Evidence") -> "Evidence":
+        return Evidence(self.information + other.information, self.spread + other.spread)
 
 
 def build(calibrated: Calibration, sigma: Mapping[str, float | np.ndarray]) -> SharedPrior[Calibration]:

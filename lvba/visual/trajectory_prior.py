@@ -19,6 +19,7 @@ from lvba.optim.shared_parameters import SharedPrior
 from lvba.settings import check, setting
 from lvba.trajectory import Trajectory
 from lvba.visual import calibration_prior, fixed_calibration
+from lvba.visual.calibration_prior import Evidence
 from lvba.visual.states import Calibration, VisualState
 
 _FRAME_HUBER = 2.5
@@ -110,13 +111,14 @@ class Prior:
     sources: each an expectation of its own, all through the same calibration
     velocity_world: (I, 3) float64, m/s; rate_scan: (I, 3) float64, rad/s, about the LiDAR's axes
     calibration: what is known of the calibration itself; it counts beside the images as `calibration_prior.weighed` has
-        it
+        it; evidence: of the images, by which it was weighed last, None: it was not
     """
 
     sources: tuple[Source, ...]
     velocity_world: np.ndarray
     rate_scan: np.ndarray
     calibration: SharedPrior[Calibration]
+    evidence: Evidence | None = None
 
     def __len__(self) -> int:
         return len(self.velocity_world)

@@ -6,6 +6,7 @@ import numpy as np
 
 from lvba.visual import bundle_adjustment
 from lvba.visual.bundle_adjustment import LevelSolution
+from lvba.visual.calibration_prior import Evidence
 from lvba.visual.noise import NoiseModel
 
 
@@ -16,7 +17,7 @@ class Tuning:
     noise: of residuals; variance_factor: actual over modeled variance of the pixels
     offset_scale: how many times further than the LiDAR says planes are off
     sigma_rotation, sigma_position: (sources, k) of each source of the prior, rad and m; memory: (sources, 2)
-    calibration_information: (k, k), what the calibration counts beside the images; None: there is no prior
+    evidence: of the images about the calibration; None: there is no prior
     fixed: names of the parameters of the calibration that the images do not call to correct
     """
 
@@ -26,7 +27,7 @@ class Tuning:
     sigma_rotation: np.ndarray
     sigma_position: np.ndarray
     memory: np.ndarray
-    calibration_information: np.ndarray | None
+    evidence: Evidence | None
     fixed: tuple[str, ...] = ()
 
 
@@ -44,6 +45,6 @@ def tuning(solution: LevelSolution) -> Tuning:
         sigma_rotation=np.array([source.sigma_rotation for source in sources]),
         sigma_position=np.array([source.sigma_position for source in sources]),
         memory=np.array([source.memory for source in sources]),
-        calibration_information=None if solution.prior is None else solution.prior.calibration.counted,
+        evidence=None if solution.prior is None else solution.prior.evidence,
         fixed=solution.fixed,
     )
