@@ -66,7 +66,6 @@ TURNS = {
 DAMPED = {
     "lvba/lidar/problem.py": "settings of the one Levenberg-Marquardt",
     "lvba/visual/degeneracy.py": "settings of the one Levenberg-Marquardt",
-    "lvba/visual/bundle_adjustment.py": "settings of the one Levenberg-Marquardt",
     "lvba/blocks/lidar_joint.py": "joint rounds: damping from round to round, `levenberg_marquardt.raised` and `eased`",
     "lvba/blocks/visual_joint.py": "joint rounds, as above",
 }

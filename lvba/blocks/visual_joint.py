@@ -17,7 +17,7 @@ from lvba.visual.states import VisualState
 from lvba.visual.trajectory_prior import Prior
 from lvba.visual.vignetting import NONE, Vignetting
 
-_FIRST_DAMPING = 1e-8
+_FIRST_DAMPING = 1e-4
 _SETTLED_M = 1e-4
 _SETTLED_DEG = 1e-3
 

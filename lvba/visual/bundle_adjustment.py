@@ -37,10 +37,6 @@ logger = logging.getLogger(__name__)
 _QUICK_DECREASE = 1e-3
 """Where weights are about to be estimated anew, a solve stops at this relative decrease."""
 
-_LAST_DAMPING = 1e-8
-"""First damping of the last solve, which begins near its solution: damping relative to the diagonal would leave what all
-images share where the rounds before had it, along motions that they hardly determine."""
-
 ROUNDS = 3
 """Solves per level, each with noise level and prior estimated anew from the last: a fourth changes neither."""
 PLANE_FLOOR_M = 0.001
@@ -88,6 +84,7 @@ def solve(
     variance_factor: float = 10.0,
     variant: Variant = PRODUCT,
     shifts: Callable[[VisualState], Shifts] | None = None,
+    finest: bool = True,
 ) -> LevelSolution:
     """The state of least cost at one level.
 
@@ -96,6 +93,7 @@ def solve(
     patch: side of a patch, px, odd; rounds: solves, each with noise level and prior estimated anew from the last
     variance_factor: first guess of actual over modeled variance of the pixels
     shifts: how the calibration moves patches about a state, found anew for each round; None: it moves none
+    finest: no other level follows
     """
     sigma = offset_sigma(points, PLANE_FLOOR_M) if variant.plane_offsets else None
     problem = photometric.prepare(
@@ -115,13 +113,7 @@ def solve(
         scatter = noise.estimate(sums, problem.samples)
         problem = replace(problem, sigma=scatter.sigma(noise.gradients(sums)))
         model = _Model(problem, prior if prior is None else trajectory_prior.with_fixed(prior, fixed))
-        how = (
-            replace(solver, initial_damping=_LAST_DAMPING)
-            if last and rounds > 1
-            else solver
-            if last
-            else quick
-        )
+        how = solver if last else quick
         solution = levenberg_marquardt.levenberg_marquardt(at, model.linearize, model.retract, how, free)
         at, history = solution.state, history + solution.history
         linearization = model.at(at)
@@ -129,7 +121,8 @@ def solve(
         if not last:
             if shifts is not None and prior is not None and turn == rounds - 2:
                 fixed = _fixed(problem, wall_clusters, prior, at, linearization, free)
-            problem, prior = _reweighted(problem, wall_clusters, prior, at, linearization, free)
+            keep = finest and turn == rounds - 2
+            problem, prior = _reweighted(problem, wall_clusters, prior, at, linearization, free, keep)
             problem, at = _about(problem, at, shifts)
     calibration = at.calibration
     if prior is not None:
@@ -238,6 +231,7 @@ def _reweighted(
     at: _State,
     linearization: Linearization,
     free: np.ndarray,
+    keep: bool,
 ) -> tuple[Problem, Prior | None]:
     """Inflation, plane offsets' sigma and the prior's sigmas estimated anew (variance components)."""
     if problem.offset_sigma is not None:
@@ -254,7 +248,7 @@ def _reweighted(
             problem, linearization, at.photometric, wall_clusters, total
         )
         said = _evidence(prior, at, clusters, known, problem.variance_factor / variance_factor)
-        counts = calibration_prior.weighed(said.information, said.spread, prior.calibration.claimed)
+        counts = calibration_prior.weighed(said.information, said.spread, prior.calibration.claimed, keep)
         prior = replace(prior, calibration=replace(prior.calibration, counted=counts), evidence=said)
         prior = trajectory_sigmas.reestimated(prior, at.visual, undecided)
     return replace(problem, variance_factor=variance_factor), prior

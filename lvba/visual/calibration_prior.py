@@ -45,12 +45,14 @@ def build(calibrated: Calibration, sigma: Mapping[str, float | np.ndarray]) -> S
     return SharedPrior(calibrated, information(calibrated.layout(), sigma))
 
 
-def weighed(information: np.ndarray, spread: np.ndarray, claims: np.ndarray) -> np.ndarray:
+def weighed(information: np.ndarray, spread: np.ndarray, claims: np.ndarray, keep: bool = True) -> np.ndarray:
     """(k, k): what the calibration shall count beside images of this `information`, never less than it claims itself.
 
     information: (k, k) float64, of the images about the calibration, with all cameras eliminated
     spread: (k, k) float64, variance of their gradient by it, summed over pieces of wall (see `visual.covariance`)
     claims: (k, k) float64, information of the calibration
+    keep: no direction of the extrinsic less certain than calibrated; not before images and walls have come together, for
+        walls that are not where the images see them contradict each other about everything
 
     Where the spread is mu > 1 times the information (generalized eigenvectors), the images are good for
     `information / mu`. What this and the calibration agree on is reached with all of it, too, by a calibration that
@@ -65,21 +67,27 @@ def weighed(information: np.ndarray, spread: np.ndarray, claims: np.ndarray) -> 
     good, shared = np.linalg.eigh(believed)
     counts = np.einsum("ik,ij,jk->k", shared, information, shared) / np.maximum(good, 1e-12)
     counted = (shared * np.maximum(counts, 1.0)) @ shared.T
-    return np.asarray(root @ _kept_where_better(counted, information, spread) @ root.T)
+    if keep:
+        counted = _kept_where_better(counted, information, spread)
+    return np.asarray(root @ counted @ root.T)
 
 
 def _kept_where_better(counted: np.ndarray, information: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """The calibration counting so much that no direction of the estimate is less certain than the calibration itself.
+    """The calibration counting so much that no direction of the extrinsic is less certain than calibrated.
 
     All in units of the calibration. Axes that images overstate and axes that calibration and images share are not the
     same, so along some directions the estimate may still follow what the images contradict themselves about.
     """
-    for _ in range(len(counted)):
+    extrinsic = Calibration.layout()["scan_from_camera"]
+    counted = counted.copy()
+    for _ in range(extrinsic.stop - extrinsic.start):
         inverse = np.linalg.inv(information + counted)
-        variance, axes = np.linalg.eigh(inverse @ (spread + counted @ counted) @ inverse)
+        variance, axes = np.linalg.eigh(
+            (inverse @ (spread + counted @ counted) @ inverse)[extrinsic, extrinsic]
+        )
         if variance[-1] <= _NO_BETTER:
             break
-        counted = counted + _KEPT * np.outer(axes[:, -1], axes[:, -1])
+        counted[extrinsic, extrinsic] += _KEPT * np.outer(axes[:, -1], axes[:, -1])
     return counted
 
 

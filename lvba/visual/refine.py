@@ -385,7 +385,7 @@ def _solve_level(
         patch=config.patch, rounds=ROUNDS if level == 0 else _COARSE_ROUNDS,
         solver=replace(SOLVER, max_iterations=config.iterations, relative_decrease=decrease),
         variance_factor=coarser.variance_factor, variant=scene.variant,
-        shifts=shifts,
+        shifts=shifts, finest=level == 0,
     )  # fmt: skip
     progress("camera poses", 3, 3)
     return solution

@@ -133,7 +133,7 @@ def test_error_names_the_extra_of_laz(tmp_path, monkeypatch):
 def test_error_names_the_extra_of_stores_in_buckets(monkeypatch):
     monkeypatch.setitem(sys.modules, "s3fs", None)
     # other tests in this process may have used a bucket
-    monkeypatch.setattr(importlib.import_module("fsspec.registry"), "_registry", {})
+    monkeypatch.delitem(importlib.import_module("fsspec.registry")._registry, "s3", raising=False)
     with pytest.raises(InputError, match=re.escape("pip install 'lvba[s3]'")):
         UrlStore("s3://bucket/folder")
 
