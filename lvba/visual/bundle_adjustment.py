@@ -119,9 +119,10 @@ def solve(
         linearization = model.at(at)
         sums = linearization.sums
         if not last:
-            if shifts is not None and prior is not None and turn == rounds - 2:
+            one_left = turn == rounds - 2
+            if shifts is not None and prior is not None and one_left:
                 fixed = _fixed(problem, wall_clusters, prior, at, linearization, free)
-            keep = finest and turn == rounds - 2
+            keep = finest and one_left
             problem, prior = _reweighted(problem, wall_clusters, prior, at, linearization, free, keep)
             problem, at = _about(problem, at, shifts)
     calibration = at.calibration

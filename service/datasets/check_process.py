@@ -22,6 +22,7 @@ from service.datasets.intake_budget import IntakeBudget, TooLargeError
 from service.datasets.recording_names import without_wrapping
 from service.settings import Limits
 from service.system import deadline, durable, file_lock, store_urls
+from service.system.disk_space import says_full
 from service.system.paths import count_of, size_of
 from service.system.threads import limit_threads
 
@@ -71,7 +72,7 @@ def _answer(task: dict[str, Any], limits: Limits) -> dict[str, Any]:
         if error.errno == errno.ENOENT:
             cause = f"{error.filename}: has disappeared".replace(task["files"], "DATASET")
             return _refused("files", os.path.basename(cause), "upload the files again")
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+        if not says_full(error):
             raise
         return _refused(
             "disk-full", "the disk is full", "try again when there is room, or ask who runs the server"

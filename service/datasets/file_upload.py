@@ -2,7 +2,6 @@
 
 import base64
 import binascii
-import errno
 import fcntl
 import hashlib
 import os
@@ -197,7 +196,7 @@ def _disk_that_may_be_full() -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        if disk_space.says_full(error):
             raise Problem("disk-full", "the disk is full") from None
         raise
 

@@ -18,7 +18,7 @@ from lvba.errors import InputError
 from service.datasets import file_names
 from service.datasets.intake_budget import TooLargeError
 from service.settings import Limits
-from service.system.disk_space import LEAST_FREE, free_bytes
+from service.system.disk_space import LEAST_FREE, free_bytes, says_full
 
 _AT_ONCE = 8
 """Objects that are fetched at a time."""
@@ -164,7 +164,7 @@ def _get(url: str, store: Any, file: Path, wanted: _Object) -> None:
     try:
         store.get_file(wanted.path, str(arriving))
     except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        if says_full(error):
             raise
         raise _unreadable(url, error) from error
     except Exception as error:

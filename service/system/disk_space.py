@@ -13,10 +13,15 @@ EXIT_DISK_FULL = 74
 """Exit code: the disk was full, and so nothing else could be told."""
 
 
+def says_full(error: BaseException) -> bool:
+    """Whether an error says that the disk, or what its user may take of it, is full."""
+    return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
+
+
 def is_full(error: BaseException | None) -> bool:
     """Whether an error, or one that led to it, says that the disk is full."""
     while error is not None:
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+        if says_full(error):
             return True
         error = error.__cause__ or error.__context__
     return False
