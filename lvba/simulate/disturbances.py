@@ -91,6 +91,10 @@ class Disturbances:
     stamp_jitter: float = _disturbance("standard deviation of the image stamps", "s", 0.002, 0.01, 0.1)
     gap: float = _disturbance("the LiDAR records nothing for this long in the middle", "s", 0.5, 1.5, 20.0)
     jumps: float = _disturbance("the rough poses jump this often by 1 m and 2 degrees", "", 1, 3, 20)
+    rough_drift: float = _disturbance(
+        "root mean square error of the rough poses, which grows smoothly; 6 degrees more for each meter",
+        "m", 0.3, 1.0, 10.0,
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         for name, about in ABOUT.items():

@@ -1,6 +1,6 @@
 """Rough poses as an odometry leaves them, of a chosen size."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -58,6 +58,14 @@ def difficulty(name: str) -> Difficulty:
         time_offset_s=offset,
         scale=s,
     )
+
+
+_DRIFT_DEG_PER_M = 6.0
+
+
+def drifting(level: Difficulty, size_m: float) -> Difficulty:
+    """The same with scans that are off by size_m, m, and by as many degrees as that means."""
+    return replace(level, scan_m=size_m, scan_deg=_DRIFT_DEG_PER_M * size_m) if size_m else level
 
 
 class Drift:

@@ -85,7 +85,8 @@ def build(
     at_stamp = motion.poses(image_times) @ body_from_camera
     drift = drifts.Drift(duration, rng)
     true_scans = world_from_scene @ scene_from_body
-    rough_scans, scale = drifts.rough_scans(true_scans, scan_times, drift, level, rng)
+    scan_level = drifts.drifting(level, disturb.rough_drift)
+    rough_scans, scale = drifts.rough_scans(true_scans, scan_times, drift, scan_level, rng)
     error = drifts.camera_error(geometry.inverse(scene_from_camera) @ at_stamp, level, rng)
     carriers = world_from_scene @ motion.poses(image_times) @ geometry.exp(drift.at(image_times, scale))
     rough_body_from_camera = body_from_camera @ geometry.exp(error.extrinsic)

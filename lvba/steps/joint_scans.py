@@ -17,9 +17,10 @@ from lvba.dataset import Dataset
 from lvba.lidar import bundle_adjustment as lidar_ba
 from lvba.lidar.bundle_adjustment import LidarConfig, LidarResult, Round
 from lvba.lidar.plane import PlanePoints, Planes
-from lvba.loop_closure import registration, submap
+from lvba.loop_closure import registration, rough_poses, submap
 from lvba.loop_closure.candidates import Candidate
 from lvba.loop_closure.registration import Loop
+from lvba.loop_closure.rough_poses import RoughError
 from lvba.loop_closure.submap import Submap
 from lvba.progress import Progress, silent
 from lvba.steps.lidar import solve_lidar
@@ -32,6 +33,7 @@ class PartScans:
 
     poses: with scan numbers of the whole; covariances of the odometry where it could not be solved
     variance_factor, iterations, history, converged, warnings: as in `LidarResult`
+    rough_error: as in `LidarStage`, with scan numbers of the whole
     """
 
     poses: PartPoses
@@ -41,6 +43,7 @@ class PartScans:
     converged: bool
     warnings: tuple[str, ...]
     problem: str = ""
+    rough_error: RoughError | None = None
 
 
 def solve_part(
@@ -71,6 +74,7 @@ def solve_part(
         history=result.history,
         converged=result.converged,
         warnings=result.warnings,
+        rough_error=lidar.rough_error and lidar.rough_error.numbered(part.scan_numbers),
     )
 
 
@@ -125,7 +129,10 @@ def merge_parts(
     poses = merged.world_from_scan
     if not align:
         poses = _side_by_side(cores, parts, dataset.scans.world_from_sensor)
-    state = lidar_joint.begin(dataset.scans.world_from_sensor, poses, survey.lidar)
+    # an odometry that surfaces contradict says nothing beside them
+    wrong = any(part.rough_error is not None for part in parts)
+    odometry = merged.world_from_scan if wrong else dataset.scans.world_from_sensor
+    state = lidar_joint.begin(odometry, poses, survey.lidar)
     if all(part.problem for part in parts):
         state = replace(state, converged_stage=len(survey.stages))
     return MergedStage(merged, state)
@@ -275,7 +282,9 @@ def finish_scans(
         odometry_dependence=np.zeros(0),
         warnings=_warnings(state, parts, converged, uncertainty.directions.count),
     )
-    return JointScans(LidarStage(result), merged.merged, state.history)
+    errors = [part.rough_error for part in parts if part.rough_error is not None]
+    stage = LidarStage(result, rough_error=rough_poses.of_all(errors))
+    return JointScans(stage, merged.merged, state.history)
 
 
 def _no_planes() -> Planes:

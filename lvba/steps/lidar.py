@@ -13,6 +13,7 @@ from lvba.errors import DegenerateProblemError
 from lvba.io import dataset as recordings
 from lvba.lidar import bundle_adjustment as lidar_ba
 from lvba.lidar.bundle_adjustment import LidarConfig
+from lvba.loop_closure import rough_poses
 from lvba.products.cloud import Cloud, assemble
 from lvba.progress import Progress, silent
 from lvba.steps.outcomes import LidarStage
@@ -32,23 +33,31 @@ def solve_lidar(
     """
     if not enabled:
         return LidarStage(None, "LiDAR bundle adjustment is switched off (refine_scans)")
+    scans, sensor = ScanReader(points).load(part.scan_numbers), dataset.sensor_position_scan
+    surfels = rough_poses.surfels_of(scans, sensor)
+    rough, begin = dataset.scans.world_from_sensor, None
+    if len(rough_poses.contradicted(surfels, rough)):
+        begin = rough_poses.start(
+            scans, surfels, rough, sensor_position=sensor, config=config, progress=progress
+        )
     try:
         result = lidar_ba.refine(
-            ScanReader(points).load(part.scan_numbers),
-            dataset.scans.world_from_sensor,
-            sensor_position=dataset.sensor_position_scan,
+            scans,
+            rough if begin is None else begin.world_from_scan,
+            sensor_position=sensor,
             config=config,
             progress=progress,
         )
     except DegenerateProblemError as error:
         return LidarStage(None, str(error))
-    return LidarStage(result)
+    if begin is None:
+        return LidarStage(result)
+    return LidarStage(result, rough_error=begin.judged(surfels, result.world_from_scan))
 
 
 def carry_cameras(dataset: Dataset, world_from_scan: Poses) -> np.ndarray:
     """Rough camera poses moved along with the scans, (I, 4, 4). Source: Li et al., eq. (1)."""
-    moved = trajectory.interpolate_corrections(dataset.scans, world_from_scan, dataset.images.times)
-    return geometry.orthonormalize(moved @ dataset.images.world_from_sensor)
+    return geometry.orthonormalize(trajectory.carry(dataset.scans, world_from_scan, dataset.images))
 
 
 def cloud_of(

@@ -8,6 +8,7 @@ from lvba.camera import Camera
 from lvba.lidar.bundle_adjustment import LidarResult
 from lvba.lidar.covariance import Covariance
 from lvba.lidar.plane import PlanePoints, Planes
+from lvba.loop_closure.rough_poses import RoughError
 from lvba.products.map_quality import EntropyBlocks
 from lvba.steps.acceptance import Verdict
 from lvba.steps.pose_fusion import Fused
@@ -19,10 +20,14 @@ from lvba.visual.vignetting import NONE, Vignetting
 
 @dataclass(frozen=True)
 class LidarStage:
-    """What the LiDAR stage found; nothing where it could not be solved."""
+    """What the LiDAR stage found; nothing where it could not be solved.
+
+    rough_error: of rough poses that were too far off to start from; None: they were not
+    """
 
     result: LidarResult | None
     problem: str = ""
+    rough_error: RoughError | None = None
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from lvba import geometry
 from lvba.dataset import Dataset
 from lvba.io.reference import Reference
 from lvba.lidar.scan_motion import MotionLeft
+from lvba.loop_closure.rough_poses import RoughError
 from lvba.products.evaluate import Scores
 from lvba.products.map_file import PointMap
 from lvba.steps import (
@@ -65,14 +66,14 @@ def collect(
     noise = lidar.result.history[-1].sigma if lidar.result is not None and lidar.result.history else None
     facts["expected_error"] = expected_error.collect(expected, pieces, noise)
     facts["planes"] = plane_thickness.facts(planes)
-    facts["odometry"] = of_odometry(dataset, accepted)
+    facts["odometry"] = of_odometry(dataset, accepted, lidar.rough_error)
     if merge is not None:
         facts["merge"] = merge
     return verdict_data.add(plain(facts))
 
 
-def of_odometry(dataset: Dataset, accepted: Accepted) -> dict[str, Any]:
-    """Where the rough scan poses jump, and whether the result still does there."""
+def of_odometry(dataset: Dataset, accepted: Accepted, error: RoughError | None = None) -> dict[str, Any]:
+    """Where the rough scan poses jump, and whether the result still does there. error: where they were too far off"""
     rough = trajectory_jumps.find(dataset.scans)
     left = trajectory_jumps.find(Trajectory(dataset.scans.times, accepted.world_from_scan))
     return {
@@ -80,6 +81,7 @@ def of_odometry(dataset: Dataset, accepted: Accepted) -> dict[str, Any]:
         "jumps_m": rough.meters,
         "jumps_deg": rough.degrees,
         "jump_left": bool(np.isin(rough.after, left.after).any()),
+        "too_far_off": error,
     }
 
 

@@ -60,6 +60,9 @@ class Figures:
     vague_scans, vague_cameras: frames expected to be off by VAGUE times the median and more, or by nobody knows what
     moved_m: how far a scan moved at most in the last round that did not settle; scan_p95_m: what 95 % of the scans are
         expected to be off by less
+    registered: whether rough poses were so far off that scans were registered to each other first; rough_m, rough_deg: by
+        how much from scan to scan; open_steps, left_steps: motions between scans that this left open, and that are wrong
+        in the result
     jumps: frames after which the rough poses jump; jump_m, jump_deg: by at most; jump_left: whether one is still there
     extrinsic_sigmas: by how many standard deviations the extrinsic found differs from the calibrated one
     ssim: of images predicted from the map, before and after, where the loss is beyond chance
@@ -82,6 +85,11 @@ class Figures:
     moved_m: float | None = None
     scan_p95_m: float | None = None
     cameras_settled: bool = True
+    registered: bool = False
+    rough_m: float = 0.0
+    rough_deg: float = 0.0
+    open_steps: int = 0
+    left_steps: int = 0
     jumps: int = 0
     jump_m: float = 0.0
     jump_deg: float = 0.0
@@ -99,23 +107,26 @@ class Reason:
     """Why a result is not simply good, and what to do about it.
 
     level: what it makes of the result at best; more: whether errors are likely larger than the covariances promise
+    unknown: whether the covariances say nothing about the errors
     """
 
     text: str
     mend: str
     level: Level = "check"
     more: bool = False
+    unknown: bool = False
 
 
 @dataclass(frozen=True)
 class Verdict:
     """level: good, check (use it, but look at the reasons first) or bad (do not rely on it)
-    at_least: whether the expected errors are lower bounds only
+    at_least: whether the expected errors are lower bounds only; unknown: whether they say nothing
     """
 
     level: Level
     reasons: tuple[Reason, ...]
     at_least: bool
+    unknown: bool = False
 
 
 def judge(figures: Figures) -> Verdict:
@@ -124,7 +135,8 @@ def judge(figures: Figures) -> Verdict:
     reasons.sort(key=lambda reason: (reason.level != "bad", not reason.more))
     order: tuple[Level, ...] = ("good", "check", "bad")
     level: Level = max((reason.level for reason in reasons), key=order.index, default="good")
-    return Verdict(level, tuple(reasons), any(reason.more for reason in reasons))
+    more, unknown = any(reason.more for reason in reasons), any(reason.unknown for reason in reasons)
+    return Verdict(level, tuple(reasons), more, unknown)
 
 
 def _rejected(figures: Figures) -> Iterator[Reason]:
@@ -164,6 +176,34 @@ def _alarms(figures: Figures) -> Iterator[Reason]:
         if value is not None and value > limit:
             words = text.format(value=value, limit=limit)
             yield Reason(f"{words}: errors are likely larger than the expected ones.", mend, more=True)
+
+
+def _registered(figures: Figures) -> Iterator[Reason]:
+    """Rough poses that no bundle adjustment could start from."""
+    if not figures.registered or figures.scan_poses.accepted is False:
+        return
+    if figures.left_steps:
+        yield Reason(
+            f"{figures.left_steps} motions from scan to scan contradict what both scans see: the result is wrong there.",
+            "Run the odometry again, or cut the recording there.",
+            "bad",
+            more=True,
+            unknown=True,
+        )
+    if figures.open_steps:
+        yield Reason(
+            f"Where the rough poses are wrong, surfaces leave {figures.open_steps} motions from scan to scan open.",
+            "Look at the map on both sides; cut the recording there if surfaces are double.",
+            "bad",
+            more=True,
+            unknown=True,
+        )
+    yield Reason(
+        "The rough poses were too far off to start from (typically "
+        f"{lengths.text(figures.rough_m)} and {figures.rough_deg:.1f} degrees from scan to scan, or jumps): scans were "
+        "registered to each other first.",
+        "Look at the map for double surfaces; mend the odometry if you can.",
+    )
 
 
 def _odometry(figures: Figures) -> Iterator[Reason]:
@@ -296,6 +336,7 @@ _RULES: tuple[Callable[[Figures], Iterator[Reason]], ...] = (
     _rejected,
     _truth,
     _alarms,
+    _registered,
     _odometry,
     _frames,
     _settled,

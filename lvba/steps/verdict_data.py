@@ -51,6 +51,7 @@ def figures(facts: Facts) -> Figures:
     """What the verdict is made from; parts that the facts lack count as nothing to complain of."""
     dataset, lidar, visual = (facts.get(name) or {} for name in ("dataset", "lidar", "visual"))
     fusion, odometry = facts.get("fusion") or {}, facts.get("odometry") or {}
+    far = odometry.get("too_far_off") or {}
     expected, planes = facts.get("expected_error") or {}, facts.get("planes") or {}
     last = (visual.get("levels") or [{}])[-1]
     history = lidar.get("history") or [{}]
@@ -79,6 +80,11 @@ def figures(facts: Facts) -> Figures:
         moved_m=history[-1].get("moved") if used and lidar.get("converged") is False else None,
         scan_p95_m=(expected.get("scans") or {}).get("position_p95_m"),
         cameras_settled=last.get("converged") is not False,
+        registered=bool(far),
+        rough_m=far.get("step_m") or 0.0,
+        rough_deg=far.get("step_deg") or 0.0,
+        open_steps=len(far.get("open_after") or []),
+        left_steps=len(far.get("left_after") or []),
         jumps=len(odometry.get("jumps_after") or []),
         jump_m=max(odometry.get("jumps_m") or [0.0]),
         jump_deg=max(odometry.get("jumps_deg") or [0.0]),
@@ -166,7 +172,9 @@ def summary(judged: Verdict, expected: Facts, truth: Sequence[Truth] = ()) -> st
         for key, name in (("map", "map"), ("scans", "scan poses"), ("cameras", "camera poses"))
         if (part := expected.get(key))
     ]
-    if amounts:
+    if judged.unknown:
+        sentence = "How large the errors are is not known"
+    elif amounts:
         size = "at least" if judged.at_least else "about"
         sentence = f"Expect errors of {size} {_listed(amounts)}, {_FRAME}"
     else:

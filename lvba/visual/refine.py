@@ -271,8 +271,7 @@ def scene_of(given: Inputs, config: VisualConfig, variant: Variant = PRODUCT) ->
     prior = trajectory_prior.build(
         scans, given.refined_scans, given.images, given.camera_from_scan, config.prior, local_covariance
     )
-    carried = trajectory.interpolate_corrections(scans, given.refined_scans, times)
-    start = carried @ given.images.world_from_sensor[given.keyframes]
+    start = trajectory.carry(scans, given.refined_scans, given.images)[given.keyframes]
     sensors = (given.refined_scans @ np.append(given.sensor_position_scan, 1.0))[:, :3]
     return Scene(
         pyramid=given.pyramid,

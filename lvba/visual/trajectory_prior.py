@@ -143,7 +143,7 @@ def build(
     neighbors. Which of the two is better depends on the motion, so both count, each by its own sigma.
     """
     scan_from_camera = geometry.inverse(camera_from_scan)
-    carried = trajectory.interpolate_corrections(scans, refined, images.times) @ images.world_from_sensor
+    carried = trajectory.carry(scans, refined, images)
     count = len(images)
     scan_rotation, scan_position = _scan_sigmas(scans.times, scan_covariance, images.times)
     by_eq1 = Source(

@@ -46,6 +46,7 @@ CHANGES = {
     "stamp_jitter": {IMAGES, TRUTH},
     "gap": {SCANS, POSES, TRUTH},
     "jumps": {POSES},
+    "rough_drift": {POSES},
 }
 """What of a recording each disturbance changes."""
 

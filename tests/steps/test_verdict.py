@@ -47,6 +47,10 @@ KEPT = (Truth("scans", "m", 0.001, 0.07, 0.0009), Truth("cameras", "degrees", 0.
         ({"cameras_settled": False}, "check", False),
         ({"jumps": 1, "jump_m": 0.3}, "check", False),
         ({"jumps": 1, "jump_m": 1.0, "jump_left": True}, "check", True),
+        ({"registered": True, "rough_m": 0.3}, "check", False),
+        ({"registered": True, "open_steps": 1}, "bad", True),
+        ({"registered": True, "left_steps": 1}, "bad", True),
+        ({"registered": True, "left_steps": 1, "scan_poses": NOT_USED}, "check", False),
         ({"extrinsic_sigmas": 3.1}, "check", False),
         ({"ssim": (0.47, 0.35)}, "check", False),
         ({"thickness": (0.012, 0.013)}, "check", False),
@@ -165,6 +169,23 @@ def test_what_a_report_tells_reaches_the_verdict(spoil, words):
     found = verdict_data.add(given)["verdict"]
     assert found["level"] == "check"
     assert words in found["reasons"][0]["text"].replace("Not used", "not used")
+
+
+def test_where_motions_between_scans_stay_wrong_no_millimeters_are_promised():
+    given = facts()
+    error = {"step_m": 0.3, "step_deg": 2.0, "wrong_after": [4, 9], "open_after": [], "left_after": [9]}
+    given["odometry"] |= {"too_far_off": error}
+    verdict = verdict_data.add(given)["verdict"]
+    assert verdict["level"] == "bad"
+    assert verdict["summary"] == "Do not rely on this result. How large the errors are is not known."
+    assert "1 motions from scan to scan contradict" in verdict["reasons"][0]["text"]
+    given["odometry"]["too_far_off"]["left_after"] = []
+    verdict = verdict_data.add(given)["verdict"]
+    assert verdict["level"] == "check"
+    assert (
+        "0.30 m and 2.0 degrees" in verdict["reasons"][0]["text"] or "30 cm" in verdict["reasons"][0]["text"]
+    )
+    assert "Expect errors of about" in verdict["summary"]
 
 
 def test_an_alarm_makes_the_expected_errors_lower_bounds():

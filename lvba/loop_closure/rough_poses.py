@@ -1,0 +1,336 @@
+"""Rough poses that are off by more than a bundle adjustment can start from: noticed, and replaced by what surfaces say.
+
+Jumps of a meter, or an odometry that is decimeters off from scan to scan, leave the LiDAR bundle adjustment in a wrong
+minimum. Where the scans contradict the odometry so far, each scan is registered to those before it, groups of successive
+scans are solved, registered to each other wherever they see the same place, and laid out by a pose graph.
+"""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from lvba import geometry
+from lvba.arrays import Poses, Vector
+from lvba.errors import DegenerateProblemError
+from lvba.lidar import bundle_adjustment
+from lvba.lidar.config import LidarConfig
+from lvba.loop_closure import candidates, registration, scan_steps, submap
+from lvba.loop_closure.candidates import CandidateConfig
+from lvba.loop_closure.scan_steps import Step
+from lvba.loop_closure.submap import Patch, Submap
+from lvba.loop_closure.surfel_icp import Target
+from lvba.optim import pose_graph
+from lvba.optim.pose_graph import Edges
+from lvba.progress import Progress, silent
+from lvba.trajectory import JUMP_DEG, JUMP_M
+
+_log = logging.getLogger(__name__)
+
+_POINTS = 15_000
+"""Of a scan, to look at: surfaces do not need more."""
+_TESTED = 6
+"""Steps that are tested, those by which surfaces agree least."""
+_PASSES = 2
+"""Where the odometry is decimeters off everywhere, what is open is laid out again beside the poses that came of it."""
+_GAIN = 0.1
+"""Part of a scan's surfels by which the agreement must grow: what overlaps little could be anything."""
+_BEFORE = 8
+"""Scans that another one is registered to."""
+_OUTLYING = 6.0
+_LEAST_SIGMA = np.repeat([np.radians(0.2), 0.02], 3)
+"""rad and m: surfaces do not tell better how good the odometry is."""
+_PRECISE = 2.0
+_MEDIAN_OF_NORM = 1.54
+"""Of a normal distribution in three dimensions, with unit variance along each."""
+_GROUP = 12
+"""Scans that are solved together: enough to see a place from all sides, too few to drift."""
+_CANDIDATES = CandidateConfig(drift=0.03, drift_deg=2.0, least_m=0.8, least_deg=2.0, pairs_per_part=6)
+"""Groups are registered where they may be off by more than an odometry would be: so is what is mended here."""
+
+
+@dataclass(frozen=True)
+class RoughError:
+    """How far rough poses are off that a bundle adjustment could not start from, and what is left of it.
+
+    step_m, step_deg: of the motion from a scan to the next, typically, along each axis
+    wrong_after: (J,) int64, scans after which it is off by far more
+    open_after: (K,) int64, of these, and of all where every motion is off by decimeters, where surfaces do not determine
+        it in every direction
+    left_after: (L,) int64, scans after which the result contradicts what both scans see
+    """
+
+    step_m: float
+    step_deg: float
+    wrong_after: np.ndarray
+    open_after: np.ndarray
+    left_after: np.ndarray
+
+    def numbered(self, scans: np.ndarray) -> "RoughError":
+        """The same with numbers (n,) int64 of the scans in the whole."""
+        after = {name: scans[getattr(self, name)] for name in ("wrong_after", "open_after", "left_after")}
+        return replace(self, **after)
+
+
+def of_all(errors: Sequence[RoughError]) -> RoughError | None:
+    """Of a recording whose parts have these; None: they have none."""
+    if not errors:
+        return None
+    together = {
+        name: np.unique(np.concatenate([getattr(each, name) for each in errors]))
+        for name in ("wrong_after", "open_after", "left_after")
+    }
+    return RoughError(
+        step_m=max(each.step_m for each in errors), step_deg=max(each.step_deg for each in errors), **together
+    )
+
+
+@dataclass(frozen=True)
+class StartPoses:
+    """Where the bundle adjustment begins instead of at the rough poses: (S, 4, 4) float64, the first unchanged.
+
+    error: of the rough poses
+    """
+
+    world_from_scan: np.ndarray
+    error: RoughError
+
+    def judged(self, patches: Sequence[Patch | None], world_from_scan: Poses) -> RoughError:
+        """The error, with what is left of it in refined poses (S, 4, 4). patches: of `surfels_of`"""
+        return replace(self.error, left_after=contradicted(patches, world_from_scan))
+
+
+def thinned(points: np.ndarray, number: int) -> np.ndarray:
+    """At most so many points of scan `number` as are looked at, (M, 3) float32 of (N, 3)."""
+    if len(points) <= _POINTS:
+        return points
+    return points[np.sort(np.random.default_rng(number).permutation(len(points))[:_POINTS])]
+
+
+def surfels_of(scans: Sequence[np.ndarray], sensor_position: Vector | None = None) -> list[Patch | None]:
+    """Surfels of each scan for `contradicted` and `start`; None of those that see too little.
+
+    scans: S arrays (N, 3) float32, m, scan frame; sensor_position: (3,), m, scan frame
+    """
+    sensor = np.zeros(3) if sensor_position is None else np.asarray(sensor_position, float)
+    return [scan_steps.surfels(thinned(points, number), sensor) for number, points in enumerate(scans)]
+
+
+def contradicted(patches: Sequence[Patch | None], world_from_scan: Poses) -> np.ndarray:
+    """(K,) int64, ascending: scans after which the step of poses (S, 4, 4) is decimeters off, of those that were tested.
+
+    Tested are the steps by which surfaces agree least.
+    """
+    steps = geometry.inverse(world_from_scan[:-1]) @ world_from_scan[1:]
+    agree = np.full(len(steps), np.inf)
+    for k, (first, second) in enumerate(pairwise(patches)):
+        if first is not None and second is not None:
+            agree[k] = scan_steps.overlap(Target.of(first), second, steps[k])
+    wrong = []
+    for k in np.argsort(agree, kind="stable")[:_TESTED]:
+        first, second = patches[k], patches[k + 1]
+        if first is None or second is None:
+            continue
+        step = scan_steps.register(Target.of(first), second, steps[k])
+        off = step.correction(steps[k])
+        far = np.linalg.norm(off[3:]) > JUMP_M or np.linalg.norm(off[:3]) > np.radians(JUMP_DEG)
+        if far and step.overlap > agree[k] + _GAIN:
+            wrong.append(int(k))
+    return np.array(sorted(wrong), np.int64)
+
+
+def start(
+    scans: Sequence[np.ndarray],
+    patches: Sequence[Patch | None],
+    world_from_scan: Poses,
+    *,
+    sensor_position: Vector | None = None,
+    config: LidarConfig | None = None,
+    progress: Progress = silent,
+) -> StartPoses:
+    """Poses that surfaces agree with, from rough ones (S, 4, 4) that they contradict.
+
+    scans: S arrays (N, 3) float32, m, scan frame; patches: of `surfels_of`
+    """
+    config, poses = config or LidarConfig(), world_from_scan
+    error: RoughError | None = None
+    for _ in range(_PASSES):
+        odometry = _Odometry.of(patches, poses, progress)
+        chain = odometry.chained(patches, progress)
+        groups = _Groups.solved(scans, chain, sensor_position, config, progress)
+        steps = groups.steps(chain)
+        begin = pose_graph.propagate(len(poses), steps, 0, world_from_scan[0])
+        graph = pose_graph.solve(begin, pose_graph.concatenate([steps, groups.loops(begin, progress)]))
+        poses, error = graph.world_from_node, error or odometry.error(chain)
+        _log.info("rough poses are off by %.3f m and %.2f degrees a step", error.step_m, error.step_deg)
+        if odometry.precise:
+            break
+    assert error is not None
+    return StartPoses(poses, error)
+
+
+@dataclass(frozen=True)
+class _Chain:
+    """Poses (S, 4, 4), each step as surfaces have it, and the information of all steps (S - 1, 6, 6)."""
+
+    world_from_scan: np.ndarray
+    steps: list[Step | None]
+    information: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Odometry:
+    """Rough steps (S - 1, 4, 4), what surfaces of the two scans say, sigma (6,), and which are wrong (S - 1,) bool."""
+
+    rough: np.ndarray
+    first: np.ndarray
+    steps: list[Step | None]
+    sigma: np.ndarray
+    wrong: np.ndarray
+
+    @staticmethod
+    def of(patches: Sequence[Patch | None], world_from_scan: np.ndarray, progress: Progress) -> "_Odometry":
+        rough = geometry.inverse(world_from_scan[:-1]) @ world_from_scan[1:]
+        steps: list[Step | None] = []
+        for k, (first, second) in enumerate(pairwise(patches)):
+            progress("registering scans", k, 2 * len(rough))
+            known = first is not None and second is not None
+            steps.append(scan_steps.register(Target.of(first), second, rough[k]) if known else None)
+        off = np.array(
+            [
+                each.correction(motion) if each is not None else np.zeros(6)
+                for each, motion in zip(steps, rough, strict=True)
+            ]
+        )
+        size = np.linalg.norm(off.reshape(-1, 2, 3), axis=2)
+        told = np.array([each is not None and each.aligned for each in steps])
+        typical = np.median(size[told], axis=0) / _MEDIAN_OF_NORM if told.any() else np.zeros(2)
+        sigma = np.maximum(np.repeat(typical, 3), _LEAST_SIGMA)
+        wrong = (size > _OUTLYING * sigma[[0, 3]]).any(axis=1)
+        return _Odometry(rough, world_from_scan[0], steps, sigma, wrong)
+
+    @property
+    def precise(self) -> bool:
+        """Whether most steps are as good as an odometry's: what is open is well where it has it."""
+        return bool((self.sigma <= _PRECISE * _LEAST_SIGMA).all())
+
+    def error(self, chain: _Chain) -> RoughError:
+        """Of the rough poses. chain: as surfaces have them"""
+        wrong = np.flatnonzero(self.wrong)
+        # where every step is decimeters off, none can do without surfaces
+        doubted = wrong if self.precise else np.arange(len(self.rough))
+        unknown = [k for k in doubted if (step := chain.steps[k]) is None or step.open]
+        return RoughError(
+            step_m=float(self.sigma[3]),
+            step_deg=float(np.degrees(self.sigma[0])),
+            wrong_after=wrong,
+            open_after=np.array(unknown, np.int64),
+            left_after=np.zeros(0, np.int64),
+        )
+
+    def prior(self, step: int) -> np.ndarray:
+        """(6, 6), information of a rough step."""
+        return scan_steps.WIDE if self.wrong[step] else np.diag(self.sigma**-2.0)
+
+    def chained(self, patches: Sequence[Patch | None], progress: Progress) -> _Chain:
+        """Each scan registered to those before it, one after another."""
+        poses, steps, information = [self.first], [], []
+        for k, motion in enumerate(self.rough):
+            progress("registering scans", len(self.rough) + k, 2 * len(self.rough))
+            prior, own = self.prior(k), self.steps[k]
+            begin = motion if own is None else own.beside(motion, prior)
+            near = slice(max(0, k + 1 - _BEFORE), k + 1)
+            world = np.array(poses[near])
+            around, second = scan_steps.together(patches[near], world, -1), patches[k + 1]
+            step = None
+            if around is not None and second is not None:
+                step = scan_steps.refined(Target.of(around), second, begin, motion, prior)
+            if step is not None and step.aligned:
+                begin = step.beside(motion, prior)
+            poses.append(poses[-1] @ begin)
+            steps.append(step)
+            information.append(prior + (step.information if step is not None else 0.0))
+        return _Chain(np.array(poses), steps, np.array(information).reshape(-1, 6, 6))
+
+
+@dataclass(frozen=True)
+class _Groups:
+    """Successive scans that were solved together. members: numbers (n,) of each; poses: (n, 4, 4), of each a frame of
+    its own; covariances: (n - 1, 6, 6) of their steps; maps: None where planes do not tie the scans"""
+
+    members: list[np.ndarray]
+    poses: list[np.ndarray]
+    covariances: list[np.ndarray]
+    maps: list[Submap | None]
+
+    @staticmethod
+    def solved(
+        scans: Sequence[np.ndarray],
+        chain: _Chain,
+        sensor_position: Vector | None,
+        config: LidarConfig,
+        progress: Progress,
+    ) -> "_Groups":
+        count = len(chain.world_from_scan)
+        pieces = max(1, round(count / _GROUP))
+        groups = _Groups(np.array_split(np.arange(count), pieces), [], [], [])
+        for number, members in enumerate(groups.members):
+            progress("solving groups of scans", number, pieces)
+            try:
+                result = bundle_adjustment.refine(
+                    [scans[k] for k in members],
+                    chain.world_from_scan[members],
+                    sensor_position=sensor_position,
+                    config=config,
+                )
+            except DegenerateProblemError:
+                groups._add(
+                    chain.world_from_scan[members], np.linalg.inv(chain.information[members[:-1]]), None
+                )
+                continue
+            surfaces = submap.build(
+                result.planes,
+                result.plane_points,
+                result.world_from_scan,
+                members,
+                covariance=result.conditional_covariance,
+                sensor_position=sensor_position,
+            )
+            groups._add(result.world_from_scan, result.step_covariance, surfaces)
+        return groups
+
+    def _add(self, poses: np.ndarray, covariances: np.ndarray, surfaces: Submap | None) -> None:
+        self.poses.append(poses)
+        self.covariances.append(covariances)
+        self.maps.append(surfaces)
+
+    def steps(self, chain: _Chain) -> Edges:
+        """From each scan to the next: inside a group as it has them, from group to group as the chain has them."""
+        measured = geometry.inverse(chain.world_from_scan[:-1]) @ chain.world_from_scan[1:]
+        information = chain.information.copy()
+        for members, poses, covariances in zip(self.members, self.poses, self.covariances, strict=True):
+            measured[members[:-1]] = geometry.inverse(poses[:-1]) @ poses[1:]
+            inverse = np.linalg.inv(covariances)
+            information[members[:-1]] = 0.5 * (inverse + np.swapaxes(inverse, -1, -2))
+        first = np.arange(len(measured))
+        return Edges(first, first + 1, measured, information, np.zeros(len(first), bool))
+
+    def loops(self, world_from_scan: np.ndarray, progress: Progress) -> Edges:
+        """Groups that see the same place, looked for by poses (S, 4, 4)."""
+        pairs = candidates.candidates(world_from_scan, tuple(self.members), _CANDIDATES)
+        closed = []
+        for number, pair in enumerate(pairs):
+            progress("registering groups of scans", number, len(pairs))
+            first, second = self.maps[pair.first], self.maps[pair.second]
+            if first is not None and second is not None:
+                loop = registration.register(first, second, pair)
+                closed += [loop] if loop.accepted else []
+        return Edges(
+            np.array([loop.first_scan for loop in closed], np.int64),
+            np.array([loop.second_scan for loop in closed], np.int64),
+            np.array([loop.first_from_second for loop in closed]).reshape(-1, 4, 4),
+            np.array([loop.information for loop in closed]).reshape(-1, 6, 6),
+            np.ones(len(closed), bool),
+        )

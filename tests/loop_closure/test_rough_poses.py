@@ -1,0 +1,146 @@
+"""Rough poses that are too far off to start from: noticed where they are, not where they are not, and replaced."""
+
+import numpy as np
+import plane_world
+import pytest
+
+from lvba import geometry
+from lvba.lidar import bundle_adjustment
+from lvba.loop_closure import rough_poses, scan_steps
+from lvba.loop_closure.rough_poses import RoughError
+from lvba.loop_closure.surfel_icp import Target
+from lvba.trajectory import pose_error
+
+SCANS = 26
+
+
+@pytest.fixture(scope="module")
+def courtyard():
+    """Scans, true poses, rough poses as an odometry leaves them, and the surfels of each scan."""
+    scans, truth, rough = plane_world.recording("courtyard", scans=SCANS, points=12000)
+    return scans, truth, rough, rough_poses.surfels_of(scans)
+
+
+def jumped(poses, after, tangent):
+    """The poses, all of them after `after` moved by a tangent about the first of these."""
+    moved = poses.copy()
+    pivot = poses[after + 1]
+    motion = pivot @ geometry.exp(np.array(tangent)) @ geometry.inverse(pivot)
+    moved[after + 1 :] = motion @ poses[after + 1 :]
+    return moved
+
+
+JUMPS = ((8, [0.0, 0.0, 0.035, 0.9, -0.4, 0.1]), (17, [0.0, 0.02, -0.03, -0.6, 0.8, 0.0]))
+
+
+def with_jumps(poses):
+    for after, tangent in JUMPS:
+        poses = jumped(poses, after, tangent)
+    return poses
+
+
+def test_an_odometry_as_they_are_is_not_contradicted(courtyard):
+    _, truth, rough, surfels = courtyard
+    for poses in (truth, rough, plane_world.drift(truth, 5, 0.25, 0.6)):
+        assert len(rough_poses.contradicted(surfels, poses)) == 0
+
+
+def test_jumps_are_noticed_where_they_are(courtyard):
+    _, _, rough, surfels = courtyard
+    assert rough_poses.contradicted(surfels, with_jumps(rough)).tolist() == [after for after, _ in JUMPS]
+
+
+def test_jumps_are_taken_out_and_the_bundle_adjustment_ends_where_it_does_without(courtyard):
+    scans, truth, rough, surfels = courtyard
+    wrong = with_jumps(rough)
+    start = rough_poses.start(scans, surfels, wrong)
+    assert np.array_equal(start.world_from_scan[0], wrong[0])
+    assert start.error.wrong_after.tolist() == [after for after, _ in JUMPS]
+    assert pose_error(start.world_from_scan, truth).ate_m < 0.05 < pose_error(wrong, truth).ate_m
+    without = pose_error(bundle_adjustment.refine(scans, rough).world_from_scan, truth)
+    refined = bundle_adjustment.refine(scans, start.world_from_scan).world_from_scan
+    assert pose_error(refined, truth).ate_m < 1.5 * without.ate_m
+    assert len(start.judged(surfels, refined).left_after) == 0
+
+
+def test_an_odometry_that_is_decimeters_off_at_every_step_is_replaced(courtyard):
+    scans, truth, _, surfels = courtyard
+    rng = np.random.default_rng(3)
+    steps = geometry.inverse(truth[:-1]) @ truth[1:]
+    steps = steps @ geometry.exp(rng.normal(size=(len(steps), 6)) * ([0.03] * 3 + [0.3] * 3))
+    wrong = [truth[0]]
+    for step in steps:
+        wrong.append(wrong[-1] @ step)
+    wrong = np.array(wrong)
+    assert len(rough_poses.contradicted(surfels, wrong))
+    start = rough_poses.start(scans, surfels, wrong)
+    assert 0.15 < start.error.step_m < 0.6
+    refined = bundle_adjustment.refine(scans, start.world_from_scan).world_from_scan
+    without = bundle_adjustment.refine(scans, plane_world.drift(truth, 0)).world_from_scan
+    assert pose_error(refined, truth).ate_m < 1.5 * pose_error(without, truth).ate_m
+
+
+def test_what_few_points_leave_open_at_a_jump_is_named(courtyard):
+    """With 6,000 points a scan, surfaces do not say how far the second jump goes."""
+    _, truth, rough, _ = courtyard
+    scans, _, _ = plane_world.recording("courtyard", scans=SCANS, points=6000)
+    error = rough_poses.start(scans, rough_poses.surfels_of(scans), with_jumps(rough)).error
+    assert error.wrong_after.tolist() == [8, 17]
+    assert error.open_after.tolist() == [17]
+
+
+def test_a_step_left_wrong_is_named(courtyard):
+    _, truth, _, surfels = courtyard
+    nothing = np.zeros(0, np.int64)
+    start = rough_poses.StartPoses(truth, RoughError(0.02, 0.2, nothing, nothing, nothing))
+    judged = start.judged(surfels, jumped(truth, 11, [0, 0, 0, 0.7, 0.5, 0]))
+    assert judged.left_after.tolist() == [11]
+
+
+def test_scans_that_see_nothing_follow_the_odometry(courtyard):
+    scans, truth, rough, _ = courtyard
+    scans = [np.zeros((0, 3), np.float32) if k in (0, 12, 25) else scan for k, scan in enumerate(scans)]
+    surfels = rough_poses.surfels_of(scans)
+    assert [k for k, each in enumerate(surfels) if each is None] == [0, 12, 25]
+    wrong = with_jumps(rough)
+    start = rough_poses.start(scans, surfels, wrong)
+    assert np.isfinite(start.world_from_scan).all()
+    assert pose_error(start.world_from_scan, truth).ate_m < 0.1
+
+
+def test_a_single_scan_is_not_contradicted(courtyard):
+    scans, truth, _, surfels = courtyard
+    assert len(rough_poses.contradicted(surfels[:1], truth[:1])) == 0
+
+
+def test_along_a_corridor_the_odometry_stays():
+    """Walls, floor and ceiling do not say how far a scan is along them."""
+    world = plane_world.World()
+    for center, second in (([0, -1, 1], [0, 0, 1.5]), ([0, 1, 1], [0, 0, 1.5]), ([0, 0, 0], [0, 1, 0])):
+        world.rectangle(center, [60.0, 0, 0], second)
+    poses = np.stack(
+        [plane_world.look([x, 0.1 * np.sin(3 * x), 1.0], 0.1 * np.sin(2 * x)) for x in (0.0, 0.5)]
+    )
+    first, second = rough_poses.surfels_of(plane_world.scan_all(world, poses, 6000, 0.01, "spinning", 0))
+    rough = geometry.inverse(poses[0]) @ poses[1] @ geometry.exp(np.array([0, 0, 0, 0.4, 0.3, 0.1]))
+    step = scan_steps.register(Target.of(first), second, rough)
+    assert step.open == 1
+    off = step.correction(rough)
+    along = geometry.inverse(rough)[:3, :3] @ [1.0, 0, 0]
+    assert abs(off[3:] @ along) < 0.1
+    assert np.linalg.norm(off[3:]) > 0.25
+    best = step.beside(rough, np.diag([1e4] * 3 + [1e2] * 3))
+    left = geometry.inverse(poses[0]) @ poses[1]
+    assert abs((best - rough)[0, 3]) < 0.1
+    assert np.abs((best - left)[1:3, 3]).max() < 0.03
+
+
+def test_errors_of_parts_add_up():
+    one = RoughError(0.1, 2.0, np.array([1, 3]), np.array([3]), np.zeros(0, np.int64))
+    two = RoughError(0.2, 1.0, np.array([0]), np.zeros(0, np.int64), np.array([0]))
+    whole = rough_poses.of_all([one.numbered(np.arange(10)), two.numbered(np.arange(8, 20))])
+    assert (whole.step_m, whole.step_deg) == (0.2, 2.0)
+    assert whole.wrong_after.tolist() == [1, 3, 8]
+    assert whole.open_after.tolist() == [3]
+    assert whole.left_after.tolist() == [8]
+    assert rough_poses.of_all([]) is None
