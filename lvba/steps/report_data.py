@@ -26,8 +26,9 @@ from lvba.steps.plane_thickness import PlaneChange
 from lvba.steps.uncertainty import Expected
 from lvba.trajectory import Trajectory
 from lvba.visual import self_calibration
+from lvba.visual.radiometry import Radiometry
+from lvba.visual.response import GREY_VALUES
 from lvba.visual.result import VisualResult
-from lvba.visual.vignetting import Vignetting
 
 
 def collect(
@@ -173,7 +174,7 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
     facts["iterations"] = len(facts["history"])
     facts["time_offset"] = {"seconds": result.time_offset, "sigma": float(result.extrinsic_sigma[6])}
     facts["calibration"] = _calibration(dataset, result, accepted)
-    facts["vignetting"] = _vignetting(result.vignetting, accepted)
+    facts |= _radiometry(result.radiometry, accepted)
     facts["extrinsic"] = {
         "scan_from_camera": result.scan_from_camera,
         "change_deg": float(np.degrees(np.linalg.norm(change[:3]))),
@@ -207,15 +208,23 @@ def _calibration(dataset: Dataset, result: VisualResult, accepted: Accepted) -> 
     }
 
 
-def _vignetting(vignette: Vignetting, accepted: Accepted) -> dict[str, Any]:
-    """How the light falls off in the images."""
-    return {
+def _radiometry(light: Radiometry, accepted: Accepted) -> dict[str, Any]:
+    """How the light falls off in the images, and the curve that it passes."""
+    vignette, curve = light.vignetting, light.response
+    falloff = {
         "used": bool(vignette) and accepted.exposures.accepted,
         "corner_loss": vignette.corner_loss,
         "sigma": vignette.loss_sigma,
         "coefficients": vignette.coefficients,
         "center": vignette.center,
     }
+    response = {
+        "used": bool(curve) and accepted.exposures.accepted,
+        "grey_values": GREY_VALUES,
+        "slopes": curve.slopes,
+        "sigma": curve.sigma,
+    }
+    return {"vignetting": falloff, "response": response}
 
 
 def of_fusion(fused: FusionStage, accepted: Accepted) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
-from lvba.visual.vignetting import NONE, FalloffSums, Vignetting
+from lvba.visual.radiometry import NONE, Radiometry, RadiometrySums
 
 BLOCKS = 8
 """Parts of the surface that the jackknife leaves out in turn."""
@@ -23,7 +23,7 @@ class Exposures:
     component: (I,) int32, connected component of the graph of compared images, by first image
     pairs: number of patch comparisons used
     spread: robust standard deviation of the log ratios of patches about the solution
-    vignetting: that the exposures suppose
+    radiometry: that the exposures suppose
     """
 
     log_exposure: np.ndarray
@@ -31,7 +31,7 @@ class Exposures:
     component: np.ndarray
     pairs: int
     spread: float
-    vignetting: Vignetting = NONE
+    radiometry: Radiometry = NONE
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ class Edges:
     first, second: (E,) int64, images; mean, sigma: (E,) of log(brightness in `second` / in `first`)
     changes: (E, BLOCKS) of the mean when one block of the surface is left out
     pairs: number of patch comparisons; spread: their robust standard deviation about the edges' means
-    vignetting: that the means suppose; by_vignetting: (E, 5), derivative of the light in a mean by its numbers
-    falloff: what the patches say of the vignetting; None: they were not asked
+    radiometry: that the means suppose; by_radiometry: (E, NUMBERS), derivative of a mean by its numbers
+    known: what the patches say of the radiometry; None: they were not asked
     """
 
     first: np.ndarray
@@ -52,14 +52,14 @@ class Edges:
     changes: np.ndarray
     pairs: int
     spread: float
-    vignetting: Vignetting
-    by_vignetting: np.ndarray
-    falloff: FalloffSums | None
+    radiometry: Radiometry
+    by_radiometry: np.ndarray
+    known: RadiometrySums | None
 
-    def supposing(self, vignetting: Vignetting) -> np.ndarray:
-        """(E,): the means as they are with another vignetting, the patches weighed as before."""
-        change = vignetting.numbers - self.vignetting.numbers
-        return np.asarray(self.mean - np.einsum("ek,k->e", self.by_vignetting, change))
+    def supposing(self, radiometry: Radiometry) -> np.ndarray:
+        """(E,): the means as they are with another radiometry, the patches weighed as before."""
+        change = radiometry.numbers - self.radiometry.numbers
+        return np.asarray(self.mean - np.einsum("ek,k->e", self.by_radiometry, change))
 
 
 def solve_edges(edges: Edges, images: int) -> Exposures:
@@ -74,7 +74,7 @@ def solve_edges(edges: Edges, images: int) -> Exposures:
         component=component,
         pairs=edges.pairs,
         spread=edges.spread,
-        vignetting=edges.vignetting,
+        radiometry=edges.radiometry,
     )
 
 

@@ -39,7 +39,8 @@ def _graph(rng, images=12, per_edge=20, sigma=0.01, skip=()):
     first, second = np.repeat(first, per_edge), np.repeat(second, per_edge)
     value = truth[second] - truth[first] + sigma * rng.standard_normal(len(first))
     block = rng.integers(0, BLOCKS, len(first))
-    ratios = Ratios(first.astype(np.int32), second.astype(np.int32), value, np.full(len(first), sigma), block)
+    spread, level = np.full(len(first), sigma), np.full(len(first), np.log(100.0))
+    ratios = Ratios(first.astype(np.int32), second.astype(np.int32), value, spread, block, level)
     return truth, ratios
 
 
@@ -99,7 +100,7 @@ def test_two_components_and_a_lone_image():
     truth, ratios = _graph(rng, images=13, skip=(5, 6))
     across = (np.minimum(ratios.first, ratios.second) < 5) & (np.maximum(ratios.first, ratios.second) > 6)
     kept = Ratios(
-        *(getattr(ratios, name)[~across] for name in ("first", "second", "value", "sigma", "block"))
+        *(getattr(ratios, name)[~across] for name in ("first", "second", "value", "sigma", "block", "level"))
     )
     found = solve_ratios(kept, 13)
     assert found.component.tolist() == [0] * 5 + [1, 2] + [3] * 6
@@ -114,7 +115,7 @@ def test_two_components_and_a_lone_image():
 def test_nothing_to_compare():
     none = np.empty(0)
     found = solve_ratios(
-        Ratios(none.astype(np.int32), none.astype(np.int32), none, none, none.astype(int)), 3
+        Ratios(none.astype(np.int32), none.astype(np.int32), none, none, none.astype(int), none), 3
     )
     assert found.log_exposure.tolist() == [0, 0, 0]
     assert np.isinf(found.sigma).all()
