@@ -165,6 +165,7 @@ def _of_core(ratios: exposure.Ratios, core: np.ndarray) -> exposure.Ratios:
         value=ratios.value[mine],
         sigma=ratios.sigma[mine],
         block=ratios.block[mine],
+        stretch=ratios.stretch[mine],
         level=ratios.level[mine],
         places=places,
     )

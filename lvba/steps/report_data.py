@@ -57,7 +57,7 @@ def collect(
         "visual": of_visual(dataset, visual, accepted),
         "fusion": of_fusion(fused, accepted),
         "trajectory": of_trajectories(dataset, accepted),
-        "exposure": of_exposure(dataset, accepted, reference),
+        "exposure": of_exposure(dataset, accepted, visual, reference),
         "evaluation": of_evaluation(scans, scores, accepted.state),
     }
     if reference is not None:
@@ -262,8 +262,11 @@ def of_trajectories(dataset: Dataset, accepted: Accepted) -> dict[str, Any]:
     }
 
 
-def of_exposure(dataset: Dataset, accepted: Accepted, reference: Reference | None) -> dict[str, Any]:
-    """Relative exposures by image, and the reference's where it has one for the same time."""
+def of_exposure(
+    dataset: Dataset, accepted: Accepted, visual: VisualStage, reference: Reference | None
+) -> dict[str, Any]:
+    """Relative exposures by image, standard deviations of their logarithms about the mean, and the reference's where it
+    has one for the same time."""
     if not dataset.image_paths:
         return {}
     times = dataset.images.times
@@ -271,6 +274,8 @@ def of_exposure(dataset: Dataset, accepted: Accepted, reference: Reference | Non
         "times": times,
         "relative": np.exp(accepted.log_exposure - accepted.log_exposure[0]),
     }
+    if visual.result is not None and accepted.exposures.accepted:
+        facts["log_sigma"] = visual.result.log_exposure_sigma
     if reference is not None and reference.exposures is not None:
         pairs = uncertainty.matched(times, reference.exposures.times)
         known = np.full(len(times), np.nan)

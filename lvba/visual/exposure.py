@@ -62,6 +62,9 @@ MASK_REACH = 1
 """How near, px at the level compared: what blur carries from a clipped spot is in one view only."""
 MIN_USABLE = 0.3
 """Least part of a patch's weight that must be left."""
+STRETCH_M = 8.0
+"""Size of the larger pieces of surface that are left out in turn: a stretch of road, a wall. Shade and gloss make patches
+of one err alike, which pieces of a meter do not show: on a real street those promised a sixth of what stretches tell."""
 _RADIOMETRY_ROUNDS = 20
 """Most times that patches are weighed anew while vignetting and response are found."""
 _RADIOMETRY_SETTLED = 1e-4
@@ -74,6 +77,7 @@ class Ratios:
 
     first, second: (N,) int32, images; value, sigma: (N,) float64
     block: (N,) int64, 0 to BLOCKS - 1: which part of the surface the patch lies on
+    stretch: (N,) int64, the same in pieces of STRETCH_M
     level: (N,) float64, mean of the logs of both mean grey values
     places: of the patches in both images, where vignetting and response are asked for; None: they are not
     """
@@ -83,6 +87,7 @@ class Ratios:
     value: np.ndarray
     sigma: np.ndarray
     block: np.ndarray
+    stretch: np.ndarray
     level: np.ndarray
     places: PairPlaces | None = None
 
@@ -223,14 +228,14 @@ def measure(
     sigma = np.sqrt(SIGMA_FLOOR**2 + means[good, SPREAD] ** 2 / INDEPENDENT)
     value = np.log(means[good, TARGET_MEAN] / means[good, REFERENCE_MEAN])
     point, target = point[good].astype(np.int32), target[good].astype(np.int32)
-    block = surface_blocks(points.position_world)[point]
     places = None if raw is None else _places(raw, camera, world_from_camera, points, point, target)
     return Ratios(
         first=points.reference[point],
         second=target,
         value=value,
         sigma=sigma,
-        block=block,
+        block=surface_blocks(points.position_world)[point],
+        stretch=surface_blocks(points.position_world, STRETCH_M)[point],
         places=places,
         level=0.5 * np.log(means[good, TARGET_MEAN] * means[good, REFERENCE_MEAN]),
     )
@@ -295,13 +300,14 @@ def edges_of(ratios: Ratios, images: int) -> Edges:
     mean, sigma, weight = edge_means(edge, value, ratios.sigma, len(codes))
     count = np.bincount(edge, minlength=len(codes))
     sigma = np.sqrt(sigma**2 + EDGE_FLOOR**2 + (FEW_PATCHES / np.maximum(count, 1)) ** 2)
-    left_out = leave_out_blocks(edge, value, weight, ratios.block, mean)
+    pieces = [pieces_of_means(edge, value, weight, each, mean) for each in (ratios.block, ratios.stretch)]
     return Edges(
         first=codes // images,
         second=codes % images,
         mean=mean,
         sigma=sigma,
-        changes=left_out - mean[:, None],
+        share=np.concatenate([share for share, _ in pieces], axis=1),
+        pull=np.concatenate([pull for _, pull in pieces], axis=1),
         pairs=len(value),
         spread=robust_std(value - mean[edge]),
         radiometry=light,
@@ -368,20 +374,18 @@ def edge_means(
     return mean, scale / np.sqrt(total), weight
 
 
-def leave_out_blocks(
+def pieces_of_means(
     edge: Indices, value: np.ndarray, weight: np.ndarray, block: Indices, mean: np.ndarray
-) -> np.ndarray:
-    """The edges' weighted means (E, BLOCKS) without the values of one block of the surface each.
+) -> tuple[np.ndarray, np.ndarray]:
+    """What part of an edge's weight each block has, and that times how far it is off the mean, both (E, BLOCKS).
 
     value: (N,) float64; weight: (N,) float64; mean: (E,) float64, of each edge
     """
     cell, shape = edge * BLOCKS + block, (len(mean), BLOCKS)
-    weights = np.bincount(cell, weight, shape[0] * BLOCKS).reshape(shape)
-    sums = np.bincount(cell, weight * value, shape[0] * BLOCKS).reshape(shape)
-    rest = weights.sum(axis=1, keepdims=True) - weights
-    enough = rest > 1e-9 * weights.sum(axis=1, keepdims=True)
-    without = (sums.sum(axis=1, keepdims=True) - sums) / np.where(enough, rest, 1.0)
-    return np.where(enough, without, mean[:, None])
+    total = np.bincount(edge, weight, shape[0])[:, None]
+    share = np.bincount(cell, weight, shape[0] * BLOCKS).reshape(shape) / total
+    pull = np.bincount(cell, weight * (value - mean[edge]), shape[0] * BLOCKS).reshape(shape) / total
+    return share, pull
 
 
 def _medians(group: np.ndarray, value: np.ndarray, groups: int) -> np.ndarray:

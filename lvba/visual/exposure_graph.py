@@ -7,6 +7,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
+from lvba.visual import radiometry
 from lvba.visual.radiometry import NONE, Radiometry, RadiometrySums
 
 BLOCKS = 8
@@ -39,7 +40,8 @@ class Edges:
     """What all patches together say about each pair of images; two parts of the patches may each have an edge of a pair.
 
     first, second: (E,) int64, images; mean, sigma: (E,) of log(brightness in `second` / in `first`)
-    changes: (E, BLOCKS) of the mean when one block of the surface is left out
+    share: (E, 2 BLOCKS), part of the weight that each block of the surface has, first small blocks, then large ones
+    pull: (E, 2 BLOCKS), that part times how far the mean of each block is off the edge's
     pairs: number of patch comparisons; spread: their robust standard deviation about the edges' means
     radiometry: that the means suppose; by_radiometry: (E, NUMBERS), derivative of a mean by its numbers
     known: what the patches say of the radiometry; None: they were not asked
@@ -49,7 +51,8 @@ class Edges:
     second: np.ndarray
     mean: np.ndarray
     sigma: np.ndarray
-    changes: np.ndarray
+    share: np.ndarray
+    pull: np.ndarray
     pairs: int
     spread: float
     radiometry: Radiometry
@@ -70,12 +73,20 @@ def solve_edges(edges: Edges, images: int) -> Exposures:
     log_exposure, edge_weight = graph.solve_robustly(edges.mean, edges.sigma)
     return Exposures(
         log_exposure=_joined(log_exposure, component),
-        sigma=graph.sigma(edge_weight, edges.changes),
+        sigma=graph.sigma(edges, log_exposure, edge_weight),
         component=component,
         pairs=edges.pairs,
         spread=edges.spread,
         radiometry=edges.radiometry,
     )
+
+
+def _by_radiometry(edges: Edges) -> np.ndarray:
+    """(E, BLOCKS): changes of the means when the radiometry is found without one block of the surface."""
+    if edges.known is None:
+        return np.zeros((len(edges.mean), BLOCKS))
+    numbers = radiometry.changes(edges.known, edges.radiometry)
+    return np.asarray(-np.einsum("ek,bk->eb", edges.by_radiometry, numbers))
 
 
 def robust_std(values: np.ndarray) -> float:
@@ -84,6 +95,12 @@ def robust_std(values: np.ndarray) -> float:
     values: (N,) float64
     """
     return float(1.4826 * np.median(np.abs(values))) if len(values) else 0.0
+
+
+_LITTLE = 0.1
+"""Part of an edge's weight that must be left for its mean to be taken anew without a block."""
+_LEAST = 0.02
+"""Part of its weight that an edge keeps without the block that all its patches lie on: it may alone join images."""
 
 
 def _by_first_image(label: np.ndarray) -> np.ndarray:
@@ -162,20 +179,36 @@ class _Graph:
             weight = 1 / (sigma**2 * (1 + (residual / (2 * scale)) ** 2))
         return solution, weight
 
-    def sigma(self, weight: np.ndarray, changes: np.ndarray) -> np.ndarray:
+    def sigma(self, edges: Edges, solution: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """Standard deviation (I,) of each image's value about the mean of its component; inf where it is alone.
 
-        changes: (E, BLOCKS) of the edges' values when one block of the surface is left out. Edges that share patches
-        err together, so the covariance of independent edges is too small; by how much is what the jackknife tells.
+        solution: (I,), with edges of weight (E,). Edges that share patches err together, so the covariance of independent
+        edges is too small; by how much is what the jackknife tells, over blocks of the size that tells more.
         """
         factor = self.factor(weight)
         independent = factor.variances()
-        jackknife = (BLOCKS - 1) / BLOCKS * (self._centered(factor.values(changes)) ** 2).sum(axis=1)
         joined = np.bincount(self.component)[self.component] > 1
         if not joined.any():
             return np.full(len(self.component), np.inf)
-        variance_factor = jackknife[joined].mean() / independent[joined].mean()
-        return np.where(joined, np.sqrt(independent * max(variance_factor, 1.0)), np.inf)
+        blocks = [range(BLOCKS), range(BLOCKS, 2 * BLOCKS)]
+        small, large = (
+            self._jackknife(np.stack([self._without(edges, weight, b) - solution for b in each], axis=1))
+            for each in blocks
+        )
+        most = max(small[joined].mean(), large[joined].mean())
+        shared = self._jackknife(factor.values(_by_radiometry(edges)))
+        variance_factor = max(most / independent[joined].mean(), 1.0)
+        return np.where(joined, np.sqrt(independent * variance_factor + shared), np.inf)
+
+    def _without(self, edges: Edges, weight: np.ndarray, block: int) -> np.ndarray:
+        """(I,): the solution without the patches of one block. weight: (E,), of the edges with them"""
+        rest = 1 - edges.share[:, block]
+        mean = edges.mean - np.where(rest > _LITTLE, edges.pull[:, block] / np.maximum(rest, _LITTLE), 0.0)
+        return self.factor(weight * np.maximum(rest, _LEAST)).values(mean)
+
+    def _jackknife(self, changes: np.ndarray) -> np.ndarray:
+        """(I,): variances of changes (I, BLOCKS) without one block each, about the mean of the component."""
+        return np.asarray((BLOCKS - 1) / BLOCKS * (self._centered(changes) ** 2).sum(axis=1))
 
     def _centered(self, values: np.ndarray) -> np.ndarray:
         """Values (I, K) less the mean of their component."""

@@ -156,17 +156,32 @@ def _solved(information: np.ndarray, gradient: np.ndarray, prior: np.ndarray) ->
     return np.asarray(np.linalg.solve(information + prior, gradient))
 
 
+def changes(known: RadiometrySums, used: Radiometry) -> np.ndarray:
+    """(B, NUMBERS): of the numbers that are used, when one block of the surface is left out; 0 of those that are not."""
+    free = np.zeros(NUMBERS, bool)
+    free[: vignetting.NUMBERS] = bool(used.vignetting)
+    free[: vignetting.TERMS] &= np.array(used.vignetting.coefficients) != 0
+    free[vignetting.NUMBERS :] = bool(used.response)
+    change = np.zeros((len(known.information), NUMBERS))
+    change[:, free] = _jackknife(known, free)
+    return change
+
+
 def _covariance(known: RadiometrySums) -> np.ndarray:
     """(NUMBERS, NUMBERS): by leaving out one block of the surface in turn: patches on one surface err alike."""
-    information, gradient = known.information.sum(axis=0), known.gradient.sum(axis=0)
-    prior = _prior(information)
-    all_of_them = _solved(information, gradient, prior)
-    change = np.array(
-        [
-            _solved(information - own, gradient - its, prior) - all_of_them
-            for own, its in zip(known.information, known.gradient, strict=True)
-        ]
-    )
-    count = len(change)
+    change = _jackknife(known, np.ones(NUMBERS, bool))
+    count, information = len(change), known.information.sum(axis=0)
     spread = (count - 1) / count * np.einsum("bk,bl->kl", change, change)
-    return np.asarray(spread + np.linalg.inv(information + prior))
+    return np.asarray(spread + np.linalg.inv(information + _prior(information)))
+
+
+def _jackknife(known: RadiometrySums, free: np.ndarray) -> np.ndarray:
+    """(B, F): changes of the numbers in `free` (NUMBERS,) bool, the others 0, without one block of the surface each."""
+    information, gradient = known.information.sum(axis=0), known.gradient.sum(axis=0)
+    prior, mine = _prior(information)[np.ix_(free, free)], np.ix_(free, free)
+    all_of_them = _solved(information[mine], gradient[free], prior)
+    change = [
+        _solved((information - own)[mine], (gradient - its)[free], prior) - all_of_them
+        for own, its in zip(known.information, known.gradient, strict=True)
+    ]
+    return np.array(change)

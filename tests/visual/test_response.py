@@ -42,9 +42,10 @@ def make(name, seed=0, images=12, per_pair=150, sigma=0.01, falloff=vignetting.N
         + sigma * rng.standard_normal(len(first))
         for image, place in ((first, reference), (second, target))
     ]
+    block = rng.integers(0, BLOCKS, len(first))
     ratios = Ratios(
         first.astype(np.int32), second.astype(np.int32), grey[1] - grey[0], np.full(len(first), 1.5 * sigma),
-        rng.integers(0, BLOCKS, len(first)), (grey[0] + grey[1]) / 2, PairPlaces(reference, target),
+        block, block, (grey[0] + grey[1]) / 2, PairPlaces(reference, target),
     )  # fmt: skip
     return truth, ratios
 
@@ -104,7 +105,7 @@ def test_parts_add_up_to_the_whole():
 
     def part(mine):
         places = PairPlaces(ratios.places.reference[mine], ratios.places.target[mine])
-        names = ("first", "second", "value", "sigma", "block", "level")
+        names = ("first", "second", "value", "sigma", "block", "stretch", "level")
         return exposure.edges_of(Ratios(*(getattr(ratios, name)[mine] for name in names), places), len(truth))
 
     halves = [part(ratios.first < 5), part(ratios.first >= 5)]

@@ -33,7 +33,9 @@ def make(rng, found=TRUE, images=12, per_pair=60, sigma=0.01):
     block = rng.integers(0, BLOCKS, len(first))
     spread = np.full(len(first), sigma)
     level = np.full(len(first), np.log(100.0))
-    return truth, Ratios(first.astype(np.int32), second.astype(np.int32), value, spread, block, level, places)
+    return truth, Ratios(
+        first.astype(np.int32), second.astype(np.int32), value, spread, block, block, level, places
+    )
 
 
 def solve(ratios, images=12):
@@ -107,7 +109,16 @@ def test_none_is_found_where_there_is_none_and_where_nothing_tells():
 
 def _nothing():
     none, places = np.zeros(0), PairPlaces(np.zeros((0, 2)), np.zeros((0, 2)))
-    return Ratios(none.astype(np.int32), none.astype(np.int32), none, none, none.astype(int), none, places)
+    return Ratios(
+        none.astype(np.int32),
+        none.astype(np.int32),
+        none,
+        none,
+        none.astype(int),
+        none.astype(int),
+        none,
+        places,
+    )
 
 
 @pytest.mark.parametrize(
@@ -133,7 +144,7 @@ def test_parts_add_up_to_the_whole():
 
     def part(mine):
         places = PairPlaces(ratios.places.reference[mine], ratios.places.target[mine])
-        names = ("first", "second", "value", "sigma", "block", "level")
+        names = ("first", "second", "value", "sigma", "block", "stretch", "level")
         return exposure.edges_of(Ratios(*(getattr(ratios, name)[mine] for name in names), places), 12)
 
     halves = [part(ratios.first < 6), part(ratios.first >= 6)]
