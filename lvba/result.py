@@ -21,7 +21,7 @@ from lvba.products import map_file, report
 from lvba.products.map_file import PointMap
 from lvba.products.pictures import Pictures
 from lvba.progress import Progress, silent
-from lvba.visual.vignetting import NONE, Vignetting
+from lvba.visual.radiometry import NONE, Radiometry
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Result:
     report: dict[str, Any]
     camera: Camera | None = None
     """Of the raw images, as the camera poses suppose it; None: there are none."""
-    vignetting: Vignetting = NONE
+    radiometry: Radiometry = NONE
     """Of the images, as the exposures suppose it."""
 
     @cached_property
@@ -93,7 +93,8 @@ class Result:
             used.get("time_offset", 0.0),
             used.get("readout", 0.0),
             used.get("sigma", {}),
-            self.vignetting.numbers if self.vignetting else None,
+            self.radiometry.vignetting.numbers if self.radiometry.vignetting else None,
+            self.radiometry.response.table if self.radiometry.response else None,
         )
 
     def _write_map(self, path: Path) -> None:
@@ -142,7 +143,7 @@ def collect(dataset: Dataset, config: Config, work: Plan, store: Store) -> Resul
         pictures=store[keys["pictures"]],
         report=facts,
         camera=accepted.camera,
-        vignetting=accepted.vignetting,
+        radiometry=accepted.radiometry,
     )
 
 

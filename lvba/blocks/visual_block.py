@@ -14,12 +14,13 @@ from lvba.visual import bundle_adjustment, exposure, photometric, scene_points, 
 from lvba.visual import noise as noise_models
 from lvba.visual.exposure_graph import Edges
 from lvba.visual.photometric import PhotometricState, Problem
+from lvba.visual.radiometry import Radiometry
 from lvba.visual.refine import Inputs, VisualConfig, calibration_shifts, scene_of
 from lvba.visual.scene_points import Observations, PatchRules, ScenePoints
 from lvba.visual.states import VisualState
 from lvba.visual.trajectory_prior import Prior
 from lvba.visual.tuning import Tuning
-from lvba.visual.vignetting import PairPlaces, Vignetting
+from lvba.visual.vignetting import PairPlaces
 
 
 @dataclass(frozen=True)
@@ -61,13 +62,13 @@ def select_scene_points(
     core: np.ndarray,
     known: Tuning,
     prior: Prior | None,
-    light: Vignetting,
+    light: Radiometry,
     config: VisualConfig,
 ) -> CameraPoints:
     """The scene points whose reference is in the core, who sees them, and how bright they are, at the finest level.
 
     state, prior: of the keyframes of `given`; images: (k,) int64, their numbers in the whole; core: (k,) bool
-    light: the vignetting of all parts
+    light: the radiometry of all parts
     """
     scene = scene_of(given, config)
     camera = scene.pyramid.camera
@@ -110,13 +111,13 @@ def linearize(
     known: Tuning,
     prior: Prior | None,
     raw: Camera,
-    light: Vignetting,
+    light: Radiometry,
     config: VisualConfig,
 ) -> CameraShare:
     """The photometric normal equations of the laid out points.
 
     images: (n, H, W, C) uint8, the share's keyframes at full size; camera: theirs; state, prior: of these keyframes
-    raw: the camera of the images before they were undistorted; light: their vignetting
+    raw: the camera of the images before they were undistorted; light: their radiometry
     """
     problem = photometric.prepare(
         light.taken_out_of(images, raw, camera), camera, laid.points, laid.observations, config.patch,
@@ -164,5 +165,7 @@ def _of_core(ratios: exposure.Ratios, core: np.ndarray) -> exposure.Ratios:
         value=ratios.value[mine],
         sigma=ratios.sigma[mine],
         block=ratios.block[mine],
+        stretch=ratios.stretch[mine],
+        level=ratios.level[mine],
         places=places,
     )

@@ -11,11 +11,11 @@ from lvba import geometry
 from lvba.blocks.visual_block import CameraShare
 from lvba.optim import levenberg_marquardt, normal_equations
 from lvba.optim.normal_equations import NormalEquations
-from lvba.visual import exposure_graph, photometric, trajectory_prior, vignetting
+from lvba.visual import exposure_graph, photometric, radiometry, trajectory_prior
 from lvba.visual.exposure_graph import Edges, Exposures
+from lvba.visual.radiometry import NONE, Radiometry
 from lvba.visual.states import VisualState
 from lvba.visual.trajectory_prior import Prior
-from lvba.visual.vignetting import NONE, Vignetting
 
 _FIRST_DAMPING = 1e-4
 _SETTLED_M = 1e-4
@@ -39,14 +39,14 @@ class JointCameras:
     """All keyframes, and what the next round needs.
 
     state: poses (K, 4, 4), log exposures (K,) and the calibration; before: the same before the last step
-    exposure_sigma: (K,); vignetting: of all parts; converged: nothing moves any more
+    exposure_sigma: (K,); radiometry: of all parts; converged: nothing moves any more
     """
 
     state: VisualState
     before: VisualState
     prior: Prior | None
     exposure_sigma: np.ndarray
-    vignetting: Vignetting = NONE
+    radiometry: Radiometry = NONE
     damping: float = _FIRST_DAMPING
     cost: float = float("inf")
     converged: bool = False
@@ -124,28 +124,29 @@ def with_exposures(now: JointCameras, edges: Sequence[Edges]) -> JointCameras:
         now,
         state=replace(now.state, cameras=cameras),
         exposure_sigma=exposures.sigma,
-        vignetting=exposures.vignetting,
+        radiometry=exposures.radiometry,
     )
 
 
 def solve_exposures(edges: Sequence[Edges], images: int) -> Exposures | None:
-    """The exposures of all images from the edges of all shares, with one vignetting; None: there are none."""
+    """The exposures of all images from the edges of all shares, with one radiometry; None: there are none."""
     if not sum(len(each.mean) for each in edges):
         return None
-    sums = [each.falloff for each in edges if each.falloff is not None]
-    falloff = functools.reduce(operator.add, sums) if sums else None
-    light = NONE if falloff is None else vignetting.solve(falloff)
+    sums = [each.known for each in edges if each.known is not None]
+    known = functools.reduce(operator.add, sums) if sums else None
+    light = NONE if known is None else radiometry.solve(known)
     together = Edges(
         first=np.concatenate([each.first for each in edges]),
         second=np.concatenate([each.second for each in edges]),
         mean=np.concatenate([each.supposing(light) for each in edges]),
         sigma=np.concatenate([each.sigma for each in edges]),
-        changes=np.concatenate([each.changes for each in edges]),
+        share=np.concatenate([each.share for each in edges]),
+        pull=np.concatenate([each.pull for each in edges]),
         pairs=sum(each.pairs for each in edges),
         spread=float(np.median([each.spread for each in edges if len(each.mean)])),
-        vignetting=light,
-        by_vignetting=np.concatenate([each.by_vignetting for each in edges]),
-        falloff=falloff,
+        radiometry=light,
+        by_radiometry=np.concatenate([each.by_radiometry for each in edges]),
+        known=known,
     )
     return exposure_graph.solve_edges(together, images)
 

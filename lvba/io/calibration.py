@@ -23,12 +23,14 @@ def write(
     readout_s: float,
     sigma: dict[str, list[float]],
     vignetting: np.ndarray | None = None,
+    response: np.ndarray | None = None,
 ) -> None:
     """Writes the calibration; its `cam_model` may be put in place of that of a recording.
 
     camera: of the raw images; camera_from_scan: (4, 4) float64
     sigma: standard deviations by parameter; empty: not refined
     vignetting: (5,) float64, numbers of a `visual.vignetting.Vignetting`; None: none was found
+    response: (2, K) float64, grey values, and the slope of log light over log grey value there; None: none was found
     Raises InputError: it cannot be written.
     """
     facts: dict[str, Any] = {
@@ -41,6 +43,8 @@ def write(
     if vignetting is not None:
         numbers = [float(value) for value in vignetting]
         facts["vignetting"] = {"coefficients": numbers[:3], "center": numbers[3:]}
+    if response is not None:
+        facts["response"] = dict(zip(("grey_values", "slopes"), response.tolist(), strict=True))
     head = "# The camera as the run used it; px, m and s. Image time + time_offset_s = LiDAR time.\n"
     text = yaml.safe_dump(facts, sort_keys=False, default_flow_style=None, width=120)
     files.write_text(files.make_folder(folder) / NAME, head + text, durable=True)
@@ -68,17 +72,31 @@ def read_vignetting(folder: str | Path) -> np.ndarray | None:
 
     Raises InputError: its calibration.yaml is damaged.
     """
+    return _numbers(folder, "vignetting", {"coefficients": 3, "center": 2})
+
+
+def read_slopes(folder: str | Path, count: int) -> np.ndarray | None:
+    """(count,) float64, slopes of the response as of `write`; None where the result has none.
+
+    Raises InputError: its calibration.yaml is damaged.
+    """
+    return _numbers(folder, "response", {"slopes": count})
+
+
+def _numbers(folder: str | Path, name: str, lists: dict[str, int]) -> np.ndarray | None:
+    """All numbers of a section, (N,) float64, list by list, each of a given length; None: there is no such section."""
     path = Path(folder) / NAME
     facts = yaml_files.read_yaml(path) if path.is_file() else None
-    section = facts.get("vignetting") if isinstance(facts, dict) else None
+    section = facts.get(name) if isinstance(facts, dict) else None
     if not isinstance(section, dict):
         return None
-    lists = [section.get(name) for name in ("coefficients", "center")]
-    if [len(each) if isinstance(each, list) else 0 for each in lists] == [3, 2]:
-        numbers = [as_float(value) for each in lists for value in each or ()]
+    values = [section.get(key) for key in lists]
+    if [len(each) if isinstance(each, list) else 0 for each in values] == list(lists.values()):
+        numbers = [as_float(value) for each in values for value in each or ()]
         if None not in numbers:
             return np.array(numbers, float)
-    raise InputError(path, "vignetting is not three coefficients and a center", "run again")
+    wanted = " and ".join(f"{count} numbers of {key}" for key, count in lists.items())
+    raise InputError(path, f"{name} is not {wanted}", "run again")
 
 
 def read_camera(folder: str | Path) -> Camera | None:

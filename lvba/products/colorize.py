@@ -17,6 +17,7 @@ from lvba.products.views import Views, nearest_in_time
 from lvba.progress import Progress, silent
 from lvba.settings import check, setting
 from lvba.visual.image import DARK, SATURATED
+from lvba.visual.response import LINEAR, Response
 
 logger = logging.getLogger(__name__)
 
@@ -68,7 +69,7 @@ class PaperColors:
 
     gray: (M, 3) float32, gray values 0..255 in that image, 0 where uncolored
     source: (M,) int32, the image the color is from; -1: uncolored
-    even: (M, 3) float32, the gray values if all light had arrived; None: it has
+    even: (M, 3) float32, the light of these gray values if all had arrived; None: it has
     """
 
     gray: np.ndarray
@@ -145,7 +146,7 @@ def paper(
 
     for done, _ in enumerate(in_order(color, map(int, images))):
         progress("color points", done + 1, len(images))
-    return PaperColors(gray, source, None if part is None else gray / part)
+    return PaperColors(gray, source, None if part is None else views.curve.light(gray) / part)
 
 
 def blended(
@@ -257,9 +258,19 @@ def display_gain(log_exposure: LogExposures) -> float:
     return float(np.exp(np.median(log_exposure))) if len(log_exposure) else 1.0
 
 
-def to_rgb8(radiance: np.ndarray, gain: float) -> np.ndarray:
-    """(M, 3) uint8 colors of (M, 3) radiances times a gain, rounded and clipped.
+def to_rgb8(radiance: np.ndarray, gain: float, curve: Response = LINEAR) -> np.ndarray:
+    """(M, 3) uint8 colors of (M, 3) radiances times a gain, through the images' curve, rounded and clipped.
 
     radiance: (M, 3) float32
     """
-    return np.clip(np.rint(radiance * np.float32(gain)), 0, 255).astype(np.uint8)
+    light = radiance * np.float32(gain)
+    return np.clip(np.rint(curve.grey(light) if curve else light), 0, 255).astype(np.uint8)
+
+
+def contrast(radiance: np.ndarray, gain: float, curve: Response) -> np.ndarray | np.float32:
+    """(M,) float32: how much grey values change with the light at colors (M, 3) float32; 1 without a curve."""
+    if not curve:
+        return np.float32(1.0)
+    light = np.maximum(radiance.mean(axis=1) * np.float32(gain), np.float32(1.0))
+    grey = np.maximum(curve.grey(light), np.float32(1.0))
+    return np.asarray(grey / light / curve.slope(np.log(grey)), np.float32)

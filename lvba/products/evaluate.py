@@ -150,6 +150,7 @@ def evaluate(
                 *(entry, cloud, states[name].views.log_exposure, image),
                 only_others=name in brief,
                 light=states[name].views.light,
+                curve=states[name].views.curve,
             )
             for entry, cloud, names in zip(entries, clouds, geometries, strict=True)
             for name in names
@@ -199,6 +200,7 @@ def _geometries(states: Mapping[str, State], colors: str) -> list[list[str]]:
         if colors == "blended":
             light = state.views.light
             exposures = state.views.log_exposure.tobytes() + (b"" if light is None else light.tobytes())
+            exposures += states[name].views.curve.numbers.tobytes()
         poses = repr(state.views.camera).encode() + state.views.world_from_camera.tobytes()
         key = id(state.cloud), poses + exposures
         groups.setdefault(key, []).append(name)

@@ -103,11 +103,11 @@ def build(
         del cloud  # as large as all scans, while blending takes most memory
         several = colorize.blended(points, views, config.blend, origins=origins, progress=progress)
         radiance, number, spread = several.radiance, several.views, several.spread
-    rgb = colorize.to_rgb8(radiance, gain)
+    rgb = colorize.to_rgb8(radiance, gain, views.curve)
     rgb[number == 0] = UNCOLORED
     wanted = slice(None) if config.keep_uncolored or not len(views) else number > 0
     logger.info("map: %d of %d points kept at %.4f m", len(kept), measured, voxel)
-    gray_spread = spread * np.float32(gain)
+    gray_spread = spread * np.float32(gain) * colorize.contrast(radiance, gain, views.curve)
     return PointMap(
         points_world=points[wanted],
         rgb=rgb[wanted],

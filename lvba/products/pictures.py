@@ -151,7 +151,7 @@ class _Shown:
 def _shown(cloud: ColoredCloud, state: State, image: int, config: RenderConfig | None) -> _Shown:
     entries = nearest(cloud, state.views, image, config)
     plain, filled = (
-        shade(seen, cloud, state.views.log_exposure, image, light=state.views.light)
+        shade(seen, cloud, state.views.log_exposure, image, light=state.views.light, curve=state.views.curve)
         for seen in (entries, fill(entries, _FILL_PX))
     )
     return _Shown(plain.color[OTHERS], filled.color[OTHERS], plain.covered[OTHERS])

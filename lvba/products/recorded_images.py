@@ -1,15 +1,17 @@
 """The images of a recording as evaluation and products see them: without distortion."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
 from lvba.camera import Camera
 from lvba.dataset import Dataset
+from lvba.io import calibration
 from lvba.io import dataset as recordings
 from lvba.products.views import Views
-from lvba.visual import image, vignetting
-from lvba.visual.vignetting import Vignetting
+from lvba.visual import image, radiometry, response, vignetting
+from lvba.visual.radiometry import Radiometry
 
 
 class Undistorted:
@@ -35,17 +37,24 @@ class Undistorted:
         return picture
 
 
-def light_in(vignette: Vignetting, camera: Camera) -> np.ndarray | None:
+def light_in(supposed: Radiometry, camera: Camera) -> np.ndarray | None:
     """(H, W) float32: the light at each pixel of the undistorted images; None: all. camera: of the raw images"""
-    return vignetting.light_of_pixels(vignette, camera, camera.undistorted()) if vignette else None
+    return vignetting.light_of_pixels(supposed.vignetting, camera, camera.undistorted()) if supposed else None
+
+
+def radiometry_of(result: str | Path) -> Radiometry:
+    """What a result's calibration.yaml has of vignetting and response. Raises InputError: it is damaged."""
+    slopes = calibration.read_slopes(result, response.SLOPES)
+    curve = response.LINEAR if slopes is None else response.of_numbers(slopes - 1)
+    return Radiometry(vignetting.of_numbers(calibration.read_vignetting(result)), curve)
 
 
 def views_of(
-    dataset: Dataset, load: Callable[[int], np.ndarray] | None = None, vignette: Vignetting = vignetting.NONE
+    dataset: Dataset, load: Callable[[int], np.ndarray] | None = None, supposed: Radiometry = radiometry.NONE
 ) -> Views:
     """The undistorted images at their rough poses, all equally exposed, by the camera that the dataset has.
 
-    load: gives image i as (H, W, 3) uint8 RGB, undistorted; None: from the files; vignette: how light falls off in them
+    load: gives image i as (H, W, 3) uint8 RGB, undistorted; None: from the files; supposed: their radiometry
     """
     camera = dataset.camera
     return Views(
@@ -55,5 +64,6 @@ def views_of(
         world_from_camera=dataset.images.world_from_sensor,
         log_exposure=np.zeros(len(dataset.image_paths)),
         valid=image.undistort(np.full((camera.height, camera.width, 3), 255, np.uint8), camera)[..., 0] > 0,
-        light=light_in(vignette, camera),
+        light=light_in(supposed, camera),
+        curve=supposed.response,
     )

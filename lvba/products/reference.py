@@ -11,6 +11,10 @@ from lvba.trajectory import Alignment, Trajectory, align_for_errors, pose_error
 
 MAX_TIME_DIFFERENCE_S = 1e-3
 """Samples further apart in time than this are not of the same frame."""
+_ALIKE = 0.01
+"""Standard deviation of log exposures below which no power can be read off them."""
+_LEAST_POWER = 0.1
+"""Cameras raise the light to a third or more."""
 
 
 def compare(
@@ -68,7 +72,30 @@ def _exposure_facts(estimate: Exposures, reference: Exposures) -> dict[str, Any]
         "rms_percent": 100 * float(np.sqrt((error**2).mean())),
         "max_percent": 100 * float(np.abs(error).max()),
     }
+    facts |= _after_power(estimate.relative[pairs[:, 0]], reference.relative[pairs[:, 1]])
     return {"exposure": {**facts, "frames": len(pairs)}}
+
+
+def exposure_power(estimate: np.ndarray, truth: np.ndarray) -> float | None:
+    """Slope of estimated over true log exposures, both (P,) float64; None: the true ones are alike, or it is no power."""
+    spread = truth - truth.mean()
+    if not (square := float((spread**2).sum())) > _ALIKE**2 * len(truth):
+        return None
+    power = float((spread * (estimate - estimate.mean())).sum()) / square
+    return power if power > _LEAST_POWER else None
+
+
+def _after_power(estimate: np.ndarray, truth: np.ndarray) -> dict[str, float]:
+    """How far exposures are off after the one power of the light that images leave open (`visual.response`).
+
+    estimate, truth: (P,) float64, relative exposures; nothing where the true ones are alike
+    """
+    power = exposure_power(np.log(estimate), np.log(truth))
+    if power is None:
+        return {}
+    left = np.log(estimate) / power - np.log(truth)
+    error = np.expm1(left - left.mean())
+    return {"power": power, "rms_percent_after_power": 100 * float(np.sqrt((error**2).mean()))}
 
 
 def _pairs(times: np.ndarray, others: np.ndarray | None) -> np.ndarray:

@@ -11,6 +11,7 @@ from lvba.products.cloud import Blocks, Cloud, sort_into_blocks
 from lvba.products.colorize import NOISE, ColorizeConfig, PaperColors, Samples, blend, collect
 from lvba.products.views import Views
 from lvba.settings import check, setting
+from lvba.visual.response import LINEAR, Response
 
 SEVERAL = -(1 << 30)
 """Source of a point that several images colored: it remains when one of them is left out."""
@@ -46,7 +47,7 @@ class ColoredCloud:
     samples: of points colored by several images; then gray holds radiances, and source is the image of points that only
         one image colored, else SEVERAL
     noise: of a gray value of the samples
-    even: (M, 3) float32, gray values if all light had arrived; None: it has
+    even: (M, 3) float32, light of these gray values if all had arrived; None: it has
     """
 
     points_world: np.ndarray
@@ -140,11 +141,13 @@ def shade(
     *,
     only_others: bool = False,
     light: np.ndarray | None = None,
+    curve: Response = LINEAR,
 ) -> Rendering:
     """The rendering of an image: gray values divided by their image's exposure, times this one's, clipped at 255.
 
     only_others: the colors of ALL are not wanted, and are anything
     light: (H, W) float32, part of the light that arrives at each pixel of all images, as of `Views`; None: all
+    curve: that gray values passed
     entries: (2, H, W) int64, of `nearest`
     """
     color = np.empty((*entries.shape, 3), np.float32)
@@ -156,11 +159,11 @@ def shade(
             *(entries, cloud.gray, cloud.samples.arrays, gains, np.float32(cloud.noise), image, arriving),
             *(color, covered),
         )
-        return Rendering(color, covered)
+        return Rendering(curve.grey(color) if curve else color, covered)
     ratio = np.exp(log_exposure[image] - log_exposure).astype(np.float32)
     gray = cloud.gray if light is None or cloud.even is None else cloud.even
     kernels.shade(entries, gray, cloud.source, ratio, arriving, int(only_others), color, covered)
-    return Rendering(color, covered)
+    return Rendering(curve.grey(color) if curve else color, covered)
 
 
 def fill(entries: np.ndarray, radius_px: int) -> np.ndarray:
@@ -184,4 +187,4 @@ def render(
 ) -> Rendering:
     """One image, rendered from all points and from those of other images; guard_images: as of `nearest`."""
     entries = nearest(cloud, views, image, config, guard_images)
-    return shade(entries, cloud, views.log_exposure, image, light=views.light)
+    return shade(entries, cloud, views.log_exposure, image, light=views.light, curve=views.curve)

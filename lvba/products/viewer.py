@@ -10,18 +10,17 @@ import numpy as np
 
 from lvba.dataset import Dataset
 from lvba.errors import InputError
-from lvba.io import calibration, exposures, files, images, result_folder
 from lvba.io import dataset as recordings
+from lvba.io import exposures, files, images, result_folder
 from lvba.io.dataset import IMAGE_POSES
 from lvba.parallel import in_order
 from lvba.products import evaluate, pictures
 from lvba.products.cloud import Cloud, assemble
 from lvba.products.evaluate import State
-from lvba.products.recorded_images import light_in, views_of
+from lvba.products.recorded_images import light_in, radiometry_of, views_of
 from lvba.products.views import Views
 from lvba.progress import Progress, silent
 from lvba.trajectory import Trajectory
-from lvba.visual.vignetting import of_numbers
 
 MAX_PICTURES = 400
 """Images with pictures, spread evenly over longer recordings."""
@@ -127,6 +126,7 @@ def _write_pictures(
         files.make_folder(folder / kind)
     rough = views_of(dataset)
     log_exposure = np.log(exposures.read_exposures(result / "exposures.csv").relative)
+    supposed = radiometry_of(result)
     refined = Views(
         load=rough.load,
         camera=rough.camera,
@@ -134,7 +134,8 @@ def _write_pictures(
         world_from_camera=cameras,
         log_exposure=log_exposure,
         valid=rough.valid,
-        light=light_in(of_numbers(calibration.read_vignetting(result)), dataset.camera),
+        light=light_in(supposed, dataset.camera),
+        curve=supposed.response,
     )
     states = {
         "before": State(_cloud(dataset, dataset.scans.world_from_sensor, progress), rough),

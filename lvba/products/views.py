@@ -8,7 +8,8 @@ import numpy as np
 from lvba.arrays import Times
 from lvba.camera import Camera
 from lvba.kernels.scene import Intrinsics
-from lvba.visual import vignetting
+from lvba.visual import radiometry
+from lvba.visual.response import LINEAR, Response
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,9 @@ class Views:
     world_from_camera: (I, 4, 4) float64
     log_exposure: (I,) float64, natural log of the relative exposure time
     valid: (H, W) bool, pixels that hold a picture (undistortion leaves empty corners); None: all
-    light: (H, W) float32, part of the light that arrives at each pixel (`visual.vignetting`); None: all
+    light: (H, W) float32, part of the light that arrives at each pixel (`visual.vignetting`); None: all, and grey
+        values are in proportion to it
+    curve: that grey values passed
     """
 
     load: Callable[[int], np.ndarray]
@@ -31,14 +34,15 @@ class Views:
     log_exposure: np.ndarray
     valid: np.ndarray | None = field(default=None)
     light: np.ndarray | None = field(default=None)
+    curve: Response = field(default=LINEAR)
 
     def __len__(self) -> int:
         return len(self.times)
 
     def load_even(self, index: int) -> np.ndarray:
-        """Image i as if all light had arrived, (H, W, 3) uint8."""
+        """Light of image i as if all had arrived, (H, W, 3) uint8."""
         picture = self.load(index)
-        return picture if self.light is None else vignetting.divided(picture[None], self.light)[0]
+        return picture if self.light is None else radiometry.divided(picture[None], self.light, self.curve)[0]
 
     @property
     def intrinsics(self) -> Intrinsics:

@@ -32,6 +32,10 @@ class Sensor:
     """Part of the light missing in the corners, 0 to 0.9."""
     response: float = 1.0
     """Grey values are the light to the power of one over this."""
+    srgb: float = 0.0
+    """How much of the sRGB curve the grey values pass: 1 all, 0 none."""
+    filmic: float = 0.0
+    """How much of a filmic curve with a toe and a shoulder."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.vignetting <= 0.9:
@@ -59,10 +63,33 @@ class Sensor:
         else:
             noise *= np.float32(self.noise)
         grey += noise
-        if self.response != 1:
-            curve = np.clip(grey / 255, 0, 1) ** np.float32(1 / self.response)
-            grey = np.asarray(255 * curve, np.float32)
+        grey = self._through_curves(grey)
         return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+
+    def _through_curves(self, grey: np.ndarray) -> np.ndarray:
+        """Grey values (H, W, 3) float32 as the camera stores them."""
+        if self.response == 1 and not self.srgb and not self.filmic:
+            return grey
+        light = np.clip(grey / 255, 0, 1) ** np.float32(1 / self.response)
+        if self.srgb:
+            light = light + np.float32(self.srgb) * (srgb_curve(light) - light)
+        if self.filmic:
+            light = light + np.float32(self.filmic) * (filmic_curve(light) - light)
+        return np.asarray(255 * light, np.float32)
+
+
+def srgb_curve(light: np.ndarray) -> np.ndarray:
+    """Grey values 0 to 1 of light 0 to 1 by IEC 61966-2-1. light: any shape, float32"""
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-6) ** (1 / 2.4) - 0.055)
+
+
+def filmic_curve(light: np.ndarray) -> np.ndarray:
+    """Grey values 0 to 1 of light 0 to 1: dark parts darker, bright ones compressed, then sRGB. light: any shape, float32
+
+    Source: the rational fit of the ACES curve of K. Narkowicz, 2016, scaled to end at 1.
+    """
+    toned = light * (2.51 * light + 0.03) / (light * (2.43 * light + 0.59) + 0.14)
+    return srgb_curve(toned * (3.16 / 2.54))
 
 
 def _falloff(height: int, width: int, missing: float) -> np.ndarray:

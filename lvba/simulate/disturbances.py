@@ -38,6 +38,10 @@ class Disturbances:
     response: float = _disturbance(
         "grey values are the light to the power of one over this; 1 is linear", "", 1.5, 2.2, 4.0
     )
+    srgb: float = _disturbance("grey values pass this much of the sRGB curve", "", 1.0, 1.0, 1.0)
+    filmic: float = _disturbance(
+        "grey values pass this much of a filmic curve, with a toe and a shoulder", "", 0.5, 1.0, 1.0
+    )
     white_balance: float = _disturbance(
         "colors drift apart and back by this part of their brightness", "", 0.05, 0.2, 0.5
     )

@@ -156,6 +156,8 @@ def simulate(
         shot_noise=_SHOT_NOISE if shot_noise else 0.0,
         vignetting=disturb.vignetting or (_VIGNETTING if vignetting else 0.0),
         response=disturb.response or 1.0,
+        srgb=disturb.srgb,
+        filmic=disturb.filmic,
     )
     simulation = _Simulation(
         seed=seed,

@@ -32,7 +32,7 @@ from lvba.steps.lidar import carry_cameras, cloud_of
 from lvba.steps.outcomes import Accepted, ScanPoses, VisualStage
 from lvba.steps.part_scores import as_in_whole, in_core, together
 from lvba.visual import self_calibration
-from lvba.visual.vignetting import NONE, Vignetting
+from lvba.visual.radiometry import NONE, Radiometry
 
 
 @dataclass(frozen=True)
@@ -47,13 +47,13 @@ class Choice:
 
 @dataclass(frozen=True)
 class Cameras:
-    """world_from_camera: (I, 4, 4); log_exposure: (I,); camera: of the raw images, as these poses suppose it; vignetting:
+    """world_from_camera: (I, 4, 4); log_exposure: (I,); camera: of the raw images, as these poses suppose it; radiometry:
     as these exposures do"""
 
     world_from_camera: np.ndarray
     log_exposure: np.ndarray
     camera: Camera
-    vignetting: Vignetting = NONE
+    radiometry: Radiometry = NONE
 
 
 def evaluate(
@@ -191,9 +191,13 @@ def judged_states(
             seen_by = dataset.with_camera(cameras.camera)
             views[cameras.camera] = views_of(seen_by, PhotoReader(photos, cameras.camera, part.images[0]))
         poses, exposures = cameras.world_from_camera, cameras.log_exposure
-        light = recorded_images.light_in(cameras.vignetting, cameras.camera)
+        light = recorded_images.light_in(cameras.radiometry, cameras.camera)
         at = dataclasses.replace(
-            views[cameras.camera], world_from_camera=poses, log_exposure=exposures, light=light
+            views[cameras.camera],
+            world_from_camera=poses,
+            log_exposure=exposures,
+            light=light,
+            curve=cameras.radiometry.response,
         )
         states[name] = State(clouds.get(name, own), at)
     return states
@@ -210,7 +214,7 @@ def camera_states(
     if visual.result is None:
         return states
     poses, exposures = visual.result.world_from_camera, visual.result.log_exposure
-    light = visual.result.vignetting
+    light = visual.result.radiometry
     refined = self_calibration.corrected(camera, visual.result.calibration)
     states |= {
         EXPOSED: Cameras(carried, exposures, camera, light),
@@ -272,7 +276,7 @@ def decide(
         world_from_camera=cameras.world_from_camera,
         log_exposure=cameras.log_exposure,
         camera=cameras.camera if dataset.image_paths else None,
-        vignetting=cameras.vignetting,
+        radiometry=cameras.radiometry,
         scans=scans.verdict,
         cameras=chosen.cameras,
         exposures=chosen.exposures,

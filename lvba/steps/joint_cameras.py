@@ -21,7 +21,7 @@ from lvba.steps.lidar import carry_cameras
 from lvba.steps.outcomes import LidarStage, MapPlanes, ScanPoses, VisualStage
 from lvba.steps.visual import inputs
 from lvba.trajectory import Trajectory
-from lvba.visual import calibration_prior, covariance, fixed_calibration, trajectory_prior, vignetting
+from lvba.visual import calibration_prior, covariance, fixed_calibration, radiometry, trajectory_prior
 from lvba.visual.exposure_graph import Edges
 from lvba.visual.image import measuring_camera
 from lvba.visual.refine import VisualConfig, VisualResult
@@ -97,8 +97,8 @@ def merge_cameras(
             prior=prior,
             exposure_sigma=sigma[keyframes],
             converged=converged,
-            vignetting=vignetting.mean(
-                [part.result.vignetting for part in solved if part.result is not None]
+            radiometry=radiometry.mean(
+                [part.result.radiometry for part in solved if part.result is not None]
             ),
         ),
         seams,
@@ -234,7 +234,7 @@ def select_points(
     given = inputs(dataset, frames, keyframes, lidar, planes, config)
     prior = None if now.prior is None else trajectory_prior.take(now.prior, among)
     return visual_block.select_scene_points(
-        given, _state_of(now, among), among, core, stage.tuning, prior, now.vignetting, config
+        given, _state_of(now, among), among, core, stage.tuning, prior, now.radiometry, config
     )
 
 
@@ -281,7 +281,7 @@ def linearize_cameras(
     images = keyframe_images(keyframes, survey.keyframes[points.images])
     prior = None if now.prior is None else trajectory_prior.take(now.prior, points.images)
     return visual_block.linearize(
-        images, camera, points, state, stage.tuning, prior, dataset.camera, now.vignetting, config
+        images, camera, points, state, stage.tuning, prior, dataset.camera, now.radiometry, config
     )
 
 
@@ -341,7 +341,7 @@ def finish_cameras(
             cost_final=float(sum(result.cost_final for result in results)),
             converged=all(result.converged for result in results),
             warnings=_warnings(cores, stages),
-            vignetting=now.vignetting,
+            radiometry=now.radiometry,
         )
     )
 

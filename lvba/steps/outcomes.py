@@ -13,9 +13,9 @@ from lvba.products.map_quality import EntropyBlocks
 from lvba.steps.acceptance import Verdict
 from lvba.steps.pose_fusion import Fused
 from lvba.visual import refine as visual_refine
+from lvba.visual.radiometry import NONE, Radiometry
 from lvba.visual.refine import VisualResult
 from lvba.visual.tuning import Tuning
-from lvba.visual.vignetting import NONE, Vignetting
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class Accepted:
     state: str
     """Which of the judged states this is."""
     remark: str = ""
-    vignetting: Vignetting = NONE
+    radiometry: Radiometry = NONE
     """Of the images, as the exposures suppose it."""
 
 

@@ -105,7 +105,7 @@ def colored_map(
             cloud_of(dataset, accepted.world_from_scan, progress, read), intensity, config
         )
     views = dataclasses.replace(
-        views_of(dataset, load, accepted.vignetting),
+        views_of(dataset, load, accepted.radiometry),
         world_from_camera=accepted.world_from_camera,
         log_exposure=accepted.log_exposure,
     )
@@ -169,7 +169,8 @@ def show_images(
         views,
         world_from_camera=state.world_from_camera,
         log_exposure=state.log_exposure,
-        light=light_in(accepted.vignetting, _seen_by(dataset, accepted).camera),
+        light=light_in(accepted.radiometry, _seen_by(dataset, accepted).camera),
+        curve=accepted.radiometry.response,
     )
     return pictures.show(
         State(cloud_of(dataset, dataset.scans.world_from_sensor, progress, read), views),

@@ -27,8 +27,9 @@ from lvba.steps.plane_thickness import PlaneChange
 from lvba.steps.uncertainty import Expected
 from lvba.trajectory import Trajectory
 from lvba.visual import self_calibration
+from lvba.visual.radiometry import Radiometry
+from lvba.visual.response import GREY_VALUES
 from lvba.visual.result import VisualResult
-from lvba.visual.vignetting import Vignetting
 
 
 def collect(
@@ -57,7 +58,7 @@ def collect(
         "visual": of_visual(dataset, visual, accepted),
         "fusion": of_fusion(fused, accepted),
         "trajectory": of_trajectories(dataset, accepted),
-        "exposure": of_exposure(dataset, accepted, reference),
+        "exposure": of_exposure(dataset, accepted, visual, reference),
         "evaluation": of_evaluation(scans, scores, accepted.state),
     }
     if reference is not None:
@@ -175,7 +176,7 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
     facts["iterations"] = len(facts["history"])
     facts["time_offset"] = {"seconds": result.time_offset, "sigma": float(result.extrinsic_sigma[6])}
     facts["calibration"] = _calibration(dataset, result, accepted)
-    facts["vignetting"] = _vignetting(result.vignetting, accepted)
+    facts |= _radiometry(result.radiometry, accepted)
     facts["extrinsic"] = {
         "scan_from_camera": result.scan_from_camera,
         "change_deg": float(np.degrees(np.linalg.norm(change[:3]))),
@@ -209,15 +210,23 @@ def _calibration(dataset: Dataset, result: VisualResult, accepted: Accepted) -> 
     }
 
 
-def _vignetting(vignette: Vignetting, accepted: Accepted) -> dict[str, Any]:
-    """How the light falls off in the images."""
-    return {
+def _radiometry(light: Radiometry, accepted: Accepted) -> dict[str, Any]:
+    """How the light falls off in the images, and the curve that it passes."""
+    vignette, curve = light.vignetting, light.response
+    falloff = {
         "used": bool(vignette) and accepted.exposures.accepted,
         "corner_loss": vignette.corner_loss,
         "sigma": vignette.loss_sigma,
         "coefficients": vignette.coefficients,
         "center": vignette.center,
     }
+    response = {
+        "used": bool(curve) and accepted.exposures.accepted,
+        "grey_values": GREY_VALUES,
+        "slopes": curve.slopes,
+        "sigma": curve.sigma,
+    }
+    return {"vignetting": falloff, "response": response}
 
 
 def of_fusion(fused: FusionStage, accepted: Accepted) -> dict[str, Any]:
@@ -255,8 +264,11 @@ def of_trajectories(dataset: Dataset, accepted: Accepted) -> dict[str, Any]:
     }
 
 
-def of_exposure(dataset: Dataset, accepted: Accepted, reference: Reference | None) -> dict[str, Any]:
-    """Relative exposures by image, and the reference's where it has one for the same time."""
+def of_exposure(
+    dataset: Dataset, accepted: Accepted, visual: VisualStage, reference: Reference | None
+) -> dict[str, Any]:
+    """Relative exposures by image, standard deviations of their logarithms about the mean, and the reference's where it
+    has one for the same time."""
     if not dataset.image_paths:
         return {}
     times = dataset.images.times
@@ -264,6 +276,8 @@ def of_exposure(dataset: Dataset, accepted: Accepted, reference: Reference | Non
         "times": times,
         "relative": np.exp(accepted.log_exposure - accepted.log_exposure[0]),
     }
+    if visual.result is not None and accepted.exposures.accepted:
+        facts["log_sigma"] = visual.result.log_exposure_sigma
     if reference is not None and reference.exposures is not None:
         pairs = uncertainty.matched(times, reference.exposures.times)
         known = np.full(len(times), np.nan)

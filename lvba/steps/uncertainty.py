@@ -7,6 +7,7 @@ import numpy as np
 
 from lvba import geometry, trajectory
 from lvba.arrays import LogExposures, Pose, PoseBlocks, Times
+from lvba.products.reference import exposure_power
 from lvba.trajectory import Trajectory
 
 _SAME_TIME_S = 1e-3
@@ -58,19 +59,29 @@ def of_exposures(
 ) -> dict[str, Any]:
     """The same for log exposures (I,) with standard deviations (I,), after one common scale. true: (E,) float64 relative.
 
-    sigma: (I,) float64, of the log exposures
+    sigma: (I,) float64, of the log exposures; after_power: after one power as well, which images leave open
     """
     pairs = matched(times, true_times)
     pairs = pairs[(np.isfinite(sigma) & (sigma > 0))[pairs[:, 0]]]
     if len(pairs) < 2:
         return {}
-    error = log_exposure[pairs[:, 0]] - np.log(true[pairs[:, 1]])
-    error -= error.mean()
+    estimate, truth = log_exposure[pairs[:, 0]], np.log(true[pairs[:, 1]])
     spread = sigma[pairs[:, 0]]
-    return {
+    facts = {
         "predicted_percent": float(100 * np.sqrt(np.mean(spread**2))),
-        "nees": float(np.mean((error / spread) ** 2)),
+        "nees": _squared_error(estimate - truth, spread),
     }
+    power = exposure_power(estimate, truth)
+    return (
+        facts
+        if power is None
+        else facts | {"nees_after_power": _squared_error(estimate - power * truth, spread)}
+    )
+
+
+def _squared_error(error: np.ndarray, sigma: np.ndarray) -> float:
+    """Of errors (P,) about their mean, in standard deviations (P,)."""
+    return float(np.mean(((error - error.mean()) / sigma) ** 2))
 
 
 def matched(times: Times, others: Times) -> np.ndarray:

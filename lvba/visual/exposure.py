@@ -15,11 +15,12 @@ from lvba.kernels import patches_mean, photometric_shared
 from lvba.kernels.patches_mean import REFERENCE_MEAN, SPREAD, TARGET_MEAN
 from lvba.kernels.patches_pyramid import blank_masked, halve
 from lvba.lidar.plane import PlanePoints, Planes
-from lvba.visual import scene_points, vignetting, visibility
+from lvba.visual import radiometry, response, scene_points, vignetting, visibility
 from lvba.visual.exposure_graph import BLOCKS, Edges, Exposures, robust_std, solve_edges
 from lvba.visual.image import DARK, SATURATED, Pyramid, intrinsics_of
+from lvba.visual.radiometry import Radiometry, RadiometrySums
 from lvba.visual.scene_points import HIDDEN_M, PatchRules, PointsConfig, ScenePoints
-from lvba.visual.vignetting import FalloffSums, PairPlaces
+from lvba.visual.vignetting import PairPlaces
 from lvba.visual.visibility import (
     DepthBuffers,
     VisibilityMap,
@@ -61,9 +62,12 @@ MASK_REACH = 1
 """How near, px at the level compared: what blur carries from a clipped spot is in one view only."""
 MIN_USABLE = 0.3
 """Least part of a patch's weight that must be left."""
-_FALLOFF_ROUNDS = 20
-"""Most times that patches are weighed anew while the vignetting is found."""
-_FALLOFF_SETTLED = 1e-4
+STRETCH_M = 8.0
+"""Size of the larger pieces of surface that are left out in turn: a stretch of road, a wall. Shade and gloss make patches
+of one err alike, which pieces of a meter do not show: on a real street those promised a sixth of what stretches tell."""
+_RADIOMETRY_ROUNDS = 20
+"""Most times that patches are weighed anew while vignetting and response are found."""
+_RADIOMETRY_SETTLED = 1e-4
 """Change of all numbers below which they are not weighed again: a hundredth of a percent of the light."""
 
 
@@ -73,7 +77,9 @@ class Ratios:
 
     first, second: (N,) int32, images; value, sigma: (N,) float64
     block: (N,) int64, 0 to BLOCKS - 1: which part of the surface the patch lies on
-    places: of the patches in both images, where vignetting is asked for; None: it is not
+    stretch: (N,) int64, the same in pieces of STRETCH_M
+    level: (N,) float64, mean of the logs of both mean grey values
+    places: of the patches in both images, where vignetting and response are asked for; None: they are not
     """
 
     first: np.ndarray
@@ -81,7 +87,24 @@ class Ratios:
     value: np.ndarray
     sigma: np.ndarray
     block: np.ndarray
+    stretch: np.ndarray
+    level: np.ndarray
     places: PairPlaces | None = None
+
+    def by_numbers(self, present: Radiometry, light: np.ndarray) -> np.ndarray:
+        """(N, NUMBERS) float64: derivative of the log ratios by the numbers of a radiometry.
+
+        light: (N,) float64, expected log ratio of the light of each
+        """
+        assert self.places is not None
+        falloff = self.places.by_numbers(present.vignetting)
+        return np.concatenate([falloff, response.by_slopes(present.response, self.level, light)], axis=1)
+
+    def of_surfaces(self, present: Radiometry) -> np.ndarray:
+        """(N,) float64: log ratios of light as if all of it had arrived."""
+        assert self.places is not None
+        light = present.response.log_ratio(self.level, self.value)
+        return np.asarray(light - self.places.log_ratio(present.vignetting))
 
 
 def solve(
@@ -120,7 +143,7 @@ def ratios_at(
     world_from_camera: (I, 4, 4); image_times: (I,) s; scan_times: (S,) s of the scans in `plane_points`
     seen: the global visibility map, which ties images that are far apart in time; None: neighbours only
     level: of the pyramid, whose patches are compared; depth: of the same images; None: made here
-    raw: camera of the raw images, where vignetting is asked for
+    raw: camera of the raw images, where vignetting and response are asked for
     """
     if depth is None:
         depth = visibility.depth_buffers(
@@ -205,10 +228,16 @@ def measure(
     sigma = np.sqrt(SIGMA_FLOOR**2 + means[good, SPREAD] ** 2 / INDEPENDENT)
     value = np.log(means[good, TARGET_MEAN] / means[good, REFERENCE_MEAN])
     point, target = point[good].astype(np.int32), target[good].astype(np.int32)
-    block = surface_blocks(points.position_world)[point]
     places = None if raw is None else _places(raw, camera, world_from_camera, points, point, target)
     return Ratios(
-        first=points.reference[point], second=target, value=value, sigma=sigma, block=block, places=places
+        first=points.reference[point],
+        second=target,
+        value=value,
+        sigma=sigma,
+        block=surface_blocks(points.position_world)[point],
+        stretch=surface_blocks(points.position_world, STRETCH_M)[point],
+        places=places,
+        level=0.5 * np.log(means[good, TARGET_MEAN] * means[good, REFERENCE_MEAN]),
     )
 
 
@@ -259,53 +288,61 @@ def edges_of(ratios: Ratios, images: int) -> Edges:
     sign = np.where(ratios.first == low, 1.0, -1.0)
     value = sign * ratios.value
     codes, edge = np.unique(low.astype(np.int64) * images + high, return_inverse=True)
-    vignette, falloff, by_numbers = vignetting.NONE, None, np.zeros((len(value), vignetting.NUMBERS))
+    light, known, by_numbers = radiometry.NONE, None, np.zeros((len(value), radiometry.NUMBERS))
     if ratios.places is not None:
-        falloff = falloff_sums(edge, sign, ratios)
-        vignette = vignetting.solve(falloff)
-        value = sign * (ratios.value - ratios.places.log_ratio(vignette))
-        by_numbers = sign[:, None] * ratios.places.by_numbers(vignette)
+        known = radiometry_sums(edge, sign, ratios)
+        light = radiometry.solve(known)
+        value = sign * ratios.of_surfaces(light)
+        expected = sign * edge_means(edge, value, ratios.sigma, len(codes))[0][edge]
+        by_numbers = sign[:, None] * ratios.by_numbers(
+            light, expected + ratios.places.log_ratio(light.vignetting)
+        )
     mean, sigma, weight = edge_means(edge, value, ratios.sigma, len(codes))
     count = np.bincount(edge, minlength=len(codes))
     sigma = np.sqrt(sigma**2 + EDGE_FLOOR**2 + (FEW_PATCHES / np.maximum(count, 1)) ** 2)
-    left_out = leave_out_blocks(edge, value, weight, ratios.block, mean)
+    pieces = [pieces_of_means(edge, value, weight, each, mean) for each in (ratios.block, ratios.stretch)]
     return Edges(
         first=codes // images,
         second=codes % images,
         mean=mean,
         sigma=sigma,
-        changes=left_out - mean[:, None],
+        share=np.concatenate([share for share, _ in pieces], axis=1),
+        pull=np.concatenate([pull for _, pull in pieces], axis=1),
         pairs=len(value),
         spread=robust_std(value - mean[edge]),
-        vignetting=vignette,
-        by_vignetting=_weighted_means(edge, weight, by_numbers, len(codes)),
-        falloff=falloff,
+        radiometry=light,
+        by_radiometry=_weighted_means(edge, weight, by_numbers, len(codes)),
+        known=known,
     )
 
 
-def falloff_sums(edge: Indices, sign: np.ndarray, ratios: Ratios) -> FalloffSums:
-    """What the log ratios tell of the vignetting, the level of each edge left open; robust as `edge_means`.
+def radiometry_sums(edge: Indices, sign: np.ndarray, ratios: Ratios) -> RadiometrySums:
+    """What the log ratios tell of vignetting and response, the level of each edge left open; robust as `edge_means`.
 
     edge: (N,) of each ratio; sign: (N,) float64, 1 or -1, of the ratio in its edge
     """
     assert ratios.places is not None
-    edges, value = int(edge.max(initial=-1)) + 1, sign * ratios.value
-    vignette, mean, weight = vignetting.NONE, _medians(edge, value, edges), ratios.sigma**-2
-    known = vignetting.sums(
-        edge, ratios.block, value, weight, np.zeros((len(value), vignetting.NUMBERS)), BLOCKS
+    edges, count = int(edge.max(initial=-1)) + 1, len(ratios.value)
+    present, mean, weight = radiometry.NONE, _medians(edge, sign * ratios.value, edges), ratios.sigma**-2
+    known = radiometry.sums(
+        edge, ratios.block, ratios.value, weight, np.zeros((count, radiometry.NUMBERS)), BLOCKS
     )
-    light = np.zeros_like(value)
-    for _ in range(_FALLOFF_ROUNDS if len(value) else 0):
-        residual = (value - light - mean[edge]) / ratios.sigma
+    for _ in range(_RADIOMETRY_ROUNDS if count else 0):
+        falloff = ratios.places.log_ratio(present.vignetting)
+        by_numbers = sign[:, None] * ratios.by_numbers(present, falloff + sign * mean[edge])
+        # linear about the present center; in the slopes it is linear anyway
+        left = sign * (ratios.value - falloff) + np.einsum(
+            "nk,k->n", by_numbers[:, : vignetting.NUMBERS], present.vignetting.numbers
+        )
+        rest = left - np.einsum("nk,k->n", by_numbers, present.numbers)
+        residual = (rest - mean[edge]) / ratios.sigma
         scale = max(robust_std(residual), 1e-3)
         weight = 1 / (ratios.sigma**2 * (1 + (residual / (2 * scale)) ** 2))
-        by_numbers = sign[:, None] * ratios.places.by_numbers(vignette)
-        linear = value - light + np.einsum("nk,k->n", by_numbers, vignette.numbers)
-        known = vignetting.sums(edge, ratios.block, linear, weight, by_numbers, BLOCKS)
-        before, vignette = vignette, vignetting.best(known)
-        light = sign * ratios.places.log_ratio(vignette)
-        mean = np.bincount(edge, weight * (value - light), edges) / np.bincount(edge, weight, edges)
-        if np.abs(vignette.numbers - before.numbers).max() < _FALLOFF_SETTLED:
+        known = radiometry.sums(edge, ratios.block, left, weight, by_numbers, BLOCKS)
+        before, present = present, radiometry.best(known)
+        rest = left - np.einsum("nk,k->n", by_numbers, present.numbers)
+        mean = np.bincount(edge, weight * rest, edges) / np.bincount(edge, weight, edges)
+        if np.abs(present.numbers - before.numbers).max() < _RADIOMETRY_SETTLED:
             break
     return known
 
@@ -337,20 +374,18 @@ def edge_means(
     return mean, scale / np.sqrt(total), weight
 
 
-def leave_out_blocks(
+def pieces_of_means(
     edge: Indices, value: np.ndarray, weight: np.ndarray, block: Indices, mean: np.ndarray
-) -> np.ndarray:
-    """The edges' weighted means (E, BLOCKS) without the values of one block of the surface each.
+) -> tuple[np.ndarray, np.ndarray]:
+    """What part of an edge's weight each block has, and that times how far it is off the mean, both (E, BLOCKS).
 
     value: (N,) float64; weight: (N,) float64; mean: (E,) float64, of each edge
     """
     cell, shape = edge * BLOCKS + block, (len(mean), BLOCKS)
-    weights = np.bincount(cell, weight, shape[0] * BLOCKS).reshape(shape)
-    sums = np.bincount(cell, weight * value, shape[0] * BLOCKS).reshape(shape)
-    rest = weights.sum(axis=1, keepdims=True) - weights
-    enough = rest > 1e-9 * weights.sum(axis=1, keepdims=True)
-    without = (sums.sum(axis=1, keepdims=True) - sums) / np.where(enough, rest, 1.0)
-    return np.where(enough, without, mean[:, None])
+    total = np.bincount(edge, weight, shape[0])[:, None]
+    share = np.bincount(cell, weight, shape[0] * BLOCKS).reshape(shape) / total
+    pull = np.bincount(cell, weight * (value - mean[edge]), shape[0] * BLOCKS).reshape(shape) / total
+    return share, pull
 
 
 def _medians(group: np.ndarray, value: np.ndarray, groups: int) -> np.ndarray:

@@ -7,7 +7,8 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
-from lvba.visual.vignetting import NONE, FalloffSums, Vignetting
+from lvba.visual import radiometry
+from lvba.visual.radiometry import NONE, Radiometry, RadiometrySums
 
 BLOCKS = 8
 """Parts of the surface that the jackknife leaves out in turn."""
@@ -23,7 +24,7 @@ class Exposures:
     component: (I,) int32, connected component of the graph of compared images, by first image
     pairs: number of patch comparisons used
     spread: robust standard deviation of the log ratios of patches about the solution
-    vignetting: that the exposures suppose
+    radiometry: that the exposures suppose
     """
 
     log_exposure: np.ndarray
@@ -31,7 +32,7 @@ class Exposures:
     component: np.ndarray
     pairs: int
     spread: float
-    vignetting: Vignetting = NONE
+    radiometry: Radiometry = NONE
 
 
 @dataclass(frozen=True)
@@ -39,27 +40,29 @@ class Edges:
     """What all patches together say about each pair of images; two parts of the patches may each have an edge of a pair.
 
     first, second: (E,) int64, images; mean, sigma: (E,) of log(brightness in `second` / in `first`)
-    changes: (E, BLOCKS) of the mean when one block of the surface is left out
+    share: (E, 2 BLOCKS), part of the weight that each block of the surface has, first small blocks, then large ones
+    pull: (E, 2 BLOCKS), that part times how far the mean of each block is off the edge's
     pairs: number of patch comparisons; spread: their robust standard deviation about the edges' means
-    vignetting: that the means suppose; by_vignetting: (E, 5), derivative of the light in a mean by its numbers
-    falloff: what the patches say of the vignetting; None: they were not asked
+    radiometry: that the means suppose; by_radiometry: (E, NUMBERS), derivative of a mean by its numbers
+    known: what the patches say of the radiometry; None: they were not asked
     """
 
     first: np.ndarray
     second: np.ndarray
     mean: np.ndarray
     sigma: np.ndarray
-    changes: np.ndarray
+    share: np.ndarray
+    pull: np.ndarray
     pairs: int
     spread: float
-    vignetting: Vignetting
-    by_vignetting: np.ndarray
-    falloff: FalloffSums | None
+    radiometry: Radiometry
+    by_radiometry: np.ndarray
+    known: RadiometrySums | None
 
-    def supposing(self, vignetting: Vignetting) -> np.ndarray:
-        """(E,): the means as they are with another vignetting, the patches weighed as before."""
-        change = vignetting.numbers - self.vignetting.numbers
-        return np.asarray(self.mean - np.einsum("ek,k->e", self.by_vignetting, change))
+    def supposing(self, radiometry: Radiometry) -> np.ndarray:
+        """(E,): the means as they are with another radiometry, the patches weighed as before."""
+        change = radiometry.numbers - self.radiometry.numbers
+        return np.asarray(self.mean - np.einsum("ek,k->e", self.by_radiometry, change))
 
 
 def solve_edges(edges: Edges, images: int) -> Exposures:
@@ -70,12 +73,20 @@ def solve_edges(edges: Edges, images: int) -> Exposures:
     log_exposure, edge_weight = graph.solve_robustly(edges.mean, edges.sigma)
     return Exposures(
         log_exposure=_joined(log_exposure, component),
-        sigma=graph.sigma(edge_weight, edges.changes),
+        sigma=graph.sigma(edges, log_exposure, edge_weight),
         component=component,
         pairs=edges.pairs,
         spread=edges.spread,
-        vignetting=edges.vignetting,
+        radiometry=edges.radiometry,
     )
+
+
+def _by_radiometry(edges: Edges) -> np.ndarray:
+    """(E, BLOCKS): changes of the means when the radiometry is found without one block of the surface."""
+    if edges.known is None:
+        return np.zeros((len(edges.mean), BLOCKS))
+    numbers = radiometry.changes(edges.known, edges.radiometry)
+    return np.asarray(-np.einsum("ek,bk->eb", edges.by_radiometry, numbers))
 
 
 def robust_std(values: np.ndarray) -> float:
@@ -84,6 +95,12 @@ def robust_std(values: np.ndarray) -> float:
     values: (N,) float64
     """
     return float(1.4826 * np.median(np.abs(values))) if len(values) else 0.0
+
+
+_LITTLE = 0.1
+"""Part of an edge's weight that must be left for its mean to be taken anew without a block."""
+_LEAST = 0.02
+"""Part of its weight that an edge keeps without the block that all its patches lie on: it may alone join images."""
 
 
 def _by_first_image(label: np.ndarray) -> np.ndarray:
@@ -162,20 +179,36 @@ class _Graph:
             weight = 1 / (sigma**2 * (1 + (residual / (2 * scale)) ** 2))
         return solution, weight
 
-    def sigma(self, weight: np.ndarray, changes: np.ndarray) -> np.ndarray:
+    def sigma(self, edges: Edges, solution: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """Standard deviation (I,) of each image's value about the mean of its component; inf where it is alone.
 
-        changes: (E, BLOCKS) of the edges' values when one block of the surface is left out. Edges that share patches
-        err together, so the covariance of independent edges is too small; by how much is what the jackknife tells.
+        solution: (I,), with edges of weight (E,). Edges that share patches err together, so the covariance of independent
+        edges is too small; by how much is what the jackknife tells, over blocks of the size that tells more.
         """
         factor = self.factor(weight)
         independent = factor.variances()
-        jackknife = (BLOCKS - 1) / BLOCKS * (self._centered(factor.values(changes)) ** 2).sum(axis=1)
         joined = np.bincount(self.component)[self.component] > 1
         if not joined.any():
             return np.full(len(self.component), np.inf)
-        variance_factor = jackknife[joined].mean() / independent[joined].mean()
-        return np.where(joined, np.sqrt(independent * max(variance_factor, 1.0)), np.inf)
+        blocks = [range(BLOCKS), range(BLOCKS, 2 * BLOCKS)]
+        small, large = (
+            self._jackknife(np.stack([self._without(edges, weight, b) - solution for b in each], axis=1))
+            for each in blocks
+        )
+        most = max(small[joined].mean(), large[joined].mean())
+        shared = self._jackknife(factor.values(_by_radiometry(edges)))
+        variance_factor = max(most / independent[joined].mean(), 1.0)
+        return np.where(joined, np.sqrt(independent * variance_factor + shared), np.inf)
+
+    def _without(self, edges: Edges, weight: np.ndarray, block: int) -> np.ndarray:
+        """(I,): the solution without the patches of one block. weight: (E,), of the edges with them"""
+        rest = 1 - edges.share[:, block]
+        mean = edges.mean - np.where(rest > _LITTLE, edges.pull[:, block] / np.maximum(rest, _LITTLE), 0.0)
+        return self.factor(weight * np.maximum(rest, _LEAST)).values(mean)
+
+    def _jackknife(self, changes: np.ndarray) -> np.ndarray:
+        """(I,): variances of changes (I, BLOCKS) without one block each, about the mean of the component."""
+        return np.asarray((BLOCKS - 1) / BLOCKS * (self._centered(changes) ** 2).sum(axis=1))
 
     def _centered(self, values: np.ndarray) -> np.ndarray:
         """Values (I, K) less the mean of their component."""

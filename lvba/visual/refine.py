@@ -21,10 +21,10 @@ from lvba.visual import (
     covariance,
     degeneracy,
     exposure,
+    radiometry,
     scene_points,
     self_calibration,
     trajectory_prior,
-    vignetting,
     visibility,
 )
 from lvba.visual import result as results
@@ -33,12 +33,12 @@ from lvba.visual.degeneracy import DegenerateDirections
 from lvba.visual.image import ImageConfig, Pyramid
 from lvba.visual.keyframes import KeyframeConfig
 from lvba.visual.patch_shifts import Shifts
+from lvba.visual.radiometry import Radiometry
 from lvba.visual.result import LevelReport, VisualResult
 from lvba.visual.scene_points import Observations, PatchRules, PointsConfig, ScenePoints
 from lvba.visual.states import CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior, PriorConfig
 from lvba.visual.variant import PRODUCT, Variant
-from lvba.visual.vignetting import Vignetting
 from lvba.visual.visibility import DepthBuffers, VisibilityConfig, VisibilityMap
 
 __all__ = [
@@ -104,8 +104,9 @@ class VisualConfig:
     )
     vignetting: bool = setting(
         True,
-        meaning="Find how light falls off towards the corners of images, and take it out of them.",
-        change_when="Images were corrected for it before (false).",
+        meaning="Find how light falls off towards the corners of images, and the curve that grey values pass, and take "
+        "both out of them.",
+        change_when="Images were corrected for both before (false).",
         advanced=True,
     )
     images: ImageConfig = field(default_factory=ImageConfig)
@@ -212,10 +213,10 @@ def finest(
     scene = scene_of(given, config, variant)
     solution, last, directions = _solved(scene, coarser or _none_yet(scene), config, progress)
     state, sigma = solution.state, np.zeros(len(scene.image_times))
-    light = vignetting.NONE
+    light = radiometry.NONE
     if variant.exposures == "means":
         exposed = _exposed(scene, 0, state)
-        state, sigma, light = exposed.state, exposed.sigma, exposed.vignetting
+        state, sigma, light = exposed.state, exposed.sigma, exposed.radiometry
     start = scene.start.cameras.world_from_camera
     result = results.collect(
         solution.reports,
@@ -229,7 +230,7 @@ def finest(
         given.images.times,
     )
     spread = result.covariance + _of_map(given, result.world_from_camera)
-    return replace(result, covariance=spread, vignetting=light), last
+    return replace(result, covariance=spread, radiometry=light), last
 
 
 def _of_map(given: Inputs, world_from_camera: np.ndarray) -> np.ndarray:
@@ -328,11 +329,11 @@ def _visibility_map(
 
 @dataclass(frozen=True)
 class _Exposed:
-    """A state with exposures solved anew, their standard deviations (K,), and the vignetting that they suppose."""
+    """A state with exposures solved anew, their standard deviations (K,), and the radiometry that they suppose."""
 
     state: VisualState
     sigma: np.ndarray
-    vignetting: Vignetting = vignetting.NONE
+    radiometry: Radiometry = radiometry.NONE
 
 
 def _exposed(scene: Scene, level: int, state: VisualState, depth: DepthBuffers | None = None) -> _Exposed:
@@ -347,7 +348,7 @@ def _exposed(scene: Scene, level: int, state: VisualState, depth: DepthBuffers |
         compared, depth, scene.camera if scene.vignetting and scene.variant.exposures == "means" else None,
     )  # fmt: skip
     state = replace(state, cameras=CameraStates(poses, solved.log_exposure))
-    return _Exposed(state, solved.sigma, solved.vignetting)
+    return _Exposed(state, solved.sigma, solved.radiometry)
 
 
 def _solve_level(
@@ -362,7 +363,7 @@ def _solve_level(
         camera, poses, scene.image_times, scene.plane_points, scene.scan_times, config.points.time_window_s
     )
     exposed = _exposed(scene, level, coarser.state, depth)
-    state, images = exposed.state, exposed.vignetting.taken_out_of(images, scene.camera, camera)
+    state, images = exposed.state, exposed.radiometry.taken_out_of(images, scene.camera, camera)
     progress("scene points", 1, 3)
     points = scene_points.select(
         images, camera, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, noise,

@@ -11,9 +11,9 @@ from lvba.visual import bundle_adjustment, degeneracy, photometric, trajectory_p
 from lvba.visual.bundle_adjustment import LevelSolution
 from lvba.visual.degeneracy import DegenerateDirections
 from lvba.visual.photometric import PhotometricState
+from lvba.visual.radiometry import NONE, Radiometry
 from lvba.visual.states import Calibration, CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior
-from lvba.visual.vignetting import NONE, Vignetting
 
 _NAMED = 12
 """At most so many frames are named in a warning."""
@@ -58,7 +58,7 @@ class VisualResult:
     weak_common: (k, 6) float64, motions `[rotation | translation]` of all images about their scene's middle, world
         axes, that no image holds: there the result is the prior's
     cost_initial, cost_final: photometric cost of the finest level at the carried rough poses and at the result
-    vignetting: that poses and exposures suppose
+    radiometry: that poses and exposures suppose
     """
 
     world_from_camera: np.ndarray
@@ -76,7 +76,7 @@ class VisualResult:
     cost_final: float
     converged: bool
     warnings: tuple[str, ...]
-    vignetting: Vignetting = NONE
+    radiometry: Radiometry = NONE
 
     @property
     def scan_from_camera(self) -> np.ndarray:

@@ -11,9 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba import lens
-from lvba.arrays import Images, Indices
 from lvba.camera import Camera
-from lvba.visual.image import DARK, SATURATED
 
 TERMS = 3
 """Even powers of the distance from the center in the logarithm of the light: 2, 4 and 6."""
@@ -67,15 +65,6 @@ class Vignetting:
         """(N,) float64 at places (N, 2) float64; beyond rho = 1 as there."""
         return np.asarray(np.einsum("nk,k->n", _powers(_squares(self, places)), self.coefficients))
 
-    def taken_out_of(self, images: Images, camera: Camera | None, pinhole: Camera) -> np.ndarray:
-        """Undistorted images (I, H, W, C) uint8 as if all light had arrived, themselves where none is missing.
-
-        camera: of the raw images, None: they have none; pinhole: of these, at any size
-        """
-        if camera is None or not self:
-            return images
-        return divided(images, light_of_pixels(self, camera, pinhole))
-
 
 NONE = Vignetting()
 
@@ -99,17 +88,13 @@ def of_numbers(numbers: np.ndarray | None, loss_sigma: float = float("inf")) -> 
 
 @dataclass(frozen=True)
 class FalloffSums:
-    """Normal equations of the numbers of a vignetting, by block of the surface: those of several parts of a recording
-    add up.
+    """Normal equations of the numbers of a vignetting, by block of the surface.
 
     information: (B, 5, 5) float64; gradient: (B, 5) float64, so that one over the other is the numbers
     """
 
     information: np.ndarray
     gradient: np.ndarray
-
-    def __add__(self, other: "FalloffSums") -> "FalloffSums":
-        return FalloffSums(self.information + other.information, self.gradient + other.gradient)
 
 
 @dataclass(frozen=True)
@@ -148,47 +133,6 @@ def light_of_pixels(vignette: Vignetting, camera: Camera, pinhole: Camera) -> np
     pixels = np.stack([column.ravel(), row.ravel()], axis=1).astype(float)
     light = np.exp(vignette.log_light(places(camera, pinhole, pixels)))
     return np.asarray(light.reshape(pinhole.height, pinhole.width), np.float32)
-
-
-def divided(images: Images, light: np.ndarray) -> np.ndarray:
-    """The images (I, H, W, C) uint8 as if all light had arrived, rounded; 255 where that is too much for a byte.
-
-    Clipped pixels become 255, and those without a picture stay as they are. light: (H, W) float32
-    """
-    gain = (1 / light)[..., None].astype(np.float32)
-    corrected = np.empty_like(images)
-    for index, image in enumerate(images):
-        grey = np.rint(np.minimum(image * gain, np.float32(255.0))).astype(np.uint8)
-        grey = np.where(image <= DARK, image, grey)
-        corrected[index] = np.where(image >= SATURATED, np.uint8(255), grey)
-    return corrected
-
-
-def sums(
-    edge: Indices, block: Indices, value: np.ndarray, weight: np.ndarray, by_numbers: np.ndarray, blocks: int
-) -> FalloffSums:
-    """The normal equations of the numbers, what is common to all values of an edge left open.
-
-    edge, block: (N,) of each value; value, weight: (N,) float64, what by_numbers (N, 5) float64 times the numbers is
-    """
-    edges = int(edge.max(initial=-1)) + 1
-    total = np.maximum(np.bincount(edge, weight, edges), 1e-300)
-    inside = [
-        each - (np.bincount(edge, weight * each, edges) / total)[edge] for each in (*by_numbers.T, value)
-    ]
-    table = np.zeros((blocks, NUMBERS, NUMBERS + 1))
-    for row in range(NUMBERS):
-        weighted = weight * inside[row]
-        for column in range(row, NUMBERS + 1):
-            table[:, row, column] = np.bincount(block, weighted * inside[column], blocks)
-            if column < NUMBERS:
-                table[:, column, row] = table[:, row, column]
-    return FalloffSums(table[:, :, :NUMBERS], table[:, :, NUMBERS])
-
-
-def best(known: FalloffSums) -> Vignetting:
-    """The vignetting that fits the sums best, whatever it is."""
-    return of_numbers(_solved(known.information.sum(axis=0), known.gradient.sum(axis=0), TERMS), float("inf"))
 
 
 def solve(known: FalloffSums) -> Vignetting:

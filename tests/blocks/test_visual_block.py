@@ -11,10 +11,11 @@ from lvba import geometry
 from lvba.blocks import visual_block, visual_joint
 from lvba.blocks.visual_joint import JointCameras
 from lvba.visual import image, refine, trajectory_prior, vignetting
+from lvba.visual.radiometry import NONE
 from lvba.visual.refine import Inputs, VisualConfig
 from lvba.visual.states import CameraStates, VisualState
 from lvba.visual.tuning import tuning
-from lvba.visual.vignetting import NONE, Vignetting
+from lvba.visual.vignetting import Vignetting
 
 CONFIG = VisualConfig()
 ALL = np.arange(COUNT)
@@ -145,13 +146,15 @@ def test_all_shares_have_one_vignetting(solved):
     (whole,), _ = shares(given, last.state, known, [core(0, COUNT)])
     tied = visual_joint.solve_exposures([each.edges for each in parts], COUNT)
     alone = visual_joint.solve_exposures([whole.edges], COUNT)
-    assert tied.vignetting.corner_loss == pytest.approx(alone.vignetting.corner_loss, abs=0.01)
-    assert alone.vignetting.corner_loss == pytest.approx(true.corner_loss, abs=0.05)
+    assert tied.radiometry.vignetting.corner_loss == pytest.approx(
+        alone.radiometry.vignetting.corner_loss, abs=0.01
+    )
+    assert alone.radiometry.vignetting.corner_loss == pytest.approx(true.corner_loss, abs=0.05)
     np.testing.assert_allclose(tied.log_exposure, alone.log_exposure, atol=2e-3)
     now = visual_joint.with_exposures(
         JointCameras(last.state, last.state, last.prior, np.zeros(COUNT)), [each.edges for each in parts]
     )
-    assert now.vignetting == tied.vignetting
+    assert now.radiometry.vignetting == tied.radiometry.vignetting
 
 
 def test_without_prior_only_images_that_are_seen_move(solved):

@@ -115,7 +115,7 @@ def dark_corners(settings):
     dark = np.rint(pyramid.levels[0] * light[..., None]).astype(np.uint8)
     pyramid = replace(pyramid, levels=(dark, *pyramid.levels[1:]))
     given = replace(room(), camera=pyramid.camera, pyramid=pyramid)
-    return refine.refine_finest(given, None, settings.visual).vignetting.numbers
+    return refine.refine_finest(given, None, settings.visual).radiometry.numbers
 
 
 def chosen(settings):

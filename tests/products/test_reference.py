@@ -7,6 +7,7 @@ from lvba import geometry
 from lvba.io.exposures import Exposures
 from lvba.io.reference import Reference
 from lvba.products import reference
+from lvba.steps import uncertainty
 from lvba.trajectory import Trajectory
 
 RNG = np.random.default_rng(0)
@@ -78,3 +79,21 @@ def test_one_scale_of_the_exposures_is_free():
     facts = reference.compare(truth(exposures=Exposures(TIMES, exact)), *both, noisy)
     assert facts["exposure"]["rms_percent"] == pytest.approx(1.0, rel=0.01)
     assert facts["exposure"]["frames"] == 20
+
+
+def test_exposures_of_a_power_of_the_light_are_right_after_it():
+    rng = np.random.default_rng(5)
+    exact = np.exp(0.3 * rng.standard_normal(20))
+    both = Trajectory(TIMES, SCANS), Trajectory(TIMES + 0.5, CAMERAS)
+    facts = reference.compare(truth(exposures=Exposures(TIMES, exact)), *both, Exposures(TIMES, exact**0.45))
+    assert facts["exposure"]["power"] == pytest.approx(0.45)
+    assert facts["exposure"]["rms_percent"] > 5
+    assert facts["exposure"]["rms_percent_after_power"] < 1e-6
+    same = Exposures(TIMES, np.ones(20))
+    assert "power" not in reference.compare(truth(exposures=same), *both, same)["exposure"]
+    assert "power" not in reference.compare(truth(exposures=Exposures(TIMES, exact)), *both, same)["exposure"]
+    sigma = np.full(20, 0.01)
+    noisy = 0.45 * np.log(exact) + 0.01 * rng.standard_normal(20)
+    nees = uncertainty.of_exposures(TIMES, noisy, sigma, TIMES, exact)
+    assert nees["nees"] > 50
+    assert 0.3 < nees["nees_after_power"] < 2

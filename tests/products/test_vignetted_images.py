@@ -9,9 +9,9 @@ import yaml
 
 from lvba.errors import InputError
 from lvba.io import calibration
-from lvba.products import colorize, evaluate, pictures
+from lvba.products import colorize, evaluate, pictures, recorded_images
 from lvba.products.evaluate import State
-from lvba.visual import vignetting
+from lvba.visual import response, vignetting
 from lvba.visual.vignetting import Vignetting
 
 FOUND = Vignetting((-0.5, -0.15, 0.0), (0.01, 0.02))
@@ -85,8 +85,44 @@ def test_calibration_of_a_result_holds_it(tmp_path):
     calibration.write(tmp_path, box_world.CAMERA, np.eye(4), 0.0, 0.0, {})
     assert calibration.read_vignetting(tmp_path) is None
     assert calibration.read_vignetting(tmp_path / "none") is None
+    assert not recorded_images.radiometry_of(tmp_path)
+    curve = response.Response((0.6, 0.65, 0.7, 0.8, 1.0, 1.4, 2.2))
+    calibration.write(tmp_path, box_world.CAMERA, np.eye(4), 0.0, 0.0, {}, numbers, curve.table)
+    assert recorded_images.radiometry_of(tmp_path).response.slopes == pytest.approx(curve.slopes)
+    assert recorded_images.radiometry_of(tmp_path).vignetting.numbers == pytest.approx(numbers)
     path = tmp_path / calibration.NAME
     facts = yaml.safe_load(path.read_text())
     path.write_text(yaml.safe_dump(facts | {"vignetting": {"coefficients": [0.1, "x", 0], "center": [0, 0]}}))
     with pytest.raises(InputError, match="vignetting"):
         calibration.read_vignetting(tmp_path)
+    path.write_text(yaml.safe_dump(facts | {"response": {"grey_values": [1, 2], "slopes": [1, 2]}}))
+    with pytest.raises(InputError, match="response"):
+        recorded_images.radiometry_of(tmp_path)
+
+
+CURVE = response.Response((0.6, 0.65, 0.7, 0.8, 1.0, 1.4, 2.2))
+
+
+@pytest.mark.parametrize("colors", ["paper", "blended"])
+def test_a_state_with_the_curve_predicts_the_images_as_they_were_taken(bright, colors):
+    taken = np.rint(CURVE.grey(bright.pictures.astype(np.float32) * LIGHT[..., None])).astype(np.uint8)
+    curved = replace(bright, pictures=taken)
+    cloud, views = curved.cloud(), curved.views()
+    states = {
+        "as taken": State(cloud, views),
+        "known": State(cloud, replace(views, light=LIGHT, curve=CURVE)),
+        "light alone": State(cloud, replace(views, light=LIGHT)),
+    }
+    score = {name: each.psnr_leave_one_out for name, each in evaluate.evaluate(states, colors=colors).items()}
+    assert score["known"] > score["light alone"] + 1
+    assert score["known"] > score["as taken"] + 1
+
+
+def test_the_map_shows_colors_as_the_images_have_them(bright):
+    radiance = np.array([[10.0, 60.0, 200.0], [100.0, 100.0, 100.0]], np.float32)
+    shown = colorize.to_rgb8(radiance, 1.1, CURVE)
+    np.testing.assert_allclose(shown, CURVE.grey(radiance * 1.1), atol=0.5)
+    change = colorize.contrast(radiance[1:], 1.1, CURVE)[0]
+    ends = CURVE.grey(np.array([109.0, 111.0], np.float32))
+    assert change == pytest.approx((ends[1] - ends[0]) / 2, rel=0.02)
+    assert colorize.contrast(radiance, 1.1, response.LINEAR) == 1

@@ -28,6 +28,8 @@ CHANGES = {
     "rolling_shutter": {IMAGES},
     "vignetting": {IMAGES},
     "response": {IMAGES},
+    "srgb": {IMAGES},
+    "filmic": {IMAGES},
     "white_balance": {IMAGES},
     "auto_exposure": {IMAGES, TRUTH},
     "highlights": {IMAGES},
@@ -346,6 +348,22 @@ def test_a_response_curve_brightens_what_is_dark():
     assert picture[0, 0, 0] == round(255 * 0.25 ** (1 / 2.2))
     linear = replace(sensor, response=1.0).picture(radiance, 1.0, np.random.default_rng(0))
     assert linear[0, 0, 0] == round(255 * 0.25)
+
+
+def test_srgb_and_filmic_curves_are_those_published():
+    light = np.array([0.0, 0.002, 0.0031308, 0.18, 0.5, 1.0], np.float32)
+    srgb = [0.0, 0.02584, 0.04045, 0.46136, 0.73536, 1.0]  # of IEC 61966-2-1
+    np.testing.assert_allclose(cameras.srgb_curve(light), srgb, atol=1e-4)
+    filmic = cameras.filmic_curve(light)
+    assert filmic[0] == 0
+    assert filmic[-1] == pytest.approx(1.0)
+    slopes = np.diff(filmic) / np.diff(light)
+    assert filmic[1] < srgb[1]
+    assert (slopes > 0).all()
+    assert slopes[-1] < slopes[-2]
+    radiance = np.full((2, 2, 3), 0.18, np.float32)
+    sensor = cameras.Sensor(gain=255.0, noise=0.0, srgb=1.0)
+    assert sensor.picture(radiance, 1.0, np.random.default_rng(0))[0, 0, 0] == round(255 * 0.46136)
 
 
 def test_images_of_a_disturbed_recording_are_readable(tmp_path):

@@ -39,7 +39,8 @@ def _graph(rng, images=12, per_edge=20, sigma=0.01, skip=()):
     first, second = np.repeat(first, per_edge), np.repeat(second, per_edge)
     value = truth[second] - truth[first] + sigma * rng.standard_normal(len(first))
     block = rng.integers(0, BLOCKS, len(first))
-    ratios = Ratios(first.astype(np.int32), second.astype(np.int32), value, np.full(len(first), sigma), block)
+    spread, level = np.full(len(first), sigma), np.full(len(first), np.log(100.0))
+    ratios = Ratios(first.astype(np.int32), second.astype(np.int32), value, spread, block, block, level)
     return truth, ratios
 
 
@@ -82,6 +83,32 @@ def test_sigma_grows_where_patches_err_together():
     assert 0.4 < np.mean(nees) < 2.5
 
 
+@pytest.mark.usefixtures("no_floors")
+def test_sigma_grows_where_stretches_of_surface_err_together():
+    """Small blocks, each of patches from all stretches, show nothing of it."""
+    rng = np.random.default_rng(7)
+    nees, small = [], []
+    for _ in range(20):
+        truth, ratios = _graph(rng, sigma=0.01)
+        stretch = rng.integers(0, BLOCKS, len(ratios.value))
+        shift = 0.01 * rng.standard_normal((len(truth), BLOCKS))
+        value = ratios.value + shift[ratios.second, stretch] - shift[ratios.first, stretch]
+        for sizes, of in ((ratios.block, small), (stretch, nees)):
+            estimate = solve_ratios(replace(ratios, value=value, stretch=sizes), len(truth))
+            of.append((_error(estimate, np.exp(truth)) / estimate.sigma) ** 2)
+    assert 0.4 < np.mean(nees) < 2.5
+    assert np.mean(small) > 1.2 * np.mean(nees)
+
+
+def test_sigma_stays_sound_where_one_block_joins_two_groups_of_images():
+    rng = np.random.default_rng(8)
+    truth, ratios = _graph(rng, sigma=0.01)
+    across = (np.minimum(ratios.first, ratios.second) < 6) & (np.maximum(ratios.first, ratios.second) >= 6)
+    alone = replace(ratios, stretch=np.where(across, 0, 1 + ratios.block % (BLOCKS - 1)))
+    joined, parted = (solve_ratios(each, len(truth)).sigma for each in (ratios, alone))
+    assert parted.mean() < 2 * joined.mean()
+
+
 def test_wrong_patches_and_wrong_pairs_of_images_do_little():
     rng = np.random.default_rng(2)
     truth, ratios = _graph(rng)
@@ -99,7 +126,10 @@ def test_two_components_and_a_lone_image():
     truth, ratios = _graph(rng, images=13, skip=(5, 6))
     across = (np.minimum(ratios.first, ratios.second) < 5) & (np.maximum(ratios.first, ratios.second) > 6)
     kept = Ratios(
-        *(getattr(ratios, name)[~across] for name in ("first", "second", "value", "sigma", "block"))
+        *(
+            getattr(ratios, name)[~across]
+            for name in ("first", "second", "value", "sigma", "block", "stretch", "level")
+        )
     )
     found = solve_ratios(kept, 13)
     assert found.component.tolist() == [0] * 5 + [1, 2] + [3] * 6
@@ -114,7 +144,10 @@ def test_two_components_and_a_lone_image():
 def test_nothing_to_compare():
     none = np.empty(0)
     found = solve_ratios(
-        Ratios(none.astype(np.int32), none.astype(np.int32), none, none, none.astype(int)), 3
+        Ratios(
+            none.astype(np.int32), none.astype(np.int32), none, none, none.astype(int), none.astype(int), none
+        ),
+        3,
     )
     assert found.log_exposure.tolist() == [0, 0, 0]
     assert np.isinf(found.sigma).all()
@@ -128,18 +161,20 @@ def test_medians_match_numpy():
     np.testing.assert_allclose(exposure._medians(group, value, 7), expected)
 
 
-def test_leaving_blocks_out_is_what_it_says():
+def test_blocks_make_up_their_edges():
     rng = np.random.default_rng(0)
     edge, block = rng.integers(0, 3, 90), rng.integers(0, BLOCKS, 90)
     value, weight = rng.standard_normal(90), rng.uniform(0.5, 2, 90)
     edge[0], edge[1:][edge[1:] == 2] = 2, 1
     mean = np.array([np.average(value[edge == e], weights=weight[edge == e]) for e in range(3)])
-    found = exposure.leave_out_blocks(edge, value, weight, block, mean)
+    share, pull = exposure.pieces_of_means(edge, value, weight, block, mean)
     for e in range(2):
         for b in range(BLOCKS):
             rest = (edge == e) & (block != b)
-            assert found[e, b] == pytest.approx(np.average(value[rest], weights=weight[rest]))
-    assert (found[2] == mean[2]).all(), "an edge that lies in one block stays"
+            without = mean[e] - pull[e, b] / (1 - share[e, b])
+            assert without == pytest.approx(np.average(value[rest], weights=weight[rest]))
+    np.testing.assert_allclose(share.sum(axis=1), 1.0)
+    assert np.abs(pull[2]).max() < 1e-12
 
 
 def test_exposures_of_a_room():

@@ -7,7 +7,7 @@ from rectangle_world import CAMERA, room_with_screen
 
 from lvba.camera import Camera
 from lvba.lens import Lens
-from lvba.visual import exposure, image, vignetting
+from lvba.visual import exposure, image, radiometry, vignetting
 from lvba.visual.exposure import Ratios
 from lvba.visual.exposure_graph import BLOCKS
 from lvba.visual.image import Undistorter
@@ -32,7 +32,10 @@ def make(rng, found=TRUE, images=12, per_pair=60, sigma=0.01):
     value = truth[second] - truth[first] + places.log_ratio(found) + sigma * rng.standard_normal(len(first))
     block = rng.integers(0, BLOCKS, len(first))
     spread = np.full(len(first), sigma)
-    return truth, Ratios(first.astype(np.int32), second.astype(np.int32), value, spread, block, places)
+    level = np.full(len(first), np.log(100.0))
+    return truth, Ratios(
+        first.astype(np.int32), second.astype(np.int32), value, spread, block, block, level, places
+    )
 
 
 def solve(ratios, images=12):
@@ -59,18 +62,18 @@ def test_it_is_found_beside_exposures_that_change():
     found = solve(ratios)
     squares = np.linspace(0, 1, 11)
     np.testing.assert_allclose(
-        light_at(replace(found.vignetting, center=(0, 0)), squares),
+        light_at(replace(found.radiometry.vignetting, center=(0, 0)), squares),
         light_at(replace(TRUE, center=(0, 0)), squares),
         atol=0.02,
     )
-    np.testing.assert_allclose(found.vignetting.center, TRUE.center, atol=0.01)
-    assert found.vignetting.corner_loss == pytest.approx(
-        TRUE.corner_loss, abs=4 * found.vignetting.loss_sigma
+    np.testing.assert_allclose(found.radiometry.vignetting.center, TRUE.center, atol=0.01)
+    assert found.radiometry.vignetting.corner_loss == pytest.approx(
+        TRUE.corner_loss, abs=4 * found.radiometry.vignetting.loss_sigma
     )
     error = found.log_exposure - truth
     assert np.std(error) < 0.005
     without = solve(replace(ratios, places=None))
-    assert without.vignetting == NONE
+    assert without.radiometry.vignetting == NONE
 
 
 def test_wrong_patches_do_little():
@@ -78,7 +81,7 @@ def test_wrong_patches_do_little():
     _, ratios = make(rng)
     value = ratios.value.copy()
     value[rng.random(len(value)) < 0.15] -= 0.5
-    found = solve(replace(ratios, value=value)).vignetting
+    found = solve(replace(ratios, value=value)).radiometry.vignetting
     assert found.corner_loss == pytest.approx(TRUE.corner_loss, abs=0.03)
 
 
@@ -87,27 +90,42 @@ def test_what_drifts_with_the_images_is_no_vignetting():
     rng = np.random.default_rng(3)
     _, ratios = make(rng, NONE)
     drifting = ratios.value + 0.2 * (ratios.second - ratios.first)
-    assert not solve(replace(ratios, value=drifting)).vignetting
+    assert not solve(replace(ratios, value=drifting)).radiometry.vignetting
 
 
 def test_none_is_found_where_there_is_none_and_where_nothing_tells():
-    assert sum(bool(solve(make(np.random.default_rng(seed), NONE)[1]).vignetting) for seed in range(40)) == 0
+    assert (
+        sum(
+            bool(solve(make(np.random.default_rng(seed), NONE)[1]).radiometry.vignetting)
+            for seed in range(40)
+        )
+        == 0
+    )
     _, ratios = make(np.random.default_rng(4))
     still = replace(ratios, places=PairPlaces(ratios.places.reference, ratios.places.reference))
-    assert solve(still).vignetting.coefficients == NONE.coefficients
-    assert not vignetting.solve(exposure.falloff_sums(np.zeros(0, int), np.zeros(0), _nothing()))
+    assert solve(still).radiometry.vignetting.coefficients == NONE.coefficients
+    assert not radiometry.solve(exposure.radiometry_sums(np.zeros(0, int), np.zeros(0), _nothing()))
 
 
 def _nothing():
     none, places = np.zeros(0), PairPlaces(np.zeros((0, 2)), np.zeros((0, 2)))
-    return Ratios(none.astype(np.int32), none.astype(np.int32), none, none, none.astype(int), places)
+    return Ratios(
+        none.astype(np.int32),
+        none.astype(np.int32),
+        none,
+        none,
+        none.astype(int),
+        none.astype(int),
+        none,
+        places,
+    )
 
 
 @pytest.mark.parametrize(
     "impossible", [Vignetting((0.4, 0.0, 0.0)), Vignetting((-2.5, 0.0, 0.0)), Vignetting((-1.5, 1.5, 0.0))]
 )
 def test_what_no_lens_does_is_refused(impossible):
-    found = solve(make(np.random.default_rng(5), impossible, sigma=0.002)[1]).vignetting
+    found = solve(make(np.random.default_rng(5), impossible, sigma=0.002)[1]).radiometry.vignetting
     light = light_at(found, np.linspace(0, 1, 50))
     assert light.min() >= vignetting.LEAST_LIGHT
     assert (light <= np.minimum.accumulate(light) + vignetting.RISE).all()
@@ -115,7 +133,9 @@ def test_what_no_lens_does_is_refused(impossible):
 
 def test_a_small_one_is_left_alone():
     small = Vignetting((-0.004, 0.0, 0.0))
-    assert not solve(make(np.random.default_rng(6), small, per_pair=2000, sigma=0.001)[1]).vignetting
+    assert not solve(
+        make(np.random.default_rng(6), small, per_pair=2000, sigma=0.001)[1]
+    ).radiometry.vignetting
 
 
 def test_parts_add_up_to_the_whole():
@@ -124,16 +144,15 @@ def test_parts_add_up_to_the_whole():
 
     def part(mine):
         places = PairPlaces(ratios.places.reference[mine], ratios.places.target[mine])
-        return exposure.edges_of(
-            Ratios(*(getattr(ratios, name)[mine] for name in ("first", "second", "value", "sigma", "block")), places), 12
-        )  # fmt: skip
+        names = ("first", "second", "value", "sigma", "block", "stretch", "level")
+        return exposure.edges_of(Ratios(*(getattr(ratios, name)[mine] for name in names), places), 12)
 
     halves = [part(ratios.first < 6), part(ratios.first >= 6)]
-    joint = vignetting.solve(halves[0].falloff + halves[1].falloff)
-    np.testing.assert_allclose(joint.numbers, whole.vignetting.numbers, atol=0.01)
+    joint = radiometry.solve(halves[0].known + halves[1].known)
+    np.testing.assert_allclose(joint.numbers, whole.radiometry.numbers, atol=0.01)
     means = np.concatenate([each.supposing(joint) for each in halves])
     np.testing.assert_allclose(means, whole.supposing(joint), atol=1e-3)
-    np.testing.assert_allclose(whole.supposing(whole.vignetting), whole.mean)
+    np.testing.assert_allclose(whole.supposing(whole.radiometry), whole.mean)
 
 
 def test_a_mean_weighs_what_each_part_knows():
@@ -166,11 +185,11 @@ def test_light_is_that_of_the_raw_pixel(name, measuring):
 def test_dividing_keeps_what_is_no_measurement():
     images = np.array([0, 1, 3, 4, 100, 200, 249, 250, 255], np.uint8)[None, None, :, None]
     light = np.full((1, 9), 0.5, np.float32)
-    divided = vignetting.divided(images, light)
+    divided = radiometry.divided(images, light)
     assert divided.ravel().tolist() == [0, 1, 3, 8, 200, 255, 255, 255, 255]
-    even = vignetting.divided(images, np.ones((1, 9), np.float32))
+    even = radiometry.divided(images, np.ones((1, 9), np.float32))
     assert even.ravel().tolist() == [0, 1, 3, 4, 100, 200, 249, 255, 255]
-    assert NONE.taken_out_of(images, CAMERA, CAMERA) is images
+    assert radiometry.NONE.taken_out_of(images, CAMERA, CAMERA) is images
 
 
 def dark_room(found):
@@ -191,7 +210,7 @@ def found_in(rec, images, raw=CAMERA):
 def test_vignetting_of_a_room():
     rec, images = dark_room(TRUE)
     found = found_in(rec, images)
-    assert found.vignetting.corner_loss == pytest.approx(TRUE.corner_loss, abs=0.05)
+    assert found.radiometry.vignetting.corner_loss == pytest.approx(TRUE.corner_loss, abs=0.05)
     errors = []
     for each in (found, found_in(rec, images, raw=None)):
         error = each.log_exposure - np.log(rec.exposure)
@@ -202,7 +221,7 @@ def test_vignetting_of_a_room():
 
 def test_a_clean_room_has_none():
     rec = room_with_screen()
-    assert not found_in(rec, rec.images).vignetting
+    assert not found_in(rec, rec.images).radiometry.vignetting
 
 
 def test_same_bytes_for_any_number_of_threads():
@@ -211,6 +230,6 @@ def test_same_bytes_for_any_number_of_threads():
     for threads in (1, before):
         numba.set_num_threads(threads)
         found = found_in(rec, images)
-        results.append((found.vignetting, found.log_exposure.tobytes()))
+        results.append((found.radiometry.vignetting, found.log_exposure.tobytes()))
     numba.set_num_threads(before)
     assert results[0] == results[1]

@@ -12,6 +12,10 @@ from lvba.products.report.html import details, section, table, text
 Facts = Mapping[str, Any]
 
 
+_POWER = 0.02
+"""Least difference from 1 of the power of the light that exposures are to, for it to be shown."""
+
+
 def title(facts: Facts) -> str:
     """The page's title."""
     return f"{_name(facts)} - LiDAR-visual bundle adjustment"
@@ -236,6 +240,9 @@ def _reference(facts: Facts) -> str:
         old = before.get("exposure") or {}
         rows.append(("Exposure, after one scale", *(formats.number(e.get("rms_percent"), 2, "%") for e in (old, error)),
                      formats.number(error.get("predicted_percent"), 2, "%")))  # fmt: skip
+        if (after := error.get("rms_percent_after_power")) is not None and abs(error["power"] - 1) > _POWER:
+            rows.append((f"Exposure, after one scale and the power {error['power']:.2f} of the light, which images "
+                         "leave open", formats.MISSING, formats.number(after, 2, "%"), formats.MISSING))  # fmt: skip
     inner = table(("", "before", "after", "expected"), rows)
     return f'<div class="card">{inner}</div>' if inner else ""
 
