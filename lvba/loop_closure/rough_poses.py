@@ -196,8 +196,10 @@ class _Odometry:
         steps: list[Step | None] = []
         for k, (first, second) in enumerate(pairwise(patches)):
             progress("registering scans", k, 2 * len(rough))
-            known = first is not None and second is not None
-            steps.append(scan_steps.register(Target.of(first), second, rough[k]) if known else None)
+            if first is None or second is None:
+                steps.append(None)
+            else:
+                steps.append(scan_steps.register(Target.of(first), second, rough[k]))
         off = np.array(
             [
                 each.correction(motion) if each is not None else np.zeros(6)

@@ -139,8 +139,10 @@ def together(patches: Sequence[Patch | None], world_from_scan: Poses, frame: int
     ]
     if not moved:
         return None
-    parts = [
-        np.concatenate([getattr(patch, name) for patch in moved])
-        for name in ("center", "normal", "observer", "thickness")
-    ]
-    return Patch(*parts, cell=max(patch.cell for patch in moved))
+    return Patch(
+        center=np.concatenate([patch.center for patch in moved]),
+        normal=np.concatenate([patch.normal for patch in moved]),
+        observer=np.concatenate([patch.observer for patch in moved]),
+        thickness=np.concatenate([patch.thickness for patch in moved]),
+        cell=max(patch.cell for patch in moved),
+    )

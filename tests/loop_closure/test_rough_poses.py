@@ -82,7 +82,7 @@ def test_an_odometry_that_is_decimeters_off_at_every_step_is_replaced(courtyard)
 
 def test_what_few_points_leave_open_at_a_jump_is_named(courtyard):
     """With 6,000 points a scan, surfaces do not say how far the second jump goes."""
-    _, truth, rough, _ = courtyard
+    _, _, rough, _ = courtyard
     scans, _, _ = plane_world.recording("courtyard", scans=SCANS, points=6000)
     error = rough_poses.start(scans, rough_poses.surfels_of(scans), with_jumps(rough)).error
     assert error.wrong_after.tolist() == [8, 17]
@@ -109,7 +109,7 @@ def test_scans_that_see_nothing_follow_the_odometry(courtyard):
 
 
 def test_a_single_scan_is_not_contradicted(courtyard):
-    scans, truth, _, surfels = courtyard
+    _, truth, _, surfels = courtyard
     assert len(rough_poses.contradicted(surfels[:1], truth[:1])) == 0
 
 

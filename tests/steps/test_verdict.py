@@ -182,9 +182,7 @@ def test_where_motions_between_scans_stay_wrong_no_millimeters_are_promised():
     given["odometry"]["too_far_off"]["left_after"] = []
     verdict = verdict_data.add(given)["verdict"]
     assert verdict["level"] == "check"
-    assert (
-        "0.30 m and 2.0 degrees" in verdict["reasons"][0]["text"] or "30 cm" in verdict["reasons"][0]["text"]
-    )
+    assert "300 mm and 2.0 degrees" in verdict["reasons"][0]["text"]
     assert "Expect errors of about" in verdict["summary"]
 
 
