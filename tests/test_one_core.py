@@ -39,6 +39,8 @@ LINEAR_ALGEBRA = {
     "lvba/lidar/bundle_adjustment.py": (1, "covariance of odometry steps, 6 x 6"),
     "lvba/lidar/covariance.py": (6, "6 x 6 information, rigid alignment; all pairs of poses, whose trace is taken"),
     "lvba/loop_closure/registration.py": (1, "map noise added to 6 x 6 information"),
+    "lvba/loop_closure/scan_steps.py": (2, "two estimates of one step, directions that surfaces determine, 6 x 6"),
+    "lvba/loop_closure/rough_poses.py": (2, "information of edges from 6 x 6 covariances, and back"),
     "lvba/loop_closure/surfel_icp.py": (1, "6 x 6 information of an alignment"),
     "lvba/lidar/scan_motion.py": (4, "6 x 6 information of single scans, one part for all"),
     "lvba/steps/pose_fusion.py": (11, "6 x 6 covariances of single scans and of a chain's links"),

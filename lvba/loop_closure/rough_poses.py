@@ -69,7 +69,7 @@ class RoughError:
     left_after: np.ndarray
 
     def numbered(self, scans: np.ndarray) -> "RoughError":
-        """The same with numbers (n,) int64 of the scans in the whole."""
+        """The same with numbers of the whole. scans: (n,) int64, number of each scan in the whole"""
         after = {name: scans[getattr(self, name)] for name in ("wrong_after", "open_after", "left_after")}
         return replace(self, **after)
 
@@ -103,7 +103,10 @@ class StartPoses:
 
 
 def thinned(points: np.ndarray, number: int) -> np.ndarray:
-    """At most so many points of scan `number` as are looked at, (M, 3) float32 of (N, 3)."""
+    """At most so many points of scan `number` as are looked at, (M, 3) float32, m.
+
+    points: (N, 3) float32, m
+    """
     if len(points) <= _POINTS:
         return points
     return points[np.sort(np.random.default_rng(number).permutation(len(points))[:_POINTS])]
@@ -207,8 +210,8 @@ class _Odometry:
             ]
         )
         size = np.linalg.norm(off.reshape(-1, 2, 3), axis=2)
-        told = np.array([each is not None and each.aligned for each in steps])
-        typical = np.median(size[told], axis=0) / _MEDIAN_OF_NORM if told.any() else np.zeros(2)
+        aligned = np.array([each is not None and each.aligned for each in steps])
+        typical = np.median(size[aligned], axis=0) / _MEDIAN_OF_NORM if aligned.any() else np.zeros(2)
         sigma = np.maximum(np.repeat(typical, 3), _LEAST_SIGMA)
         wrong = (size > _OUTLYING * sigma[[0, 3]]).any(axis=1)
         return _Odometry(rough, world_from_scan[0], steps, sigma, wrong)

@@ -20,7 +20,7 @@ _FEWEST = 30
 """Surfels below which a scan tells nothing."""
 _WIDE_M, _WIDE_DEG = 0.6, 4.0
 """Standard deviations of a step of which nothing is known yet, along each axis."""
-_TOLERANCE_M = 0.1
+_NEAR_M = 0.1
 _STARTS = 24
 _LEAST_OVERLAP, _LEAST_SHARE = 0.15, 0.85
 """An alignment by which surfaces agree less, or contradict each other more, is none."""
@@ -55,10 +55,13 @@ class Step:
         return self.overlap >= _LEAST_OVERLAP and self.share >= _LEAST_SHARE
 
     def beside(self, rough: Pose, prior: np.ndarray) -> np.ndarray:
-        """(4, 4): the most likely step beside an odometry (4, 4) with information prior (6, 6)."""
+        """(4, 4): the most likely step beside the odometry's (4, 4).
+
+        prior: (6, 6) float64, information of the odometry
+        """
         off = geometry.log(geometry.inverse(rough) @ self.first_from_second)
         step = np.linalg.solve(self.information + prior, self.information @ off)
-        return np.asarray(rough @ geometry.exp(step))
+        return np.asarray(geometry.retract(rough, step))
 
     def correction(self, rough: Pose) -> np.ndarray:
         """(6,), rad and m: how far an odometry (4, 4) is off along the directions that surfaces determine."""
@@ -87,7 +90,7 @@ def surfels(points: np.ndarray, sensor_position: Vector) -> Patch | None:
 
 def overlap(first: Target, second: Patch, first_from_second: Pose) -> float:
     """Part of the second scan's surfels that lie on surfaces of the first, 0 to 1."""
-    return float(np.mean(verification.agreeing(first, second, first_from_second, _TOLERANCE_M)))
+    return float(np.mean(verification.agreeing(first, second, first_from_second, _NEAR_M)))
 
 
 def register(first: Target, second: Patch, rough: Pose, prior: np.ndarray = WIDE) -> Step:
@@ -100,23 +103,23 @@ def register(first: Target, second: Patch, rough: Pose, prior: np.ndarray = WIDE
     if step.aligned and step.overlap > 2 * _LEAST_OVERLAP:
         return step
     target, expected = Target.of(second), Expected(rough, _WIDE_M, _WIDE_DEG)
-    ways = alignments.find(first, target, expected, tolerance=_TOLERANCE_M, starts=_STARTS)
+    ways = alignments.find(first, target, expected, tolerance=_NEAR_M, starts=_STARTS)
     if not ways:
         return step
-    other = alignments.best_of(ways, first, target, _TOLERANCE_M)
-    found = _judged(first, second, other.a_from_b)
-    return found if found.overlap > step.overlap else step
+    other = alignments.best_of(ways, first, target, _NEAR_M)
+    searched = _judged(first, second, other.a_from_b)
+    return searched if searched.overlap > step.overlap else step
 
 
 def refined(first: Target, second: Patch, begin: Pose, rough: Pose, prior: np.ndarray) -> Step:
-    """As `register`, from near by: begin (4, 4)."""
+    """As `register`, from near by: begin (4, 4). prior: (6, 6) float64, information of the odometry"""
     return _judged(first, second, surfel_icp.align(first, second, begin, surfel_icp.FINE, rough, prior))
 
 
 def _judged(first: Target, second: Patch, pose: np.ndarray) -> Step:
     matches = surfel_icp.match(first, second, pose, _MATCH_M, _MATCH_DEG)
     known = surfel_icp.certainty(first, second, pose, matches, _FLOOR, _WEAK_SIGMA_M)
-    evidence = verification.evidence(first, Target.of(second), pose, _TOLERANCE_M)
+    evidence = verification.evidence(first, Target.of(second), pose, _NEAR_M)
     step = Step(
         first_from_second=pose,
         information=known.information,
