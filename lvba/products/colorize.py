@@ -268,7 +268,10 @@ def to_rgb8(radiance: np.ndarray, gain: float, curve: Response = LINEAR) -> np.n
 
 
 def contrast(radiance: np.ndarray, gain: float, curve: Response) -> np.ndarray | np.float32:
-    """(M,) float32: how much grey values change with the light at colors (M, 3) float32; 1 without a curve."""
+    """(M,) float32: how much grey values change with the light at colors; 1 without a curve.
+
+    radiance: (M, 3) float32; gain: grey value of a radiance of 1 without the curve
+    """
     if not curve:
         return np.float32(1.0)
     light = np.maximum(radiance.mean(axis=1) * np.float32(gain), np.float32(1.0))

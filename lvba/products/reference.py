@@ -77,7 +77,10 @@ def _exposure_facts(estimate: Exposures, reference: Exposures) -> dict[str, Any]
 
 
 def exposure_power(estimate: np.ndarray, truth: np.ndarray) -> float | None:
-    """Slope of estimated over true log exposures, both (P,) float64; None: the true ones are alike, or it is no power."""
+    """Slope of estimated over true log exposures; None: the true ones are alike, or it is no power.
+
+    estimate, truth: (P,) float64
+    """
     spread = truth - truth.mean()
     if not (square := float((spread**2).sum())) > _ALIKE**2 * len(truth):
         return None

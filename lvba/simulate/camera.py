@@ -79,12 +79,12 @@ class Sensor:
 
 
 def srgb_curve(light: np.ndarray) -> np.ndarray:
-    """Grey values 0 to 1 of light 0 to 1 by IEC 61966-2-1. light: any shape, float32"""
+    """Grey values 0 to 1 of light 0 to 1 by IEC 61966-2-1. light: (...) float32"""
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-6) ** (1 / 2.4) - 0.055)
 
 
 def filmic_curve(light: np.ndarray) -> np.ndarray:
-    """Grey values 0 to 1 of light 0 to 1: dark parts darker, bright ones compressed, then sRGB. light: any shape, float32
+    """Grey values 0 to 1 of light 0 to 1: dark parts darker, bright ones compressed, then sRGB. light: (...) float32
 
     Source: the rational fit of the ACES curve of K. Narkowicz, 2016, scaled to end at 1.
     """

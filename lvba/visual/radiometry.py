@@ -84,7 +84,8 @@ def sums(
 ) -> RadiometrySums:
     """The normal equations of the numbers, what is common to all values of an edge left open.
 
-    edge, block: (N,) of each value; value, weight: (N,) float64, what by_numbers (N, NUMBERS) times the numbers is
+    edge, block: (N,) of each value; value, weight: (N,) float64
+    by_numbers: (N, NUMBERS) float64, of which the product with the numbers is the value
     """
     edges = int(edge.max(initial=-1)) + 1
     total = np.maximum(np.bincount(edge, weight, edges), 1e-300)

@@ -66,15 +66,18 @@ class Response:
         return np.asarray(light, np.float32)
 
     def grey(self, light: np.ndarray) -> np.ndarray:
-        """Grey values of light 0 to 255, any shape, float32; the inverse of `light_of_grey`."""
+        """Grey values of the light; the inverse of `light_of_grey`. light: (...) float32, 0 to 255"""
         return np.asarray(np.interp(light, self.light_of_grey, np.arange(256.0)), np.float32)
 
     def light(self, grey: np.ndarray) -> np.ndarray:
-        """Light of grey values 0 to 255, any shape, float32: `light_of_grey`, also of fractions."""
+        """As `light_of_grey`, also of fractions. grey: (...) float32, 0 to 255"""
         return np.asarray(np.interp(grey, np.arange(256.0), self.light_of_grey), np.float32)
 
     def log_ratio(self, level: np.ndarray, value: np.ndarray) -> np.ndarray:
-        """(N,) float64: log ratios of light of log ratios of grey values `value` (N,) about their means `level` (N,)."""
+        """(N,) float64: log ratios of light, of log ratios of grey values about their means.
+
+        level, value: (N,) float64, mean of two log grey values, and their difference
+        """
         return (
             np.asarray(self.log_light(level + value / 2) - self.log_light(level - value / 2))
             if self
@@ -135,8 +138,10 @@ _MEAN_INFORMATION = 1e8
 
 
 def judged(numbers: np.ndarray, sigma: np.ndarray) -> Response:
-    """The response of estimated numbers (SLOPES,) with standard deviations (SLOPES,): none where it is not significant,
-    or no camera has such."""
+    """The response of estimated numbers; none where it is not significant, or no camera has such.
+
+    numbers, sigma: (SLOPES,) float64, slopes less 1 and their standard deviations
+    """
     slopes, best = 1 + numbers, float(sigma.min())
     significant = (np.abs(numbers) > np.maximum(SIGNIFICANCE * sigma, SMALLEST)).any()
     possible = slopes.min() > 1 / STEEPEST and slopes.max() < STEEPEST
@@ -144,7 +149,7 @@ def judged(numbers: np.ndarray, sigma: np.ndarray) -> Response:
 
 
 def of_numbers(numbers: np.ndarray | None, sigma: float = float("inf")) -> Response:
-    """The response of slopes less 1 (SLOPES,) float64; LINEAR of None or zeros."""
+    """The response of slopes; LINEAR of None or zeros. numbers: (SLOPES,) float64, slopes less 1"""
     if numbers is None or not numbers.any():
         return Response(sigma=sigma)
     return Response(tuple(float(1 + each) for each in numbers), sigma)
