@@ -172,7 +172,8 @@ def sentence(name: str, value: float) -> str:
 def incidence_cosines(points: np.ndarray, position: np.ndarray) -> np.ndarray:
     """(N,) float64: cosines of the angles of incidence of one scan's points, by planes through their neighbors.
 
-    points: (N, 3) float32, m; position: (3,) float64, m, of the sensor. The mean of the others where neighbors are on no plane.
+    points: (N, 3) float32, m; position: (3,) float64, m, of the sensor. The mean of the others where neighbors
+    are on no plane.
     """
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
     cosine = np.ones(len(points))
