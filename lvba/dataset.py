@@ -63,6 +63,8 @@ class Dataset:
     """The cameras that took the images: today one, or none if there are no images."""
     sensor_position_scan: np.ndarray = field(default_factory=lambda: np.zeros(3))
     """(3,), m: where the LiDAR is in the scan frame (from extrinsic_T); view directions start here."""
+    sensor_axes_scan: np.ndarray = field(default_factory=lambda: np.eye(3))
+    """(3, 3): columns are the LiDAR's own axes in the scan frame (from extrinsic_R)."""
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     """(3,), m: added to positions when poses and maps are written."""
     scan_stamps: tuple[str, ...] = ()

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from lvba.blocks import decoded, motion_left, split, survey
+from lvba.blocks import decoded, scan_errors, split, survey
 from lvba.blocks.decoded import Given, Made, Range, about_region, given
 from lvba.blocks.merge import MergeConfig
 from lvba.blocks.split import Frames, Load, Part, SplitConfig
@@ -148,8 +148,8 @@ class _Chain:
         ]
         add, config, cores = self.plan.add, self.config, [part.core_scans for part in self.parts]
         self.survey = add("survey", survey.survey, self.dataset, config.lidar, config.visual.keyframes)
-        self.motion = add("motion-left", motion_left.measure, self.dataset, config.lidar, config.refine_scans)
-        scans = self._decode("scans", decoded.decode_scans, cores, self.motion)
+        self.errors = add("scan-errors", scan_errors.measure, self.dataset, config.lidar, config.refine_scans)
+        scans = self._decode("scans", decoded.decode_scans, cores, self.errors)
         self.points, self.photos, self.keyframes = scans, list[Made](), list[Made]()
 
     def add(self, reference: Reference | None) -> None:
@@ -168,7 +168,7 @@ class _Chain:
         self.plan.add(
             "facts", report_data.collect,
             *(self.dataset, lidar, scans, cameras, learned, scores, accepted),
-            *(expected, _one_at_a_time(pieces), planes, reference, facts, self.motion),
+            *(expected, _one_at_a_time(pieces), planes, reference, facts, self.errors),
         )  # fmt: skip
 
     def _decode(self, name: str, function: Any, ranges: Sequence[Range], *arguments: Any) -> list[Made]:

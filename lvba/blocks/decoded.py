@@ -21,7 +21,7 @@ from lvba.blocks.survey import Survey
 from lvba.camera import Camera
 from lvba.dataset import Dataset, Scan
 from lvba.io import dataset as recordings
-from lvba.lidar.scan_motion import MotionLeft
+from lvba.lidar.scan_errors import ScanErrors
 from lvba.parallel import in_order
 from lvba.plan import Ref, StreamedRef
 from lvba.progress import Progress, silent
@@ -66,13 +66,13 @@ class ScanPoints:
 
     points: (M, 3) float32, m, scan frame, all finite; offsets: (n + 1,) int64, where each scan begins
     intensity: (M,) float32, NaN where the file has none; None: not kept
-    motion: by which points were moved; None: they are as in their files
+    errors: by which points were moved; None: they are as in their files
     """
 
     points: np.ndarray
     offsets: np.ndarray
     intensity: np.ndarray | None = None
-    motion: MotionLeft | None = None
+    errors: ScanErrors | None = None
 
 
 @dataclass(frozen=True)
@@ -84,18 +84,18 @@ class Keyframes:
 
 
 def decode_scans(
-    dataset: Dataset, scans: Range, motion: MotionLeft | None = None, progress: Progress = silent
+    dataset: Dataset, scans: Range, errors: ScanErrors | None = None, progress: Progress = silent
 ) -> ScanPoints:
     """The points of some scans, with intensities where there are no images that would color the map.
 
-    motion: left in the scans of the recording: points are moved to where they belong
+    errors: of the scans of the recording: points are moved to where they belong
     Raises InputError: a scan cannot be read.
     """
-    motion = motion if motion is not None and motion.corrected else None
+    errors = errors if errors is not None and errors.corrected else None
     points, intensity = [], []
     loaded = in_order(lambda number: recordings.load_scan(dataset, number), range(*scans))
     for number, scan in enumerate(loaded, scans[0]):
-        points.append(_placed(dataset, number, scan, motion))
+        points.append(_placed(dataset, number, scan, errors))
         if not dataset.image_paths:
             known = scan.intensity
             intensity.append(np.full(len(scan), np.nan, np.float32) if known is None else known)
@@ -104,13 +104,13 @@ def decode_scans(
         np.concatenate(points),
         np.concatenate([[0], np.cumsum([len(each) for each in points])]).astype(np.int64),
         np.concatenate(intensity).astype(np.float32) if intensity else None,
-        motion,
+        errors,
     )
 
 
-def _placed(dataset: Dataset, number: int, scan: Scan, motion: MotionLeft | None) -> np.ndarray:
+def _placed(dataset: Dataset, number: int, scan: Scan, errors: ScanErrors | None) -> np.ndarray:
     """The points (N, 3) float32, m, of a scan where they belong."""
-    return scan.points if motion is None else motion.points(scan, number, float(dataset.scans.times[number]))
+    return scan.points if errors is None else errors.points(scan, number, float(dataset.scans.times[number]))
 
 
 def decode_keyframes(
@@ -211,8 +211,8 @@ class ScanReader:
         if self._whole is None:
             raise IndexError(f"no piece holds scan {self._first + scan}")
         number = self._first + scan
-        motion = self._pieces[0][1]().motion if self._pieces else None
-        return _placed(self._whole, number, recordings.load_scan(self._whole, number), motion)
+        errors = self._pieces[0][1]().errors if self._pieces else None
+        return _placed(self._whole, number, recordings.load_scan(self._whole, number), errors)
 
     def load(self, scans: Sequence[int] | np.ndarray) -> list[np.ndarray]:
         """The points of some scans, copied where a view would hold more than one piece in memory."""

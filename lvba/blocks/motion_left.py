@@ -6,33 +6,27 @@ poses of all windows tell how the sensor moved.
 
 import logging
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from lvba import geometry, spline
 from lvba.arrays import Poses, Tangents, Times
-from lvba.dataset import Dataset, Scan
-from lvba.errors import DegenerateProblemError
-from lvba.io import dataset as recordings
-from lvba.lidar import bundle_adjustment, point_times, scan_motion
+from lvba.blocks import scan_windows
+from lvba.blocks.scan_windows import Window
+from lvba.dataset import Dataset
+from lvba.lidar import point_times, scan_motion
 from lvba.lidar.bundle_adjustment import LidarResult
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.point_times import PointClock
+from lvba.lidar.range_errors import RangeErrors
 from lvba.lidar.scan import gather
-from lvba.lidar.scan_motion import NOTHING, Evidence, MotionLeft
-from lvba.parallel import in_order
+from lvba.lidar.scan_evidence import Evidence, View, nothing
+from lvba.lidar.scan_motion import MotionLeft
 from lvba.progress import Progress, silent
 from lvba.trajectory import Trajectory
 
 _log = logging.getLogger(__name__)
 
-_CORE, _MARGIN, _SAMPLED = 24, 4, 2
-"""Scans of a window, those on either side that help to solve it, and windows that tell of the part."""
-_PROBE, _PROBE_STEP_S = 14, 0.4
-"""Scans of a window that tells whether there is a part at all, and about the time between them."""
-_MOST_POINTS, _PROBE_POINTS = 30_000, 6_000
-"""Of a scan, to measure with."""
 _ROUNDS = 5
 _SETTLED = 2e-3
 """Rounds end when the part changes by less."""
@@ -47,79 +41,31 @@ _FALLS = 0.3
 
 
 def measure(
-    dataset: Dataset, config: LidarConfig, enabled: bool = True, progress: Progress = silent
+    dataset: Dataset,
+    probes: list[Window],
+    config: LidarConfig,
+    ranges: RangeErrors | None = None,
+    progress: Progress = silent,
 ) -> MotionLeft | None:
-    """What is left in the scans of a whole recording; None: their points have no times that would tell.
+    """What is left in the scans of a whole recording whose points have times; None: these say nothing.
 
-    enabled: False: scan poses are not refined, and nothing is measured
+    probes: of the recording; ranges: errors of the sensor, which are taken out first
     Raises InputError: a scan cannot be read.
     """
-    if not enabled or not recordings.has_point_times(dataset):
-        return None
-    probes = [_Window.probe(dataset, place) for place in (np.arange(_SAMPLED) + 1) / (_SAMPLED + 1)]
-    clock = _clock(dataset, probes)
-    if isinstance(clock, str):
-        return _unknown(clock)
-    return _Measurement(dataset, clock, config, progress).of(probes)
+    known = clock(dataset, probes)
+    if isinstance(known, str):
+        return MotionLeft(None, None, None, np.zeros((0, 6)), known)
+    return _Measurement(dataset, known, config, ranges, progress).of(probes)
 
 
-def _unknown(problem: str) -> MotionLeft:
-    return MotionLeft(None, None, None, np.zeros((0, 6)), problem)
-
-
-def _clock(dataset: Dataset, windows: list["_Window"]) -> PointClock | str:
+def clock(dataset: Dataset, windows: list[Window]) -> PointClock | str:
+    """Of the points' times, or why there is none."""
     times = [scan.time for window in windows for scan in window.scans]
     stamps = np.concatenate([dataset.scans.times[window.numbers] for window in windows])
-    clock = point_times.find_clock(times, stamps)
-    if not isinstance(clock, str) and point_times.overlapping(clock, dataset.scans.times):
+    known = point_times.find_clock(times, stamps)
+    if not isinstance(known, str) and point_times.overlapping(known, dataset.scans.times):
         return "times of points span more than the time from scan to scan"
-    return clock
-
-
-def _windows(count: int) -> list[tuple[int, int]]:
-    """Cores that share all scans."""
-    pieces = max(1, round(count / _CORE))
-    bounds = [count * k // pieces for k in range(pieces + 1)]
-    return list(pairwise(bounds))
-
-
-@dataclass(frozen=True)
-class _Window:
-    """Some scans of a recording, thinned. numbers: (n,), ascending; core: those that no other window has, in numbers"""
-
-    numbers: np.ndarray
-    core: slice
-    scans: list[Scan]
-
-    @staticmethod
-    def of(dataset: Dataset, core: tuple[int, int]) -> "_Window":
-        """Successive scans with a margin on either side."""
-        numbers = np.arange(max(core[0] - _MARGIN, 0), min(core[1] + _MARGIN, len(dataset.scan_paths)))
-        inside = slice(core[0] - int(numbers[0]), core[1] - int(numbers[0]))
-        return _Window(numbers, inside, _thinned(dataset, numbers, _MOST_POINTS))
-
-    @staticmethod
-    def probe(dataset: Dataset, place: float) -> "_Window":
-        """Few scans about a place, 0 to 1, of the recording."""
-        count = len(dataset.scan_paths)
-        interval = float(np.median(np.diff(dataset.scans.times))) if count > 1 else _PROBE_STEP_S
-        step = int(np.clip(round(_PROBE_STEP_S / max(interval, 1e-3)), 1, max(1, count // _PROBE)))
-        first = round(place * max(count - _PROBE * step, 0))
-        numbers = np.arange(first, min(first + _PROBE * step, count), step)
-        return _Window(numbers, slice(0, len(numbers)), _thinned(dataset, numbers, _PROBE_POINTS))
-
-
-def _thinned(dataset: Dataset, numbers: np.ndarray, most: int) -> list[Scan]:
-    """Some scans with so many points at most."""
-
-    def load(number: int) -> Scan:
-        scan = recordings.load_scan(dataset, number)
-        if len(scan) <= most:
-            return Scan(scan.points, None, scan.time)
-        kept = np.sort(np.random.default_rng(number).permutation(len(scan))[:most])
-        return Scan(scan.points[kept], None, None if scan.time is None else scan.time[kept])
-
-    return list(in_order(load, [int(number) for number in numbers]))
+    return known
 
 
 @dataclass
@@ -129,36 +75,39 @@ class _Measurement:
     dataset: Dataset
     clock: PointClock
     config: LidarConfig
+    ranges: RangeErrors | None
     progress: Progress
 
-    def of(self, probes: list[_Window]) -> MotionLeft:
+    def of(self, probes: list[Window]) -> MotionLeft:
         """By some windows; only where they tell of a part, by more of the recording."""
+        probes = [each.corrected(self.ranges) for each in probes]
         evidence, _ = self._of_windows(probes, 0.0, None)
-        sigma = evidence.sigma if np.isfinite(evidence.sigma) else None
-        if not abs(evidence.change) >= max(_LEAST, _SURE * evidence.sigma):
-            part = None if sigma is None else round(evidence.change, 6)
-            return MotionLeft(self.clock, part, sigma, np.zeros((0, 6)))
-        windows = _windows(len(self.dataset.scan_paths))
-        chosen = np.unique(np.linspace(0, len(windows) - 1, _SAMPLED + 2)[1:-1].astype(int))
-        sampled = [_Window.of(self.dataset, windows[number]) for number in chosen]
-        part, twists, changes = evidence.change, None, [evidence.change]
+        change, sigma = float(evidence.change[0]), float(evidence.sigma[0])
+        if not abs(change) >= max(_LEAST, _SURE * sigma):
+            known = bool(np.isfinite(sigma))
+            part = round(change, 6) if known else None
+            return MotionLeft(self.clock, part, sigma if known else None, np.zeros((0, 6)))
+        sampled = [each.corrected(self.ranges) for each in scan_windows.sampled(self.dataset)]
+        part, twists, changes = change, None, [change]
         for turn in range(_ROUNDS):
             self.progress("motion left in scans", turn, _ROUNDS)
             evidence, twists = self._of_windows(sampled, part, twists)
-            part += evidence.change
-            changes.append(evidence.change)
-            if abs(evidence.change) < _SETTLED:
+            changes.append(float(evidence.change[0]))
+            part += changes[-1]
+            if abs(changes[-1]) < _SETTLED:
                 break
-        return self._judged(part, evidence.sigma, changes, windows)
+        return self._judged(
+            part, float(evidence.sigma[0]), changes, scan_windows.cores(len(self.dataset.scan_paths))
+        )
 
     def _of_windows(
-        self, windows: list[_Window], part: float, twists: list[np.ndarray] | None
+        self, windows: list[Window], part: float, twists: list[np.ndarray] | None
     ) -> tuple[Evidence, list[np.ndarray]]:
         """What windows tell together, and their twists at the poses found. twists: None: of the rough poses"""
         twists = twists or [self._rough_twists(window) for window in windows]
         pairs = [self._evidence(*each) for each in zip(windows, [part] * len(windows), twists, strict=True)]
-        evidence = sum((each for each, _ in pairs), NOTHING)
-        _log.info("motion left: %.4f and %.5f more, +- %.5f", part, evidence.change, evidence.sigma)
+        evidence = sum((each for each, _ in pairs), nothing(1))
+        _log.info("motion left: %.4f and %.5f more, +- %.5f", part, evidence.change[0], evidence.sigma[0])
         return evidence, [twist for _, twist in pairs]
 
     def _judged(
@@ -185,7 +134,7 @@ class _Measurement:
         )
         for number, core in enumerate(windows):
             self.progress("motion during scans", number, len(windows))
-            window = _Window.of(self.dataset, core)
+            window = Window.of(self.dataset, core).corrected(self.ranges)
             own, inside, rough = slice(*core), window.core, self._rough_twists(window)
             motions[own] = part * rough[inside]
             _, twist = self._solved(window, part, rough)
@@ -196,52 +145,35 @@ class _Measurement:
             if result is None:
                 continue
             points, tau = self._corrected(window, part, twist)
-            terms = scan_motion.deviations(
-                *(gather(points), np.concatenate(tau), result.world_from_scan),
-                *(result.planes, result.plane_points),
-            )
+            terms = scan_motion.deviations(self._view(points, result), np.concatenate(tau))
             information[own], gradient[own] = terms[0][inside], terms[1][inside]
         return np.asarray(motions + scan_motion.most_likely(information, gradient))
 
-    def _evidence(self, window: _Window, part: float, twist: np.ndarray) -> tuple[Evidence, np.ndarray]:
+    def _evidence(self, window: Window, part: float, twist: np.ndarray) -> tuple[Evidence, np.ndarray]:
         """Of a window, and its twists at the poses found."""
         result, own = self._solved(window, part, twist)
         if result is None or own is None:
-            return NOTHING, twist
+            return nothing(1), twist
         points, tau = self._corrected(window, part, twist)
-        evidence = scan_motion.evidence(
-            gather(points),
-            np.concatenate(tau),
-            own,
-            result.world_from_scan,
-            result.planes,
-            result.plane_points,
+        return scan_motion.evidence(self._view(points, result), np.concatenate(tau), own), own
+
+    def _view(self, points: list[np.ndarray], result: LidarResult) -> View:
+        return View.of(
+            *(gather(points), result.world_from_scan, result.planes, result.plane_points),
+            self.dataset.sensor_position_scan,
         )
-        return evidence, own
 
     def _solved(
-        self, window: _Window, part: float, twist: np.ndarray
+        self, window: Window, part: float, twist: np.ndarray
     ) -> tuple[LidarResult | None, np.ndarray | None]:
-        try:
-            result = bundle_adjustment.refine(
-                self._corrected(window, part, twist)[0],
-                self.dataset.scans.world_from_sensor[window.numbers],
-                sensor_position=self.dataset.sensor_position_scan,
-                config=self.config,
-            )
-        except DegenerateProblemError:
-            return None, None
-        return result, self._twists(window, result.world_from_scan)
+        result = window.refined(self.dataset, self._corrected(window, part, twist)[0], self.config)
+        return (None, None) if result is None else (result, self._twists(window, result.world_from_scan))
 
     def _corrected(
-        self, window: _Window, part: float, twist: np.ndarray
+        self, window: Window, part: float, twist: np.ndarray
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Points and their tau, scan by scan."""
-        stamps = self.dataset.scans.times[window.numbers]
-        tau = [
-            np.zeros(len(scan)) if scan.time is None else self.clock.from_stamp(scan.time, stamp)
-            for scan, stamp in zip(window.scans, stamps, strict=True)
-        ]
+        tau = point_times_of(window, self.dataset.scans.times[window.numbers], self.clock)
         if part == 0.0:
             return [scan.points for scan in window.scans], tau
         moved = [
@@ -250,12 +182,20 @@ class _Measurement:
         ]
         return moved, tau
 
-    def _twists(self, window: _Window, world_from_scan: Poses) -> np.ndarray:
+    def _twists(self, window: Window, world_from_scan: Poses) -> np.ndarray:
         """(n, 6), rad/s and m/s, scan frames: mean motion during the sweeps, by poses (n, 4, 4)."""
         return sweep_twists(self.dataset.scans.times[window.numbers], world_from_scan, self.clock)
 
-    def _rough_twists(self, window: _Window) -> np.ndarray:
-        return self._twists(window, self.dataset.scans.world_from_sensor[window.numbers])
+    def _rough_twists(self, window: Window) -> np.ndarray:
+        return self._twists(window, window.rough(self.dataset))
+
+
+def point_times_of(window: Window, stamps: Times, clock: PointClock) -> list[np.ndarray]:
+    """Of each scan of a window, (N,) s from its stamp; stamps: (n,) s."""
+    return [
+        np.zeros(len(scan)) if scan.time is None else clock.from_stamp(scan.time, stamp)
+        for scan, stamp in zip(window.scans, stamps, strict=True)
+    ]
 
 
 def sweep_twists(times: Times, world_from_scan: Poses, clock: PointClock) -> Tangents:

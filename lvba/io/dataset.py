@@ -101,6 +101,7 @@ def _open_fast_livo(root: Path) -> Dataset:
         scan_stamps=scans.stamps,
         cameras=(),
         sensor_position_scan=calibration.body_from_lidar[:3, 3].copy(),
+        sensor_axes_scan=calibration.body_from_lidar[:3, :3].copy(),
         warnings=scans.warnings + calibration.warnings,
         digest=_digest(calibration, scans),
     )

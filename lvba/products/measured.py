@@ -1,6 +1,6 @@
 """What the scans say of the points of a map, for formats that keep it: when, by which scan, and how strong the echo was.
 
-Points of a map are points of scans, moved by the scan's pose (and by the motion that was left in the scan), and carry the
+Points of a map are points of scans, moved by the scan's pose (and corrected for errors of the scans), and carry the
 scan's number: so the point of a scan that a map point was is the nearest one.
 """
 
@@ -17,7 +17,7 @@ from lvba.arrays import Times
 from lvba.dataset import Dataset
 from lvba.io import dataset as recordings
 from lvba.io import ply, result_folder
-from lvba.lidar.scan_motion import MotionLeft
+from lvba.lidar.scan_errors import ScanErrors
 from lvba.parallel import in_order
 from lvba.progress import Progress, silent
 
@@ -60,7 +60,7 @@ def of_map(
     dataset = open_recording(result)
     poses = result_folder.read_scans(result, dataset)
     lidar = (result_folder.read_report(result) or {}).get("lidar") or {}
-    motion = MotionLeft.of_facts(lidar.get("motion_left"))
+    errors = ScanErrors.of_facts(lidar)
     columns = ply.read_ply(result / result_folder.MAP)
     scan = columns["scan"].astype(np.int64)
     points = np.stack([columns[name] for name in "xyz"], axis=1).astype(float) - dataset.origin
@@ -73,7 +73,7 @@ def of_map(
         if not len(mine):
             return
         scan = recordings.load_scan(dataset, index)
-        own = scan.points if motion is None else motion.points(scan, index, float(poses.times[index]))
+        own = scan.points if errors is None else errors.points(scan, index, float(poses.times[index]))
         moved = geometry.transform_points(poses.world_from_sensor[index], own)
         distance, nearest = cKDTree(moved).query(points[mine], distance_upper_bound=_SAME_M)
         known = np.isfinite(distance)

@@ -9,6 +9,9 @@ import numpy as np
 from lvba import geometry
 from lvba.dataset import Dataset
 from lvba.io.reference import Reference
+from lvba.lidar import range_errors
+from lvba.lidar.range_errors import RangeErrors
+from lvba.lidar.scan_errors import ScanErrors
 from lvba.lidar.scan_motion import MotionLeft
 from lvba.loop_closure.rough_poses import RoughError
 from lvba.products.evaluate import Scores
@@ -45,16 +48,16 @@ def collect(
     planes: Sequence[PlaneChange],
     reference: Reference | None,
     merge: Mapping[str, Any] | None = None,
-    motion: MotionLeft | None = None,
+    errors: ScanErrors | None = None,
 ) -> dict[str, Any]:
     """Everything the report says about the dataset, the stages, the evaluation and the reference, and the verdict on it.
 
     pieces: read the map, one piece at a time; planes: of all regions of space; merge: facts of a run in parts
-    motion: left in the scans; None: not measured
+    errors: of the scans; None: not measured
     """
     facts: dict[str, Any] = {
         "dataset": of_dataset(dataset),
-        "lidar": of_lidar(lidar, scans, accepted) | of_motion(motion),
+        "lidar": of_lidar(lidar, scans, accepted) | of_scan_errors(errors),
         "visual": of_visual(dataset, visual, accepted),
         "fusion": of_fusion(fused, accepted),
         "trajectory": of_trajectories(dataset, accepted),
@@ -63,7 +66,7 @@ def collect(
     }
     if reference is not None:
         facts["reference"] = reference_data.collect(dataset, lidar, scans, visual, fused, accepted, reference)
-    facts["warnings"] = _warnings(dataset, lidar, visual, accepted) + warnings_of_motion(motion)
+    facts["warnings"] = _warnings(dataset, lidar, visual, accepted) + warnings_of_errors(errors)
     noise = lidar.result.history[-1].sigma if lidar.result is not None and lidar.result.history else None
     facts["expected_error"] = expected_error.collect(expected, pieces, noise)
     facts["planes"] = plane_thickness.facts(planes)
@@ -127,9 +130,32 @@ def of_lidar(lidar: LidarStage, scans: ScanPoses, accepted: Accepted) -> dict[st
     return facts
 
 
-def of_motion(motion: MotionLeft | None) -> dict[str, Any]:
-    """The part of the motion that was left in scans, and by what their points were moved."""
-    return {} if motion is None else {"motion_left": motion}
+def of_scan_errors(errors: ScanErrors | None) -> dict[str, Any]:
+    """Errors of the range sensor; the part of the motion that was left in scans, and by what their points were moved."""
+    if errors is None:
+        return {}
+    facts: dict[str, Any] = {} if errors.motion is None else {"motion_left": errors.motion}
+    return facts if errors.ranges is None else facts | {"range_errors": errors.ranges.facts()}
+
+
+def warnings_of_errors(errors: ScanErrors | None) -> list[str]:
+    """That points were moved, or why not."""
+    return [] if errors is None else [*warnings_of_ranges(errors.ranges), *warnings_of_motion(errors.motion)]
+
+
+def warnings_of_ranges(ranges: RangeErrors | None) -> list[str]:
+    """What the sensor's calibration should have."""
+    if ranges is None:
+        return []
+    if ranges.problem:
+        return [f"Errors of the range sensor are not corrected: {ranges.problem}. Check its calibration"]
+    return [
+        f"{range_errors.sentence(name, ranges.values[name])}: points were corrected. Calibrate the sensor to spare that"
+        for name in ranges.corrected
+    ] + [
+        f"{range_errors.sentence(name, ranges.values[name])}: points were not corrected. Calibrate the sensor"
+        for name in ranges.noticed
+    ]
 
 
 def warnings_of_motion(motion: MotionLeft | None) -> list[str]:

@@ -60,6 +60,7 @@ class Figures:
     vague_scans, vague_cameras: frames expected to be off by VAGUE times the median and more, or by nobody knows what
     moved_m: how far a scan moved at most in the last round that did not settle; scan_p95_m: what 95 % of the scans are
         expected to be off by less
+    range_errors: systematic errors of the range sensor that are in the points
     registered: whether rough poses were so far off that scans were registered to each other first; rough_m, rough_deg: by
         how much from scan to scan; open_steps, left_steps: motions between scans that this left open, and that are wrong
         in the result
@@ -85,6 +86,7 @@ class Figures:
     moved_m: float | None = None
     scan_p95_m: float | None = None
     cameras_settled: bool = True
+    range_errors: int = 0
     registered: bool = False
     rough_m: float = 0.0
     rough_deg: float = 0.0
@@ -176,6 +178,16 @@ def _alarms(figures: Figures) -> Iterator[Reason]:
         if value is not None and value > limit:
             words = text.format(value=value, limit=limit)
             yield Reason(f"{words}: errors are likely larger than the expected ones.", mend, more=True)
+
+
+def _ranges(figures: Figures) -> Iterator[Reason]:
+    if figures.range_errors and figures.scan_poses.accepted is not False:
+        yield Reason(
+            "Ranges have systematic errors that were not corrected (see the warnings): errors are likely larger than the "
+            "expected ones.",
+            "Calibrate the range sensor.",
+            more=True,
+        )
 
 
 def _registered(figures: Figures) -> Iterator[Reason]:
@@ -336,6 +348,7 @@ _RULES: tuple[Callable[[Figures], Iterator[Reason]], ...] = (
     _rejected,
     _truth,
     _alarms,
+    _ranges,
     _registered,
     _odometry,
     _frames,

@@ -51,6 +51,7 @@ def figures(facts: Facts) -> Figures:
     """What the verdict is made from; parts that the facts lack count as nothing to complain of."""
     dataset, lidar, visual = (facts.get(name) or {} for name in ("dataset", "lidar", "visual"))
     fusion, odometry = facts.get("fusion") or {}, facts.get("odometry") or {}
+    ranges = lidar.get("range_errors") or {}
     far = odometry.get("too_far_off") or {}
     expected, planes = facts.get("expected_error") or {}, facts.get("planes") or {}
     last = (visual.get("levels") or [{}])[-1]
@@ -80,6 +81,7 @@ def figures(facts: Facts) -> Figures:
         moved_m=history[-1].get("moved") if used and lidar.get("converged") is False else None,
         scan_p95_m=(expected.get("scans") or {}).get("position_p95_m"),
         cameras_settled=last.get("converged") is not False,
+        range_errors=len(ranges.get("noticed") or []) + bool(ranges.get("problem")),
         registered=bool(far),
         rough_m=far.get("step_m") or 0.0,
         rough_deg=far.get("step_deg") or 0.0,

@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lvba.blocks import decoded, motion_left
+from lvba.blocks import decoded, scan_errors
 from lvba.io import dataset as recordings
 from lvba.io import reference
 from lvba.io.dataset import open_dataset
 from lvba.lidar import bundle_adjustment
 from lvba.lidar.config import LidarConfig
+from lvba.lidar.scan_errors import ScanErrors
 from lvba.simulate.disturbances import Disturbances
 from lvba.simulate.simulation import simulate
 from lvba.trajectory import pose_error
@@ -35,7 +36,13 @@ def found(recording):
 
 
 def measured(dataset):
-    return motion_left.measure(dataset, LidarConfig())
+    return errors_of(dataset).motion
+
+
+def errors_of(dataset):
+    errors = scan_errors.measure(dataset, LidarConfig())
+    assert not errors.ranges.corrected
+    return errors
 
 
 def error_m(dataset, points):
@@ -50,7 +57,7 @@ def test_what_is_left_is_found_and_taken_out(recording, found):
     assert motion is not None
     assert motion.corrected
     assert motion.part == pytest.approx(LEFT, abs=5 * motion.sigma + 0.005)
-    piece = decoded.decode_scans(dataset, (0, 36), motion)
+    piece = decoded.decode_scans(dataset, (0, 36), ScanErrors(None, motion))
     points = [piece.points[a:b] for a, b in zip(piece.offsets[:-1], piece.offsets[1:], strict=True)]
     clean = recordings.load_scans(recording["clean"])
     best, before = (error_m(dataset, each) for each in (clean, recordings.load_scans(dataset)))
@@ -65,15 +72,15 @@ def test_deskewed_scans_keep_their_bytes(recording):
     assert motion is not None
     assert not motion.corrected
     assert abs(motion.part) < 4 * motion.sigma
-    piece = decoded.decode_scans(dataset, (0, 36), motion)
+    piece = decoded.decode_scans(dataset, (0, 36), ScanErrors(None, motion))
     np.testing.assert_array_equal(piece.points, decoded.decode_scans(dataset, (0, 36)).points)
-    assert piece.motion is None
+    assert piece.errors is None
 
 
-def test_scans_without_times_are_not_looked_at(recording, monkeypatch):
-    monkeypatch.setattr(recordings, "load_scan", None)
+def test_scans_without_times_tell_of_no_motion(recording, monkeypatch):
     assert measured(recording["timeless"]) is None
-    assert motion_left.measure(recording["left"], LidarConfig(), enabled=False) is None
+    monkeypatch.setattr(recordings, "load_scan", None)
+    assert scan_errors.measure(recording["left"], LidarConfig(), enabled=False) is None
 
 
 def with_times(monkeypatch, change):
@@ -121,7 +128,7 @@ def test_times_from_the_start_of_the_sweep_find_the_same_part(recording, found, 
 def test_a_scan_of_another_part_is_moved_as_well(recording, found):
     """The reader that finds a scan in no piece reads its file, and moves its points as the pieces' were."""
     dataset = recording["left"]
-    whole = decoded.decode_scans(dataset, (0, 6), found)
-    few = decoded.decode_scans(dataset, (0, 3), found)
+    whole = decoded.decode_scans(dataset, (0, 6), ScanErrors(None, found))
+    few = decoded.decode_scans(dataset, (0, 3), ScanErrors(None, found))
     reader = decoded.ScanReader([((0, 3), lambda: few)], whole=dataset)
     np.testing.assert_array_equal(reader(5), whole.points[whole.offsets[5] :][: len(reader(5))])

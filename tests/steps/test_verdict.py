@@ -47,6 +47,7 @@ KEPT = (Truth("scans", "m", 0.001, 0.07, 0.0009), Truth("cameras", "degrees", 0.
         ({"cameras_settled": False}, "check", False),
         ({"jumps": 1, "jump_m": 0.3}, "check", False),
         ({"jumps": 1, "jump_m": 1.0, "jump_left": True}, "check", True),
+        ({"range_errors": 1}, "check", True),
         ({"registered": True, "rough_m": 0.3}, "check", False),
         ({"registered": True, "open_steps": 1}, "bad", True),
         ({"registered": True, "left_steps": 1}, "bad", True),

@@ -16,8 +16,9 @@ from lvba.pipeline import Config
 from workers import local
 from workers.store import ZarrStore
 
-MOST_SCANS, MOST_IMAGES = 3, 2
-"""Of a scan: what memory it takes (4 of all), survey (16 of all), all else. Of an image: for poses, in color."""
+MOST_SCANS, MOST_IMAGES = 5, 2
+"""Of a scan: what memory it takes (4 of all), survey (16 of all), errors of the sensor (28 of all, some
+twice where there are few), all else. Of an image: for poses, in color."""
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +63,7 @@ def test_frames_are_decoded_once_for_each_use(street, reads, tmp_path, monkeypat
     scans, photos = ([reads[path] for path in paths] for paths in (dataset.scan_paths, dataset.image_paths))
     assert min(scans) >= 1
     assert max(scans) <= MOST_SCANS
-    assert np.mean(scans) <= (MOST_SCANS if len(scans) <= 20 else 1 + 20 / len(scans))
+    assert np.mean(scans) <= (MOST_SCANS if len(scans) <= 20 else 1 + 48 / len(scans))
     assert set(photos) == {MOST_IMAGES}  # every image is a keyframe here
     assert store[next(step.key for step in plan.steps.values() if step.name == "visual-gate")].scans.accepted
 

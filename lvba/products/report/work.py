@@ -70,6 +70,7 @@ def lidar_rows(facts: Facts) -> list[tuple[str, str]]:
     left = stage.get("motion_left") or {}
     if left.get("part") is not None:
         rows.append((f"Motion left in scans{', taken out' if left.get('motion') else ''}", _part_of(left)))
+    rows += _range_error_rows(stage.get("range_errors") or {})
     scans = stage.get("weak_scans") or []
     if scans:
         held = sum(not count for count in scans)
@@ -82,6 +83,28 @@ def lidar_rows(facts: Facts) -> list[tuple[str, str]]:
             )
         )
     return rows
+
+
+_RANGE_ERRORS = (
+    ("elevation", "Beams higher than the sensor says", 180.0 / np.pi, 3, "\N{DEGREE SIGN}"),
+    ("distortion", "Ranges too long 45\N{DEGREE SIGN} off the sensor's axis", 100.0, 2, " %"),
+    ("incidence", "Surfaces measured too far at grazing incidence", 1000.0, 1, " mm"),
+)
+"""Key, what it says, factor, digits, unit."""
+
+
+def _range_error_rows(errors: Facts) -> list[tuple[str, str]]:
+    """Errors of the range sensor that were corrected."""
+    corrected, values, sigma = (errors.get(name) or {} for name in ("corrected", "values", "sigma"))
+    return [
+        (
+            f"{text}, corrected",
+            f"{formats.number(factor * values[name], digits)} \N{PLUS-MINUS SIGN} "
+            f"{formats.number(factor * sigma[name], digits)}{unit}",
+        )
+        for name, text, factor, digits, unit in _RANGE_ERRORS
+        if name in corrected
+    ]
 
 
 def _part_of(left: Facts) -> str:

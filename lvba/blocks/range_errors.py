@@ -1,0 +1,159 @@
+"""Which systematic errors of the range sensor the scans of a recording show: measured, corrected, measured again.
+
+All errors together in a few windows of successive scans, the motion left in scans beside them where points have times,
+with poses and planes free. What cannot be chance is taken out of the points, until no more is left.
+"""
+
+import logging
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from lvba.blocks import motion_left, scan_windows
+from lvba.blocks.scan_windows import Window
+from lvba.dataset import Dataset
+from lvba.lidar import range_errors, scan_evidence, scan_motion
+from lvba.lidar.bundle_adjustment import LidarResult
+from lvba.lidar.config import LidarConfig
+from lvba.lidar.point_times import PointClock
+from lvba.lidar.range_errors import Beams, RangeErrors
+from lvba.lidar.scan import gather
+from lvba.lidar.scan_evidence import ByShared, Evidence, OnPlanes, View
+from lvba.progress import Progress, silent
+
+_log = logging.getLogger(__name__)
+
+_ROUNDS = 6
+_SETTLED = 0.03
+"""Rounds end when no error changes by more than this part of itself."""
+_SUSPECT = 1e-2
+"""How often the first look at a right sensor may ask for a closer one."""
+_FALLS = 0.3
+"""An error that is one falls to less than this part of itself once it is corrected."""
+
+
+def measure(
+    dataset: Dataset, probes: list[Window], config: LidarConfig, progress: Progress = silent
+) -> RangeErrors:
+    """The errors of a recording's sensor. probes: of the recording
+
+    Raises InputError: a scan cannot be read.
+    """
+    points = [scan.points for window in probes for scan in window.scans]
+    beams = Beams.of(points, dataset.sensor_position_scan, dataset.sensor_axes_scan)
+    clock = motion_left.clock(dataset, probes)
+    known = None if isinstance(clock, str) else clock
+    return _Measurement(dataset=dataset, beams=beams, clock=known, config=config, progress=progress).of(
+        probes, points
+    )
+
+
+@dataclass
+class _Measurement:
+    """Finds poses, planes and the errors in turn. cosines: of each window, of its points on planes"""
+
+    dataset: Dataset
+    beams: Beams
+    clock: PointClock | None
+    config: LidarConfig
+    progress: Progress
+    cosines: dict[int, np.ndarray] = field(default_factory=dict)
+
+    def of(self, probes: list[Window], points: list[np.ndarray]) -> RangeErrors:
+        """By some windows; only where they tell of an error, by larger ones."""
+        shifts = range_errors.typical_shifts(self.beams, np.concatenate(points)) if points else np.zeros(0)
+        least = range_errors.LEAST_M / np.maximum(shifts, 1e-9)
+        none = np.zeros(len(self.beams.names))
+        change, covariance = self._change(probes, none)
+        if not np.isfinite(covariance).all():
+            return RangeErrors(self.beams)
+        kept, _ = self._significant(change, covariance, least, _SUSPECT)
+        if not kept.any():
+            return self._errors(change, covariance, kept)
+        return self._closer(scan_windows.sampled(self.dataset), least)
+
+    def _closer(self, windows: list[Window], least: np.ndarray) -> RangeErrors:
+        errors = first = np.zeros(len(self.beams.names))
+        self.cosines.clear()
+        for turn in range(_ROUNDS):
+            self.progress("errors of ranges", turn, _ROUNDS)
+            change, covariance = self._change(windows, errors)
+            if not np.isfinite(covariance).all():
+                return replace(
+                    RangeErrors(self.beams), problem="planes do not tell of them once they are corrected"
+                )
+            kept, estimate = self._significant(errors + change, covariance, least, range_errors.CHANCE)
+            last, errors = estimate - errors, estimate
+            _log.info("errors of ranges: %s +- %s", errors, np.sqrt(np.diagonal(covariance)))
+            first = first if turn else estimate
+            if (np.abs(last) <= _SETTLED * np.abs(errors)).all():
+                break
+        if (np.abs(last) > _FALLS * np.abs(first))[kept].any():
+            text = "no error of the sensor explains what is left"
+            return replace(self._errors(errors, covariance, kept & False), problem=text)
+        return self._errors(np.where(kept, errors, errors + change), covariance, kept)
+
+    def _significant(
+        self, estimate: np.ndarray, covariance: np.ndarray, least: np.ndarray, chance: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        most = np.array([range_errors.LARGEST[name] for name in self.beams.names])
+        return range_errors.significant(estimate, covariance, least, most, chance)
+
+    def _errors(self, values: np.ndarray, covariance: np.ndarray, kept: np.ndarray) -> RangeErrors:
+        # digits that sums in another order would not give are left out
+        sigma = np.sqrt(np.diagonal(covariance))
+        significant = [name for name, is_kept in zip(self.beams.names, kept, strict=True) if is_kept]
+        return RangeErrors(
+            self.beams,
+            {name: round(float(value), 7) for name, value in zip(self.beams.names, values, strict=True)},
+            {name: round(float(value), 7) for name, value in zip(self.beams.names, sigma, strict=True)},
+            corrected=tuple(name for name in significant if name != range_errors.INCIDENCE),
+            noticed=tuple(name for name in significant if name == range_errors.INCIDENCE),
+        )
+
+    def _change(self, windows: list[Window], errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of the errors (k,) in the points of windows corrected by some, and the covariance (k, k)."""
+        size = len(errors)
+        total = scan_evidence.nothing(size + (self.clock is not None))
+        for number, window in enumerate(windows):
+            total += self._evidence(number, window, errors, len(total.gradient))
+        return total.change[:size], total.covariance[:size, :size]
+
+    def _evidence(self, number: int, window: Window, errors: np.ndarray, size: int) -> Evidence:
+        points = self._corrected(number, window, errors)
+        result = window.refined(self.dataset, points, self.config)
+        if result is None:
+            return scan_evidence.nothing(size)
+        view = View.of(
+            *(gather(points), result.world_from_scan, result.planes, result.plane_points),
+            self.dataset.sensor_position_scan,
+        )
+        self.cosines[number] = range_errors.cosines_on_planes(view, self.beams)
+        return scan_evidence.evidence(view, self._by_shared(window, result), size)
+
+    def _corrected(self, number: int, window: Window, errors: np.ndarray) -> list[np.ndarray]:
+        """Points of each scan; angles of incidence are those on the planes of the round before."""
+        points = [scan.points for scan in window.scans]
+        names = tuple(name for name, value in zip(self.beams.names, errors, strict=True) if value)
+        if not names:
+            return points
+        values = dict(zip(self.beams.names, map(float, errors), strict=True))
+        ranges = RangeErrors(self.beams, values, corrected=names)
+        ends = np.cumsum([len(each) for each in points])[:-1]
+        known = self.cosines.get(number)
+        cosines = [None] * len(points) if known is None else np.split(known, ends)
+        return [ranges.points(each, cosine) for each, cosine in zip(points, cosines, strict=True)]
+
+    def _by_shared(self, window: Window, result: LidarResult) -> ByShared:
+        of_errors = range_errors.by_errors(self.beams)
+        if self.clock is None:
+            return of_errors
+        stamps = self.dataset.scans.times[window.numbers]
+        tau = motion_left.point_times_of(window, stamps, self.clock)
+        twist = motion_left.sweep_twists(stamps, result.world_from_scan, self.clock)
+        of_motion = scan_motion.by_part(np.concatenate(tau), twist)
+
+        def derivative(points: OnPlanes) -> np.ndarray:
+            return np.concatenate([of_errors(points), of_motion(points)], axis=1)
+
+        return derivative

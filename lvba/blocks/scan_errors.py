@@ -1,0 +1,25 @@
+"""What is systematically wrong with the scans of a recording: errors of the range sensor, then motion left in scans."""
+
+from lvba.blocks import motion_left, range_errors, scan_windows
+from lvba.dataset import Dataset
+from lvba.io import dataset as recordings
+from lvba.lidar.config import LidarConfig
+from lvba.lidar.scan_errors import ScanErrors
+from lvba.progress import Progress, silent
+
+
+def measure(
+    dataset: Dataset, config: LidarConfig, enabled: bool = True, progress: Progress = silent
+) -> ScanErrors | None:
+    """Of a whole recording; None where nothing is measured.
+
+    enabled: False: scan poses are not refined, and nothing is measured
+    Raises InputError: a scan cannot be read.
+    """
+    if not enabled:
+        return None
+    probes = scan_windows.probes(dataset)
+    ranges = range_errors.measure(dataset, probes, config, progress)
+    if not recordings.has_point_times(dataset):
+        return ScanErrors(ranges, None)
+    return ScanErrors(ranges, motion_left.measure(dataset, probes, config, ranges, progress))

@@ -1,0 +1,104 @@
+"""Windows of a recording's scans, thinned, that tell what all scans share."""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from lvba.arrays import Poses
+from lvba.dataset import Dataset, Scan
+from lvba.errors import DegenerateProblemError
+from lvba.io import dataset as recordings
+from lvba.lidar import bundle_adjustment
+from lvba.lidar.bundle_adjustment import LidarResult
+from lvba.lidar.config import LidarConfig
+from lvba.lidar.range_errors import RangeErrors
+from lvba.parallel import in_order
+
+_CORE, _MARGIN, SAMPLED = 24, 4, 2
+"""Scans of a window, those on either side that help to solve it, and windows that tell what all scans share."""
+_PROBE, _PROBE_STEP_S = 14, 0.4
+"""Scans of a window that tells whether there is anything at all, and about the time between them."""
+_MOST_POINTS, _PROBE_POINTS = 30_000, 6_000
+"""Of a scan, to measure with."""
+
+
+def cores(count: int) -> list[tuple[int, int]]:
+    """Of windows that share all of so many scans, half-open."""
+    pieces = max(1, round(count / _CORE))
+    bounds = [count * k // pieces for k in range(pieces + 1)]
+    return list(pairwise(bounds))
+
+
+def probes(dataset: Dataset) -> list["Window"]:
+    """Few scans about some places of a recording."""
+    return [Window.probe(dataset, place) for place in (np.arange(SAMPLED) + 1) / (SAMPLED + 1)]
+
+
+def sampled(dataset: Dataset) -> list["Window"]:
+    """Some of the windows that share all scans."""
+    every = cores(len(dataset.scan_paths))
+    chosen = np.unique(np.linspace(0, len(every) - 1, SAMPLED + 2)[1:-1].astype(int))
+    return [Window.of(dataset, every[number]) for number in chosen]
+
+
+@dataclass(frozen=True)
+class Window:
+    """Some scans of a recording, thinned. numbers: (n,), ascending; core: those that no other window has, in numbers"""
+
+    numbers: np.ndarray
+    core: slice
+    scans: list[Scan]
+
+    @staticmethod
+    def of(dataset: Dataset, core: tuple[int, int]) -> "Window":
+        """Successive scans with a margin on either side."""
+        numbers = np.arange(max(core[0] - _MARGIN, 0), min(core[1] + _MARGIN, len(dataset.scan_paths)))
+        inside = slice(core[0] - int(numbers[0]), core[1] - int(numbers[0]))
+        return Window(numbers, inside, _thinned(dataset, numbers, _MOST_POINTS))
+
+    @staticmethod
+    def probe(dataset: Dataset, place: float) -> "Window":
+        """Few scans about a place, 0 to 1, of the recording."""
+        count = len(dataset.scan_paths)
+        interval = float(np.median(np.diff(dataset.scans.times))) if count > 1 else _PROBE_STEP_S
+        step = int(np.clip(round(_PROBE_STEP_S / max(interval, 1e-3)), 1, max(1, count // _PROBE)))
+        first = round(place * max(count - _PROBE * step, 0))
+        numbers = np.arange(first, min(first + _PROBE * step, count), step)
+        return Window(numbers, slice(0, len(numbers)), _thinned(dataset, numbers, _PROBE_POINTS))
+
+    def corrected(self, ranges: RangeErrors | None) -> "Window":
+        """The window with its points where they belong."""
+        if ranges is None or not ranges.corrected:
+            return self
+        scans = [replace(scan, points=ranges.points(scan.points)) for scan in self.scans]
+        return replace(self, scans=scans)
+
+    def refined(self, dataset: Dataset, points: list[np.ndarray], config: LidarConfig) -> LidarResult | None:
+        """Poses and planes by points (N, 3) m of each scan; None where planes do not tell."""
+        try:
+            return bundle_adjustment.refine(
+                points,
+                self.rough(dataset),
+                sensor_position=dataset.sensor_position_scan,
+                config=config,
+            )
+        except DegenerateProblemError:
+            return None
+
+    def rough(self, dataset: Dataset) -> Poses:
+        """(n, 4, 4), of its scans."""
+        return np.asarray(dataset.scans.world_from_sensor[self.numbers])
+
+
+def _thinned(dataset: Dataset, numbers: np.ndarray, most: int) -> list[Scan]:
+    """Some scans with so many points at most."""
+
+    def load(number: int) -> Scan:
+        scan = recordings.load_scan(dataset, number)
+        if len(scan) <= most:
+            return Scan(scan.points, None, scan.time)
+        kept = np.sort(np.random.default_rng(number).permutation(len(scan))[:most])
+        return Scan(scan.points[kept], None, None if scan.time is None else scan.time[kept])
+
+    return list(in_order(load, [int(number) for number in numbers]))

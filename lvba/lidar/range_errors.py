@@ -1,0 +1,258 @@
+"""Systematic errors of the range sensor that all points share: where points belong, and what planes tell of them.
+
+incidence: m, a surface is measured this much farther at grazing incidence than seen straight on
+elevation: rad, the beams of a sensor that turns go this much higher about its axis than it says
+distortion: ranges of a sensor that looks ahead are too long by this part 45 degrees off its axis, and in proportion to
+    the squared tangent of the angle elsewhere, as those of depth cameras
+
+A common scale or offset of ranges is none of them: planes cannot tell a scale from that of the poses, nor an offset from
+incidence where most points are on the ground. Nor is intensity: what it says of ranges follows the incidence.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.stats import chi2
+
+from lvba.arrays import Vectors
+from lvba.lidar.scan_evidence import ByShared, OnPlanes, View
+
+INCIDENCE, ELEVATION, DISTORTION = "incidence", "elevation", "distortion"
+LARGEST = {INCIDENCE: 0.05, ELEVATION: math.radians(1.0), DISTORTION: 0.1}
+"""What is more is not believed of a sensor: the planes are of a kind that tells something else, such as leaves."""
+CHANCE = 2e-9
+"""How often a right sensor may be taken for a wrong one: six standard deviations, for errors can be twice the promised
+ones."""
+LEAST_M = 1e-3
+"""And an error must move points by so much, root mean square: less is lost in the noise of usual sensors."""
+_NARROW = 0.6
+"""Mean of the directions of points, as unit vectors, above which a sensor looks ahead."""
+_NEAR_AXIS = math.cos(math.radians(15.0))
+_FLAT = 0.5
+"""A sensor turns about the axis along which directions spread by less than this part of the next one, in squares."""
+_NEIGHBORS, _PLANAR = 40, 0.1
+"""Points about a point that its surface is fitted to, and the most that they spread across it, in squares."""
+
+
+@dataclass(frozen=True)
+class Beams:
+    """How a sensor sends its beams, in the scan frame.
+
+    position: (3,) m, where they begin; axis: (3,), unit: the one it turns about, or looks along (`narrow`); None: neither
+    is clear
+    """
+
+    position: np.ndarray
+    axis: np.ndarray | None
+    narrow: bool
+
+    @staticmethod
+    def of(points: Iterable[np.ndarray], position: np.ndarray, axes: np.ndarray) -> "Beams":
+        """By the points (N, 3) of some scans.
+
+        position: (3,) float64, m; axes: (3, 3) float64, columns: the sensor's own, in the scan frame
+        """
+        seen = [_directions(each, position)[0] for each in points if len(each)]
+        if not seen:
+            return Beams(position, None, False)
+        local = np.concatenate(seen) @ axes
+        mean, square = local.mean(axis=0), np.sort(np.mean(local**2, axis=0))
+        length = float(np.linalg.norm(mean))
+        if length > _NARROW:
+            ahead = mean / length
+            nearest = int(np.argmax(np.abs(ahead)))
+            if abs(ahead[nearest]) > _NEAR_AXIS:
+                ahead = np.sign(ahead[nearest]) * np.eye(3)[nearest]
+            return Beams(position, axes @ ahead, True)
+        if square[0] > _FLAT * square[1]:
+            return Beams(position, None, False)
+        return Beams(position, axes[:, int(np.argmin(np.mean(local**2, axis=0)))].copy(), False)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The errors that such a sensor may have."""
+        if self.axis is None:
+            return (INCIDENCE,)
+        return (INCIDENCE, DISTORTION if self.narrow else ELEVATION)
+
+    def shift(self, name: str, points: Vectors, cosine: np.ndarray) -> np.ndarray:
+        """(N, 3) m: by how much points (N, 3) m, scan frame, go where they belong for one unit of an error.
+
+        cosine: (N,) float64, of the angle of incidence
+        """
+        ray, length = _directions(points, self.position)
+        if name == INCIDENCE:
+            return np.asarray(-ray * (1 - cosine)[:, None])
+        assert self.axis is not None
+        along = ray @ self.axis
+        if name == DISTORTION:
+            ahead = np.maximum(along, math.sqrt(0.5))
+            return np.asarray(-ray * (length * (1 / ahead**2 - 1))[:, None])
+        across = np.maximum(np.sqrt(np.maximum(1 - along**2, 0.0)), 1e-3)
+        return np.asarray((self.axis - along[:, None] * ray) * (length / across)[:, None])
+
+
+def _directions(points: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    away = np.asarray(points, float) - position
+    length = np.linalg.norm(away, axis=1)
+    return away / np.maximum(length, 1e-9)[:, None], length
+
+
+@dataclass(frozen=True)
+class RangeErrors:
+    """Systematic errors of the range sensor of a recording, and how its scans are corrected.
+
+    values: of those that were measured, in m, rad or as a part; sigma: their standard deviations
+    corrected: the names of those that are taken out of the points
+    noticed: of those that are no chance, but stay: normals at single points are too coarse to correct errors by incidence
+    problem: why what is significant was not corrected
+    """
+
+    beams: Beams
+    values: Mapping[str, float] = field(default_factory=dict)
+    sigma: Mapping[str, float] = field(default_factory=dict)
+    corrected: tuple[str, ...] = ()
+    problem: str = ""
+    noticed: tuple[str, ...] = ()
+
+    def points(self, points: np.ndarray, cosine: np.ndarray | None = None) -> np.ndarray:
+        """(N, 3) float32, m: where the points of a scan belong.
+
+        points: (N, 3) float32, m, scan frame
+        cosine: (N,) float64, of the angles of incidence; None: by the surface about each point
+        """
+        if not self.corrected or not len(points):
+            return points
+        if cosine is None and INCIDENCE in self.corrected:
+            cosine = incidence_cosines(points, self.beams.position)
+        straight = np.ones(len(points)) if cosine is None else cosine
+        shifts = [self.values[name] * self.beams.shift(name, points, straight) for name in self.corrected]
+        return np.asarray(sum(shifts, np.asarray(points, float)), np.float32)
+
+    def facts(self) -> dict[str, Any]:
+        """As report.json has it (`lidar.range_errors`)."""
+        return {
+            "values": dict(self.values),
+            "sigma": dict(self.sigma),
+            "corrected": list(self.corrected),
+            "noticed": list(self.noticed),
+            "axis": self.beams.axis,
+            "narrow": self.beams.narrow,
+            "sensor_position": self.beams.position,
+            "problem": self.problem,
+        }
+
+    @staticmethod
+    def of_facts(facts: Mapping[str, Any] | None) -> "RangeErrors | None":
+        """As report.json has it; None where points stay as they are, or it is not as written."""
+        if not facts or not facts.get("corrected"):
+            return None
+        try:
+            axis = None if facts["axis"] is None else np.array(facts["axis"], float).reshape(3)
+            beams = Beams(np.array(facts["sensor_position"], float).reshape(3), axis, bool(facts["narrow"]))
+            names = tuple(facts["corrected"])
+            values = {name: float(facts["values"][name]) for name in names if name in beams.names}
+            return RangeErrors(beams, values, dict(facts["sigma"]), tuple(values))
+        except (KeyError, TypeError, ValueError):
+            return None
+
+
+def sentence(name: str, value: float) -> str:
+    """What an error means, for people."""
+    if name == ELEVATION:
+        way = "higher" if value > 0 else "lower"
+        return f"Beams go {abs(math.degrees(value)):.2f} degrees {way} than the sensor says"
+    farther = "farther" if value > 0 else "nearer"
+    if name == INCIDENCE:
+        return f"Surfaces are measured {abs(1e3 * value):.0f} mm {farther} at grazing incidence"
+    return f"Surfaces 45 degrees off the sensor's axis are measured {abs(100 * value):.2f} % {farther} than ahead"
+
+
+def incidence_cosines(points: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """(N,) float64: cosines of the angles of incidence of one scan's points, by planes through their neighbors.
+
+    points: (N, 3) float32, m; position: (3,) float64, m, of the sensor. The mean of the others where neighbors
+    are on no plane.
+    """
+    finite = np.flatnonzero(np.isfinite(points).all(axis=1))
+    cosine = np.ones(len(points))
+    if len(finite) < _NEIGHBORS:
+        return cosine
+    here = np.asarray(points, float)[finite]
+    near = here[cKDTree(here).query(here, k=_NEIGHBORS)[1]]
+    near = near - near.mean(axis=1, keepdims=True)
+    spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", near, near))
+    own = np.abs(np.einsum("ni,ni->n", axes[:, :, 0], _directions(here, position)[0]))
+    planar = spread[:, 0] < _PLANAR * spread[:, 1]
+    cosine[finite] = np.where(planar, own, own[planar].mean() if planar.any() else 1.0)
+    return cosine
+
+
+def by_errors(beams: Beams) -> ByShared:
+    """Derivative of points' distances from their planes by the errors `beams.names`."""
+
+    def derivative(points: OnPlanes) -> np.ndarray:
+        ray, _ = _directions(points.place, beams.position)
+        cosine = np.abs(np.einsum("ni,ni->n", ray, points.normal))
+        shifts = [beams.shift(name, points.place, cosine) for name in beams.names]
+        return np.stack([np.einsum("ni,ni->n", points.normal, each) for each in shifts], axis=1)
+
+    return derivative
+
+
+def typical_shifts(beams: Beams, points: np.ndarray) -> np.ndarray:
+    """(k,) m: by how much the errors `beams.names` move points, root mean square along or across the beam, a unit each.
+
+    points: (N, 3) float32, m, scan frames
+    """
+    spread = 2.0 / 3.0 * np.ones(len(points))
+    shifts = [beams.shift(name, points, spread) for name in beams.names]
+    return np.array([math.sqrt(float(np.mean(np.sum(each**2, axis=1)))) for each in shifts])
+
+
+def significant(
+    estimate: np.ndarray, covariance: np.ndarray, least: np.ndarray, most: np.ndarray, chance: float = CHANCE
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which of k numbers cannot be chance, (k,) bool, and the estimates (k,) of these with the others at zero.
+
+    estimate, least, most: (k,) float64, of all numbers together; sizes that count, and that are believed
+    covariance: (k, k) float64, of the estimate
+    Backward elimination by Wald tests: what is not believed first, then the least significant.
+    """
+    off, spread, kept = estimate.copy(), covariance.copy(), np.ones(len(estimate), bool)
+    while kept.any():
+        square = np.where(kept, off**2 / np.diagonal(spread), np.inf)
+        beyond = np.where(kept, np.abs(off) / most, 0.0)
+        small = np.where(kept, np.abs(off) / least, np.inf)
+        if beyond.max() > 1:
+            out = int(np.argmax(beyond))
+        elif chi2.sf(square.min(), 1) > chance:
+            out = int(np.argmin(square))
+        elif small.min() < 1:
+            out = int(np.argmin(small))
+        else:
+            break
+        gain = spread[:, out] / spread[out, out]
+        off, spread = off - gain * off[out], spread - np.outer(gain, spread[out])
+        kept[out], off[out] = False, 0.0
+        spread[out, :] = spread[:, out] = 0.0
+        spread[out, out] = 1.0
+    return kept, np.where(kept, off, 0.0)
+
+
+def cosines_on_planes(view: View, beams: Beams) -> np.ndarray:
+    """(M,) cosines of incidence of the points of some scans on their planes; the mean of these where they are on none."""
+    cosine = np.full(len(view.scans.points), np.nan)
+    for scan in range(len(view.scans)):
+        known = view.on_planes(scan)
+        if known is None:
+            continue
+        normal = view.planes.normal[known[0]] @ view.world_from_scan[scan][:3, :3]
+        ray, _ = _directions(view.scans.points[known[1]], beams.position)
+        cosine[known[1]] = np.abs(np.einsum("ni,ni->n", normal, ray))
+    seen = np.isfinite(cosine)
+    return np.where(seen, cosine, cosine[seen].mean() if seen.any() else 1.0)

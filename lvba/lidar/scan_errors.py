@@ -1,0 +1,37 @@
+"""What is systematically wrong with the scans of a recording, and where their points belong."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lvba.dataset import Scan
+from lvba.lidar.range_errors import RangeErrors
+from lvba.lidar.scan_motion import MotionLeft
+
+
+@dataclass(frozen=True)
+class ScanErrors:
+    """ranges: of the sensor; motion: left in scans; None: not measured"""
+
+    ranges: RangeErrors | None
+    motion: MotionLeft | None
+
+    @property
+    def corrected(self) -> bool:
+        """Whether points are moved."""
+        return any(each is not None and each.corrected for each in (self.ranges, self.motion))
+
+    def points(self, scan: Scan, index: int, stamp: float) -> np.ndarray:
+        """(N, 3) float32, m: where the points of a scan belong. index: its number; stamp: s"""
+        points = scan.points if self.ranges is None else self.ranges.points(scan.points)
+        return points if self.motion is None else self.motion.points(points, scan.time, index, stamp)
+
+    @staticmethod
+    def of_facts(lidar: Mapping[str, Any]) -> "ScanErrors | None":
+        """As report.json has them in `lidar`; None where points stay as they are."""
+        errors = ScanErrors(
+            RangeErrors.of_facts(lidar.get("range_errors")), MotionLeft.of_facts(lidar.get("motion_left"))
+        )
+        return errors if errors.corrected else None

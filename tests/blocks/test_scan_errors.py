@@ -1,0 +1,93 @@
+"""Errors of the range sensor of a recording: found, taken out, and nothing corrected where there is none."""
+
+import math
+
+import numpy as np
+import pytest
+
+from lvba.blocks import decoded, scan_errors
+from lvba.io import dataset as recordings
+from lvba.io import reference
+from lvba.io.dataset import open_dataset
+from lvba.lidar import bundle_adjustment
+from lvba.lidar.config import LidarConfig
+from lvba.simulate.disturbances import Disturbances
+from lvba.simulate.simulation import simulate
+from lvba.trajectory import pose_error
+
+SMALL = {"frames": 2, "scans": 36, "seed": 11, "width": 64, "height": 48}
+
+
+def recorded(folder, lidar, points=6000, **disturb):
+    simulate(
+        "courtyard", folder, lidar=lidar, disturb=Disturbances(**disturb), points_per_scan=points, **SMALL
+    )
+    return open_dataset(folder)
+
+
+def error(dataset, errors=None):
+    """Of refined scan poses."""
+    piece = decoded.decode_scans(dataset, (0, 36), errors)
+    points = [piece.points[a:b] for a, b in zip(piece.offsets[:-1], piece.offsets[1:], strict=True)]
+    refined = bundle_adjustment.refine(
+        points, dataset.scans.world_from_sensor, sensor_position=dataset.sensor_position_scan
+    )
+    truth = reference.read_reference(f"{dataset.root}/reference").scans.world_from_sensor
+    return pose_error(refined.world_from_scan, truth)
+
+
+@pytest.mark.parametrize(
+    ("lidar", "points", "disturbance", "value", "name", "expected"),
+    [
+        ("spinning", 6000, "elevation_bias", 0.3, "elevation", math.radians(0.3)),
+        ("non_repetitive", 6000, "depth_distortion", 0.02, "distortion", 0.02),
+    ],
+)
+def test_an_error_is_found_and_taken_out(tmp_path, lidar, points, disturbance, value, name, expected):
+    dataset = recorded(tmp_path / "off", lidar, points, **{disturbance: value})
+    errors = scan_errors.measure(dataset, LidarConfig())
+    assert errors.ranges.corrected == (name,)
+    # elevation and range errors are corrected to first order
+    assert errors.ranges.values[name] == pytest.approx(
+        expected, abs=5 * errors.ranges.sigma[name] + 0.03 * expected
+    )
+    best = error(recorded(tmp_path / "clean", lidar, points))
+    before, after = error(dataset), error(dataset, errors)
+    assert before.ate_m > 2 * best.ate_m
+    assert after.ate_m < 1.6 * best.ate_m
+    assert after.rotation_deg < 1.6 * best.rotation_deg + 0.01
+
+
+def test_an_error_by_incidence_is_noticed_and_stays(tmp_path):
+    dataset = recorded(tmp_path / "off", "spinning", 15000, incidence_bias=0.03)
+    errors = scan_errors.measure(dataset, LidarConfig())
+    assert errors.ranges.noticed == ("incidence",)
+    assert not errors.corrected
+    assert errors.ranges.values["incidence"] == pytest.approx(
+        0.03, abs=5 * errors.ranges.sigma["incidence"] + 9e-4
+    )
+
+
+@pytest.mark.parametrize("lidar", ["spinning", "non_repetitive"])
+def test_a_right_sensor_is_left_alone(tmp_path, lidar):
+    dataset = recorded(tmp_path / "clean", lidar)
+    errors = scan_errors.measure(dataset, LidarConfig())
+    assert not errors.corrected
+    assert not errors.ranges.problem
+    sigma = np.array(list(errors.ranges.sigma.values()))
+    assert (np.abs(list(errors.ranges.values.values())) < 4 * sigma).all()
+    piece = decoded.decode_scans(dataset, (0, 3), errors)
+    np.testing.assert_array_equal(piece.points, np.concatenate(recordings.load_scans(dataset)[:3]))
+    assert piece.errors is None
+
+
+def test_an_error_that_no_sensor_has_is_not_corrected(tmp_path):
+    dataset = recorded(tmp_path / "off", "spinning", incidence_bias=0.2)
+    errors = scan_errors.measure(dataset, LidarConfig())
+    assert "incidence" not in errors.ranges.corrected
+
+
+def test_nothing_is_measured_where_scans_stay(tmp_path, monkeypatch):
+    dataset = recorded(tmp_path / "clean", "spinning")
+    monkeypatch.setattr(recordings, "load_scan", None)
+    assert scan_errors.measure(dataset, LidarConfig(), enabled=False) is None

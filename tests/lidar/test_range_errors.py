@@ -1,0 +1,180 @@
+"""Errors of the range sensor: derivatives against differences, elimination, and points that go back where they belong."""
+
+import json
+
+import numpy as np
+import pytest
+
+from lvba import geometry
+from lvba.dataset import Scan
+from lvba.lidar import range_errors, scan_evidence
+from lvba.lidar.plane import PlanePoints, Planes
+from lvba.lidar.point_times import PointClock
+from lvba.lidar.range_errors import DISTORTION, ELEVATION, INCIDENCE, Beams, RangeErrors
+from lvba.lidar.scan import gather
+from lvba.lidar.scan_errors import ScanErrors
+from lvba.lidar.scan_evidence import View
+from lvba.lidar.scan_motion import MotionLeft
+from lvba.steps import report_data
+
+AHEAD = Beams(np.array([0.1, -0.2, 0.3]), np.array([1.0, 0.0, 0.0]), True)
+AROUND = Beams(np.array([0.1, -0.2, 0.3]), np.array([0.0, 0.0, 1.0]), False)
+NORMALS = np.linalg.qr(np.random.default_rng(1).normal(size=(6, 3, 3)))[0][:, :, 0]
+
+
+def measured(beams, errors, rays, distance, normal):
+    """What a sensor with errors makes of beams (N, 3) that meet a surface at a distance: by the definitions alone."""
+    factor, bias, directions = 1.0, 0.0, rays
+    if INCIDENCE in errors:
+        bias = errors[INCIDENCE] * (1 - np.abs(np.einsum("ni,ni->n", rays, normal)))
+    if DISTORTION in errors:
+        factor = 1 + errors[DISTORTION] * np.tan(np.arccos(rays @ beams.axis)) ** 2
+    if ELEVATION in errors:
+        elevation = np.arcsin(rays[:, 2]) - errors[ELEVATION]
+        azimuth = np.arctan2(rays[:, 1], rays[:, 0])
+        directions = np.stack(
+            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], 1
+        )
+    return beams.position + directions * (distance * factor + bias)[:, None]
+
+
+def room(beams, errors, seed=0, noise=0.0):
+    """Scans of the walls of a convex room, taken with errors; planes and poses are the true ones."""
+    rng = np.random.default_rng(seed)
+    normals, offsets = np.concatenate([NORMALS, -NORMALS]), np.full(2 * len(NORMALS), 8.0)
+    poses = geometry.exp(rng.normal(size=(8, 6)) * [0.5, 0.5, 0.5, 1.5, 1.5, 1.5])
+    points, labels = [], []
+    for pose in poses:
+        rays = rng.normal(size=(6000, 3)) * [1, 1, 0.3]
+        rays /= np.linalg.norm(rays, axis=1)[:, None]
+        rays = rays[rays[:, 0] > 0.75] if beams.narrow else rays
+        origin = pose[:3, :3] @ beams.position + pose[:3, 3]
+        speed = rays @ pose[:3, :3].T @ normals.T
+        reach = np.where(speed > 0, (offsets - normals @ origin) / np.maximum(speed, 1e-9), np.inf)
+        hit, distance = np.argmin(reach, axis=1), reach.min(axis=1)
+        distance = distance + noise * rng.normal(size=len(distance))
+        points.append(measured(beams, errors, rays, distance, normals[hit] @ pose[:3, :3]))
+        labels.append(hit)
+    axes = [np.linalg.svd(normal[None])[2].T for normal in normals]
+    planes = Planes(
+        center=normals * 8.0,
+        normal=normals,
+        eigenvalues=np.tile([1e-4, 1.0, 1.0], (len(normals), 1)),
+        axes=np.stack([np.c_[n, a[:, 1:]] for n, a in zip(normals, axes, strict=True)]),
+        count=np.ones(len(normals), np.int64),
+        scans=np.full(len(normals), 8, np.int32),
+        size=np.ones(len(normals)),
+        sigma_offset=np.full(len(normals), 1e-3),
+    )
+    scans, plane = gather(points), np.concatenate(labels).astype(np.int32)
+    return View.of(scans, poses, planes, PlanePoints(scans.points, plane, scans.offsets), beams.position)
+
+
+@pytest.mark.parametrize(
+    ("beams", "name", "value"),
+    [(AROUND, INCIDENCE, 0.02), (AROUND, ELEVATION, 0.005), (AHEAD, DISTORTION, 0.02)],
+)
+def test_points_go_back_where_they_belong(beams, name, value):
+    rays = np.random.default_rng(2).normal(size=(400, 3)) * [1, 1, 0.4]
+    rays /= np.linalg.norm(rays, axis=1)[:, None]
+    rays = rays[rays[:, 0] > 0.75]
+    normal = np.tile([-0.8, 0.6, 0.0], (len(rays), 1))
+    distance = np.full(len(rays), 7.0)
+    true, off = (measured(beams, errors, rays, distance, normal) for errors in ({}, {name: value}))
+    cosine = np.abs(np.einsum("ni,ni->n", rays, normal))
+    back = RangeErrors(beams, {name: value}, {name: 1e-3}, (name,)).points(off, cosine)
+    assert np.abs(off - true).max() > 5e-3
+    np.testing.assert_allclose(back, true, atol=0.06 * np.abs(off - true).max())
+
+
+@pytest.mark.parametrize("beams", [AROUND, AHEAD])
+def test_derivatives_against_differences(beams):
+    view = room(beams, {})
+    step = 1e-2  # points are float32, and move in proportion
+    for number, name in enumerate(beams.names):
+        ends = []
+        for sign in (1, -1):
+            moved = RangeErrors(beams, {name: sign * step}, corrected=(name,))
+            cosine = range_errors.cosines_on_planes(view, beams)
+            ends.append(moved.points(view.scans.points.astype(float), cosine).astype(float))
+        _, x, _, _ = scan_evidence.terms(view, 3, range_errors.by_errors(beams))
+        plane, chosen = view.on_planes(3)
+        turn, normal = view.world_from_scan[3][:3, :3], view.planes.normal[plane]
+        by_difference = np.einsum("ni,ij,nj->n", normal, turn, (ends[0] - ends[1])[chosen]) / (2 * step)
+        np.testing.assert_allclose(x[:, 6 + number] * 0.01, by_difference, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("beams", "errors"),
+    [
+        (AROUND, {INCIDENCE: 0.01, ELEVATION: 0.002}),
+        (AHEAD, {INCIDENCE: -0.01, DISTORTION: 0.004}),
+        (AROUND, {}),
+    ],
+)
+def test_errors_are_found_within_their_deviations(beams, errors):
+    view = room(beams, errors, noise=0.01)
+    known = scan_evidence.evidence(view, range_errors.by_errors(beams), 2)
+    expected = np.array([errors.get(name, 0.0) for name in beams.names])
+    # the change is linear: errors turn with themselves by up to some percent
+    assert (np.abs(known.change - expected) < 4 * known.sigma + 0.05 * np.abs(expected)).all()
+    assert (known.sigma < [5e-3, 5e-4]).all()
+
+
+def test_elimination_takes_out_what_may_be_chance():
+    least, most = np.array([1e-3, 1e-4]), np.array([0.05, 0.02])
+    covariance = np.diag([1e-3, 1e-4]) ** 2
+    kept, values = range_errors.significant(np.array([0.02, 2e-4]), covariance, least, most)
+    np.testing.assert_array_equal(kept, [True, False])
+    np.testing.assert_allclose(values, [0.02, 0.0])
+    assert not range_errors.significant(np.array([5e-3, 5e-4]), covariance, least, most)[0].any()
+    # what is significant but too small to matter, or too large to be believed, is none
+    assert not range_errors.significant(np.array([9e-4, 0.0]), covariance * 1e-4, least, most)[0].any()
+    alike = np.array([[1e-4, 0.99e-5], [0.99e-5, 1e-6]])
+    kept, values = range_errors.significant(np.array([0.116, 0.0135]), alike * 1e-3, least, most)
+    np.testing.assert_array_equal(kept, [False, True])
+    assert values[1] == pytest.approx(0.0135 - 0.099 * 0.116)
+
+
+def test_beams_are_known_by_where_points_are():
+    rng = np.random.default_rng(3)
+    axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    around, ahead = rng.normal(size=(900, 3)) * [1, 1, 0.2], rng.normal(size=(900, 3)) * 0.2 + [1, 0, 0]
+    position = np.array([0.3, 0.1, -0.2])
+    spinning = Beams.of([around @ axes.T + position], position, axes)
+    assert spinning.names == (INCIDENCE, ELEVATION)
+    np.testing.assert_allclose(np.abs(spinning.axis @ axes[:, 2]), 1.0)
+    camera = Beams.of([ahead @ axes.T + position], position, axes)
+    assert camera.names == (INCIDENCE, DISTORTION)
+    np.testing.assert_allclose(camera.axis, axes[:, 0], atol=1e-12)
+    assert Beams.of([rng.normal(size=(900, 3))], np.zeros(3), np.eye(3)).names == (INCIDENCE,)
+    assert Beams.of([], np.zeros(3), np.eye(3)).axis is None
+
+
+def test_incidence_is_that_of_the_surface_about_a_point():
+    rng = np.random.default_rng(4)
+    flat = rng.uniform(-1, 1, (800, 3)) * [0, 2, 2] + [5, 0, 0] + rng.normal(size=(800, 3)) * 0.003
+    cosine = range_errors.incidence_cosines(flat, np.zeros(3))
+    np.testing.assert_allclose(cosine, np.abs(flat[:, 0]) / np.linalg.norm(flat, axis=1), atol=0.03)
+    np.testing.assert_array_equal(range_errors.incidence_cosines(flat[:5], np.zeros(3)), np.ones(5))
+    holed = flat.copy()
+    holed[7] = np.nan
+    assert np.isfinite(np.delete(range_errors.incidence_cosines(holed, np.zeros(3)), 7)).all()
+
+
+def test_facts_bring_errors_back():
+    ranges = RangeErrors(AROUND, {INCIDENCE: 0.002, ELEVATION: 0.003}, {ELEVATION: 1e-4}, (ELEVATION,))
+    motion = MotionLeft(PointClock(1.0, 0.1, -0.1, True), 0.5, 1e-3, np.ones((2, 6)))
+    errors = ScanErrors(ranges, motion)
+    facts = json.loads(json.dumps(report_data.plain(report_data.of_scan_errors(errors))))
+    again = ScanErrors.of_facts(facts)
+    scan = Scan(
+        np.random.default_rng(5).normal(size=(60, 3)).astype(np.float32), None, np.linspace(0, 0.1, 60)
+    )
+    np.testing.assert_array_equal(again.points(scan, 1, 0.1), errors.points(scan, 1, 0.1))
+    assert np.abs(again.points(scan, 1, 0.1) - scan.points).max() > 1e-3
+    assert ScanErrors.of_facts({}) is None
+    assert ScanErrors.of_facts({"range_errors": {"corrected": [ELEVATION]}}) is None
+    still = RangeErrors(AROUND, {INCIDENCE: 0.002}, {INCIDENCE: 0.01})
+    assert still.points(scan.points) is scan.points
+    assert report_data.warnings_of_errors(errors)[0].startswith("Beams go 0.17 degrees higher")
