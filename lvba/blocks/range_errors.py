@@ -104,9 +104,11 @@ class _Measurement:
         sigma = np.sqrt(np.diagonal(covariance))
         significant = [name for name, is_kept in zip(self.beams.names, kept, strict=True) if is_kept]
         return RangeErrors(
-            self.beams,
-            {name: round(float(value), 7) for name, value in zip(self.beams.names, values, strict=True)},
-            {name: round(float(value), 7) for name, value in zip(self.beams.names, sigma, strict=True)},
+            beams=self.beams,
+            values={
+                name: round(float(value), 7) for name, value in zip(self.beams.names, values, strict=True)
+            },
+            sigma={name: round(float(value), 7) for name, value in zip(self.beams.names, sigma, strict=True)},
             corrected=tuple(name for name in significant if name != range_errors.INCIDENCE),
             noticed=tuple(name for name in significant if name == range_errors.INCIDENCE),
         )
