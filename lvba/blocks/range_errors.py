@@ -140,7 +140,7 @@ class _Measurement:
         if not names:
             return points
         values = dict(zip(self.beams.names, map(float, errors), strict=True))
-        ranges = RangeErrors(self.beams, values, corrected=names)
+        ranges = RangeErrors(beams=self.beams, values=values, corrected=names)
         ends = np.cumsum([len(each) for each in points])[:-1]
         known = self.cosines.get(number)
         cosines = [None] * len(points) if known is None else np.split(known, ends)

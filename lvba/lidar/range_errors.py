@@ -156,7 +156,9 @@ class RangeErrors:
             beams = Beams(np.array(facts["sensor_position"], float).reshape(3), axis, bool(facts["narrow"]))
             names = tuple(facts["corrected"])
             values = {name: float(facts["values"][name]) for name in names if name in beams.names}
-            return RangeErrors(beams, values, dict(facts["sigma"]), tuple(values))
+            return RangeErrors(
+                beams=beams, values=values, sigma=dict(facts["sigma"]), corrected=tuple(values)
+            )
         except (KeyError, TypeError, ValueError):
             return None
 
