@@ -25,6 +25,7 @@ from typing import Any
 from ablations import ABLATIONS
 
 from lvba.simulate import disturbances
+from lvba.steps import verdict_data
 
 ROOT = Path(__file__).resolve().parent.parent
 JSON = ROOT / "docs" / "results.json"
@@ -102,11 +103,14 @@ def figures(report: dict[str, Any]) -> dict[str, Any]:
     return _without_arrays(row)
 
 
+_LISTS = ("warnings", "reasons")
+
+
 def _without_arrays(value: Any) -> Any:
     """Drops per-frame lists: tables hold scalars."""
     if isinstance(value, dict):
         return {
-            k: _without_arrays(v) for k, v in value.items() if not (isinstance(v, list) and k != "warnings")
+            k: _without_arrays(v) for k, v in value.items() if not (isinstance(v, list) and k not in _LISTS)
         }
     return value
 
@@ -223,10 +227,21 @@ def disturbed(seeds: list[int], scenes: list[str], levels: list[str], frames: in
                 dataset = work / f"{scene}_{seed}_{frames}_{name}_{level}"
                 simulate(scene, dataset, seed=seed, frames=frames, extra=extra)
                 report = run_lvba(dataset, work / f"{dataset.name}_out", [], dataset / "reference")
-                row = figures(report)
-                row["verdict"] = (report.get("verdict") or {}).get("level")
+                row = figures(report) | _without_truth(report)
                 size = f" {disturbances.ABOUT[name]['levels'][level]:g}" if level else ""
                 save("disturbed", f"{scene}, seed {seed}, {frames} frames: {name}{size}", row)
+
+
+def _without_truth(report: dict[str, Any]) -> dict[str, Any]:
+    """The verdict as a user without a reference gets it: level, reasons, and whether expected errors are lower bounds."""
+    if "failed" in report:
+        return {}
+    facts = verdict_data.add({**report, "reference": None})
+    return {
+        "verdict": facts["verdict"]["level"],
+        "reasons": [each["text"] for each in facts["verdict"]["reasons"]],
+        "at_least": facts["expected_error"]["at_least"],
+    }
 
 
 def weak(work: Path) -> None:

@@ -55,7 +55,8 @@ One option each on the same simulated scenes, against truth, and leave-one-out.
     "disturbed": """## One disturbance at a time
 
 What real sensors do, one at a time ([list](simulation.md#disturbances)), not told to the program. "promised" is the
-error that the report predicts, and the verdict what it says: millimeters promised for centimeters are the worst result.
+error that the report predicts, and the verdict what a user without a reference reads; "at least": the report says that
+errors are likely larger than promised. **Bold**: more than three times the promised error without that word.
 """,
     "colors": """## Colors of the map
 
@@ -151,7 +152,21 @@ def _disturbed(name: str, row: Row) -> list[str]:
             f"{number(reference, part, 'ate_m', scale=1e3)} / {number(reference, part, 'rotation_deg', digits=4)}"
         )
         cells.append(number(reference, part, "predicted_ate_m", scale=1e3))
-    return [*cells, number(reference, "exposure", "rms_percent"), str(row.get("verdict") or "-")]
+    said = str(row.get("verdict") or "-") + (", at least" if row.get("at_least") else "")
+    if _broken(reference) and not row.get("at_least"):
+        said = f"**{said}**"
+    return [*cells, number(reference, "exposure", "rms_percent"), said]
+
+
+_KEPT = 3.0
+
+
+def _broken(reference: Row) -> bool:
+    """Whether positions of scans or cameras are off by more than three times what was promised."""
+    parts = [reference.get(part) or {} for part in ("lidar", "camera")]
+    return any(
+        part.get("predicted_ate_m") and part["ate_m"] > _KEPT * part["predicted_ate_m"] for part in parts
+    )
 
 
 def _weak(name: str, row: Row) -> list[str]:

@@ -81,7 +81,8 @@ def kill_when_two_are_done(manifest, out):
 
 def has_ended(out, name):
     said = (out / f"{name}.log").read_text()
-    return "stopped" in said or (out / name / "report.json").exists()
+    # stopped, or refused by then
+    return said.startswith("lvba: ") or "\nlvba: " in said or (out / name / "report.json").exists()
 
 
 def manifests(out):

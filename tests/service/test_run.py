@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 STAGES = [
     *(
         "survey",
-        "motion-left",
+        "scan-errors",
         "scans",
         "lidar",
         "lidar-entropy",
