@@ -150,7 +150,8 @@ def shade(
     curve: that gray values passed
     entries: (2, H, W) int64, of `nearest`
     """
-    color = np.empty((*entries.shape, 3), np.float32)
+    # where nothing is covered too: a curve is taken of all
+    color = np.zeros((*entries.shape, 3), np.float32)
     covered = np.empty(entries.shape, bool)
     arriving = np.ones(entries.shape[1:], np.float32) if light is None else light
     if cloud.samples is not None:
