@@ -227,9 +227,24 @@ def disturbed(seeds: list[int], scenes: list[str], levels: list[str], frames: in
                 dataset = work / f"{scene}_{seed}_{frames}_{name}_{level}"
                 simulate(scene, dataset, seed=seed, frames=frames, extra=extra)
                 report = run_lvba(dataset, work / f"{dataset.name}_out", [], dataset / "reference")
-                row = figures(report) | _without_truth(report)
+                row = _errors(figures(report)) | _without_truth(report)
                 size = f" {disturbances.ABOUT[name]['levels'][level]:g}" if level else ""
                 save("disturbed", f"{scene}, seed {seed}, {frames} frames: {name}{size}", row)
+
+
+def _errors(row: dict[str, Any]) -> dict[str, Any]:
+    """Of a row, what the table of disturbances shows."""
+    kept = {name: row[name] for name in ("failed", "seconds", "peak_memory_mb") if name in row}
+    reference = row.get("reference") or {}
+    kept["reference"] = {
+        part: {
+            name: value
+            for name, value in (reference.get(part) or {}).items()
+            if isinstance(value, float | int) and not isinstance(value, bool)
+        }
+        for part in ("lidar", "camera", "exposure")
+    }
+    return kept
 
 
 def _without_truth(report: dict[str, Any]) -> dict[str, Any]:
