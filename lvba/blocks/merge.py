@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba import geometry, trajectory
+from lvba.loop_closure import registration
 from lvba.loop_closure.registration import Loop
 from lvba.optim import pose_graph
 from lvba.optim.pose_graph import Edges, PoseGraph, PoseGraphConfig
@@ -156,7 +157,7 @@ def merge(
     count = 1 + max(int(part.scans[-1]) for part in parts)
     steps = pose_graph.concatenate([_steps(part) for part in parts])
     accepted = [loop for loop in loops if loop.accepted]
-    edges = pose_graph.concatenate([steps, _closings(accepted)])
+    edges = pose_graph.concatenate([steps, registration.edges(accepted)])
     first = min(parts, key=lambda part: int(part.scans[0]))
     root = int(first.scans[0])
     start = pose_graph.propagate(count, steps, root, first.world_from_scan[0])
@@ -176,24 +177,8 @@ def _steps(part: PartPoses) -> Edges:
     """From each scan of a part to its next."""
     poses = part.world_from_scan
     measured = geometry.inverse(poses[:-1]) @ poses[1:]
-    information = _inverse(part.step_covariance)
+    information = pose_graph.information_of(part.step_covariance)
     return Edges(part.scans[:-1], part.scans[1:], measured, information, np.zeros(len(measured), bool))
-
-
-def _inverse(covariance: np.ndarray) -> np.ndarray:
-    """Inverses (n, 6, 6) that are symmetric to the last bit."""
-    inverse = np.linalg.inv(covariance)
-    return np.asarray(0.5 * (inverse + np.swapaxes(inverse, -1, -2)))
-
-
-def _closings(loops: list[Loop]) -> Edges:
-    return Edges(
-        np.array([loop.first_scan for loop in loops], np.int64),
-        np.array([loop.second_scan for loop in loops], np.int64),
-        np.array([loop.first_from_second for loop in loops]).reshape(-1, 4, 4),
-        np.array([loop.information for loop in loops]).reshape(-1, 6, 6),
-        np.ones(len(loops), bool),
-    )
 
 
 def _seams(parts: tuple[PartPoses, ...], merged: np.ndarray) -> Iterator[Seam]:

@@ -1,5 +1,6 @@
 """The relative pose of two parts that may have seen the same place, or why there is none."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from lvba.loop_closure.candidates import Candidate
 from lvba.loop_closure.submap import Patch, Submap, around, uncertainty
 from lvba.loop_closure.surfel_icp import Certainty, Target
 from lvba.loop_closure.verification import Evidence
+from lvba.optim.pose_graph import Edges
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,17 @@ class Loop:
     weak: int
     accepted: bool
     reason: str
+
+
+def edges(loops: Sequence[Loop]) -> Edges:
+    """Accepted loops as edges of a pose graph over all scans."""
+    return Edges(
+        np.array([loop.first_scan for loop in loops], np.int64),
+        np.array([loop.second_scan for loop in loops], np.int64),
+        np.array([loop.first_from_second for loop in loops]).reshape(-1, 4, 4),
+        np.array([loop.information for loop in loops]).reshape(-1, 6, 6),
+        np.ones(len(loops), bool),
+    )
 
 
 def register(a: Submap, b: Submap, candidate: Candidate, config: RegisterConfig | None = None) -> Loop:

@@ -158,14 +158,18 @@ def start(
     scans: S arrays (N, 3) float32, m, scan frame; patches: of `surfels_of`
     """
     config, poses = config or LidarConfig(), world_from_scan
+    pieces = np.array_split(np.arange(len(poses)), max(1, round(len(poses) / _GROUP)))
     error: RoughError | None = None
     for _ in range(_PASSES):
         odometry = _Odometry.of(patches, poses, progress)
         chain = odometry.chained(patches, progress)
-        groups = _Groups.solved(scans, chain, sensor_position, config, progress)
-        steps = groups.steps(chain)
+        groups = []
+        for number, members in enumerate(pieces):
+            progress("solving groups of scans", number, len(pieces))
+            groups.append(_Group.solved(scans, members, chain, sensor_position, config))
+        steps = _steps(groups, chain)
         begin = pose_graph.propagate(len(poses), steps, 0, world_from_scan[0])
-        graph = pose_graph.solve(begin, pose_graph.concatenate([steps, groups.loops(begin, progress)]))
+        graph = pose_graph.solve(begin, pose_graph.concatenate([steps, _loops(groups, begin, progress)]))
         poses, error = graph.world_from_node, error or odometry.error(chain)
         _log.info("rough poses are off by %.3f m and %.2f degrees a step", error.step_m, error.step_deg)
         if odometry.precise:
@@ -261,81 +265,58 @@ class _Odometry:
 
 
 @dataclass(frozen=True)
-class _Groups:
-    """Successive scans that were solved together. members: numbers (n,) of each; poses: (n, 4, 4), of each a frame of
-    its own; covariances: (n - 1, 6, 6) of their steps; maps: None where planes do not tie the scans"""
+class _Group:
+    """Successive scans that were solved together, in a frame of their own.
 
-    members: list[np.ndarray]
-    poses: list[np.ndarray]
-    covariances: list[np.ndarray]
-    maps: list[Submap | None]
+    members: (n,) int64, numbers; poses: (n, 4, 4); information: (n - 1, 6, 6) of their steps; surfaces: None where planes
+    do not tie the scans
+    """
+
+    members: np.ndarray
+    poses: np.ndarray
+    information: np.ndarray
+    surfaces: Submap | None
 
     @staticmethod
     def solved(
         scans: Sequence[np.ndarray],
+        members: np.ndarray,
         chain: _Chain,
         sensor_position: Vector | None,
         config: LidarConfig,
-        progress: Progress,
-    ) -> "_Groups":
-        count = len(chain.world_from_scan)
-        pieces = max(1, round(count / _GROUP))
-        groups = _Groups(np.array_split(np.arange(count), pieces), [], [], [])
-        for number, members in enumerate(groups.members):
-            progress("solving groups of scans", number, pieces)
-            try:
-                result = bundle_adjustment.refine(
-                    [scans[k] for k in members],
-                    chain.world_from_scan[members],
-                    sensor_position=sensor_position,
-                    config=config,
-                )
-            except DegenerateProblemError:
-                groups._add(
-                    chain.world_from_scan[members], np.linalg.inv(chain.information[members[:-1]]), None
-                )
-                continue
-            surfaces = submap.build(
-                result.planes,
-                result.plane_points,
-                result.world_from_scan,
-                members,
-                covariance=result.conditional_covariance,
-                sensor_position=sensor_position,
+    ) -> "_Group":
+        poses = chain.world_from_scan[members]
+        try:
+            result = bundle_adjustment.refine(
+                [scans[k] for k in members], poses, sensor_position=sensor_position, config=config
             )
-            groups._add(result.world_from_scan, result.step_covariance, surfaces)
-        return groups
+        except DegenerateProblemError:
+            return _Group(members, poses, chain.information[members[:-1]], None)
+        information = pose_graph.information_of(result.step_covariance)
+        surfaces = submap.of_result(result, members, sensor_position)
+        return _Group(members, result.world_from_scan, information, surfaces)
 
-    def _add(self, poses: np.ndarray, covariances: np.ndarray, surfaces: Submap | None) -> None:
-        self.poses.append(poses)
-        self.covariances.append(covariances)
-        self.maps.append(surfaces)
 
-    def steps(self, chain: _Chain) -> Edges:
-        """From each scan to the next: inside a group as it has them, from group to group as the chain has them."""
-        measured = geometry.inverse(chain.world_from_scan[:-1]) @ chain.world_from_scan[1:]
-        information = chain.information.copy()
-        for members, poses, covariances in zip(self.members, self.poses, self.covariances, strict=True):
-            measured[members[:-1]] = geometry.inverse(poses[:-1]) @ poses[1:]
-            inverse = np.linalg.inv(covariances)
-            information[members[:-1]] = 0.5 * (inverse + np.swapaxes(inverse, -1, -2))
-        first = np.arange(len(measured))
-        return Edges(first, first + 1, measured, information, np.zeros(len(first), bool))
+def _steps(groups: Sequence[_Group], chain: _Chain) -> Edges:
+    """From each scan to the next: inside a group as it has them, from group to group as the chain has them."""
+    measured = geometry.inverse(chain.world_from_scan[:-1]) @ chain.world_from_scan[1:]
+    information = chain.information.copy()
+    for group in groups:
+        inside = group.members[:-1]
+        measured[inside] = geometry.inverse(group.poses[:-1]) @ group.poses[1:]
+        information[inside] = group.information
+    first = np.arange(len(measured))
+    return Edges(first, first + 1, measured, information, np.zeros(len(first), bool))
 
-    def loops(self, world_from_scan: np.ndarray, progress: Progress) -> Edges:
-        """Groups that see the same place, looked for by poses (S, 4, 4)."""
-        pairs = candidates.candidates(world_from_scan, tuple(self.members), _CANDIDATES)
-        closed = []
-        for number, pair in enumerate(pairs):
-            progress("registering groups of scans", number, len(pairs))
-            first, second = self.maps[pair.first], self.maps[pair.second]
-            if first is not None and second is not None:
-                loop = registration.register(first, second, pair)
-                closed += [loop] if loop.accepted else []
-        return Edges(
-            np.array([loop.first_scan for loop in closed], np.int64),
-            np.array([loop.second_scan for loop in closed], np.int64),
-            np.array([loop.first_from_second for loop in closed]).reshape(-1, 4, 4),
-            np.array([loop.information for loop in closed]).reshape(-1, 6, 6),
-            np.ones(len(closed), bool),
-        )
+
+def _loops(groups: Sequence[_Group], world_from_scan: np.ndarray, progress: Progress) -> Edges:
+    """Groups that see the same place, looked for by poses (S, 4, 4)."""
+    pairs = candidates.candidates(world_from_scan, tuple(group.members for group in groups), _CANDIDATES)
+    closed = []
+    for number, pair in enumerate(pairs):
+        progress("registering groups of scans", number, len(pairs))
+        first, second = groups[pair.first].surfaces, groups[pair.second].surfaces
+        if first is not None and second is not None:
+            loop = registration.register(first, second, pair)
+            closed += [loop] if loop.accepted else []
+    return registration.edges(closed)

@@ -6,6 +6,7 @@ import numpy as np
 
 from lvba import geometry
 from lvba.arrays import Indices, Pose, PoseBlocks, Poses, Vector
+from lvba.lidar.bundle_adjustment import LidarResult
 from lvba.lidar.plane import PlanePoints, Planes
 
 
@@ -102,6 +103,21 @@ def build(
         covariance=np.zeros((len(scans), 6, 6)) if covariance is None else np.asarray(covariance, float),
         scans=np.asarray(scans, np.int64),
         cell=size,
+    )
+
+
+def of_result(result: LidarResult, scans: np.ndarray, sensor_position: Vector | None) -> Submap:
+    """The surfels of scans that were solved together.
+
+    scans: (n,) int64, indices in the whole; sensor_position: (3,), m, scan frame
+    """
+    return build(
+        result.planes,
+        result.plane_points,
+        result.world_from_scan,
+        scans,
+        covariance=result.conditional_covariance,
+        sensor_position=sensor_position,
     )
 
 

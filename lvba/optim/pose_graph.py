@@ -17,7 +17,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from lvba import geometry
-from lvba.arrays import Pose, Poses, Tangents
+from lvba.arrays import Pose, PoseBlocks, Poses, Tangents
 from lvba.errors import DegenerateProblemError
 from lvba.optim import levenberg_marquardt, linear_solver, loop_selection, normal_equations
 from lvba.optim.levenberg_marquardt import SolverConfig
@@ -59,6 +59,12 @@ class Edges:
             self.information[index],
             self.is_loop[index],
         )
+
+
+def information_of(covariance: PoseBlocks) -> np.ndarray:
+    """Inverses (E, 6, 6) of covariances (E, 6, 6), symmetric to the last bit."""
+    inverse = np.linalg.inv(covariance)
+    return np.asarray(0.5 * (inverse + np.swapaxes(inverse, -1, -2)))
 
 
 def concatenate(parts: list[Edges]) -> Edges:

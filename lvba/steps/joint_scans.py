@@ -59,14 +59,7 @@ def solve_part(
     result = lidar.result
     if result is None:
         return _unsolved(dataset, part, config, lidar.problem)
-    surfaces = submap.build(
-        result.planes,
-        result.plane_points,
-        result.world_from_scan,
-        part.scan_numbers,
-        sensor_position=dataset.sensor_position_scan,
-        covariance=result.conditional_covariance,
-    )
+    surfaces = submap.of_result(result, part.scan_numbers, dataset.sensor_position_scan)
     return PartScans(
         poses=PartPoses(part.scan_numbers, result.world_from_scan, result.step_covariance),
         surfaces=surfaces,
