@@ -37,6 +37,8 @@ _PASSES = 2
 """Where the odometry is decimeters off everywhere, what is open is laid out again beside the poses that came of it."""
 _GAIN = 0.1
 """Part of a scan's surfels by which the agreement must grow: what overlaps little could be anything."""
+_SAME_M, _SAME_DEG = 0.1, 1.0
+"""Motions that differ by less are the same: two thin scans do not tell it better."""
 _BEFORE = 8
 """Scans that another one is registered to."""
 _OUTLYING = 6.0
@@ -142,6 +144,37 @@ def contradicted(patches: Sequence[Patch | None], world_from_scan: Poses) -> np.
         if far and step.overlap > agree[k] + _GAIN:
             wrong.append(int(k))
     return np.array(sorted(wrong), np.int64)
+
+
+def confirmed(
+    patches: Sequence[Patch | None], world_from_scan: Poses, after: np.ndarray, expected: Poses
+) -> np.ndarray:
+    """(K,) int64, ascending: of some scans, those whose motion to the next one surfaces confirm.
+
+    patches: of `surfels_of`; world_from_scan: (S, 4, 4); after: (J,) int64, the scans
+    expected: (S - 1, 4, 4), motions as those before and after let expect
+    Surfaces confirm a motion if they determine it in all directions, agree with it, and do not agree as well with
+    another one that is nearer to what is expected.
+    """
+    sure = []
+    for k in np.unique(after):
+        first, second = patches[k], patches[k + 1]
+        if first is None or second is None:
+            continue
+        target, motion = Target.of(first), geometry.inverse(world_from_scan[k]) @ world_from_scan[k + 1]
+        step = scan_steps.register(target, second, motion)
+        if not step.aligned or step.open or _apart(motion, step.first_from_second):
+            continue
+        rival = scan_steps.register(target, second, expected[k])
+        same = not _apart(rival.first_from_second, step.first_from_second)
+        if same or not rival.aligned or rival.overlap < step.overlap - _GAIN:
+            sure.append(int(k))
+    return np.array(sure, np.int64)
+
+
+def _apart(one: np.ndarray, other: np.ndarray) -> bool:
+    off = geometry.log(geometry.inverse(one) @ other)
+    return bool(np.linalg.norm(off[3:]) > _SAME_M or np.linalg.norm(off[:3]) > np.radians(_SAME_DEG))
 
 
 def start(

@@ -1,7 +1,7 @@
 """The steps that make the scans of all parts one: each part by itself, merged, then one joint problem in rounds."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -33,7 +33,7 @@ class PartScans:
 
     poses: with scan numbers of the whole; covariances of the odometry where it could not be solved
     variance_factor, iterations, history, converged, warnings: as in `LidarResult`
-    rough_error: as in `LidarStage`, with scan numbers of the whole
+    rough_error, confirmed: as in `LidarStage`, with scan numbers of the whole
     """
 
     poses: PartPoses
@@ -44,6 +44,7 @@ class PartScans:
     warnings: tuple[str, ...]
     problem: str = ""
     rough_error: RoughError | None = None
+    confirmed: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
 
 def solve_part(
@@ -68,6 +69,7 @@ def solve_part(
         converged=result.converged,
         warnings=result.warnings,
         rough_error=lidar.rough_error and lidar.rough_error.numbered(part.scan_numbers),
+        confirmed=part.scan_numbers[lidar.confirmed],
     )
 
 
@@ -276,7 +278,8 @@ def finish_scans(
         warnings=_warnings(state, parts, converged, uncertainty.directions.count),
     )
     errors = [part.rough_error for part in parts if part.rough_error is not None]
-    stage = LidarStage(result, rough_error=rough_poses.of_all(errors))
+    confirmed = np.unique(np.concatenate([part.confirmed for part in parts]))
+    stage = LidarStage(result, rough_error=rough_poses.of_all(errors), confirmed=confirmed)
     return JointScans(stage, merged.merged, state.history)
 
 

@@ -1,6 +1,6 @@
 """The step that refines the scans of one part, and what follows from scan poses: clouds, cameras carried along."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -14,9 +14,12 @@ from lvba.io import dataset as recordings
 from lvba.lidar import bundle_adjustment as lidar_ba
 from lvba.lidar.bundle_adjustment import LidarConfig
 from lvba.loop_closure import rough_poses
+from lvba.loop_closure.submap import Patch
 from lvba.products.cloud import Cloud, assemble
 from lvba.progress import Progress, silent
+from lvba.steps import trajectory_jumps
 from lvba.steps.outcomes import LidarStage
+from lvba.trajectory import Trajectory
 
 
 def solve_lidar(
@@ -50,9 +53,19 @@ def solve_lidar(
         )
     except DegenerateProblemError as error:
         return LidarStage(None, str(error))
-    if begin is None:
-        return LidarStage(result)
-    return LidarStage(result, rough_error=begin.judged(surfels, result.world_from_scan))
+    poses = result.world_from_scan
+    return LidarStage(
+        result,
+        rough_error=None if begin is None else begin.judged(surfels, poses),
+        confirmed=_confirmed(surfels, dataset.scans, Trajectory(dataset.scans.times, poses)),
+    )
+
+
+def _confirmed(surfels: Sequence[Patch | None], rough: Trajectory, refined: Trajectory) -> np.ndarray:
+    """Of the scans after which one of the trajectories jumps, those whose refined motion surfaces confirm, (K,) int64."""
+    after = np.union1d(*(trajectory_jumps.find(each).after for each in (rough, refined)))
+    expected = trajectory_jumps.expected(refined)
+    return rough_poses.confirmed(surfels, refined.world_from_sensor, after, expected)
 
 
 def carry_cameras(dataset: Dataset, world_from_scan: Poses) -> np.ndarray:

@@ -1,6 +1,6 @@
 """The results that steps hand to each other."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,11 +23,13 @@ class LidarStage:
     """What the LiDAR stage found; nothing where it could not be solved.
 
     rough_error: of rough poses that were too far off to start from; None: they were not
+    confirmed: (K,) int64, scans after which the motion is not as before and after, but surfaces confirm the refined one
     """
 
     result: LidarResult | None
     problem: str = ""
     rough_error: RoughError | None = None
+    confirmed: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
 
 @dataclass(frozen=True)

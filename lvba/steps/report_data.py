@@ -13,7 +13,6 @@ from lvba.lidar import range_errors
 from lvba.lidar.range_errors import RangeErrors
 from lvba.lidar.scan_errors import ScanErrors
 from lvba.lidar.scan_motion import MotionLeft
-from lvba.loop_closure.rough_poses import RoughError
 from lvba.products.evaluate import Scores
 from lvba.products.map_file import PointMap
 from lvba.steps import (
@@ -27,6 +26,7 @@ from lvba.steps import (
 from lvba.steps.acceptance import ROUGH
 from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, ScanPoses, VisualStage
 from lvba.steps.plane_thickness import PlaneChange
+from lvba.steps.trajectory_jumps import Jumps
 from lvba.steps.uncertainty import Expected
 from lvba.trajectory import Trajectory
 from lvba.visual import self_calibration
@@ -70,23 +70,34 @@ def collect(
     noise = lidar.result.history[-1].sigma if lidar.result is not None and lidar.result.history else None
     facts["expected_error"] = expected_error.collect(expected, pieces, noise)
     facts["planes"] = plane_thickness.facts(planes)
-    facts["odometry"] = of_odometry(dataset, accepted, lidar.rough_error)
+    facts["odometry"] = of_odometry(dataset, accepted, lidar)
     if merge is not None:
         facts["merge"] = merge
     return verdict_data.add(plain(facts))
 
 
-def of_odometry(dataset: Dataset, accepted: Accepted, error: RoughError | None = None) -> dict[str, Any]:
-    """Where the rough scan poses jump, and whether the result still does there. error: where they were too far off"""
-    rough = trajectory_jumps.find(dataset.scans)
-    left = trajectory_jumps.find(Trajectory(dataset.scans.times, accepted.world_from_scan))
+def of_odometry(dataset: Dataset, accepted: Accepted, lidar: LidarStage) -> dict[str, Any]:
+    """Where the rough scan poses jump, and whether the result still does there."""
+    rough, left = (
+        _jumps(Trajectory(dataset.scans.times, poses), lidar)
+        for poses in (dataset.scans.world_from_sensor, accepted.world_from_scan)
+    )
     return {
         "jumps_after": rough.after,
         "jumps_m": rough.meters,
         "jumps_deg": rough.degrees,
         "jump_left": bool(np.isin(rough.after, left.after).any()),
-        "too_far_off": error,
+        "too_far_off": lidar.rough_error,
     }
+
+
+def _jumps(trajectory: Trajectory, lidar: LidarStage) -> Jumps:
+    """Of scan poses, without the motions that surfaces confirm: a sensor may truly turn so fast."""
+    jumps = trajectory_jumps.find(trajectory)
+    if lidar.result is None:
+        return jumps
+    other = trajectory_jumps.differ(lidar.result.world_from_scan, trajectory.world_from_sensor)
+    return jumps.without(lidar.confirmed[~other[lidar.confirmed]])
 
 
 def of_dataset(dataset: Dataset) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba import geometry
+from lvba.arrays import Poses
 from lvba.trajectory import Trajectory
 
 _NEIGHBORS = 2
@@ -12,7 +13,7 @@ _FEWEST_STEPS = 2 * _NEIGHBORS + 1
 _ORDINARY = 6.0
 """Times the typical change from one motion to the next (some nine standard deviations of noise) that is nothing special:
 people and cars speed up, brake and shake."""
-_LEAST_M, _LEAST_DEG = 0.15, 1.8
+LEAST_M, LEAST_DEG = 0.15, 1.8
 """Smaller ones are within three standard deviations of what is expected of an odometry from frame to frame."""
 
 
@@ -25,6 +26,11 @@ class Jumps:
     meters: np.ndarray
     degrees: np.ndarray
 
+    def without(self, confirmed: np.ndarray) -> "Jumps":
+        """Those that are no true motion. confirmed: (K,) int64, frames after which the trajectory is as it was"""
+        kept = ~np.isin(self.after, confirmed)
+        return Jumps(self.after[kept], self.meters[kept], self.degrees[kept])
+
 
 def find(trajectory: Trajectory) -> Jumps:
     """The jumps of a trajectory; a gap in time is none as long as the speed fits."""
@@ -34,23 +40,46 @@ def find(trajectory: Trajectory) -> Jumps:
     interval = np.diff(trajectory.times)
     jumps = []
     judged = slice(_NEIGHBORS, len(meters) - _NEIGHBORS)
-    for size, least in ((meters, _LEAST_M), (degrees, _LEAST_DEG)):
+    for size, least in ((meters, LEAST_M), (degrees, LEAST_DEG)):
         ordinary = _ORDINARY * np.median((size / interval)[judged]) * interval
         jumps.append(np.where(size > np.maximum(ordinary, least), size, 0.0))
     after = np.flatnonzero((jumps[0] > 0) | (jumps[1] > 0))
     return Jumps(after, jumps[0][after], jumps[1][after])
 
 
+def expected(trajectory: Trajectory) -> np.ndarray:
+    """(N - 1, 4, 4): motions to the next frame by the median speed of the two before and the two after; as they are of
+    the first two and the last two, which have none on one side."""
+    poses, interval = trajectory.world_from_sensor, np.diff(trajectory.times)
+    steps = geometry.inverse(poses[:-1]) @ poses[1:]
+    if len(interval) < _FEWEST_STEPS:
+        return np.asarray(steps)
+    usual = _usual(geometry.log(steps) / interval[:, None]) * interval[:, None]
+    return geometry.retract(np.tile(np.eye(4), (len(usual), 1, 1)), usual)
+
+
 def unexpected(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """How far each motion to the next frame, (N - 1,) m and degrees, is from what the two before and the two after it let
-    expect (the median of their speeds); 0 of the first two and the last two, which have none on one side."""
+    """How far each motion to the next frame, (N - 1,) m and degrees, is from the one that is `expected`."""
     poses, interval = trajectory.world_from_sensor, np.diff(trajectory.times)
     if len(interval) < _FEWEST_STEPS:
         return np.zeros(len(interval)), np.zeros(len(interval))
     rate = geometry.log(geometry.inverse(poses[:-1]) @ poses[1:]) / interval[:, None]
+    off = (rate - _usual(rate)) * interval[:, None]
+    return np.linalg.norm(off[:, 3:], axis=1), np.degrees(np.linalg.norm(off[:, :3], axis=1))
+
+
+def _usual(rate: np.ndarray) -> np.ndarray:
+    """(N, 6): the median of the two speeds before and the two after each."""
     offsets = [k for k in range(-_NEIGHBORS, _NEIGHBORS + 1) if k]
     inner = np.arange(_NEIGHBORS, len(rate) - _NEIGHBORS)
-    off = np.zeros_like(rate)
-    off[inner] = rate[inner] - np.median(rate[inner[:, None] + offsets], axis=1)
-    off *= interval[:, None]
-    return np.linalg.norm(off[:, 3:], axis=1), np.degrees(np.linalg.norm(off[:, :3], axis=1))
+    usual = rate.copy()
+    usual[inner] = np.median(rate[inner[:, None] + offsets], axis=1)
+    return usual
+
+
+def differ(one: Poses, other: Poses) -> np.ndarray:
+    """(N - 1,) bool: motions to the next frame in which poses (N, 4, 4) differ from others (N, 4, 4) by a jump."""
+    steps = [geometry.inverse(poses[:-1]) @ poses[1:] for poses in (one, other)]
+    off = geometry.log(geometry.inverse(steps[0]) @ steps[1])
+    far = np.linalg.norm(off[:, 3:], axis=1) > LEAST_M
+    return np.asarray(far | (np.linalg.norm(off[:, :3], axis=1) > np.radians(LEAST_DEG)))

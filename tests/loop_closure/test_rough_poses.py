@@ -9,7 +9,8 @@ from lvba.lidar import bundle_adjustment
 from lvba.loop_closure import rough_poses, scan_steps
 from lvba.loop_closure.rough_poses import RoughError
 from lvba.loop_closure.surfel_icp import Target
-from lvba.trajectory import pose_error
+from lvba.steps import trajectory_jumps
+from lvba.trajectory import Trajectory, pose_error
 
 SCANS = 26
 
@@ -108,13 +109,59 @@ def test_scans_that_see_nothing_follow_the_odometry(courtyard):
     assert pose_error(start.world_from_scan, truth).ate_m < 0.1
 
 
+def test_a_fast_turn_is_confirmed_and_a_jump_is_not(courtyard):
+    """Of one that sensor and poses make together, and of one that only the poses make."""
+    scans, truth, _, _ = courtyard
+    turn = geometry.exp(np.array([0.02, -0.01, 1.0, 0.0, 0.0, 0.0]))
+    turned, poses = scans[:10] + [_moved(turn, scan) for scan in scans[10:]], truth.copy()
+    poses[10:] = poses[10:] @ turn
+    times = np.arange(SCANS) / 2
+    surfels = rough_poses.surfels_of(turned)
+    for moved, sure in ((poses, [9]), (jumped(truth, 9, [0, 0, 0.035, 0.9, -0.4, 0.1]), [])):
+        trajectory = Trajectory(times, moved)
+        assert trajectory_jumps.find(trajectory).after.tolist() == [9]
+        expected = trajectory_jumps.expected(trajectory)
+        patches = surfels if sure else rough_poses.surfels_of(scans)
+        assert rough_poses.confirmed(patches, moved, np.array([9]), expected).tolist() == sure
+
+
+def _moved(a_from_b, points):
+    return geometry.transform_points(geometry.inverse(a_from_b), points).astype(np.float32)
+
+
+def test_a_motion_that_surfaces_leave_open_is_not_confirmed():
+    """A jump along a corridor, which no surface sees."""
+    first, second, poses = _corridor()
+    for along in (0.0, 1.0):
+        jump = poses.copy()
+        jump[1, 0, 3] += along
+        assert len(rough_poses.confirmed([first, second], jump, np.array([0]), np.eye(4)[None])) == 0
+
+
+def test_a_motion_that_fits_elsewhere_as_well_is_not_confirmed():
+    """Bays of a hall that are all alike: a jump of one bay agrees with all surfaces."""
+    world = plane_world.World()
+    for center, across in (([0, 0, 0], [0, 6.0, 0]), ([0, -6, 2], [0, 0, 2.0]), ([0, 6, 2], [0, 0, 2.0])):
+        world.rectangle(center, [90.0, 0, 0], across)
+    for bay in np.arange(-60, 60, 1.0):
+        for side in (-4.0, 4.0):
+            world.rectangle([bay, side, 2], [0.0, 1.5, 0], [0, 0, 2.0])
+    poses = np.stack([plane_world.look([x, 0.0, 1.0], 0.0) for x in (0.2, 0.3)])
+    patches = rough_poses.surfels_of(plane_world.scan_all(world, poses, 12000, 0.005, "spinning", 0))
+    motion = geometry.inverse(poses[0]) @ poses[1]
+    after = np.array([0])
+    assert rough_poses.confirmed(patches, poses, after, motion[None]).tolist() == [0]
+    jump = poses.copy()
+    jump[1, 0, 3] += 1.0
+    assert len(rough_poses.confirmed(patches, jump, after, motion[None])) == 0
+
+
 def test_a_single_scan_is_not_contradicted(courtyard):
     _, truth, _, surfels = courtyard
     assert len(rough_poses.contradicted(surfels[:1], truth[:1])) == 0
 
 
-def test_along_a_corridor_the_odometry_stays():
-    """Walls, floor and ceiling do not say how far a scan is along them."""
+def _corridor():
     world = plane_world.World()
     for center, second in (([0, -1, 1], [0, 0, 1.5]), ([0, 1, 1], [0, 0, 1.5]), ([0, 0, 0], [0, 1, 0])):
         world.rectangle(center, [60.0, 0, 0], second)
@@ -122,6 +169,12 @@ def test_along_a_corridor_the_odometry_stays():
         [plane_world.look([x, 0.1 * np.sin(3 * x), 1.0], 0.1 * np.sin(2 * x)) for x in (0.0, 0.5)]
     )
     first, second = rough_poses.surfels_of(plane_world.scan_all(world, poses, 6000, 0.01, "spinning", 0))
+    return first, second, poses
+
+
+def test_along_a_corridor_the_odometry_stays():
+    """Walls, floor and ceiling do not say how far a scan is along them."""
+    first, second, poses = _corridor()
     rough = geometry.inverse(poses[0]) @ poses[1] @ geometry.exp(np.array([0, 0, 0, 0.4, 0.3, 0.1]))
     step = scan_steps.register(Target.of(first), second, rough)
     assert step.open == 1

@@ -1,10 +1,13 @@
 """Jumps of a trajectory are found; speed, braking, shaking and gaps in time are none."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from lvba import geometry
-from lvba.steps import trajectory_jumps
+from lvba.steps import report_data, trajectory_jumps
+from lvba.steps.outcomes import LidarStage
 from lvba.trajectory import Trajectory
 
 
@@ -48,3 +51,37 @@ def test_jumps_are_found_where_they_are(meters, degrees):
 def test_few_frames_have_none(frames):
     times = np.arange(float(frames))
     assert len(trajectory_jumps.find(Trajectory(times, drive(times))).after) == 0
+
+
+def odometry(rough, refined, accepted, confirmed):
+    """What the report says of poses every tenth of a second."""
+    times = np.arange(len(rough)) / 10
+    dataset = SimpleNamespace(scans=Trajectory(times, rough))
+    stage = LidarStage(SimpleNamespace(world_from_scan=refined), confirmed=np.array(confirmed, np.int64))
+    told = report_data.of_odometry(dataset, SimpleNamespace(world_from_scan=accepted), stage)
+    return told["jumps_after"].tolist(), told["jump_left"]
+
+
+def test_what_surfaces_confirm_is_no_jump_and_only_where_poses_go_as_they_say():
+    true = drive(np.arange(30) / 10)
+    jump = np.eye(4)
+    jump[:2, 3] = 0.9, 0.4
+    jumped = np.concatenate([true[:13], jump @ true[13:]])
+    # a fast motion that all poses have, or a jump that all have: what surfaces say decides
+    assert odometry(jumped, jumped, jumped, [12]) == ([], False)
+    assert odometry(jumped, jumped, jumped, []) == ([12], True)
+    # surfaces confirm the refined motion: the input's jump is one, and stays one where the result is the input
+    assert odometry(jumped, true, true, [12]) == ([12], False)
+    assert odometry(jumped, true, jumped, [12]) == ([12], True)
+
+
+def test_expected_motions_are_those_around():
+    times = np.arange(0, 30, 0.5)
+    steady = geometry.exp(np.array([0, 0, 0.1, 2.0, 0.1, 0]) * times[:, None])
+    steps = geometry.inverse(steady[:-1]) @ steady[1:]
+    turned = steady.copy()
+    turned[21:] = turned[21:] @ geometry.exp(np.array([0, 0, 1.0, 0, 0, 0]))
+    assert np.allclose(trajectory_jumps.expected(Trajectory(times, steady)), steps)
+    # frames see the way they go from another side once they have turned, but they turn as before
+    assert np.allclose(trajectory_jumps.expected(Trajectory(times, turned))[20, :3, :3], steps[20, :3, :3])
+    assert trajectory_jumps.expected(Trajectory(times[:3], steady[:3])).shape == (2, 4, 4)
