@@ -1,5 +1,6 @@
 """How much of the motion during scans is left in a recording, and where its points belong: one part for all of its scans.
 
+Points are measured when their times say, or the rows of the depth image that they are in.
 Measured in a few windows of successive scans, with poses, planes and the part found in turn. Where it is significant, the
 poses of all windows tell how the sensor moved.
 """
@@ -14,11 +15,12 @@ from lvba.arrays import Poses, Tangents, Times
 from lvba.blocks import scan_windows
 from lvba.blocks.scan_windows import Window
 from lvba.dataset import Dataset
-from lvba.lidar import point_times, scan_motion
+from lvba.lidar import point_times, row_times, scan_motion
 from lvba.lidar.bundle_adjustment import LidarResult
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.point_times import PointClock
-from lvba.lidar.range_errors import RangeErrors
+from lvba.lidar.range_errors import Beams, RangeErrors
+from lvba.lidar.row_times import RowClock
 from lvba.lidar.scan import gather
 from lvba.lidar.scan_evidence import Evidence, View, nothing
 from lvba.lidar.scan_motion import MotionLeft
@@ -47,25 +49,35 @@ def measure(
     ranges: RangeErrors | None = None,
     progress: Progress = silent,
 ) -> MotionLeft | None:
-    """What is left in the scans of a whole recording whose points have times; None: these say nothing.
+    """What is left in the scans of a whole recording; None: nothing says when their points were measured.
 
     probes: of the recording; ranges: errors of the sensor, which are taken out first
     Raises InputError: a scan cannot be read.
     """
     known = clock(dataset, probes)
+    if known is None:
+        return None
     if isinstance(known, str):
         return MotionLeft(None, None, None, np.zeros((0, 6)), known)
     return _Measurement(dataset, known, config, ranges, progress).of(probes)
 
 
-def clock(dataset: Dataset, windows: list[Window]) -> PointClock | str:
-    """Of the points' times, or why there is none."""
-    times = [scan.time for window in windows for scan in window.scans]
+def clock(dataset: Dataset, windows: list[Window]) -> PointClock | RowClock | str | None:
+    """By what points were measured when, why that is not known, or None: nothing tells."""
+    scans = [scan for window in windows for scan in window.scans]
     stamps = np.concatenate([dataset.scans.times[window.numbers] for window in windows])
-    known = point_times.find_clock(times, stamps)
+    known = point_times.find_clock([scan.time for scan in scans], stamps)
+    if known == "":
+        return rows(dataset, [scan.points for scan in scans])
     if not isinstance(known, str) and point_times.overlapping(known, dataset.scans.times):
         return "times of points span more than the time from scan to scan"
     return known
+
+
+def rows(dataset: Dataset, points: list[np.ndarray]) -> RowClock | None:
+    """Of a depth camera, by the points (N, 3) m of some scans in the order of their files."""
+    beams = Beams.of(points, dataset.sensor_position_scan, dataset.sensor_axes_scan)
+    return row_times.find_rows(points, beams, dataset.sensor_axes_scan)
 
 
 @dataclass
@@ -73,7 +85,7 @@ class _Measurement:
     """Finds poses, planes and the part in turn."""
 
     dataset: Dataset
-    clock: PointClock
+    clock: PointClock | RowClock
     config: LidarConfig
     ranges: RangeErrors | None
     progress: Progress
@@ -127,11 +139,7 @@ class _Measurement:
         scans are further apart than the sensor takes to change its motion.
         """
         count = len(self.dataset.scan_paths)
-        motions, information, gradient = (
-            np.zeros((count, 6)),
-            np.zeros((count, 6, 6)),
-            np.zeros((count, 6)),
-        )
+        motions, known = np.zeros((count, 6)), scan_motion.Deviations.unseen(count)
         for number, core in enumerate(windows):
             self.progress("motion during scans", number, len(windows))
             window = Window.of(self.dataset, core).corrected(self.ranges)
@@ -145,9 +153,10 @@ class _Measurement:
             if result is None:
                 continue
             points, tau = self._corrected(window, part, twist)
-            terms = scan_motion.deviations(self._view(points, result), np.concatenate(tau))
-            information[own], gradient[own] = terms[0][inside], terms[1][inside]
-        return np.asarray(motions + scan_motion.most_likely(information, gradient))
+            here = scan_motion.deviations(self._view(points, result), np.concatenate(tau))
+            known.information[:, own] = here.information[:, inside]
+            known.gradient[:, own] = here.gradient[:, inside]
+        return np.asarray(motions + scan_motion.most_likely(known))
 
     def _evidence(self, window: Window, part: float, twist: np.ndarray) -> tuple[Evidence, np.ndarray]:
         """Of a window, and its twists at the poses found."""
@@ -190,15 +199,15 @@ class _Measurement:
         return self._twists(window, window.rough(self.dataset))
 
 
-def point_times_of(window: Window, stamps: Times, clock: PointClock) -> list[np.ndarray]:
+def point_times_of(window: Window, stamps: Times, clock: PointClock | RowClock) -> list[np.ndarray]:
     """Of each scan of a window, (N,) s from its stamp; stamps: (n,) s."""
     return [
-        np.zeros(len(scan)) if scan.time is None else clock.from_stamp(scan.time, stamp)
+        clock.from_stamp(scan.points, scan.time, stamp)
         for scan, stamp in zip(window.scans, stamps, strict=True)
     ]
 
 
-def sweep_twists(times: Times, world_from_scan: Poses, clock: PointClock) -> Tangents:
+def sweep_twists(times: Times, world_from_scan: Poses, clock: PointClock | RowClock) -> Tangents:
     """(S, 6), rad/s and m/s, scan frames: mean motion during sweeps, by splines through poses (S, 4, 4) at (S,) s."""
     if len(times) < spline.FEWEST_SAMPLES or times[-1] - times[0] < 2 * clock.sweep:
         return np.zeros((len(times), 6))

@@ -17,6 +17,7 @@ from lvba.lidar.bundle_adjustment import LidarResult
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.point_times import PointClock
 from lvba.lidar.range_errors import Beams, RangeErrors
+from lvba.lidar.row_times import RowClock
 from lvba.lidar.scan import gather
 from lvba.lidar.scan_evidence import ByShared, Evidence, OnPlanes, View
 from lvba.progress import Progress, silent
@@ -54,7 +55,7 @@ class _Measurement:
 
     dataset: Dataset
     beams: Beams
-    clock: PointClock | None
+    clock: PointClock | RowClock | None
     config: LidarConfig
     progress: Progress
     cosines: dict[int, np.ndarray] = field(default_factory=dict)

@@ -2,7 +2,6 @@
 
 from lvba.blocks import motion_left, range_errors, scan_windows
 from lvba.dataset import Dataset
-from lvba.io import dataset as recordings
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.scan_errors import ScanErrors
 from lvba.progress import Progress, silent
@@ -20,6 +19,4 @@ def measure(
         return None
     probes = scan_windows.probes(dataset)
     ranges = range_errors.measure(dataset, probes, config, progress)
-    if not recordings.has_point_times(dataset):
-        return ScanErrors(ranges, None)
     return ScanErrors(ranges, motion_left.measure(dataset, probes, config, ranges, progress))

@@ -148,12 +148,6 @@ def load_scan(dataset: Dataset, index: int) -> Scan:
     return velodyne.read_bin(path) if path.endswith(velodyne.SUFFIX) else pcd.read_pcd(path)
 
 
-def has_point_times(dataset: Dataset) -> bool:
-    """Whether the points of the first scan have times, by the header of its file. Raises: InputError"""
-    path = dataset.scan_paths[0]
-    return not path.endswith(velodyne.SUFFIX) and pcd.has_times(path)
-
-
 def load_scans(dataset: Dataset, indices: Sequence[int] | None = None) -> list[np.ndarray]:
     """The points (N, 3) float32 of the scans, or of those asked for, in order.
 

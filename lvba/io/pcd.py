@@ -40,12 +40,6 @@ def read_pcd(path: str | Path) -> Scan:
     )
 
 
-def has_times(path: str | Path) -> bool:
-    """Whether a PCD file has times of its points, by its header. Raises: InputError"""
-    start = files.read_start(path, pcd_header.MAX_HEADER_BYTES)
-    return pcd_header.parse(path, start, files.size(path)).field(TIME_NAMES) is not None
-
-
 def check_pcd(path: str | Path, content: bytes | None = None) -> int:
     """The number of points that the header of a PCD file says, checked against its size; few points are looked at.
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lvba.arrays import Times
+from lvba.arrays import Times, Vectors
 
 _UNITS = (1.0, 1e-3, 1e-6, 1e-9)
 _SHORTEST_S, _LONGEST_S = 0.02, 0.5
@@ -31,9 +31,14 @@ class PointClock:
     begin: float
     absolute: bool
 
-    def from_stamp(self, times: Times, stamp: float) -> np.ndarray:
-        """(N,) s from the stamp of times (N,) of a scan; zeros where they do not fit those of other scans."""
-        seconds = np.asarray(times, float) * self.unit
+    def from_stamp(self, points: Vectors, time: Times | None, stamp: float) -> np.ndarray:
+        """(N,) s from the stamp, of points (N, 3) of a scan that has times (N,) in its file's unit.
+
+        Zeros where it has none, or they do not fit those of other scans.
+        """
+        if time is None:
+            return np.zeros(len(points))
+        seconds = np.asarray(time, float) * self.unit
         finite = np.isfinite(seconds)
         if not finite.any():
             return np.zeros(len(seconds))

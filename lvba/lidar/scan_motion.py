@@ -15,6 +15,7 @@ from lvba import geometry
 from lvba.arrays import Tangents, Times
 from lvba.lidar import scan_evidence
 from lvba.lidar.point_times import PointClock
+from lvba.lidar.row_times import RowClock
 from lvba.lidar.scan_evidence import POSE_SIGMA, ByShared, Evidence, OnPlanes, View
 
 
@@ -36,7 +37,7 @@ class MotionLeft:
     problem: why it was not measured, or not corrected
     """
 
-    clock: PointClock | None
+    clock: PointClock | RowClock | None
     part: float | None
     sigma: float | None
     motion: np.ndarray
@@ -47,14 +48,19 @@ class MotionLeft:
         """Whether points are moved."""
         return len(self.motion) > 0
 
+    @property
+    def sweep(self) -> float:
+        """Seconds of the sensor's motion that are left in a scan."""
+        return 0.0 if self.clock is None else (self.part or 0.0) * self.clock.sweep
+
     def points(self, points: np.ndarray, time: Times | None, index: int, stamp: float) -> np.ndarray:
         """(N, 3) float32, m: where the points of a scan belong.
 
         points: (N, 3) float32, m, scan frame; time: (N,), in the unit of the file; index: the scan's number; stamp: s
         """
-        if not self.corrected or self.clock is None or time is None:
+        if not self.corrected or self.clock is None or (time is None and isinstance(self.clock, PointClock)):
             return points
-        return moved(points, self.clock.from_stamp(time, stamp), self.motion[index])
+        return moved(points, self.clock.from_stamp(points, time, stamp), self.motion[index])
 
     @staticmethod
     def of_facts(facts: Mapping[str, Any] | None) -> "MotionLeft | None":
@@ -63,9 +69,16 @@ class MotionLeft:
             return None
         try:
             motion = np.array(facts["motion"], float).reshape(-1, 6)
-            return MotionLeft(PointClock(**facts["clock"]), facts["part"], facts["sigma"], motion)
+            return MotionLeft(_clock(facts["clock"]), facts["part"], facts["sigma"], motion)
         except (KeyError, TypeError, ValueError):
             return None
+
+
+def _clock(facts: Mapping[str, Any]) -> PointClock | RowClock:
+    if "down" not in facts:
+        return PointClock(**facts)
+    vectors = {name: np.array(facts[name], float).reshape(3) for name in ("position", "ahead", "down")}
+    return RowClock(**{**facts, **vectors})
 
 
 def by_part(tau: Times, twist: Tangents) -> ByShared:
@@ -88,36 +101,96 @@ def evidence(view: View, tau: Times, twist: Tangents) -> Evidence:
     return scan_evidence.evidence(view, by_part(tau, twist), 1)
 
 
-def deviations(view: View, tau: Times) -> tuple[np.ndarray, np.ndarray]:
-    """What fixed planes tell of each scan's own motion beside the one its points were moved by.
+@dataclass(frozen=True)
+class Deviations:
+    """What fixed planes tell of each scan's own motion beside the one its points were moved by, poses eliminated.
 
-    tau: (M,) s from the stamps. Information (S, 6, 6) and gradient (S, 6) of (rad/s, m/s), poses eliminated; zeros of
-    scans that see too little.
+    By all planes of a scan, and by each half of them. information: (3, S, 6, 6) float64; gradient: (3, S, 6) float64; of
+    (rad/s, m/s); zeros of scans that see too little
     """
-    count = len(view.scans)
-    information, gradient = np.zeros((count, 6, 6)), np.zeros((count, 6))
-    for scan in range(count):
+
+    information: np.ndarray
+    gradient: np.ndarray
+
+    @staticmethod
+    def unseen(count: int) -> "Deviations":
+        """Of so many scans of which nothing is known."""
+        return Deviations(np.zeros((3, count, 6, 6)), np.zeros((3, count, 6)))
+
+
+def deviations(view: View, tau: Times) -> Deviations:
+    """Of the scans of a view. tau: (M,) s from the stamps"""
+    result = Deviations.unseen(len(view.scans))
+    for scan in range(len(view.scans)):
         terms = scan_evidence.terms(
             view, scan, lambda points: tau[points.chosen, None] * points.by_pose, met=False
         )
         if terms is None:
             continue
-        _, both, _, r = terms
-        normal, right = np.einsum("ni,nj->ij", both, both), -np.einsum("ni,n->i", both, r)
-        pose = normal[:6, :6] + np.diag(POSE_SIGMA**-2.0)
-        through = np.linalg.solve(pose, normal[:6, 6:]).T
-        information[scan] = normal[6:, 6:] - through @ normal[:6, 6:]
-        gradient[scan] = right[6:] - through @ right[:6]
-    return information, gradient
+        plane, both, _, r = terms
+        half = _halves(plane)
+        for number, chosen in enumerate((half >= 0, half == 0, half == 1)):
+            result.information[number, scan], result.gradient[number, scan] = _of_motion(
+                both[chosen], r[chosen]
+            )
+    return result
+
+
+def _halves(plane: np.ndarray) -> np.ndarray:
+    """(n,): 0 or 1: which half of the planes (n,) of points each is in; both have about as many points."""
+    _, label, count = np.unique(plane, return_inverse=True, return_counts=True)
+    rank = np.empty(len(count), int)
+    rank[np.argsort(-count, kind="stable")] = np.arange(len(count))
+    return np.asarray(((rank + 1) // 2 % 2)[label])
+
+
+def _of_motion(both: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Information (6, 6) and gradient (6,) of a motion.
+
+    both: (n, 12) float64, derivatives of the distances r (n,) by pose and motion
+    """
+    normal, right = np.einsum("ni,nj->ij", both, both), -np.einsum("ni,n->i", both, r)
+    pose = normal[:6, :6] + np.diag(POSE_SIGMA**-2.0)
+    through = np.linalg.solve(pose, normal[:6, 6:]).T
+    return normal[6:, 6:] - through @ normal[:6, 6:], right[6:] - through @ right[:6]
 
 
 _PASSES = 30
+_TOO_SURE = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
+"""By how much points may be less sure of a motion than their scatter says: errors of a depth camera, and of planes that
+are not quite plane, are alike over many points."""
+_SURE = 3.0
+"""Standard deviations by which what is left must get less on planes that a motion was not found by."""
 
 
-def most_likely(information: np.ndarray, gradient: Tangents) -> np.ndarray:
+def most_likely(known: Deviations) -> np.ndarray:
     """(S, 6): deviations of all scans, drawn towards zero as far as chance explains them.
 
-    information: (S, 6, 6) float64; gradient: (S, 6) float64, as `deviations` gives them
+    How sure points are of them is judged by what each half of a scan's planes tells of the other half; zeros where that
+    is nothing.
+    """
+    gains = [_held_out(known, factor) for factor in _TOO_SURE]
+    best = int(np.argmax([gain for gain, _ in gains]))
+    gain, error = gains[best]
+    if not gain > _SURE * error:
+        return np.zeros(known.gradient.shape[1:])
+    return _drawn_to_zero(known.information[0] / _TOO_SURE[best], known.gradient[0] / _TOO_SURE[best])
+
+
+def _held_out(known: Deviations, factor: float) -> tuple[float, float]:
+    """By how much half the sum of squares on either half of the planes falls by what the other half tells, and its
+    standard error over the scans. factor: by which information is too large"""
+    falls = np.zeros(known.gradient.shape[1])
+    for told, judge in ((1, 2), (2, 1)):
+        motion = _drawn_to_zero(known.information[told] / factor, known.gradient[told] / factor)
+        falls += np.einsum("si,si->s", known.gradient[judge], motion)
+        falls -= 0.5 * np.einsum("si,sij,sj->s", motion, known.information[judge], motion)
+    return float(falls.sum()), float(np.sqrt(np.sum(falls**2)))
+
+
+def _drawn_to_zero(information: np.ndarray, gradient: Tangents) -> np.ndarray:
+    """(S, 6), by information (S, 6, 6) and gradient (S, 6), float64.
+
     Their variances, one of rotations and one of translations, are those that make the whole most likely (expectation
     maximization).
     """

@@ -81,6 +81,13 @@ class Disturbances:
         0.5,
         1.0,
     )
+    depth_readout: float = _disturbance(
+        "time from the first to the last row of a depth camera's scan, stamped in the middle; points get no times",
+        "s",
+        0.015,
+        0.03,
+        0.1,
+    )
     foliage: float = _disturbance(
         "mean depth to which beams go into half of the surfaces, as into leaves", "m", 0.05, 0.2, 2.0
     )

@@ -18,6 +18,7 @@ _RINGS = 32
 _RING_ANGLES_DEG = (-25.0, 20.0)
 _ROSETTE_ANGLE_DEG = 35.0
 _ROSETTE_TURNS = (36.5, -23.3)
+_DEPTH_TANGENTS = (0.55, 0.42)
 _DROPOUTS = 0.01
 _MIXED = 0.05
 """Part of the points at an edge that lie between its near and far side."""
@@ -49,8 +50,29 @@ def non_repetitive(count: int, rng: np.random.Generator) -> np.ndarray:
     return _directions(azimuth, elevation)
 
 
+def depth_camera(count: int, rng: np.random.Generator) -> np.ndarray:
+    """(about count, 3) unit directions of the pixels of a depth image, x forward; row after row from the top.
+
+    Rows begin anywhere within a pixel, so no scan repeats the one before.
+    """
+    rows = max(round(np.sqrt(count * _DEPTH_TANGENTS[1] / _DEPTH_TANGENTS[0])), 1)
+    columns = max(round(count / rows), 1)
+    left = _DEPTH_TANGENTS[0] * (1 - 2 * (np.arange(columns) + rng.uniform()) / columns)
+    up = _DEPTH_TANGENTS[1] * (1 - 2 * (np.arange(rows) + rng.uniform()) / rows)
+    beams = np.stack([np.ones(rows * columns), np.tile(left, rows), np.repeat(up, columns)], axis=-1)
+    return np.asarray(beams / np.linalg.norm(beams, axis=1, keepdims=True))
+
+
 SWEEP_S = 0.1
 """How long a scan takes."""
+
+
+def row_times(directions: Vectors, readout: float) -> np.ndarray:
+    """(N,) s at which the beams (N, 3) of a depth camera are seen that reads its rows in so long; the middle one at 0."""
+    return np.asarray(
+        (0.5 - (directions[:, 2] / directions[:, 0] + _DEPTH_TANGENTS[1]) / (2 * _DEPTH_TANGENTS[1]))
+        * readout
+    )
 
 
 def beam_times(pattern: str, count: int) -> np.ndarray:
@@ -64,6 +86,7 @@ def beam_times(pattern: str, count: int) -> np.ndarray:
 PATTERNS: dict[str, Callable[[int, np.random.Generator], np.ndarray]] = {
     "spinning": spinning,
     "non_repetitive": non_repetitive,
+    "depth_camera": depth_camera,
 }
 
 

@@ -124,7 +124,7 @@ def simulate(
 
     scene: one of `lvba.simulate.scenes.SCENES`; frames: images (100); scans: as many as images by default
     seed: of everything: geometry, textures, path, noise; the same seed writes the same bytes
-    difficulty: easy, medium or hard, of the rough poses; lidar: spinning or non_repetitive
+    difficulty: easy, medium or hard, of the rough poses; lidar: spinning, non_repetitive or depth_camera
     points_per_scan: beams; some come back without echo
     length: m, of a street, corridor, flight over the plane, or way around a block or through a terrace
     closing: m and degrees, drift on top of the difficulty: by how much the rough ends of a loop miss each other
@@ -266,6 +266,15 @@ def _scans(root: Path, simulation: _Simulation) -> Iterator[Job]:
         rng = np.random.default_rng([simulation.seed, _SCAN_RNG, index])
         directions = lidars.PATTERNS[simulation.lidar](simulation.points_per_scan, rng)
         path = root / recording.SCANS / f"{stamp:.6f}.pcd"
+        if disturb.depth_readout:
+            rows = moment + lidars.row_times(directions, disturb.depth_readout)
+            scene_from_lidar = simulation.scene.motion.poses(rows) @ body_from_lidar
+            points, intensity, _ = lidars.scan(
+                simulation.around, scene_from_lidar, directions, rng, disturb, moment
+            )
+            points_body = geometry.transform_points(body_from_lidar, points)
+            yield partial(pcd.write_pcd, path, points_body, intensity)
+            continue
         if not disturb.motion_left:
             points, intensity, _ = lidars.scan(
                 simulation.around, scene_from_body @ body_from_lidar, directions, rng, disturb, moment

@@ -11,6 +11,7 @@ from lvba.dataset import Dataset
 from lvba.io.reference import Reference
 from lvba.lidar import range_errors
 from lvba.lidar.range_errors import RangeErrors
+from lvba.lidar.row_times import RowClock
 from lvba.lidar.scan_errors import ScanErrors
 from lvba.lidar.scan_motion import MotionLeft
 from lvba.products.evaluate import Scores
@@ -173,6 +174,11 @@ def warnings_of_motion(motion: MotionLeft | None) -> list[str]:
     """That points were moved, or why not."""
     if motion is None:
         return []
+    if motion.corrected and isinstance(motion.clock, RowClock):
+        return [
+            f"The depth camera reads the rows of a scan one after another, in {1e3 * motion.sweep:.0f} ms: "
+            "points were moved by the refined trajectory"
+        ]
     if motion.corrected:
         return [
             f"{100 * (motion.part or 0.0):.1f} % of the motion during scans was left in them: points were moved by the "
@@ -180,6 +186,8 @@ def warnings_of_motion(motion: MotionLeft | None) -> list[str]:
         ]
     if not motion.problem:
         return []
+    if isinstance(motion.clock, RowClock):
+        return [f"Motion during the rows of depth images is not corrected: {motion.problem}"]
     return [f"Motion left in scans is not corrected: {motion.problem}. Deskew scans in the odometry"]
 
 

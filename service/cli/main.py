@@ -216,7 +216,10 @@ def _add_simulate(commands: "argparse._SubParsersAction[Parser]") -> None:
     levels = ["easy", "medium", "hard"]
     simulate.add_argument("--difficulty", choices=levels, default="medium", help="of the drift")
     simulate.add_argument(
-        "--lidar", choices=["spinning", "non_repetitive"], default="spinning", help="its scan pattern"
+        "--lidar",
+        choices=["spinning", "non_repetitive", "depth_camera"],
+        default="spinning",
+        help="its scan pattern",
     )
     simulate.add_argument("--scans", type=int, metavar="N", help="scans (default: as many as images)")
     simulate.add_argument(

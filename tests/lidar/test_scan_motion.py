@@ -16,16 +16,16 @@ from lvba.lidar.scan_motion import MotionLeft
 SCANS, PLANES, EACH = 4, 7, 60
 
 
-def made(part, seed=0, noise=1e-4):
+def made(part, seed=0, noise=1e-4, scan_count=SCANS):
     """Scans of random planes with a part of the motion in them, at their true poses; planes as they are seen there."""
     rng = np.random.default_rng(seed)
-    poses = geometry.exp(rng.normal(size=(SCANS, 6)) * [0.3, 0.3, 0.3, 1, 1, 1])
-    twist = rng.normal(size=(SCANS, 6)) * [0.2, 0.2, 0.2, 1, 1, 1]
+    poses = geometry.exp(rng.normal(size=(scan_count, 6)) * [0.3, 0.3, 0.3, 1, 1, 1])
+    twist = rng.normal(size=(scan_count, 6)) * [0.2, 0.2, 0.2, 1, 1, 1]
     axes = np.linalg.qr(rng.normal(size=(PLANES, 3, 3)))[0]
     center = rng.uniform(-5, 5, (PLANES, 3))
-    points, tau, labels = [], [], np.tile(np.repeat(np.arange(PLANES), EACH), SCANS)
+    points, tau, labels = [], [], np.tile(np.repeat(np.arange(PLANES), EACH), scan_count)
     world = []
-    for scan in range(SCANS):
+    for scan in range(scan_count):
         flat = (
             rng.uniform(-1, 1, (PLANES * EACH, 3)) * [0, 1, 1] + rng.normal(size=(PLANES * EACH, 3)) * noise
         )
@@ -36,14 +36,14 @@ def made(part, seed=0, noise=1e-4):
         points.append(np.einsum("nij,nj->ni", back[:, :3, :3], true) + back[:, :3, 3])
         tau.append(when)
         world.append(geometry.transform_points(poses[scan], points[-1]))
-    count = np.full(PLANES, SCANS * EACH)
+    count = np.full(PLANES, scan_count * EACH)
     planes = Planes(
         center=center,
         normal=axes[:, :, 0],
         eigenvalues=np.tile([1e-4, 0.3, 0.3], (PLANES, 1)),
         axes=axes,
         count=count,
-        scans=np.full(PLANES, SCANS, np.int32),
+        scans=np.full(PLANES, scan_count, np.int32),
         size=np.ones(PLANES),
         sigma_offset=np.full(PLANES, 1e-3),
     )
@@ -120,15 +120,52 @@ def test_no_planes_no_evidence():
 
 def test_scans_that_move_as_no_path_says_tell_it_themselves():
     """Points that were moved by the wrong motion: each scan's own is found; noise is drawn to zero."""
-    view, tau, twist = made(1.0)
-    information, gradient = scan_motion.deviations(view, tau)
-    np.testing.assert_allclose(scan_motion.most_likely(information, gradient), twist, atol=0.1)
-    view, tau, _ = made(0.0, noise=0.01)
-    information, gradient = scan_motion.deviations(view, tau)
-    alone = np.linalg.solve(information, gradient[..., None])[..., 0]
-    assert np.abs(scan_motion.most_likely(information, gradient)).mean() < 0.5 * np.abs(alone).mean()
-    unseen = np.zeros_like(information), np.zeros_like(gradient)
-    assert not scan_motion.most_likely(*unseen).any()
+    view, tau, twist = made(1.0, scan_count=12)
+    np.testing.assert_allclose(scan_motion.most_likely(scan_motion.deviations(view, tau)), twist, atol=0.1)
+    view, tau, _ = made(0.0, noise=0.01, scan_count=12)
+    known = scan_motion.deviations(view, tau)
+    alone = np.linalg.solve(known.information[0], known.gradient[0][..., None])[..., 0]
+    assert np.abs(scan_motion.most_likely(known)).mean() < 0.5 * np.abs(alone).mean()
+    assert not scan_motion.most_likely(scan_motion.Deviations.unseen(12)).any()
+
+
+def test_halves_of_the_planes_are_what_all_of_them_are():
+    view, tau, _ = made(0.4, noise=0.01)
+    known = scan_motion.deviations(view, tau)
+    weak = scan_evidence.POSE_SIGMA * 1e6
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scan_motion, "POSE_SIGMA", weak)
+        free = scan_motion.deviations(view, tau)
+    assert (np.linalg.eigvalsh(known.information[0] - free.information[0]) > -1e-6).all(), (
+        "poses that may move less"
+    )
+    for scan in range(SCANS):
+        points = view.labels.plane[view.scans.offsets[scan] : view.scans.offsets[scan + 1]]
+        half = scan_motion._halves(np.sort(points))
+        assert set(half) == {0, 1}
+        assert abs(np.mean(half) - 0.5) <= 0.5 / PLANES + 1e-9
+        assert all(len(set(half[np.sort(points) == plane])) == 1 for plane in range(PLANES))
+
+
+def test_errors_that_planes_do_not_share_are_no_motion():
+    """Surfaces that are bent, as a depth camera bends them, look like motion; other planes of the scan contradict it."""
+    motions = []
+    for bend in (0.0, 0.02):
+        view, tau, _ = made(0.0, noise=2e-3, scan_count=24)
+        scans = np.repeat(np.arange(24), PLANES * EACH)
+        rng = np.random.default_rng(3)
+        slope = rng.normal(0, bend, (24, PLANES))[scans, view.labels.plane] * (tau + 0.05) / 0.05
+        pose, plane = view.world_from_scan[scans], view.labels.plane
+        normal = np.einsum("nij,ni->nj", pose[:, :3, :3], view.planes.normal[plane])
+        bent = (view.scans.points + slope[:, None] * normal).astype(np.float32)
+        bent_view = replace(view, scans=replace(view.scans, points=bent))
+        known = scan_motion.deviations(bent_view, tau)
+        sure = scan_motion._drawn_to_zero(known.information[0], known.gradient[0])
+        motions.append([np.abs(each).mean() for each in (scan_motion.most_likely(known), sure)])
+    clean, there = motions
+    assert clean[0] < 0.02
+    assert there[1] > 0.1, "as if points were independent"
+    assert there[0] < 0.3 * there[1]
 
 
 def test_points_move_as_the_sensor_did():

@@ -69,7 +69,7 @@ def lidar_rows(facts: Facts) -> list[tuple[str, str]]:
         rows.append(("Distance of points from their plane, first and last round", span))
     left = stage.get("motion_left") or {}
     if left.get("part") is not None:
-        rows.append((f"Motion left in scans{', taken out' if left.get('motion') else ''}", _part_of(left)))
+        rows.append(_motion_row(left))
     rows += _range_error_rows(stage.get("range_errors") or {})
     scans = stage.get("weak_scans") or []
     if scans:
@@ -107,11 +107,15 @@ def _range_error_rows(errors: Facts) -> list[tuple[str, str]]:
     ]
 
 
-def _part_of(left: Facts) -> str:
-    """The part of the motion that was left, with its standard deviation."""
-    sigma = left.get("sigma")
-    error = "" if sigma is None else f" \N{PLUS-MINUS SIGN} {formats.number(100 * sigma, 2)}"
-    return f"{formats.number(100 * left['part'], 2)}{error} %"
+def _motion_row(left: Facts) -> tuple[str, str]:
+    """The part of the motion that was left, or how long a depth camera reads its rows, with its standard deviation."""
+    clock, sigma = left.get("clock") or {}, left.get("sigma")
+    text, factor, unit = "Motion left in scans", 100.0, "%"
+    if "down" in clock:
+        text, factor, unit = "Readout of the rows of a depth image", 1000.0 * clock["sweep"], "ms"
+    error = "" if sigma is None else f" \N{PLUS-MINUS SIGN} {formats.number(factor * sigma, 2)}"
+    taken = ", taken out" if left.get("motion") else ""
+    return text + taken, f"{formats.number(factor * left['part'], 2)}{error} {unit}"
 
 
 _HELD = " (kept near the odometry)"
