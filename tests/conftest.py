@@ -7,6 +7,16 @@ from pathlib import Path
 
 import hypothesis
 import pytest
+import threadpoolctl
+
+from service.system.threads import limit_threads
+
+# as every `lvba` process has it, also those of xdist: threads that spin while they wait take the processor from the tests
+# that run beside. Plugins of pytest may have loaded numpy before
+limit_threads(None)
+threadpoolctl.threadpool_limits(1, "blas")
+# the processes that tests start need not compile the sources again, whatever the machine prefers
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # nothing in the tests is timed: a busy machine must not fail them
 hypothesis.settings.register_profile("untimed", deadline=None)

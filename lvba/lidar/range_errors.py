@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from lvba.arrays import Vectors
 from lvba.lidar.scan_evidence import ByShared, OnPlanes, View
@@ -232,7 +232,7 @@ def significant(
         small = np.where(kept, np.abs(off) / least, np.inf)
         if beyond.max() > 1:
             out = int(np.argmax(beyond))
-        elif chi2.sf(square.min(), 1) > chance:
+        elif chdtrc(1, square.min()) > chance:
             out = int(np.argmin(square))
         elif small.min() < 1:
             out = int(np.argmin(small))

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from lvba.lidar.bundle_adjustment import odometry_dependent_steps
 from lvba.products import lengths
@@ -123,7 +123,7 @@ def _extrinsic_sigmas(extrinsic: Facts, config: Facts) -> float | None:
         extrinsic["change_m"] / prior["extrinsic_position_m"],
         extrinsic["change_deg"] / prior["extrinsic_rotation_deg"],
     )
-    return float(stats.norm.isf(stats.chi2.sf(ratio**2, 3) / 2))
+    return float(-special.ndtri(special.chdtrc(3, ratio**2) / 2))
 
 
 def _lost_ssim(evaluation: Facts) -> tuple[float, float] | None:

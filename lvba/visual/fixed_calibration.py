@@ -10,7 +10,7 @@ from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from lvba.optim.shared_parameters import SharedPrior
 from lvba.visual.states import Calibration
@@ -62,7 +62,7 @@ def restored(values: Calibration, reference: Calibration, names: Collection[str]
 def _chance(off: np.ndarray, spread: np.ndarray, index: np.ndarray) -> float:
     """How often numbers that are right deviate as much."""
     mine = spread[np.ix_(index, index)]
-    return float(chi2.sf(off[index] @ np.linalg.solve(mine, off[index]), len(index)))
+    return float(chdtrc(len(index), off[index] @ np.linalg.solve(mine, off[index])))
 
 
 def _without(off: np.ndarray, spread: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
