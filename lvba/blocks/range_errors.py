@@ -62,23 +62,25 @@ class _Measurement:
 
     def of(self, probes: list[Window], points: list[np.ndarray]) -> RangeErrors:
         """By some windows; only where they tell of an error, by larger ones."""
-        shifts = range_errors.typical_shifts(self.beams, np.concatenate(points)) if points else np.zeros(0)
+        together = np.concatenate(points) if points else np.zeros((0, 3))
+        shifts = range_errors.typical_shifts(self.beams, together) if points else np.zeros(0)
         least = range_errors.LEAST_M / np.maximum(shifts, 1e-9)
-        none = np.zeros(len(self.beams.names))
-        change, covariance = self._change(probes, none)
-        if not np.isfinite(covariance).all():
+        total = self._total(probes, np.zeros(self.size))
+        own = total.of(self.own)
+        if not np.isfinite(own.covariance[: self.size, : self.size]).all():
             return RangeErrors(self.beams)
-        kept, _ = self._significant(change, covariance, least, _SUSPECT)
-        if not kept.any():
-            return self._errors(change, covariance, kept)
-        return self._closer(scan_windows.sampled(self.dataset), least)
+        kept, _ = self._significant(*self._told(own), least, _SUSPECT)
+        if not kept.any() and total.chance(self.others) > _SUSPECT:
+            return self._errors(*self._told(own), kept)
+        return self._closer(scan_windows.sampled(self.dataset), least, together)
 
-    def _closer(self, windows: list[Window], least: np.ndarray) -> RangeErrors:
-        errors = first = np.zeros(len(self.beams.names))
+    def _closer(self, windows: list[Window], least: np.ndarray, points: np.ndarray) -> RangeErrors:
+        errors = first = np.zeros(self.size)
         self.cosines.clear()
         for turn in range(_ROUNDS):
             self.progress("errors of ranges", turn, _ROUNDS)
-            change, covariance = self._change(windows, errors)
+            total = self._total(windows, errors)
+            change, covariance = self._told(total.of(self.own))
             if not np.isfinite(covariance).all():
                 return replace(
                     RangeErrors(self.beams), problem="planes do not tell of them once they are corrected"
@@ -89,10 +91,42 @@ class _Measurement:
             first = first if turn else estimate
             if (np.abs(last) <= _SETTLED * np.abs(errors)).all():
                 break
+        if (by_direction := self._by_direction(total, points)) > 0:
+            none = self._errors(errors, covariance, kept & False)
+            values = {**none.values, range_errors.DIRECTION: round(by_direction, 4)}
+            return replace(none, values=values, noticed=(range_errors.DIRECTION,))
         if (np.abs(last) > _FALLS * np.abs(first))[kept].any():
             text = "no error of the sensor explains what is left"
             return replace(self._errors(errors, covariance, kept & False), problem=text)
         return self._errors(np.where(kept, errors, errors + change), covariance, kept)
+
+    @property
+    def size(self) -> int:
+        """How many errors are measured."""
+        return len(self.beams.names)
+
+    @property
+    def own(self) -> slice:
+        """Of the shared numbers, the errors and the motion left in scans."""
+        return slice(0, self.size + (self.clock is not None))
+
+    @property
+    def others(self) -> slice:
+        """Of the shared numbers, what else depends on the direction of a beam."""
+        return slice(self.own.stop, self.own.stop + range_errors.HARMONICS)
+
+    def _told(self, own: Evidence) -> tuple[np.ndarray, np.ndarray]:
+        """The change (k,) of the errors, and its covariance (k, k)."""
+        return own.change[: self.size], own.covariance[: self.size, : self.size]
+
+    def _by_direction(self, total: Evidence, points: np.ndarray) -> float:
+        """m, root mean square: how far points (N, 3) are off by what else depends on the direction; 0: by chance."""
+        if total.chance(self.others) > range_errors.CHANCE:
+            return 0.0
+        part = range_errors.harmonics(self.beams, points) @ total.change[self.others]
+        length = np.linalg.norm(points - self.beams.position, axis=1)
+        off = float(np.sqrt(np.mean((part * length) ** 2)))
+        return off if off > range_errors.LEAST_M else 0.0
 
     def _significant(
         self, estimate: np.ndarray, covariance: np.ndarray, least: np.ndarray, chance: float
@@ -114,13 +148,12 @@ class _Measurement:
             noticed=tuple(name for name in significant if name == range_errors.INCIDENCE),
         )
 
-    def _change(self, windows: list[Window], errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of the errors (k,) in the points of windows corrected by some, and the covariance (k, k)."""
-        size = len(errors)
-        total = scan_evidence.nothing(size + (self.clock is not None))
+    def _total(self, windows: list[Window], errors: np.ndarray) -> Evidence:
+        """What windows tell of all shared numbers, their points corrected by some errors (k,)."""
+        total = scan_evidence.nothing(self.others.stop)
         for number, window in enumerate(windows):
             total += self._evidence(number, window, errors, len(total.gradient))
-        return total.change[:size], total.covariance[:size, :size]
+        return total
 
     def _evidence(self, number: int, window: Window, errors: np.ndarray, size: int) -> Evidence:
         points = self._corrected(number, window, errors)
@@ -148,15 +181,15 @@ class _Measurement:
         return [ranges.points(each, cosine) for each, cosine in zip(points, cosines, strict=True)]
 
     def _by_shared(self, window: Window, result: LidarResult) -> ByShared:
-        of_errors = range_errors.by_errors(self.beams)
-        if self.clock is None:
-            return of_errors
-        stamps = self.dataset.scans.times[window.numbers]
-        tau = motion_left.point_times_of(window, stamps, self.clock)
-        twist = motion_left.sweep_twists(stamps, result.world_from_scan, self.clock)
-        of_motion = scan_motion.by_part(np.concatenate(tau), twist)
+        terms = [range_errors.by_errors(self.beams)]
+        if self.clock is not None:
+            stamps = self.dataset.scans.times[window.numbers]
+            tau = motion_left.point_times_of(window, stamps, self.clock)
+            twist = motion_left.sweep_twists(stamps, result.world_from_scan, self.clock)
+            terms.append(scan_motion.by_part(np.concatenate(tau), twist))
+        terms.append(range_errors.by_directions(self.beams))
 
         def derivative(points: OnPlanes) -> np.ndarray:
-            return np.concatenate([of_errors(points), of_motion(points)], axis=1)
+            return np.concatenate([each(points) for each in terms], axis=1)
 
         return derivative

@@ -5,6 +5,9 @@ elevation: rad, the beams of a sensor that turns go this much higher about its a
 distortion: ranges of a sensor that looks ahead are too long by this part 45 degrees off its axis, and in proportion to
     the squared tangent of the angle elsewhere, as those of depth cameras
 
+Whatever else depends on the direction of a beam is looked for beside them as a part of the range, by spherical harmonics:
+it is not corrected, but an error that it explains as well is none of the above.
+
 A common scale or offset of ranges is none of them: planes cannot tell a scale from that of the poses, nor an offset from
 incidence where most points are on the ground. Nor is intensity: what it says of ranges follows the incidence.
 """
@@ -22,6 +25,10 @@ from lvba.arrays import Vectors
 from lvba.lidar.scan_evidence import ByShared, OnPlanes, View
 
 INCIDENCE, ELEVATION, DISTORTION = "incidence", "elevation", "distortion"
+DIRECTION = "direction"
+"""Of what depends on the direction in another way: m, how far points are off by it, root mean square."""
+HARMONICS = 8
+"""Of first and second degree; that of degree zero is the scale, which planes do not tell."""
 LARGEST = {INCIDENCE: 0.05, ELEVATION: math.radians(1.0), DISTORTION: 0.1}
 """What is more is not believed of a sensor: the planes are of a kind that tells something else, such as leaves."""
 CHANCE = 2e-9
@@ -171,6 +178,11 @@ def sentence(name: str, value: float) -> str:
     farther = "farther" if value > 0 else "nearer"
     if name == INCIDENCE:
         return f"Surfaces are measured {abs(1e3 * value):.0f} mm {farther} at grazing incidence"
+    if name == DIRECTION:
+        size = f"{1e3 * value:.0f} mm and more"
+        return (
+            f"Ranges are off by {size} in a way that depends on the beam's direction, as no known error does"
+        )
     return f"Surfaces 45 degrees off the sensor's axis are measured {abs(100 * value):.2f} % {farther} than ahead"
 
 
@@ -202,6 +214,23 @@ def by_errors(beams: Beams) -> ByShared:
         cosine = np.abs(np.einsum("ni,ni->n", ray, points.normal))
         shifts = [beams.shift(name, points.place, cosine) for name in beams.names]
         return np.stack([np.einsum("ni,ni->n", points.normal, each) for each in shifts], axis=1)
+
+    return derivative
+
+
+def harmonics(beams: Beams, points: Vectors) -> np.ndarray:
+    """(N, 8): spherical harmonics of first and second degree of the directions of points (N, 3) m, scan frame."""
+    x, y, z = _directions(points, beams.position)[0].T
+    return np.stack([x, y, z, x * y, y * z, z * x, x * x - y * y, (3 * z * z - 1) / 2], axis=1)
+
+
+def by_directions(beams: Beams) -> ByShared:
+    """Derivative of points' distances from their planes by parts of the range that go with the harmonics."""
+
+    def derivative(points: OnPlanes) -> np.ndarray:
+        ray, length = _directions(points.place, beams.position)
+        along = -length * np.einsum("ni,ni->n", points.normal, ray)
+        return np.asarray(along[:, None] * harmonics(beams, points.place))
 
     return derivative
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg, sparse
+from scipy.stats import chi2
 
 from lvba import geometry
 from lvba.arrays import Poses, Vector
@@ -91,6 +92,23 @@ class Evidence:
     def sigma(self) -> np.ndarray:
         """(k,) standard deviations; infinite where nothing tells."""
         return np.asarray(np.sqrt(np.diagonal(self.covariance)))
+
+    def of(self, columns: slice) -> "Evidence":
+        """Of some of the numbers, the others known to be zero."""
+        return Evidence(
+            self.information[columns, columns],
+            self.gradient[columns],
+            self.own[:, columns],
+            self.curvature[:, columns, columns],
+        )
+
+    def chance(self, columns: slice) -> float:
+        """How often some of the numbers are estimated so far off together if they are zero, the others whatever they are
+        (Wald); 1 where nothing tells."""
+        off, spread = self.change[columns], self.covariance[columns, columns]
+        if not np.isfinite(spread).all():
+            return 1.0
+        return float(chi2.sf(off @ linalg.lstsq(spread, off)[0], len(off)))
 
     def __add__(self, other: "Evidence") -> "Evidence":
         return Evidence(

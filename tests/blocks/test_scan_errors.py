@@ -11,8 +11,10 @@ from lvba.io import reference
 from lvba.io.dataset import open_dataset
 from lvba.lidar import bundle_adjustment
 from lvba.lidar.config import LidarConfig
+from lvba.lidar.range_errors import DIRECTION
 from lvba.simulate.disturbances import Disturbances
 from lvba.simulate.simulation import simulate
+from lvba.steps import report_data
 from lvba.trajectory import pose_error
 
 SMALL = {"frames": 2, "scans": 36, "seed": 11, "width": 64, "height": 48}
@@ -79,6 +81,16 @@ def test_a_right_sensor_is_left_alone(tmp_path, lidar):
     piece = decoded.decode_scans(dataset, (0, 3), errors)
     np.testing.assert_array_equal(piece.points, np.concatenate(recordings.load_scans(dataset)[:3]))
     assert piece.errors is None
+
+
+def test_an_error_of_another_form_is_noticed_and_not_taken_for_one_that_is_known(tmp_path):
+    """Ranges of a sensor that turns, too long but ahead: beams that go lower explain some of it."""
+    dataset = recorded(tmp_path / "off", "spinning", depth_distortion=0.03)
+    errors = scan_errors.measure(dataset, LidarConfig())
+    assert errors.ranges.noticed == (DIRECTION,)
+    assert not errors.corrected
+    assert errors.ranges.values[DIRECTION] > 5e-3
+    assert "depends on the beam's direction" in report_data.warnings_of_errors(errors)[0]
 
 
 def test_an_error_that_no_sensor_has_is_not_corrected(tmp_path):

@@ -10,7 +10,7 @@ from lvba.dataset import Scan
 from lvba.lidar import range_errors, scan_evidence
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.lidar.point_times import PointClock
-from lvba.lidar.range_errors import DISTORTION, ELEVATION, INCIDENCE, Beams, RangeErrors
+from lvba.lidar.range_errors import DIRECTION, DISTORTION, ELEVATION, INCIDENCE, Beams, RangeErrors
 from lvba.lidar.scan import gather
 from lvba.lidar.scan_errors import ScanErrors
 from lvba.lidar.scan_evidence import View
@@ -29,6 +29,8 @@ def measured(beams, errors, rays, distance, normal):
         bias = errors[INCIDENCE] * (1 - np.abs(np.einsum("ni,ni->n", rays, normal)))
     if DISTORTION in errors:
         factor = 1 + errors[DISTORTION] * np.tan(np.arccos(rays @ beams.axis)) ** 2
+    if DIRECTION in errors:
+        factor = 1 + errors[DIRECTION] * np.abs(rays[:, 0])
     if ELEVATION in errors:
         elevation = np.arcsin(rays[:, 2]) - errors[ELEVATION]
         azimuth = np.arctan2(rays[:, 1], rays[:, 0])
@@ -119,6 +121,26 @@ def test_errors_are_found_within_their_deviations(beams, errors):
     # the change is linear: errors turn with themselves by up to some percent
     assert (np.abs(known.change - expected) < 4 * known.sigma + 0.05 * np.abs(expected)).all()
     assert (known.sigma < [5e-3, 5e-4]).all()
+
+
+@pytest.mark.parametrize(
+    ("errors", "by_direction"),
+    [({}, False), ({ELEVATION: 0.003}, False), ({DIRECTION: 0.01}, True)],
+)
+def test_what_depends_on_the_direction_in_another_way_is_told_apart(errors, by_direction):
+    """A sensor that turns: beams that go higher, or ranges that are too long ahead and behind."""
+    view = room(AROUND, errors, noise=0.01)
+    own, others = range_errors.by_errors(AROUND), range_errors.by_directions(AROUND)
+    known = scan_evidence.evidence(view, lambda each: np.concatenate([own(each), others(each)], axis=1), 10)
+    alone = scan_evidence.evidence(view, own, 2)
+    np.testing.assert_allclose(known.of(slice(0, 2)).change, alone.change, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(known.of(slice(0, 2)).covariance, alone.covariance, rtol=1e-6)
+    assert (known.chance(slice(2, 10)) < range_errors.CHANCE) == by_direction
+    assert by_direction or known.chance(slice(2, 10)) > 1e-3
+
+
+def test_nothing_is_told_by_chance_where_nothing_tells():
+    assert scan_evidence.nothing(3).chance(slice(1, 3)) == 1.0
 
 
 def test_elimination_takes_out_what_may_be_chance():
