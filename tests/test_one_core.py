@@ -41,7 +41,7 @@ LINEAR_ALGEBRA = {
     "lvba/loop_closure/scan_steps.py": (2, "two estimates of one step, directions that surfaces determine, 6 x 6"),
     "lvba/loop_closure/surfel_icp.py": (1, "6 x 6 information of an alignment"),
     "lvba/lidar/scan_motion.py": (2, "6 x 6 information of single scans"),
-    "lvba/lidar/scan_evidence.py": (3, "numbers that scans share: at most 4 x 4; poses and planes eliminated from them"),
+    "lvba/lidar/scan_evidence.py": (4, "numbers that scans share, at most 11 x 11; poses and planes eliminated"),
     "lvba/steps/pose_fusion.py": (11, "6 x 6 covariances of single scans and of a chain's links"),
     "lvba/steps/uncertainty.py": (1, "normalized errors, 6 x 6"),
     "lvba/visual/bundle_adjustment.py": (1, "information of the shared parameters from their covariance, k x k"),
@@ -68,6 +68,8 @@ TURNS = {
 DAMPED = {
     "lvba/lidar/problem.py": "settings of the one Levenberg-Marquardt",
     "lvba/visual/degeneracy.py": "settings of the one Levenberg-Marquardt",
+    "lvba/visual/bundle_adjustment.py": "settings of the one Levenberg-Marquardt",
+    "lvba/visual/refine.py": "settings of the one Levenberg-Marquardt, of coarse levels",
     "lvba/blocks/lidar_joint.py": "joint rounds: damping from round to round, `levenberg_marquardt.raised` and `eased`",
     "lvba/blocks/visual_joint.py": "joint rounds, as above",
 }

@@ -41,8 +41,9 @@ ROUNDS = 3
 """Solves per level, each with noise level and prior estimated anew from the last: a fourth changes neither."""
 PLANE_FLOOR_M = 0.001
 """m: no plane is taken as better known than this; surfaces are not flatter."""
-SOLVER = SolverConfig(max_iterations=12, relative_decrease=1e-5)
-"""Of the last solve at the finest level."""
+SOLVER = SolverConfig(max_iterations=12, initial_damping=1e-6, relative_decrease=1e-5)
+"""Of the last solve at the finest level. Damped by little: what turns all cameras together and shifts the principal point
+(or changes the clock, or the readout) is known a million times less well than each camera by itself."""
 
 
 @dataclass(frozen=True)

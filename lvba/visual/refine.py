@@ -60,6 +60,8 @@ logger = logging.getLogger(__name__)
 _FIRST_INFLATION = 10.0
 _COARSE_DECREASE = 1e-4
 """Relative decrease of the cost at which a coarse level stops: it only gives the next one its start."""
+_COARSE_DAMPING = 1e-4
+"""First damping of a coarse level, which begins further off."""
 _COARSE_ROUNDS = 2
 """Solves of a coarse level."""
 _COARSEST_EXPOSED = 5
@@ -379,11 +381,13 @@ def _solve_level(
     shifts = None
     if level == 0 and scene.variant.reference_pixels == "fixed":
         shifts = calibration_shifts(scene.camera, camera, points, observations, coarser.prior, config)
-    decrease = SOLVER.relative_decrease if level == 0 else _COARSE_DECREASE
+    solver = SOLVER
+    if level > 0:
+        solver = replace(SOLVER, initial_damping=_COARSE_DAMPING, relative_decrease=_COARSE_DECREASE)
     solution = bundle_adjustment.solve(
         images, camera, points, observations, state, coarser.prior,
         patch=config.patch, rounds=ROUNDS if level == 0 else _COARSE_ROUNDS,
-        solver=replace(SOLVER, max_iterations=config.iterations, relative_decrease=decrease),
+        solver=replace(solver, max_iterations=config.iterations),
         variance_factor=coarser.variance_factor, variant=scene.variant,
         shifts=shifts, finest=level == 0,
     )  # fmt: skip
