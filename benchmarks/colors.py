@@ -1,10 +1,8 @@
 """How true the colors of a map are, where the truth is known: simulated scenes at given poses.
 
-    python benchmarks/colors.py map DATASET POSES MAP.npz     colors the map by the lvba that this Python has
-    python benchmarks/colors.py judge DATASET POSES MAP.npz   compares it with the scene
+    python benchmarks/colors.py DATASET POSES
 
 POSES: a folder of lidar_poses.txt, image_poses.txt and exposures.csv: a result, or a recording's own `reference`.
-Two commands, so that the map may be made by another version of lvba than the one that judges it.
 """
 
 import json
@@ -40,9 +38,8 @@ def _state(dataset: Dataset, poses: Path) -> tuple[np.ndarray, np.ndarray, np.nd
     return moved[0], moved[1], np.log(poses_read.exposures.relative)
 
 
-def make_map(dataset_folder: Path, poses: Path, out: Path) -> None:
-    """Colors the map as `lvba run` does, at the poses of a folder."""
-    dataset = open_dataset(dataset_folder)
+def colored_map(dataset: Dataset, poses: Path) -> map_file.PointMap:
+    """The map, colored as `lvba run` does, at the poses of a folder."""
     scans, cameras, log_exposure = _state(dataset, poses)
     cloud = clouds.assemble(
         lambda s: load_scan(dataset, s).points,
@@ -51,28 +48,25 @@ def make_map(dataset_folder: Path, poses: Path, out: Path) -> None:
         sensor_position=dataset.sensor_position_scan,
     )
     views = replace(views_of(dataset), world_from_camera=cameras, log_exposure=log_exposure)
-    made = map_file.build(cloud, views)
-    np.savez(
-        out, points=made.points_world, rgb=made.rgb, views=made.views, scan=made.scan, voxel_m=made.voxel_m
-    )
+    return map_file.build(cloud, views)
 
 
-def judge(dataset_folder: Path, poses: Path, made: Path) -> dict[str, Any]:
-    """Shares and errors of the colors of a map."""
+def judge(dataset_folder: Path, poses: Path) -> dict[str, Any]:
+    """Shares and errors of the colors of the map at the poses of a folder."""
     from lvba.simulate import cabinet, known
 
     scene, dataset = known.read(dataset_folder), open_dataset(dataset_folder)
     world_from_scan, _, _ = _state(dataset, poses)
-    arrays = np.load(made)
-    points, scan, rgb = arrays["points"], arrays["scan"], arrays["rgb"].astype(float)
+    made = colored_map(dataset, poses)
+    points, scan, rgb = made.points_world, made.scan, made.rgb.astype(float)
     quad, place, off = np.full(len(points), -1), np.zeros((len(points), 3)), np.full(len(points), np.inf)
     for s in range(len(world_from_scan)):
         mine = np.flatnonzero(scan == s)
         measured = geometry.transform_points(geometry.inverse(world_from_scan[s]), points[mine].astype(float))
         quad[mine], place[mine], off[mine] = scene.surface(s, measured)
     on = (quad >= 0) & (off < _OFF_M)
-    colored = arrays["views"] > 0
-    true = scene.radiance(np.where(on, quad, -1), place, float(arrays["voxel_m"]) / 2).astype(float)
+    colored = made.views > 0
+    true = scene.radiance(np.where(on, quad, -1), place, made.voxel_m / 2).astype(float)
     both = on & colored
     true = np.clip(true * np.median(rgb[both].sum(1) / true[both].sum(1)), 0, 255)
     error = np.abs(rgb - true).mean(1)
@@ -126,8 +120,4 @@ def _chroma(rgb: np.ndarray) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    what, *paths = sys.argv[1:]
-    if what == "map":
-        make_map(*map(Path, paths))
-    else:
-        sys.stdout.write(json.dumps(judge(*map(Path, paths)), indent=1) + "\n")
+    sys.stdout.write(json.dumps(judge(*map(Path, sys.argv[1:])), indent=1) + "\n")

@@ -5,7 +5,7 @@
     python benchmarks/results.py ablations --seeds 101
     python benchmarks/results.py disturbed --seeds 201 --scenes courtyard --levels typical severe
     python benchmarks/results.py weak                         bare plane and corridor
-    python benchmarks/results.py colors --before PYTHON       colors of the map, by another version and by this
+    python benchmarks/results.py colors                       colors of the map
     python benchmarks/results.py write                        docs/results.md from docs/results.json
 
 Each command adds its rows to docs/results.json (one object per row, keyed by table and row) and rewrites docs/results.md.
@@ -270,7 +270,9 @@ def weak(work: Path) -> None:
         save("weak directions", scene, row)
 
 
-def colors(before: str, work: Path) -> None:
+def colors(work: Path) -> None:
+    """Beside what this version makes, a row keeps what the version before it made."""
+    kept = json.loads(JSON.read_text())["colors"]
     for scene, lidar, frames in COLORED:
         dataset = work / f"{scene}_{lidar}_{frames}_colors"
         simulate(scene, dataset, seed=101, lidar=lidar, frames=frames)
@@ -279,22 +281,14 @@ def colors(before: str, work: Path) -> None:
             states["refined poses"] = work / f"{dataset.name}_out"
             run_lvba(dataset, states["refined poses"], [], dataset / "reference")
         for kind, poses in states.items():
-            row = {
-                state: _judged_colors(python, dataset, poses, work / f"{dataset.name}.npz")
-                for state, python in (("before", before), ("after", sys.executable))
-            }
-            save("colors", f"{scene}, {lidar.replace('_', '-')}, {frames} frames, {kind}", row)
+            name = f"{scene}, {lidar.replace('_', '-')}, {frames} frames, {kind}"
+            save("colors", name, kept.get(name, {}) | {"after": _judged_colors(dataset, poses)})
 
 
-def _judged_colors(python: str, dataset: Path, poses: Path, made: Path) -> dict[str, Any]:
-    """How true the colors are that the lvba of a Python makes at the poses of a folder, as benchmarks/colors.py says."""
-    script = str(Path(__file__).with_name("colors.py"))
-    paths = [str(dataset), str(poses), str(made)]
-    subprocess.run([python, script, "map", *paths], check=True, capture_output=True)
-    done = subprocess.run(
-        [sys.executable, script, "judge", *paths], check=True, capture_output=True, text=True
-    )
-    return dict(json.loads(done.stdout))
+def _judged_colors(dataset: Path, poses: Path) -> dict[str, Any]:
+    """How true the colors of the map are at the poses of a folder, as benchmarks/colors.py says."""
+    command = [sys.executable, str(Path(__file__).with_name("colors.py")), str(dataset), str(poses)]
+    return dict(json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout))
 
 
 def main() -> None:
@@ -304,7 +298,6 @@ def main() -> None:
     parser.add_argument(
         "table", choices=["recordings", "simulated", "ablations", "disturbed", "weak", "colors", "write"]
     )
-    parser.add_argument("--before", help="the Python of the version that colors are compared with")
     parser.add_argument("--data", type=Path, help="folder of the real recordings")
     parser.add_argument("--seeds", type=int, nargs="+", default=[101, 102, 103])
     parser.add_argument("--scenes", nargs="+", default=list(SCENES))
@@ -317,8 +310,6 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.table == "recordings" and arguments.data is None:
         parser.error("recordings need --data, the folder that holds them")
-    if arguments.table == "colors" and arguments.before is None:
-        parser.error("colors need --before, the Python of an environment with the version to compare with")
     with tempfile.TemporaryDirectory() as temporary:
         work = arguments.work or Path(temporary)
         work.mkdir(parents=True, exist_ok=True)
@@ -333,7 +324,7 @@ def main() -> None:
         elif arguments.table == "weak":
             weak(work)
         elif arguments.table == "colors":
-            colors(arguments.before, work)
+            colors(work)
     from results_table import markdown
 
     MARKDOWN.write_text(markdown(json.loads(JSON.read_text())))

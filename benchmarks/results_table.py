@@ -257,7 +257,7 @@ def _error(row: Row, side: str) -> str:
 def _colors(name: str, row: Row) -> list[str]:
     def both(key: str, scale: float = 1.0, digits: int = 2) -> str:
         old, new = (number(row, state, key, scale=scale, digits=digits) for state in ("before", "after"))
-        return old if old == "-" else f"{old} -> {new}"
+        return new if old == "-" else f"{old} -> {new}"
 
     wrong = [both(f"{part}_wrong", 100) for part in ("sides", "strip", "edges", "floor")]
     return [
