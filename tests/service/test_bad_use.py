@@ -5,6 +5,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from forked import run_forked
 
 AS_SHELL = "import os, sys; os.execvp('bash', ['bash', '-c', sys.argv[1], sys.executable, *sys.argv[2:]])"
 """A program for `lvba` that runs it below a shell command."""
@@ -64,11 +65,11 @@ def assert_one_line(done, *words):
         (["run", "empty", "--out", "O"], ["empty"]),
     ],
 )  # fmt: skip
-def test_mistake_in_one_line(lvba, tmp_path, arguments, words):
+def test_mistake_in_one_line(tmp_path, arguments, words):
     (tmp_path / "bad.yaml").write_text("lidar:\n  a: }\n")
     (tmp_path / "typo.yaml").write_text("lidra: {}\n")
     (tmp_path / "empty").mkdir()
-    assert_one_line(lvba(*arguments, code=2, cwd=tmp_path), *words)
+    assert_one_line(run_forked(*arguments, code=2, cwd=tmp_path), *words)
     assert not (tmp_path / "O").exists()
 
 
@@ -78,65 +79,65 @@ def copy(recording, tmp_path):
 
 
 @pytest.mark.parametrize("out", [".", "all_image", "all_pcd_body/deeper"])
-def test_out_cannot_be_the_recording(lvba, copy, out):
+def test_out_cannot_be_the_recording(copy, out):
     before = sorted(copy.rglob("*"))
-    assert_one_line(lvba("run", copy, "--out", copy / out, code=2), "is the recording itself")
+    assert_one_line(run_forked("run", copy, "--out", copy / out, code=2), "is the recording itself")
     assert sorted(copy.rglob("*")) == before
 
 
-def test_out_cannot_be_another_recording(lvba, copy, recording):
-    assert_one_line(lvba("run", recording, "--out", copy, code=2), "holds a recording")
+def test_out_cannot_be_another_recording(copy, recording):
+    assert_one_line(run_forked("run", recording, "--out", copy, code=2), "holds a recording")
 
 
 @pytest.mark.parametrize("name", ["map.ply", "image_poses.txt", "report.json", "config.yaml"])
-def test_out_holds_such_a_file_of_somebody_else(lvba, recording, tmp_path, name):
+def test_out_holds_such_a_file_of_somebody_else(recording, tmp_path, name):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / name).write_text("{}")
     for command in ("run", "evaluate"):
-        done = lvba(command, recording, "--out", tmp_path / "out", code=2)
+        done = run_forked(command, recording, "--out", tmp_path / "out", code=2)
         assert_one_line(done, name, "is not of a result of lvba", "choose another folder")
     assert [path.name for path in (tmp_path / "out").iterdir()] == [name]
     assert (tmp_path / "out" / name).read_text() == "{}"
 
 
-def test_a_run_that_makes_nothing_leaves_no_stages(lvba, recording, tmp_path):
-    done = lvba("run", recording, "--out", tmp_path / "out", "--redo", "nothing", code=2)
+def test_a_run_that_makes_nothing_leaves_no_stages(recording, tmp_path):
+    done = run_forked("run", recording, "--out", tmp_path / "out", "--redo", "nothing", code=2)
     assert_one_line(done, "--redo nothing")
     assert not (tmp_path / "out" / "stages").exists()
 
 
 @pytest.mark.parametrize("name", ["walk.bag", "walk.mcap", "walk_0.db3", "walk/metadata.yaml"])
-def test_a_bag_is_told_from_a_folder_of_frames(lvba, tmp_path, name):
+def test_a_bag_is_told_from_a_folder_of_frames(tmp_path, name):
     given = tmp_path / name
     given.parent.mkdir(exist_ok=True)
     given.write_text("")
     if given.name == "metadata.yaml":
         given = given.parent
         (given / "walk_0.db3").write_text("")
-    done = lvba("run", given, "--out", tmp_path / "out", code=2)
+    done = run_forked("run", given, "--out", tmp_path / "out", code=2)
     assert_one_line(done, str(given), "which is not read", "FAST-LIVO2", "docs/input.md")
 
 
-def test_a_missing_config_is_reported_as_missing(lvba, copy, tmp_path):
+def test_a_missing_config_is_reported_as_missing(copy, tmp_path):
     (copy / "config.yaml").unlink()
-    done = lvba("run", copy, "--out", tmp_path / "out", code=2)
+    done = run_forked("run", copy, "--out", tmp_path / "out", code=2)
     assert_one_line(done, "config.yaml: there is no such file, and so the images have no cam_fx")
     (copy / "other.yaml").write_text("a: 1\n")
-    done = lvba("run", copy, "--out", tmp_path / "out", code=2)
+    done = run_forked("run", copy, "--out", tmp_path / "out", code=2)
     assert_one_line(done, "none of its YAML files (other.yaml) has cam_fx")
 
 
-def test_out_is_a_file(lvba, recording, tmp_path):
+def test_out_is_a_file(recording, tmp_path):
     (tmp_path / "out").write_text("keep me")
-    assert_one_line(lvba("run", recording, "--out", tmp_path / "out", code=2), "out")
+    assert_one_line(run_forked("run", recording, "--out", tmp_path / "out", code=2), "out")
     assert (tmp_path / "out").read_text() == "keep me"
 
 
-def test_out_that_cannot_be_written(lvba, recording, tmp_path):
+def test_out_that_cannot_be_written(recording, tmp_path):
     (tmp_path / "locked").mkdir(mode=0o555)
     # permissions do not bind root, but not even root may make folders in /proc
     out = Path("/proc/out") if os.getuid() == 0 else tmp_path / "locked" / "out"
-    assert_one_line(lvba("run", recording, "--out", out, code=2), str(out), "; ")
+    assert_one_line(run_forked("run", recording, "--out", out, code=2), str(out), "; ")
 
 
 def test_full_disk_loses_nothing_and_the_same_command_goes_on(lvba, recording, undisturbed, tmp_path):
@@ -153,15 +154,15 @@ def test_full_disk_loses_nothing_and_the_same_command_goes_on(lvba, recording, u
     assert (out / "map.ply").read_bytes() == (undisturbed[0] / "map.ply").read_bytes()
 
 
-def test_two_runs_into_one_folder(lvba, recording, tmp_path):
+def test_two_runs_into_one_folder(recording, tmp_path):
     from workers.store import lock
 
     out = tmp_path / "out"
     with lock(out / "stages"):
-        assert_one_line(lvba("run", recording, "--out", out, code=2), "another run is writing here")
+        assert_one_line(run_forked("run", recording, "--out", out, code=2), "another run is writing here")
 
 
-def test_reference_without_poses(lvba, recording, tmp_path):
+def test_reference_without_poses(recording, tmp_path):
     (tmp_path / "truth").mkdir()
-    done = lvba("run", recording, "--out", tmp_path / "out", "--reference", tmp_path / "truth", code=2)
+    done = run_forked("run", recording, "--out", tmp_path / "out", "--reference", tmp_path / "truth", code=2)
     assert_one_line(done, "truth", "holds no poses")
