@@ -1,6 +1,6 @@
 """How far a result is from a reference: truth of a simulation, or another solution."""
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -24,16 +24,20 @@ def compare(
 
     lidar: after alignment of the scans (`trajectory.align_for_errors`). camera: in the frame of the LiDAR map, that is
     with the alignment of the scans (or its own where there is no scan); camera_aligned: after their own alignment.
-    aligned_by: what the alignment was found from. exposure: after one common scale. Frames are matched by time; a part
-    without two frames in common is left out.
+    aligned_by: what the alignment was found from. scale (of the scans): by what factor the result is smaller than the
+    reference; scaled_ate_m: position errors after that factor, which only the range sensor itself tells.
+    exposure: after one common scale. Frames are matched by time; a part without two frames in common is left out.
     """
     facts: dict[str, Any] = {}
+    scaled: _Scaled | None = None
     aligned = scan_alignment(reference, scans)
     scan_pairs = _pairs(scans.times, None if reference.scans is None else reference.scans.times)
     if aligned is not None and reference.scans is not None:
         estimate = scans.world_from_sensor[scan_pairs[:, 0]]
         truth = reference.scans.world_from_sensor[scan_pairs[:, 1]]
         facts["lidar"] = _error(estimate, truth, aligned, aligned.by)
+        scaled = _Scaled.of(aligned.reference_from_estimate @ estimate, truth)
+        facts["lidar"] |= {"scale": scaled.factor, "scaled_ate_m": scaled.error(estimate, truth, aligned)}
     image_pairs = _pairs(images.times, None if reference.images is None else reference.images.times)
     if len(image_pairs) > 1 and reference.images is not None:
         estimate = images.world_from_sensor[image_pairs[:, 0]]
@@ -41,6 +45,8 @@ def compare(
         alone = align_for_errors(estimate, truth)
         facts["camera_aligned"] = own = _error(estimate, truth, alone, alone.by)
         facts["camera"] = own if aligned is None else _error(estimate, truth, aligned, f"scans, {aligned.by}")
+        if aligned is not None and scaled is not None:
+            facts["camera"] |= {"scaled_ate_m": scaled.error(estimate, truth, aligned)}
     if exposures is not None and reference.exposures is not None:
         facts |= _exposure_facts(exposures, reference.exposures)
     return facts
@@ -60,6 +66,29 @@ def scan_alignment(reference: Reference, scans: Trajectory) -> Alignment | None:
 def _error(estimate: np.ndarray, truth: np.ndarray, aligned: Alignment, by: str) -> dict[str, Any]:
     error = asdict(pose_error(estimate, truth, aligned=aligned.reference_from_estimate))
     return {**error, "aligned_by": by}
+
+
+@dataclass(frozen=True)
+class _Scaled:
+    """What brings aligned positions nearest to a reference: centers (3,) m of both, and a factor about them."""
+
+    center: np.ndarray
+    reference_center: np.ndarray
+    factor: float
+
+    @staticmethod
+    def of(aligned: np.ndarray, truth: np.ndarray) -> "_Scaled":
+        p, q = aligned[:, :3, 3], truth[:, :3, 3]
+        center, reference_center = p.mean(axis=0), q.mean(axis=0)
+        square = float(np.sum((p - center) ** 2))
+        factor = float(np.sum((p - center) * (q - reference_center))) / square if square > 0 else 1.0
+        return _Scaled(center, reference_center, factor)
+
+    def error(self, estimate: np.ndarray, truth: np.ndarray, alignment: Alignment) -> float:
+        """m, root mean square."""
+        aligned = (alignment.reference_from_estimate @ estimate)[:, :3, 3]
+        off = self.reference_center + self.factor * (aligned - self.center) - truth[:, :3, 3]
+        return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
 
 
 def _exposure_facts(estimate: Exposures, reference: Exposures) -> dict[str, Any]:

@@ -6,7 +6,7 @@ ones, and in 3 of the 53 others.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from lvba.products import lengths
@@ -41,6 +41,7 @@ class Truth:
     """An error against the reference, of the result and of the input, and the promised one (None: nothing promised).
 
     what: scans or cameras; unit: m or degrees
+    scaled: the error after one common factor, which promises leave out; None: not known
     """
 
     what: str
@@ -48,6 +49,13 @@ class Truth:
     error: float
     rough: float | None = None
     promised: float | None = None
+    scaled: float | None = None
+
+    @property
+    def broken(self) -> bool:
+        """Whether the promise is, in the scale of the LiDAR's ranges, which nothing in a recording tells."""
+        error = self.error if self.scaled is None else self.scaled
+        return self.promised is not None and error > _PROMISE_KEPT * self.promised
 
 
 @dataclass(frozen=True)
@@ -66,6 +74,7 @@ class Figures:
         in the result
     jumps: frames after which the rough poses jump; jump_m, jump_deg: by at most; jump_left: whether one is still there
     extrinsic_sigmas: by how many standard deviations the extrinsic found differs from the calibrated one
+    scale: of the reference over the result; None: there is no reference
     ssim: of images predicted from the map, before and after, where the loss is beyond chance
     """
 
@@ -102,6 +111,7 @@ class Figures:
     ssim: tuple[float, float] | None = None
     thickness: tuple[float, float] | None = None
     truth: tuple[Truth, ...] = ()
+    scale: float | None = None
 
 
 @dataclass(frozen=True)
@@ -308,11 +318,26 @@ def _looks(figures: Figures) -> Iterator[Reason]:
         )
 
 
+def _scale(figures: Figures) -> Iterator[Reason]:
+    """Errors that are more than promised, and that a common factor takes out."""
+    off = [
+        one
+        for one in figures.truth
+        if one.scaled is not None and replace(one, scaled=None).broken and not one.broken
+    ]
+    if off and figures.scale is not None:
+        way = "smaller" if figures.scale > 1 else "larger"
+        yield Reason(
+            f"Against the reference, the map is {100 * abs(1 - 1 / figures.scale):.2f} % {way}, as the LiDAR's ranges "
+            "are: expected errors leave that out.",
+            "Calibrate the scale of the LiDAR's ranges, or scale the map.",
+        )
+
+
 def _truth(figures: Figures) -> Iterator[Reason]:
     for what in dict.fromkeys(one.what for one in figures.truth):
         mine = [one for one in figures.truth if one.what == what]
-        broken = [(one, one.promised) for one in mine if one.promised is not None]
-        broken = [(one, promised) for one, promised in broken if one.error > _PROMISE_KEPT * promised]
+        broken = [(one, one.promised) for one in mine if one.promised is not None and one.broken]
         if broken:
             listed = " and ".join(
                 f"{_amount(one.error, one.unit)} (expected: {_amount(promised, one.unit)})"
@@ -347,6 +372,7 @@ def _amount(value: float, unit: str) -> str:
 _RULES: tuple[Callable[[Figures], Iterator[Reason]], ...] = (
     _rejected,
     _truth,
+    _scale,
     _alarms,
     _ranges,
     _registered,

@@ -97,6 +97,7 @@ def figures(facts: Facts) -> Figures:
         ssim=_lost_ssim(facts.get("evaluation") or {}),
         thickness=(planes["thickness_before_m"], planes["thickness_after_m"]) if planes else None,
         truth=tuple(_truth(facts.get("reference") or {})),
+        scale=((facts.get("reference") or {}).get("lidar") or {}).get("scale"),
     )
 
 
@@ -152,19 +153,29 @@ def _truth(reference: Facts) -> list[Truth]:
         if error.get("ate_m") is None:
             continue
         truths += [
-            Truth(what, "m", error["ate_m"], rough.get("ate_m"), error.get("predicted_ate_m")),
             Truth(
-                what,
-                "degrees",
-                error["rotation_deg"],
-                rough.get("rotation_deg"),
-                error.get("predicted_rotation_deg"),
+                what=what,
+                unit="m",
+                error=error["ate_m"],
+                rough=rough.get("ate_m"),
+                promised=error.get("predicted_ate_m"),
+                scaled=error.get("scaled_ate_m"),
+            ),
+            Truth(
+                what=what,
+                unit="degrees",
+                error=error["rotation_deg"],
+                rough=rough.get("rotation_deg"),
+                promised=error.get("predicted_rotation_deg"),
             ),
         ]
     return truths
 
 
-_FRAME = "relative to the trajectory's own frame (after one rigid alignment)"
+_FRAME = (
+    "relative to the trajectory's own frame (after one rigid alignment) and in the scale of the LiDAR's ranges, "
+    "which nothing in a recording tells"
+)
 
 
 def summary(judged: Verdict, expected: Facts, truth: Sequence[Truth] = ()) -> str:

@@ -97,3 +97,19 @@ def test_exposures_of_a_power_of_the_light_are_right_after_it():
     nees = uncertainty.of_exposures(TIMES, noisy, sigma, TIMES, exact)
     assert nees["nees"] > 50
     assert 0.3 < nees["nees_after_power"] < 2
+
+
+def test_a_common_scale_is_told_apart_from_other_errors():
+    """A map that is 1 % too large, about the origin; and one that is bent."""
+    larger = [np.array(poses) for poses in (SCANS, CAMERAS)]
+    for poses in larger:
+        poses[:, :3, 3] *= 1.01
+    facts = reference.compare(truth(), Trajectory(TIMES, larger[0]), Trajectory(TIMES + 0.5, larger[1]))
+    assert facts["lidar"]["scale"] == pytest.approx(1 / 1.01)
+    for part in ("lidar", "camera"):
+        assert facts[part]["ate_m"] > 1e-3
+        assert facts[part]["scaled_ate_m"] == pytest.approx(0.0, abs=1e-9)
+    bent = np.array(SCANS)
+    bent[: len(bent) // 2, 2, 3] += 0.1
+    facts = reference.compare(truth(), Trajectory(TIMES, bent), Trajectory(TIMES + 0.5, CAMERAS))
+    assert facts["lidar"]["scaled_ate_m"] > 0.5 * facts["lidar"]["ate_m"]

@@ -9,6 +9,12 @@ from lvba.products import lengths
 from lvba.steps import verdict, verdict_data
 from lvba.steps.verdict import Figures, Judged, Truth
 
+
+def scaled(what, error, rough, promised, after):
+    """An error in position, and what is left after one common factor."""
+    return Truth(what=what, unit="m", error=error, rough=rough, promised=promised, scaled=after)
+
+
 USED, NOT_USED = Judged(True, "accepted"), Judged(False, "not crisper")
 CLEAN = Figures(
     scans=100, images=100, scan_poses=USED, camera_poses=USED, exposures=USED, scans_with_cameras=USED,
@@ -59,6 +65,9 @@ KEPT = (Truth("scans", "m", 0.001, 0.07, 0.0009), Truth("cameras", "degrees", 0.
         ({"images": 9}, "check", False),
         ({"truth": KEPT}, "good", False),
         ({"truth": (Truth("scans", "m", 0.03, 0.09, 0.0095),)}, "check", True),
+        ({"truth": (scaled("scans", 0.03, 0.09, 0.001, 0.002),), "scale": 0.998}, "check", False),
+        ({"truth": (scaled("scans", 0.002, 0.09, 0.001, 0.001),), "scale": 0.998}, "good", False),
+        ({"truth": (scaled("scans", 0.03, 0.09, 0.001, 0.004),), "scale": 0.998}, "check", True),
         ({"truth": (Truth("cameras", "degrees", 0.2, 0.18, 0.1),)}, "check", False),
         ({"truth": (Truth("cameras", "m", 0.04, 0.03, 0.05),)}, "check", False),
         ({"truth": (Truth("cameras", "m", 0.04, 0.03, 0.02),)}, "bad", False),
