@@ -32,14 +32,16 @@ def cores(count: int) -> list[tuple[int, int]]:
 
 def probes(dataset: Dataset) -> list["Window"]:
     """Few scans about some places of a recording."""
-    return [Window.probe(dataset, place) for place in (np.arange(SAMPLED) + 1) / (SAMPLED + 1)]
+    places = (np.arange(SAMPLED) + 1) / (SAMPLED + 1)
+    numbers = [_about(dataset, place) for place in places]
+    return _windows(dataset, [(each, slice(0, len(each))) for each in numbers], _PROBE_POINTS)
 
 
 def sampled(dataset: Dataset) -> list["Window"]:
     """Some of the windows that share all scans."""
     every = cores(len(dataset.scan_paths))
     chosen = np.unique(np.linspace(0, len(every) - 1, SAMPLED + 2)[1:-1].astype(int))
-    return [Window.of(dataset, every[number]) for number in chosen]
+    return _windows(dataset, [_with_margin(dataset, every[number]) for number in chosen], _MOST_POINTS)
 
 
 @dataclass(frozen=True)
@@ -53,19 +55,7 @@ class Window:
     @staticmethod
     def of(dataset: Dataset, core: tuple[int, int]) -> "Window":
         """Successive scans with a margin on either side."""
-        numbers = np.arange(max(core[0] - _MARGIN, 0), min(core[1] + _MARGIN, len(dataset.scan_paths)))
-        inside = slice(core[0] - int(numbers[0]), core[1] - int(numbers[0]))
-        return Window(numbers, inside, _thinned(dataset, numbers, _MOST_POINTS))
-
-    @staticmethod
-    def probe(dataset: Dataset, place: float) -> "Window":
-        """Few scans about a place, 0 to 1, of the recording."""
-        count = len(dataset.scan_paths)
-        interval = float(np.median(np.diff(dataset.scans.times))) if count > 1 else _PROBE_STEP_S
-        step = int(np.clip(round(_PROBE_STEP_S / max(interval, 1e-3)), 1, max(1, count // _PROBE)))
-        first = round(place * max(count - _PROBE * step, 0))
-        numbers = np.arange(first, min(first + _PROBE * step, count), step)
-        return Window(numbers, slice(0, len(numbers)), _thinned(dataset, numbers, _PROBE_POINTS))
+        return _windows(dataset, [_with_margin(dataset, core)], _MOST_POINTS)[0]
 
     def corrected(self, ranges: RangeErrors | None) -> "Window":
         """The window with its points where they belong."""
@@ -91,7 +81,29 @@ class Window:
         return np.asarray(dataset.scans.world_from_sensor[self.numbers])
 
 
-def _thinned(dataset: Dataset, numbers: np.ndarray, most: int) -> list[Scan]:
+def _with_margin(dataset: Dataset, core: tuple[int, int]) -> tuple[np.ndarray, slice]:
+    """Numbers of the scans of a window, and of these the core."""
+    numbers = np.arange(max(core[0] - _MARGIN, 0), min(core[1] + _MARGIN, len(dataset.scan_paths)))
+    return numbers, slice(core[0] - int(numbers[0]), core[1] - int(numbers[0]))
+
+
+def _about(dataset: Dataset, place: float) -> np.ndarray:
+    """Numbers of few scans about a place, 0 to 1, of the recording."""
+    count = len(dataset.scan_paths)
+    interval = float(np.median(np.diff(dataset.scans.times))) if count > 1 else _PROBE_STEP_S
+    step = int(np.clip(round(_PROBE_STEP_S / max(interval, 1e-3)), 1, max(1, count // _PROBE)))
+    first = round(place * max(count - _PROBE * step, 0))
+    return np.arange(first, min(first + _PROBE * step, count), step)
+
+
+def _windows(dataset: Dataset, parts: list[tuple[np.ndarray, slice]], most: int) -> list[Window]:
+    """Windows of such numbers and cores; a scan that several have is read once."""
+    numbers = np.unique(np.concatenate([each for each, _ in parts])).tolist()
+    scans = dict(zip(numbers, _thinned(dataset, numbers, most), strict=True))
+    return [Window(each, core, [scans[number] for number in each.tolist()]) for each, core in parts]
+
+
+def _thinned(dataset: Dataset, numbers: list[int], most: int) -> list[Scan]:
     """Some scans with so many points at most."""
 
     def load(number: int) -> Scan:
@@ -101,4 +113,4 @@ def _thinned(dataset: Dataset, numbers: np.ndarray, most: int) -> list[Scan]:
         kept = np.sort(np.random.default_rng(number).permutation(len(scan))[:most])
         return Scan(scan.points[kept], None, None if scan.time is None else scan.time[kept])
 
-    return list(in_order(load, [int(number) for number in numbers]))
+    return list(in_order(load, numbers))

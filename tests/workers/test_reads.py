@@ -16,9 +16,9 @@ from lvba.pipeline import Config
 from workers import local
 from workers.store import ZarrStore
 
-MOST_SCANS, MOST_IMAGES = 5, 2
-"""Of a scan: what memory it takes (4 of all), survey (16 of all), errors of the sensor (28 of all, some
-twice where there are few), all else. Of an image: for poses, in color."""
+MOST_SCANS, MOST_IMAGES = 4, 2
+"""Of a scan: what memory it takes (4 of all), survey (16 of all), errors of the sensor (28 of all), all else. Of an
+image: for poses, in color."""
 
 
 @pytest.fixture(scope="module")
