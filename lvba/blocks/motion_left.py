@@ -32,8 +32,8 @@ _log = logging.getLogger(__name__)
 _ROUNDS = 5
 _SETTLED = 2e-3
 """Rounds end when the part changes by less."""
-_SURE = 4.0
-"""Standard deviations above which a part is corrected."""
+_SUSPECT, _SURE = 2.0, 4.0
+"""Standard deviations above which a part is looked at closer, and is corrected."""
 _LEAST = 0.01
 """And at least so much: less moves scans by less than their noise."""
 _MOST = 1.3
@@ -95,10 +95,8 @@ class _Measurement:
         probes = [each.corrected(self.ranges) for each in probes]
         evidence, _ = self._of_windows(probes, 0.0, None)
         change, sigma = float(evidence.change[0]), float(evidence.sigma[0])
-        if not abs(change) >= max(_LEAST, _SURE * sigma):
-            known = bool(np.isfinite(sigma))
-            part = round(change, 6) if known else None
-            return MotionLeft(self.clock, part, sigma if known else None, np.zeros((0, 6)))
+        if not abs(change) >= max(_LEAST, _SUSPECT * sigma):
+            return self._nothing(change, sigma)
         sampled = [each.corrected(self.ranges) for each in scan_windows.sampled(self.dataset)]
         part, twists, changes = change, None, [change]
         for turn in range(_ROUNDS):
@@ -110,6 +108,13 @@ class _Measurement:
                 break
         return self._judged(
             part, float(evidence.sigma[0]), changes, scan_windows.cores(len(self.dataset.scan_paths))
+        )
+
+    def _nothing(self, part: float, sigma: float) -> MotionLeft:
+        """Of a part that may be chance."""
+        known = bool(np.isfinite(sigma))
+        return MotionLeft(
+            self.clock, round(part, 6) if known else None, sigma if known else None, np.zeros((0, 6))
         )
 
     def _of_windows(
@@ -125,6 +130,8 @@ class _Measurement:
     def _judged(
         self, part: float, sigma: float, changes: list[float], windows: list[tuple[int, int]]
     ) -> MotionLeft:
+        if np.isfinite(sigma) and not abs(part) >= max(_LEAST, _SURE * sigma):
+            return self._nothing(part, sigma)
         if not np.isfinite(sigma) or abs(part) > _MOST or abs(changes[-1]) > _FALLS * abs(changes[0]):
             problem = "no motion of the sensor explains what is left"
             return MotionLeft(self.clock, round(part, 6), None, np.zeros((0, 6)), problem)

@@ -163,6 +163,10 @@ _SURE = 3.0
 """Standard deviations by which what is left must get less on planes that a motion was not found by."""
 
 
+_USUAL = 3.0
+"""Times the median that one scan counts at most: else one alone would decide for all."""
+
+
 def most_likely(known: Deviations) -> np.ndarray:
     """(S, 6): deviations of all scans, drawn towards zero as far as chance explains them.
 
@@ -178,14 +182,16 @@ def most_likely(known: Deviations) -> np.ndarray:
 
 
 def _held_out(known: Deviations, factor: float) -> tuple[float, float]:
-    """By how much half the sum of squares on either half of the planes falls by what the other half tells, and its
-    standard error over the scans. factor: by which information is too large"""
+    """By how much half the sum of squares on either half of the planes falls by what the other half tells, over all scans,
+    and its standard error. factor: by which information is too large"""
     falls = np.zeros(known.gradient.shape[1])
     for told, judge in ((1, 2), (2, 1)):
         motion = _drawn_to_zero(known.information[told] / factor, known.gradient[told] / factor)
         falls += np.einsum("si,si->s", known.gradient[judge], motion)
         falls -= 0.5 * np.einsum("si,sij,sj->s", motion, known.information[judge], motion)
-    return float(falls.sum()), float(np.sqrt(np.sum(falls**2)))
+    most = _USUAL * np.median(np.abs(falls))
+    usual = np.clip(falls, -most, most)
+    return float(usual.sum()), float(np.sqrt(np.sum(usual**2)))
 
 
 def _drawn_to_zero(information: np.ndarray, gradient: Tangents) -> np.ndarray:

@@ -1,5 +1,6 @@
 """The motion left in the scans of a recording: found, taken out, and left alone where there is none."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -11,13 +12,17 @@ from lvba.io import reference
 from lvba.io.dataset import open_dataset
 from lvba.lidar import bundle_adjustment
 from lvba.lidar.config import LidarConfig
+from lvba.lidar.row_times import RowClock
 from lvba.lidar.scan_errors import ScanErrors
+from lvba.lidar.scan_motion import MotionLeft
 from lvba.simulate.disturbances import Disturbances
 from lvba.simulate.simulation import simulate
+from lvba.steps import report_data
 from lvba.trajectory import pose_error
 
 SMALL = {"frames": 2, "scans": 36, "seed": 5, "width": 64, "height": 48, "points_per_scan": 4000}
 LEFT = 0.4
+READOUT = 0.03
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +52,9 @@ def errors_of(dataset):
 
 def error_m(dataset, points):
     """Of refined scan poses."""
-    found = bundle_adjustment.refine(points, dataset.scans.world_from_sensor)
+    found = bundle_adjustment.refine(
+        points, dataset.scans.world_from_sensor, sensor_position=dataset.sensor_position_scan
+    )
     truth = reference.read_reference(f"{dataset.root}/reference").scans.world_from_sensor
     return pose_error(found.world_from_scan, truth).ate_m
 
@@ -103,10 +110,7 @@ def test_times_of_chance_correct_nothing(recording, monkeypatch):
 
 def test_constant_times_say_nothing_and_long_ones_are_told(recording, monkeypatch):
     with_times(monkeypatch, lambda times, stamp: np.full(len(times), stamp))
-    constant = measured(recording["left"])
-    assert constant is not None
-    assert constant.part is None
-    assert not constant.problem
+    assert measured(recording["left"]) is None
     monkeypatch.undo()
     with_times(monkeypatch, lambda times, stamp: 70 * (times - stamp))
     long = measured(recording["left"])
@@ -132,3 +136,42 @@ def test_a_scan_of_another_part_is_moved_as_well(recording, found):
     few = decoded.decode_scans(dataset, (0, 3), ScanErrors(None, found))
     reader = decoded.ScanReader([((0, 3), lambda: few)], whole=dataset)
     np.testing.assert_array_equal(reader(5), whole.points[whole.offsets[5] :][: len(reader(5))])
+
+
+@pytest.fixture(scope="module")
+def depth_camera(tmp_path_factory):
+    """A depth camera that reads its rows one after another, and one that reads them at once."""
+    root = tmp_path_factory.mktemp("rows")
+    for name, readout in (("at_once", 0.0), ("rows", READOUT)):
+        simulate(
+            "rooms",
+            root / name,
+            lidar="depth_camera",
+            disturb=Disturbances(depth_readout=readout),
+            **SMALL | {"scans": 48},
+        )
+    return {name: open_dataset(root / name) for name in ("at_once", "rows")}
+
+
+def test_rows_of_a_depth_camera_are_put_where_they_belong(depth_camera):
+    dataset = depth_camera["rows"]
+    motion = scan_errors.measure(dataset, LidarConfig()).motion
+    assert isinstance(motion.clock, RowClock)
+    assert motion.corrected
+    assert motion.sweep == pytest.approx(READOUT, abs=5 * motion.sigma * motion.clock.sweep + 1e-3)
+    given = MotionLeft.of_facts(json.loads(json.dumps(report_data.plain(motion))))
+    np.testing.assert_array_equal(given.clock.down, motion.clock.down)
+    errors = ScanErrors(None, given)
+    piece = decoded.decode_scans(dataset, (0, 48), errors)
+    points = [piece.points[a:b] for a, b in zip(piece.offsets[:-1], piece.offsets[1:], strict=True)]
+    best = error_m(depth_camera["at_once"], recordings.load_scans(depth_camera["at_once"]))
+    before, after = error_m(dataset, recordings.load_scans(dataset)), error_m(dataset, points)
+    assert before > 2 * best
+    assert after < 1.5 * best
+
+
+def test_a_depth_camera_that_reads_rows_at_once_keeps_its_points(depth_camera):
+    motion = scan_errors.measure(depth_camera["at_once"], LidarConfig()).motion
+    assert motion is not None
+    assert not motion.corrected
+    assert abs(motion.part) < 5 * motion.sigma

@@ -41,6 +41,7 @@ CHANGES = {
     "elevation_bias": {SCANS},
     "depth_distortion": {SCANS},
     "motion_left": {SCANS},
+    "depth_readout": {SCANS},
     "foliage": {SCANS},
     "mirrors": {SCANS},
     "rain": {SCANS},
