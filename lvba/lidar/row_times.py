@@ -39,7 +39,7 @@ class RowClock:
     down: np.ndarray
     first: float
     last: float
-    sweep: float = _NOMINAL_S
+    sweep: float
 
     @property
     def begin(self) -> float:
@@ -75,7 +75,14 @@ def find_rows(scans: Sequence[np.ndarray], beams: Beams, axes: np.ndarray) -> Ro
         down = np.sign(along[nearest]) * axes[:, nearest]
     rows = np.concatenate([_tangents(each, beams.position, beams.axis) @ down for each in scans])
     first, last = (float(each) for each in np.quantile(rows, [_OUTLIERS, 1 - _OUTLIERS]))
-    return RowClock(beams.position, beams.axis, np.asarray(down), first, last)
+    return RowClock(
+        position=beams.position,
+        ahead=beams.axis,
+        down=np.asarray(down),
+        first=first,
+        last=last,
+        sweep=_NOMINAL_S,
+    )
 
 
 def _tangents(points: Vectors, position: Vector, ahead: Vector) -> np.ndarray:

@@ -182,11 +182,11 @@ def most_likely(known: Deviations) -> np.ndarray:
 
 
 def _held_out(known: Deviations, factor: float) -> tuple[float, float]:
-    """By how much half the sum of squares on either half of the planes falls by what the other half tells, over all scans,
-    and its standard error. factor: by which information is too large"""
+    """By how much half the sum of squares on either half of the planes falls by what the other half tells, over all
+    scans, and its standard error. factor: by which information is too large"""
     falls = np.zeros(known.gradient.shape[1])
-    for told, judge in ((1, 2), (2, 1)):
-        motion = _drawn_to_zero(known.information[told] / factor, known.gradient[told] / factor)
+    for source, judge in ((1, 2), (2, 1)):
+        motion = _drawn_to_zero(known.information[source] / factor, known.gradient[source] / factor)
         falls += np.einsum("si,si->s", known.gradient[judge], motion)
         falls -= 0.5 * np.einsum("si,sij,sj->s", motion, known.information[judge], motion)
     most = _USUAL * np.median(np.abs(falls))

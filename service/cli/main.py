@@ -215,12 +215,8 @@ def _add_simulate(commands: "argparse._SubParsersAction[Parser]") -> None:
     simulate.add_argument("--seed", type=int, default=0, metavar="S", help="of all randomness (default: 0)")
     levels = ["easy", "medium", "hard"]
     simulate.add_argument("--difficulty", choices=levels, default="medium", help="of the drift")
-    simulate.add_argument(
-        "--lidar",
-        choices=["spinning", "non_repetitive", "depth_camera"],
-        default="spinning",
-        help="its scan pattern",
-    )
+    patterns = ["spinning", "non_repetitive", "depth_camera"]
+    simulate.add_argument("--lidar", choices=patterns, default="spinning", help="its scan pattern")
     simulate.add_argument("--scans", type=int, metavar="N", help="scans (default: as many as images)")
     simulate.add_argument(
         "--points", type=int, default=30_000, metavar="N", help="beams of a scan (default: 30000)"

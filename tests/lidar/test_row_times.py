@@ -23,8 +23,8 @@ def scans(pattern="depth_camera", count=5000, holes=0.2):
     return made
 
 
-def clock_of(points, axes, position=np.zeros(3)):
-    return row_times.find_rows(points, Beams.of(points, position, axes), axes)
+def clock_of(points, axes, position=(0.0, 0.0, 0.0)):
+    return row_times.find_rows(points, Beams.of(points, np.array(position), axes), axes)
 
 
 @pytest.mark.parametrize("turn", [[0, 0, 0], [-np.pi / 2, 0, -np.pi / 2], [0.3, -0.2, 0.5], [0, 0, np.pi]])
