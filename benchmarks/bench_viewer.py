@@ -65,10 +65,10 @@ def blocks(count: int, seed: int = 0) -> dict[str, np.ndarray]:
     """Columns of a map of `count` points: (count,) each."""
     rng = np.random.default_rng(seed)
     walls = 4 * _HOUSE * _HEIGHT
-    share = walls / (walls + _BLOCK**2)
+    fraction = walls / (walls + _BLOCK**2)
     side = int(np.ceil(np.sqrt(count * _SPACING**2 / (walls + _BLOCK**2))))
     corner = rng.integers(0, side, (count, 2)).astype(np.float32) * np.float32(_BLOCK)
-    on_wall = rng.random(count) < share
+    on_wall = rng.random(count) < fraction
     along = rng.random(count).astype(np.float32)
     face = rng.integers(0, 4, count)
     flat = rng.random((count, 2)).astype(np.float32) * np.float32(_BLOCK)

@@ -4,7 +4,7 @@
     python benchmarks/results.py simulated --seeds 101 102 103
     python benchmarks/results.py ablations --seeds 101
     python benchmarks/results.py disturbed --seeds 201 --scenes courtyard --levels typical severe
-    python benchmarks/results.py weak                         bare plane and corridor
+    python benchmarks/results.py degenerate                   bare plane and corridor
     python benchmarks/results.py colors                       colors of the map
     python benchmarks/results.py write                        docs/results.md from docs/results.json
 
@@ -259,15 +259,15 @@ def _without_truth(report: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def weak(work: Path) -> None:
+def degenerate(work: Path) -> None:
     for scene in ("plane", "corridor"):
         dataset = work / scene
         simulate(scene, dataset, seed=101)
         report = run_lvba(dataset, work / f"{scene}_out", [], dataset / "reference")
         row = figures(report)
         for part in ("lidar", "visual"):
-            row[f"{part}_weak_directions"] = report.get(part, {}).get("weak_directions")
-        save("weak directions", scene, row)
+            row[f"{part}_degenerate_directions"] = report.get(part, {}).get("degenerate_directions")
+        save("degenerate directions", scene, row)
 
 
 def colors(work: Path) -> None:
@@ -296,7 +296,8 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "table", choices=["recordings", "simulated", "ablations", "disturbed", "weak", "colors", "write"]
+        "table",
+        choices=["recordings", "simulated", "ablations", "disturbed", "degenerate", "colors", "write"],
     )
     parser.add_argument("--data", type=Path, help="folder of the real recordings")
     parser.add_argument("--seeds", type=int, nargs="+", default=[101, 102, 103])
@@ -321,8 +322,8 @@ def main() -> None:
             ablations(arguments.seeds, arguments.scenes, work)
         elif arguments.table == "disturbed":
             disturbed(arguments.seeds, arguments.scenes, arguments.levels, arguments.frames, work)
-        elif arguments.table == "weak":
-            weak(work)
+        elif arguments.table == "degenerate":
+            degenerate(work)
         elif arguments.table == "colors":
             colors(work)
     from results_table import markdown

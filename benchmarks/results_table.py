@@ -68,7 +68,7 @@ color of the floor it stands on, in percent of the colored ones: all, those up t
 within 5 cm of an upright or upper edge; and points of the floor within 0.3 m of it that carry the cabinet's. Error: mean
 absolute difference from the true color, gray values (0..255), over all colored points. Range noise is 20 mm.
 """,
-    "weak directions": """## Weak directions
+    "degenerate directions": """## Degenerate directions
 
 Scenes that leave motions undetermined: what is reported, and the errors of input and result.
 """,
@@ -173,8 +173,8 @@ def _broken(reference: Row) -> bool:
     )
 
 
-def _weak(name: str, row: Row) -> list[str]:
-    described = [_describe(row.get(f"{part}_weak_directions")) for part in ("lidar", "visual")]
+def _degenerate(name: str, row: Row) -> list[str]:
+    described = [_describe(row.get(f"{part}_degenerate_directions")) for part in ("lidar", "visual")]
     rough: Row = (row.get("reference") or {}).get("rough") or {}
     moved = [
         number(rough, part, "ate_m", scale=1e3, digits=1)
@@ -185,11 +185,11 @@ def _weak(name: str, row: Row) -> list[str]:
     return [name, *described, *moved]
 
 
-def _describe(weak: Any) -> str:
-    if isinstance(weak, list):
-        return f"{len(weak)} of all scans together"
-    if isinstance(weak, dict) and weak.get("per_image"):
-        return f"{min(weak['per_image'])} to {max(weak['per_image'])} per image"
+def _describe(directions: Any) -> str:
+    if isinstance(directions, list):
+        return f"{len(directions)} of all scans together"
+    if isinstance(directions, dict) and directions.get("per_image"):
+        return f"{min(directions['per_image'])} to {max(directions['per_image'])} per image"
     return "-"
 
 
@@ -370,9 +370,9 @@ COLUMNS: dict[str, tuple[list[str], Callable[[str, Row], list[str]]]] = {
         ],
         _colors,
     ),
-    "weak directions": (
-        ["scene", "weak in the LiDAR part", "weak in the visual part", "scans mm", "cameras mm"],
-        _weak,
+    "degenerate directions": (
+        ["scene", "degenerate in the LiDAR part", "degenerate in the visual part", "scans mm", "cameras mm"],
+        _degenerate,
     ),
 }
 

@@ -23,10 +23,10 @@ KINDS: dict[str, tuple[int, str, str]] = {
     "too-slow": (
         408,
         "The request did not come in time",
-        "send it again; an upload goes on from Upload-Offset",
+        "send it again; an upload continues from Upload-Offset",
     ),
     "conflict": (409, "Not in this state", "look at its state first"),
-    "offset-mismatch": (409, "The bytes do not begin where the server's end", "go on from Upload-Offset"),
+    "offset-mismatch": (409, "The bytes do not begin where the server's end", "continue from Upload-Offset"),
     "not-ready": (409, "There is no result yet", "wait for the state done"),
     "length-required": (411, "The length is needed", "send Content-Length"),
     "too-large": (413, "Too large", "send less, or ask who runs the server for more"),

@@ -61,6 +61,57 @@ def test_links_lead_to_files_and_headings_that_exist(page):
     assert broken == []
 
 
+CODE = {
+    path: path.read_text()
+    for package in ("lvba", "workers", "service")
+    for path in sorted((ROOT / package).rglob("*.py"))
+    if "node_modules" not in path.parts
+}
+CLASSES: dict[str, list[str]] = {}
+for source in CODE.values():
+    for each in re.findall(r"(?m)^class (\w+)", source):
+        CLASSES.setdefault(each, []).append(source)
+NOT_CODE = (".md", ".txt", ".json", ".yaml", ".ply", ".csv", ".html", ".toml")
+
+
+def missing(text: str) -> list[str]:
+    """Of the dotted names and files of code that a text quotes, those that are not there; x stands for any name."""
+    gone = []
+    for quoted in sorted(set(re.findall(r"`([A-Za-z_][\w./]*[./]\w+)(?:\(.*?\))?`", text))):
+        if quoted.endswith(".py") and "/" in quoted and not re.search(r"/(test_)?x(_\w+)?\.py$", quoted):
+            there = any((ROOT / base / quoted).exists() for base in ("", "lvba", "service", "tests"))
+        elif "/" in quoted or quoted.endswith((".py", *NOT_CODE)):
+            continue
+        else:
+            there = _is_named(quoted.removeprefix("lvba.").split("."))
+        gone += [] if there else [quoted]
+    return gone
+
+
+def _is_named(parts: list[str]) -> bool:
+    """Whether a module, package or class has all that follows; names of other packages are not looked at."""
+    first, *rest = parts
+    modules = {
+        path: source for path, source in CODE.items() if first in (path.stem, *path.relative_to(ROOT).parts)
+    }
+    sources = list(modules.values()) or CLASSES.get(first, [])
+    return not sources or all(
+        any(path.stem == part for path in modules)
+        or any(re.search(rf"\b{part}\b", source) for source in sources)
+        for part in rest
+    )
+
+
+@pytest.mark.parametrize("name", ["ARCHITECTURE.md", "CONTRIBUTING.md", "docs/method.md", "docs/evidence.md"])
+def test_names_of_code_in_a_text_are_in_the_code(name):
+    assert missing((ROOT / name).read_text()) == []
+
+
+def test_a_name_that_is_gone_is_noticed():
+    assert missing("`plan.Late`, `visual/weak.py`, `lidar.covariance.on_map`") != []
+    assert missing("`plan.LazyRef`, `visual/degeneracy.py`, `Border.hessian`, `optim.NormalEquations`") == []
+
+
 def test_the_readme_is_read_in_one_go():
     assert len((ROOT / "README.md").read_text().split()) <= MAX_WORDS
 

@@ -46,7 +46,7 @@ def quiet() -> None:
             logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
-def memory_share(processes: int) -> int:
+def memory_per_process(processes: int) -> int:
     """Bytes for each of so many worker processes on this machine (or within this container's limit)."""
     return int(MEMORY_LIMIT / processes)
 

@@ -26,7 +26,7 @@ def serve(address: str, security: Security, memory_bytes: int | None, say: Calla
     A worker that loses its scheduler ends; here a new one then waits for a scheduler to come back.
     """
     limits.configure()
-    asyncio.run(_serve(address, security, memory_bytes or limits.memory_share(1), say))
+    asyncio.run(_serve(address, security, memory_bytes or limits.memory_per_process(1), say))
 
 
 async def _serve(address: str, security: Security, memory_bytes: int, say: Callable[[str], None]) -> None:

@@ -1,4 +1,4 @@
-"""A share of one large LiDAR bundle adjustment: the cells of one region of space, seen by whatever scans see it.
+"""A block of one large LiDAR bundle adjustment: the cells of one region of space, seen by whatever scans see it.
 
 The cost is a sum over planes, a plane lies in one cell, and a cell belongs to one region: the normal equations of all
 regions add up to those of the whole recording. Points are read once and kept as clusters of the finest cells; rounds of
@@ -77,7 +77,7 @@ class BlockClusters:
 
 @dataclass(frozen=True)
 class BlockEquations:
-    """What one share says about the poses of its scans.
+    """What one block says about the poses of its scans.
 
     scans: (L,) as in `BlockClusters`; equations: over these, 6 unknowns each, local tangent
     information, noise_information: (L, 6, 6), of the planes about each scan, over sigma^2, world axes (see `degeneracy`)
@@ -113,7 +113,7 @@ def collect(
     grid_from_world: Pose,
     progress: Progress = silent,
 ) -> BlockClusters:
-    """The share of a part.
+    """The block of a part.
 
     load: numbers of scans -> their points (N, 3) float32, scan frame
     scans: those to look at; world_from_scan: (S, 4, 4) of the whole recording
@@ -139,7 +139,7 @@ def collect(
             )
         )
         pieces.append((key[mine], scan[mine], clusters.take(mine)))
-    return _share(pieces, scans, size, grid_from_world)
+    return _clusters(pieces, scans, size, grid_from_world)
 
 
 def _chunks(load: Callable[[list[int]], list[np.ndarray]], scans: np.ndarray) -> Iterator[tuple[int, Scans]]:
@@ -167,13 +167,13 @@ def _owned(
     return np.asarray((regions.of(middle) == part)[inverse])
 
 
-def _share(
+def _clusters(
     pieces: list[tuple[np.ndarray, np.ndarray, PointClusters]],
     scans: np.ndarray,
     size: float,
     grid_from_world: np.ndarray,
 ) -> BlockClusters:
-    """One share of what all chunks of scans brought, by cell and scan; scans without points in it are left out."""
+    """One block of what all chunks of scans brought, by cell and scan; scans without points in it are left out."""
     key = np.concatenate([np.zeros(0, np.int64), *(part[0] for part in pieces)])
     scan = np.concatenate([np.zeros(0, np.int32), *(part[1] for part in pieces)])
     order = np.lexsort((scan, key))
@@ -200,7 +200,7 @@ def _share(
 def linearize(
     clusters: BlockClusters, world_from_scan: Poses, sensor: Vector, stage: Stage
 ) -> BlockEquations:
-    """The planes of a share found at poses (S, 4, 4) of the whole recording, and their normal equations there.
+    """The planes of a block found at poses (S, 4, 4) of the whole recording, and their normal equations there.
 
     sensor: (3,), m, where the LiDAR is in the scan frame. Gauss-Newton, planes eliminated.
     """
@@ -247,9 +247,9 @@ def _no_equations(count: int) -> NormalEquations:
 
 
 def summed(blocks: Iterable[BlockEquations]) -> BlockEquations | None:
-    """What all shares say together, the planes' noise as of a typical point; None: there are none.
+    """What all blocks say together, the planes' noise as of a typical point; None: there are none.
 
-    Shares are asked for one after another and added up in pairs, then pairs of pairs: in a fixed order, few of them are
+    Blocks are asked for one after another and added up in pairs, then pairs of pairs: in a fixed order, few of them are
     in memory at a time, and each block is copied as often as the logarithm of their number.
     """
     sums: list[tuple[int, BlockEquations]] = []

@@ -1,7 +1,7 @@
-"""One LiDAR bundle adjustment over all parts of a recording: their shares add up, one sparse solve moves all scans.
+"""One LiDAR bundle adjustment over all parts of a recording: their blocks add up, one sparse solve moves all scans.
 
-The shares' normal equations are those of the whole recording, so this is its solution, not an approximation by parts; the
-memory of a share is that of its region, and no dense system is ever made.
+The blocks' normal equations are those of the whole recording, so this is its solution, not an approximation by parts; the
+memory of a block is that of its region, and no dense system is ever made.
 """
 
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ from lvba.optim.normal_equations import NormalEquations
 
 @dataclass(frozen=True)
 class JointRound:
-    """One association over all shares and the step that followed it.
+    """One association over all blocks and the step that followed it.
 
     cost: squared normalized residuals per point; moved: m, the furthest that a scan moved; refused: that it was to
     move, but did not
@@ -36,7 +36,7 @@ class JointRound:
     cost: float
     sigma: float
     moved: float
-    weak_scans: int
+    degenerate_scans: int
     refused: bool
 
 
@@ -66,7 +66,7 @@ def begin(rough: Poses, world_from_scan: Poses, config: LidarConfig) -> JointSta
 def step(
     state: JointState, whole: BlockEquations, number: int, stage: Stage, config: LidarConfig
 ) -> JointState:
-    """The state after one round: the sum of all shares, solved.
+    """The state after one round: the sum of all blocks, solved.
 
     number: of the stage. A state that stands still in this stage comes back as it is.
     """
@@ -85,7 +85,7 @@ def step(
         cost=cost,
         sigma=whole.sigma,
         moved=distance,
-        weak_scans=int(np.count_nonzero(directions.count)),
+        degenerate_scans=int(np.count_nonzero(directions.count)),
         refused=_grows(state, distance, number, stage),
     )
     if entry.refused:
@@ -114,7 +114,7 @@ def _grows(state: JointState, distance: float, number: int, stage: Stage) -> boo
 def assemble(
     state: JointState, block: BlockEquations, config: LidarConfig
 ) -> tuple[NormalEquations, DegenerateDirections]:
-    """The equations of the sum of all shares and of the prior, weak directions held at the odometry."""
+    """The equations of the sum of all blocks and of the prior, degenerate directions held at the odometry."""
     whole = lidar_block.over_all(block, len(state.world_from_scan))
     directions = degeneracy.judge(
         whole.information, whole.noise_information, state.world_from_scan, config.prior_sigmas

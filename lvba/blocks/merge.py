@@ -195,20 +195,20 @@ def _seam(first: int, second: int, earlier: np.ndarray, later: np.ndarray, merge
     """earlier, later, merged: (n, 4, 4), poses of the shared scans in either part and after merging."""
     earlier_from_later = trajectory.align(later, earlier)
     middle = later[:, :3, 3].mean(0)
-    jump = geometry.transform_points(earlier_from_later, middle[None])[0] - middle
-    apart = geometry.inverse(earlier) @ (earlier_from_later @ later)
-    left = [_step_differences(poses, merged) for poses in (earlier, later)]
+    offset = geometry.transform_points(earlier_from_later, middle[None])[0] - middle
+    residual = geometry.inverse(earlier) @ (earlier_from_later @ later)
+    offsets_after = [_step_differences(poses, merged) for poses in (earlier, later)]
     return Seam(
         first=first,
         second=second,
         scans=len(merged),
         length=float(np.linalg.norm(np.diff(merged[:, :3, 3], axis=0), axis=1).sum()),
-        offset_before_m=float(np.linalg.norm(jump)),
+        offset_before_m=float(np.linalg.norm(offset)),
         offset_before_deg=float(geometry.rotation_angle_deg(earlier_from_later)),
-        residual_m=float(np.sqrt(np.mean(np.sum(apart[:, :3, 3] ** 2, axis=1)))),
-        residual_deg=float(np.sqrt(np.mean(geometry.rotation_angle_deg(apart) ** 2))),
-        offset_after_m=max(meters for meters, _ in left),
-        offset_after_deg=max(degrees for _, degrees in left),
+        residual_m=float(np.sqrt(np.mean(np.sum(residual[:, :3, 3] ** 2, axis=1)))),
+        residual_deg=float(np.sqrt(np.mean(geometry.rotation_angle_deg(residual) ** 2))),
+        offset_after_m=max(meters for meters, _ in offsets_after),
+        offset_after_deg=max(degrees for _, degrees in offsets_after),
     )
 
 

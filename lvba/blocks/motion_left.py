@@ -30,7 +30,7 @@ from lvba.trajectory import Trajectory
 _log = logging.getLogger(__name__)
 
 _ROUNDS = 5
-_SETTLED = 2e-3
+_CONVERGED = 2e-3
 """Rounds end when the part changes by less."""
 _SUSPECT, _SURE = 2.0, 4.0
 """Standard deviations above which a part is looked at closer, and is corrected."""
@@ -104,7 +104,7 @@ class _Measurement:
             evidence, twists = self._of_windows(sampled, part, twists)
             changes.append(float(evidence.change[0]))
             part += changes[-1]
-            if abs(changes[-1]) < _SETTLED:
+            if abs(changes[-1]) < _CONVERGED:
                 break
         return self._judged(
             part, float(evidence.sigma[0]), changes, scan_windows.cores(len(self.dataset.scan_paths))

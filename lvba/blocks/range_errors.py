@@ -25,7 +25,7 @@ from lvba.progress import Progress, silent
 _log = logging.getLogger(__name__)
 
 _ROUNDS = 6
-_SETTLED = 0.03
+_CONVERGED = 0.03
 """Rounds end when no error changes by more than this part of itself."""
 _SUSPECT = 1e-2
 """How often the first look at a right sensor may ask for a closer one."""
@@ -69,9 +69,9 @@ class _Measurement:
         own = total.of(self.own)
         if not np.isfinite(own.covariance[: self.size, : self.size]).all():
             return RangeErrors(self.beams)
-        kept, _ = self._significant(*self._told(own), least, _SUSPECT)
+        kept, _ = self._significant(*self._estimate(own), least, _SUSPECT)
         if not kept.any() and total.chance(self.others) > _SUSPECT:
-            return self._errors(*self._told(own), kept)
+            return self._errors(*self._estimate(own), kept)
         return self._closer(scan_windows.sampled(self.dataset), least, together)
 
     def _closer(self, windows: list[Window], least: np.ndarray, points: np.ndarray) -> RangeErrors:
@@ -80,7 +80,7 @@ class _Measurement:
         for turn in range(_ROUNDS):
             self.progress("errors of ranges", turn, _ROUNDS)
             total = self._total(windows, errors)
-            change, covariance = self._told(total.of(self.own))
+            change, covariance = self._estimate(total.of(self.own))
             if not np.isfinite(covariance).all():
                 return replace(
                     RangeErrors(self.beams), problem="planes do not tell of them once they are corrected"
@@ -89,7 +89,7 @@ class _Measurement:
             last, errors = estimate - errors, estimate
             _log.info("errors of ranges: %s +- %s", errors, np.sqrt(np.diagonal(covariance)))
             first = first if turn else estimate
-            if (np.abs(last) <= _SETTLED * np.abs(errors)).all():
+            if (np.abs(last) <= _CONVERGED * np.abs(errors)).all():
                 break
         if (by_direction := self._by_direction(total, points)) > 0:
             none = self._errors(errors, covariance, kept & False)
@@ -115,7 +115,7 @@ class _Measurement:
         """Of the shared numbers, what else depends on the direction of a beam."""
         return slice(self.own.stop, self.own.stop + range_errors.HARMONICS)
 
-    def _told(self, own: Evidence) -> tuple[np.ndarray, np.ndarray]:
+    def _estimate(self, own: Evidence) -> tuple[np.ndarray, np.ndarray]:
         """The change (k,) of the errors, and its covariance (k, k)."""
         return own.change[: self.size], own.covariance[: self.size, : self.size]
 

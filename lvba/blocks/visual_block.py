@@ -1,7 +1,7 @@
-"""A share of one large visual bundle adjustment: the scene points of some images, and all images that see them.
+"""A block of one large visual bundle adjustment: the scene points of some images, and all images that see them.
 
 The photometric cost is a sum over scene points, and a scene point belongs to its reference image: the normal equations of
-all shares add up to those of the whole recording.
+all blocks add up to those of the whole recording.
 """
 
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ from lvba.visual.vignetting import PairPlaces
 
 @dataclass(frozen=True)
 class CameraPoints:
-    """The scene points of one share, fixed for all rounds.
+    """The scene points of one block, fixed for all rounds.
 
     images: (n,) int64, keyframes of the whole; points and observations number their images as in `images`
     sigma: (O,) standard deviation of the residuals of each observation, of 255
@@ -42,8 +42,8 @@ class CameraPoints:
 
 
 @dataclass(frozen=True)
-class CameraShare:
-    """What one share says about its images.
+class CameraBlock:
+    """What one block says about its images.
 
     images: (n,) int64, keyframes of the whole; equations: over these, 7 unknowns each
     points, observations: how many
@@ -106,31 +106,33 @@ def select_scene_points(
 def linearize(
     images: np.ndarray,
     camera: Camera,
-    laid: CameraPoints,
+    selected: CameraPoints,
     state: VisualState,
     known: Tuning,
     prior: Prior | None,
     raw: Camera,
     light: Radiometry,
     config: VisualConfig,
-) -> CameraShare:
-    """The photometric normal equations of the laid out points.
+) -> CameraBlock:
+    """The photometric normal equations of the selected points.
 
-    images: (n, H, W, C) uint8, the share's keyframes at full size; camera: theirs; state, prior: of these keyframes
+    images: (n, H, W, C) uint8, the block's keyframes at full size; camera: theirs; state, prior: of these keyframes
     raw: the camera of the images before they were undistorted; light: their radiometry
     """
     problem = photometric.prepare(
-        light.taken_out_of(images, raw, camera), camera, laid.points, laid.observations, config.patch,
-        offset_sigma=laid.offset_sigma, sigma=laid.sigma, variance_factor=known.variance_factor,
+        light.taken_out_of(images, raw, camera), camera, selected.points, selected.observations, config.patch,
+        offset_sigma=selected.offset_sigma, sigma=selected.sigma, variance_factor=known.variance_factor,
     )  # fmt: skip
     problem = _with_shifts(problem, raw, state, prior, config)
-    at = PhotometricState(state.cameras, np.zeros(len(laid.points)))
+    at = PhotometricState(state.cameras, np.zeros(len(selected.points)))
     linearization = photometric.linearize(problem, at)
-    if laid.offset_sigma is not None:
+    if selected.offset_sigma is not None:
         # the planes' offsets at these poses first: the equations hold about them
         at = photometric.retract(problem, at, linearization, Step(np.zeros((len(images), 7)), np.zeros(0)))
         linearization = photometric.linearize(problem, at)
-    return CameraShare(laid.images, linearization.equations, len(laid.points), len(laid.observations))
+    return CameraBlock(
+        selected.images, linearization.equations, len(selected.points), len(selected.observations)
+    )
 
 
 def _with_shifts(
@@ -154,7 +156,7 @@ def _of_points(
 
 
 def _of_core(ratios: exposure.Ratios, core: np.ndarray) -> exposure.Ratios:
-    """The ratios of patches that were laid out in core images."""
+    """The ratios of patches that were placed in core images."""
     mine = core[ratios.first]
     places = ratios.places
     if places is not None:

@@ -1,4 +1,4 @@
-"""One visual bundle adjustment over all parts of a recording: their shares add up, one sparse solve moves all cameras."""
+"""One visual bundle adjustment over all parts of a recording: their blocks add up, one sparse solve moves all cameras."""
 
 import functools
 import operator
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lvba import geometry
-from lvba.blocks.visual_block import CameraShare
+from lvba.blocks.visual_block import CameraBlock
 from lvba.optim import levenberg_marquardt, normal_equations
 from lvba.optim.normal_equations import NormalEquations
 from lvba.visual import exposure_graph, photometric, radiometry, trajectory_prior
@@ -18,8 +18,8 @@ from lvba.visual.states import VisualState
 from lvba.visual.trajectory_prior import Prior
 
 _FIRST_DAMPING = 1e-4
-_SETTLED_M = 1e-4
-_SETTLED_DEG = 1e-3
+_CONVERGED_M = 1e-4
+_CONVERGED_DEG = 1e-3
 
 
 @dataclass(frozen=True)
@@ -53,33 +53,22 @@ class JointCameras:
     history: tuple[JointCameraRound, ...] = ()
 
 
-def step(now: JointCameras, shares: Sequence[CameraShare]) -> JointCameras:
-    """After one round: shares and prior added up and solved."""
-    if now.converged or not shares:
+def step(now: JointCameras, blocks: Sequence[CameraBlock]) -> JointCameras:
+    """After one round: blocks and prior added up and solved."""
+    if now.converged or not blocks:
         return now
     count = len(now.state.cameras)
-    equations = total(shares, count)
-    observations = sum(each.observations for each in shares)
+    equations = total(blocks, count)
     joint = equations
     if now.prior is not None:
         joint = joint + trajectory_prior.linearize(now.prior, now.state)
-    cost = joint.cost / max(observations, 1)
-    points = sum(each.points for each in shares)
+    cost = joint.cost / max(sum(each.observations for each in blocks), 1)
     if levenberg_marquardt.cost_rises(cost, now.cost) and not now.history[-1].taken_back:
-        meters, degrees = _moved(now.before, now.state)
-        entry = JointCameraRound(
-            points=points,
-            observations=observations,
-            cost=cost,
-            moved_m=meters,
-            moved_deg=degrees,
-            taken_back=True,
-        )
         return replace(
             now,
             state=now.before,
             damping=levenberg_marquardt.raised(now.damping),
-            history=(*now.history, entry),
+            history=(*now.history, _round(blocks, cost, now.before, now.state, taken_back=True)),
         )
     free = _free(equations, now.prior is not None)
     change, damping = levenberg_marquardt.damped_step(joint, now.damping, free)
@@ -88,34 +77,40 @@ def step(now: JointCameras, shares: Sequence[CameraShare]) -> JointCameras:
     state = VisualState(
         photometric.moved(now.state.cameras, change.blocks), now.state.calibration.retract(change.shared)
     )
-    meters, degrees = _moved(now.state, state)
-    still = meters < _SETTLED_M and degrees < _SETTLED_DEG
-    entry = JointCameraRound(
-        points=points,
-        observations=observations,
-        cost=cost,
-        moved_m=meters,
-        moved_deg=degrees,
-        taken_back=False,
-    )
+    entry = _round(blocks, cost, now.state, state, taken_back=False)
     return replace(
         now,
         state=state,
         before=now.state,
         damping=levenberg_marquardt.eased(now.damping),
         cost=cost,
-        converged=still,
+        converged=entry.moved_m < _CONVERGED_M and entry.moved_deg < _CONVERGED_DEG,
         history=(*now.history, entry),
     )
 
 
-def total(blocks: Sequence[CameraShare], count: int) -> NormalEquations:
-    """The equations of all shares, in their order, over `count` keyframes."""
+def _round(
+    blocks: Sequence[CameraBlock], cost: float, before: VisualState, after: VisualState, taken_back: bool
+) -> JointCameraRound:
+    """The account of one round."""
+    moved_m, moved_deg = _moved(before, after)
+    return JointCameraRound(
+        points=sum(each.points for each in blocks),
+        observations=sum(each.observations for each in blocks),
+        cost=cost,
+        moved_m=moved_m,
+        moved_deg=moved_deg,
+        taken_back=taken_back,
+    )
+
+
+def total(blocks: Sequence[CameraBlock], count: int) -> NormalEquations:
+    """The equations of all blocks, in their order, over `count` keyframes."""
     return normal_equations.scattered([(each.images, each.equations) for each in blocks], count)
 
 
 def with_exposures(now: JointCameras, edges: Sequence[Edges]) -> JointCameras:
-    """The same cameras with exposures from the edges of all shares, where there are any."""
+    """The same cameras with exposures from the edges of all blocks, where there are any."""
     exposures = solve_exposures(edges, len(now.state.cameras))
     if exposures is None:
         return now
@@ -129,7 +124,7 @@ def with_exposures(now: JointCameras, edges: Sequence[Edges]) -> JointCameras:
 
 
 def solve_exposures(edges: Sequence[Edges], images: int) -> Exposures | None:
-    """The exposures of all images from the edges of all shares, with one radiometry; None: there are none."""
+    """The exposures of all images from the edges of all blocks, with one radiometry; None: there are none."""
     if not sum(len(each.mean) for each in edges):
         return None
     sums = [each.known for each in edges if each.known is not None]
@@ -140,7 +135,7 @@ def solve_exposures(edges: Sequence[Edges], images: int) -> Exposures | None:
         second=np.concatenate([each.second for each in edges]),
         mean=np.concatenate([each.supposing(light) for each in edges]),
         sigma=np.concatenate([each.sigma for each in edges]),
-        share=np.concatenate([each.share for each in edges]),
+        weight_fraction=np.concatenate([each.weight_fraction for each in edges]),
         pull=np.concatenate([each.pull for each in edges]),
         pairs=sum(each.pairs for each in edges),
         spread=float(np.median([each.spread for each in edges if len(each.mean)])),

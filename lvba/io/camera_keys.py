@@ -47,7 +47,7 @@ _COEFFICIENTS = (
 _LOOSE = ("type", "size", "resolution", "image_size")
 """Names that mean a camera's only in its own section."""
 _NESTED = ("projection_parameters", "distortion_parameters", "mirror_parameters")
-_TOLD = re.compile(
+_EXPLAINED = re.compile(
     r"(camera_|cam_)?(name|id|label|frame|frame_id|topic|fps|rate|hz|description|note|comment)|"
     r"(img|image)_topic|rostopic|T_.*|timeshift_.*|cam_overlaps|(rectification|projection)_matrix|R|P|"
     r"rmse.*|.*reproj.*|Rcl|Pcl|extrinsic_[TR]|image_poses|img_time_offset|exposure_time_init|"
@@ -149,7 +149,7 @@ def _meanings(path: Path, name: str, mapping: dict[str, Any], alone: bool) -> It
             yield from _listed(path, key, bare, value)
         elif (meaning := _canonical(key)) and not inner:
             yield key, meaning, value
-        elif not _TOLD.fullmatch(key) and _is_camera_s(key, alone and not inner):
+        elif not _EXPLAINED.fullmatch(key) and _is_camera_s(key, alone and not inner):
             raise _unknown(path, name if alone else "", key)
 
 

@@ -131,7 +131,7 @@ def linearize(
     from the solution.
     """
     scans, mean, center, vectors = len(poses), clusters.mean, fits.center, fits.eigenvectors
-    share = 1.0 if exact else 0.0
+    second = 1.0 if exact else 0.0
     gradient = np.zeros((scans, 6))
     diagonal = np.zeros((scans, 6, 6))
     columns = np.zeros((panels, 3, _WIDTH))
@@ -175,13 +175,13 @@ def linearize(
                 w[0, y + a] = scale * n * u0[a]
             for j in range(1, 3):
                 u, qj = vectors[f, j], q[j]
-                gap = fits.eigenvalues[f, j] - share * fits.eigenvalues[f, 0]
+                gap = fits.eigenvalues[f, j] - second * fits.eigenvalues[f, 0]
                 scale = np.sqrt(2.0 / (fits.total[f] * gap)) if gap > 0.0 else 0.0
-                w[j, x] = scale * (qj[1] * u0[2] - qj[2] * u0[1] + share * (q0[1] * u[2] - q0[2] * u[1]))
-                w[j, x + 1] = scale * (qj[2] * u0[0] - qj[0] * u0[2] + share * (q0[2] * u[0] - q0[0] * u[2]))
-                w[j, x + 2] = scale * (qj[0] * u0[1] - qj[1] * u0[0] + share * (q0[0] * u[1] - q0[1] * u[0]))
+                w[j, x] = scale * (qj[1] * u0[2] - qj[2] * u0[1] + second * (q0[1] * u[2] - q0[2] * u[1]))
+                w[j, x + 1] = scale * (qj[2] * u0[0] - qj[0] * u0[2] + second * (q0[2] * u[0] - q0[0] * u[2]))
+                w[j, x + 2] = scale * (qj[0] * u0[1] - qj[1] * u0[0] + second * (q0[0] * u[1] - q0[1] * u[0]))
                 for a in range(3):
-                    w[j, y + a] = scale * (ue[j] * u0[a] + share * ue[0] * u[a])
+                    w[j, y + a] = scale * (ue[j] * u0[a] + second * ue[0] * u[a])
             gradient[s, 0] += 2.0 * (q0[1] * u0[2] - q0[2] * u0[1])
             gradient[s, 1] += 2.0 * (q0[2] * u0[0] - q0[0] * u0[2])
             gradient[s, 2] += 2.0 * (q0[0] * u0[1] - q0[1] * u0[0])
@@ -200,11 +200,11 @@ def linearize(
             d[1, 1] += 2.0 * full[3]
             d[1, 2] += 2.0 * full[4]
             d[2, 2] += 2.0 * full[5]
-            along = 2.0 * share * (u0[0] * q0[0] + u0[1] * q0[1] + u0[2] * q0[2])
+            along = 2.0 * second * (u0[0] * q0[0] + u0[1] * q0[1] + u0[2] * q0[2])
             for a in range(3):
                 d[a, a] -= along
                 for c in range(a, 3):
-                    d[a, c] += 2.0 * b[a] * b[c] / n + share * (u0[a] * q0[c] + q0[a] * u0[c])
+                    d[a, c] += 2.0 * b[a] * b[c] / n + second * (u0[a] * q0[c] + q0[a] * u0[c])
                     d[3 + a, 3 + c] += 2.0 * n * u0[a] * u0[c]
                 for c in range(3):
                     d[a, 3 + c] += 2.0 * b[a] * u0[c]

@@ -138,21 +138,21 @@ def centers(
 def shared_information(
     sums: np.ndarray,
     weights: np.ndarray,
-    share: np.ndarray,
-    shares: int,
+    cluster: np.ndarray,
+    clusters: int,
     target: np.ndarray,
     point: np.ndarray,
     poses: np.ndarray,
     intrinsics: Intrinsics,
     patches: PlanePatches,
 ) -> np.ndarray:
-    """(shares, 6, 6) float64: what the observations of each share tell of an image's pose, over fixed planes.
+    """(clusters, 6, 6) float64: what the observations of each cluster tell of an image's pose, over fixed planes.
 
-    share: (O, 2) int64, which share an observation belongs to with its reference, and with its target
+    cluster: (O, 2) int64, which cluster an observation belongs to with its reference, and with its target
     target: (O,) int32, images; the rest as in `assemble`
     sums, weights, point, poses: as in `assemble`
     """
-    blocks = np.zeros((shares, 6, 6))
+    blocks = np.zeros((clusters, 6, 6))
     relative, offset, jacobian = np.empty((3, 3)), np.empty(3), np.empty((3, 15))
     for o in range(len(point)):
         if sums[o, COUNT] == 0.0:
@@ -163,7 +163,7 @@ def shared_information(
         w = weights[o]
         xx, xy, yy = w * sums[o, XX], w * sums[o, XY], w * sums[o, YY]
         for end in range(2):
-            block = blocks[share[o, end]]
+            block = blocks[cluster[o, end]]
             for i in range(6):
                 x, y = jacobian[0, 7 * end + i], jacobian[1, 7 * end + i]
                 to_x, to_y = xx * x + xy * y, xy * x + yy * y

@@ -43,8 +43,8 @@ def add_cluster(
     total = count[0] + other_count
     if other_count <= 0.0:
         return
-    share = other_count / total
-    lever = count[0] * share
+    fraction = other_count / total
+    lever = count[0] * fraction
     dx = other_mean[0] - mean[0]
     dy = other_mean[1] - mean[1]
     dz = other_mean[2] - mean[2]
@@ -54,9 +54,9 @@ def add_cluster(
     scatter[3] += other_scatter[3] + lever * dy * dy
     scatter[4] += other_scatter[4] + lever * dy * dz
     scatter[5] += other_scatter[5] + lever * dz * dz
-    mean[0] += share * dx
-    mean[1] += share * dy
-    mean[2] += share * dz
+    mean[0] += fraction * dx
+    mean[1] += fraction * dy
+    mean[2] += fraction * dz
     count[0] = total
 
 

@@ -4,7 +4,7 @@ Voxel map at the poses so far, planes in it, weights, a step of the poses; again
 first, until the poses stand still.
 Source: Liu, Liu and Zhang 2023 (BALM2) for the cost and its derivatives; Li et al., section II-B. Different from both:
 association in every round, surfaces kept apart by the side they are seen from, coarse planes refused where finer ones
-contradict them, weights from each plane's own noise, weak directions held at the odometry.
+contradict them, weights from each plane's own noise, degenerate directions held at the odometry.
 """
 
 import logging
@@ -42,7 +42,7 @@ class Round:
 
     planes, observations: how many; cost_before, cost_after: squared normalized residuals per point, same planes;
     sigma: m, typical distance of a point to its plane; moved: m, the furthest that a scan moved;
-    weak_scans: scans with a weak direction
+    degenerate_scans: scans with a degenerate direction
     """
 
     planes: int
@@ -52,7 +52,7 @@ class Round:
     sigma: float
     moved: float
     steps: int
-    weak_scans: int
+    degenerate_scans: int
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,8 @@ class LidarResult:
     variance_factor: actual over modeled variance of the planes' gradients; the covariances are multiplied by it
     cost_initial, cost_final: squared normalized residuals per point, of the last association's planes at the
         rough poses and at the refined ones
-    weak_directions: motions of all scans together that planes do not determine: kept at the odometry
-    weak_scans: (S,) int64, how many such directions each scan has
+    degenerate_directions: motions of all scans together that planes do not determine: kept at the odometry
+    degenerate_scans: (S,) int64, how many such directions each scan has
     odometry_dependence: (S - 1,) float64, of the motion to the next scan: its uncertainty with planes over that by the
         odometry alone, 0 to 1; (0,) where not known, in parts and with more than some hundred scans
     """
@@ -86,8 +86,8 @@ class LidarResult:
     cost_final: float
     iterations: int
     converged: bool
-    weak_directions: tuple[degeneracy.WeakDirection, ...]
-    weak_scans: np.ndarray
+    degenerate_directions: tuple[degeneracy.DegenerateDirection, ...]
+    degenerate_scans: np.ndarray
     odometry_dependence: np.ndarray
     warnings: tuple[str, ...]
 
@@ -134,8 +134,8 @@ def refine(
                 break
         prior = reestimated(prior, poses, directions.count == 0, config.prior_sigmas)
         done += stage.rounds
-    for turn in range(_DOUBTED_ROUNDS if _doubtful(directions, stage) else 0):
-        progress("weighing scans against the odometry", turn, _DOUBTED_ROUNDS)
+    for turn in range(_NOISE_ROUNDS if _may_have_drifted(directions, stage) else 0):
+        progress("weighing scans against the odometry", turn, _NOISE_ROUNDS)
         grid = None if grid is None or _stale(grid, poses, stage) else grid
         grid = grid or _grid(points, poses, stage)
         problem, directions = _associate(grid, poses, sensor, config, stage, prior)
@@ -160,8 +160,8 @@ def refine(
         cost_final=2.0 * problem.cost(poses) / _points(problem),
         iterations=sum(entry.steps for entry in history),
         converged=converged,
-        weak_directions=directions.common,
-        weak_scans=directions.count,
+        degenerate_directions=directions.common,
+        degenerate_scans=directions.count,
         odometry_dependence=covariance.odometry_dependence,
         warnings=_warnings(points, history[-1], stages, converged, problem)
         + _warnings_of_dependence(covariance.odometry_dependence, directions, problem.prior),
@@ -196,12 +196,12 @@ def _planes_of_stage(
     return surface.extract(points, grid, planes, weights, world_from_scan, sensor)
 
 
-_DOUBTED_ROUNDS = 6
-"""Associations in which planes count by what they say beyond noise: poses that noise led astray are back by then."""
+_NOISE_ROUNDS = 6
+"""Associations in which planes count by what they say beyond noise: poses that drifted on noise are back by then."""
 
 
-def _doubtful(directions: degeneracy.DegenerateDirections, stage: Stage) -> bool:
-    """Whether some scans are held so little that noise may have led them, and others with them, astray. Where all
+def _may_have_drifted(directions: degeneracy.DegenerateDirections, stage: Stage) -> bool:
+    """Whether some scans are held so little that they, and others with them, may have drifted on noise. Where all
     together are open in a direction, holding it says all there is to say."""
     return (
         stage.project_degenerate
@@ -243,7 +243,7 @@ def _associate(
     stage: Stage,
     prior: OdometryPrior,
 ) -> tuple[Problem, degeneracy.DegenerateDirections]:
-    """The planes at the poses so far, with weights and weak directions: a problem to solve."""
+    """The planes at the poses so far, with weights and degenerate directions: a problem to solve."""
     features = _planes(grid, poses, sensor, stage).features
     weights = observation_weights(features, poses, stage.systematic, stage.weight_passes)
     features = features.with_weight(weights.weight)
@@ -277,7 +277,7 @@ def _round(
         sigma=problem.sigma,
         moved=float(moved.max()),
         steps=solution.steps,
-        weak_scans=int(np.count_nonzero(directions.count)),
+        degenerate_scans=int(np.count_nonzero(directions.count)),
     )
 
 
@@ -299,9 +299,9 @@ def _warnings(
         warnings.append(
             f"{unseen} of {len(points)} scans see no plane that others see: they move with the odometry"
         )
-    if last.weak_scans:
+    if last.degenerate_scans:
         warnings.append(
-            f"planes leave directions of {last.weak_scans} of {len(points)} scans open: these stay at the odometry"
+            f"planes leave directions of {last.degenerate_scans} of {len(points)} scans open: these stay at the odometry"
         )
     single = len(stages) == 1 and stages[0].rounds == 1
     if not converged and not single:
@@ -319,15 +319,15 @@ _OUTLYING = 3.0
 _NAMED = 8
 
 
-def odometry_dependent_steps(odometry_dependence: np.ndarray, weak_scans: np.ndarray) -> np.ndarray:
+def odometry_dependent_steps(odometry_dependence: np.ndarray, degenerate_scans: np.ndarray) -> np.ndarray:
     """Indices (K,) int64 of motions between scans that depend on the odometry, though planes determine each scan.
 
-    odometry_dependence, weak_scans: as in `LidarResult`
-    odometry_dependence: (S - 1,) float64; weak_scans: (S,) integers
+    odometry_dependence, degenerate_scans: as in `LidarResult`
+    odometry_dependence: (S - 1,) float64; degenerate_scans: (S,) integers
     """
     if not len(odometry_dependence):
         return np.zeros(0, np.int64)
-    held = weak_scans == 0
+    held = degenerate_scans == 0
     dependent = (odometry_dependence > _DEPENDENT) & (
         odometry_dependence > _OUTLYING * np.median(odometry_dependence)
     )

@@ -31,7 +31,7 @@ class Stage:
     """Exact second derivatives instead of Gauss-Newton: fewer steps on fixed planes, but indefinite far from the
     solution, where Gauss-Newton takes over."""
     systematic: float = 0.1
-    """Largest disagreement of a scan with a plane that is taken for an error of the surface, and lowers the weight of
+    """Largest distance of a scan from a plane that is taken for an error of the surface, and lowers the weight of
     observations of many points, in standard deviations of a point; 0 to 10. Large while poses are rough."""
     project_degenerate: bool = True
     """Keep degenerate directions at the odometry."""

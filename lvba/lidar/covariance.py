@@ -31,7 +31,7 @@ class Covariance:
     step: (S - 1, 6, 6), of the motion from each scan to the next, in the later one's tangent
     variance_factor: actual over modeled variance of the gradients, at least 1
     odometry_dependence: (S - 1,), of the translation of each step: its standard deviation with planes over that by the
-        odometry alone, 0 to 1; none of more than MOST_DOUBTED scans
+        odometry alone, 0 to 1; none of more than MOST_NOISE_SCANS scans
     """
 
     marginal: np.ndarray
@@ -41,7 +41,7 @@ class Covariance:
     odometry_dependence: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
-MOST_DOUBTED = 400
+MOST_NOISE_SCANS = 400
 """Scans: the noise information about more of them together is not looked at, for it takes an eigenproblem of all."""
 
 
@@ -50,8 +50,8 @@ def estimate(problem: Problem, world_from_scan: Poses) -> Covariance:
     fits = fit(problem.features, world_from_scan)
     information = problem.linearize(world_from_scan, exact=False, fits=fits).dense()
     own = _blocks(information, 0)
-    doubted = problem.prior is not None and len(world_from_scan) <= MOST_DOUBTED
-    whole = information[6:, 6:] if doubted else None
+    with_noise = problem.prior is not None and len(world_from_scan) <= MOST_NOISE_SCANS
+    whole = information[6:, 6:] if with_noise else None
     inverse = _inverse(information[6:, 6:])
     del information
     # the mean, over all motions, of what the robust covariance would be relative to the plain one

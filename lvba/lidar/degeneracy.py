@@ -22,7 +22,7 @@ SIGNAL_TO_NOISE = 4.0
 
 
 @dataclass(frozen=True)
-class WeakDirection:
+class DegenerateDirection:
     """A motion of the scans as a whole that the planes hardly determine.
 
     direction: (6,) unit after division by the prior's sigmas, world axes about the sensor, [rotation | translation]
@@ -38,13 +38,13 @@ class DegenerateDirections:
     """What the planes leave open.
 
     projector: (S, 6, 6), local tangent: keeps of a motion what the planes determine
-    count: (S,) int64, weak directions of each scan
+    count: (S,) int64, degenerate directions of each scan
     common: those of all scans together
     """
 
     projector: np.ndarray
     count: np.ndarray
-    common: tuple[WeakDirection, ...]
+    common: tuple[DegenerateDirection, ...]
 
 
 def find(
@@ -54,7 +54,7 @@ def find(
     sigma: float,
     prior_sigmas: StepSigmas,
 ) -> DegenerateDirections:
-    """The weak directions at poses (S, 4, 4); prior_sigmas: (6,), rad and m, of the odometry from scan to scan."""
+    """The degenerate directions at poses (S, 4, 4); prior_sigmas: (6,), rad and m, of the odometry from scan to scan."""
     known, noise = information(features, fits, world_from_scan)
     return judge(known / sigma**2, noise / sigma**2, world_from_scan, prior_sigmas)
 
@@ -65,7 +65,7 @@ def judge(
     world_from_scan: Poses,
     prior_sigmas: StepSigmas,
 ) -> DegenerateDirections:
-    """The weak directions of the planes' information about each scan (S, 6, 6).
+    """The degenerate directions of the planes' information about each scan (S, 6, 6).
 
     information, noise_information: as `information` finds them, over the variance of a point; world_from_scan: (S, 4, 4);
     prior_sigmas: as in `find`
@@ -77,16 +77,16 @@ def judge(
     count = np.zeros(scans, np.int64)
     for index in range(scans):
         values, vectors = scipy.linalg.eigh(signal[index], noise[index], check_finite=False)
-        weak = vectors[:, values < 1.0]
-        count[index] = weak.shape[1]
+        open_motions = vectors[:, values < 1.0]
+        count[index] = open_motions.shape[1]
         if count[index]:
-            basis = np.linalg.qr(weak)[0]
+            basis = np.linalg.qr(open_motions)[0]
             inside = np.eye(6) - basis @ basis.T
             inside *= np.outer(prior_sigmas, 1.0 / prior_sigmas)
             projector[index] = geometry.turn_tangent(inside, world_from_scan[index, :3, :3].T)
     values, vectors = scipy.linalg.eigh(signal.mean(0), noise.mean(0), check_finite=False)
     common = tuple(
-        WeakDirection(vector / np.linalg.norm(vector), float(value))
+        DegenerateDirection(vector / np.linalg.norm(vector), float(value))
         for value, vector in zip(values, vectors.T, strict=True)
         if value < 1.0
     )

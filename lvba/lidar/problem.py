@@ -13,8 +13,8 @@ from lvba.optim.levenberg_marquardt import SolverConfig, levenberg_marquardt
 from lvba.optim.normal_equations import NormalEquations
 
 _COST_NOISE = 10.0
-"""A change of the cost that means nothing. Weak directions are held against what the planes' noise would have them do, so
-the cost of the planes may rise by about as much."""
+"""A change of the cost that means nothing. Degenerate directions are held against what the planes' noise would have them
+do, so the cost of the planes may rise by about as much."""
 _REFUSALS = 8
 
 

@@ -60,8 +60,8 @@ def _planes(
     flip = np.linalg.det(axes) < 0
     axes[flip, :, 2] *= -1
     count = np.bincount(feature, features.clusters.count, len(features))
-    share = features.clusters.count * features.weight / np.maximum(fits.total, 1e-300)[feature]
-    disagreement = np.bincount(feature, share**2, len(features)) * weights.disagreement**2
+    fraction = features.clusters.count * features.weight / np.maximum(fits.total, 1e-300)[feature]
+    offset = np.bincount(feature, fraction**2, len(features)) * weights.offset_sigma**2
     return Planes(
         center=fits.center,
         normal=normal,
@@ -70,5 +70,5 @@ def _planes(
         count=np.round(count).astype(np.int64),
         scans=np.diff(features.offsets).astype(np.int32),
         size=features.size,
-        sigma_offset=np.sqrt(fits.eigenvalues[:, 0] / np.maximum(fits.total, 1.0) + disagreement),
+        sigma_offset=np.sqrt(fits.eigenvalues[:, 0] / np.maximum(fits.total, 1.0) + offset),
     )

@@ -27,7 +27,7 @@ _MINOR = 0.1
 
 @dataclass(frozen=True)
 class Level:
-    """The cells of one size, in Morton order, and the scans' shares of them.
+    """The cells of one size, in Morton order, and what the scans have in them.
 
     size: m, edge of a cell
     key: (C,) int64, Morton code of each cell

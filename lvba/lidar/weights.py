@@ -21,12 +21,12 @@ class Weights:
 
     weight: (O,) float64, 1 for a typical point that fits, more where surfaces are measured better
     sigma: m, standard deviation of a point's distance to its plane, within one scan
-    disagreement: m, standard deviation of an observation's distance to its plane, beyond that of its points
+    offset_sigma: m, standard deviation of an observation's distance to its plane, beyond that of its points
     """
 
     weight: np.ndarray
     sigma: float
-    disagreement: float
+    offset_sigma: float
 
 
 def observation_weights(
@@ -34,10 +34,10 @@ def observation_weights(
 ) -> Weights:
     """Weights from the distances of observations to the planes at poses (S, 4, 4).
 
-    An observation of n points with variance v about its plane is expected to be off by v / n + disagreement^2; all are
+    An observation of n points with variance v about its plane is expected to be off by v / n + offset_sigma^2; all are
     estimated from the data, robustly, so that one cutoff serves rough and refined poses. Geman-McClure weights, times
     the information that such an observation has.
-    systematic: largest disagreement, in sigma, that counts as an error of the surface and lowers the information.
+    systematic: largest offset_sigma, in sigma, that counts as an error of the surface and lowers the information.
     passes: how often planes and weights are found in turn; 0: all points weigh the same, as in BALM2
     """
     weight = np.ones(len(features.scan))
@@ -48,14 +48,14 @@ def observation_weights(
         if turn == 0:
             sigma = _within_scan_sigma(within, count)
         own = _own_variance(features, within, sigma)
-        disagreement = _disagreement(distance, count, own)
+        offset_sigma = _offset_sigma(distance, count, own)
         if passes == 0:
             break
-        expected = own / count + disagreement**2
+        expected = own / count + offset_sigma**2
         robust = 1.0 / (1.0 + distance**2 / (expected * WEIGHT_CUTOFF**2)) ** 2
-        surface = min(disagreement, systematic * sigma)
+        surface = min(offset_sigma, systematic * sigma)
         weight = robust * sigma**2 / (own + count * surface**2)
-    return Weights(weight, sigma, disagreement)
+    return Weights(weight, sigma, offset_sigma)
 
 
 _SHRINK = 10.0
@@ -104,7 +104,7 @@ def _within_scan_sigma(within: np.ndarray, count: np.ndarray) -> float:
     return float(max(np.sqrt(variance[order][np.searchsorted(mass, 0.5 * mass[-1])]), 1e-4))
 
 
-def _disagreement(distance: np.ndarray, count: np.ndarray, own: np.ndarray) -> float:
+def _offset_sigma(distance: np.ndarray, count: np.ndarray, own: np.ndarray) -> float:
     """What is left of the distances beyond the noise of the points, m, by median of squares."""
     noise = own / count
     typical = np.median(distance**2 / noise) / 0.4549

@@ -125,7 +125,7 @@ def best_of(alignments: list[Alignment], target: Target, source: Target, toleran
     """The one that surfels prefer which can tell it from the others."""
     best = alignments[0]
     for other in alignments[1:]:
-        here, there = _told_apart(best, other, target, source, tolerance)
+        here, there = _differing(best, other, target, source, tolerance)
         if there > here:
             best = other
     return best
@@ -147,12 +147,12 @@ def rivals(
     for other in alignments:
         off = geometry.log(geometry.inverse(best.a_from_b) @ other.a_from_b)
         if not _along(off, open_directions, source.patch):
-            here, there = _told_apart(best, other, target, source, tolerance)
+            here, there = _differing(best, other, target, source, tolerance)
             others.append((max(there, 0.0) / here if here > 0 else float(there > 0), off))
     return others
 
 
-def _told_apart(
+def _differing(
     one: Alignment, other: Alignment, target: Target, source: Target, tolerance: float
 ) -> tuple[float, float]:
     """Score of two alignments among the surfels that would notice the difference.

@@ -29,13 +29,13 @@ class RegisterConfig:
     """Fewest surfels that agree; 10 to 100000."""
     min_overlap: float = 0.12
     """Least part of the surfels of either submap that agree; 0.01 to 1."""
-    min_share: float = 0.975
+    min_agreeing: float = 0.975
     """Least part that agrees of the surfels that agree or contradict (are seen through); 0.5 to 1."""
     max_noise_ratio: float = 2.5
     """Furthest that surfaces may lie apart, in standard deviations of their points; 0.1 to 100."""
     rival: float = 0.7
     """Refuse when another alignment gathers more than this part of what the best one does; 0 to 1."""
-    weak_sigma: float = 0.05
+    open_sigma: float = 0.05
     """m, a direction that is known worse (rotations times the size of the place) counts as open; 0.001 to 10."""
     most_open: int = 2
     """Most directions that may be left open; 0 to 5."""
@@ -54,10 +54,10 @@ class RegisterConfig:
             ("tolerance", 0.01, 1),
             ("min_surfels", 10, 100_000),
             ("min_overlap", 0.01, 1),
-            ("min_share", 0.5, 1),
+            ("min_agreeing", 0.5, 1),
             ("max_noise_ratio", 0.1, 100),
             ("rival", 0, 1),
-            ("weak_sigma", 0.001, 10),
+            ("open_sigma", 0.001, 10),
             ("most_open", 0, 5),
             ("blind_m", 0, 100),
             ("floor_m", 0, 1),
@@ -76,7 +76,7 @@ class Loop:
     information: (6, 6) float64, inverse covariance, local tangent [rotation | translation] at the second scan; zero in
         directions that the surfaces leave open
     overlap: part of what both could see that agrees, 0 to 1; residual: m, typical distance of surfaces
-    weak: number of directions left open
+    open_directions: how many are left open
     accepted: False: the poses above mean nothing; reason: why, or why not
     """
 
@@ -88,7 +88,7 @@ class Loop:
     information: np.ndarray
     overlap: float
     residual: float
-    weak: int
+    open_directions: int
     accepted: bool
     reason: str
 
@@ -125,7 +125,7 @@ def register(a: Submap, b: Submap, candidate: Candidate, config: RegisterConfig 
     best = alignments.best_of(ways, target, source, tolerance)
     pose = alignments.polished(target, source.patch, best.a_from_b, expected)
     known = _known(target, source.patch, pose, config)
-    reason = _doubt(best.evidence, known, target, source, config) or _blind(known, expected, config)
+    reason = _contradiction(best.evidence, known, target, source, config) or _blind(known, expected, config)
     if not reason:
         others = alignments.rivals(best, ways, known.open, target, source, tolerance)
         reason = _look_alike(others, config)
@@ -134,17 +134,17 @@ def register(a: Submap, b: Submap, candidate: Candidate, config: RegisterConfig 
         first_from_second=pose,
         overlap=best.evidence.overlap,
         residual=known.sigma,
-        weak=len(known.open),
+        open_directions=len(known.open),
     )
     if reason:
         return loop
-    doubts = (
+    uncertainties = (
         uncertainty(a, candidate.first_scan, config.radius),
         uncertainty(b, candidate.second_scan, config.radius),
     )
-    information = _with_scans(known.information, *doubts, pose)
-    weak = f"; {len(known.open)} of 6 directions open" if len(known.open) else ""
-    reason = f"{best.evidence.overlap:.0%} of the surfaces agree within {known.sigma * 1e3:.0f} mm{weak}"
+    information = _with_scans(known.information, *uncertainties, pose)
+    left_open = f"; {len(known.open)} of 6 directions open" if len(known.open) else ""
+    reason = f"{best.evidence.overlap:.0%} of the surfaces agree within {known.sigma * 1e3:.0f} mm{left_open}"
     return replace(loop, information=information, accepted=True, reason=reason)
 
 
@@ -154,10 +154,10 @@ _MATCH_M, _MATCH_DEG = 0.5, 20.0
 def _known(target: Target, patch: Patch, pose: np.ndarray, config: RegisterConfig) -> Certainty:
     matches = surfel_icp.match(target, patch, pose, _MATCH_M, _MATCH_DEG)
     floor = np.repeat([np.radians(config.floor_deg), config.floor_m], 3)
-    return surfel_icp.certainty(target, patch, pose, matches, floor, config.weak_sigma)
+    return surfel_icp.certainty(target, patch, pose, matches, floor, config.open_sigma)
 
 
-def _doubt(
+def _contradiction(
     evidence: Evidence, known: Certainty, target: Target, source: Target, config: RegisterConfig
 ) -> str:
     """Why an alignment is not believed; empty if it is."""
@@ -166,8 +166,8 @@ def _doubt(
         return f"only {evidence.surfels} surfels agree, {config.min_surfels} are needed"
     if evidence.overlap < config.min_overlap:
         return f"only {evidence.overlap:.0%} of the surfaces agree, {config.min_overlap:.0%} are needed"
-    if evidence.share < config.min_share:
-        return f"{1 - evidence.share:.1%} of the surfaces contradict: one place is seen through the other"
+    if evidence.agreeing < config.min_agreeing:
+        return f"{1 - evidence.agreeing:.1%} of the surfaces contradict: one place is seen through the other"
     if known.sigma > config.max_noise_ratio * noise:
         return f"surfaces are {known.sigma * 1e3:.0f} mm apart, their noise is {noise * 1e3:.0f} mm"
     if len(known.open) > config.most_open:
@@ -218,7 +218,7 @@ def _refused(candidate: Candidate, reason: str) -> Loop:
         information=np.zeros((6, 6)),
         overlap=0.0,
         residual=float("nan"),
-        weak=0,
+        open_directions=0,
         accepted=False,
         reason=reason,
     )

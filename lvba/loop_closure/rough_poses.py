@@ -262,8 +262,8 @@ class _Odometry:
         """Of the rough poses. chain: as surfaces have them"""
         wrong = np.flatnonzero(self.wrong)
         # where every step is decimeters off, none can do without surfaces
-        doubted = wrong if self.precise else np.arange(len(self.rough))
-        unknown = [k for k in doubted if (step := chain.steps[k]) is None or step.open]
+        suspects = wrong if self.precise else np.arange(len(self.rough))
+        unknown = [k for k in suspects if (step := chain.steps[k]) is None or step.open]
         return RoughError(
             step_m=float(self.sigma[3]),
             step_deg=float(np.degrees(self.sigma[0])),

@@ -22,10 +22,10 @@ _WIDE_M, _WIDE_DEG = 0.6, 4.0
 """Standard deviations of a step of which nothing is known yet, along each axis."""
 _NEAR_M = 0.1
 _STARTS = 24
-_LEAST_OVERLAP, _LEAST_SHARE = 0.15, 0.85
+_LEAST_OVERLAP, _LEAST_AGREEING = 0.15, 0.85
 """An alignment by which surfaces agree less, or contradict each other more, is none."""
 _FLOOR = np.repeat([np.radians(0.03), 0.005], 3)
-_WEAK_SIGMA_M = 0.05
+_OPEN_SIGMA_M = 0.05
 _MATCH_M, _MATCH_DEG = 0.5, 20.0
 
 WIDE = np.diag(np.repeat([np.radians(_WIDE_DEG), _WIDE_M], 3) ** -2.0)
@@ -39,20 +39,20 @@ class Step:
     first_from_second: (4, 4) float64
     information: (6, 6) float64, inverse covariance, local tangent [rotation | translation], zero in open directions and
         where surfaces do not agree at all
-    overlap: part of the second scan's surfels that lie on a surface; share: part that agrees of all that agrees or
+    overlap: part of the second scan's surfels that lie on a surface; agreeing: part that agrees of all that agrees or
         contradicts; open: number of directions that surfaces leave open
     """
 
     first_from_second: np.ndarray
     information: np.ndarray
     overlap: float
-    share: float
+    agreeing: float
     open: int
 
     @property
     def aligned(self) -> bool:
         """Whether surfaces agree at all."""
-        return self.overlap >= _LEAST_OVERLAP and self.share >= _LEAST_SHARE
+        return self.overlap >= _LEAST_OVERLAP and self.agreeing >= _LEAST_AGREEING
 
     def beside(self, rough: Pose, prior: np.ndarray) -> np.ndarray:
         """(4, 4): the most likely step beside the odometry's (4, 4).
@@ -118,18 +118,18 @@ def refined(first: Target, second: Patch, begin: Pose, rough: Pose, prior: np.nd
 
 def _judged(first: Target, second: Patch, pose: np.ndarray) -> Step:
     matches = surfel_icp.match(first, second, pose, _MATCH_M, _MATCH_DEG)
-    known = surfel_icp.certainty(first, second, pose, matches, _FLOOR, _WEAK_SIGMA_M)
+    known = surfel_icp.certainty(first, second, pose, matches, _FLOOR, _OPEN_SIGMA_M)
     evidence = verification.evidence(first, Target.of(second), pose, _NEAR_M)
     step = Step(
         first_from_second=pose,
         information=known.information,
         overlap=float(np.mean(evidence.for_b > 0)),
-        share=evidence.share,
+        agreeing=evidence.agreeing,
         open=len(known.open),
     )
     if step.aligned:
         return step
-    return Step(pose, np.zeros((6, 6)), step.overlap, step.share, 6)
+    return Step(pose, np.zeros((6, 6)), step.overlap, step.agreeing, 6)
 
 
 def together(patches: Sequence[Patch | None], world_from_scan: Poses, frame: int) -> Patch | None:

@@ -14,7 +14,7 @@ from lvba.optim.levenberg_marquardt import damped_step
 _NEIGHBORS = 6
 _STEP_M, _STEP_RAD = 1e-5, 1e-6
 """An alignment stands still below."""
-_WEAK_SHARE = 0.0015
+_OPEN_FRACTION = 0.0015
 """A direction is open when surfels tell less about it than this part of what they tell together: normals scatter by a
 degree or two about a common one, and that is no information."""
 
@@ -132,14 +132,14 @@ class Certainty:
 
 
 def certainty(
-    target: Target, source: Patch, a_from_b: Pose, matches: Matches, floor: StepSigmas, weak_sigma: float
+    target: Target, source: Patch, a_from_b: Pose, matches: Matches, floor: StepSigmas, open_sigma: float
 ) -> Certainty:
     """What the matched surfels tell about an alignment.
 
     Errors of neighboring surfels go together (they are bits of one plane), so the spread of the gradients of whole groups
     widens the covariance where it is larger than independent errors would make it (as in `lidar.covariance`).
     floor: (6,), rad and m, no direction is known better: maps bend a little
-    weak_sigma: m, a direction known worse than this (rotation times the lever of the surfels) is open, too
+    open_sigma: m, a direction known worse than this (rotation times the lever of the surfels) is open, too
     """
     if len(matches.source) == 0:
         return Certainty(np.zeros((6, 6)), np.eye(6), float("inf"))
@@ -157,7 +157,7 @@ def certainty(
     trust = vectors / np.maximum(values, 1e-9 * max(values[-1], 1e-9))
     spread = float(np.einsum("gi,ij,gj->", gradient, trust @ vectors.T, gradient)) / 6
     variance = max(sigma**2, spread)
-    known = (values > _WEAK_SHARE * values.sum()) & (values > variance / weak_sigma**2)
+    known = (values > _OPEN_FRACTION * values.sum()) & (values > variance / open_sigma**2)
     basis, tells = vectors[:, known], values[known]
     covariance = np.diag(variance / tells) + basis.T @ np.diag((floor / scale) ** 2) @ basis
     information = basis @ np.linalg.inv(covariance) @ basis.T

@@ -34,7 +34,7 @@ class Evidence:
     against_b: np.ndarray
 
     @property
-    def share(self) -> float:
+    def agreeing(self) -> float:
         """Part of what is said that agrees, 0 to 1; 0 where nothing is said."""
         agree, against = self.for_a.sum() + self.for_b.sum(), self.against_a.sum() + self.against_b.sum()
         return float(agree / (agree + against)) if agree else 0.0

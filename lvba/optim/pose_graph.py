@@ -85,7 +85,7 @@ class PoseGraphConfig:
     gate: float = 22.46
     """Largest squared error over its variance that one more loop may cost; 22.46 is passed by 99.9 % of the true ones
     (chi square of 6); 1 to 1000."""
-    odometry_excess: float = 3.0
+    odometry_variance_factor: float = 3.0
     """How many times larger than they say the errors of the other edges may be, when a loop is judged: errors of
     neighbors go together, and a true loop that is refused costs more than the wider gate; 1 to 100."""
     margin: float = 6.0
@@ -103,7 +103,7 @@ class PoseGraphConfig:
     """Of the steps."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (("gate", 1, 1000), ("odometry_excess", 1, 100), ("margin", 0, 100)):
+        for name, low, high in (("gate", 1, 1000), ("odometry_variance_factor", 1, 100), ("margin", 0, 100)):
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"pose_graph.{name} = {getattr(self, name)}; allowed: {low} to {high}")
 
@@ -266,7 +266,7 @@ def _optimize(
 
 def _judge(poses: np.ndarray, odometry: Edges, loops: Edges, fixed: int, config: PoseGraphConfig) -> Choice:
     """Which loops fit the odometry and each other, to first order around the poses."""
-    soft = replace(odometry, information=odometry.information / config.odometry_excess**2)
+    soft = replace(odometry, information=odometry.information / config.odometry_variance_factor**2)
     equations = linearize(poses, soft)
     free = _free(len(poses), fixed)
     back = linear_solver.solve_step(equations, 0.0, free, config.solver.dense_limit)

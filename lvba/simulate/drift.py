@@ -24,7 +24,7 @@ class Difficulty:
     scan_deg: float
     """Rotation of scans after alignment, degrees."""
     camera_m: float
-    """Position of cameras beside the drift they share with the scans, m."""
+    """Position of cameras beside the drift they fraction with the scans, m."""
     camera_deg: float
     """The same of their rotation, degrees."""
     time_offset_s: float
@@ -160,8 +160,8 @@ def camera_error(motion: Poses, level: Difficulty, rng: np.random.Generator) -> 
     direction[:3] /= np.linalg.norm(direction[:3])
     direction[3:] /= np.linalg.norm(direction[3:])
     noise = _noise(len(motion), 1.0, np.degrees(1.0), rng)
-    share = rng.uniform(0.5, 0.7)
-    extrinsic, each = direction * share, noise * (1 - share)
+    fraction = rng.uniform(0.5, 0.7)
+    extrinsic, each = direction * fraction, noise * (1 - fraction)
     scale = np.array([np.radians(level.camera_deg), level.camera_m])
     for _ in range(30):
         factor = np.repeat(scale, 3)

@@ -16,7 +16,7 @@ def solve_fusion(
     lidar_config: LidarConfig,
     config: FusionConfig,
 ) -> FusionStage:
-    """The scans with what the refined cameras know about them."""
+    """The scans refined with the cameras."""
     if not config.enabled:
         return FusionStage(None, "scans do not learn from the cameras (fusion.enabled is false)")
     covariance = scan_covariance(lidar, scans)
@@ -37,7 +37,7 @@ def solve_fusion(
         Trajectory(dataset.scans.times, scans.world_from_scan),
         covariance,
         cameras,
-        lidar.result.weak_directions,
+        lidar.result.degenerate_directions,
         lidar_config.prior_sigmas,
     )
     return FusionStage(fused, "" if fused else "too few cameras")

@@ -12,7 +12,7 @@ from lvba.blocks import visual_block, visual_joint
 from lvba.blocks.decoded import Keyframes, Pieces, keyframe_images
 from lvba.blocks.split import Frames, Part
 from lvba.blocks.survey import Survey, keyframes_of
-from lvba.blocks.visual_block import CameraPoints, CameraShare
+from lvba.blocks.visual_block import CameraBlock, CameraPoints
 from lvba.blocks.visual_joint import JointCameras
 from lvba.dataset import Dataset
 from lvba.optim.shared_parameters import common_sigma, weighted_mean
@@ -89,7 +89,7 @@ def merge_cameras(
         _common_calibration([part.result for part in solved if part.result is not None]),
     )
     prior = _prior(dataset, cores, stages, lidar, scans, survey, config)
-    converged = all(part.result is not None and len(part.result.weak_common) for part in solved)
+    converged = all(part.result is not None and len(part.result.degenerate_common) for part in solved)
     return MergedCameras(
         JointCameras(
             state=state,
@@ -180,19 +180,28 @@ def _prior(
     sources = []
     for number, source in enumerate(prior.sources):
         rotation, position = source.sigma_rotation.copy(), source.sigma_position.copy()
-        memories = []
+        of_parts = []
         for core, part in zip(cores, stages, strict=True):
-            if part.tuning is None or number >= len(part.tuning.memory):
+            if part.tuning is None or number >= len(part.tuning.correlation_inflation):
                 continue
             local = core.image_numbers[keyframes_of(survey, core.frames)]
             inside = (local >= core.core_images[0]) & (local < core.core_images[1])
             mine = np.searchsorted(survey.keyframes, local[inside])
             rotation[mine] = part.tuning.sigma_rotation[number][inside]
             position[mine] = part.tuning.sigma_position[number][inside]
-            memories.append(part.tuning.memory[number])
-        memory = tuple(float(value) for value in np.mean(memories, axis=0)) if memories else source.memory
+            of_parts.append(part.tuning.correlation_inflation[number])
+        factor = (
+            tuple(float(value) for value in np.mean(of_parts, axis=0))
+            if of_parts
+            else source.correlation_inflation
+        )
         sources.append(
-            replace(source, sigma_rotation=rotation, sigma_position=position, memory=(memory[0], memory[1]))
+            replace(
+                source,
+                sigma_rotation=rotation,
+                sigma_position=position,
+                correlation_inflation=(factor[0], factor[1]),
+            )
         )
     tunings = [part.tuning for part in stages if part.tuning is not None]
     said = [tuning.evidence for tuning in tunings if tuning.evidence is not None]
@@ -268,7 +277,7 @@ def linearize_cameras(
     merged: MergedCameras,
     survey: Survey,
     config: VisualConfig,
-) -> CameraShare | None:
+) -> CameraBlock | None:
     """A part's normal equations at the state so far; None where that has converged, or the part has nothing to say."""
     now = merged.cameras
     if now is None or stage.tuning is None or now.converged:
@@ -285,7 +294,7 @@ def linearize_cameras(
     )
 
 
-def step_cameras(merged: MergedCameras, blocks: Sequence[CameraShare | None]) -> MergedCameras:
+def step_cameras(merged: MergedCameras, blocks: Sequence[CameraBlock | None]) -> MergedCameras:
     """One round of the joint problem."""
     known = [each for each in blocks if each is not None]
     if merged.cameras is None or not known:
@@ -319,11 +328,11 @@ def finish_cameras(
         unsolved = ~np.isfinite(spread[:, 0, 0])
         spread[unsolved] = covariance.of_map(poses, times, where, lidar.result.covariance)[unsolved]
     nearest = nearest_in_time(times[keyframes], times)
-    weak = np.zeros(len(times), np.int32)
+    degenerate = np.zeros(len(times), np.int32)
     for core, part in zip(cores, stages, strict=True):
         if part.result is not None:
-            weak[slice(*core.core_images)] = part.result.weak[core.core_of_images]
-    fewest = min(results, key=lambda result: len(result.weak_common))
+            degenerate[slice(*core.core_images)] = part.result.degenerate[core.core_of_images]
+    fewest = min(results, key=lambda result: len(result.degenerate_common))
     return VisualStage(
         VisualResult(
             world_from_camera=poses,
@@ -334,8 +343,8 @@ def finish_cameras(
             keyframes=keyframes,
             calibration=_calibration(now, prior, stages),
             calibration_sigma=common_sigma([result.calibration_sigma for result in results]),
-            weak=weak,
-            weak_common=fewest.weak_common,
+            degenerate=degenerate,
+            degenerate_common=fewest.degenerate_common,
             levels=_levels(results),
             cost_initial=float(sum(result.cost_initial for result in results)),
             cost_final=float(sum(result.cost_final for result in results)),

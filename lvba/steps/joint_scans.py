@@ -253,7 +253,7 @@ def finish_scans(
             sigma=r.sigma,
             moved=r.moved,
             steps=1,
-            weak_scans=r.weak_scans,
+            degenerate_scans=r.degenerate_scans,
         )
         for r in state.history
     )
@@ -272,8 +272,8 @@ def finish_scans(
         cost_final=2.0 * final.equations.cost / max(final.points, 1.0),
         iterations=len(state.history) + sum(len(part.history) for part in parts),
         converged=converged,
-        weak_directions=uncertainty.directions.common,
-        weak_scans=uncertainty.directions.count,
+        degenerate_directions=uncertainty.directions.common,
+        degenerate_scans=uncertainty.directions.count,
         odometry_dependence=np.zeros(0),
         warnings=_warnings(state, parts, converged, uncertainty.directions.count),
     )
@@ -292,7 +292,7 @@ def _no_planes() -> Planes:
 
 
 def _warnings(
-    state: JointState, parts: Sequence[PartScans], converged: bool, weak_scans: np.ndarray
+    state: JointState, parts: Sequence[PartScans], converged: bool, degenerate_scans: np.ndarray
 ) -> tuple[str, ...]:
     warnings = [
         f"part {number + 1} of {len(parts)} could not be solved by itself ({part.problem}); its scans began where the "
@@ -300,10 +300,10 @@ def _warnings(
         for number, part in enumerate(parts)
         if part.problem
     ]
-    open_scans = int(np.count_nonzero(weak_scans))
+    open_scans = int(np.count_nonzero(degenerate_scans))
     if open_scans:
         warnings.append(
-            f"planes leave directions of {open_scans} of {len(weak_scans)} scans open: these stay at the odometry"
+            f"planes leave directions of {open_scans} of {len(degenerate_scans)} scans open: these stay at the odometry"
         )
     if not converged:
         warnings.append(

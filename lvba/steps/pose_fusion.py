@@ -15,7 +15,7 @@ import numpy as np
 from lvba import geometry, spline, trajectory
 from lvba.arrays import Pose, PoseBlocks, Poses, StepSigmas, Times
 from lvba.lidar.covariance import LEAST, Covariance, local_covariance, positive
-from lvba.lidar.degeneracy import WeakDirection
+from lvba.lidar.degeneracy import DegenerateDirection
 from lvba.optim import linear_solver, normal_equations
 from lvba.settings import setting
 from lvba.trajectory import Trajectory
@@ -69,7 +69,7 @@ class Fused:
     moved_m: (S,) from where the LiDAR had them
     interpolation_error_scale: error of the spline between cameras over the leave-one-out error of the cameras, as
         the distances of the scans from the spline explain it
-    disagreement: how many times scans and cameras are further apart (squared) than both promise, at least 1
+    variance_factor: how many times scans and cameras are further apart (squared) than both promise, at least 1
     contradicted: scans that stayed because the cameras contradict them
     """
 
@@ -77,7 +77,7 @@ class Fused:
     covariance: np.ndarray
     moved_m: np.ndarray
     interpolation_error_scale: float
-    disagreement: float
+    variance_factor: float
     contradicted: int
 
 
@@ -108,13 +108,13 @@ def fuse(
     scans: Trajectory,
     covariance: Covariance,
     cameras: Cameras,
-    weak: Sequence[WeakDirection] = (),
+    common: Sequence[DegenerateDirection] = (),
     prior_sigmas: StepSigmas | None = None,
 ) -> Fused | None:
     """The scans refined with the cameras; None: too few cameras to tell.
 
-    weak: motions of all scans together that the planes leave open, with the (6,) sigmas (rad, m) that they are scaled by:
-        there scans and cameras both are where the odometry has them, and no mean of the two is any better
+    common: motions of all scans together that the planes leave open, with the (6,) sigmas (rad, m) that they are scaled
+        by: there scans and cameras both are where the odometry has them, and no mean of the two is any better
     """
     path = cameras.world_from_scan
     if len(path) < spline.FEWEST_SAMPLES:
@@ -122,7 +122,7 @@ def fuse(
     inside = ~spline.outside(path, scans.times)
     leave_one_out_error = spline.leave_one_out_error(path, scans.times)
     differences = geometry.log(geometry.inverse(scans.world_from_sensor) @ spline.through(path, scans.times))
-    differences = _without_common(differences, scans.world_from_sensor, weak, prior_sigmas)
+    differences = _without_common(differences, scans.world_from_sensor, common, prior_sigmas)
     known = _of_neighbors(cameras, scans.times) + _of_extrinsic(cameras, scans.times)
     known += _interpolated(leave_one_out_error, spline.boundary_error(path, scans.times))
     own = local_covariance(covariance, scans.world_from_sensor)
@@ -131,8 +131,8 @@ def fuse(
     )
     of_cameras = known + _interpolated(leave_one_out_error, np.full(len(scans), interpolation_error_scale))
     distance = _distance(differences, own + of_cameras)
-    disagreement = max(1.0, float(np.median(distance[inside])) / _MEDIAN) if inside.any() else 1.0
-    contradicted = inside & (distance > CONTRADICTION**2 * disagreement)
+    variance_factor = max(1.0, float(np.median(distance[inside])) / _MEDIAN) if inside.any() else 1.0
+    contradicted = inside & (distance > CONTRADICTION**2 * variance_factor)
     used = inside & ~contradicted
     camera_information = np.linalg.inv(of_cameras) * used[:, None, None]
     step = _chained(own, covariance.step, scans.world_from_sensor, camera_information, differences)
@@ -140,7 +140,7 @@ def fuse(
     # are off with it, and that they agree with it is no proof
     conditional = covariance.conditional + LEAST * np.eye(6)
     posterior = np.linalg.inv(np.linalg.inv(conditional) + camera_information)
-    posterior = np.where(used[:, None, None], posterior * disagreement, posterior)
+    posterior = np.where(used[:, None, None], posterior * variance_factor, posterior)
     moved = geometry.retract(scans.world_from_sensor, step)
     still = np.all(step == 0.0, axis=1)
     return Fused(
@@ -148,7 +148,7 @@ def fuse(
         covariance=posterior + positive(covariance.marginal - covariance.conditional),
         moved_m=np.linalg.norm(step[:, 3:], axis=1),
         interpolation_error_scale=interpolation_error_scale,
-        disagreement=disagreement,
+        variance_factor=variance_factor,
         contradicted=int(np.count_nonzero(contradicted)),
     )
 
@@ -186,10 +186,12 @@ def _chain(own: np.ndarray, step: np.ndarray, world_from_scan: np.ndarray) -> tu
     before = carry @ own[:-1] @ np.swapaxes(carry, -1, -2)
     common = 0.5 * (before + own[1:] - step)
     left, right = np.linalg.cholesky(before), np.linalg.cholesky(own[1:])
-    share = np.linalg.solve(left, np.swapaxes(np.linalg.solve(right, np.swapaxes(common, -1, -2)), -1, -2))
-    values, axes = np.linalg.eigh(0.5 * (share + np.swapaxes(share, -1, -2)))
+    correlation = np.linalg.solve(
+        left, np.swapaxes(np.linalg.solve(right, np.swapaxes(common, -1, -2)), -1, -2)
+    )
+    values, axes = np.linalg.eigh(0.5 * (correlation + np.swapaxes(correlation, -1, -2)))
     values = np.clip(values, 0.0, _MOST_COMMON)
-    # of unit covariance each, the later error is `share` times the one before and noise of covariance 1 - share^2
+    # of unit covariance each, the later error is `correlation` (C) times the one before and noise of covariance 1 - C^2
     back = np.swapaxes(axes, -1, -2)
     next_, last = back @ np.linalg.inv(right), back @ np.linalg.solve(left, carry)
     noise = 1.0 / (1.0 - values**2)
@@ -259,14 +261,14 @@ def _distance(differences: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 def _without_common(
     differences: np.ndarray,
     world_from_scan: np.ndarray,
-    weak: Sequence[WeakDirection],
+    common: Sequence[DegenerateDirection],
     prior_sigmas: np.ndarray | None,
 ) -> np.ndarray:
-    """Differences (S, 6) without their part along weak directions of all scans together."""
-    if not weak or prior_sigmas is None:
+    """Differences (S, 6) without their part along degenerate directions of all scans together."""
+    if not common or prior_sigmas is None:
         return differences
     turn = world_from_scan[:, :3, :3]
     scaled = np.einsum("sij,skj->ski", turn, differences.reshape(-1, 2, 3)).reshape(-1, 6) / prior_sigmas
-    basis = np.linalg.qr(np.stack([each.direction for each in weak], axis=1))[0]
+    basis = np.linalg.qr(np.stack([each.direction for each in common], axis=1))[0]
     scaled = (scaled - scaled @ basis @ basis.T) * prior_sigmas
     return np.asarray(np.einsum("sji,skj->ski", turn, scaled.reshape(-1, 2, 3)).reshape(-1, 6))

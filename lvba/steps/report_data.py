@@ -213,8 +213,9 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
     facts |= _fields(
         result,
         but=(
-            *("world_from_camera", "covariance", "covariance_on_map"),
-            *("scan_from_camera", "weak", "log_exposure"),
+            *("world_from_camera", "covariance", "local_covariance"),
+            *("scan_from_camera", "degenerate", "log_exposure", "log_exposure_sigma"),
+            *("calibration_sigma", "radiometry"),
         ),
     )
     facts["history"] = _history(visual)
@@ -233,7 +234,7 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
     facts |= {
         name: getattr(last, name) for name in ("scene_points", "global_points", "local_pairs", "global_pairs")
     }
-    facts["weak_directions"] = {"count": int(np.sum(result.weak)), "per_image": result.weak}
+    facts["degenerate_directions"] = {"count": int(np.sum(result.degenerate)), "per_image": result.degenerate}
     return facts
 
 

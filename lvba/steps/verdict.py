@@ -13,7 +13,7 @@ from lvba.products import lengths
 
 Level = Literal["good", "check", "bad"]
 
-MOST_VARIANCE_FACTOR, MOST_SPLINE_ERROR, MOST_DISAGREEMENT = 4.5, 0.8, 1.2
+MOST_VARIANCE_FACTOR, MOST_SPLINE_ERROR, MOST_FUSION_VARIANCE_FACTOR = 4.5, 0.8, 1.2
 _FEWEST_FRAMES = 10
 """With fewer, one rigid alignment takes up much of what could be compared."""
 _FEW = 0.05
@@ -64,7 +64,7 @@ class Figures:
 
     variance_factor: actual over modeled variance of the pixels
     spline_error: how far the path through the cameras misses the scans, as part of the error of leaving a camera out
-    disagreement: how many times scans and cameras are further apart, squared, than both promise
+    fusion_variance_factor: how many times scans and cameras are further apart, squared, than both promise
     vague_scans, vague_cameras: frames expected to be off by VAGUE times the median and more, or by nobody knows what
     moved_m: how far a scan moved at most in the last round that did not settle; scan_p95_m: what 95 % of the scans are
         expected to be off by less
@@ -86,15 +86,15 @@ class Figures:
     scans_with_cameras: Judged = field(default_factory=Judged)
     variance_factor: float | None = None
     spline_error: float | None = None
-    disagreement: float | None = None
-    common_weak: int = 0
-    weak_scans: int = 0
+    fusion_variance_factor: float | None = None
+    common_degenerate: int = 0
+    degenerate_scans: int = 0
     odometry_dependent_steps: int = 0
     vague_scans: int = 0
     vague_cameras: int = 0
     moved_m: float | None = None
     scan_p95_m: float | None = None
-    cameras_settled: bool = True
+    cameras_converged: bool = True
     range_errors: int = 0
     registered: bool = False
     rough_m: float = 0.0
@@ -181,7 +181,7 @@ def _alarms(figures: Figures) -> Iterator[Reason]:
         (figures.spline_error, MOST_SPLINE_ERROR,
          "Between frames, cameras and scans do not move alike (spline error {value:.2f}, limit {limit})",
          "Check that scans were undistorted for the motion within them, that clocks agree, and for gaps in time."),
-        (figures.disagreement, MOST_DISAGREEMENT,
+        (figures.fusion_variance_factor, MOST_FUSION_VARIANCE_FACTOR,
          "Scans and cameras are further apart than both promise ({value:.2f} times, squared; limit {limit})",
          "Check extrinsic, time stamps and camera calibration."),
     ):  # fmt: skip
@@ -244,16 +244,16 @@ def _odometry(figures: Figures) -> Iterator[Reason]:
             "before and after them share too few planes.",
             "Look at the map there; record more slowly, or with more overlap between scans.",
         )
-    if figures.common_weak:
+    if figures.common_degenerate:
         yield Reason(
-            f"Surfaces leave {figures.common_weak} motions of the whole map open (as along a corridor): there it is as "
-            "the odometry has it.",
+            f"Surfaces leave {figures.common_degenerate} motions of the whole map open (as along a corridor): there it "
+            "is as the odometry has it.",
             "Nothing to do if that is good enough there; else record surfaces that face the open direction.",
         )
-    elif figures.weak_scans > _FEW * figures.scans:
+    elif figures.degenerate_scans > _FEW * figures.scans:
         yield Reason(
-            f"{figures.weak_scans} of {figures.scans} scans see too few surfaces to be held in every direction: there "
-            "they follow the odometry or the cameras.",
+            f"{figures.degenerate_scans} of {figures.scans} scans see too few surfaces to be held in every direction: "
+            "there they follow the odometry or the cameras.",
             "Look at these frames: they are among those with the largest expected errors.",
         )
 
@@ -287,7 +287,7 @@ def _settled(figures: Figures) -> Iterator[Reason]:
             # covariances hold where the solution is; what still moves by more than they say is not there
             more=figures.scan_p95_m is not None and figures.moved_m > figures.scan_p95_m,
         )
-    if not figures.cameras_settled:
+    if not figures.cameras_converged:
         yield Reason(
             "Camera poses had not converged at full resolution.",
             "Give more iterations (visual.iterations).",

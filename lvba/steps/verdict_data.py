@@ -7,7 +7,7 @@ import numpy as np
 from scipy import special
 
 from lvba.lidar.bundle_adjustment import odometry_dependent_steps
-from lvba.products import lengths
+from lvba.products import lengths, renamed_facts
 from lvba.steps import verdict
 from lvba.steps.acceptance import standard_error
 from lvba.steps.verdict import Figures, Judged, Truth, Verdict
@@ -43,7 +43,10 @@ def _alarms(known: Figures) -> dict[str, dict[str, float | None]]:
     return {
         "variance_factor": {"value": known.variance_factor, "limit": verdict.MOST_VARIANCE_FACTOR},
         "spline_error": {"value": known.spline_error, "limit": verdict.MOST_SPLINE_ERROR},
-        "disagreement": {"value": known.disagreement, "limit": verdict.MOST_DISAGREEMENT},
+        "fusion_variance_factor": {
+            "value": known.fusion_variance_factor,
+            "limit": verdict.MOST_FUSION_VARIANCE_FACTOR,
+        },
     }
 
 
@@ -57,8 +60,10 @@ def figures(facts: Facts) -> Figures:
     last = (visual.get("levels") or [{}])[-1]
     history = lidar.get("history") or [{}]
     used = lidar.get("accepted") is not False
-    odometry_dependence = np.asarray(lidar.get("odometry_dependence", lidar.get("loose")) or [], float)
-    weak_scans = np.asarray(lidar.get("weak_scans") or np.zeros(len(odometry_dependence) + 1), int)
+    odometry_dependence = np.asarray(renamed_facts.value(lidar, "odometry_dependence") or [], float)
+    degenerate_scans = np.asarray(
+        renamed_facts.value(lidar, "degenerate_scans") or np.zeros(len(odometry_dependence) + 1), int
+    )
     extrinsic = visual.get("extrinsic") or {}
     fused = "moved_m" in fusion and visual.get("accepted") is not False and used
     return Figures(
@@ -68,19 +73,19 @@ def figures(facts: Facts) -> Figures:
         camera_poses=Judged(visual.get("accepted"), _cause(visual)),
         exposures=Judged(visual.get("exposures_accepted"), _cause(visual, "exposures_")),
         scans_with_cameras=Judged(fusion.get("accepted") if fused else None, _cause(fusion)),
-        variance_factor=last.get("variance_factor", last.get("inflation")),
-        spline_error=fusion.get("interpolation_error_scale", fusion.get("between")),
-        disagreement=fusion.get("disagreement"),
-        common_weak=len(lidar.get("weak_directions") or []) if used else 0,
-        weak_scans=int(np.count_nonzero(weak_scans)) if used else 0,
-        odometry_dependent_steps=len(odometry_dependent_steps(odometry_dependence, weak_scans))
+        variance_factor=renamed_facts.value(last, "variance_factor"),
+        spline_error=renamed_facts.value(fusion, "interpolation_error_scale"),
+        fusion_variance_factor=renamed_facts.value(fusion, "variance_factor"),
+        common_degenerate=len(renamed_facts.value(lidar, "degenerate_directions") or []) if used else 0,
+        degenerate_scans=int(np.count_nonzero(degenerate_scans)) if used else 0,
+        odometry_dependent_steps=len(odometry_dependent_steps(odometry_dependence, degenerate_scans))
         if used
         else 0,
         vague_scans=_vague(expected.get("scans")),
         vague_cameras=_vague(expected.get("cameras")),
         moved_m=history[-1].get("moved") if used and lidar.get("converged") is False else None,
         scan_p95_m=(expected.get("scans") or {}).get("position_p95_m"),
-        cameras_settled=last.get("converged") is not False,
+        cameras_converged=last.get("converged") is not False,
         range_errors=len(ranges.get("noticed") or []) + bool(ranges.get("problem")),
         registered=bool(far),
         rough_m=far.get("step_m") or 0.0,

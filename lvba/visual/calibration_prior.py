@@ -56,14 +56,14 @@ def weighed(information: np.ndarray, spread: np.ndarray, claims: np.ndarray, kee
 
     Where the spread is mu > 1 times the information (generalized eigenvectors), the images are good for
     `information / mu`. What this and the calibration agree on is reached with all of it, too, by a calibration that
-    counts more: along the axes that they share by as much as the images overstate.
+    counts more: along the axes that they share by the variance factor of the images.
     """
     root = np.linalg.cholesky(claims)
     # in units of the calibration: its information is 1
     information, spread = _positive(_whitened(information, root)), _whitened(spread, root)
-    overstated, axes = eigh(spread, information)
+    variance_factors, axes = eigh(spread, information)
     back = information @ axes
-    believed = (back / np.maximum(overstated, 1.0)) @ back.T
+    believed = (back / np.maximum(variance_factors, 1.0)) @ back.T
     good, shared = np.linalg.eigh(believed)
     counts = np.einsum("ik,ij,jk->k", shared, information, shared) / np.maximum(good, 1e-12)
     counted = (shared * np.maximum(counts, 1.0)) @ shared.T
@@ -75,7 +75,7 @@ def weighed(information: np.ndarray, spread: np.ndarray, claims: np.ndarray, kee
 def _kept_where_better(counted: np.ndarray, information: np.ndarray, spread: np.ndarray) -> np.ndarray:
     """The calibration counting so much that no direction of the extrinsic is less certain than calibrated.
 
-    All in units of the calibration. Axes that images overstate and axes that calibration and images share are not the
+    All in units of the calibration. Axes of the variance factors and axes that calibration and images share are not the
     same, so along some directions the estimate may still follow what the images contradict themselves about.
     """
     extrinsic = Calibration.layout()["scan_from_camera"]

@@ -80,7 +80,7 @@ def bias_reduced_gradients(
 
 
 def _summed(walls: WallClusters, linearization: Linearization) -> np.ndarray:
-    """(S, 7): the gradient of each share's cost by its image's unknowns."""
+    """(S, 7): the gradient of each cluster's cost by its image's unknowns."""
     sums = np.zeros((len(walls.wall), 7, 1))
     for end in range(2):
         own = np.ascontiguousarray(linearization.single[:, 7 * end : 7 * end + 7, None])
@@ -105,7 +105,7 @@ def _walls(points: ScenePoints) -> np.ndarray:
 def information(
     problem: Problem, linearization: Linearization, state: PhotometricState, walls: WallClusters
 ) -> np.ndarray:
-    """(S, 6, 6): what each share tells of its image's pose, the plane offsets eliminated."""
+    """(S, 6, 6): what each cluster tells of its image's pose, the plane offsets eliminated."""
     blocks = photometric.shared_information(problem, state, linearization.sums, walls.of, len(walls.wall))
     if problem.offset_sigma is None:
         return blocks
@@ -122,7 +122,7 @@ def information(
 def bias_reduced(
     information: PoseBlocks, gradients: np.ndarray, image: Indices, known: NormalEquations
 ) -> np.ndarray:
-    """(S, 6): `(1 - I H^-1)^(-1/2) g`, H (6, 6) all that is known of the share's image when the other images stay.
+    """(S, 6): `(1 - I H^-1)^(-1/2) g`, H (6, 6) all that is known of the cluster's image when the other images stay.
 
     information: (S, 6, 6), I; gradients: (S, 6) float64, g; image: (S,)
     """

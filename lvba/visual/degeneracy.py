@@ -41,11 +41,11 @@ class DegenerateDirections:
 
 
 def find(
-    problem: Problem, linearization: Linearization, planes: Planes, weak_m: float = 0.02
+    problem: Problem, linearization: Linearization, planes: Planes, degenerate_m: float = 0.02
 ) -> DegenerateDirections:
-    """The weak directions of one solved level.
+    """The degenerate directions of one solved level.
 
-    weak_m: a motion is weak, too, where the images leave this much of it open (standard deviation, m)
+    degenerate_m: a motion is degenerate, too, where the images leave this much of it open (standard deviation, m)
     """
     points, observations = problem.points, problem.observations
     images = len(problem.images)
@@ -53,10 +53,10 @@ def find(
         return DegenerateDirections(np.zeros(images, np.int32), np.zeros((0, 6)), np.zeros(3))
     center = points.position_world.mean(axis=0)
     arm = points.position_world - center
-    radius = _radius(arm, weak_m)
+    radius = _radius(arm, degenerate_m)
     known, noise = _information(problem, linearization, planes, arm / radius)
-    floor = np.eye(6) / weak_m**2
-    common = _weak(known.sum(axis=0), noise.sum(axis=0), floor)
+    floor = np.eye(6) / degenerate_m**2
+    common = _degenerate(known.sum(axis=0), noise.sum(axis=0), floor)
     entry = np.concatenate([np.arange(len(points)), observations.point])
     image = np.concatenate([points.reference, observations.target])
     count = np.zeros(images, np.int32)
@@ -64,7 +64,7 @@ def find(
     starts = np.searchsorted(image[order], np.arange(images + 1))
     for i in range(images):
         mine = np.unique(entry[order[starts[i] : starts[i + 1]]])
-        count[i] = len(_weak(known[mine].sum(axis=0), noise[mine].sum(axis=0), floor))
+        count[i] = len(_degenerate(known[mine].sum(axis=0), noise[mine].sum(axis=0), floor))
     return DegenerateDirections(count, common / np.repeat([radius, 1.0], 3), center)
 
 
@@ -72,7 +72,7 @@ def _radius(arm: np.ndarray, least: float) -> float:
     """Root mean square distance of the scene points from their middle, m, `least` or more.
 
     arm: (P, 3) m. One point, or a few in one place, tell nothing of how a camera turns about them: with a radius that
-    is no smaller than what counts as known of a position, all turns about them come out weak.
+    is no smaller than what counts as known of a position, all turns about them come out degenerate.
     """
     return max(float(np.sqrt(np.square(arm).sum(axis=1).mean())), least)
 
@@ -100,18 +100,18 @@ def _information(
     return known, noise
 
 
-def _weak(known: np.ndarray, noise: np.ndarray, floor: np.ndarray) -> np.ndarray:
+def _degenerate(known: np.ndarray, noise: np.ndarray, floor: np.ndarray) -> np.ndarray:
     """(k, 6): unit directions in which what is known is less than what noise makes up, or than the floor."""
     values, vectors = eigh(known, _NOISE_FACTOR * noise + floor)
-    weak = vectors[:, values < 1.0].T
-    return np.asarray(weak / np.linalg.norm(weak, axis=1, keepdims=True))
+    open_motions = vectors[:, values < 1.0].T
+    return np.asarray(open_motions / np.linalg.norm(open_motions, axis=1, keepdims=True))
 
 
 _HOLD = SolverConfig(max_iterations=20, initial_damping=0.0, relative_decrease=1e-9, step_tolerance=1e-9)
 
 
 def return_to_prior(state: VisualState, prior: Prior, directions: DegenerateDirections) -> VisualState:
-    """The state with all cameras moved together, along the common weak directions only, to where the prior wants them.
+    """The state with all cameras moved together, along the common degenerate directions only, to the prior.
 
     The images know nothing of such a motion but what noise makes up; so it is the prior's alone to decide.
     """
@@ -131,7 +131,7 @@ def return_to_prior(state: VisualState, prior: Prior, directions: DegenerateDire
 
 
 def held_covariance(state: VisualState, prior: Prior, directions: DegenerateDirections) -> np.ndarray:
-    """(I, 6, 6): what the prior leaves open along the common weak directions, as covariance of each camera."""
+    """(I, 6, 6): what the prior leaves open along the common degenerate directions, as covariance of each camera."""
     if len(directions.common) == 0:
         return np.zeros((len(state.cameras), 6, 6))
     prior = replace(prior, calibration=replace(prior.calibration, counted=None))
@@ -141,14 +141,14 @@ def held_covariance(state: VisualState, prior: Prior, directions: DegenerateDire
 
 
 def _prior_along(state: VisualState, prior: Prior, directions: DegenerateDirections) -> NormalEquations:
-    """The prior's equations over the weak motions, one block, bordered by the calibration."""
+    """The prior's equations over the degenerate motions, one block, bordered by the calibration."""
     by_motion = np.zeros((len(state.cameras), 7, len(directions.common)))
     by_motion[:, :6] = _tangents(state, directions)
     return trajectory_prior.linearize(prior, state).together(by_motion)
 
 
 def _tangents(state: VisualState, directions: DegenerateDirections) -> np.ndarray:
-    """(I, 6, m): each camera's tangent of the weak motions."""
+    """(I, 6, m): each camera's tangent of the degenerate motions."""
     to_center = geometry.from_rotation_translation(np.eye(3), directions.center)
     carry = geometry.adjoint(geometry.inverse(state.cameras.world_from_camera) @ to_center)
     return np.asarray(carry @ directions.common.T)

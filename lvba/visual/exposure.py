@@ -67,7 +67,7 @@ STRETCH_M = 8.0
 of one err alike, which pieces of a meter do not show: on a real street those promised a sixth of what stretches tell."""
 _RADIOMETRY_ROUNDS = 20
 """Most times that patches are weighed anew while vignetting and response are found."""
-_RADIOMETRY_SETTLED = 1e-4
+_RADIOMETRY_TOLERANCE = 1e-4
 """Change of all numbers below which they are not weighed again: a hundredth of a percent of the light."""
 
 
@@ -306,7 +306,7 @@ def edges_of(ratios: Ratios, images: int) -> Edges:
         second=codes % images,
         mean=mean,
         sigma=sigma,
-        share=np.concatenate([share for share, _ in pieces], axis=1),
+        weight_fraction=np.concatenate([fraction for fraction, _ in pieces], axis=1),
         pull=np.concatenate([pull for _, pull in pieces], axis=1),
         pairs=len(value),
         spread=robust_std(value - mean[edge]),
@@ -342,7 +342,7 @@ def radiometry_sums(edge: Indices, sign: np.ndarray, ratios: Ratios) -> Radiomet
         before, present = present, radiometry.best(known)
         rest = left - np.einsum("nk,k->n", by_numbers, present.numbers)
         mean = np.bincount(edge, weight * rest, edges) / np.bincount(edge, weight, edges)
-        if np.abs(present.numbers - before.numbers).max() < _RADIOMETRY_SETTLED:
+        if np.abs(present.numbers - before.numbers).max() < _RADIOMETRY_TOLERANCE:
             break
     return known
 
@@ -383,9 +383,9 @@ def pieces_of_means(
     """
     cell, shape = edge * BLOCKS + block, (len(mean), BLOCKS)
     total = np.bincount(edge, weight, shape[0])[:, None]
-    share = np.bincount(cell, weight, shape[0] * BLOCKS).reshape(shape) / total
+    fraction = np.bincount(cell, weight, shape[0] * BLOCKS).reshape(shape) / total
     pull = np.bincount(cell, weight * (value - mean[edge]), shape[0] * BLOCKS).reshape(shape) / total
-    return share, pull
+    return fraction, pull
 
 
 def _medians(group: np.ndarray, value: np.ndarray, groups: int) -> np.ndarray:

@@ -40,7 +40,7 @@ class Edges:
     """What all patches together say about each pair of images; two parts of the patches may each have an edge of a pair.
 
     first, second: (E,) int64, images; mean, sigma: (E,) of log(brightness in `second` / in `first`)
-    share: (E, 2 BLOCKS), part of the weight that each block of the surface has, first small blocks, then large ones
+    weight_fraction: (E, 2 BLOCKS), of the weight, by block of the surface: first small blocks, then large ones
     pull: (E, 2 BLOCKS), that part times how far the mean of each block is off the edge's
     pairs: number of patch comparisons; spread: their robust standard deviation about the edges' means
     radiometry: that the means suppose; by_radiometry: (E, NUMBERS), derivative of a mean by its numbers
@@ -51,7 +51,7 @@ class Edges:
     second: np.ndarray
     mean: np.ndarray
     sigma: np.ndarray
-    share: np.ndarray
+    weight_fraction: np.ndarray
     pull: np.ndarray
     pairs: int
     spread: float
@@ -202,7 +202,7 @@ class _Graph:
 
     def _without(self, edges: Edges, weight: np.ndarray, block: int) -> np.ndarray:
         """(I,): the solution without the patches of one block. weight: (E,), of the edges with them"""
-        rest = 1 - edges.share[:, block]
+        rest = 1 - edges.weight_fraction[:, block]
         mean = edges.mean - np.where(rest > _LITTLE, edges.pull[:, block] / np.maximum(rest, _LITTLE), 0.0)
         return self.factor(weight * np.maximum(rest, _LEAST)).values(mean)
 

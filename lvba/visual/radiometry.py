@@ -1,7 +1,7 @@
 """What grey values say of the light, alike in all images of a camera: its vignetting and its response, found together.
 
 Both are told by how ratios of brightness differ among the patches of one pair of images, by where these are in the
-images and by how bright they are: taken one after the other, each would feign some of the other.
+images and by how bright they are: taken one after the other, each would take up some of the other.
 """
 
 from collections.abc import Sequence

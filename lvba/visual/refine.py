@@ -57,7 +57,7 @@ __all__ = [
 
 logger = logging.getLogger(__name__)
 
-_FIRST_INFLATION = 10.0
+_FIRST_VARIANCE_FACTOR = 10.0
 _COARSE_DECREASE = 1e-4
 """Relative decrease of the cost at which a coarse level stops: it only gives the next one its start."""
 _COARSE_DAMPING = 1e-4
@@ -315,7 +315,7 @@ def _solved(
 def _none_yet(scene: Scene) -> Coarser:
     """What the coarsest level begins with."""
     held = trajectory_prior.take(scene.prior, scene.keyframes) if scene.variant.prior else None
-    return Coarser(scene.start, held, _FIRST_INFLATION, ())
+    return Coarser(scene.start, held, _FIRST_VARIANCE_FACTOR, ())
 
 
 def _visibility_map(

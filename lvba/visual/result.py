@@ -54,8 +54,8 @@ class VisualResult:
     log_exposure_sigma: (I,) float64
     calibration: as found; calibration_sigma: (k,) standard deviations of its numbers, in the order and units of
         `Calibration.layout()`
-    weak: (I,) int32, number of common motions of an image and its scene that nothing it sees holds
-    weak_common: (k, 6) float64, motions `[rotation | translation]` of all images about their scene's middle, world
+    degenerate: (I,) int32, number of common motions of an image and its scene that nothing it sees holds
+    degenerate_common: (k, 6) float64, motions `[rotation | translation]` of all images about their scene's middle, world
         axes, that no image holds: there the result is the prior's
     cost_initial, cost_final: photometric cost of the finest level at the carried rough poses and at the result
     radiometry: that poses and exposures suppose
@@ -69,8 +69,8 @@ class VisualResult:
     keyframes: np.ndarray
     calibration: Calibration
     calibration_sigma: np.ndarray
-    weak: np.ndarray
-    weak_common: np.ndarray
+    degenerate: np.ndarray
+    degenerate_common: np.ndarray
     levels: tuple[LevelReport, ...]
     cost_initial: float
     cost_final: float
@@ -131,7 +131,7 @@ def collect(
 ) -> VisualResult:
     """The result from the account of the levels, coarse to fine, and the last level's solution.
 
-    state: final, with its exposures and at the prior along the weak directions; log_exposure_sigma: (K,) float64
+    state: final, with its exposures and at the prior along the degenerate directions; log_exposure_sigma: (K,) float64
     start: (K, 4, 4), carried rough poses
     prior: of all I images, before the solve; keyframes: (K,); times: (I,) s of all images
     """
@@ -153,8 +153,8 @@ def collect(
         keyframes=keyframes,
         calibration=state.calibration,
         calibration_sigma=_calibration_sigma(known),
-        weak=directions.count[nearest],
-        weak_common=directions.common,
+        degenerate=directions.count[nearest],
+        degenerate_common=directions.common,
         levels=levels,
         cost_initial=_cost(last, start, state),
         cost_final=_cost(last, state.cameras.world_from_camera, state),

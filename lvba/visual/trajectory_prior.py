@@ -93,7 +93,7 @@ class Source:
     world_from_scan: (I, 4, 4) float64, the LiDAR at the images' stamps
     sigma_rotation, sigma_position: (I,) of one component of what a frame deviates by itself, rad and m
     scan_rotation, scan_position: (I,) of one component of the error of the scans' poses, rad and m
-    memory: by what the variances of the latter (rotation, position) grow because neighboring frames share them
+    correlation_inflation: by what the variances of the latter (rotation, position) grow as neighboring frames share them
     """
 
     world_from_scan: np.ndarray
@@ -101,7 +101,7 @@ class Source:
     sigma_position: np.ndarray
     scan_rotation: np.ndarray
     scan_position: np.ndarray
-    memory: tuple[float, float] = (1.0, 1.0)
+    correlation_inflation: tuple[float, float] = (1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -346,8 +346,12 @@ def _linearize_source(prior: Prior, source: Source, state: VisualState) -> Norma
 
 def sigmas(source: Source) -> np.ndarray:
     """(I, 6), of `[rotation | position]`: a frame's own deviation and the scans' errors together."""
-    rotation = np.hypot(source.sigma_rotation, np.sqrt(source.memory[0]) * source.scan_rotation)
-    position = np.hypot(source.sigma_position, np.sqrt(source.memory[1]) * source.scan_position)
+    rotation = np.hypot(
+        source.sigma_rotation, np.sqrt(source.correlation_inflation[0]) * source.scan_rotation
+    )
+    position = np.hypot(
+        source.sigma_position, np.sqrt(source.correlation_inflation[1]) * source.scan_position
+    )
     return by_component(rotation, position)
 
 

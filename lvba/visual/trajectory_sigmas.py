@@ -2,7 +2,7 @@
 
 Two things make a camera deviate from where a scan pose puts it. One is its own: interpolation between scans, the noise
 of the odometry in a frame, jitter of the clocks. It shows in the differences between neighboring frames. The other is
-the error of the scans' poses, which neighbors share; how large that can be, the LiDAR bundle adjustment says. A slow
+the error of the scans' poses, which neighbors fraction; how large that can be, the LiDAR bundle adjustment says. A slow
 deviation larger than both contradicts a rigid extrinsic: images alone drift, and then the prior must not give way.
 """
 
@@ -42,8 +42,8 @@ def reestimated(prior: Prior, state: VisualState, undecided: tuple[np.ndarray, .
 
 def _rescaled(source: Source, deviation: np.ndarray, posterior: np.ndarray) -> Source:
     own = by_component(source.sigma_rotation, source.sigma_position)
-    share = np.clip(1 - posterior / sigmas(source) ** 2, 0.0, 1.0)
-    rotation, position = (_own_scale(deviation, own, share, part) for part in (slice(3), slice(3, 6)))
+    fraction = np.clip(1 - posterior / sigmas(source) ** 2, 0.0, 1.0)
+    rotation, position = (_own_scale(deviation, own, fraction, part) for part in (slice(3), slice(3, 6)))
     return replace(
         source,
         sigma_rotation=_within(
@@ -56,18 +56,21 @@ def _rescaled(source: Source, deviation: np.ndarray, posterior: np.ndarray) -> S
             source.sigma_position,
             np.array([FLOOR_POSITION_M, CEILING_POSITION_M]),
         ),
-        memory=(_memory(deviation[:, :3] / own[:, :3]), _memory(deviation[:, 3:] / own[:, 3:])),
+        correlation_inflation=(
+            _correlation_inflation(deviation[:, :3] / own[:, :3]),
+            _correlation_inflation(deviation[:, 3:] / own[:, 3:]),
+        ),
     )
 
 
-def _own_scale(deviation: np.ndarray, own: np.ndarray, share: np.ndarray, part: slice) -> float:
+def _own_scale(deviation: np.ndarray, own: np.ndarray, fraction: np.ndarray, part: slice) -> float:
     """By what factor frames deviate more than their own sigmas (I, 6); shared deviations must not count as own.
 
     Both the deviations and the differences of neighbors have at least a frame's own spread: the smaller one tells more.
     """
     step = np.square(np.diff(deviation, axis=0)) / (own[1:] ** 2 + own[:-1] ** 2)
-    by_steps = _scale(step[:, part], np.minimum(share[1:], share[:-1])[:, part])
-    return min(by_steps, _scale(np.square(deviation / own)[:, part], share[:, part]))
+    by_steps = _scale(step[:, part], np.minimum(fraction[1:], fraction[:-1])[:, part])
+    return min(by_steps, _scale(np.square(deviation / own)[:, part], fraction[:, part]))
 
 
 def _within(sigma: np.ndarray, before: np.ndarray, limits: np.ndarray) -> np.ndarray:
@@ -75,7 +78,7 @@ def _within(sigma: np.ndarray, before: np.ndarray, limits: np.ndarray) -> np.nda
     return np.asarray(np.clip(sigma, limits[0], np.maximum(before, limits[1])))
 
 
-def _memory(normalized: np.ndarray) -> float:
+def _correlation_inflation(normalized: np.ndarray) -> float:
     """By what factor the variance of shared deviations grows, >= 1.
 
     N frames whose deviations have lag-one correlation r tell of their common part only what N (1 - r) / (1 + r)
@@ -89,15 +92,15 @@ def _memory(normalized: np.ndarray) -> float:
     return (1 + correlation) / (1 - correlation)
 
 
-def _scale(normalized: np.ndarray, share: np.ndarray) -> float:
+def _scale(normalized: np.ndarray, fraction: np.ndarray) -> float:
     """By what factor deviations exceed their sigmas, robust (Huber's proposal 2); 1 where the images decided too few."""
-    if share.sum() < 6:
+    if fraction.sum() < 6:
         return 1.0
     scale = 1.0
     for _ in range(20):
         clip = (2.0 * scale) ** 2
         # 0.9205 is the mean of a chi-square of one degree of freedom clipped at 4
-        new = float(np.sqrt(np.minimum(normalized, clip).sum() / (0.9205 * share.sum())))
+        new = float(np.sqrt(np.minimum(normalized, clip).sum() / (0.9205 * fraction.sum())))
         if abs(new - scale) < 1e-3 * scale:
             break
         scale = new

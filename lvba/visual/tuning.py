@@ -16,7 +16,8 @@ class Tuning:
 
     noise: of residuals; variance_factor: actual over modeled variance of the pixels
     offset_scale: how many times further than the LiDAR says planes are off
-    sigma_rotation, sigma_position: (sources, k) of each source of the prior, rad and m; memory: (sources, 2)
+    sigma_rotation, sigma_position: (sources, k) of each source of the prior, rad and m
+    correlation_inflation: (sources, 2), of rotation and position
     evidence: of the images about the calibration; None: there is no prior
     fixed: names of the parameters of the calibration that the images do not call to correct
     """
@@ -26,7 +27,7 @@ class Tuning:
     offset_scale: float
     sigma_rotation: np.ndarray
     sigma_position: np.ndarray
-    memory: np.ndarray
+    correlation_inflation: np.ndarray
     evidence: Evidence | None
     fixed: tuple[str, ...] = ()
 
@@ -44,7 +45,7 @@ def tuning(solution: LevelSolution) -> Tuning:
         offset_scale=scale,
         sigma_rotation=np.array([source.sigma_rotation for source in sources]),
         sigma_position=np.array([source.sigma_position for source in sources]),
-        memory=np.array([source.memory for source in sources]),
+        correlation_inflation=np.array([source.correlation_inflation for source in sources]),
         evidence=None if solution.prior is None else solution.prior.evidence,
         fixed=solution.fixed,
     )

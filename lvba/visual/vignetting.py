@@ -23,7 +23,7 @@ center: lenses sit within some pixels of where they are calibrated."""
 LEAST_LIGHT = 0.2
 """Light left at the corner below which the result is refused: lenses keep more."""
 SMALLEST = 0.01
-"""Loss at the corner below which there is taken to be none: less is of the order of what shine feigns."""
+"""Loss at the corner below which there is taken to be none: gloss alone looks like that much."""
 SIGNIFICANCE = 3.0
 """Standard deviations by which the loss must exceed its error somewhere in the image."""
 RISE = 0.003

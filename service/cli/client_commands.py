@@ -144,7 +144,7 @@ def _path(job_id: str) -> str:
 
 def _raise_unless_done(job: Job) -> None:
     if job.state != "done":
-        error = job.error or Failure(job.state, "restart it to go on")
+        error = job.error or Failure(job.state, "restart it to continue")
         raise LvbaError(f"{job.id} {job.state}: {error.cause}; {error.hint}")
 
 

@@ -117,7 +117,7 @@ def _command(name: str) -> Callable[[argparse.Namespace, Display], None]:
 
 def _stopped(arguments: argparse.Namespace) -> str:
     if arguments.command == "run":
-        return f"stopped; finished stages are kept in {arguments.out}: the same command goes on from there"
+        return f"stopped; finished stages are kept in {arguments.out}: the same command continues from there"
     return "stopped"
 
 

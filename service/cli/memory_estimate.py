@@ -40,7 +40,7 @@ def _limit(arguments: argparse.Namespace, given: int | None) -> str:
     # Dask takes a moment to import, and is not needed by who runs in one process
     from workers import limits
 
-    return f", of {(given or limits.memory_share(arguments.workers)) / 1e9:.1f} GB for each worker"
+    return f", of {(given or limits.memory_per_process(arguments.workers)) / 1e9:.1f} GB for each worker"
 
 
 def _too_little(needed: float, given: int, parts: int) -> InputError:

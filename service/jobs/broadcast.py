@@ -34,7 +34,7 @@ _PAGES = 32
 """Pages of older events in memory: many who listen from the beginning ask for the same ones."""
 _WOKEN = 20
 """Listeners woken at a time; others' requests get their turn between."""
-_SHARE = 0.3
+_TIME_FRACTION = 0.3
 """Part of the time that waking may take where there are many listeners."""
 _THREADS = 3
 """Of those that requests share."""
@@ -101,7 +101,7 @@ class Broadcaster:
                 _log.warning("events cannot be read: %s", str(error).splitlines()[0])
             except Exception:
                 _log.exception("events cannot be told")
-            await asyncio.sleep(max(_LOOK_S, (time.monotonic() - began) * (1 / _SHARE - 1)))
+            await asyncio.sleep(max(_LOOK_S, (time.monotonic() - began) * (1 / _TIME_FRACTION - 1)))
 
     def close(self) -> None:
         """End all streams."""

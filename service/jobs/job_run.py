@@ -59,7 +59,7 @@ class JobRun:
             dataset = session.get_one(Dataset, job.dataset_id)
             history = _history(session)
         self._timeline = timeline.Timeline(
-            timeline.shares(history), job.estimate.get("seconds") or 0.0, time.monotonic()
+            timeline.time_fractions(history), job.estimate.get("seconds") or 0.0, time.monotonic()
         )
         self._recording = paths.recording(dataset.id, dataset.folder)
         self._name = dataset.name
@@ -279,7 +279,7 @@ class JobRun:
         if self._disk_was_full:
             needed = int(job.estimate.get("disk_bytes", 0)) + LEAST_FREE
             hint = (
-                f"it goes on when {needed} bytes are free"
+                f"it continues when {needed} bytes are free"
                 if job.state == QUEUED
                 else "make room, then restart it"
             )

@@ -15,7 +15,7 @@ WAITING, RUNNING, DONE, FAILED, STOPPED = "waiting", "running", "done", "failed"
 class Timeline:
     """The stages of one attempt.
 
-    weights: of stages by name, about their share of the time in finished runs; of others, the mean of these
+    weights: of stages by name, about their fractions of the time in finished runs; of others, the mean of these
     estimate_s: of the whole run, before it begins
     """
 
@@ -74,13 +74,13 @@ class Timeline:
         elapsed = now - self._began
         every = sum(self._weight(stage) for stage in self.stages)
         made = [stage for stage in self.stages if not stage["reused"]]
-        share = sum(self._weight(stage) for stage in made) / every if every else 1.0
-        if not share or not made:
+        fraction = sum(self._weight(stage) for stage in made) / every if every else 1.0
+        if not fraction or not made:
             return round(max(self._estimate_s - elapsed, 0.0), 1)
         left = sum(self._weight(stage) * (1.0 - self._done(stage, every, now)) for stage in made) / every
-        part = left / share
+        part = left / fraction
         # the pace so far makes elapsed / (1 - part) of the whole; weighed by 1 - part
-        return round(part * (part * share * self._estimate_s + elapsed), 1)
+        return round(part * (part * fraction * self._estimate_s + elapsed), 1)
 
     def _done(self, stage: Mapping[str, Any], every: float, now: float) -> float:
         """The part of a stage that is done, 0..1, by its count or by the time that it should take."""
@@ -165,8 +165,8 @@ def _left(done: int, total: int, seconds: float) -> float | None:
     return round(seconds * (total - done) / done, 1) if done and total > done else None
 
 
-def shares(history: list[list[dict[str, Any]]]) -> dict[str, float]:
-    """Mean share of the time of each stage, by name, in the runs that were finished."""
+def time_fractions(history: list[list[dict[str, Any]]]) -> dict[str, float]:
+    """Mean fraction of the time of each stage, by name, in the runs that were finished."""
     fractions: dict[str, list[float]] = {}
     for stages in history:
         total = sum(stage["seconds"] or 0.0 for stage in stages)

@@ -1,4 +1,4 @@
-"""Shares of one LiDAR bundle adjustment: together they are the whole problem, and one solve moves all scans."""
+"""Blocks of one LiDAR bundle adjustment: together they are the whole problem, and one solve moves all scans."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def regions(poses, parts):
     return lidar_block.Regions(poses[:, :3, 3], np.arange(len(poses)) * parts // len(poses))
 
 
-def shares(scans, poses, parts):
+def blocks_of(scans, poses, parts):
     owned = regions(poses, parts)
     return [
         lidar_block.collect(
@@ -55,8 +55,8 @@ def test_a_morton_code_gives_its_cell_back():
 
 def test_every_point_is_in_one_share(world):
     scans, _, rough = world
-    found = shares(scans, rough, 3)
-    whole = shares(scans, rough, 1)[0]
+    found = blocks_of(scans, rough, 3)
+    whole = blocks_of(scans, rough, 1)[0]
     assert sum(each.clusters.count.sum() for each in found) == whole.clusters.count.sum()
     assert whole.clusters.count.sum() == sum(len(scan) for scan in scans)
     assert min(len(each.key) for each in found) > 0
@@ -65,7 +65,7 @@ def test_every_point_is_in_one_share(world):
 @pytest.mark.parametrize("parts", [1, 3])
 def test_the_equations_of_all_shares_add_up_to_those_of_the_whole(world, parts):
     scans, _, rough = world
-    found = [lidar_block.linearize(each, rough, SENSOR, PLAIN) for each in shares(scans, rough, parts)]
+    found = [lidar_block.linearize(each, rough, SENSOR, PLAIN) for each in blocks_of(scans, rough, parts)]
     # every share has its own noise: compare the sums of squares, which do not depend on it
     grid = voxel_map.build(gather(scans), rough, STAGE.sizes, bundle_adjustment.OBLIQUE)
     features = voxel_map.find_planes(grid, rough, SENSOR, STAGE.plane_test).features
@@ -95,7 +95,7 @@ def test_the_equations_of_all_shares_add_up_to_those_of_the_whole(world, parts):
 @pytest.mark.parametrize("parts", [1, 2, 5, 8])
 def test_shares_are_added_up_one_after_another_to_what_they_are_together(world, parts):
     scans, _, rough = world
-    found = [lidar_block.linearize(each, rough, SENSOR, PLAIN) for each in shares(scans, rough, parts)]
+    found = [lidar_block.linearize(each, rough, SENSOR, PLAIN) for each in blocks_of(scans, rough, parts)]
     asked = []
     at_once = lidar_block.summed(asked.append(number) or each for number, each in enumerate(found))
     assert asked == list(range(parts))
@@ -123,7 +123,7 @@ def rounds(scans, rough, start, parts, stages):
     """stages: (number of the stage, rounds) in turn, points put into cells anew for each."""
     state = lidar_joint.begin(rough, start, CONFIG)
     for number, count in stages:
-        cells = shares(scans, state.world_from_scan, parts)
+        cells = blocks_of(scans, state.world_from_scan, parts)
         stage = STAGES[number]
         for _ in range(count):
             found = lidar_block.summed(

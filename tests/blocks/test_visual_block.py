@@ -1,4 +1,4 @@
-"""Shares of one visual bundle adjustment: together they are the whole problem, and their sum is solved as one."""
+"""Blocks of one visual bundle adjustment: together they are the whole problem, and their sum is solved as one."""
 
 from dataclasses import replace
 
@@ -41,7 +41,7 @@ def core(first, end):
     return mine
 
 
-def shares(given, state, known, cores):
+def blocks_of(given, state, known, cores):
     laid = [
         visual_block.select_scene_points(given, state, ALL, mine, known, None, NONE, CONFIG) for mine in cores
     ]
@@ -63,8 +63,8 @@ def test_tuning_is_what_the_solve_found(solved):
 
 def test_the_equations_of_all_shares_add_up_to_those_of_the_whole(solved):
     given, _, last, known = solved
-    laid, parts = shares(given, last.state, known, [core(0, 5), core(5, COUNT)])
-    _, (whole,) = shares(given, last.state, known, [core(0, COUNT)])
+    laid, parts = blocks_of(given, last.state, known, [core(0, 5), core(5, COUNT)])
+    _, (whole,) = blocks_of(given, last.state, known, [core(0, COUNT)])
     assert min(each.observations for each in parts) > 100
     assert sum(each.observations for each in parts) == whole.observations
     together = visual_joint.total(parts, COUNT)
@@ -95,7 +95,7 @@ def rounds(given, laid, start, last, known, count=8):
 
 def test_joint_rounds_end_at_one_solution_wherever_they_begin(solved):
     given, _, last, known = solved
-    laid, _ = shares(given, last.state, known, [core(0, 5), core(5, COUNT)])
+    laid, _ = blocks_of(given, last.state, known, [core(0, 5), core(5, COUNT)])
     delta = np.random.default_rng(1).normal(size=(COUNT, 6)) * np.repeat([1e-3, 2e-3], 3)
     poses = geometry.retract(last.state.cameras.world_from_camera, delta)
     start = VisualState(CameraStates(poses, last.state.cameras.log_exposure), last.state.calibration)
@@ -115,7 +115,7 @@ def test_joint_rounds_end_at_one_solution_wherever_they_begin(solved):
 
 def test_a_step_that_costs_more_is_taken_back(solved):
     given, _, last, known = solved
-    _, found = shares(given, last.state, known, [core(0, COUNT)])
+    _, found = blocks_of(given, last.state, known, [core(0, COUNT)])
     now = JointCameras(last.state, last.state, last.prior, np.zeros(COUNT))
     moved = visual_joint.step(now, found)
     again = visual_joint.step(replace(moved, converged=False, cost=0.5 * moved.cost), found)
@@ -126,8 +126,8 @@ def test_a_step_that_costs_more_is_taken_back(solved):
 
 def test_exposures_of_shares_are_those_of_the_whole(solved):
     given, _, last, known = solved
-    parts, _ = shares(given, last.state, known, [core(0, 5), core(5, COUNT)])
-    (whole,), _ = shares(given, last.state, known, [core(0, COUNT)])
+    parts, _ = blocks_of(given, last.state, known, [core(0, 5), core(5, COUNT)])
+    (whole,), _ = blocks_of(given, last.state, known, [core(0, COUNT)])
     tied = visual_joint.solve_exposures([each.edges for each in parts], COUNT)
     alone = visual_joint.solve_exposures([whole.edges], COUNT)
     assert tied.pairs == alone.pairs
@@ -142,8 +142,8 @@ def test_all_shares_have_one_vignetting(solved):
     full = np.rint(pyramid.levels[0] * light[..., None]).astype(np.uint8)
     dark = image.build_pyramid(full, pyramid.camera, len(pyramid))
     given = replace(given, pyramid=dark, camera=pyramid.camera)
-    parts, _ = shares(given, last.state, known, [core(0, 5), core(5, COUNT)])
-    (whole,), _ = shares(given, last.state, known, [core(0, COUNT)])
+    parts, _ = blocks_of(given, last.state, known, [core(0, 5), core(5, COUNT)])
+    (whole,), _ = blocks_of(given, last.state, known, [core(0, COUNT)])
     tied = visual_joint.solve_exposures([each.edges for each in parts], COUNT)
     alone = visual_joint.solve_exposures([whole.edges], COUNT)
     assert tied.radiometry.vignetting.corner_loss == pytest.approx(
@@ -159,7 +159,7 @@ def test_all_shares_have_one_vignetting(solved):
 
 def test_without_prior_only_images_that_are_seen_move(solved):
     given, _, last, known = solved
-    _, found = shares(given, last.state, known, [core(0, 3)])
+    _, found = blocks_of(given, last.state, known, [core(0, 3)])
     now = visual_joint.step(JointCameras(last.state, last.state, None, np.zeros(COUNT)), found)
     seen = np.union1d(found[0].equations.rows, found[0].equations.columns)
     unseen = np.setdiff1d(ALL, seen)

@@ -58,8 +58,8 @@ def test_covariance_is_honest(yard):
 
 def test_nothing_is_weak_in_an_open_scene(yard):
     result = yard[3]
-    assert result.weak_directions == ()
-    assert not result.weak_scans.any()
+    assert result.degenerate_directions == ()
+    assert not result.degenerate_scans.any()
     assert result.warnings == ()
 
 
@@ -190,8 +190,8 @@ def bare(kind):
 def test_what_planes_leave_open_is_reported_and_stays_at_the_odometry(kind, weak):
     scans, truth, rough = bare(kind)
     result = refine(scans, rough)
-    assert (result.weak_scans == weak).all()
-    assert len(result.weak_directions) == weak
+    assert (result.degenerate_scans == weak).all()
+    assert len(result.degenerate_directions) == weak
     assert any("open" in warning for warning in result.warnings)
     # along the corridor, or in the plane, each step is that of the odometry
     along = np.diff(result.world_from_scan[:, 0, 3]) - np.diff(rough[:, 0, 3])
@@ -203,7 +203,7 @@ def test_what_planes_leave_open_is_reported_and_stays_at_the_odometry(kind, weak
     ]
     assert height[1] < 0.2 * height[0]
     if kind == "plane":
-        directions = np.stack([d.direction for d in result.weak_directions])
+        directions = np.stack([d.direction for d in result.degenerate_directions])
         assert np.linalg.norm(directions[:, [0, 1, 5]]) < 0.1
 
 

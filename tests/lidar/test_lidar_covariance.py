@@ -25,7 +25,7 @@ def yard():
     return truth, Problem(features, SIGMA, odometry_prior(rough, 0.01, 0.05))
 
 
-def dense(problem, poses, doubted):
+def dense(problem, poses, with_noise):
     """(marginal, conditional, step, variance_factor) by whole matrices."""
     scans = len(poses)
     fits = fit(problem.features, poses)
@@ -42,7 +42,7 @@ def dense(problem, poses, doubted):
         by_both[:, 6 * i : 6 * i + 6] = -geometry.adjoint(geometry.inverse(poses[i + 1]) @ poses[i])
         by_both[:, 6 * i + 6 : 6 * i + 12] = np.eye(6)
         step.append(by_both @ whole @ by_both.T)
-    if doubted:
+    if with_noise:
         noise = noise_information.linearize(problem.features, fits, poses, SIGMA).dense()[6:, 6:]
         certain = noise_information.certain(planes[6:, 6:], noise, odometry)
         whole[6:, 6:] = np.linalg.inv(certain / variance_factor + odometry)
@@ -60,15 +60,15 @@ def dense(problem, poses, doubted):
     return blocks(aligned), blocks(conditional), step, variance_factor
 
 
-@pytest.mark.parametrize("doubted", [False, True])
-def test_covariance_against_whole_matrices(yard, doubted, monkeypatch):
+@pytest.mark.parametrize("with_noise", [False, True])
+def test_covariance_against_whole_matrices(yard, with_noise, monkeypatch):
     poses, problem = yard
-    monkeypatch.setattr(covariance, "MOST_DOUBTED", len(poses) if doubted else 0)
+    monkeypatch.setattr(covariance, "MOST_NOISE_SCANS", len(poses) if with_noise else 0)
     got = covariance.estimate(problem, poses)
-    marginal, conditional, step, variance_factor = dense(problem, poses, doubted)
+    marginal, conditional, step, variance_factor = dense(problem, poses, with_noise)
     assert got.variance_factor == pytest.approx(variance_factor, rel=1e-9)
     assert variance_factor > 1.0, "or it is not seen to be multiplied in"
-    assert len(got.odometry_dependence) == (len(poses) - 1 if doubted else 0)
+    assert len(got.odometry_dependence) == (len(poses) - 1 if with_noise else 0)
     for name, found, want in (
         ("marginal", got.marginal, marginal),
         ("conditional", got.conditional, conditional),

@@ -54,7 +54,7 @@ def apart():
 
 def test_the_step_between_two_groups_is_named(apart):
     result, _ = apart
-    assert not result.weak_scans.any(), "each scan for itself is held"
+    assert not result.degenerate_scans.any(), "each scan for itself is held"
     assert np.argmax(result.odometry_dependence) == GROUP - 1
     assert result.odometry_dependence[GROUP - 1] > 0.7
     assert np.delete(result.odometry_dependence, GROUP - 1).max() < 0.5

@@ -48,7 +48,7 @@ def test_ends_that_miss_each_other_by_more_than_a_meter_are_brought_together(yar
     meters, degrees = error(loop, first, second)
     assert meters < 4
     assert degrees < 0.03
-    assert loop.weak == 0
+    assert loop.open_directions == 0
     assert loop.overlap > 0.5
 
 
@@ -106,7 +106,7 @@ def test_a_corridor_is_measured_across_and_left_open_along():
     a, b = part(world, first, 0), part(world, second, 1000, seed=5, moved_by=MOVED)
     loop = registration.register(a, b, candidate(first, second, 4, 2, [0.01, 0.01, 0.02, 0.5, 0.3, 0.1]))
     assert loop.accepted, loop.reason
-    assert loop.weak == 1
+    assert loop.open_directions == 1
     values, vectors = np.linalg.eigh(loop.information)
     assert values[0] == pytest.approx(0.0, abs=1e-6 * values[-1])
     corridor_in_second = second[2][:3, :3].T @ [1.0, 0, 0]
@@ -133,7 +133,7 @@ def test_look_alike_houses_are_told_apart_while_the_odometry_does(terrace):
     first, second, a, b = terrace
     loop = registration.register(a, b, candidate(first, second, 4, 2, [0, 0, 0.02, 0.8, 0.3, 0.1]))
     assert loop.accepted, loop.reason
-    assert loop.weak == 0
+    assert loop.open_directions == 0
     assert error(loop, first, second)[0] < 20
 
 

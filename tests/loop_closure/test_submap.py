@@ -160,7 +160,7 @@ def test_the_search_finds_a_shift_of_meters_and_a_turn(patch):
 def test_the_same_place_agrees_and_one_that_is_seen_through_does_not(patch):
     target = Target.of(patch)
     same = verification.evidence(target, target, np.eye(4), 0.1)
-    assert same.share == 1.0
+    assert same.agreeing == 1.0
     assert same.overlap == 1.0
     wall = Patch(
         np.stack([np.full(25, 2.0), *np.mgrid[-0.8:0.9:0.4, -0.8:0.9:0.4].reshape(2, -1)], -1),
@@ -171,7 +171,7 @@ def test_the_same_place_agrees_and_one_that_is_seen_through_does_not(patch):
     )
     behind = Patch(wall.center + np.array([3.0, 0, 0]), wall.normal, wall.observer, wall.thickness, 0.4)
     told = verification.evidence(Target.of(wall), Target.of(behind), np.eye(4), 0.1)
-    assert told.share == 0.0
+    assert told.agreeing == 0.0
     assert np.count_nonzero(told.against_b) > 10
     assert np.count_nonzero(told.against_a) == 0
 

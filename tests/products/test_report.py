@@ -37,7 +37,7 @@ def facts(name="courtyard"):
                   "history": [{"cost_before": 3.0, "cost_after": 2.0, "sigma": 0.01},
                               {"cost_before": 4.0, "cost_after": 3.0}]},
         "visual": {"accepted": True, "observations": 1234, "extrinsic": {"change_m": 0.01, "change_deg": [0.1, 0, 0]},
-                   "time_offset": {"seconds": 0.004, "sigma": 0.0002}, "weak_directions": [f"image 3: {name}"],
+                   "time_offset": {"seconds": 0.004, "sigma": 0.0002}, "degenerate_directions": [f"image 3: {name}"],
                    "history": [{"level": level, "cost": 10.0 / (k + 1)} for level in (1, 0) for k in range(4)]},
         "evaluation": {"rough": scores(0.0), "refined": scores(1.0)},
         "reference": {"lidar": {"ate_m": 0.001, "rotation_deg": 0.01, "rpe_m": 0.002},
@@ -268,8 +268,8 @@ def test_figures_of_stages_are_explained_and_costs_that_cannot_be_compared_are_n
 
 def test_degenerate_directions_are_counted():
     some = facts()
-    some["lidar"] |= {"weak_scans": [0, 1, 0, 3], "weak_directions": [{}]}
-    some["visual"] |= {"weak_directions": {"count": 67, "per_image": [0] * 30 + [3] * 20}}
+    some["lidar"] |= {"degenerate_scans": [0, 1, 0, 3], "degenerate_directions": [{}]}
+    some["visual"] |= {"degenerate_directions": {"count": 67, "per_image": [0] * 30 + [3] * 20}}
     text = " ".join(parsed(report.page(some)).text)
     assert "Scans that planes determine in every direction 2 of 4" in text
     assert "do not determine (kept near the scans) 20 of 50" in text

@@ -1,4 +1,4 @@
-"""`lvba batch`: one that fails does not stop the others, and the same command goes on."""
+"""`lvba batch`: one that fails does not stop the others, and the same command continues."""
 
 import csv
 import json

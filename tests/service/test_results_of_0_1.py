@@ -52,13 +52,14 @@ def facts(recording):
         "config": {},
         "versions": {"lvba": "0.1.0"},
         "stages": [{"name": "lidar", "seconds": 2.0, "peak_memory_mb": 300.0, "tasks": 1, "reused": False}],
-        "lidar": {"accepted": True, "reason": "accepted", "planes": 50, "converged": True, "weak_directions": [],
+        "lidar": {"accepted": True, "reason": "accepted", "planes": 50, "converged": True, "weak_directions": [[0.0] * 6],
+                  "weak_scans": [0, 1, 0, 0],
                   "loose": [0.1] * 3, "history": history},
         "visual": {"accepted": False, "reason": "input camera poses kept: images are not predicted better",
                    "exposures_accepted": True, "keyframes": 4, "scene_points": 100, "history": [],
                    "levels": [{"level": 0, "local_pairs": 10, "global_pairs": 2, "rms": 4.5, "iterations": [],
                                "inflation": 9.0, "converged": True}]},
-        "fusion": {"between": 0.4},
+        "fusion": {"between": 0.4, "disagreement": 1.5},
         "trajectory": {"scans": path, "images": path},
         "exposure": {"times": TIMES.tolist(), "relative": [1.0] * 4},
         "evaluation": {"rough": scores, "refined": scores},
@@ -123,6 +124,8 @@ def test_its_figures_are_read_by_their_old_names(result):
     figures = verdict_data.figures(json.loads((result / "report.json").read_text()))
     assert figures.variance_factor == 9.0
     assert figures.spline_error == 0.4
+    assert figures.fusion_variance_factor == 1.5
+    assert (figures.common_degenerate, figures.degenerate_scans) == (1, 1)
     assert "not predicted better" in figures.camera_poses.reason
 
 

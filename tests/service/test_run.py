@@ -105,10 +105,28 @@ def test_writes_everything_that_is_promised(undisturbed, recording):
             report["evaluation"][state]
         )
     assert {"cost_initial", "cost_final", "planes", "iterations", "accepted"} <= set(report["lidar"])
-    assert {"observations", "accepted", "extrinsic", "time_offset", "weak_directions"} <= set(
+    assert {"observations", "accepted", "extrinsic", "time_offset", "degenerate_directions"} <= set(
         report["visual"]
     )
     assert "report.html" in done.stdout
+
+
+def test_every_fact_of_the_report_is_in_its_reference(undisturbed):
+    reference = (ROOT / "docs" / "report.md").read_text().splitlines()
+    rows = {
+        key: set(re.findall(r"`([\w.]+)`", row))
+        for row in reference
+        if row.startswith("| `")
+        for key in re.findall(r"`(\w+)`", row.split("|")[1])
+    }
+    report = report_of(undisturbed[0])
+    assert set(report) <= set(rows)
+    sections = {
+        key: facts
+        for key, facts in report.items()
+        if isinstance(facts, dict) and key not in ("config", "versions")
+    }
+    assert {key: set(facts) - rows[key] for key, facts in sections.items() if set(facts) - rows[key]} == {}
 
 
 def test_the_report_says_how_many_millimeters_to_expect(undisturbed):

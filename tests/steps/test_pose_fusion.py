@@ -8,7 +8,7 @@ import pytest
 
 from lvba import geometry, spline
 from lvba.lidar.covariance import Covariance
-from lvba.lidar.degeneracy import WeakDirection
+from lvba.lidar.degeneracy import DegenerateDirection
 from lvba.steps import pose_fusion
 from lvba.trajectory import Trajectory
 
@@ -255,7 +255,7 @@ def test_what_all_scans_leave_open_stays_at_the_odometry():
     poses[:, 0, 3] += 0.03
     slid = replace(slid, world_from_scan=replace(slid.world_from_scan, world_from_sensor=poses))
     prior = np.repeat([0.01, 0.05], 3)
-    along = WeakDirection(np.array([0, 0, 0, 1.0, 0, 0]), 0.1)
+    along = DegenerateDirection(np.array([0, 0, 0, 1.0, 0, 0]), 0.1)
     free = pose_fusion.fuse(given, Covariance(wide, wide), slid)
     held = pose_fusion.fuse(given, Covariance(wide, wide), slid, [along], prior)
     change = held.world_from_scan[:, :3, 3] - given.world_from_sensor[:, :3, 3]
@@ -271,8 +271,8 @@ def test_covariances_that_promise_too_much_are_widened():
     found = pose_fusion.fuse(given, sure, replace(good, covariance=good.covariance / 400))
     assert found.interpolation_error_scale == pytest.approx(1.0)
     honest = pose_fusion.fuse(given, covariance, good)
-    assert honest.disagreement < 1.2
-    assert np.trace(found.covariance[30]) * found.disagreement > np.trace(sure.marginal[30])
+    assert honest.variance_factor < 1.2
+    assert np.trace(found.covariance[30]) * found.variance_factor > np.trace(sure.marginal[30])
     assert errors(found.world_from_scan, truth).max() < 0.003
 
 
@@ -309,7 +309,7 @@ def test_images_that_all_lie_outside_the_scans_move_none():
     later = replace(later, world_from_scan=replace(later.world_from_scan, times=times))
     found = pose_fusion.fuse(given, covariance, later)
     assert (found.world_from_scan == given.world_from_sensor).all()
-    assert found.disagreement == 1.0
+    assert found.variance_factor == 1.0
 
 
 def test_splines_are_off_by_a_part_of_what_is_missed_and_by_more_at_their_ends():

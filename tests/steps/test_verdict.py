@@ -18,7 +18,7 @@ def scaled(what, error, rough, promised, after):
 USED, NOT_USED = Judged(True, "accepted"), Judged(False, "not crisper")
 CLEAN = Figures(
     scans=100, images=100, scan_poses=USED, camera_poses=USED, exposures=USED, scans_with_cameras=USED,
-    variance_factor=2.4, spline_error=0.4, disagreement=1.0, extrinsic_sigmas=1.0, thickness=(0.03, 0.012),
+    variance_factor=2.4, spline_error=0.4, fusion_variance_factor=1.0, extrinsic_sigmas=1.0, thickness=(0.03, 0.012),
 )  # fmt: skip
 KEPT = (Truth("scans", "m", 0.001, 0.07, 0.0009), Truth("cameras", "degrees", 0.01, 0.2, 0.02))
 
@@ -38,11 +38,11 @@ KEPT = (Truth("scans", "m", 0.001, 0.07, 0.0009), Truth("cameras", "degrees", 0.
         ({"scan_poses": NOT_USED, "images": 0, "camera_poses": Judged()}, "bad", False),
         ({"variance_factor": 4.6}, "check", True),
         ({"spline_error": 0.81}, "check", True),
-        ({"disagreement": 1.21}, "check", True),
-        ({"variance_factor": 4.5, "spline_error": 0.8, "disagreement": 1.2}, "good", False),
-        ({"common_weak": 1}, "check", False),
-        ({"weak_scans": 6}, "check", False),
-        ({"weak_scans": 5}, "good", False),
+        ({"fusion_variance_factor": 1.21}, "check", True),
+        ({"variance_factor": 4.5, "spline_error": 0.8, "fusion_variance_factor": 1.2}, "good", False),
+        ({"common_degenerate": 1}, "check", False),
+        ({"degenerate_scans": 6}, "check", False),
+        ({"degenerate_scans": 5}, "good", False),
         ({"odometry_dependent_steps": 1}, "check", False),
         ({"vague_scans": 6}, "check", False),
         ({"vague_cameras": 6}, "check", False),
@@ -50,7 +50,7 @@ KEPT = (Truth("scans", "m", 0.001, 0.07, 0.0009), Truth("cameras", "degrees", 0.
         ({"moved_m": 0.004}, "check", False),
         ({"moved_m": 0.004, "scan_p95_m": 0.005}, "check", False),
         ({"moved_m": 0.006, "scan_p95_m": 0.005}, "check", True),
-        ({"cameras_settled": False}, "check", False),
+        ({"cameras_converged": False}, "check", False),
         ({"jumps": 1, "jump_m": 0.3}, "check", False),
         ({"jumps": 1, "jump_m": 1.0, "jump_left": True}, "check", True),
         ({"range_errors": 1}, "check", True),
@@ -101,12 +101,12 @@ def facts(**more):
     }
     return {
         "dataset": {"scans": 20, "images": 20},
-        "lidar": {"accepted": True, "reason": "accepted", "weak_scans": [0] * 20, "weak_directions": [],
+        "lidar": {"accepted": True, "reason": "accepted", "degenerate_scans": [0] * 20, "degenerate_directions": [],
                   "odometry_dependence": [0.1] * 19, "converged": True, "history": [{"moved": 1e-5}]},
         "visual": {"accepted": True, "exposures_accepted": True,
                    "levels": [{"variance_factor": 20.0, "converged": False}, {"variance_factor": 2.0, "converged": True}],
                    "extrinsic": {"change_m": 0.01, "change_deg": 0.3}},
-        "fusion": {"accepted": True, "interpolation_error_scale": 0.3, "disagreement": 1.0, "moved_m": [0.0]},
+        "fusion": {"accepted": True, "interpolation_error_scale": 0.3, "variance_factor": 1.0, "moved_m": [0.0]},
         "evaluation": {"rough": {"per_image": per_image}, "refined": {"per_image": per_image}},
         "config": {"visual": {"prior": {"extrinsic_position_m": 0.01, "extrinsic_rotation_deg": 0.3}}},
         "expected_error": expected,
@@ -128,8 +128,8 @@ def alarmed(facts):
     facts["visual"]["levels"][-1]["variance_factor"] = 15.0
 
 
-def weak(facts):
-    facts["lidar"]["weak_scans"][:3] = [1, 2, 1]
+def open_scans(facts):
+    facts["lidar"]["degenerate_scans"][:3] = [1, 2, 1]
 
 
 def dependent(facts):
@@ -168,7 +168,7 @@ def rejected(facts):
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (alarmed, "15.0 times"), (weak, "3 of 20 scans"), (dependent, "1 motions"), (vague, "2 of 20 cameras"),
+        (alarmed, "15.0 times"), (open_scans, "3 of 20 scans"), (dependent, "1 motions"), (vague, "2 of 20 cameras"),
         (moved, "6.0 mm"), (extrinsic, "5.0 cm"), (blurred, "lost structure"), (jumped, "jump 1 times"),
         (rejected, "not used: refined scan poses (the refined map is not crisper)"),
     ],

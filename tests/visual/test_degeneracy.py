@@ -35,7 +35,7 @@ def scene():
 
 
 def found(scene, keep: set[int]) -> degeneracy.DegenerateDirections:
-    """The weak directions where only some of the planes are used."""
+    """The degenerate directions where only some of the planes are used."""
     world, poses, images, points, observations = scene
     mine = np.isin(points.plane[observations.point], list(keep))
     part = Observations(observations.point[mine], observations.target[mine], observations.is_global[mine])
@@ -95,7 +95,7 @@ def prior_at(poses: np.ndarray) -> Prior:
     return Prior((source,), none, none, calibration_prior.build(Calibration(np.eye(4)), PriorConfig().sigma))
 
 
-def test_a_common_slide_along_a_weak_direction_goes_back_to_the_prior(scene):
+def test_a_common_slide_along_a_degenerate_direction_goes_back_to_the_prior(scene):
     poses = scene[1]
     directions = degeneracy.DegenerateDirections(
         np.ones(8, np.int32), np.array([[0, 0, 0, 1.0, 0, 0]]), np.zeros(3)
@@ -113,7 +113,7 @@ def test_a_common_slide_along_a_weak_direction_goes_back_to_the_prior(scene):
     assert np.abs(world[:, 1, 1]).max() < 1e-12
 
 
-def test_without_weak_directions_nothing_moves(scene):
+def test_without_degenerate_directions_nothing_moves(scene):
     state = VisualState(CameraStates(scene[1], np.zeros(8)), Calibration(np.eye(4)))
     none = degeneracy.DegenerateDirections(np.zeros(8, np.int32), np.zeros((0, 6)), np.zeros(3))
     assert (

@@ -55,8 +55,8 @@ def test_the_account_of_the_levels_goes_from_coarse_to_fine(refined):
         assert level.local_pairs > 100
         assert len(level.iterations) > 0
         assert 1.0 < level.sigma < 4.0
-    assert refined.weak.shape == (COUNT,)
-    assert len(refined.weak_common) == 0
+    assert refined.degenerate.shape == (COUNT,)
+    assert len(refined.degenerate_common) == 0
     assert abs(refined.time_offset) < 0.005
 
 
@@ -75,7 +75,7 @@ def test_images_between_keyframes_are_carried_along(room):
     between = np.setdiff1d(np.arange(COUNT), chosen)
     assert error(found.world_from_camera[between], truth[between])[0] < 3.0
     assert error(problem["images"].world_from_sensor[between], truth[between])[0] > 7.0
-    assert len(found.covariance) == len(found.weak) == COUNT
+    assert len(found.covariance) == len(found.degenerate) == COUNT
 
 
 @pytest.mark.parametrize(

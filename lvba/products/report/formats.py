@@ -80,20 +80,10 @@ def verdict(facts: Mapping[str, Any]) -> str:
     before, after = rough.get("psnr_leave_one_out"), refined.get("psnr_leave_one_out")
     if before is not None and after is not None:
         gain = after - before
-        if gain > 0.005:
-            better = number(gain, 2, "dB")
-            sentences.append(
-                f"Images left out of the coloring are predicted <strong>{better} better</strong> than before."
-            )
-        elif gain < -0.005:
-            worse = number(-gain, 2, "dB")
-            sentences.append(
-                f"Images left out of the coloring are predicted <strong>{worse} worse</strong> than before."
-            )
-        else:
-            sentences.append(
-                "Images left out of the coloring are predicted <strong>as well as before</strong>."
-            )
+        change = f"{number(abs(gain), 2, 'dB')} {'higher' if gain > 0 else 'lower'} than"
+        if abs(gain) <= 0.005:
+            change = "the same as"
+        sentences.append(f"Leave-one-out PSNR is <strong>{change}</strong> before.")
     before, after = rough.get("map_entropy"), refined.get("map_entropy")
     if before is not None and after is not None and abs(after - before) > 5e-4:
         word = "sharper" if after < before else "less sharp"

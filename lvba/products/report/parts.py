@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from lvba.products.renamed_facts import value
 from lvba.products.report import formats
 from lvba.products.report.html import details, table, text
 
@@ -45,15 +46,10 @@ def _seam(row: Mapping[str, Any]) -> list[str]:
     return [
         _names(row),
         formats.count(row["scans"]),
-        f"{formats.length(_offset(row, 'm'))}, {formats.number(_offset(row, 'deg'), 3, 'deg')}",
+        f"{formats.length(value(row, 'offset_before_m'))}, {formats.number(value(row, 'offset_before_deg'), 3, 'deg')}",
         formats.number(row.get("exposure_ratio"), 3, ""),
         *(formats.length(row.get(name)) for name in ("wall_rough_m", "wall_m", "wall_one_side_m")),
     ]
-
-
-def _offset(row: Mapping[str, Any], unit: str) -> Any:
-    """Before merging; results of versions before 0.3 call it a jump."""
-    return row.get(f"offset_before_{unit}", row.get(f"jump_{unit}"))
 
 
 def _loop(row: Mapping[str, Any]) -> list[str]:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from lvba.products import renamed_facts
 from lvba.products.report import charts, formats
 from lvba.products.report.charts import Line
 from lvba.products.report.html import table, text
@@ -71,17 +72,13 @@ def lidar_rows(facts: Facts) -> list[tuple[str, str]]:
     if left.get("part") is not None:
         rows.append(_motion_row(left))
     rows += _range_error_rows(stage.get("range_errors") or {})
-    scans = stage.get("weak_scans") or []
+    scans = renamed_facts.value(stage, "degenerate_scans") or []
     if scans:
         held = sum(not count for count in scans)
         rows.append(("Scans that planes determine in every direction", f"{held} of {len(scans)}"))
-    if stage.get("weak_directions") is not None:
-        rows.append(
-            (
-                f"Motions of the whole map that planes do not determine{_HELD}",
-                _number_of(stage["weak_directions"]),
-            )
-        )
+    common = renamed_facts.value(stage, "degenerate_directions")
+    if common is not None:
+        rows.append((f"Motions of the whole map that planes do not determine{_HELD}", _number_of(common)))
     return rows
 
 
@@ -148,7 +145,7 @@ def visual_rows(facts: Facts) -> list[tuple[str, str]]:
     )  # fmt: skip
     rows += _cost(stage) + _extrinsic(stage.get("extrinsic")) + _offset(stage.get("time_offset"))
     rows += _calibration(stage.get("calibration"))
-    return rows + _undetermined_images(stage.get("weak_directions"))
+    return rows + _undetermined_images(renamed_facts.value(stage, "degenerate_directions"))
 
 
 def _cost(stage: Facts) -> list[tuple[str, str]]:

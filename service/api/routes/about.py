@@ -107,7 +107,7 @@ def readyz(server: Context, exclude: Exclude = ()) -> dict[str, str]:
         raise Problem("unavailable", "the data folder cannot be written")
     lack = None if "disk" in exclude else disk_space.lacking(server.paths.root)
     if lack:
-        mend = "remove what is not needed; jobs and uploads go on by themselves"
+        mend = "remove what is not needed; jobs and uploads continue by themselves"
         raise Problem("unavailable", f"the disk of the data folder is full: {lack}", mend)
     return {"status": "ready"}
 

@@ -13,7 +13,7 @@ from service.api.routes import jobs
 from service.db.leases import Lease
 from service.db.tables import Job
 from service.jobs.job_run import JobRun
-from service.jobs.timeline import Timeline, shares
+from service.jobs.timeline import Timeline, time_fractions
 from service.problems import Problem
 from service.system.paths import Paths
 
@@ -61,7 +61,7 @@ def test_progress_never_goes_back_and_ends_at_one():
 
 
 def test_time_left_comes_from_the_shares_of_earlier_runs():
-    weights = shares([[{"name": "lidar", "seconds": 30.0}, {"name": "map", "seconds": 10.0}]] * 2) | {
+    weights = time_fractions([[{"name": "lidar", "seconds": 30.0}, {"name": "map", "seconds": 10.0}]] * 2) | {
         "input": 0.0,
         "write": 0.0,
     }
