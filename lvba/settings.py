@@ -192,3 +192,13 @@ def _type_words(hint: Any) -> str:
     if origin in (tuple, list):
         return f"list, each a {_type_words(inner[0])}"
     return _TYPES.get(hint, str(hint))
+
+
+def check_ranges(config: Any, group: str, **ranges: tuple[float, float]) -> None:
+    """Of a group of constants of the method, which are no settings: raises ValueError where one is out of its range.
+
+    ranges: by the names of fields, lowest and highest value allowed
+    """
+    for name, (low, high) in ranges.items():
+        if not low <= getattr(config, name) <= high:
+            raise ValueError(f"{group}.{name} = {getattr(config, name)}; allowed: {low} to {high}")

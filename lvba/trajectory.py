@@ -63,9 +63,9 @@ def carry(rough: Trajectory, refined: Poses, others: Trajectory) -> np.ndarray:
     corrections = interpolate_corrections(rough, refined, others.times)
     carried = corrections @ others.world_from_sensor
     before, _ = bracket(rough.times, others.times)
-    beside = (
-        _jumped(rough.world_from_sensor, refined)[before] if len(rough) > 1 else np.zeros(len(others), bool)
-    )
+    beside = np.zeros(len(others), bool)
+    if len(rough) > 1:
+        beside = motions_differ(rough.world_from_sensor, refined, JUMP_M, JUMP_DEG)[before]
     if not beside.any() or beside.all():
         return np.asarray(carried)
     steady, there = np.flatnonzero(~beside), np.flatnonzero(beside)
@@ -80,12 +80,12 @@ def carry(rough: Trajectory, refined: Poses, others: Trajectory) -> np.ndarray:
     return np.asarray(carried)
 
 
-def _jumped(rough: Poses, refined: Poses) -> np.ndarray:
-    """(N - 1,) bool: rough motions to the next frame that are off by more than a jump."""
-    steps = [geometry.inverse(poses[:-1]) @ poses[1:] for poses in (rough, refined)]
+def motions_differ(one: Poses, other: Poses, meters: float, degrees: float) -> np.ndarray:
+    """(N - 1,) bool: motions to the next frame in which poses (N, 4, 4) differ from others by more than m or degrees."""
+    steps = [geometry.inverse(poses[:-1]) @ poses[1:] for poses in (one, other)]
     off = geometry.log(geometry.inverse(steps[0]) @ steps[1])
-    far = np.linalg.norm(off[:, 3:], axis=1) > JUMP_M
-    return np.asarray(far | (np.linalg.norm(off[:, :3], axis=1) > np.radians(JUMP_DEG)))
+    far = np.linalg.norm(off[:, 3:], axis=1) > meters
+    return np.asarray(far | (np.linalg.norm(off[:, :3], axis=1) > np.radians(degrees)))
 
 
 def sample(trajectory: Trajectory, times: Times) -> np.ndarray:

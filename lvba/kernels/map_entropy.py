@@ -1,35 +1,21 @@
 """Voxel means and neighborhood covariances of a point map: mean map entropy and plane thickness."""
 
-from typing import Any
-
 import numpy as np
 from numba import prange
 
 from lvba.kernels.compiled import kernel, parallel_kernel
+from lvba.kernels.hash_table import FREE, doubled, place_of
 
 _LOG_2PIE = np.log(2.0 * np.pi * np.e)
-_FREE = np.int64(-1)
 
 
 @kernel
-def _place(table: np.ndarray, key: Any) -> Any:
-    """Where a key is in an open-addressing table of 2^k places, or the free place where it belongs."""
-    mask = len(table) - 1
-    place = np.int64((np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(32)) & mask
-    while table[place] != _FREE and table[place] != key:
-        place = (place + 1) & mask
-    return place
-
-
-@kernel
-def _doubled(table: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The table and what stands beside it, in twice the places."""
-    wider, moved = np.full(2 * len(table), _FREE), np.zeros((2 * len(table), 4))
+def _grow(table: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    wider, went = doubled(table)
+    moved = np.zeros((len(wider), 4))
     for old in range(len(table)):
-        if table[old] != _FREE:
-            new = _place(wider, table[old])
-            wider[new] = table[old]
-            moved[new] = sums[old]
+        if table[old] != FREE:
+            moved[went[old]] = sums[old]
     return wider, moved
 
 
@@ -52,7 +38,7 @@ def voxel_sums(
     points: (N, 3) float32; first: (3,) int64, the least voxel number in each direction; span: (3,) int64, how many there
     are. Key: (x span[1] + y) span[2] + z, numbers counted from `first`. Points of a voxel are added in their order.
     """
-    table, sums = np.full(1 << 16, _FREE), np.zeros((1 << 16, 4))
+    table, sums = np.full(1 << 16, FREE), np.zeros((1 << 16, 4))
     used = 0
     for i in range(len(points)):
         x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
@@ -60,8 +46,8 @@ def voxel_sums(
         b = np.int64(np.floor(y / voxel)) - first[1]
         c = np.int64(np.floor(z / voxel)) - first[2]
         key = (a * span[1] + b) * span[2] + c
-        place = _place(table, key)
-        if table[place] == _FREE:
+        place = place_of(table, key)
+        if table[place] == FREE:
             table[place] = key
             used += 1
         sums[place, 0] += x
@@ -69,8 +55,8 @@ def voxel_sums(
         sums[place, 2] += z
         sums[place, 3] += 1.0
         if 2 * used > len(table):
-            table, sums = _doubled(table, sums)
-    held = np.flatnonzero(table != _FREE)
+            table, sums = _grow(table, sums)
+    held = np.flatnonzero(table != FREE)
     return table[held], sums[held]
 
 

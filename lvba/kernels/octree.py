@@ -6,6 +6,7 @@ import numpy as np
 from numba import prange
 
 from lvba.kernels.compiled import kernel, parallel_kernel
+from lvba.kernels.morton import gather, spread
 
 KEY_LEVELS = 21
 """Levels of a key: 21 bits for each axis."""
@@ -14,30 +15,6 @@ GRID_LEVELS = 7
 MAX_LEVEL = KEY_LEVELS - GRID_LEVELS
 """The deepest level of nodes: whatever is left there stays there."""
 _NONE = np.uint8(255)
-
-
-@kernel(inline=True)
-def _spread(x: Any) -> Any:
-    """The lowest 21 bits, two zeros put between each and the next."""
-    x = np.uint64(x) & np.uint64(0x1FFFFF)
-    x = (x | (x << np.uint64(32))) & np.uint64(0x1F00000000FFFF)
-    x = (x | (x << np.uint64(16))) & np.uint64(0x1F0000FF0000FF)
-    x = (x | (x << np.uint64(8))) & np.uint64(0x100F00F00F00F00F)
-    x = (x | (x << np.uint64(4))) & np.uint64(0x10C30C30C30C30C3)
-    x = (x | (x << np.uint64(2))) & np.uint64(0x1249249249249249)
-    return x
-
-
-@kernel(inline=True)
-def _gather(x: Any) -> Any:
-    """Every third bit: the inverse of `_spread`."""
-    x = np.uint64(x) & np.uint64(0x1249249249249249)
-    x = (x | (x >> np.uint64(2))) & np.uint64(0x10C30C30C30C30C3)
-    x = (x | (x >> np.uint64(4))) & np.uint64(0x100F00F00F00F00F)
-    x = (x | (x >> np.uint64(8))) & np.uint64(0x1F0000FF0000FF)
-    x = (x | (x >> np.uint64(16))) & np.uint64(0x1F00000000FFFF)
-    x = (x | (x >> np.uint64(32))) & np.uint64(0x1FFFFF)
-    return x
 
 
 @parallel_kernel
@@ -53,7 +30,7 @@ def keys(position: np.ndarray, bits: int) -> np.ndarray:
         for a in range(3):
             x = np.int64(position[i, a])
             x = x >> (bits - KEY_LEVELS) if bits >= KEY_LEVELS else x << (KEY_LEVELS - bits)
-            code |= _spread(x) << np.uint64(2 - a)
+            code |= spread(x) << np.uint64(2 - a)
         out[i] = code
     return out
 
@@ -65,7 +42,7 @@ def _off_center(key: Any, level: Any) -> Any:
     size = np.int64(1) << below
     total = np.int64(0)
     for a in range(3):
-        inside = np.int64(_gather(key >> np.uint64(a))) & (size - 1)
+        inside = np.int64(gather(key >> np.uint64(a))) & (size - 1)
         away = 2 * inside + 1 - size
         total += away * away
     return total

@@ -10,6 +10,8 @@ import numpy as np
 from numba import prange
 
 from lvba.kernels.compiled import kernel, parallel_kernel
+from lvba.kernels.hash_table import FREE, doubled, place_of
+from lvba.kernels.morton import gather, spread
 from lvba.kernels.point_cluster import (
     POINTS,
     Clusters,
@@ -21,34 +23,13 @@ from lvba.kernels.point_cluster import (
 )
 
 AXIS_CELLS = 1 << 16
-_EMPTY = np.int64(-1)
 _FIRST_TABLE = 1 << 13
-
-
-@kernel(inline=True)
-def _spread(x: Any) -> Any:
-    x = np.uint64(x) & np.uint64(0xFFFF)
-    x = (x | (x << np.uint64(16))) & np.uint64(0x0000FF0000FF)
-    x = (x | (x << np.uint64(8))) & np.uint64(0x00F00F00F00F)
-    x = (x | (x << np.uint64(4))) & np.uint64(0x0C30C30C30C3)
-    x = (x | (x << np.uint64(2))) & np.uint64(0x249249249249)
-    return x
 
 
 @kernel(inline=True)
 def morton(x: Any, y: Any, z: Any) -> Any:
     """The int64 Morton code of three cell numbers in [0, 65536)."""
-    return np.int64(_spread(x) | (_spread(y) << np.uint64(1)) | (_spread(z) << np.uint64(2)))
-
-
-@kernel(inline=True)
-def _gather(x: Any) -> Any:
-    x = np.uint64(x) & np.uint64(0x249249249249)
-    x = (x | (x >> np.uint64(2))) & np.uint64(0x0C30C30C30C3)
-    x = (x | (x >> np.uint64(4))) & np.uint64(0x00F00F00F00F)
-    x = (x | (x >> np.uint64(8))) & np.uint64(0x0000FF0000FF)
-    x = (x | (x >> np.uint64(16))) & np.uint64(0xFFFF)
-    return x
+    return np.int64(spread(x) | (spread(y) << np.uint64(1)) | (spread(z) << np.uint64(2)))
 
 
 @kernel
@@ -60,35 +41,24 @@ def cell_of(keys: np.ndarray) -> np.ndarray:
     cells = np.empty((len(keys), 3), np.int64)
     for n in range(len(keys)):
         for axis in range(3):
-            cells[n, axis] = np.int64(_gather(np.uint64(keys[n]) >> np.uint64(axis)))
+            cells[n, axis] = np.int64(gather(np.uint64(keys[n]) >> np.uint64(axis)))
     return cells
 
 
 @kernel
-def _find(table_key: np.ndarray, key: Any) -> Any:
-    """Where the key is, or the free place where it belongs, in an open-addressing table of 2^k places."""
-    mask = len(table_key) - 1
-    h = np.int64((np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(32)) & mask
-    while table_key[h] != _EMPTY and table_key[h] != key:
-        h = (h + 1) & mask
-    return h
-
-
-@kernel
 def _grow(table_key: np.ndarray, table_value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    keys = np.full(2 * len(table_key), _EMPTY)
-    values = np.empty(2 * len(table_key), np.int32)
+    keys, went = doubled(table_key)
+    values = np.empty(len(keys), np.int32)
     for j in range(len(table_key)):
-        if table_key[j] != _EMPTY:
-            h = _find(keys, table_key[j])
-            keys[h], values[h] = table_key[j], table_value[j]
+        if table_key[j] != FREE:
+            values[went[j]] = table_value[j]
     return keys, values
 
 
 @kernel
 def _number(points: np.ndarray, pose: np.ndarray, scale: float, local: np.ndarray, keys: np.ndarray) -> int:
     """Fill one scan's part of `assign`'s outputs; returns its number of cells."""
-    table_key = np.full(_FIRST_TABLE, _EMPTY)
+    table_key = np.full(_FIRST_TABLE, FREE)
     table_value = np.empty(_FIRST_TABLE, np.int32)
     n = 0
     last_x, last_y, last_z, last = np.int64(-1), np.int64(-1), np.int64(-1), np.int32(-1)
@@ -111,8 +81,8 @@ def _number(points: np.ndarray, pose: np.ndarray, scale: float, local: np.ndarra
         if x != last_x or y != last_y or z != last_z:
             last_x, last_y, last_z = x, y, z
             key = morton(x, y, z)
-            h = _find(table_key, key)
-            if table_key[h] == _EMPTY:
+            h = place_of(table_key, key)
+            if table_key[h] == FREE:
                 table_key[h], table_value[h] = key, n
                 keys[n] = key
                 n += 1
@@ -160,18 +130,18 @@ def order_pairs(
     int32 of each entry; entry (K,) int64 of each pair, pairs numbered scan after scan.
     """
     pairs = cells.sum()
-    table_key, table_value = np.full(_FIRST_TABLE, _EMPTY), np.empty(_FIRST_TABLE, np.int32)
+    table_key, table_value = np.full(_FIRST_TABLE, FREE), np.empty(_FIRST_TABLE, np.int32)
     cell, sorted_keys, count = np.empty(pairs, np.int32), np.empty(pairs, np.int64), np.zeros(pairs, np.int64)
     n, k = 0, 0
     for s in range(len(cells)):
         for i in range(offsets[s], offsets[s] + cells[s]):
-            h = _find(table_key, keys[i])
-            if table_key[h] == _EMPTY:
+            h = place_of(table_key, keys[i])
+            if table_key[h] == FREE:
                 table_key[h], table_value[h], sorted_keys[n] = keys[i], n, keys[i]
                 n += 1
                 if 2 * n > len(table_key):
                     table_key, table_value = _grow(table_key, table_value)
-                    h = _find(table_key, keys[i])
+                    h = place_of(table_key, keys[i])
             cell[k] = table_value[h]
             count[table_value[h]] += 1
             k += 1

@@ -9,7 +9,7 @@ contradict them, weights from each plane's own noise, degenerate directions held
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -115,35 +115,15 @@ def refine(
     stages = density.adapted(stages or config.stages, points, config.dense_points)
     rough = np.array(world_from_scan, float)
     prior = odometry_prior(rough, config.prior_rotation, config.prior_translation)
-    total = sum(stage.rounds for stage in stages)
-    poses, history, done = rough, [], 0
-    grid: VoxelMap | None = None
+    rounds = _Rounds(points=points, sensor=sensor, config=config, poses=rough, prior=prior)
+    total, done = sum(stage.rounds for stage in stages), 0
     for stage in stages:
-        converged = False
-        for turn in range(stage.rounds):
-            progress("aligning scans", done + turn, total)
-            grid = None if grid is None or _stale(grid, poses, stage) else grid  # never two at a time
-            grid = grid.up_to(stage.sizes[-1]) if grid else _grid(points, poses, stage)
-            problem, directions = _associate(grid, poses, sensor, config, stage, prior)
-            solution = solve(problem, poses, _metric(config), steps=stage.steps, exact=stage.exact)
-            history.append(_round(problem, directions, poses, solution))
-            _log.info("round %d: %s", len(history), history[-1])
-            converged = _has_converged(solution, history[-1], stage)
-            poses = solution.world_from_scan
-            if converged:
-                break
-        prior = reestimated(prior, poses, directions.count == 0, config.prior_sigmas)
+        problem, directions, converged = rounds.of_stage(stage, progress, done, total)
         done += stage.rounds
-    for turn in range(_NOISE_ROUNDS if _may_have_drifted(directions, stage) else 0):
-        progress("weighing scans against the odometry", turn, _NOISE_ROUNDS)
-        grid = None if grid is None or _stale(grid, poses, stage) else grid
-        grid = grid or _grid(points, poses, stage)
-        problem, directions = _associate(grid, poses, sensor, config, stage, prior)
-        solution = noise_information.solve(problem, poses, config.prior_sigmas)
-        history.append(_round(problem, directions, poses, solution))
-        _log.info("round %d, noise taken off: %s", len(history), history[-1])
-        poses = solution.world_from_scan
-    grid = None
+    if _may_have_drifted(directions, stage):
+        problem, directions = rounds.beyond_noise(stage, progress)
+    poses, history = rounds.poses, rounds.history
+    del rounds
     progress("aligning scans", total, total)
     planes, plane_points = _planes_of_stage(points, poses, sensor, stages[-1])
     covariance = uncertainty.estimate(problem, poses)
@@ -166,6 +146,60 @@ def refine(
         warnings=_warnings(points, history[-1], stages, converged, problem)
         + _warnings_of_dependence(covariance.odometry_dependence, directions, problem.prior),
     )
+
+
+@dataclass
+class _Rounds:
+    """Rounds of association and solving, each from the poses of the one before. poses: (S, 4, 4)"""
+
+    points: Scans
+    sensor: np.ndarray
+    config: LidarConfig
+    poses: np.ndarray
+    prior: OdometryPrior
+    grid: VoxelMap | None = None
+    history: list[Round] = field(default_factory=list)
+
+    def of_stage(
+        self, stage: Stage, progress: Progress, done: int, total: int
+    ) -> tuple[Problem, degeneracy.DegenerateDirections, bool]:
+        """The last problem, what it leaves open, and whether the rounds of a stage came to an end."""
+        converged = False
+        for turn in range(stage.rounds):
+            progress("aligning scans", done + turn, total)
+            problem, directions = self._associated(stage)
+            solution = solve(problem, self.poses, _metric(self.config), steps=stage.steps, exact=stage.exact)
+            self._take(problem, directions, solution)
+            converged = _has_converged(solution, self.history[-1], stage)
+            if converged:
+                break
+        self.prior = reestimated(self.prior, self.poses, directions.count == 0, self.config.prior_sigmas)
+        return problem, directions, converged
+
+    def beyond_noise(
+        self, stage: Stage, progress: Progress
+    ) -> tuple[Problem, degeneracy.DegenerateDirections]:
+        """The same, with planes that count by what they say beyond noise."""
+        for turn in range(_NOISE_ROUNDS):
+            progress("weighing scans against the odometry", turn, _NOISE_ROUNDS)
+            problem, directions = self._associated(stage)
+            self._take(
+                problem, directions, noise_information.solve(problem, self.poses, self.config.prior_sigmas)
+            )
+        return problem, directions
+
+    def _associated(self, stage: Stage) -> tuple[Problem, degeneracy.DegenerateDirections]:
+        if self.grid is not None and _stale(self.grid, self.poses, stage):
+            self.grid = None  # never two at a time
+        self.grid = self.grid.up_to(stage.sizes[-1]) if self.grid else _grid(self.points, self.poses, stage)
+        return _associate(self.grid, self.poses, self.sensor, self.config, stage, self.prior)
+
+    def _take(
+        self, problem: Problem, directions: degeneracy.DegenerateDirections, solution: LidarSolution
+    ) -> None:
+        self.history.append(_round(problem, directions, self.poses, solution))
+        _log.info("round %d: %s", len(self.history), self.history[-1])
+        self.poses = solution.world_from_scan
 
 
 def find_planes(

@@ -9,6 +9,7 @@ from scipy.spatial.distance import cdist
 from lvba import geometry
 from lvba.arrays import Poses
 from lvba.loop_closure.alignments import SIGMAS
+from lvba.settings import check_ranges
 
 
 @dataclass(frozen=True)
@@ -33,18 +34,18 @@ class CandidateConfig:
     """Most pairs that a part is in as the later one; 0 to 1000."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("reach", 1, 500),
-            ("drift", 0, 0.5),
-            ("drift_deg", 0, 90),
-            ("least_m", 0, 100),
-            ("least_deg", 0, 45),
-            ("most_m", 0.1, 200),
-            ("most_deg", 0.1, 45),
-            ("pairs_per_part", 0, 1000),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"loops.{name} = {getattr(self, name)}; allowed: {low} to {high}")
+        check_ranges(
+            self,
+            "loops",
+            reach=(1, 500),
+            drift=(0, 0.5),
+            drift_deg=(0, 90),
+            least_m=(0, 100),
+            least_deg=(0, 45),
+            most_m=(0.1, 200),
+            most_deg=(0.1, 45),
+            pairs_per_part=(0, 1000),
+        )
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from lvba.loop_closure.submap import Patch, Submap, around, uncertainty
 from lvba.loop_closure.surfel_icp import Certainty, Target
 from lvba.loop_closure.verification import Evidence
 from lvba.optim.pose_graph import Edges
+from lvba.settings import check_ranges
 
 
 @dataclass(frozen=True)
@@ -48,23 +49,23 @@ class RegisterConfig:
     """The same of its rotation, degrees; 0 to 10."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("radius", 2, 200),
-            ("starts", 1, 1000),
-            ("tolerance", 0.01, 1),
-            ("min_surfels", 10, 100_000),
-            ("min_overlap", 0.01, 1),
-            ("min_agreeing", 0.5, 1),
-            ("max_noise_ratio", 0.1, 100),
-            ("rival", 0, 1),
-            ("open_sigma", 0.001, 10),
-            ("most_open", 0, 5),
-            ("blind_m", 0, 100),
-            ("floor_m", 0, 1),
-            ("floor_deg", 0, 10),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"loops.{name} = {getattr(self, name)}; allowed: {low} to {high}")
+        check_ranges(
+            self,
+            "loops",
+            radius=(2, 200),
+            starts=(1, 1000),
+            tolerance=(0.01, 1),
+            min_surfels=(10, 100_000),
+            min_overlap=(0.01, 1),
+            min_agreeing=(0.5, 1),
+            max_noise_ratio=(0.1, 100),
+            rival=(0, 1),
+            open_sigma=(0.001, 10),
+            most_open=(0, 5),
+            blind_m=(0, 100),
+            floor_m=(0, 1),
+            floor_deg=(0, 10),
+        )
 
 
 @dataclass(frozen=True)

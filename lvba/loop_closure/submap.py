@@ -8,6 +8,7 @@ from lvba import geometry
 from lvba.arrays import Indices, Pose, PoseBlocks, Poses, Vector
 from lvba.lidar.bundle_adjustment import LidarResult
 from lvba.lidar.plane import PlanePoints, Planes
+from lvba.settings import check_ranges
 
 
 @dataclass(frozen=True)
@@ -26,15 +27,15 @@ class SubmapConfig:
     """Fewest points of a surfel; 1 to 1000."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("cell", 0.05, 5),
-            ("least_cell", 0.02, 5),
-            ("enough", 0, 1_000_000),
-            ("full", 4, 100_000),
-            ("min_points", 1, 1000),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"submap.{name} = {getattr(self, name)}; allowed: {low} to {high}")
+        check_ranges(
+            self,
+            "submap",
+            cell=(0.05, 5),
+            least_cell=(0.02, 5),
+            enough=(0, 1_000_000),
+            full=(4, 100_000),
+            min_points=(1, 1000),
+        )
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from lvba.optim import levenberg_marquardt, linear_solver, loop_selection, norma
 from lvba.optim.levenberg_marquardt import SolverConfig
 from lvba.optim.loop_selection import Choice
 from lvba.optim.normal_equations import NormalEquations, Step
+from lvba.settings import check_ranges
 
 logger = logging.getLogger(__name__)
 
@@ -103,9 +104,13 @@ class PoseGraphConfig:
     """Of the steps."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (("gate", 1, 1000), ("odometry_variance_factor", 1, 100), ("margin", 0, 100)):
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"pose_graph.{name} = {getattr(self, name)}; allowed: {low} to {high}")
+        check_ranges(
+            self,
+            "pose_graph",
+            gate=(1, 1000),
+            odometry_variance_factor=(1, 100),
+            margin=(0, 100),
+        )
 
 
 @dataclass(frozen=True)

@@ -188,16 +188,18 @@ def _where_it_shows(
     own = _sums(photo**2, window)
     before, after = (_sums(photo * one, window) / np.sqrt(own * _sums(one**2, window) + 1e-9) for one in maps)
     score = (after - before) * np.sqrt(own * _sums(common.astype(float), window)) / np.prod(window)
-    row, column = np.unravel_index(score.argmax(), score.shape)
-    if score[row, column] == 0:
-        return None
-    return float(score[row, column]), _place(int(row), int(column), window)
+    return _largest(score, window)
 
 
 def _most_changed(change: np.ndarray) -> tuple[float, tuple[slice, slice]] | None:
     """The small window with the largest absolute sum of the change, and that; None: nothing changed."""
     window = _window(change.shape, _CROP)
     sums = np.abs(_sums(change, window))
+    return _largest(sums, window)
+
+
+def _largest(sums: np.ndarray, window: tuple[int, int]) -> tuple[float, tuple[slice, slice]] | None:
+    """The largest sum over a window, and that window; None: it is zero."""
     row, column = np.unravel_index(sums.argmax(), sums.shape)
     if sums[row, column] == 0:
         return None

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from lvba.arrays import Times
 from lvba.io.exposures import Exposures
 from lvba.io.reference import Reference
 from lvba.trajectory import Alignment, Trajectory, align_for_errors, pose_error
@@ -31,14 +32,14 @@ def compare(
     facts: dict[str, Any] = {}
     scaled: _Scaled | None = None
     aligned = scan_alignment(reference, scans)
-    scan_pairs = _pairs(scans.times, None if reference.scans is None else reference.scans.times)
+    scan_pairs = _pairs(scans, reference.scans)
     if aligned is not None and reference.scans is not None:
         estimate = scans.world_from_sensor[scan_pairs[:, 0]]
         truth = reference.scans.world_from_sensor[scan_pairs[:, 1]]
         facts["lidar"] = _error(estimate, truth, aligned, aligned.by)
         scaled = _Scaled.of(aligned.reference_from_estimate @ estimate, truth)
         facts["lidar"] |= {"scale": scaled.factor, "scaled_ate_m": scaled.error(estimate, truth, aligned)}
-    image_pairs = _pairs(images.times, None if reference.images is None else reference.images.times)
+    image_pairs = _pairs(images, reference.images)
     if len(image_pairs) > 1 and reference.images is not None:
         estimate = images.world_from_sensor[image_pairs[:, 0]]
         truth = reference.images.world_from_sensor[image_pairs[:, 1]]
@@ -56,7 +57,7 @@ def scan_alignment(reference: Reference, scans: Trajectory) -> Alignment | None:
     """What brings scans to the reference; None: fewer than two frames in common."""
     if reference.scans is None:
         return None
-    pairs = _pairs(scans.times, reference.scans.times)
+    pairs = matched(scans.times, reference.scans.times)
     if len(pairs) < 2:
         return None
     truth = reference.scans.world_from_sensor[pairs[:, 1]]
@@ -92,7 +93,7 @@ class _Scaled:
 
 
 def _exposure_facts(estimate: Exposures, reference: Exposures) -> dict[str, Any]:
-    pairs = _pairs(estimate.times, reference.times)
+    pairs = matched(estimate.times, reference.times)
     if len(pairs) < 2:
         return {}
     difference = np.log(estimate.relative[pairs[:, 0]]) - np.log(reference.relative[pairs[:, 1]])
@@ -130,12 +131,17 @@ def _after_power(estimate: np.ndarray, truth: np.ndarray) -> dict[str, float]:
     return {"power": power, "rms_percent_after_power": 100 * float(np.sqrt((error**2).mean()))}
 
 
-def _pairs(times: np.ndarray, others: np.ndarray | None) -> np.ndarray:
-    """Index pairs (P, 2) of samples at the same time, each used once. Both (N,) ascending."""
-    if others is None or not len(times) or not len(others):
+def matched(times: Times, others: Times) -> np.ndarray:
+    """Index pairs (P, 2) int64 of samples at the same time, each used once. Both ascending."""
+    if not len(times) or not len(others):
         return np.empty((0, 2), np.int64)
     after = np.clip(np.searchsorted(others, times), 0, len(others) - 1)
     before = np.maximum(after - 1, 0)
     nearest = np.where(np.abs(times - others[before]) <= np.abs(others[after] - times), before, after)
     close = np.abs(others[nearest] - times) <= MAX_TIME_DIFFERENCE_S
     return np.stack([np.flatnonzero(close), nearest[close]], axis=1)
+
+
+def _pairs(estimate: Trajectory, truth: Trajectory | None) -> np.ndarray:
+    """`matched` frames; none without a reference."""
+    return matched(estimate.times, np.zeros(0) if truth is None else truth.times)

@@ -151,14 +151,7 @@ def simulate(
     view = View.of(made.caster, made.texture, camera, extra.around.people, extra.shine)
     if disturb.auto_exposure:
         exposure = disturbed.exposures_of(view, made.truth.scene_from_camera, disturb)
-    sensor = Sensor(
-        gain=_MEAN_GREY / 0.45 / float(np.exp(np.median(np.log(exposure)))),
-        shot_noise=_SHOT_NOISE if shot_noise else 0.0,
-        vignetting=disturb.vignetting or (_VIGNETTING if vignetting else 0.0),
-        response=disturb.response or 1.0,
-        srgb=disturb.srgb,
-        filmic=disturb.filmic,
-    )
+    sensor = _sensor(exposure, shot_noise, vignetting, disturb)
     simulation = _Simulation(
         seed=seed,
         lidar=lidar,
@@ -192,6 +185,18 @@ def simulate(
         # numba asks for a newer TBB than the one Open3D brings, and does without
         warnings.filterwarnings("ignore", message="The TBB threading layer requires")
         _write_all(root, simulation, progress)
+
+
+def _sensor(exposure: np.ndarray, shot_noise: bool, vignetting: bool, disturb: Disturbances) -> Sensor:
+    """What makes grey values of light, at exposures (I,)."""
+    return Sensor(
+        gain=_MEAN_GREY / 0.45 / float(np.exp(np.median(np.log(exposure)))),
+        shot_noise=_SHOT_NOISE if shot_noise else 0.0,
+        vignetting=disturb.vignetting or (_VIGNETTING if vignetting else 0.0),
+        response=disturb.response or 1.0,
+        srgb=disturb.srgb,
+        filmic=disturb.filmic,
+    )
 
 
 def _check(counts: dict[str, int], lidar: str, seed: int, length: float | None) -> None:

@@ -16,12 +16,12 @@ from lvba.lidar.scan_errors import ScanErrors
 from lvba.lidar.scan_motion import MotionLeft
 from lvba.products.evaluate import Scores
 from lvba.products.map_file import PointMap
+from lvba.products.reference import matched
 from lvba.steps import (
     expected_error,
     plane_thickness,
     reference_data,
     trajectory_jumps,
-    uncertainty,
     verdict_data,
 )
 from lvba.steps.acceptance import ROUGH
@@ -325,7 +325,7 @@ def of_exposure(
     if visual.result is not None and accepted.exposures.accepted:
         facts["log_sigma"] = visual.result.log_exposure_sigma
     if reference is not None and reference.exposures is not None:
-        pairs = uncertainty.matched(times, reference.exposures.times)
+        pairs = matched(times, reference.exposures.times)
         known = np.full(len(times), np.nan)
         known[pairs[:, 0]] = reference.exposures.relative[pairs[:, 1]]
         facts["reference"] = known

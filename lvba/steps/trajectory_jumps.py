@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lvba import geometry
+from lvba import geometry, trajectory
 from lvba.arrays import Poses
 from lvba.trajectory import Trajectory
 
@@ -79,7 +79,4 @@ def _usual(rate: np.ndarray) -> np.ndarray:
 
 def differ(one: Poses, other: Poses) -> np.ndarray:
     """(N - 1,) bool: motions to the next frame in which poses (N, 4, 4) differ from others (N, 4, 4) by a jump."""
-    steps = [geometry.inverse(poses[:-1]) @ poses[1:] for poses in (one, other)]
-    off = geometry.log(geometry.inverse(steps[0]) @ steps[1])
-    far = np.linalg.norm(off[:, 3:], axis=1) > LEAST_M
-    return np.asarray(far | (np.linalg.norm(off[:, :3], axis=1) > np.radians(LEAST_DEG)))
+    return trajectory.motions_differ(one, other, LEAST_M, LEAST_DEG)

@@ -7,10 +7,8 @@ import numpy as np
 
 from lvba import geometry, trajectory
 from lvba.arrays import LogExposures, Pose, PoseBlocks, Times
-from lvba.products.reference import exposure_power
+from lvba.products.reference import exposure_power, matched
 from lvba.trajectory import Trajectory
-
-_SAME_TIME_S = 1e-3
 
 
 @dataclass(frozen=True)
@@ -82,14 +80,3 @@ def of_exposures(
 def _squared_error(error: np.ndarray, sigma: np.ndarray) -> float:
     """Of errors (P,) about their mean, in standard deviations (P,)."""
     return float(np.mean(((error - error.mean()) / sigma) ** 2))
-
-
-def matched(times: Times, others: Times) -> np.ndarray:
-    """Index pairs (P, 2) of samples at the same time. Both ascending."""
-    if not len(times) or not len(others):
-        return np.empty((0, 2), np.int64)
-    after = np.clip(np.searchsorted(others, times), 0, len(others) - 1)
-    before = np.maximum(after - 1, 0)
-    nearest = np.where(np.abs(times - others[before]) <= np.abs(others[after] - times), before, after)
-    close = np.abs(others[nearest] - times) <= _SAME_TIME_S
-    return np.stack([np.flatnonzero(close), nearest[close]], axis=1)

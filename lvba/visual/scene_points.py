@@ -235,31 +235,25 @@ def select(
     """
     lidar, gates = kernel_points(planes, plane_points), point_gates(camera, rules, noise)
     window = np.full(len(images), config.time_window_s)
-    pixel, own, seen = _select_images(
-        images,
-        camera,
-        world_from_camera,
-        image_times,
-        lidar,
-        plane_points.scan_offsets,
-        scan_times,
-        window,
-        gates,
-        cell_size(camera, config, rules),
-        score,
-    )
+    cell = cell_size(camera, config, rules)
+
+    def of_images(chosen: np.ndarray | slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        ranges = near_ranges(
+            image_times[chosen], scan_times, plane_points.scan_offsets, window[chosen], MAX_POINTS
+        )
+        poses = world_from_camera[chosen]
+        return _select_images(images[chosen], camera, poses, lidar, ranges, gates, cell, score)
+
+    pixel, own, seen = of_images(slice(None))
     for _ in range(3):
         few = np.flatnonzero(seen < MIN_POINTS_IN_IMAGE)
         if len(few) == 0 or len(scan_times) == 1:
             break
         window[few] *= 2
-        pixel[few], own[few], seen[few] = _select_images(
-            images[few], camera, world_from_camera[few], image_times[few], lidar, plane_points.scan_offsets,
-            scan_times, window[few], gates, cell_size(camera, config, rules), score,
-        )  # fmt: skip
-    image, cell = np.nonzero(own >= 0)
+        pixel[few], own[few], seen[few] = of_images(few)
+    image, place = np.nonzero(own >= 0)
     return make_points(
-        image.astype(np.int32), pixel[image, cell], own[image, cell], camera, world_from_camera, planes
+        image.astype(np.int32), pixel[image, place], own[image, place], camera, world_from_camera, planes
     )
 
 
@@ -267,17 +261,13 @@ def _select_images(
     images: np.ndarray,
     camera: Camera,
     world_from_camera: np.ndarray,
-    image_times: np.ndarray,
     lidar: patches.PlanePoints,
-    scan_offsets: np.ndarray,
-    scan_times: np.ndarray,
-    window: np.ndarray,
+    ranges: np.ndarray,
     gates: patches.PointGates,
     cell: int,
     score: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`patches.select_points` over all images, a few at a time so that the scores of few are in memory."""
-    ranges = near_ranges(image_times, scan_times, scan_offsets, window, MAX_POINTS)
     parts = []
     for start in range(0, len(images), _CHUNK):
         part = slice(start, start + _CHUNK)
