@@ -9,8 +9,9 @@ import numpy as np
 
 from lvba import geometry
 from lvba.arrays import Poses, StepSigmas
-from lvba.optim import normal_equations
+from lvba.optim import pose_graph
 from lvba.optim.normal_equations import NormalEquations
+from lvba.optim.pose_graph import Edges
 
 _FEWEST_STEPS = 10
 _FLOOR_ROTATION, _FLOOR_TRANSLATION = 2e-4, 1e-3
@@ -19,7 +20,7 @@ _FLOOR_ROTATION, _FLOOR_TRANSLATION = 2e-4, 1e-3
 
 @dataclass(frozen=True)
 class OdometryPrior:
-    """Relative poses of neighbouring scans, S - 1 factors.
+    """Relative poses of neighbouring scans, S - 1 factors: edges of a pose graph that is a chain.
 
     next_from_previous is measured as previous_from_next: (S - 1, 4, 4)
     information: (S - 1, 6, 6), of the local tangent [rotation | translation] at the later scan
@@ -30,32 +31,24 @@ class OdometryPrior:
 
     def cost(self, world_from_scan: Poses) -> float:
         """Half the sum of squared normalized residuals."""
-        error = self._error(world_from_scan)
-        return 0.5 * float(np.einsum("ni,nij,nj->", error, self.information, error))
+        return pose_graph.cost(self.residuals(world_from_scan), self._edges())
 
-    def _error(self, world_from_scan: np.ndarray) -> np.ndarray:
-        relative = geometry.inverse(world_from_scan[:-1]) @ world_from_scan[1:]
-        return geometry.log(geometry.inverse(self.previous_from_next) @ relative)
+    def residuals(self, world_from_scan: Poses) -> np.ndarray:
+        """(S - 1, 6), rad and m, of poses (S, 4, 4); see `pose_graph.residuals`."""
+        return pose_graph.residuals(world_from_scan, self._edges())
 
     def linearize(self, world_from_scan: Poses) -> NormalEquations:
         """The normal equations at poses (S, 4, 4); Gauss-Newton."""
-        error = self._error(world_from_scan)
-        scans = len(world_from_scan)
-        earlier = -geometry.adjoint(geometry.inverse(world_from_scan[1:]) @ world_from_scan[:-1])
-        earlier_t = np.swapaxes(earlier, -1, -2)
-        pull = np.einsum("nij,nj->ni", self.information, error)
-        gradient, diagonal = np.zeros((scans, 6)), np.zeros((scans, 6, 6))
-        gradient[1:] += pull
-        gradient[:-1] += np.einsum("nij,nj->ni", earlier_t, pull)
-        diagonal[1:] += self.information
-        diagonal[:-1] += earlier_t @ self.information @ earlier
-        here = np.arange(scans)
-        return normal_equations.from_blocks(
-            np.concatenate([here, here[:-1]]),
-            np.concatenate([here, here[1:]]),
-            np.concatenate([diagonal, earlier_t @ self.information]),
-            gradient,
-            0.5 * float(np.sum(pull * error)),
+        return pose_graph.linearize(world_from_scan, self._edges())
+
+    def _edges(self) -> Edges:
+        earlier = np.arange(len(self.information))
+        return Edges(
+            first=earlier,
+            second=earlier + 1,
+            first_from_second=self.previous_from_next,
+            information=self.information,
+            is_loop=np.zeros(len(earlier), bool),
         )
 
 
@@ -75,7 +68,7 @@ def reestimated(
         odometry is; where they are few the prior stays as it is
     ceiling: (6,), rad and m, [rotation | translation], no estimate is larger
     """
-    error = np.abs(prior._error(world_from_scan))[held[1:] & held[:-1]]
+    error = np.abs(prior.residuals(world_from_scan))[held[1:] & held[:-1]]
     if len(error) < _FEWEST_STEPS:
         return prior
     rotation, translation = (1.4826 * float(np.median(error[:, part])) for part in (slice(3), slice(3, 6)))

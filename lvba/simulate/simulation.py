@@ -138,10 +138,8 @@ def simulate(
     scans = frames if scans is None else scans
     counts = {"frames": frames, "scans": scans, "width": width, "height": height, "points": points_per_scan}
     _check(counts, lidar, seed, length)
-    if lens not in (PINHOLE, FISHEYE):
-        raise InputError("lens", f"{lens[:40]!r} is not known", f"take {PINHOLE} or {FISHEYE}")
-    if image_poses not in (CAMERA, BODY):
-        raise InputError("image_poses", f"{image_poses[:40]!r} is not known", f"take {CAMERA} or {BODY}")
+    _check_choice("lens", lens, (PINHOLE, FISHEYE))
+    _check_choice("image_poses", image_poses, (CAMERA, BODY))
     made = make(scene, seed, difficulty, frames, scans, length, closing, disturb)
     optics = made.optics
     camera, exposure = cameras.random_camera(width, height, optics), cameras.exposures(frames, optics)
@@ -185,6 +183,11 @@ def simulate(
         # numba asks for a newer TBB than the one Open3D brings, and does without
         warnings.filterwarnings("ignore", message="The TBB threading layer requires")
         _write_all(root, simulation, progress)
+
+
+def _check_choice(name: str, given: str, known: tuple[str, str]) -> None:
+    if given not in known:
+        raise InputError(name, f"{given[:40]!r} is not known", f"take {known[0]} or {known[1]}")
 
 
 def _sensor(exposure: np.ndarray, shot_noise: bool, vignetting: bool, disturb: Disturbances) -> Sensor:

@@ -60,10 +60,7 @@ def figures(facts: Facts) -> Figures:
     last = (visual.get("levels") or [{}])[-1]
     history = lidar.get("history") or [{}]
     used = lidar.get("accepted") is not False
-    odometry_dependence = np.asarray(renamed_facts.value(lidar, "odometry_dependence") or [], float)
-    degenerate_scans = np.asarray(
-        renamed_facts.value(lidar, "degenerate_scans") or np.zeros(len(odometry_dependence) + 1), int
-    )
+    degenerate_scans, dependent_steps = _undetermined(lidar)
     extrinsic = visual.get("extrinsic") or {}
     fused = "moved_m" in fusion and visual.get("accepted") is not False and used
     return Figures(
@@ -77,10 +74,8 @@ def figures(facts: Facts) -> Figures:
         spline_error=renamed_facts.value(fusion, "interpolation_error_scale"),
         fusion_variance_factor=renamed_facts.value(fusion, "variance_factor"),
         common_degenerate=len(renamed_facts.value(lidar, "degenerate_directions") or []) if used else 0,
-        degenerate_scans=int(np.count_nonzero(degenerate_scans)) if used else 0,
-        odometry_dependent_steps=len(odometry_dependent_steps(odometry_dependence, degenerate_scans))
-        if used
-        else 0,
+        degenerate_scans=degenerate_scans if used else 0,
+        odometry_dependent_steps=dependent_steps if used else 0,
         vague_scans=_vague(expected.get("scans")),
         vague_cameras=_vague(expected.get("cameras")),
         moved_m=history[-1].get("moved") if used and lidar.get("converged") is False else None,
@@ -104,6 +99,14 @@ def figures(facts: Facts) -> Figures:
         truth=tuple(_truth(facts.get("reference") or {})),
         scale=((facts.get("reference") or {}).get("lidar") or {}).get("scale"),
     )
+
+
+def _undetermined(lidar: Facts) -> tuple[int, int]:
+    """How many scans planes leave open in some direction, and how many steps hang on the odometry."""
+    dependence = np.asarray(renamed_facts.value(lidar, "odometry_dependence") or [], float)
+    directions = renamed_facts.value(lidar, "degenerate_scans") or np.zeros(len(dependence) + 1)
+    steps = odometry_dependent_steps(dependence, np.asarray(directions, int))
+    return int(np.count_nonzero(directions)), len(steps)
 
 
 def _cause(part: Facts, prefix: str = "") -> str:

@@ -235,7 +235,7 @@ def _reweighted(
     free: np.ndarray,
     keep: bool,
 ) -> tuple[Problem, Prior | None]:
-    """Inflation, plane offsets' sigma and the prior's sigmas estimated anew (variance components)."""
+    """The variance factor, plane offsets' sigma and the prior's sigmas estimated anew (variance components)."""
     if problem.offset_sigma is not None:
         scale = covariance.offset_scale(problem, at.photometric.offset, linearization.offset_hessian)
         problem = replace(problem, offset_sigma=problem.offset_sigma * scale)
