@@ -81,7 +81,10 @@ def carry(rough: Trajectory, refined: Poses, others: Trajectory) -> np.ndarray:
 
 
 def motions_differ(one: Poses, other: Poses, meters: float, degrees: float) -> np.ndarray:
-    """(N - 1,) bool: motions to the next frame in which poses (N, 4, 4) differ from others by more than m or degrees."""
+    """(N - 1,) bool: motions to the next frame in which poses (N, 4, 4) differ from others by more.
+
+    meters: m; degrees: deg
+    """
     steps = [geometry.inverse(poses[:-1]) @ poses[1:] for poses in (one, other)]
     off = geometry.log(geometry.inverse(steps[0]) @ steps[1])
     far = np.linalg.norm(off[:, 3:], axis=1) > meters

@@ -78,3 +78,118 @@ def bad(points: np.ndarray, poses: np.ndarray, named: Poses, both: np.ndarray, n
 
 def test_records_of_many_fields_are_made_by_name():
     assert structure.positional(MODULES) == []
+
+
+QUANTITIES = {
+    *(
+        "points",
+        "point",
+        "position",
+        "positions",
+        "center",
+        "centers",
+        "origin",
+        "sensor",
+        "length",
+        "radius",
+    ),
+    *("reach", "voxel", "edge", "distance", "depth", "meters", "tolerance", "speed"),
+    *("time", "times", "readout", "gap", "stamp", "duration"),
+}
+UNITS = r"m|mm|px|texels?|rad|s|deg|cells?|sigmas?|standard deviations?|m/s|parts? of|part"
+IN_CLAUSE = re.compile(rf"(?<![\w.])({UNITS})(?!\w)|`")
+
+
+def lacks_unit(function: structure.Function, parameter: ast.arg) -> bool:
+    """Whether a length, time or set of points has no unit: in its name, its clause, or as `name` (unit) in a sentence."""
+    annotation = ast.unparse(parameter.annotation) if parameter.annotation is not None else ""
+    array = structure.is_array(parameter.annotation)
+    if not (array or re.fullmatch(r"float( \| None)?", annotation)):
+        return False
+    if not set(parameter.arg.split("_")) & QUANTITIES or re.search(r"_(m|s|deg|px|rad)$", parameter.arg):
+        return False
+    text = function.documentation
+    clause = " ".join(structure.clauses(parameter.arg, text))
+    if array and re.search(r"\bu?int|bool|, 4\)|3, 3\)", clause + annotation):
+        return False
+    in_sentence = rf"`{parameter.arg}` (\(({UNITS})\)|({UNITS})\b)"
+    return not (IN_CLAUSE.search(re.sub(r"\([^)]*\)", "", clause)) or re.search(in_sentence, text))
+
+
+def test_lengths_times_and_points_have_units():
+    lacking = {
+        f"{function.name} {parameter.arg}"
+        for function in PUBLIC
+        for parameter in function.parameters
+        if lacks_unit(function, parameter)
+    }
+    assert lacking == set()
+
+
+FRAME = r"as (in|of) `|world|frame|tangent|same order|rotation"
+"""What says of a transform which it is, where its name does not."""
+
+
+def test_transforms_say_between_which_frames():
+    """A parameter that is one transform or several is named `a_from_b`, or its clause says which it is."""
+    vague = []
+    for function in PUBLIC:
+        for parameter in function.parameters:
+            clause = " ".join(structure.clauses(parameter.arg, function.documentation))
+            is_transform = structure.is_array(parameter.annotation) and re.match(
+                r"[\w, ]+: \([^)]*4, 4\)", clause
+            )
+            if is_transform and not re.search("_from_|" + FRAME, parameter.arg + " " + clause):
+                vague.append(f"{function.name} {parameter.arg}: {clause}")
+    assert vague == []
+
+
+SOURCES = {
+    "lvba/trajectory.py": r"Li et al\., eq\. \(1\)",
+    "lvba/visual/scene_points.py": r"eq\. \(2\)",
+    "lvba/visual/visibility.py": r"Li et al\., II-C2, II-C3 and eq\. \(3\)",
+    "lvba/kernels/visibility.py": r"Li et al\., eq\. \(3\)",
+    "lvba/kernels/photometric_moving.py": r"eq\. 5",
+    "lvba/kernels/homography.py": r"eq\. 7",
+    "lvba/visual/photometric.py": r"eq\. \(8\)",
+    "lvba/products/colorize.py": r"eq\. \(10\)",
+    "lvba/blocks/split.py": r"Li et al\., section III",
+    "lvba/lidar/bundle_adjustment.py": r"Liu, Liu and Zhang 2023 \(BALM2\)",
+    "lvba/kernels/lidar.py": r"Liu, Liu and Zhang 2023 \(BALM2\), section IV",
+    "lvba/lidar/covariance.py": r"Huber 1967, White 1982",
+    "lvba/geometry.py": r"Sola et al\. 2018",
+    "lvba/optim/levenberg_marquardt.py": r"Nielsen 1999",
+    "lvba/optim/banded_cholesky.py": r"Takahashi, Fagan and Chen 1973",
+    "lvba/optim/pose_graph.py": r"Latif et al\. 2013",
+    "lvba/visual/fixed_calibration.py": r"Wald 1943",
+    "lvba/products/metrics.py": r"Wang et al\. 2004",
+    "lvba/products/map_quality.py": r"Droeschel and Behnke 2014",
+    "lvba/steps/acceptance.py": r"Newey and West 1987",
+    "lvba/steps/pose_fusion.py": r"Barfoot and Furgale 2014",
+}
+"""Where published methods are, and the source that a docstring there must name, with the equation."""
+
+
+def test_published_methods_name_their_source():
+    silent = [
+        path
+        for path, source in SOURCES.items()
+        if not any(
+            re.search(source, ast.get_docstring(node, clean=False) or "")
+            for node in ast.walk(MODULES[Path(path)])
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+        )
+    ]
+    assert silent == []
+
+
+def test_the_checks_of_units_and_frames_find_what_is_missing():
+    source = '''
+def bad(points: np.ndarray, length: float, reach_m: float, known: np.ndarray, tolerance: float):
+    """Within `tolerance` (m).
+
+    points: (N, 3) float32; known: (N, 3) float64
+    """
+'''
+    function = structure.Function(ast.parse(source).body[0], Path("lvba/x.py"), None)
+    assert [p.arg for p in function.parameters if lacks_unit(function, p)] == ["points", "length"]

@@ -95,7 +95,7 @@ class BlockEquations:
 
 
 def candidates(regions: Regions, part: int, reach: float) -> np.ndarray:
-    """Scans that may have points in a part's region, ascending: taken within twice the LiDAR's reach (m) of its path."""
+    """Scans that may have points in a part's region, ascending: within twice the LiDAR's `reach` (m) of its path."""
     path = cKDTree(regions.position[regions.owner == part])
     near = path.query(regions.position, distance_upper_bound=2.0 * reach)[0]
     return np.flatnonzero(np.isfinite(near))

@@ -34,7 +34,7 @@ def region_cloud(
 ) -> Cloud:
     """The points (of any scan) that lie in a part's region, world frame, in scan order; all where there is one part.
 
-    points: of scans about the region; every: takes every so many-th point of each scan
+    points: of scans about the region; reach: m, of the LiDAR; every: takes every so many-th point of each scan
     """
     read = ScanReader(points, whole=dataset)
     if len(cores) == 1:

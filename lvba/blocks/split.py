@@ -183,7 +183,7 @@ def parts(dataset: Dataset, config: SplitConfig, load: Load) -> list[Part]:
 
 
 def with_near(dataset: Dataset, part: Part, reach: float) -> Frames:
-    """The part's frames and those that other parts took at the same place, within `reach` m of its core by rough poses.
+    """The part's frames and those that other parts took at the same place, within `reach` (m) of its core by rough poses.
 
     At most half as many as the part has itself, spread evenly, so that a place seen often does not grow without bound.
     """

@@ -72,7 +72,7 @@ def write_pcd(
 ) -> None:
     """Writes a PCD file.
 
-    points: (N, 3), m, written as float32; intensity: (N,), as float32; time: (N,), as float64
+    points: (N, 3), m, written as float32; intensity: (N,), as float32, in the sensor's unit; time: (N,) s, as float64
     encoding: ascii, binary or binary_compressed
     Raises: InputError if the file cannot be written.
     """

@@ -132,7 +132,7 @@ def trajectory_text(
 
 
 def time_text(time: float) -> str:
-    """The shortest decimal that reads back as the same float, with 6 digits or more after the point."""
+    """The shortest decimal that reads back as the same `time` (s), with 6 digits or more after the point."""
     return np.format_float_positional(time, unique=True, min_digits=6)
 
 

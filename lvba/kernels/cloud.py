@@ -8,7 +8,7 @@ from lvba.kernels.compiled import kernel, parallel_kernel
 
 @kernel
 def transform(points: np.ndarray, world_from_points: np.ndarray, out: np.ndarray) -> None:
-    """Writes the moved points into `out`. points, out: (N, 3) float32; world_from_points: (4, 4) float64."""
+    """Writes the moved points into `out`. points, out: (N, 3) float32, m; world_from_points: (4, 4) float64."""
     m = world_from_points
     for i in range(points.shape[0]):
         x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])

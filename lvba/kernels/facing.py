@@ -97,8 +97,8 @@ def surfaces(
         two of its standard deviations are added, but nothing is seen from behind
 
     points: (3, M) float32, m, world, in blocks that begin at start (B + 1,); scan: (M,) int32, who measured each;
-    sensor_world: (S, 3) float32, where from. A neighborhood is an eighth of the block's box, or the whole where that is
-    not flat, and holds only points seen from the same octant of directions: so both sides of a thin wall are apart.
+    sensor_world: (S, 3) float32, m, where from. A neighborhood is an eighth of the block's box, or the whole where that
+    is not flat, and holds only points seen from the same octant of directions: so both sides of a thin wall are apart.
     Planes are fitted again without what is off them. A point in no flat neighborhood, as where two surfaces meet, is on
     the plane of another one of the block if it is near that.
     start: (B + 1,) int64

@@ -93,7 +93,7 @@ def distances(
 ) -> tuple[np.ndarray, np.ndarray]:
     """How far each observation's mean is from its plane, (O,), and its points' sum of squares along the normal, (O,).
 
-    float64, m and m^2. As in `fit`; center, normal: (F, 3) float64, world frame
+    float64, m and m^2. As in `fit`; center: (F, 3) float64, m, and normal: (F, 3) float64, unit, world frame
     poses, offsets, scan: as in `fit`
     """
     distance, within = np.empty(len(scan)), np.empty(len(scan))

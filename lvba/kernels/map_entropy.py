@@ -21,7 +21,7 @@ def _grow(table: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @kernel
 def bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least and greatest coordinates (3,) float32 of the points (N, 3) float32, N > 0."""
+    """Least and greatest coordinates (3,) float32 of the points: (N, 3) float32, m, N > 0."""
     low, high = points[0].copy(), points[0].copy()
     for i in range(len(points)):
         for a in range(3):
@@ -35,8 +35,9 @@ def voxel_sums(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Keys (V,) int64 of the voxels that hold points, in no order, and their sums of x, y, z and 1, (V, 4) float64.
 
-    points: (N, 3) float32; first: (3,) int64, the least voxel number in each direction; span: (3,) int64, how many there
-    are. Key: (x span[1] + y) span[2] + z, numbers counted from `first`. Points of a voxel are added in their order.
+    points: (N, 3) float32, m; voxel: m, edge; first: (3,) int64, the least voxel number in each direction; span: (3,)
+    int64, how many there are. Key: (x span[1] + y) span[2] + z, numbers counted from `first`. Points of a voxel are
+    added in their order.
     """
     table, sums = np.full(1 << 16, FREE), np.zeros((1 << 16, 4))
     used = 0
@@ -106,10 +107,11 @@ def _add_near(points: np.ndarray, p: int, first: int, last: int, square: float, 
 def entropies(
     points: np.ndarray, start: np.ndarray, keys: np.ndarray, radius: float, min_neighbors: int, span: int
 ) -> np.ndarray:
-    """Differential entropy (N,) float64, nats, of the Gaussian through the points within `radius` of each point.
+    """Differential entropy (N,) float64, nats, of the Gaussian through the points within `radius` (m) of each.
 
-    points: (3, N) float64, by axis, sorted into cubes of edge `radius`; start, keys: of the cubes, keys ascending, each
-    (x * span + y) * span + z with a margin of one cube; NaN where there are fewer than `min_neighbors`, itself counted.
+    points: (3, N) float64, m, by axis, sorted into cubes of edge `radius`; start, keys: of the cubes, keys ascending,
+    each (x * span + y) * span + z with a margin of one cube; NaN where there are fewer than `min_neighbors`, itself
+    counted.
     start: (K + 1,) int64; keys: (K,) int64
     """
     out = np.full(points.shape[1], np.nan)
@@ -149,7 +151,7 @@ def _run(keys: np.ndarray, start: np.ndarray, key: int) -> tuple[int, int]:
 def cell_covariances(points: np.ndarray, order: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Covariances (K, 3, 3) float64 of the points of each cell, divided by their number.
 
-    points: (N, 3) float32; order, start: points sorted into cells, as from a stable sort by key
+    points: (N, 3) float32, m; order, start: points sorted into cells, as from a stable sort by key
     order: (N,) int64; start: (K + 1,) int64
     """
     out = np.empty((len(start) - 1, 3, 3))

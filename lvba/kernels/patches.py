@@ -303,7 +303,10 @@ def meet(
     center: np.ndarray,
     normal: np.ndarray,
 ) -> Met:
-    """Where the ray of a pixel meets a plane. world_from_camera: (4, 4) float64; center, normal: (3,) float64, world"""
+    """Where the ray of a pixel meets a plane.
+
+    world_from_camera: (4, 4) float64; center: (3,) float64, m, world; normal: (3,) float64, unit, world
+    """
     x = (column - intrinsics.cx) / intrinsics.fx
     y = (row - intrinsics.cy) / intrinsics.fy
     r = world_from_camera

@@ -117,10 +117,10 @@ def rotate_scatter(rotation: np.ndarray, scatter: np.ndarray, out: np.ndarray) -
 def move_cluster(
     pose: np.ndarray, mean: np.ndarray, scatter: np.ndarray, out_mean: np.ndarray, out_scatter: np.ndarray
 ) -> None:
-    """out_mean (3,) and out_scatter (6,) of a cluster, mean (3,) and scatter (6,), moved by a pose (4, 4); float64.
+    """Writes a moved cluster.
 
-    pose: (4, 4) float64; mean: (3,) float64, m; scatter: (6,) float64, m^2; out_mean: (3,) float64; out_scatter: (6,)
-    float64
+    pose: (4, 4) float64, from the cluster's frame to another; mean: (3,) float64, m; scatter: (6,) float64, m^2
+    out_mean: (3,) float64, m; out_scatter: (6,) float64, m^2
     """
     r = pose
     x, y, z = mean[0], mean[1], mean[2]
@@ -186,9 +186,9 @@ def eigen3(symmetric: np.ndarray, values: np.ndarray, vectors: np.ndarray) -> No
 
 @parallel_kernel
 def transform(poses: np.ndarray, pose: np.ndarray, clusters: Clusters) -> tuple[np.ndarray, np.ndarray]:
-    """Means (K, 3) and scatters (K, 6) of clusters moved by poses (S, 4, 4) float64; cluster k by poses[pose[k]].
+    """Means (K, 3) and scatters (K, 6) of clusters moved by poses; cluster k by poses[pose[k]].
 
-    pose: (K,) int32
+    poses: (S, 4, 4) float64, from each scan's frame to another; pose: (K,) int32
     """
     out_mean = np.empty_like(clusters.mean)
     out_scatter = np.empty_like(clusters.scatter)

@@ -25,7 +25,7 @@ def nearest_points(
 ) -> np.ndarray:
     """The nearest point of every cell of every image, (I, rows, columns) int32, -1 where none; of equals the first.
 
-    points: (M, 3) float32, world; ranges: (I, 3) int64: first point, end and step of each image
+    points: (M, 3) float32, m, world; ranges: (I, 3) int64: first point, end and step of each image
     poses: (I, 4, 4) float64, world_from_camera
     cell: edge of a square cell, px; nearest: smallest depth, m
     """
@@ -71,8 +71,8 @@ def is_hidden(
 ) -> bool:
     """Whether the LiDAR saw something in front of a point of a plane: nearer, and not on the plane itself.
 
-    pose: (4, 4) float64, world_from_camera of the image; x, y, z: the point's pixel and depth, m; position, normal: (3,)
-    float64, world, of the plane; tolerance: m, of `hiding_depth`
+    pose: (4, 4) float64, world_from_camera of the image; x, y, z: the point's pixel and depth, m; position: (3,)
+    float64, m, and normal: (3,) float64, world, of the plane; tolerance: m, of `hiding_depth`
     """
     row, column = int((y + 0.5) / nearest.cell), int((x + 0.5) / nearest.cell)
     if row < 0 or column < 0 or row >= nearest.nearest.shape[1] or column >= nearest.nearest.shape[2]:
@@ -105,7 +105,7 @@ def patch_hidden(
 
     h: (3, 3) of `homography.plane_homography`; depth: m, of the plane at (u, v) in the reference's image (its change over
     the patch is neglected); half: px, of the patch; the others as of `is_hidden`
-    pose, position, normal: as in `is_hidden`
+    pose, position, normal, tolerance: as in `is_hidden`
     """
     for k in range(5):
         j = 0 if k == 4 else (2 * (k % 2) - 1) * half

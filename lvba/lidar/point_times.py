@@ -32,7 +32,7 @@ class PointClock:
     absolute: bool
 
     def from_stamp(self, points: Vectors, time: Times | None, stamp: float) -> np.ndarray:
-        """(N,) s from the stamp, of points (N, 3) of a scan that has times (N,) in its file's unit.
+        """(N,) s from the `stamp` (s), of points (N, 3) of a scan that has times (N,) in its file's unit.
 
         Zeros where it has none, or they do not fit those of other scans.
         """

@@ -72,7 +72,7 @@ def solve(
     damping_metric: (6,) float64, information about each scan's motion that one unit of damping adds; see
     `levenberg_marquardt`
     exact: Newton steps, where the Hessian is positive; else Gauss-Newton's
-    tolerance: decrease of the cost, relative to it, that ends it
+    tolerance: decrease of the cost, as a part of it, that ends it
     """
     free = np.ones((len(world_from_scan), 6), bool)
     free[0] = False

@@ -47,7 +47,7 @@ class RowClock:
         return -self.sweep / 2
 
     def from_stamp(self, points: Vectors, time: Times | None, stamp: float) -> np.ndarray:
-        """(N,) s from the stamp, of points (N, 3) m, scan frame; neither times in the file nor the stamp, s, matter."""
+        """(N,) s from the stamp, of points (N, 3) m, scan frame; neither times in the file nor `stamp` (s) matter."""
         beam = np.asarray(points, float) - self.position
         depth = beam @ self.ahead
         row = beam @ self.down / np.where(depth > 0, depth, np.inf)

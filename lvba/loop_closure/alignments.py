@@ -122,7 +122,10 @@ def _within(one: np.ndarray, other: np.ndarray, meters: float, degrees: float) -
 
 
 def best_of(alignments: list[Alignment], target: Target, source: Target, tolerance: float) -> Alignment:
-    """The one that surfels prefer which can tell it from the others."""
+    """The one that surfels prefer which can tell it from the others.
+
+    tolerance: m, furthest that a surfel may be from a surface that it agrees with
+    """
     best = alignments[0]
     for other in alignments[1:]:
         here, there = _differing(best, other, target, source, tolerance)
@@ -141,7 +144,7 @@ def rivals(
 ) -> list[tuple[float, np.ndarray]]:
     """How well each other alignment does in relation to the best one, and how far (6,) it is from it.
 
-    open_directions: (W, 6) float64, along these they do not count as different
+    tolerance: m, as of `best_of`; open_directions: (W, 6) float64, along these they do not count as different
     """
     others = []
     for other in alignments:

@@ -208,7 +208,7 @@ class Patch:
 
 
 def around(submap: Submap, scan: int, radius: float) -> Patch:
-    """What a submap holds within radius (m) of the sensor at one of its scans (index in the whole).
+    """What a submap holds within `radius` (m) of the sensor at one of its scans (index in the whole).
 
     Raises KeyError: the part does not hold that scan.
     """
@@ -236,7 +236,7 @@ def index_of(submap: Submap, scan: int) -> int:
 
 
 def uncertainty(submap: Submap, scan: int, radius: float) -> np.ndarray:
-    """Covariance (6, 6) of a scan against the surfaces within radius (m) of it, local tangent [rotation | translation].
+    """Covariance (6, 6) of a scan against the surfaces within `radius` (m) of it, local tangent [rotation | translation].
 
     Surfaces are where the scans that saw them have put them: its own uncertainty and that of the scans on the way to
     them, each as often as a surface lies beyond.

@@ -60,7 +60,8 @@ FINE = (Stage(0.7, 25.0, 8, 0.08), Stage(0.5, 20.0, 12, 0.03))
 
 
 def match(target: Target, source: Patch, a_from_b: Pose, reach: float, angle_deg: float) -> Matches:
-    """The nearest surfel of the target that faces the same way, for each surfel of the source that has one."""
+    """The nearest surfel of the target within `reach` (m) that faces the same way, for each surfel of the source that has
+    one."""
     moved = source.moved(a_from_b)
     away, near = target.tree.query(moved.center, k=_NEIGHBORS, distance_upper_bound=reach)
     there = np.isfinite(away)

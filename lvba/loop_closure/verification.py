@@ -70,7 +70,7 @@ def evidence(a: Target, b: Target, a_from_b: Pose, tolerance: float) -> Evidence
 
 
 def agreeing(target: Target, source: Patch, a_from_b: Pose, tolerance: float) -> np.ndarray:
-    """Which surfels of the source lie on surfaces of the target, (K,) bool."""
+    """Which surfels of the source lie on surfaces of the target, within `tolerance` (m), (K,) bool."""
     reach = max(1.25 * target.patch.cell, tolerance)
     matches = surfel_icp.match(target, source, a_from_b, reach, _ANGLE_DEG)
     agrees = np.zeros(len(source), bool)

@@ -218,5 +218,8 @@ def cost_rises(cost: float, before: float) -> bool:
 
 
 def step_grows(length: float, before: float) -> bool:
-    """Whether a round's step is so much longer than the last one that it leads away."""
+    """Whether the length of a round's step (m) is so much more than that of the last one that it leads away.
+
+    length, before: m
+    """
     return length > STEP_GROWTH * before

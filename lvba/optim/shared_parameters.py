@@ -71,14 +71,14 @@ class Pose:
     def retract(self, value: np.ndarray, step: np.ndarray) -> np.ndarray:
         """`value @ exp(step)`.
 
-        value: (4, 4) float64; step: (6,) float64, rad and m
+        value: (4, 4) float64, between any frames; step: (6,) float64, rad and m
         """
         return geometry.retract(value, step)
 
     def deviation(self, reference: np.ndarray, value: np.ndarray) -> np.ndarray:
         """(6,): rotation vector and position of the value, seen from the reference.
 
-        reference: (4, 4) float64; value: (4, 4) float64
+        reference, value: (4, 4) float64, between the same two frames
         """
         back = reference[:3, :3].T
         rotation = Rotation.from_matrix(back @ value[:3, :3]).as_rotvec()
@@ -87,7 +87,7 @@ class Pose:
     def jacobian(self, reference: np.ndarray, value: np.ndarray) -> np.ndarray:
         """(6, 6).
 
-        reference: (4, 4) float64; value: (4, 4) float64
+        reference, value: (4, 4) float64, between the same two frames
         """
         matrix = np.zeros((6, 6))
         matrix[:3, :3] = geometry.inverse_right_jacobian(self.deviation(reference, value)[:3])

@@ -112,7 +112,7 @@ def assemble(
 
 
 def sort_into_blocks(points_world: CloudPoints, min_edge: float = _MIN_EDGE_M) -> Blocks:
-    """Blocks of (M, 3) float32 points: cubes of at least `min_edge` m, larger where the map would need too many."""
+    """Blocks of (M, 3) float32 points: cubes of at least `min_edge` (m), larger where the map would need too many."""
     if not len(points_world):
         return Blocks(np.empty(0, np.int32), np.zeros(1, np.int64), np.empty((0, 4), np.float32))
     low, high = _robust_bounds(points_world)
@@ -150,9 +150,9 @@ def surfaces(points: np.ndarray, blocks: Blocks, origins: Origins | None, max_an
 
 
 def thin(points_world: np.ndarray, voxel: float) -> np.ndarray:
-    """Indices (K,) int64, ascending, of one point per voxel of edge `voxel` m: the one nearest to its center.
+    """Indices (K,) int64, ascending, of one point per voxel of edge `voxel` (m): the one nearest to its center.
 
-    points_world: (M, 3) float32. The points kept are measured ones, not averages: nothing is moved.
+    points_world: (M, 3) float32, m. The points kept are measured ones, not averages: nothing is moved.
     """
     if voxel <= 0 or not len(points_world):
         return np.arange(len(points_world))

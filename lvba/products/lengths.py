@@ -4,7 +4,7 @@
 def text(meters: float, space: str = " ") -> str:
     """A length in mm with about two digits, or in m from one meter on.
 
-    space: between number and unit
+    meters: m; space: between number and unit
     """
     size = abs(meters)
     value, unit = (meters, "m") if size >= 1 else (1000 * meters, "mm")

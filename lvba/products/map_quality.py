@@ -137,7 +137,7 @@ def point_entropies(points: np.ndarray, radius: float, min_neighbors: int) -> np
 
 
 def voxel_means(points_world: CloudPoints, voxel: float) -> np.ndarray:
-    """The mean (V, 3) float64 of the (N, 3) float32 points in each voxel of edge `voxel` m, by voxel."""
+    """The mean (V, 3) float64 of the (N, 3) float32 points in each voxel of edge `voxel` (m), by voxel."""
     if not len(points_world):
         return np.empty((0, 3))
     points = np.ascontiguousarray(points_world)

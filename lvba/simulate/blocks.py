@@ -20,7 +20,10 @@ _BEYOND_M = 60.0
 
 
 def block(rng: np.random.Generator, frames: int, length: float | None) -> tuple[World, Motion]:
-    """A drive between houses around a block, back to its start and a little further."""
+    """A drive between houses around a block, back to its start and a little further.
+
+    length: m, of the path; None: the scene's own
+    """
     around = max(_BLOCK_M_PER_FRAME * frames if length is None else length, 80.0)
     half_x, half_y = 0.29 * around / 2, 0.21 * around / 2
     corners = np.array([[-half_x, -half_y], [half_x, -half_y], [half_x, half_y], [-half_x, half_y]])
@@ -68,6 +71,7 @@ def terrace(rng: np.random.Generator, frames: int, length: float | None) -> tupl
     """Out through one lane and back through the next; all houses of all lanes are alike, down to their texture.
 
     The end is beside the start, a lane away, and looks exactly like it: nothing of one lane is seen from the other.
+    length: m, of the path; None: the scene's own
     """
     travel = max(_TERRACE_M_PER_FRAME * frames if length is None else length, 60.0)
     far = 0.5 * (travel - LANE_SPACING_M)

@@ -28,7 +28,10 @@ CABINET_STYLE = np.array([0.24, 0.42, 0.62, 0.5, 0.0])
 
 
 def cabinet(rng: np.random.Generator, frames: int, length: float | None) -> tuple[World, Motion]:
-    """A room with a thin cabinet in its middle; two rounds close to its sides, looking along them, one at a distance."""
+    """A room with a thin cabinet in its middle; two rounds close to its sides, looking along them, one at a distance.
+
+    length: m, of the path; None: the scene's own
+    """
     world = Builder(rng)
     half_x, half_y = _HALF_ROOM_M
     world.rectangle((-half_x, -half_y, 0), (2 * half_x, 0, 0), (0, 2 * half_y, 0), FLOOR_STYLE)

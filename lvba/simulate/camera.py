@@ -149,7 +149,7 @@ def rays(camera: Camera) -> np.ndarray:
 
 
 def blur_times(time: float, duration: float) -> np.ndarray:
-    """(5,) s: the moments averaged over an exposure of `duration` (s) around `time`."""
+    """(5,) s: the moments averaged over an exposure of `duration` (s) around `time` (s)."""
     return time + duration * (np.arange(_BLUR_POSES) - (_BLUR_POSES - 1) / 2) / _BLUR_POSES
 
 

@@ -73,7 +73,7 @@ def exposures_of(view: View, scene_from_camera: Poses, disturb: Disturbances) ->
 
 
 def row_times(height: int, readout: float) -> np.ndarray:
-    """(height,) s at which rows are seen, relative to the middle of the image."""
+    """(height,) s at which rows are seen in a `readout` (s), relative to the middle of the image."""
     return (np.arange(height) / height - 0.5) * readout
 
 

@@ -17,7 +17,7 @@ def stamp_errors(times: Times, disturb: Disturbances, rng: np.random.Generator) 
 
 
 def with_gap(times: Times, gap: float) -> np.ndarray:
-    """(S,) s, the same first and last, as many, and none during `gap` s in the middle."""
+    """(S,) s, the same first and last, as many, and none during `gap` (s) in the middle."""
     first, last = float(times[0]), float(times[-1])
     part = (last - first - gap) / (last - first)
     middle = (first + last) / 2

@@ -15,7 +15,10 @@ _CORRIDOR_M_PER_FRAME = 0.5
 
 
 def rooms(rng: np.random.Generator, frames: int, length: float | None) -> tuple[World, Motion]:
-    """A walk along a corridor and through doors into rooms; walls of 10 cm seen from both sides."""
+    """A walk along a corridor and through doors into rooms; walls of 10 cm seen from both sides.
+
+    length: m, of the path; None: the scene's own
+    """
     visits = int(np.clip(round(frames / _FRAMES_PER_ROOM), 1, 12))
     world, plan = Builder(rng, bare=0.35), _Plan(rng, visits)
     walk = plan.walk()
@@ -147,7 +150,10 @@ def _at_a_wall(rng: np.random.Generator, room: _Room, size: np.ndarray) -> np.nd
 
 
 def corridor(rng: np.random.Generator, frames: int, length: float | None) -> tuple[World, Motion]:
-    """Two walls, floor and ceiling without end: nothing but texture tells how far one went."""
+    """Two walls, floor and ceiling without end: nothing but texture tells how far one went.
+
+    length: m, of the path; None: the scene's own
+    """
     length = _CORRIDOR_M_PER_FRAME * frames if length is None else length
     half, height, beyond = rng.uniform(1.1, 1.5), rng.uniform(2.5, 3.0), 500.0
     x = np.linspace(0, length, max(int(10 * length), 50))

@@ -68,7 +68,7 @@ SWEEP_S = 0.1
 
 
 def row_times(directions: Vectors, readout: float) -> np.ndarray:
-    """(N,) s at which the beams (N, 3) of a depth camera are seen that reads its rows in so long; the middle one at 0."""
+    """(N,) s at which a depth camera that reads its rows in `readout` (s) sees its beams (N, 3); the middle one: 0."""
     return np.asarray(
         (0.5 - (directions[:, 2] / directions[:, 0] + _DEPTH_TANGENTS[1]) / (2 * _DEPTH_TANGENTS[1]))
         * readout

@@ -12,7 +12,10 @@ _FIELD_M_PER_FRAME = 0.8
 
 
 def courtyard(rng: np.random.Generator, frames: int, length: float | None) -> tuple[World, Motion]:
-    """A loop in a yard between facades, back to its start; planes of many directions."""
+    """A loop in a yard between facades, back to its start; planes of many directions.
+
+    length: m, of the path; None: the scene's own
+    """
     half_x, half_y = rng.uniform(11, 13.5), rng.uniform(13.5, 16.5)
     angle = np.linspace(0, 2 * np.pi * 1.03, 2000) + rng.uniform(0, 2 * np.pi)
     wobble = 1 + 0.06 * np.sin(3 * angle + rng.uniform(0, 2 * np.pi))
@@ -117,7 +120,10 @@ def _cross_wall(world: Builder, x: float) -> None:
 
 
 def plane(rng: np.random.Generator, frames: int, length: float | None) -> tuple[World, Motion]:
-    """A flight over flat ground, looking down at a slant; nothing else is to be seen."""
+    """A flight over flat ground, looking down at a slant; nothing else is to be seen.
+
+    length: m, of the path; None: the scene's own
+    """
     length = _FIELD_M_PER_FRAME * frames if length is None else length
     x = np.linspace(-0.5 * length, 0.5 * length, max(int(8 * length), 50))
     weave = 0.06 * length * np.sin(x / (0.2 * length) + rng.uniform(0, 6))

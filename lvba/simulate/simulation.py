@@ -82,7 +82,7 @@ def make(
     closing: tuple[float, float] | None,
     disturb: Disturbances = NONE,
 ) -> Made:
-    """What is simulated, before anything is taken of it; arguments as of `simulate`."""
+    """What is simulated, before anything is taken of it; arguments, as `length` (m), as of `simulate`."""
     level, on_top = drift.difficulty(difficulty), None if closing is None else drift.Closing(*closing)
     layout, mounting, moves, optics, paint = _streams(scene, seed)
     built = scenes.build(scene, layout, frames, length)

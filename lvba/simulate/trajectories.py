@@ -69,7 +69,7 @@ def over_time(
 ) -> Motion:
     """The motion along a dense line (N, 3) with yaw (N,) and mean pitch (rad), with sway added.
 
-    yaw: (N,) float64, rad
+    yaw: (N,) float64, rad; speed: m/s
     """
     steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
     waits = np.maximum(np.maximum(steps, 1e-6) / speed, np.abs(np.diff(yaw)) / _TURN_RATE)

@@ -91,8 +91,8 @@ def scan_poses_from_cameras(
 ) -> Cameras:
     """Where cameras (K, 4, 4) with stamps (K,), ascending, have the LiDAR; those without a covariance are left out.
 
-    covariance: (K, 6, 6), relative to the map, in the camera's tangent; extrinsic_sigma: (7,) float64, as in
-    `VisualResult`
+    time_offset: s, image time + offset = LiDAR time; covariance: (K, 6, 6), relative to the map, in the camera's tangent
+    extrinsic_sigma: (7,) float64, as in `VisualResult`
     """
     known = np.isfinite(covariance).all((1, 2)) & (np.trace(covariance, axis1=1, axis2=2) > 0)
     carry = geometry.adjoint(scan_from_camera)
