@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lvba
-from lvba import pipeline
+from lvba import config, pipeline
 from lvba.blocks.split import Load, SplitConfig
 from lvba.camera import Camera
 from lvba.dataset import Dataset, MountedCamera
@@ -31,9 +31,9 @@ def plan_of(monkeypatch):
     camera = MountedCamera(Camera(640, 480, 500, 500, 320, 240), np.eye(4))
     dataset = Dataset("line", names, path, names, path, (camera,))
 
-    def make(size, **options):
+    def make(size, settings=None, **options):
         split = SplitConfig(by="count", size=size) if size else SplitConfig(by="none")
-        return pipeline.refine(dataset, replace(Config(), split=split), **options)
+        return pipeline.refine(dataset, replace(settings or Config(), split=split), **options)
 
     return make
 
@@ -77,3 +77,19 @@ def test_a_variant_of_parts_with_joint_rounds_is_refused(plan_of):
     assert plan_of(0, variant=variant).steps.keys() != plan_of(0).steps.keys()
     with pytest.raises(ValueError, match=r"merge\.image_rounds = 0"):
         plan_of(20, variant=variant)
+
+
+def test_every_ablation_has_a_plan_of_its_own(plan_of, monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(lvba.__file__).parent.parent))
+    from benchmarks.ablations import ABLATIONS
+
+    def keys(name):
+        ablation = ABLATIONS[name]
+        settings = config.override(Config(), list(ablation.settings))
+        made = plan_of(0, settings=settings, variant=ablation.variant, align_parts=ablation.align_parts)
+        return frozenset(made.steps)
+
+    # parts are aligned, or not, where there are several
+    alone = [name for name in ABLATIONS if name != "parts side by side"]
+    assert len({keys(name) for name in alone}) == len(alone) > 10
+    assert plan_of(20, align_parts=False).steps.keys() != plan_of(20).steps.keys()
