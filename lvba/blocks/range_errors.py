@@ -92,13 +92,24 @@ class _Measurement:
             if (np.abs(last) <= _CONVERGED * np.abs(errors)).all():
                 break
         if (by_direction := self._by_direction(total, points)) > 0:
-            none = self._errors(errors, covariance, kept & False)
-            values = {**none.values, range_errors.DIRECTION: round(by_direction, 4)}
-            return replace(none, values=values, noticed=(range_errors.DIRECTION,))
+            return self._beside_others(total, errors, least, by_direction)
         if (np.abs(last) > _FALLS * np.abs(first))[kept].any():
             text = "no error of the sensor explains what is left"
             return replace(self._errors(errors, covariance, kept & False), problem=text)
         return self._errors(np.where(kept, errors, errors + change), covariance, kept)
+
+    def _beside_others(
+        self, total: Evidence, errors: np.ndarray, least: np.ndarray, by_direction: float
+    ) -> RangeErrors:
+        """What is significant whatever else depends on the direction of a beam, which is free and stays as it is."""
+        change, covariance = self._estimate(total)
+        if not np.isfinite(covariance).all():
+            kept, estimate = np.zeros(self.size, bool), errors
+        else:
+            kept, estimate = self._significant(errors + change, covariance, least, range_errors.CHANCE)
+        found = self._errors(np.where(kept, estimate, errors + change), covariance, kept)
+        values = {**found.values, range_errors.DIRECTION: round(by_direction, 4)}
+        return replace(found, values=values, noticed=(range_errors.DIRECTION,))
 
     @property
     def size(self) -> int:

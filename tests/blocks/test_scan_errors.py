@@ -93,6 +93,17 @@ def test_an_error_of_another_form_is_noticed_and_not_taken_for_one_that_is_known
     assert "depends on the beam's direction" in report_data.warnings_of_errors(errors)[0]
 
 
+def test_a_known_error_is_taken_out_beside_one_of_another_form(tmp_path):
+    dataset = recorded(tmp_path / "off", "spinning", depth_distortion=0.01, elevation_bias=0.3)
+    errors = scan_errors.measure(dataset, LidarConfig())
+    assert errors.ranges.corrected == ("elevation",)
+    assert errors.ranges.noticed == (DIRECTION,)
+    expected = math.radians(0.3)
+    assert errors.ranges.values["elevation"] == pytest.approx(
+        expected, abs=5 * errors.ranges.sigma["elevation"] + 0.03 * expected
+    )
+
+
 def test_an_error_that_no_sensor_has_is_not_corrected(tmp_path):
     dataset = recorded(tmp_path / "off", "spinning", incidence_bias=0.2)
     errors = scan_errors.measure(dataset, LidarConfig())
