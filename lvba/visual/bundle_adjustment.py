@@ -71,6 +71,21 @@ class LevelSolution:
     converged: bool
 
 
+@dataclass(frozen=True)
+class LevelConfig:
+    """How one level is solved.
+
+    patch: side of a patch, px, odd; rounds: solves, each with noise level and prior estimated anew from the last
+    variance_factor: first guess of actual over modeled variance of the pixels; finest: no other level follows
+    """
+
+    patch: int = SCENE_POINTS.size
+    rounds: int = ROUNDS
+    solver: SolverConfig = SOLVER
+    variance_factor: float = 10.0
+    finest: bool = True
+
+
 def solve(
     images: np.ndarray,
     camera: Camera,
@@ -78,39 +93,33 @@ def solve(
     observations: Observations,
     state: VisualState,
     prior: Prior | None,
+    config: LevelConfig = LevelConfig(),
     *,
-    patch: int = SCENE_POINTS.size,
-    rounds: int = ROUNDS,
-    solver: SolverConfig = SOLVER,
-    variance_factor: float = 10.0,
     variant: Variant = PRODUCT,
     shifts: Callable[[VisualState], Shifts] | None = None,
-    finest: bool = True,
 ) -> LevelSolution:
     """The state of least cost at one level.
 
     images: (I, H, W, C) uint8, the level's; camera: undistorted, of the level
     prior: None for the paper's cost
-    patch: side of a patch, px, odd; rounds: solves, each with noise level and prior estimated anew from the last
-    variance_factor: first guess of actual over modeled variance of the pixels
     shifts: how the calibration moves patches about a state, found anew for each round; None: it moves none
-    finest: no other level follows
     """
     sigma = offset_sigma(points, PLANE_FLOOR_M) if variant.plane_offsets else None
     problem = photometric.prepare(
-        images, camera, points, observations, patch,
-        offset_sigma=sigma, variance_factor=variance_factor, reference_pixels=variant.reference_pixels,
+        images, camera, points, observations, config.patch,
+        offset_sigma=sigma, variance_factor=config.variance_factor, reference_pixels=variant.reference_pixels,
     )  # fmt: skip
     free = _free(problem, prior is not None, variant.exposures == "joint")
     at = _State(PhotometricState(state.cameras, np.zeros(len(points))), state.calibration)
     history: tuple[Iteration, ...] = ()
+    solver = config.solver
     quick = replace(solver, relative_decrease=max(solver.relative_decrease, _QUICK_DECREASE))
     problem, at = _about(problem, at, shifts)
     sums = photometric.sums(problem, at.photometric)
     wall_clusters = covariance.find_wall_clusters(problem)
     fixed: tuple[str, ...] = ()
-    for turn in range(rounds):
-        last = turn == rounds - 1
+    for turn in range(config.rounds):
+        last = turn == config.rounds - 1
         scatter = noise.estimate(sums, problem.samples)
         problem = replace(problem, sigma=scatter.sigma(noise.gradients(sums)))
         model = _Model(problem, prior if prior is None else trajectory_prior.with_fixed(prior, fixed))
@@ -120,10 +129,10 @@ def solve(
         linearization = model.at(at)
         sums = linearization.sums
         if not last:
-            one_left = turn == rounds - 2
+            one_left = turn == config.rounds - 2
             if shifts is not None and prior is not None and one_left:
                 fixed = _fixed(problem, wall_clusters, prior, at, linearization, free)
-            keep = finest and one_left
+            keep = config.finest and one_left
             problem, prior = _reweighted(problem, wall_clusters, prior, at, linearization, free, keep)
             problem, at = _about(problem, at, shifts)
     calibration = at.calibration

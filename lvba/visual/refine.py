@@ -28,7 +28,7 @@ from lvba.visual import (
     visibility,
 )
 from lvba.visual import result as results
-from lvba.visual.bundle_adjustment import ROUNDS, SOLVER, LevelSolution
+from lvba.visual.bundle_adjustment import ROUNDS, SOLVER, LevelConfig, LevelSolution
 from lvba.visual.degeneracy import DegenerateDirections
 from lvba.visual.image import ImageConfig, Pyramid
 from lvba.visual.keyframes import KeyframeConfig
@@ -384,13 +384,16 @@ def _solve_level(
     solver = SOLVER
     if level > 0:
         solver = replace(SOLVER, initial_damping=_COARSE_DAMPING, relative_decrease=_COARSE_DECREASE)
-    solution = bundle_adjustment.solve(
-        images, camera, points, observations, state, coarser.prior,
-        patch=config.patch, rounds=ROUNDS if level == 0 else _COARSE_ROUNDS,
+    how = LevelConfig(
+        patch=config.patch,
+        rounds=ROUNDS if level == 0 else _COARSE_ROUNDS,
         solver=replace(solver, max_iterations=config.iterations),
-        variance_factor=coarser.variance_factor, variant=scene.variant,
-        shifts=shifts, finest=level == 0,
-    )  # fmt: skip
+        variance_factor=coarser.variance_factor,
+        finest=level == 0,
+    )
+    solution = bundle_adjustment.solve(
+        images, camera, points, observations, state, coarser.prior, how, variant=scene.variant, shifts=shifts
+    )
     progress("camera poses", 3, 3)
     return solution
 
