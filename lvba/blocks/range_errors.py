@@ -107,9 +107,9 @@ class _Measurement:
             kept, estimate = np.zeros(self.size, bool), errors
         else:
             kept, estimate = self._significant(errors + change, covariance, least, range_errors.CHANCE)
-        found = self._errors(np.where(kept, estimate, errors + change), covariance, kept)
-        values = {**found.values, range_errors.DIRECTION: round(by_direction, 4)}
-        return replace(found, values=values, noticed=(range_errors.DIRECTION,))
+        judged = self._errors(np.where(kept, estimate, errors + change), covariance, kept)
+        values = {**judged.values, range_errors.DIRECTION: round(by_direction, 4)}
+        return replace(judged, values=values, noticed=(range_errors.DIRECTION,))
 
     @property
     def size(self) -> int:
