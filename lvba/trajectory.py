@@ -177,7 +177,12 @@ class PoseError:
     """Root mean square of the position error, m."""
     rotation_deg: float
     """Root mean square of the rotation error, degrees."""
+    ate_median_m: float
+    ate_p95_m: float
+    """95 of 100 frames are off by less, m."""
     ate_max_m: float
+    rotation_median_deg: float
+    rotation_p95_deg: float
     rotation_max_deg: float
     rpe_m: float
     """Root mean square of the position error of the motion between neighbours, m."""
@@ -200,7 +205,11 @@ def pose_error(estimate: Poses, reference: Poses, *, aligned: Pose | None = None
     return PoseError(
         ate_m=_rms(position),
         rotation_deg=_rms(angle),
+        ate_median_m=_quantile(position, 0.5),
+        ate_p95_m=_quantile(position, 0.95),
         ate_max_m=float(position.max(initial=0)),
+        rotation_median_deg=_quantile(angle, 0.5),
+        rotation_p95_deg=_quantile(angle, 0.95),
         rotation_max_deg=float(angle.max(initial=0)),
         rpe_m=_rms(np.linalg.norm(step[:, :3, 3], axis=1)),
         rpe_deg=_rms(geometry.rotation_angle_deg(step)),
@@ -210,3 +219,7 @@ def pose_error(estimate: Poses, reference: Poses, *, aligned: Pose | None = None
 
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0
+
+
+def _quantile(values: np.ndarray, part: float) -> float:
+    return float(np.quantile(values, part)) if len(values) else 0.0

@@ -52,6 +52,18 @@ def test_cameras_are_judged_in_the_frame_of_the_scans():
     assert facts["camera_aligned"]["ate_m"] < 1e-9
 
 
+def test_few_frames_that_are_far_off_show_in_the_root_mean_square_not_in_the_median():
+    moved, angle = CAMERAS.copy(), np.radians(2.0)
+    moved[3] = moved[3] @ geometry.exp(np.array([angle, 0, 0, 0, 0.2, 0]))
+    error = reference.compare(truth(), Trajectory(TIMES, SCANS), Trajectory(TIMES + 0.5, moved))["camera"]
+    assert error["ate_median_m"] < 1e-9
+    assert error["rotation_median_deg"] < 1e-5
+    # the nineteenth of twenty and the one that is off, a twentieth of the way to it
+    assert error["ate_p95_m"] == pytest.approx(0.05 * error["ate_max_m"])
+    assert error["rotation_p95_deg"] == pytest.approx(0.05 * 2.0, abs=1e-4)
+    assert error["ate_m"] == pytest.approx(error["ate_max_m"] / np.sqrt(20))
+
+
 def test_frames_are_matched_by_time_and_others_are_left_out():
     kept = np.array([0, 3, 4, 7, 12, 19])
     scans = Trajectory(TIMES[kept] + 4e-4, SCANS[kept])
