@@ -9,7 +9,7 @@ from numba import prange
 from lvba.kernels.compiled import kernel, parallel_kernel
 from lvba.kernels.homography import plane_homography
 from lvba.kernels.scene import Intrinsics, NearestPoints, PlanePatches
-from lvba.kernels.visibility import PASSED, local_scale, patch_inside, view_cosines
+from lvba.kernels.visibility import PASSED, local_scale, patch_inside, view_cosines, warp
 from lvba.kernels.visibility_depth import patch_hidden
 
 COLUMN, ROW, RIGHT, DOWN, INSIDE = range(5)
@@ -18,6 +18,12 @@ between them (to the right and down, 0 to 1), and 1 where all four are in the im
 REFERENCE_MEAN, TARGET_MEAN, SPREAD = range(3)
 """Columns of what `measure_pairs` returns: mean of the reference and of the target (-1: not measured), and the root mean
 square of I_t / mean_t - I_r / mean_r."""
+PIXEL_VARIANCE = 1 / 12
+"""px^2, along each axis: of the square that a pixel is the mean over."""
+SAMPLE_VARIANCE = 1 / 12 + 1 / 6
+"""px^2: of what a sample between four pixels is the mean over, on average over places between them."""
+MOST_NARROWED = 0.6
+"""Of the square of a window's radius: nothing would be left of one whose samples are as large as it is."""
 
 
 class MeanGates(NamedTuple):
@@ -84,6 +90,46 @@ def bilinear(
 
 
 @kernel
+def window(xx: float, xy: float, yy: float, side: np.ndarray, weights: np.ndarray) -> None:
+    """Weights (1 - q)^2 with sum 1, q = x^T A^-1 x, of what lies in the ellipse q < 1; their covariance is A / 8.
+
+    xx, xy, yy: px^2, A; side: (2, N) float64, px; weights: (N,) float64, out
+    """
+    area, total = xx * yy - xy * xy, 0.0
+    for n in range(len(weights)):
+        x, y = side[0, n], side[1, n]
+        inside = max(1.0 - (yy * x * x - 2 * xy * x * y + xx * y * y) / area, 0.0)
+        weights[n] = inside * inside
+        total += weights[n]
+    for n in range(len(weights)):
+        weights[n] /= total
+
+
+@kernel
+def matched_windows(
+    h: np.ndarray, shrink: float, u: int, v: int, half: int, side: np.ndarray, weights: np.ndarray
+) -> None:
+    """Weights of a reference's pixels and of a target's samples that cover the same piece of surface.
+
+    A pixel is a mean over a square, and a sample between pixels one over more; where the target is farther away these are
+    larger pieces of surface, and the same weights would cover more of it, fainter. So the target's window is narrower by
+    what its samples are larger, in every direction.
+    h, shrink, u, v: see `land`; half: px, of the window; side: (2, N) float64, px; weights: (2, N) float64, out
+    """
+    x, y, w = warp(h, float(u), float(v))
+    a, b = shrink * (h[0, 0] - x * h[2, 0]) / w, shrink * (h[0, 1] - x * h[2, 1]) / w
+    c, d = shrink * (h[1, 0] - y * h[2, 0]) / w, shrink * (h[1, 1] - y * h[2, 1]) / w
+    square = (half + 0.5) ** 2
+    small, _ = local_scale(h, float(u), float(v))
+    longest = 8 * SAMPLE_VARIANCE / (shrink * small) ** 2
+    smaller = min(longest, MOST_NARROWED * square) / longest * 8 * SAMPLE_VARIANCE / (a * d - b * c) ** 2
+    window(square, 0.0, square, side, weights[0])
+    square += 8 * PIXEL_VARIANCE
+    xx, xy, yy = smaller * (b * b + d * d), -smaller * (a * b + c * d), smaller * (a * a + c * c)
+    window(square - xx, -xy, square - yy, side, weights[1])
+
+
+@kernel
 def compare(
     reference: np.ndarray,
     target: np.ndarray,
@@ -96,13 +142,13 @@ def compare(
 ) -> tuple[float, float, float]:
     """REFERENCE_MEAN, TARGET_MEAN and SPREAD over the reference's window; means -1 where too little is left.
 
-    reference, target: (H, W, C) uint8; side, landed: see `land`; weights: (N,) float64, sum 1. A pixel that is masked in
-    one counts in neither mean.
+    reference, target: (H, W, C) uint8; side, landed: see `land`; weights: (2, N) float64, of the pixels of the reference
+    and of the samples of the target, each with sum 1. A pixel that is masked in one counts in neither mean.
     """
     channels = reference.shape[2]
-    part, first, second, rr, rt, tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for n in range(len(weights)):
-        if landed[INSIDE, n] == 0.0:
+    own, part, first, second, rr, rt, tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for n in range(weights.shape[1]):
+        if landed[INSIDE, n] == 0.0 or weights[0, n] + weights[1, n] == 0.0:
             continue
         column, row = np.uint32(np.int32(landed[COLUMN, n])), np.uint32(np.int32(landed[ROW, n]))
         i, j = np.uint32(v + np.int32(side[1, n])), np.uint32(u + np.int32(side[0, n]))
@@ -114,16 +160,17 @@ def compare(
             good = good and b > 0 and gates.dark < a < gates.bright
             a_sum, b_sum, aa, ab, bb = a_sum + a, b_sum + b, aa + a * a, ab + a * b, bb + b * b
         if good:
-            weight = weights[n]
+            weight = weights[1, n]
+            own += weights[0, n]
             part += weight
-            first += weight * a_sum
+            first += weights[0, n] * a_sum
             second += weight * b_sum
             rr += weight * aa
             rt += weight * ab
             tt += weight * bb
-    if part < gates.min_usable:
+    if min(own, part) < gates.min_usable:
         return -1.0, -1.0, 0.0
-    first, second = first / (part * channels), second / (part * channels)
+    first, second = first / (own * channels), second / (part * channels)
     spread = rr / first**2 - 2 * rt / (first * second) + tt / second**2
     return first, second, math.sqrt(max(spread, 0.0) / (part * channels))
 
@@ -138,7 +185,7 @@ def measure_pairs(
     patches: PlanePatches,
     point: np.ndarray,
     target: np.ndarray,
-    weights: np.ndarray,
+    size: int,
     gates: MeanGates,
     nearest: NearestPoints,
 ) -> np.ndarray:
@@ -147,13 +194,13 @@ def measure_pairs(
     finer, images, coarser: (I, H, W, C) uint8, at twice, once and half the size; the target is read where its pixels are
         closest in size to the reference's
     poses: (I, 4, 4) float64, world_from_camera; intrinsics: of `images`
-    point: (O,) int32, of the patches; target: (O,) int32, image; weights: (N, N) float64, of the window, sum 1
+    point: (O,) int32, of the patches; target: (O,) int32, image; size: px, odd, of the window
     """
     means = np.full((len(point), 3), -1.0)
-    half, height, width = weights.shape[0] // 2, images.shape[1], images.shape[2]
-    flat, side = weights.ravel(), np.empty((2, weights.size))
-    for n in range(weights.size):
-        side[0, n], side[1, n] = n % weights.shape[1] - half, n // weights.shape[1] - half
+    half, height, width = size // 2, images.shape[1], images.shape[2]
+    side = np.empty((2, size * size))
+    for n in range(size * size):
+        side[0, n], side[1, n] = n % size - half, n // size - half
     for o in prange(len(point)):
         p, t = point[o], target[o]
         r, u, v = patches.reference[p], patches.pixel[p, 0], patches.pixel[p, 1]
@@ -180,7 +227,8 @@ def measure_pairs(
             shrink, seen = 2.0, finer[t]
         else:
             shrink, seen = 1.0, images[t]
-        landed = np.empty((5, side.shape[1]))
+        landed, weights = np.empty((5, side.shape[1])), np.empty((2, side.shape[1]))
         land(h, shrink, u, v, side, seen.shape[1], seen.shape[0], landed)
-        means[o] = compare(images[r], seen, u, v, side, flat, landed, gates)
+        matched_windows(h, shrink, u, v, half, side, weights)
+        means[o] = compare(images[r], seen, u, v, side, weights, landed, gates)
     return means

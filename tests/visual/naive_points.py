@@ -228,27 +228,42 @@ def visibility_map(points, offsets, near, size):
     return result
 
 
-def compare(reference, target, pixel, moved, shrink, weights, least):
-    """(mean of the reference, mean of the target, spread) over the window, 0 meaning masked; moved(du, dv) -> x, y, z."""
-    half = len(weights) // 2
+def window(covariance8, offsets):
+    """(1 - x^T A^-1 x)^2 inside the ellipse of A, sum 1. covariance8: A (2, 2); offsets: (N, 2), right and down"""
+    inside = 1 - np.einsum("ni,ij,nj->n", offsets, np.linalg.inv(covariance8), offsets)
+    weights = np.maximum(inside, 0) ** 2
+    return weights / weights.sum()
+
+
+def compare(reference, target, pixel, moved, shrink, jacobian, size, least):
+    """(mean of the reference, mean of the target, spread) over windows of one footprint, 0 meaning masked.
+
+    moved(du, dv) -> x, y, z; jacobian: (2, 2), d(x, y) / d(du, dv); size: px
+    """
+    half = size // 2
+    offsets = np.array([(j, i) for i in range(-half, half + 1) for j in range(-half, half + 1)], float)
+    square = (half + 0.5) ** 2 * np.eye(2)
+    back = np.linalg.inv(shrink * jacobian)
+    sample = 8 * 0.25 * back @ back.T
+    sample *= min(1.0, 0.6 * square[0, 0] / np.linalg.eigvalsh(sample)[-1])
+    own, other = window(square, offsets), window(square + 8 / 12 * np.eye(2) - sample, offsets)
     kept, a_values, b_values = [], [], []
-    for i in range(-half, half + 1):
-        for j in range(-half, half + 1):
-            x, y, z = moved(j, i)
-            if z <= 0:
-                return -1, -1, 0
-            a = reference[pixel[1] + i, pixel[0] + j].astype(float)
-            b, four = bilinear(target, (x + 0.5) * shrink - 0.5, (y + 0.5) * shrink - 0.5)
-            if b is not None and (a > 0).all() and (four > 0).all():
-                kept.append(weights[i + half, j + half])
-                a_values.append(a)
-                b_values.append(b)
-    if sum(kept) < least:
+    for n, (j, i) in enumerate(offsets.astype(int)):
+        x, y, z = moved(j, i)
+        if z <= 0:
+            return -1, -1, 0
+        a = reference[pixel[1] + i, pixel[0] + j].astype(float)
+        b, four = bilinear(target, (x + 0.5) * shrink - 0.5, (y + 0.5) * shrink - 0.5)
+        if b is not None and (a > 0).all() and (four > 0).all() and own[n] + other[n] > 0:
+            kept.append(n)
+            a_values.append(a)
+            b_values.append(b)
+    if min(own[kept].sum(), other[kept].sum()) < least:
         return -1, -1, 0
-    a_mean = np.average(np.mean(a_values, axis=1), weights=kept)
-    b_mean = np.average(np.mean(b_values, axis=1), weights=kept)
+    a_mean = np.average(np.mean(a_values, axis=1), weights=own[kept])
+    b_mean = np.average(np.mean(b_values, axis=1), weights=other[kept])
     difference = np.array(a_values) / a_mean - np.array(b_values) / b_mean
-    return a_mean, b_mean, np.sqrt(np.average((difference**2).mean(axis=1), weights=kept))
+    return a_mean, b_mean, np.sqrt(np.average((difference**2).mean(axis=1), weights=other[kept]))
 
 
 def keep_spread(group, limit):

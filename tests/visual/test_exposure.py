@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import cv2
 import numba
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from naive_points import compare as naive_compare
 from naive_points import warp_by_plane
 from rectangle_world import CAMERA, look, plane_points, planes_of, rectangle, render, room_with_screen, scan
 
+from lvba.camera import Camera
 from lvba.kernels import patches_mean
 from lvba.kernels.scene import PlanePatches
 from lvba.visual import exposure, exposure_graph, image, visibility
@@ -268,14 +270,13 @@ def test_measuring_matches_its_twin(dilation, channels):
     target = ((reference + rng.integers(1, 4, 40)) % 4).astype(np.int32)
     poses = rec.poses[:4].copy()
     poses[3, :3, 3] += 1.6 * poses[3, :3, 2]  # one much nearer, so that other levels are read
-    weights = exposure.window_weights(7)
     gates = exposure.mean_gates()._replace(
         min_normal_cosine=0.2, min_scale=0.3, max_scale=4.0, min_usable=0.5
     )
     intrinsics = intrinsics_of(camera)
     found = patches_mean.measure_pairs(
         finer, images, coarser, poses, intrinsics, PlanePatches(position, normal, reference, pixel),
-        np.arange(40, dtype=np.int32), target, weights, gates, visibility.NOTHING_HIDES.at(camera),
+        np.arange(40, dtype=np.int32), target, 7, gates, visibility.NOTHING_HIDES.at(camera),
     )  # fmt: skip
     used = 0
     for k in range(40):
@@ -288,18 +289,51 @@ def test_measuring_matches_its_twin(dilation, channels):
         jacobian = np.array(
             [np.subtract(moved(e, 0)[:2], moved(-e, 0)[:2]), np.subtract(moved(0, e)[:2], moved(0, -e)[:2])]
         )
-        scale = np.sqrt(abs(np.linalg.det(jacobian / (2 * e))))
+        jacobian = jacobian.T / (2 * e)
+        scale = np.sqrt(abs(np.linalg.det(jacobian)))
         shrink, source = (
             (0.5, coarser) if scale > 2**0.5 else (2.0, finer) if scale < 0.5**0.5 else (1.0, images)
         )
         expected = naive_compare(
-            images[reference[k]], source[target[k]], pixel[k], moved, shrink, weights, 0.5
+            images[reference[k]], source[target[k]], pixel[k], moved, shrink, jacobian, 7, 0.5
         )
         if found[k, 0] < 0:
             continue
         used += 1
         np.testing.assert_allclose(found[k], expected, rtol=1e-6, atol=1e-6)
     assert used > 15
+
+
+def test_a_farther_view_of_rough_texture_is_not_brighter():
+    """Exact pictures of one plane from 1 and 1.4 m: pixels are means over 10 x 10 and 14 x 14 texels."""
+    rng, side = np.random.default_rng(5), 300
+    texels = np.exp(0.45 * 32 * cv2.GaussianBlur(rng.standard_normal((10 * side, 10 * side)), (0, 0), 9))
+    texels *= 40 / texels.mean()
+    near = texels.reshape(side, 10, side, 10).mean(axis=(1, 3))
+    far, first, count = np.zeros((side, side)), side // 7 + 2, 5 * side // 7 - 4
+    start = 14 * first - 2 * side
+    part = texels[start : start + 14 * count, start : start + 14 * count]
+    far[first : first + count, first : first + count] = part.reshape(count, 14, count, 14).mean(axis=(1, 3))
+    rounded = [np.floor(each + rng.random(each.shape)) for each in (near, far)]
+    images = np.minimum(np.stack(rounded), 255).astype(np.uint8)[..., None]
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[1, 2, 3] = -0.4
+    camera = Camera(side, side, float(side), float(side), (side - 1) / 2, (side - 1) / 2)
+    column, row = (each.ravel() for each in np.meshgrid(*2 * [np.arange(15, side - 15, 3)]))
+    pixel = np.stack([column, row], axis=1).astype(np.int32)
+    position = np.column_stack([(pixel - (side - 1) / 2) / side, np.ones(len(pixel))])
+    patches = PlanePatches(
+        position, np.tile([0.0, 0.0, -1.0], (len(pixel), 1)), np.zeros(len(pixel), np.int32), pixel
+    )
+    means = patches_mean.measure_pairs(
+        images, images, images, poses, intrinsics_of(camera), patches,
+        np.arange(len(pixel), dtype=np.int32), np.ones(len(pixel), np.int32), 11, exposure.mean_gates(),
+        visibility.NOTHING_HIDES.at(camera),
+    )  # fmt: skip
+    good = means[:, 0] > 0
+    ratio = np.log(means[good, 1] / means[good, 0])
+    assert good.mean() > 0.8
+    assert abs(ratio.mean()) < 0.0003
 
 
 def test_same_bytes_for_any_number_of_threads():
