@@ -51,9 +51,10 @@ BETWEEN_S = 0.02
 
 @dataclass(frozen=True)
 class Load:
-    """How much of everything."""
+    """How much of everything. refine: jobs solve for poses; False: they color the map, and are over sooner"""
 
     jobs: int = 200
+    refine: bool = True
     clients: int = 20
     listeners: int = 1000
     uploads: int = 50
@@ -112,13 +113,14 @@ def _prefer_me() -> None:
 def _measure(server: "_Server", recording: Path, load: Load, seconds: float, ahead: bool) -> dict[str, Any]:
     dataset = _upload_recording(server.url, recording)
     calls, memory = _Calls(server.url, ahead), _Memory(server.process.pid)
-    first = _submit(server.url, dataset, "first")
+    first = _submit(server.url, dataset, "first", load.refine)
     _until_ended(server.url, [first])
     calls.phase("nothing else", [first], seconds / 5)
     memory.mark("after the first job")
     began = time.perf_counter()
     with ThreadPoolExecutor(load.clients) as clients:
-        jobs = list(clients.map(lambda number: _submit(server.url, dataset, f"n{number}"), range(load.jobs)))
+        names = [f"n{number}" for number in range(load.jobs)]
+        jobs = list(clients.map(lambda name: _submit(server.url, dataset, name, load.refine), names))
     queued_s = time.perf_counter() - began
     calls.phase("two compute", jobs, seconds)
     listening = _Listening(server.url, jobs, load.listeners)
@@ -318,8 +320,9 @@ def _ask(url: str, method: str, path: str, body: Any = None, headers: dict[str, 
         connection.close()
 
 
-def _submit(url: str, dataset: str, name: str) -> str:
-    body = {"dataset": dataset, "name": name}
+def _submit(url: str, dataset: str, name: str, refine: bool) -> str:
+    config = {} if refine else {"refine_scans": False, "refine_cameras": False}
+    body = {"dataset": dataset, "name": name, "config": config}
     return str(_ask(url, "POST", "/v1/jobs", body, {"Idempotency-Key": name})["id"])
 
 

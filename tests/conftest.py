@@ -1,6 +1,7 @@
 """What several packages' tests share: a small recording with known truth, and a guard against silent skips."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -8,6 +9,8 @@ from pathlib import Path
 import hypothesis
 import pytest
 import threadpoolctl
+from forked import run_forked
+from made_once import made_once
 
 from service.system.threads import limit_threads
 
@@ -23,6 +26,7 @@ hypothesis.settings.register_profile("untimed", deadline=None)
 hypothesis.settings.load_profile("untimed")
 
 ROOT = Path(__file__).resolve().parent.parent
+PAGE = "tests/service/page/"
 
 
 def pytest_addoption(parser):
@@ -39,11 +43,25 @@ def pytest_addoption(parser):
 def pytest_collection_modifyitems(items):
     """The longest files first, so that none of them is left for one of several processes at the end.
 
-    Deployments late: what they run is compiled by then, for which a slow machine takes minutes. The page at the very end:
-    its browser's driver keeps an event loop running in this thread, in which no other can be.
+    Deployments late: what they run is compiled by then, for which a slow machine takes minutes.
     """
-    order = {"workers": -1, "deploy": 1, "page": 2}
+    order = {"page": -2, "workers": -1, "deploy": 1}
     items.sort(key=lambda item: order.get(item.path.parent.name, 0))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """With `--dist loadfile`, one process has all files of the page: they share a service, a job and a browser."""
+    if config.getvalue("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class Scheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            file = super()._split_scope(nodeid)
+            return PAGE if file.startswith(PAGE) else file
+
+    return Scheduling(config, log)
 
 
 def pytest_sessionfinish(session, exitstatus):
@@ -62,19 +80,11 @@ def recording(tmp_path_factory):
     """A short street with 16 images of 320 x 240 and as many scans, truth in reference/."""
     from lvba import simulate
 
-    folder = tmp_path_factory.mktemp("recording") / "street"
-    simulate.simulate(
-        "street",
-        folder,
-        frames=16,
-        scans=16,
-        length=12.0,
-        seed=5,
-        width=320,
-        height=240,
-        points_per_scan=6000,
-    )
-    return folder
+    def make(folder):
+        sizes = {"width": 320, "height": 240, "points_per_scan": 6000}
+        simulate.simulate("street", folder, frames=16, scans=16, length=12.0, seed=5, **sizes)
+
+    return made_once(tmp_path_factory, "street", make)[0]
 
 
 @pytest.fixture(scope="session")
@@ -86,9 +96,13 @@ def lvba():
 @pytest.fixture(scope="session")
 def undisturbed(recording, lvba, tmp_path_factory):
     """The result folder of a run that nothing disturbed, and its finished process."""
-    out = tmp_path_factory.mktemp("run") / "out"
-    done = lvba("run", recording, "--out", out, "--reference", recording / "reference", "--threads", 2)
-    return out, done
+
+    def make(folder):
+        return lvba("run", recording, "--out", folder, "--reference", recording / "reference", "--threads", 2)
+
+    out, done = made_once(tmp_path_factory, "undisturbed", make)
+    # some run the same command into it again
+    return shutil.copytree(out, tmp_path_factory.mktemp("run") / "out"), done
 
 
 @pytest.fixture(scope="session")
@@ -96,15 +110,17 @@ def tiny_recording(tmp_path_factory):
     """A recording whose run takes seconds."""
     from real_server import make_recording
 
-    return make_recording(tmp_path_factory.mktemp("tiny") / "tiny")
+    return made_once(tmp_path_factory, "tiny", make_recording)[0]
 
 
 @pytest.fixture(scope="session")
 def tiny_result(tiny_recording, lvba, tmp_path_factory):
     """The result folder of `lvba run` on the tiny recording."""
-    out = tmp_path_factory.mktemp("tiny-run") / "out"
-    lvba("run", tiny_recording, "--out", out, "--threads", 2)
-    return out
+
+    def make(folder):
+        lvba("run", tiny_recording, "--out", folder, "--threads", 2)
+
+    return made_once(tmp_path_factory, "tiny-result", make)[0]
 
 
 @pytest.fixture(scope="session")
@@ -176,7 +192,17 @@ def on_database(request):
 
 
 def run_lvba(*arguments, code=0, program=("-m", "service.cli"), env=os.environ, **options):
-    """The finished process of `lvba ARGUMENTS`, after checking its exit code."""
+    """The finished process of `lvba ARGUMENTS`, after checking its exit code.
+
+    Forked, unless anything is said of its start: program, environment, threads.
+    """
+    if (
+        program == ("-m", "service.cli")
+        and env is os.environ
+        and not options
+        and "--threads" not in arguments
+    ):
+        return run_forked(*arguments, code=code, cwd=os.getcwd(), environment=dict(env))
     environment = {**env, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, *program, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, **options)

@@ -60,6 +60,12 @@ def test_numba_is_in_the_kernels_only(word):
     assert [name(p) for p in outside if word in set(imports(p)) and name(p) not in allowed] == []
 
 
+def test_no_process_pays_for_the_import_of_distributions():
+    """scipy.stats takes a quarter of a start; scipy.special has the functions."""
+    pattern = re.compile(r"\bscipy\.stats\b|from scipy import .*\bstats\b")
+    assert [name(path) for path in FILES if pattern.search(path.read_text())] == []
+
+
 @pytest.mark.parametrize(
     "pattern", [r"\bos\.environ\b", r"\bgetenv\b", r"^\s*print\(", r"^import time\b|\btime\.time\("]
 )

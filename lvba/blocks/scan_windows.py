@@ -31,10 +31,10 @@ def cores(count: int) -> list[tuple[int, int]]:
 
 
 def probes(dataset: Dataset) -> list["Window"]:
-    """Few scans about some places of a recording."""
+    """Few scans about some places of a recording; one window where these are the same, for they tell no more twice."""
     places = (np.arange(SAMPLED) + 1) / (SAMPLED + 1)
-    numbers = [_about(dataset, place) for place in places]
-    return _windows(dataset, [(each, slice(0, len(each))) for each in numbers], _PROBE_POINTS)
+    windows = {tuple(numbers.tolist()): numbers for numbers in (_about(dataset, place) for place in places)}
+    return _windows(dataset, [(each, slice(0, len(each))) for each in windows.values()], _PROBE_POINTS)
 
 
 def sampled(dataset: Dataset) -> list["Window"]:

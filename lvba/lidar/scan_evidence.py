@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg, sparse
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from lvba import geometry
 from lvba.arrays import Poses, Vector
@@ -108,7 +108,7 @@ class Evidence:
         off, spread = self.change[columns], self.covariance[columns, columns]
         if not np.isfinite(spread).all():
             return 1.0
-        return float(chi2.sf(off @ linalg.lstsq(spread, off)[0], len(off)))
+        return float(chdtrc(len(off), max(off @ linalg.lstsq(spread, off)[0], 0.0)))
 
     def __add__(self, other: "Evidence") -> "Evidence":
         return Evidence(

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from lvba.blocks import decoded, scan_errors
+from lvba.blocks import decoded, scan_errors, scan_windows
 from lvba.io import dataset as recordings
 from lvba.io import reference
 from lvba.io.dataset import open_dataset
@@ -114,3 +114,11 @@ def test_nothing_is_measured_where_scans_stay(tmp_path, monkeypatch):
     dataset = recorded(tmp_path / "clean", "spinning")
     monkeypatch.setattr(recordings, "load_scan", None)
     assert scan_errors.measure(dataset, LidarConfig(), enabled=False) is None
+
+
+def test_a_recording_shorter_than_a_window_is_looked_at_once(tmp_path):
+    """Twice the same scans would count as twice the evidence."""
+    sizes = {"frames": 2, "scans": 9, "seed": 11, "width": 64, "height": 48, "points_per_scan": 300}
+    simulate("courtyard", tmp_path / "short", **sizes)
+    [window] = scan_windows.probes(open_dataset(tmp_path / "short"))
+    np.testing.assert_array_equal(window.numbers, np.arange(9))

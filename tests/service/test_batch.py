@@ -21,9 +21,9 @@ GOOD = [f"good-{number:02}" for number in range(4)]
 
 
 @pytest.fixture
-def manifest(recording, tmp_path):
+def manifest(tiny_recording, tmp_path):
     """4 small recordings without images (so that they take little time), one that is not there, one that is damaged."""
-    shared = tmp_path / "shared"
+    recording, shared = tiny_recording, tmp_path / "shared"
     shutil.copytree(recording / "all_pcd_body", shared / "all_pcd_body")
     shutil.copy(recording / "config.yaml", shared)
     for poses in recording.rglob("lidar_poses.txt"):

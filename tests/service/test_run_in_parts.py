@@ -32,7 +32,10 @@ def street(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def runs(street, lvba, tmp_path_factory):
-    """Result folders of the undivided recording and of three parts, and of these merged without any joint round."""
+    """Result folders of the undivided recording and of three parts, and of these merged without any joint round.
+
+    In one store: what they share is made once.
+    """
     outs = tmp_path_factory.mktemp("out")
     options = {
         "whole": (),
@@ -42,8 +45,12 @@ def runs(street, lvba, tmp_path_factory):
         ),
     }  # fmt: skip
     for name, more in options.items():
-        lvba("run", street, "--out", outs / name, "--reference", street / "reference", *more)
+        lvba("run", street, "--out", outs / name, "--reference", street / "reference", *more, *store_of(outs))
     return outs
+
+
+def store_of(outs):
+    return "--store", outs / "stages"
 
 
 def poses(out):
@@ -138,7 +145,8 @@ def test_a_second_run_makes_nothing_anew(street, runs, lvba):
     before = {
         path.name: path.read_bytes() for path in (runs / "parts").iterdir() if path.suffix in (".txt", ".ply")
     }
-    lvba("run", street, "--out", runs / "parts", "--reference", street / "reference", *PARTS)
+    lvba("run", street, "--out", runs / "parts", "--reference", street / "reference", *PARTS,
+         *store_of(runs))  # fmt: skip
     assert all(row["reused"] for row in report(runs / "parts")["stages"] if row["name"] != "input")
     assert before == {name: (runs / "parts" / name).read_bytes() for name in before}
 

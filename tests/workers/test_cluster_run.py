@@ -33,18 +33,8 @@ def test_over_tls(undisturbed, recording, lvba, tls_cluster, tmp_path):
     assert artifacts(tmp_path / "stages") == artifacts(undisturbed[0] / "stages")
 
 
-def test_with_a_store_in_a_bucket(undisturbed, recording, lvba, bucket, tmp_path):
-    run = [
-        "run",
-        recording,
-        "--out",
-        tmp_path,
-        "--reference",
-        recording / "reference",
-        "--store",
-        "s3://maps/run",
-    ]
-    lvba(*run, "--workers", 2)
-    assert products(tmp_path) == products(undisturbed[0])
+def test_with_a_store_in_a_bucket(tiny_result, tiny_recording, lvba, bucket, tmp_path):
+    lvba("run", tiny_recording, "--out", tmp_path, "--store", "s3://maps/run", "--workers", 2)
+    assert products(tmp_path) == products(tiny_result)
     assert not (tmp_path / "stages").exists()
-    assert artifacts_in_bucket(bucket, "run") == artifacts(undisturbed[0] / "stages")
+    assert artifacts_in_bucket(bucket, "run") == artifacts(tiny_result / "stages")

@@ -1,4 +1,7 @@
-"""One service with one small job for all tests of the page, and a browser."""
+"""One service with one small job for all tests of the page, and a browser.
+
+They end with these tests: the browser's driver keeps an event loop running in this thread, in which no other can be.
+"""
 
 import pytest
 from browsers import browser_or_skip
@@ -16,12 +19,12 @@ def recording(tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def browser():
     yield from browser_or_skip()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def served(tmp_path_factory, browser):
     served = Served(tmp_path_factory.mktemp("served") / "data")
     yield served
@@ -35,7 +38,7 @@ def watched(browser, served):
     watched.context.close()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def job(browser, served, recording):
     """Id of a job that went through the page from the upload to its end."""
     watched = Watched(browser, served.url)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from forked import ForkedProcess
 from gates import Gates
 
 from lvba import simulate
@@ -22,7 +23,11 @@ PATIENCE = 120.0
 
 
 class Service:
-    """One `lvba serve` over a data folder; it can be killed and started again."""
+    """One `lvba serve` over a data folder; it can be killed and started again.
+
+    Forked from a process that has imported it, but for `below`. Its jobs, and services of other tests (of the page, of
+    deployments, of the wheel), are started as users start them.
+    """
 
     def __init__(self, data, *options, environment=None, below=()):
         """below: a command line that goes before, such as one that sets limits"""
@@ -35,23 +40,16 @@ class Service:
         self.start()
 
     def start(self):
-        words = [
-            *self.below,
-            sys.executable,
-            "-m",
-            "service.cli",
-            "serve",
-            "--data",
-            str(self.data),
-            "--port",
-            "0",
-        ]
-        words += ["--threads", "2", *map(str, self.options)]
+        words = ["serve", "--data", str(self.data), "--port", "0", "--threads", "2", *map(str, self.options)]
         with self.log.open("ab") as log:
             begins = log.tell()
-            self.process = subprocess.Popen(
-                words, stdout=log, stderr=log, env=self.environment, start_new_session=True
-            )
+            if self.below:
+                command = [*self.below, sys.executable, "-m", "service.cli", *words]
+                self.process = subprocess.Popen(
+                    command, stdout=log, stderr=log, env=self.environment, start_new_session=True
+                )
+            else:
+                self.process = ForkedProcess(words, self.log, self.environment)
         until = time.monotonic() + PATIENCE
         while time.monotonic() < until:
             found = re.search(r"serving (http://\S+)", self.log.read_text()[begins:])
@@ -118,7 +116,7 @@ def submit(http, dataset, key=None, **more):
 
 def until(http, path, condition, patience=PATIENCE):
     """What a path answers as soon as the condition holds."""
-    end = time.monotonic() + patience
+    end, pause = time.monotonic() + patience, 0.02
     while time.monotonic() < end:
         try:
             found = http.get(path).raise_for_status().json()
@@ -127,7 +125,8 @@ def until(http, path, condition, patience=PATIENCE):
             continue
         if condition(found):
             return found
-        time.sleep(0.05)
+        time.sleep(pause)
+        pause = min(1.5 * pause, 0.3)  # asking takes the processor from what is waited for
     raise AssertionError(found)
 
 
