@@ -29,6 +29,9 @@ _CONVERGED = 0.03
 """Rounds end when no error changes by more than this part of itself."""
 _SUSPECT = 1e-2
 """How often the first look at a right sensor may ask for a closer one."""
+_BESIDE = 3.0
+"""Beside another error that is not known, a known one must move points by so many times as much: what is not modeled is not
+in the standard deviations, and estimates are off by a part of it."""
 _FALLS = 0.3
 """An error that is one falls to less than this part of itself once it is corrected."""
 
@@ -103,6 +106,7 @@ class _Measurement:
     ) -> RangeErrors:
         """What is significant whatever else depends on the direction of a beam, which is free and stays as it is."""
         change, covariance = self._estimate(total)
+        least = least * max(1.0, _BESIDE * by_direction / range_errors.LEAST_M)
         if not np.isfinite(covariance).all():
             kept, estimate = np.zeros(self.size, bool), errors
         else:

@@ -7,6 +7,7 @@ noise any more (20 mm of noise made 0.01 degrees of elevation, six standard devi
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -218,15 +219,18 @@ def _of_scan(view: View, scan: int, by_shared: ByShared) -> _Sums | None:
     if known is None:
         return None
     plane, x, y, r = known
-    starts = np.flatnonzero(np.r_[True, np.diff(plane) > 0])
+    bounds = np.r_[np.flatnonzero(np.r_[True, np.diff(plane) > 0]), len(plane)].tolist()
+    columns = np.concatenate([x, y, r[:, None]], axis=1)
+    square = np.stack([columns[a:b].T @ columns[a:b] for a, b in pairwise(bounds)])
+    by_x, by_y = slice(0, x.shape[1]), slice(x.shape[1], -1)
     return _Sums(
         scan=scan,
-        plane=plane[starts],
-        xx=np.add.reduceat(x[:, :, None] * x[:, None, :], starts),
-        xy=np.add.reduceat(x[:, :, None] * y[:, None, :], starts),
-        yy=np.add.reduceat(y[:, :, None] * y[:, None, :], starts),
-        xr=np.add.reduceat(x * r[:, None], starts),
-        yr=np.add.reduceat(y * r[:, None], starts),
+        plane=plane[bounds[:-1]],
+        xx=square[:, by_x, by_x],
+        xy=square[:, by_x, by_y],
+        yy=square[:, by_y, by_y],
+        xr=square[:, by_x, -1],
+        yr=square[:, by_y, -1],
     )
 
 
@@ -270,7 +274,7 @@ def _by_plane(
     size = through.shape[2]
     own, curvature = np.zeros((planes, size)), np.zeros((planes, size, size))
     np.add.at(own, plane, np.einsum("ei,eik->ek", xr, through))
-    np.add.at(curvature, plane, np.einsum("eik,eij,ejl->ekl", through, xx, through))
+    np.add.at(curvature, plane, through.transpose(0, 2, 1) @ (xx @ through))
     return own, curvature
 
 

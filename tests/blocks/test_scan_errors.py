@@ -94,7 +94,7 @@ def test_an_error_of_another_form_is_noticed_and_not_taken_for_one_that_is_known
 
 
 def test_a_known_error_is_taken_out_beside_one_of_another_form(tmp_path):
-    dataset = recorded(tmp_path / "off", "spinning", depth_distortion=0.01, elevation_bias=0.3)
+    dataset = recorded(tmp_path / "off", "spinning", depth_distortion=0.005, elevation_bias=0.3)
     errors = scan_errors.measure(dataset, LidarConfig())
     assert errors.ranges.corrected == ("elevation",)
     assert errors.ranges.noticed == (DIRECTION,)
