@@ -19,7 +19,6 @@ def stage(root: float = 2.0) -> Stage:
         rounds=1,
         steps=10,
         exact=True,
-        systematic=0.0,
         project_degenerate=False,
         oblique_grid=False,
         weight_passes=0,

@@ -223,7 +223,7 @@ def linearize(
             points=0.0,
             sigma=0.0,
         )
-    weighted = observation_weights(features, poses, stage.systematic, stage.weight_passes)
+    weighted = observation_weights(features, poses, stage.weight_passes)
     features = features.with_weight(weighted.weight)
     fits = fit(features, poses)
     information, noise = degeneracy.information(features, fits, poses)

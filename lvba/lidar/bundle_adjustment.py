@@ -226,7 +226,7 @@ def _planes_of_stage(
 ) -> tuple[Planes, PlanePoints]:
     grid = _grid(points, world_from_scan, stage)
     planes = _planes(grid, world_from_scan, sensor, stage)
-    weights = observation_weights(planes.features, world_from_scan, stage.systematic, stage.weight_passes)
+    weights = observation_weights(planes.features, world_from_scan, stage.weight_passes)
     return surface.extract(points, grid, planes, weights, world_from_scan, sensor)
 
 
@@ -279,7 +279,7 @@ def _associate(
 ) -> tuple[Problem, degeneracy.DegenerateDirections]:
     """The planes at the poses so far, with weights and degenerate directions: a problem to solve."""
     features = _planes(grid, poses, sensor, stage).features
-    weights = observation_weights(features, poses, stage.systematic, stage.weight_passes)
+    weights = observation_weights(features, poses, stage.weight_passes)
     features = features.with_weight(weights.weight)
     directions = degeneracy.find(features, fit(features, poses), poses, weights.sigma, config.prior_sigmas)
     projector = directions.projector if stage.project_degenerate and directions.count.any() else None

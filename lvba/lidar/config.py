@@ -30,9 +30,6 @@ class Stage:
     exact: bool = False
     """Exact second derivatives instead of Gauss-Newton: fewer steps on fixed planes, but indefinite far from the
     solution, where Gauss-Newton takes over."""
-    systematic: float = 0.1
-    """Largest distance of a scan from a plane that is taken for an error of the surface, and lowers the weight of
-    observations of many points, in standard deviations of a point; 0 to 10. Large while poses are rough."""
     project_degenerate: bool = True
     """Keep degenerate directions at the odometry."""
     oblique_grid: bool = True
@@ -51,7 +48,6 @@ class Stage:
             ("pose_tolerance", 0.0, 1.0),
             ("cost_tolerance", 0.0, 1.0),
             ("steps", 1, 50),
-            ("systematic", 0.0, 10.0),
             ("weight_passes", 0, 10),
         ):
             if not low <= getattr(self, name) <= high:
@@ -63,14 +59,12 @@ _COARSE = Stage(
     plane_test=PlaneTest(ratio=0.15, finest_ratio=0.15, max_residual_growth=np.inf),
     rounds=5,
     pose_tolerance=0.01,
-    systematic=1.0,
 )
 _MIDDLE = Stage(
     sizes=(0.25, 0.5, 1.0),
     plane_test=PlaneTest(ratio=0.08, finest_ratio=0.1, max_residual_growth=0.5),
     rounds=4,
     pose_tolerance=0.002,
-    systematic=0.3,
 )
 
 

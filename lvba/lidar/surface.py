@@ -61,7 +61,7 @@ def _planes(
     axes[flip, :, 2] *= -1
     count = np.bincount(feature, features.clusters.count, len(features))
     fraction = features.clusters.count * features.weight / np.maximum(fits.total, 1e-300)[feature]
-    offset = np.bincount(feature, fraction**2, len(features)) * weights.offset_sigma**2
+    offset = np.bincount(feature, (fraction * weights.offset_sigma) ** 2, len(features))
     return Planes(
         center=fits.center,
         normal=normal,

@@ -21,23 +21,24 @@ class Weights:
 
     weight: (O,) float64, 1 for a typical point that fits, more where surfaces are measured better
     sigma: m, standard deviation of a point's distance to its plane, within one scan
-    offset_sigma: m, standard deviation of an observation's distance to its plane, beyond that of its points
+    offset_sigma: (O,) float64, m, standard deviation of an observation's distance to its plane, beyond that of its points
     """
 
     weight: np.ndarray
     sigma: float
-    offset_sigma: float
+    offset_sigma: np.ndarray
 
 
 def observation_weights(
-    features: PlaneFeatures, world_from_scan: Poses, systematic: float, passes: int = WEIGHT_PASSES
+    features: PlaneFeatures, world_from_scan: Poses, passes: int = WEIGHT_PASSES
 ) -> Weights:
     """Weights from the distances of observations to the planes at poses (S, 4, 4).
 
-    An observation of n points with variance v about its plane is expected to be off by v / n + offset_sigma^2; all are
-    estimated from the data, robustly, so that one cutoff serves rough and refined poses. Geman-McClure weights, times
-    the information that such an observation has.
-    systematic: largest offset_sigma, in sigma, that counts as an error of the surface and lowers the information.
+    An observation of n points with variance v about its plane is expected to be off by v / n + c v: errors that its
+    points have in common do not become less with their number. One c for all, since such errors grow as the noise does:
+    with the square of the distance in a depth camera, and both along the beam. All are estimated from the data,
+    robustly, so that one cutoff serves rough and refined poses. Geman-McClure weights, times the information that such
+    an observation has.
     passes: how often planes and weights are found in turn; 0: all points weigh the same, as in BALM2
     """
     weight = np.ones(len(features.scan))
@@ -48,14 +49,13 @@ def observation_weights(
         if turn == 0:
             sigma = _within_scan_sigma(within, count)
         own = _own_variance(features, within, sigma)
-        offset_sigma = _offset_sigma(distance, count, own)
+        common = _common_fraction(distance, count, own)
         if passes == 0:
             break
-        expected = own / count + offset_sigma**2
-        robust = 1.0 / (1.0 + distance**2 / (expected * WEIGHT_CUTOFF**2)) ** 2
-        surface = min(offset_sigma, systematic * sigma)
-        weight = robust * sigma**2 / (own + count * surface**2)
-    return Weights(weight, sigma, offset_sigma)
+        variance = own * (1.0 / count + common)
+        robust = 1.0 / (1.0 + distance**2 / (variance * WEIGHT_CUTOFF**2)) ** 2
+        weight = robust * sigma**2 / (count * variance)
+    return Weights(weight, sigma, np.sqrt(common * own))
 
 
 _SHRINK = 10.0
@@ -104,8 +104,13 @@ def _within_scan_sigma(within: np.ndarray, count: np.ndarray) -> float:
     return float(max(np.sqrt(variance[order][np.searchsorted(mass, 0.5 * mass[-1])]), 1e-4))
 
 
-def _offset_sigma(distance: np.ndarray, count: np.ndarray, own: np.ndarray) -> float:
-    """What is left of the distances beyond the noise of the points, m, by median of squares."""
-    noise = own / count
-    typical = np.median(distance**2 / noise) / 0.4549
-    return float(np.sqrt(max(typical - 1.0, 1e-4) * np.median(noise)))
+_MEDIAN = 0.4549
+"""Median of a chi-square of one degree of freedom."""
+
+
+def _common_fraction(distance: np.ndarray, count: np.ndarray, own: np.ndarray) -> float:
+    """The fraction of the variance of points that all of an observation share, by median of squares.
+
+    Of squared distances over `_MEDIAN` own, half are below 1 / count + fraction, whatever their counts.
+    """
+    return float(max(np.median(distance**2 / (_MEDIAN * own) - 1.0 / count), 0.0))
