@@ -30,8 +30,8 @@ _CONVERGED = 0.03
 _SUSPECT = 1e-2
 """How often the first look at a right sensor may ask for a closer one."""
 _BESIDE = 3.0
-"""Beside another error that is not known, a known one must move points by so many times as much: what is not modeled is not
-in the standard deviations, and estimates are off by a part of it."""
+"""Beside another error that is not known, a known one must move points by so many times as much: what is not modeled
+is not in the standard deviations, and estimates are off by a part of it."""
 _FALLS = 0.3
 """An error that is one falls to less than this part of itself once it is corrected."""
 
