@@ -29,9 +29,9 @@ _CONVERGED = 0.03
 """Rounds end when no error changes by more than this part of itself."""
 _SUSPECT = 1e-2
 """How often the first look at a right sensor may ask for a closer one."""
-_BESIDE = 3.0
-"""Beside another error that is not known, a known one must move points by so many times as much: what is not modeled
-is not in the standard deviations, and estimates are off by a part of it."""
+_BESIDE = 2.0
+"""Standard deviations are so many times as large beside another error that is not known: what is not modeled is not in
+them."""
 _FALLS = 0.3
 """An error that is one falls to less than this part of itself once it is corrected."""
 
@@ -106,7 +106,7 @@ class _Measurement:
     ) -> RangeErrors:
         """What is significant whatever else depends on the direction of a beam, which is free and stays as it is."""
         change, covariance = self._estimate(total)
-        least = least * max(1.0, _BESIDE * by_direction / range_errors.LEAST_M)
+        covariance = _BESIDE**2 * covariance
         if not np.isfinite(covariance).all():
             kept, estimate = np.zeros(self.size, bool), errors
         else:
@@ -135,12 +135,16 @@ class _Measurement:
         return own.change[: self.size], own.covariance[: self.size, : self.size]
 
     def _by_direction(self, total: Evidence, points: np.ndarray) -> float:
-        """m, root mean square: how far points (N, 3) are off by what else depends on the direction; 0: by chance."""
+        """m, root mean square: how far points (N, 3) are off by what else depends on the direction; 0: by chance.
+
+        Less the common scale in it, which planes do not tell: where beams are level, it looks like a harmonic.
+        """
         if total.chance(self.others) > range_errors.CHANCE:
             return 0.0
         part = range_errors.harmonics(self.beams, points) @ total.change[self.others]
         length = np.linalg.norm(points - self.beams.position, axis=1)
-        off = float(np.sqrt(np.mean((part * length) ** 2)))
+        scale = float(np.average(part, weights=length**2))
+        off = float(np.sqrt(np.mean(((part - scale) * length) ** 2)))
         return off if off > range_errors.LEAST_M else 0.0
 
     def _significant(
