@@ -141,7 +141,10 @@ class _Measurement:
         """
         if total.chance(self.others) > range_errors.CHANCE:
             return 0.0
-        part = range_errors.harmonics(self.beams, points) @ total.change[self.others]
+        spread = total.covariance[self.others, self.others]
+        expected = range_errors.HARMONIC_SIGMA**2 * np.eye(len(spread))
+        likely = expected @ np.linalg.solve(expected + spread, total.change[self.others])
+        part = range_errors.harmonics(self.beams, points) @ likely
         length = np.linalg.norm(points - self.beams.position, axis=1)
         scale = float(np.average(part, weights=length**2))
         off = float(np.sqrt(np.mean(((part - scale) * length) ** 2)))

@@ -29,6 +29,9 @@ DIRECTION = "direction"
 """Of what depends on the direction in another way: m, how far points are off by it, root mean square."""
 HARMONICS = 8
 """Of first and second degree; that of degree zero is the scale, which planes do not tell."""
+HARMONIC_SIGMA = 0.01
+"""What they are expected to be, as parts of the range: where beams are nearly alike, planes tell only some of them, and
+the others could have any size."""
 LARGEST = {INCIDENCE: 0.05, ELEVATION: math.radians(1.0), DISTORTION: 0.1}
 """What is more is not believed of a sensor: the planes are of a kind that tells something else, such as leaves."""
 CHANCE = 2e-9

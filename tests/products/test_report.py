@@ -142,7 +142,7 @@ def test_sliders_work_by_keyboard():
 def test_a_worse_result_is_called_worse():
     worse = facts()
     worse["evaluation"]["rough"], worse["evaluation"]["refined"] = scores(1.0), scores(0.0)
-    assert "1.00\N{NO-BREAK SPACE}dB worse" in formats.verdict(worse)
+    assert "1.00\N{NO-BREAK SPACE}dB lower than</strong> before" in formats.verdict(worse)
     assert "scan poses were kept" in formats.verdict(worse)
     assert 'class="gain bad"' in report.page(worse)
 
