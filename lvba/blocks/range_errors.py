@@ -166,8 +166,7 @@ class _Measurement:
                 name: round(float(value), 7) for name, value in zip(self.beams.names, values, strict=True)
             },
             sigma={name: round(float(value), 7) for name, value in zip(self.beams.names, sigma, strict=True)},
-            corrected=tuple(name for name in significant if name != range_errors.INCIDENCE),
-            noticed=tuple(name for name in significant if name == range_errors.INCIDENCE),
+            corrected=tuple(significant),
         )
 
     def _total(self, windows: list[Window], errors: np.ndarray) -> Evidence:

@@ -18,10 +18,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 from scipy.special import chdtrc
 
 from lvba.arrays import Vectors
+from lvba.lidar import incidence
 from lvba.lidar.scan_evidence import ByShared, OnPlanes, View
 
 INCIDENCE, ELEVATION, DISTORTION = "incidence", "elevation", "distortion"
@@ -44,8 +44,6 @@ _NARROW = 0.6
 _NEAR_AXIS = math.cos(math.radians(15.0))
 _FLAT = 0.5
 """A sensor turns about the axis along which directions spread by less than this part of the next one, in squares."""
-_NEIGHBORS, _PLANAR = 40, 0.1
-"""Points about a point that its surface is fitted to, and the most that they spread across it, in squares."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +116,7 @@ class RangeErrors:
 
     values: of those that were measured, in m, rad or as a part; sigma: their standard deviations
     corrected: the names of those that are taken out of the points
-    noticed: of those that are no chance, but stay: normals at single points are too coarse to correct errors by incidence
+    noticed: of those that are no chance, but stay
     problem: why what is significant was not corrected
     """
 
@@ -138,7 +136,7 @@ class RangeErrors:
         if not self.corrected or not len(points):
             return points
         if cosine is None and INCIDENCE in self.corrected:
-            cosine = incidence_cosines(points, self.beams.position)
+            cosine = incidence.cosines(points, self.beams.position)
         straight = np.ones(len(points)) if cosine is None else cosine
         shifts = [self.values[name] * self.beams.shift(name, points, straight) for name in self.corrected]
         return np.asarray(sum(shifts, np.asarray(points, float)), np.float32)
@@ -187,26 +185,6 @@ def sentence(name: str, value: float) -> str:
             f"Ranges are off by {size} in a way that depends on the beam's direction, as no known error does"
         )
     return f"Surfaces 45 degrees off the sensor's axis are measured {abs(100 * value):.2f} % {farther} than ahead"
-
-
-def incidence_cosines(points: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """(N,) float64: cosines of the angles of incidence of one scan's points, by planes through their neighbors.
-
-    points: (N, 3) float32, m; position: (3,) float64, m, of the sensor. The mean of the others where neighbors
-    are on no plane.
-    """
-    finite = np.flatnonzero(np.isfinite(points).all(axis=1))
-    cosine = np.ones(len(points))
-    if len(finite) < _NEIGHBORS:
-        return cosine
-    here = np.asarray(points, float)[finite]
-    near = here[cKDTree(here).query(here, k=_NEIGHBORS)[1]]
-    near = near - near.mean(axis=1, keepdims=True)
-    spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", near, near))
-    own = np.abs(np.einsum("ni,ni->n", axes[:, :, 0], _directions(here, position)[0]))
-    planar = spread[:, 0] < _PLANAR * spread[:, 1]
-    cosine[finite] = np.where(planar, own, own[planar].mean() if planar.any() else 1.0)
-    return cosine
 
 
 def by_errors(beams: Beams) -> ByShared:

@@ -173,17 +173,6 @@ def test_beams_are_known_by_where_points_are():
     assert Beams.of([], np.zeros(3), np.eye(3)).axis is None
 
 
-def test_incidence_is_that_of_the_surface_about_a_point():
-    rng = np.random.default_rng(4)
-    flat = rng.uniform(-1, 1, (800, 3)) * [0, 2, 2] + [5, 0, 0] + rng.normal(size=(800, 3)) * 0.003
-    cosine = range_errors.incidence_cosines(flat, np.zeros(3))
-    np.testing.assert_allclose(cosine, np.abs(flat[:, 0]) / np.linalg.norm(flat, axis=1), atol=0.03)
-    np.testing.assert_array_equal(range_errors.incidence_cosines(flat[:5], np.zeros(3)), np.ones(5))
-    holed = flat.copy()
-    holed[7] = np.nan
-    assert np.isfinite(np.delete(range_errors.incidence_cosines(holed, np.zeros(3)), 7)).all()
-
-
 def test_facts_bring_errors_back():
     ranges = RangeErrors(AROUND, {INCIDENCE: 0.002, ELEVATION: 0.003}, {ELEVATION: 1e-4}, (ELEVATION,))
     motion = MotionLeft(PointClock(1.0, 0.1, -0.1, True), 0.5, 1e-3, np.ones((2, 6)))

@@ -1,0 +1,65 @@
+"""Angles of incidence at single points, against those of surfaces that are known."""
+
+import numpy as np
+import pytest
+
+from lvba.lidar import incidence
+
+
+def wall(rng, count, distance, size, tilt_deg, noise):
+    """Points (count, 3) of a square that beams from the origin meet, tilted against the first axis, and true cosines."""
+    turn = np.radians(tilt_deg)
+    along, normal = np.array([np.sin(turn), np.cos(turn), 0.0]), np.array([np.cos(turn), -np.sin(turn), 0.0])
+    place = rng.uniform(-size / 2, size / 2, (count, 2))
+    true = [distance, 0, 0] + place[:, :1] * along + place[:, 1:] * [0, 0, 1]
+    rays = true / np.linalg.norm(true, axis=1)[:, None]
+    return (true + noise * rng.normal(size=(count, 1)) * rays).astype(np.float32), np.abs(rays @ normal)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.02])
+@pytest.mark.parametrize(("distance", "size", "tilt"), [(1.5, 1.5, 0.0), (1.5, 1.5, 50.0), (8.0, 5.0, 70.0)])
+def test_noise_does_not_turn_surfaces(distance, size, tilt, noise):
+    """Points 2 cm from each other with as much noise: planes through few of them stand anyhow."""
+    points, true = wall(np.random.default_rng(1), 5000, distance, size, tilt, noise)
+    off = incidence.cosines(points, np.zeros(3)) - true
+    assert abs(off.mean()) < 0.01
+    assert np.sqrt(np.mean(off**2)) < 0.03
+
+
+def test_surfaces_that_meet_are_told_apart():
+    rng = np.random.default_rng(2)
+    across = np.c_[np.full(3000, 4.0), rng.uniform(-2, 2, 3000), rng.uniform(-1, 1, 3000)]
+    beside = np.c_[rng.uniform(0.5, 4, 3000), np.full(3000, -2.0), rng.uniform(-1, 1, 3000)]
+    true = np.concatenate([across, beside])
+    rays = true / np.linalg.norm(true, axis=1)[:, None]
+    cosine = np.abs(np.concatenate([rays[:3000, 0], rays[3000:, 1]]))
+    points = true + 0.01 * rng.normal(size=(6000, 1)) * rays
+    off = np.abs(incidence.cosines(points.astype(np.float32), np.zeros(3)) - cosine)
+    assert abs(off.mean()) < 0.03
+    assert np.quantile(off, 0.9) < 0.05
+
+
+def test_the_sensor_need_not_be_where_the_scan_frame_is():
+    points, true = wall(np.random.default_rng(3), 2000, 4.0, 3.0, 30.0, 0.005)
+    position = np.array([0.5, -0.3, 0.2])
+    moved = incidence.cosines((points + position).astype(np.float32), position)
+    np.testing.assert_allclose(moved, true, atol=0.05)
+
+
+def test_points_without_a_surface_take_that_of_the_nearest():
+    rng = np.random.default_rng(4)
+    points, true = wall(rng, 2000, 5.0, 2.0, 40.0, 0.003)
+    stray = (points[:20] * rng.uniform(0.8, 0.9, (20, 1))).astype(np.float32)
+    cosine = incidence.cosines(np.concatenate([points, stray]), np.zeros(3))
+    np.testing.assert_allclose(cosine[2000:], true[:20], atol=0.05)
+
+
+def test_few_points_and_no_points():
+    points, _ = wall(np.random.default_rng(5), 800, 5.0, 2.0, 0.0, 0.003)
+    np.testing.assert_array_equal(incidence.cosines(points[:5], np.zeros(3)), np.ones(5))
+    assert len(incidence.cosines(points[:0], np.zeros(3))) == 0
+    holed = points.copy()
+    holed[7] = np.nan
+    cosine = incidence.cosines(holed, np.zeros(3))
+    assert cosine[7] == 1.0
+    np.testing.assert_allclose(np.delete(cosine, 7), 0.99, atol=0.05)
