@@ -141,9 +141,7 @@ class _Measurement:
         """
         if total.chance(self.others) > range_errors.CHANCE:
             return 0.0
-        spread = total.covariance[self.others, self.others]
-        expected = range_errors.HARMONIC_SIGMA**2 * np.eye(len(spread))
-        likely = expected @ np.linalg.solve(expected + spread, total.change[self.others])
+        likely = total.likely(self.others, range_errors.HARMONIC_SIGMA)
         part = range_errors.harmonics(self.beams, points) @ likely
         length = np.linalg.norm(points - self.beams.position, axis=1)
         scale = float(np.average(part, weights=length**2))

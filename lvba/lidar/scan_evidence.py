@@ -111,6 +111,14 @@ class Evidence:
             return 1.0
         return float(chdtrc(len(off), max(off @ linalg.lstsq(spread, off)[0], 0.0)))
 
+    def likely(self, columns: slice, sigma: float) -> np.ndarray:
+        """The change of some of the numbers if each was expected to be off by so much: less where planes leave it open.
+
+        sigma: standard deviation, in the unit of the numbers. Posterior mean of a normal prior.
+        """
+        variance, axes = np.linalg.eigh(self.covariance[columns, columns])
+        return np.asarray(axes @ (sigma**2 / (sigma**2 + variance) * (axes.T @ self.change[columns])))
+
     def __add__(self, other: "Evidence") -> "Evidence":
         return Evidence(
             self.information + other.information,

@@ -13,7 +13,7 @@ from lvba.lidar.point_times import PointClock
 from lvba.lidar.range_errors import DIRECTION, DISTORTION, ELEVATION, INCIDENCE, Beams, RangeErrors
 from lvba.lidar.scan import gather
 from lvba.lidar.scan_errors import ScanErrors
-from lvba.lidar.scan_evidence import View
+from lvba.lidar.scan_evidence import Evidence, View
 from lvba.lidar.scan_motion import MotionLeft
 from lvba.steps import report_data
 
@@ -189,3 +189,13 @@ def test_facts_bring_errors_back():
     still = RangeErrors(AROUND, {INCIDENCE: 0.002}, {INCIDENCE: 0.01})
     assert still.points(scan.points) is scan.points
     assert report_data.warnings_of_errors(errors)[0].startswith("Beams go 0.17 degrees higher")
+
+
+def test_what_planes_leave_open_is_taken_to_be_as_large_as_expected():
+    """One number known to 0.001, one to 1: estimates of 0.02 and 3, expected to be off by 0.01."""
+    own = np.diag([1e3, 1.0])
+    evidence = Evidence(np.diag([1e6, 1.0]), np.array([2e4, 3.0]), own, np.zeros((2, 2, 2)))
+    spread = evidence.covariance
+    expected = 1e-4 * np.linalg.solve(1e-4 * np.eye(2) + spread, evidence.change)
+    np.testing.assert_allclose(evidence.likely(slice(0, 2), 0.01), expected, rtol=1e-9)
+    assert abs(expected[1]) < 0.01 < abs(evidence.change[1])
