@@ -1,12 +1,15 @@
 """Memory and time against the length of a recording that is solved in parts, and what a second worker brings.
 
 Streets of 200, 400, 800 and 1600 scans and images, one every two meters, solved in parts of 40 by two worker processes of
-one thread each: peak memory of the largest worker, and seconds of work in all tasks together. Images are small, scans
-thin, to be done in minutes; docs/images/length.svg shows the table. Then a street of 160 scans of 30,000 points and
-images of 640 x 480 by two workers, by one with one thread, and in one process without Dask: what tasks bring and cost.
+one thread each: peak memory of the largest worker, what is said of it before the run, and seconds of work in all tasks
+together. Images are small, scans thin, to be done in minutes; docs/images/length.svg shows the table. One length of one
+scene alone, also of a compact site with loops everywhere: `bench_length.py --scene site --scans 1000`. Then a street of
+160 scans of 30,000 points and images of 640 x 480 by two workers, by one with one thread, and in one process without
+Dask: what tasks bring and cost.
 Last, what a task costs that does nothing: store, scheduler and all.
 """
 
+import argparse
 import json
 import os
 import resource
@@ -20,7 +23,10 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 PICTURE = ROOT / "docs" / "images" / "length.svg"
 SHORTEST, PART, USUAL = 200, 40, 160
+METERS = {"street": 2.0, "site": 1.0}
+"""Of path, from one scan to the next."""
 _THIN = ("--points", "6000", "--width", "320", "--height", "240")
+_CUT = {"by": "count", "size": PART}
 JOINT = ("lidar-merge", "lidar-start", "lidar-step", "lidar-joint", "lidar-gate", "visual-merge", "visual-exposures",
          "visual-step", "evaluate", "visual-gate", "evaluate-result", "merge-facts",
          "pictures", "facts", "survey")  # fmt: skip
@@ -32,15 +38,15 @@ def run(lengths: tuple[int, ...] = (1, 2, 4, 8)) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         for times in lengths:
-            _simulate(work / f"street{times}", SHORTEST * times, _THIN)
-        _simulate(work / "usual", USUAL, ())
+            _simulate(work / f"street{times}", "street", SHORTEST * times, _THIN)
+        _simulate(work / "usual", "street", USUAL, ())
         _run(work, f"street{lengths[0]}", "warm", [])  # kernels are compiled once
         rows = [
-            _row(SHORTEST * times, _run(work, f"street{times}", "two", ["--workers", "2"]))
+            _row(work / f"street{times}", _run(work, f"street{times}", "two", ["--workers", "2"]))
             for times in lengths
         ]
         two, one, alone = (
-            _row(USUAL, _run(work, "usual", name, options))
+            _row(work / "usual", _run(work, "usual", name, options))
             for name, options in (
                 ("two", ["--workers", "2"]),
                 ("one", ["--workers", "1", "--threads", "1"]),
@@ -65,18 +71,37 @@ def run(lengths: tuple[int, ...] = (1, 2, 4, 8)) -> dict[str, Any]:
     }
 
 
-def _simulate(dataset: Path, frames: int, sizes: tuple[str, ...]) -> None:
-    _lvba(["simulate", "street", "--out", str(dataset), "--seed", "1", "--frames", str(frames), "--scans", str(frames),
-           "--length", str(2 * frames), *sizes])  # fmt: skip
+def one(scene: str, scans: int, workers: int = 2) -> dict[str, Any]:
+    """A row of one scene of so many thin scans and images."""
+    with tempfile.TemporaryDirectory() as folder:
+        work = Path(folder)
+        _simulate(work / scene, scene, scans, _THIN)
+        return _row(work / scene, _run(work, scene, "alone", ["--workers", str(workers)]))
+
+
+def _simulate(dataset: Path, scene: str, frames: int, sizes: tuple[str, ...]) -> None:
+    _lvba(["simulate", scene, "--out", str(dataset), "--seed", "1", "--frames", str(frames), "--scans", str(frames),
+           "--length", str(METERS[scene] * frames), *sizes])  # fmt: skip
 
 
 def _run(work: Path, street: str, name: str, options: list[str]) -> dict[str, Any]:
     out = work / f"{street}-{name}"
-    cut = ["--set", "split.by=count", "--set", f"split.size={PART}"]
+    cut = [text for name, value in _CUT.items() for text in ("--set", f"split.{name}={value}")]
     started, spent = time.perf_counter(), _processor_seconds()
     _lvba(["run", str(work / street), "--out", str(out), "--quiet", *cut, *options])
     seconds, spent = time.perf_counter() - started, _processor_seconds() - spent
     return {**json.loads((out / "report.json").read_text()), "wall": seconds, "processor": spent}
+
+
+def _said(dataset: Path) -> float:
+    """Peak memory of the largest process as it is said before a run, MB."""
+    from lvba.blocks import memory, split, survey
+    from lvba.io.dataset import open_dataset
+
+    opened = open_dataset(dataset)
+    load = survey.load_of(opened)
+    parts = split.parts(opened, split.SplitConfig(**_CUT), load)  # type: ignore[arg-type]
+    return memory.peaks(opened, parts, load).largest / 1e6
 
 
 def _processor_seconds() -> float:
@@ -85,13 +110,14 @@ def _processor_seconds() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def _row(scans: int, report: dict[str, Any]) -> dict[str, Any]:
+def _row(dataset: Path, report: dict[str, Any]) -> dict[str, Any]:
     stages = report["stages"]
     joint = [stage for stage in stages if _base(stage["name"]) in JOINT]
     return {
-        "scans": scans,
+        "scans": report["dataset"]["scans"],
         "parts": len(report["merge"]["parts"]),
         "tasks": len(stages),
+        "said MB": _said(dataset),
         "peak MB": max(stage["peak_memory_mb"] for stage in stages),
         "work s": sum(stage["seconds"] for stage in stages),
         "joint s": sum(stage["seconds"] for stage in joint),
@@ -163,4 +189,8 @@ def _lvba(arguments: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    print(json.dumps(run(), indent=1))
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scene", choices=METERS, default="street")
+    parser.add_argument("--scans", type=int, help="of this scene alone; default: the whole benchmark")
+    given = parser.parse_args()
+    print(json.dumps(run() if given.scans is None else one(given.scene, given.scans), indent=1))

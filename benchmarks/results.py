@@ -1,6 +1,7 @@
 """Makes docs/results.md: every table in it comes from runs of the installed `lvba` command, none is typed by hand.
 
     python benchmarks/results.py recordings --data DIR       the real recordings, default settings
+    python benchmarks/results.py foreign --data DIR          their poses, judged as those of any method
     python benchmarks/results.py simulated --seeds 101 102 103
     python benchmarks/results.py ablations --seeds 101
     python benchmarks/results.py disturbed --seeds 201 --scenes courtyard --levels typical severe
@@ -9,12 +10,14 @@
     python benchmarks/results.py write                        docs/results.md from docs/results.json
 
 Each command adds its rows to docs/results.json (one object per row, keyed by table and row) and rewrites docs/results.md.
+`disturbed` does not make rows again that this version has made: stopped, it goes on by the same command.
 """
 
 import argparse
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -162,9 +165,6 @@ def recordings(data: Path, work: Path) -> None:
         for name, dataset in drawn(data / recording, work):
             report = run_lvba(dataset, work / f"{name}_out", [], reference)
             save("recordings", name, figures(report))
-            if reference is not None and "failed" not in report:
-                judged = at_reference(dataset, reference, work / f"{name}_out")
-                save("recordings", f"{name}, poses of its reference", judged)
 
 
 def drawn(dataset: Path, work: Path) -> list[tuple[str, Path]]:
@@ -184,14 +184,45 @@ def drawn(dataset: Path, work: Path) -> list[tuple[str, Path]]:
     return recordings
 
 
-def at_reference(dataset: Path, reference: Path, refined: Path) -> dict[str, Any]:
-    """What the reference's own poses score, with the exposures of a result: how far agreeing with it is a merit."""
-    out = refined.with_name(f"{refined.name}_reference")
-    command = [*LVBA, "evaluate", str(dataset), "--out", str(out)]
-    command += ["--lidar-poses", str(reference / "lidar_poses.txt")]
-    command += ["--image-poses", str(reference / "image_poses.txt")]
-    command += ["--exposures", str(refined / "exposures.csv")]
-    return figures(report_of(command, out))
+def foreign(data: Path, work: Path) -> None:
+    """Input, result and reference of each recording, each given to `lvba evaluate` as poses of another method, all with
+    exposures and camera of the result, so that only poses differ.
+
+    Results of `recordings` in `work` are taken where they are there.
+    """
+    for recording in RECORDINGS:
+        given = data / recording / "reference"
+        reference = given if given.exists() else None
+        for name, dataset in drawn(data / recording, work):
+            result = work / f"{name}_out"
+            if not (result / "report.json").exists():
+                run_lvba(dataset, result, [], reference)
+            sources = {
+                "input": (dataset / "all_pcd_body", dataset / "all_image"),
+                "result": (result, result),
+                "reference": (given, given),
+            }
+            for kind, (scans, images) in sources.items():
+                poses = {
+                    "--lidar-poses": scans / "lidar_poses.txt",
+                    "--image-poses": images / "image_poses.txt",
+                    "--exposures": result / "exposures.csv",
+                    "--calibration": result / "calibration.yaml",
+                }
+                if poses["--lidar-poses"].exists():
+                    save(
+                        "foreign",
+                        f"{name}: {kind}",
+                        judged(dataset, poses, work / f"{name}_{kind}_judged", reference),
+                    )
+
+
+def judged(dataset: Path, poses: dict[str, Path], out: Path, reference: Path | None) -> dict[str, Any]:
+    """Figures of poses, and exposures, by `lvba evaluate`; poses: files by the option that they are given with."""
+    options = [word for option, file in poses.items() if file.exists() for word in (option, str(file))]
+    if reference is not None:
+        options += ["--reference", str(reference)]
+    return figures(report_of([*LVBA, "evaluate", str(dataset), "--out", str(out), *options], out))
 
 
 def simulated(seeds: list[int], scenes: list[str], difficulty: str, work: Path) -> None:
@@ -218,18 +249,51 @@ def ablations(seeds: list[int], scenes: list[str], work: Path) -> None:
                 save("ablations", f"{scene}, seed {seed}: {name}", figures(report))
 
 
-def disturbed(seeds: list[int], scenes: list[str], levels: list[str], frames: int, work: Path) -> None:
+def disturbed(
+    seeds: list[int], scenes: list[str], names: list[str], levels: list[str], frames: int, work: Path
+) -> None:
+    """Rows that this version has made already are kept."""
+    version = code_version()
+    known = json.loads(JSON.read_text()).get("disturbed", {}) if JSON.exists() else {}
     for seed in seeds:
         for scene in scenes:
-            one_by_one = [(name, level) for level in levels for name in disturbances.ABOUT]
-            for name, level in [("none", ""), *one_by_one]:
-                extra = ("--disturb", f"{name}={level}") if level else ()
-                dataset = work / f"{scene}_{seed}_{frames}_{name}_{level}"
-                simulate(scene, dataset, seed=seed, frames=frames, extra=extra)
-                report = run_lvba(dataset, work / f"{dataset.name}_out", [], dataset / "reference")
-                row = _errors(figures(report)) | _without_truth(report)
-                size = f" {disturbances.ABOUT[name]['levels'][level]:g}" if level else ""
-                save("disturbed", f"{scene}, seed {seed}, {frames} frames: {name}{size}", row)
+            for name, size in _sizes(names, levels):
+                row = f"{scene}, seed {seed}, {frames} frames: {name}" + (f" {size:g}" if size else "")
+                if known.get(row, {}).get("version") != version:
+                    made = _disturbed_row(scene, seed, frames, name, size, work)
+                    save("disturbed", row, made | {"version": version})
+
+
+def _sizes(names: list[str], levels: list[str]) -> list[tuple[str, float]]:
+    """Each disturbance by its size at each level, once where levels are alike; first none."""
+    sizes = [(name, float(disturbances.ABOUT[name]["levels"][level])) for name in names for level in levels]
+    return [("none", 0.0), *dict.fromkeys(sizes)]
+
+
+def _disturbed_row(scene: str, seed: int, frames: int, name: str, size: float, work: Path) -> dict[str, Any]:
+    """Simulated, refined and compared with the truth; the files are removed."""
+    dataset = work / f"{scene}_{seed}_{frames}_{name}_{size:g}"
+    out = work / f"{dataset.name}_out"
+    extra = ("--disturb", f"{name}={size:g}") if size else ()
+    try:
+        simulate(scene, dataset, seed=seed, frames=frames, extra=extra)
+        report = run_lvba(dataset, out, [], dataset / "reference")
+    finally:
+        for folder in (dataset, out):
+            shutil.rmtree(folder, ignore_errors=True)
+    return _errors(figures(report)) | _without_truth(report)
+
+
+def code_version() -> str:
+    """The commit that rows are made by, with a plus where files of the program differ from it."""
+    git = ["git", "-C", str(ROOT)]
+    head = subprocess.run(
+        [*git, "rev-parse", "--short=8", "HEAD"], check=True, capture_output=True, text=True
+    )
+    changed = subprocess.run(
+        [*git, "diff", "--quiet", "HEAD", "--", "lvba", "workers", "service"], check=False
+    )
+    return head.stdout.strip() + ("+" if changed.returncode else "")
 
 
 def _errors(row: dict[str, Any]) -> dict[str, Any]:
@@ -297,31 +361,54 @@ def main() -> None:
     )
     parser.add_argument(
         "table",
-        choices=["recordings", "simulated", "ablations", "disturbed", "degenerate", "colors", "write"],
+        choices=[
+            "recordings",
+            "foreign",
+            "simulated",
+            "ablations",
+            "disturbed",
+            "degenerate",
+            "colors",
+            "write",
+        ],
     )
     parser.add_argument("--data", type=Path, help="folder of the real recordings")
     parser.add_argument("--seeds", type=int, nargs="+", default=[101, 102, 103])
     parser.add_argument("--scenes", nargs="+", default=list(SCENES))
     parser.add_argument("--difficulty", default="medium")
     parser.add_argument("--levels", nargs="+", choices=["typical", "severe"], default=["typical"])
+    parser.add_argument(
+        "--names", nargs="+", choices=list(disturbances.ABOUT), default=list(disturbances.ABOUT),
+        help="disturbances (default: all)",
+    )  # fmt: skip
     parser.add_argument("--frames", type=int, default=60, help="images and scans of a disturbed scene")
+    parser.add_argument(
+        "--json", type=Path, help="file that rows go to and tables are made from (default: docs/results.json)"
+    )
     parser.add_argument(
         "--work", type=Path, help="folder for datasets and results (default: a temporary one)"
     )
     arguments = parser.parse_args()
-    if arguments.table == "recordings" and arguments.data is None:
+    global JSON, MARKDOWN
+    if arguments.json is not None:
+        JSON, MARKDOWN = arguments.json, arguments.json.with_suffix(".md")
+    if arguments.table in ("recordings", "foreign") and arguments.data is None:
         parser.error("recordings need --data, the folder that holds them")
     with tempfile.TemporaryDirectory() as temporary:
         work = arguments.work or Path(temporary)
         work.mkdir(parents=True, exist_ok=True)
         if arguments.table == "recordings":
             recordings(arguments.data, work)
+        elif arguments.table == "foreign":
+            foreign(arguments.data, work)
         elif arguments.table == "simulated":
             simulated(arguments.seeds, arguments.scenes, arguments.difficulty, work)
         elif arguments.table == "ablations":
             ablations(arguments.seeds, arguments.scenes, work)
         elif arguments.table == "disturbed":
-            disturbed(arguments.seeds, arguments.scenes, arguments.levels, arguments.frames, work)
+            disturbed(
+                arguments.seeds, arguments.scenes, arguments.names, arguments.levels, arguments.frames, work
+            )
         elif arguments.table == "degenerate":
             degenerate(work)
         elif arguments.table == "colors":

@@ -14,8 +14,8 @@ Lengths in millimeters and angles in degrees are root mean squares over all fram
 [evaluation.md](evaluation.md). Seconds are wall time on two cores that had some other work beside (and
 the first rows compile, too); for what a run takes by itself see [benchmarks.md](benchmarks.md).
 
-Recordings are of the version in which points of one scan on one plane share errors, but for the second and third draw of
-tum_fr1_rpy: these and disturbed scenes are of one before, with response curves, range errors and mended rough poses.
+Recordings, poses of any method and the IMU are of the version that finds exposures by color and uses an IMU; disturbed
+scenes are of an earlier one, with response curves, range errors and mended rough poses.
 Medium difficulty with seed 119 and hard difficulty are of one before these, with self-calibration and vignetting; other
 rows and tables are older than both.
 """
@@ -25,8 +25,12 @@ NOTES = {
 
 Before -> after. PSNR and SSIM over covered pixels by the paper's protocol (points may be judged by the image that
 colored them) and leave-one-out (only points colored from other images judge a pixel). Map entropy: lower is better.
-Where a recording has a reference, its poses are judged too, as any method's (`lvba evaluate`): where a result predicts
-images better than the reference itself, their distance is no longer a measure of the result.
+""",
+    "foreign": """## Poses of any method
+
+Input, result and reference of the recordings, each given to `lvba evaluate` as poses of another method, all with
+exposures and camera of the result. Where a result predicts images better than the reference itself, their distance is no
+longer a measure of the result.
 """,
     "simulated": """## Simulated scenes with known truth, {difficulty} difficulty
 
@@ -60,8 +64,9 @@ One option each on the same simulated scenes, against truth, and leave-one-out.
 What real sensors do, one at a time ([list](simulation.md#disturbances)), not told to the program. "median, 95 %": half
 and 95 % of the frames are off by less than so many millimeters. "promised" is the error that the report predicts, and
 the verdict what a user without a reference reads; "at least": the report says that
-errors are likely larger than promised. **Bold**: more than three times the promised error without that word, but for a
-common scale of the LiDAR's ranges, which promises leave out ([evaluation.md](evaluation.md#how-good-is-my-map)).
+errors are likely larger than promised. Exposures are compared after the one power of the light that images leave open.
+**Bold**: more than three times the promised error without that word (exposures: without a reason that names them), but
+for a common scale of the LiDAR's ranges, which promises leave out ([evaluation.md](evaluation.md#how-good-is-my-map)).
 """,
     "colors": """## Colors of the map
 
@@ -70,6 +75,12 @@ this one (before -> after), at the same poses and exposures. Wrong: points on th
 color of the floor it stands on, in percent of the colored ones: all, those up to 0.3 m above the floor, and those
 within 5 cm of an upright or upper edge; and points of the floor within 0.3 m of it that carry the cabinet's. Error: mean
 absolute difference from the true color, gray values (0..255), over all colored points. Range noise is 20 mm.
+""",
+    "imu": """## IMU
+
+Without -> with `imu.csv` of `lvba simulate --imu` (`benchmarks/imu_factors.py`; images of 320 x 240, medium difficulty).
+"open": scans that planes leave a direction of open without the IMU, how many, and their errors in both runs; tilt: how
+far the direction of gravity is off in the frame of the true poses, and one standard deviation as reported.
 """,
     "degenerate directions": """## Degenerate directions
 
@@ -114,11 +125,24 @@ def _pose_change(row: Row, part: str) -> str:
     reference: Row = row.get("reference") or {}
     if part not in reference:
         return "-"
+    return f"{_pose(reference.get('rough') or {}, part)} -> {_pose(reference, part)}"
 
-    def pose(of: Row) -> str:
-        return number(of, part, "ate_m", scale=1e3, digits=1) + " / " + number(of, part, "rotation_deg")
 
-    return f"{pose(reference.get('rough') or {})} -> {pose(reference)}"
+def _pose(errors: Row, part: str) -> str:
+    return number(errors, part, "ate_m", scale=1e3, digits=1) + " / " + number(errors, part, "rotation_deg")
+
+
+def _foreign(name: str, row: Row) -> list[str]:
+    refined: Row = row.get("refined") or {}
+    reference: Row = row.get("reference") or {}
+    return [
+        name,
+        number(refined, "psnr_leave_one_out"),
+        number(refined, "ssim_leave_one_out", digits=3),
+        number(refined, "coverage", digits=3),
+        number(refined, "map_entropy", digits=3),
+        *(_pose(reference, part) if part in reference else "-" for part in ("lidar", "camera")),
+    ]
 
 
 def _against_truth(name: str, row: Row) -> list[str]:
@@ -165,10 +189,32 @@ def _disturbed(name: str, row: Row) -> list[str]:
         )
         cells.append(_quantiles(reference, part))
         cells.append(number(reference, part, "predicted_ate_m", scale=1e3))
+        cells.append(number(reference, part, "nees"))
     said = str(row.get("verdict") or "-") + (", at least" if row.get("at_least") else "")
-    if _broken(reference) and not row.get("at_least"):
+    if confident(row):
         said = f"**{said}**"
-    return [*cells, number(reference, "exposure", "rms_percent"), said]
+    error, promised = _exposures(reference)
+    cells += ["-" if value is None else f"{value:.2f}" for value in (error, promised)]
+    return [*cells, number(reference, "exposure", "nees_after_power"), said, number(row, "seconds", digits=0)]
+
+
+def _exposures(reference: Row) -> tuple[float | None, float | None]:
+    """Error and promised one, percent, after the power that images leave open, where there is one."""
+    exposure = reference.get("exposure") or {}
+    promised, power = exposure.get("predicted_percent"), exposure.get("power") or 1.0
+    return (
+        exposure.get("rms_percent_after_power", exposure.get("rms_percent")),
+        None if promised is None else promised / power,
+    )
+
+
+def confident(row: Row) -> bool:
+    """Whether a promise is broken, and no word of the report says so."""
+    reference: Row = row.get("reference") or {}
+    error, promised = _exposures(reference)
+    exposures = error is not None and promised is not None and error > _KEPT * promised
+    named = any("exposures" in reason for reason in row.get("reasons") or ())
+    return (_broken(reference) and not row.get("at_least")) or (exposures and not named)
 
 
 _KEPT = 3.0
@@ -268,6 +314,22 @@ def _error(row: Row, side: str) -> str:
     return f"{position} / {number(row, 'truth', side, 'rotation_deg', digits=4)}"
 
 
+def _imu(name: str, row: Row) -> list[str]:
+    def both(*path: str, scale: float = 1e3) -> str:
+        return f"{number(row['without'], *path, scale=scale)} -> {number(row['with'], *path, scale=scale)}"
+
+    tilt = [number(row["with"], key, digits=3) for key in ("tilt_deg", "tilt_sigma_deg")]
+    return [
+        name,
+        *(both("lidar", key) for key in ("ate_m", "ate_median_m", "ate_max_m")),
+        both("lidar", "nees", scale=1.0),
+        f"{row['open']}: {both('open_m')}" if row["open"] else "0",
+        both("camera", "ate_m"),
+        both("camera", "nees", scale=1.0),
+        " ± ".join(tilt),
+    ]
+
+
 def _colors(name: str, row: Row) -> list[str]:
     def both(key: str, scale: float = 1.0, digits: int = 2) -> str:
         old, new = (number(row, state, key, scale=scale, digits=digits) for state in ("before", "after"))
@@ -313,6 +375,18 @@ COLUMNS: dict[str, tuple[list[str], Callable[[str, Row], list[str]]]] = {
         ],
         _recording,
     ),
+    "foreign": (
+        [
+            "poses",
+            "leave-one-out dB",
+            "leave-one-out SSIM",
+            "coverage",
+            "map entropy",
+            "scans mm / deg",
+            "cameras mm / deg",
+        ],
+        _foreign,
+    ),
     "simulated": (_TRUTH, _against_truth),
     "ablations": (_TRUTH, _against_truth),
     "disturbed": (
@@ -321,11 +395,16 @@ COLUMNS: dict[str, tuple[list[str], Callable[[str, Row], list[str]]]] = {
             "scans mm / deg",
             "median, 95 %",
             "promised mm",
+            "NEES",
             "cameras mm / deg",
             "median, 95 %",
             "promised mm",
+            "NEES",
             "exposure %",
+            "promised %",
+            "NEES",
             "verdict",
+            "s",
         ],
         _disturbed,
     ),
@@ -385,11 +464,39 @@ COLUMNS: dict[str, tuple[list[str], Callable[[str, Row], list[str]]]] = {
         ],
         _colors,
     ),
+    "imu": (
+        [
+            "scene",
+            "scans mm",
+            "median",
+            "largest",
+            "NEES",
+            "open scans mm",
+            "cameras mm",
+            "NEES",
+            "tilt deg",
+        ],
+        _imu,
+    ),
     "degenerate directions": (
         ["scene", "degenerate in the LiDAR part", "degenerate in the visual part", "scans mm", "cameras mm"],
         _degenerate,
     ),
 }
+
+
+def gates_in_words(rows: dict[str, Row]) -> str:
+    """How many decisions of the gates were right, and which were not."""
+    wrong = [name for name, row in rows.items() if row["verdict"] == "WRONG"]
+    refused = [name for name, row in rows.items() if row["verdict"] == "gain refused"]
+    right = sum(row["verdict"] == "right" for row in rows.values())
+    named = "".join(
+        f" {what}: {', '.join(which)}."
+        for what, which in (("Wrong", wrong), ("Gains refused", refused))
+        if which
+    )
+    counts = f"{right} were right, {len(wrong)} wrong, {len(refused)} refused a gain"
+    return f"Of {len(rows)} decisions {counts}; the others are open.{named}\n"
 
 
 def markdown(results: dict[str, dict[str, Row]]) -> str:
@@ -402,4 +509,6 @@ def markdown(results: dict[str, dict[str, Row]]) -> str:
         good = {k: v for k, v in results[name].items() if "failed" not in v}
         parts.append(table(head, [cells(k, v) for k, v in good.items()]))
         parts += [f"* {k}: failed: {v['failed']}\n" for k, v in results[name].items() if "failed" in v]
+        if kind == "gates":
+            parts.append(gates_in_words(good))
     return "\n".join(parts)

@@ -76,6 +76,10 @@ class Dataset:
     file's."""
     image_poses_reason: str = ""
     """Why that was taken; empty where there is no question."""
+    imu_path: str = ""
+    """Readings of an IMU between the scans (`io.imu`); empty: there are none."""
+    scan_from_imu: np.ndarray = field(default_factory=lambda: np.eye(4))
+    """(4, 4), m: its mounting in the scan frame (from body_from_imu)."""
     warnings: tuple[str, ...] = ()
     """What was left out, and why, one sentence each."""
     digest: str = ""

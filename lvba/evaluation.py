@@ -1,6 +1,7 @@
 """Any method's poses and exposures, evaluated as this package evaluates its own."""
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,13 +9,17 @@ from typing import Any
 import numpy as np
 
 from lvba import config as settings
+from lvba.blocks import decoded, scan_errors
+from lvba.camera import Camera
 from lvba.dataset import Dataset
 from lvba.io import image_poses as kinds
 from lvba.io import timestamps
+from lvba.io.dataset import load_scan
 from lvba.io.exposures import Exposures, read_exposures
 from lvba.io.image_poses import Statement
 from lvba.io.reference import Reference, of_cameras
 from lvba.io.tum import read_pose_file, read_trajectory
+from lvba.lidar.scan_errors import ScanErrors
 from lvba.pipeline import Config
 from lvba.products import evaluate as evaluation
 from lvba.products import map_quality
@@ -27,27 +32,42 @@ from lvba.steps.acceptance import ROUGH, VISUAL, Verdict
 from lvba.steps.lidar import cloud_of
 from lvba.steps.outcomes import ScanPoses
 from lvba.trajectory import Trajectory
+from lvba.visual import radiometry
+from lvba.visual.radiometry import Radiometry
 
 
 @dataclass(frozen=True)
 class Given:
     """The frames that are judged, and what is claimed about them.
 
-    dataset: the recording, without the frames that the files say nothing about
+    recording: as it is; dataset: without the frames that the files say nothing about
+    scan_numbers: (S,) int64, of the dataset's scans in the recording
+    camera, radiometry: that the poses go with, of the raw images
     world_from_scan: (S, 4, 4), world_from_camera: (I, 4, 4), in the dataset's frame; log_exposure: (I,)
     """
 
+    recording: Dataset
     dataset: Dataset
+    scan_numbers: np.ndarray
     world_from_scan: np.ndarray
     world_from_camera: np.ndarray
     log_exposure: np.ndarray
+    camera: Camera
+    radiometry: Radiometry
     warnings: tuple[str, ...]
 
 
 def read_given(
-    dataset: Dataset, scan_poses: Path | None, image_poses: Path | None, exposures: Path | None
+    dataset: Dataset,
+    scan_poses: Path | None = None,
+    image_poses: Path | None = None,
+    exposures: Path | None = None,
+    camera: Camera | None = None,
+    supposed: Radiometry = radiometry.NONE,
 ) -> Given:
     """Poses and exposures from files; where no file is given, those of the dataset (all equally exposed).
+
+    camera: of the raw images, that the poses were found with; None: the dataset's; supposed: its radiometry
 
     Raises InputError: a file is malformed, or its times are of another clock.
     """
@@ -66,23 +86,40 @@ def read_given(
         if count
     )
     return Given(
-        _subset(dataset, scan_index, image_index), scans, images, log_exposure[image_index], more + warnings
+        recording=dataset,
+        dataset=_subset(dataset, scan_index, image_index),
+        scan_numbers=scan_index,
+        world_from_scan=scans,
+        world_from_camera=images,
+        log_exposure=log_exposure[image_index],
+        camera=camera or dataset.camera,
+        radiometry=supposed,
+        warnings=more + warnings,
     )
 
 
 def report(
     given: Given, config: Config, reference: Reference | None, progress: Progress = silent
 ) -> dict[str, Any]:
-    """report.json of the judgement: `rough` is the dataset, `refined` is what is given."""
+    """report.json of the judgement: `rough` is the dataset, `refined` is what is given.
+
+    What is systematically wrong with the scans is measured and corrected as in a run, before both are judged: else poses
+    that fit a distorted room would count as better than true ones.
+    Raises InputError: a scan or an image cannot be read.
+    """
     dataset = given.dataset
-    rough = cloud_of(dataset, dataset.scans.world_from_sensor, progress)
-    refined = cloud_of(dataset, given.world_from_scan, progress)
+    errors = scan_errors.measure(given.recording, config.lidar, config.refine_scans, progress)
+    read = _reader(given, errors)
+    rough = cloud_of(dataset, dataset.scans.world_from_sensor, progress, read)
+    refined = cloud_of(dataset, given.world_from_scan, progress, read)
     before, after = (map_quality.entropy_blocks(cloud, config.evaluate.entropy) for cloud in (rough, refined))
     scores = {}
     if dataset.image_paths:
         views = views_of(dataset)
         claimed = dataclasses.replace(
-            views, world_from_camera=given.world_from_camera, log_exposure=given.log_exposure
+            views_of(dataset.with_camera(given.camera), supposed=given.radiometry),
+            world_from_camera=given.world_from_camera,
+            log_exposure=given.log_exposure,
         )
         states = {ROUGH: State(rough, views), VISUAL: State(refined, claimed)}
         scores = evaluation.evaluate(states, config.evaluate, progress=progress)
@@ -93,11 +130,23 @@ def report(
         "dataset": {"path": dataset.root, **report_data.of_dataset(dataset)},
         "config": settings.to_dict(config),
         "evaluation": report_data.of_evaluation(scans, scores, VISUAL),
-        "warnings": [*dataset.warnings, *given.warnings],
+        "warnings": [*dataset.warnings, *given.warnings, *report_data.warnings_of_errors(errors)],
     }
+    if errors is not None:
+        facts["lidar"] = report_data.of_scan_errors(errors)
     if reference is not None:
         facts["reference"] = _against(given, of_cameras(reference, dataset))
     return dict(report_data.plain(facts))
+
+
+def _reader(given: Given, errors: ScanErrors | None) -> Callable[[int], np.ndarray]:
+    """The points (N, 3) float32, m, of a scan of the dataset where they belong."""
+
+    def read(index: int) -> np.ndarray:
+        number = int(given.scan_numbers[index])
+        return decoded.placed(given.recording, number, load_scan(given.recording, number), errors)
+
+    return read
 
 
 def _against(given: Given, reference: Reference) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from lvba.io.reference import Reference, of_cameras
 from lvba.lidar.bundle_adjustment import LidarConfig
 from lvba.lidar.config import STAGES
 from lvba.loop_closure import candidates
-from lvba.plan import LazyRef, Plan, Ref, StreamedRef
+from lvba.plan import LazyRef, Plan, Ref, one_at_a_time
 from lvba.products.evaluate import EvaluateConfig
 from lvba.products.map_file import MapConfig
 from lvba.settings import setting
@@ -95,12 +95,14 @@ def refine(
     """
     config = config or Config()
     reference = None if reference is None else of_cameras(reference, dataset)
-    parts = tuple(split.parts(dataset, config.split, load or survey.load_of(dataset)))
+    load = load or survey.load_of(dataset)
+    parts = tuple(split.parts(dataset, config.split, load))
     if len(parts) > 1 and variant != PRODUCT and config.merge.image_rounds > 0:
         raise ValueError("a variant of a recording in parts needs merge.image_rounds = 0")
     chain = _Chain(
-        plan=Plan(version), dataset=dataset, parts=parts, config=config, variant=variant, align=align_parts
-    )
+        plan=Plan(version), dataset=dataset, parts=parts, regions=split.regions(parts, load), config=config,
+        variant=variant, align=align_parts,
+    )  # fmt: skip
     chain.add(reference)
     return chain.plan
 
@@ -124,18 +126,14 @@ class _Merged:
     cameras: Ref | None = None
 
 
-def _one_at_a_time(refs: Sequence[Ref]) -> list[Ref]:
-    """For a function that looks at one after another."""
-    return [StreamedRef(each.key) for each in refs]
-
-
 @dataclass
 class _Chain:
-    """Adds the steps of one recording to a plan. parts: one and the same tuple for all steps: it is sent once."""
+    """Adds the steps of one recording to a plan. parts, regions: the same tuples for all steps: each is sent once."""
 
     plan: Plan
     dataset: Dataset
     parts: tuple[Part, ...]
+    regions: tuple[Part, ...]
     config: Config
     variant: Variant
     align: bool
@@ -149,8 +147,8 @@ class _Chain:
         add, config, cores = self.plan.add, self.config, [part.core_scans for part in self.parts]
         self.survey = add("survey", survey.survey, self.dataset, config.lidar, config.visual.keyframes)
         self.errors = add("scan-errors", scan_errors.measure, self.dataset, config.lidar, config.refine_scans)
-        scans = self._decode("scans", decoded.decode_scans, cores, self.errors)
-        self.points, self.photos, self.keyframes = scans, list[Made](), list[Made]()
+        self.photos, self.keyframes = list[Made](), list[Made]()
+        self.points = self._decode("scans", decoded.decode_scans, cores, self.errors)
 
     def add(self, reference: Reference | None) -> None:
         """All steps: the sequence of a run."""
@@ -168,16 +166,17 @@ class _Chain:
         self.plan.add(
             "facts", report_data.collect,
             *(self.dataset, lidar, scans, cameras, learned, scores, accepted),
-            *(expected, _one_at_a_time(pieces), planes, reference, facts, self.errors),
+            *(expected, one_at_a_time(pieces), planes, reference, facts, self.errors),
         )  # fmt: skip
 
     def _decode(self, name: str, function: Any, ranges: Sequence[Range], *arguments: Any) -> list[Made]:
-        """A step for each range of frames."""
-        numbers = [f"-{number}" for number in range(len(ranges))] if len(ranges) > 1 else [""]
-        return [
-            (each, self.plan.add(f"{name}{number}", function, self.dataset, each, *arguments))
-            for number, each in zip(numbers, ranges, strict=False)
-        ]
+        """A step for each range of frames, given those of its images that were decoded before, where any were."""
+        made: list[Made] = []
+        for number, each in enumerate(ranges):
+            held = [given(self.photos, np.arange(*each))] if self.photos else []
+            own = f"{name}-{number}" if len(ranges) > 1 else name
+            made.append((each, self.plan.add(own, function, self.dataset, each, *held, *arguments)))
+        return made
 
     def _each(self, one: str, function: Any, *arguments: Any, photos: bool = True) -> list[Ref]:
         """A step for each part, given the part's frames, the part, and its scans and, if asked for, images, decoded."""
@@ -193,14 +192,14 @@ class _Chain:
         return (self.frames[part.number], part, scans, *images)
 
     def _each_region(self, one: str, function: Any, *arguments: Any) -> list[Ref]:
-        """A step for each part, given the recording, all parts, the number of the one that owns the region, and the scans
-        about it, decoded."""
+        """A step for each region, given the recording, all regions, the number of this one, and the scans about it."""
         return [
             self.plan.add(
-                self._name(part, one), function,
-                *(self.dataset, self.parts, part.number, about_region(self.dataset, part, self.points)), *arguments,
+                self._name(region, one), function,
+                *(self.dataset, self.regions, region.number),
+                *(about_region(self.dataset, region, self.points), *arguments),
             )
-            for part in self.parts
+            for region in self.regions
         ]  # fmt: skip
 
     def _name(self, part: Part, one: str, many: str = "") -> str:
@@ -213,9 +212,9 @@ class _Chain:
         if self.many:
             solved, merged = self._solve_scans_jointly()
         else:
-            solved = self._each("lidar", lidar.solve_lidar, config.lidar, config.refine_scans, photos=False)[
-                0
-            ]
+            [solved] = self._each(
+                "lidar", lidar.solve_lidar, config.lidar, config.refine_scans, self.errors, photos=False
+            )
         entropies = self._each_region(
             "lidar-entropy", scan_acceptance.measure_entropy, solved, self.survey, config.evaluate.entropy
         )
@@ -254,12 +253,13 @@ class _Chain:
                 equations = self._linearize(f"lidar-linearize-{stage}-{turn}", clusters, state, stage)
                 state = add(
                     f"lidar-step-{stage}-{turn}", joint_scans.step_scans,
-                    *(state, _one_at_a_time(equations), self.survey, stage),
+                    *(state, one_at_a_time(equations), self.survey, stage),
                 )  # fmt: skip
         final = self._linearize("lidar-linearize-final", clusters, state, last, final=True)
         joint = add(
-            "lidar-joint", joint_scans.finish_scans, merged, state, _one_at_a_time(final), solved, self.survey
-        )
+            "lidar-joint", joint_scans.finish_scans,
+            *(merged, state, one_at_a_time(final), solved, self.survey, self.errors),
+        )  # fmt: skip
         return add("lidar", joint_scans.stage_of, joint), _Merged(merged, joint)
 
     def _linearize(
@@ -267,10 +267,10 @@ class _Chain:
     ) -> list[Ref]:
         return [
             self.plan.add(
-                f"{name}-{part.number}", joint_scans.linearize_scans,
+                f"{name}-{number}", joint_scans.linearize_scans,
                 *(self.dataset, LazyRef(own.key), state, self.survey, stage), **options,
             )
-            for part, own in zip(self.parts, clusters, strict=True)
+            for number, own in enumerate(clusters)
         ]  # fmt: skip
 
     def _loops(self, solved: list[Ref]) -> list[Ref]:
@@ -291,7 +291,7 @@ class _Chain:
         """The cameras of the whole recording."""
         options = self.survey, self.config.visual.images, self.config.refine_cameras
         cores = [part.core_images for part in self.parts if self.dataset.image_paths]
-        self.keyframes = self._decode("images", decoded.decode_keyframes, cores, *options)
+        self.keyframes = self._decode("images", decoded.keyframes_of_photos, cores, *options)
         images, solved = [], []
         for frames, part in zip(self.frames, self.parts, strict=True):
             images.append(self._images(self._name(part, ""), frames, part.frames, lidar, scans))
@@ -329,7 +329,7 @@ class _Chain:
         return self.plan.add(
             self._name(part, "visual", "visual-part"), visual.solve_finest,
             *(images.dataset, images.frames, images.keyframes, lidar, images.planes, level),
-            *(config.visual, config.refine_cameras, self.variant),
+            *(config.visual, config.refine_cameras, self.variant, given(self.photos, part.image_numbers)),
         )  # fmt: skip
 
     def _solve_cameras_jointly(
@@ -379,23 +379,21 @@ class _Chain:
 
     def fuse(self, lidar: Ref, scans: Ref, cameras: Ref) -> tuple[Ref, Ref]:
         """What the cameras say about the scans, and the scans as they are used with the cameras."""
-        config = self.config
-        learned = self.plan.add(
+        add, config = self.plan.add, self.config
+        learned = add(
             "fusion", fusion.solve_fusion, self.dataset, lidar, scans, cameras, config.lidar, config.fusion
         )
         entropies = self._each_region(
             "fusion-entropy", scan_acceptance.measure_fused_entropy,
             *(learned, self.survey, config.evaluate.entropy),
         )  # fmt: skip
-        fused = self.plan.add(
-            "fusion-gate", scan_acceptance.judge_fusion, scans, learned, entropies, config.gate
-        )
+        fused = add("fusion-gate", scan_acceptance.judge_fusion, scans, learned, entropies, config.gate)
         return learned, fused
 
     def choose(self, scans: Ref, fused: Ref, cameras: Ref) -> tuple[Ref, Ref]:
         """The scores over all images, and the state that is the result."""
         config, states = self.config, (len(self.dataset.image_paths), scans, fused, cameras)
-        parts = self._each("evaluate", evaluate.evaluate, *states, config.evaluate)
+        parts = self._each("evaluate", evaluate.evaluate, *states, config.evaluate, config.gate)
         scores = self._together("evaluate", parts, scans, fused)
         accepted = self.plan.add(
             "visual-gate", evaluate.decide, self.dataset, scans, fused, cameras, scores, config.gate

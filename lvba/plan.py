@@ -9,7 +9,7 @@ import functools
 import hashlib
 import inspect
 import json
-from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import PurePath
 from typing import Any, Protocol, runtime_checkable
@@ -39,6 +39,11 @@ class LazyRef(Ref):
 @dataclass(frozen=True)
 class StreamedRef(LazyRef):
     """The same, for one of many that are looked at one after another: the store does not keep it in memory."""
+
+
+def one_at_a_time(refs: Sequence[Ref]) -> list[Ref]:
+    """The same artifacts, for a function that looks at one after another."""
+    return [StreamedRef(each.key) for each in refs]
 
 
 class MissingError(Exception):

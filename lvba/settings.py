@@ -109,7 +109,10 @@ def setting(
         change_when=change_when,
         advanced=advanced,
     )
-    return dataclasses.field(default=default, metadata={_KEY: about, **_for_pydantic(about)})
+    metadata = {_KEY: about, **_for_pydantic(about)}
+    if isinstance(default, dict):
+        return dataclasses.field(default_factory=default.copy, metadata=metadata)
+    return dataclasses.field(default=default, metadata=metadata)
 
 
 def _for_pydantic(about: About) -> dict[str, Any]:

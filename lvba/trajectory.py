@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from lvba import geometry
@@ -99,6 +98,8 @@ def sample(trajectory: Trajectory, times: Times) -> np.ndarray:
         trajectory.world_from_sensor[before], trajectory.world_from_sensor[after], fraction
     )
     if len(trajectory) > 2:
+        from scipy.interpolate import CubicSpline  # here: takes longer to import than all else of this module
+
         clamped = np.clip(times, trajectory.times[0], trajectory.times[-1])
         poses[..., :3, 3] = CubicSpline(trajectory.times, trajectory.world_from_sensor[:, :3, 3])(clamped)
     return poses

@@ -54,6 +54,8 @@ class Limits:
     """Body of a batch."""
     check_bytes: int = 16 << 20
     """Body of a check of names: a line for each file of a recording, with its poses and calibration."""
+    inspection_bytes: int = 64 << 20
+    """Pieces of a bag that are looked at before it is uploaded."""
     connections: int = 4000
     """Connections at a time; fewer where the system allows fewer open files."""
     connections_of_one: int = 2000

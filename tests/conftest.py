@@ -43,9 +43,10 @@ def pytest_addoption(parser):
 def pytest_collection_modifyitems(items):
     """The longest files first, so that none of them is left for one of several processes at the end.
 
-    Deployments late: what they run is compiled by then, for which a slow machine takes minutes.
+    Before them those that need few kernels, which may be compiled meanwhile; deployments late: what they run is compiled
+    by then, for which a slow machine takes minutes.
     """
-    order = {"page": -2, "workers": -1, "deploy": 1}
+    order = {"page": -2, "workers": -1, "deploy": 1} | dict.fromkeys(("io", "sources", "steps", "plan"), -3)
     items.sort(key=lambda item: order.get(item.path.parent.name, 0))
 
 
@@ -111,6 +112,14 @@ def tiny_recording(tmp_path_factory):
     from real_server import make_recording
 
     return made_once(tmp_path_factory, "tiny", make_recording)[0]
+
+
+@pytest.fixture(scope="session")
+def bags(tmp_path_factory):
+    """Folder of small bags of one walk (`small_bags`)."""
+    from small_bags import make_bags
+
+    return made_once(tmp_path_factory, "bags", make_bags)[0]
 
 
 @pytest.fixture(scope="session")

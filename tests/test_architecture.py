@@ -1,10 +1,14 @@
 """The rules of ARCHITECTURE.md that a program can check; layers between packages are import-linter's."""
 
 import ast
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+from parsed import parsed
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("lvba", "workers", "service")
@@ -17,7 +21,7 @@ def name(path):
 
 
 def tree(path):
-    return ast.parse(path.read_text())
+    return parsed(path.read_text())
 
 
 def functions(path):
@@ -64,6 +68,14 @@ def test_no_process_pays_for_the_import_of_distributions():
     """scipy.stats takes a quarter of a start; scipy.special has the functions."""
     pattern = re.compile(r"\bscipy\.stats\b|from scipy import .*\bstats\b")
     assert [name(path) for path in FILES if pattern.search(path.read_text())] == []
+
+
+def test_a_recording_is_opened_without_the_compiler():
+    """Numba would be half of what the check of an upload takes."""
+    asked = "import sys, lvba.io.dataset; print(sorted({'numba', 'scipy.interpolate'} & set(sys.modules)))"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, env=environment)
+    assert done.stdout == "[]\n", done.stderr
 
 
 @pytest.mark.parametrize(

@@ -4,13 +4,15 @@ import ast
 import re
 from pathlib import Path
 
+from parsed import parsed
+
 LVBA = Path(__file__).resolve().parent.parent / "lvba"
 KERNELS = sorted(path for path in (LVBA / "kernels").glob("*.py"))
 MOST_PARAMETERS = 15
 
 
 def tree(path):
-    return ast.parse(path.read_text())
+    return parsed(path.read_text())
 
 
 def functions(path):

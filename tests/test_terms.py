@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
+from parsed import parsed
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("lvba", "workers", "service", "benchmarks")
@@ -153,7 +154,7 @@ def test_no_retired_word_is_part_of_a_name(package):
         place = path.relative_to(ROOT).as_posix()
         if place.startswith(f"{package}/"):
             text = path.read_text().replace("correlation_inflation", "correlated")
-            used = words(ast.parse(text)) & WORDS.keys() - WORDS_ALLOWED.get(place, set())
+            used = words(parsed(text)) & WORDS.keys() - WORDS_ALLOWED.get(place, set())
             retired |= {f"{place}: {word}": WORDS[word] for word in used}
     assert retired == {}, "retired: standard"
 
@@ -168,7 +169,7 @@ def test_no_retired_identifier_is_used(package):
     for path in sources():
         place = path.relative_to(ROOT).as_posix()
         if place.startswith(f"{package}/"):
-            used = names(ast.parse(path.read_text())) & IDENTIFIERS.keys() - ALLOWED.get(place, set())
+            used = names(parsed(path.read_text())) & IDENTIFIERS.keys() - ALLOWED.get(place, set())
             retired |= {f"{place}: {name}": IDENTIFIERS[name] for name in used}
     assert retired == {}, "retired: standard"
 
@@ -186,13 +187,13 @@ def test_no_retired_wording_is_in_a_text():
 
 def test_what_is_allowed_is_there():
     for place, allowed in ALLOWED.items():
-        assert allowed <= names(ast.parse((ROOT / place).read_text())), place
+        assert allowed <= names(parsed((ROOT / place).read_text())), place
     for place, allowed in WORDS_ALLOWED.items():
-        assert allowed <= words(ast.parse((ROOT / place).read_text())), place
+        assert allowed <= words(parsed((ROOT / place).read_text())), place
 
 
 def test_a_retired_term_is_noticed():
-    assert {"Mount", "found", "hold"} <= names(ast.parse("def hold(found: Mount): ..."))
+    assert {"Mount", "found", "hold"} <= names(parsed("def hold(found: Mount): ..."))
     assert {"share", "weak", "doubted"} <= words(
-        ast.parse("class CameraShare: ...\nx['weak_scans'] = MOST_DOUBTED")
+        parsed("class CameraShare: ...\nx['weak_scans'] = MOST_DOUBTED")
     )

@@ -14,7 +14,8 @@ from contextlib import suppress
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from distributed import Client, Future, KilledWorker
+from distributed import CancelledError, Client, Future, KilledWorker
+from distributed.comm.core import CommClosedError
 
 from lvba import plan
 from lvba.errors import ArtifactError
@@ -128,7 +129,8 @@ class Execution:
     def stop(self) -> None:
         """Take back what still runs; workers notice at their next report of progress."""
         if self._running and self._client.status == "running":
-            self._client.cancel(list(self._running.values()), force=True, asynchronous=False)
+            with suppress(CommClosedError):  # with its scheduler gone there is nothing to take back
+                self._client.cancel(list(self._running.values()), force=True, asynchronous=False)
         self._disconnect()
 
     # the frontier
@@ -176,9 +178,15 @@ class Execution:
             self._start_over()
             return
         for key in done:
-            future = self._running.pop(key)
-            if future.status == "finished":
-                self._accept(key, future.result())
+            future = self._running[key]
+            try:
+                outcome = future.result() if future.status == "finished" else None
+            except (OSError, CancelledError):  # the scheduler died after it told that the step is done
+                self._start_over()
+                return
+            del self._running[key]
+            if outcome is not None:
+                self._accept(key, outcome)
             elif future.status == "error":
                 self._fail(key, future.exception())
             else:  # done, and its worker gone before it could be told of
@@ -272,5 +280,9 @@ class Execution:
         if time.monotonic() - self._heard < _LONELY_SECONDS:
             return
         self._heard = float("inf")
+        with suppress(CommClosedError):  # a lost scheduler is noticed where results are taken
+            self._warn_without_workers()
+
+    def _warn_without_workers(self) -> None:
         if not self._client.scheduler_info()["workers"]:
             _log.warning("no workers at %s yet; waiting for them", self._scheduler.address)

@@ -17,6 +17,7 @@ import os
 import shutil
 import uuid
 from collections.abc import Iterator, Mapping, MutableMapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,8 @@ MANIFEST = "manifest.json"
 """Name of the file that says that the others are all there."""
 _CHUNK_BYTES = 1 << 28
 """Arrays up to this size are one file: few files, and one task owns one array."""
+_SYNCS = 8
+"""Files that are waited for at a time."""
 
 
 class ZarrStore(MutableMapping[str, Any]):
@@ -314,9 +317,13 @@ def _sha256(path: Path) -> str:
 
 
 def _sync(folder: Path) -> None:
-    """Have the files and folders on disk before the rename says that they are."""
-    for path in [*folder.rglob("*"), folder]:
-        sync(path)
+    """Have the files and folders on disk before the rename says that they are.
+
+    Many at a time: a file system commits together what waits for it together.
+    """
+    with ThreadPoolExecutor(_SYNCS) as pool:
+        for _ in pool.map(sync, [*folder.rglob("*"), folder]):
+            pass
 
 
 def _move_into_place(partial: Path, artifact: Path) -> None:

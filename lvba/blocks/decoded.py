@@ -1,10 +1,10 @@
 """The frames of a recording decoded once, in pieces that all later steps read: points of scans, keyframes, images.
 
 Each piece holds frames of one core, so that no frame is in two of them. A step is given the pieces of the frames that it
-works on, and holds one of them (two of images) at a time beside what it copies out.
+works on, and holds one of them (PIECES_HELD of images) at a time beside what it copies out.
 """
 
-import functools
+import copy
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
@@ -29,7 +29,9 @@ from lvba.visual import image
 from lvba.visual.image import ImageConfig
 
 PIECE_BYTES = 1 << 25
-"""Images in color are kept in pieces of about this size: so much of them is in memory at a time."""
+"""Images in color are kept in pieces of about this size ..."""
+PIECES_HELD = 3
+"""... of which so many are in memory at a time."""
 
 T = TypeVar("T")
 Range = tuple[int, int]
@@ -95,7 +97,7 @@ def decode_scans(
     points, intensity = [], []
     loaded = in_order(lambda number: recordings.load_scan(dataset, number), range(*scans))
     for number, scan in enumerate(loaded, scans[0]):
-        points.append(_placed(dataset, number, scan, errors))
+        points.append(placed(dataset, number, scan, errors))
         if not dataset.image_paths:
             known = scan.intensity
             intensity.append(np.full(len(scan), np.nan, np.float32) if known is None else known)
@@ -108,14 +110,15 @@ def decode_scans(
     )
 
 
-def _placed(dataset: Dataset, number: int, scan: Scan, errors: ScanErrors | None) -> np.ndarray:
+def placed(dataset: Dataset, number: int, scan: Scan, errors: ScanErrors | None) -> np.ndarray:
     """The points (N, 3) float32, m, of a scan where they belong."""
     return scan.points if errors is None else errors.points(scan, number, float(dataset.scans.times[number]))
 
 
-def decode_keyframes(
+def keyframes_of_photos(
     dataset: Dataset,
     images: Range,
+    photos: Pieces[np.ndarray],
     survey: Survey,
     config: ImageConfig,
     enabled: bool = True,
@@ -123,19 +126,22 @@ def decode_keyframes(
 ) -> Keyframes:
     """The keyframes among some images, as `image.measuring_camera` sees them. enabled: False: none, nobody needs them.
 
-    Raises InputError: an image cannot be read.
+    photos: pieces that hold these images, raw, in color
     """
     numbers = survey.keyframes
     chosen = numbers[(numbers >= images[0]) & (numbers < images[1])]
     if not enabled or not len(chosen):
         return Keyframes(chosen[:0], np.zeros((0, 1, 1, config.channels), np.uint8))
-    gathered = image.load_undistorted(
-        lambda index: recordings.load_image(dataset, int(chosen[index])),
-        len(chosen),
-        dataset.camera,
-        config,
-        progress,
-    )
+    held = _Reader(photos, keep=PIECES_HELD)
+
+    def read(index: int) -> np.ndarray:
+        number = int(chosen[index])
+        piece = held.find(number)
+        if piece is None:
+            raise IndexError(f"no piece holds image {number}")
+        return np.asarray(piece[1][number - piece[0]])
+
+    gathered = image.load_undistorted(read, len(chosen), dataset.camera, config, progress)
     return Keyframes(chosen, gathered)
 
 
@@ -212,7 +218,7 @@ class ScanReader:
             raise IndexError(f"no piece holds scan {self._first + scan}")
         number = self._first + scan
         errors = self._pieces[0][1]().errors if self._pieces else None
-        return _placed(self._whole, number, recordings.load_scan(self._whole, number), errors)
+        return placed(self._whole, number, recordings.load_scan(self._whole, number), errors)
 
     def load(self, scans: Sequence[int] | np.ndarray) -> list[np.ndarray]:
         """The points of some scans, copied where a view would hold more than one piece in memory."""
@@ -239,25 +245,26 @@ class PhotoReader:
     """
 
     def __init__(self, pieces: Pieces[np.ndarray], camera: Camera, first: int = 0) -> None:
-        undistort = image.Undistorter(camera)
+        self._reader, self._first = _Reader(pieces, keep=PIECES_HELD), first
+        self._undistort = image.Undistorter(camera)
+        # several states that are looked at together ask for one image after each other
+        self._last = threading.local()
 
-        def without_distortion(read: Callable[[], np.ndarray]) -> np.ndarray:
-            raw = read()
-            return (
-                raw
-                if undistort.identity
-                else np.stack(list(in_order(lambda k: undistort(raw[k]), range(len(raw)))))
-            )
-
-        plain = [(held, functools.partial(without_distortion, read)) for held, read in pieces]
-        self._first, self._reader = first, _Reader(plain, keep=2)
+    def seen_by(self, camera: Camera) -> "PhotoReader":
+        """The same images as another camera has them; what is in memory of them is in it once."""
+        other = copy.copy(self)
+        other._undistort, other._last = image.Undistorter(camera), threading.local()
+        return other
 
     def __call__(self, index: int) -> np.ndarray:
         """(H, W, 3) uint8 RGB."""
-        held = self._reader.find(self._first + index)
-        if held is None:
-            raise IndexError(f"no piece holds image {self._first + index}")
-        return np.asarray(held[1][self._first + index - held[0]])
+        if getattr(self._last, "index", None) != index:
+            held = self._reader.find(self._first + index)
+            if held is None:
+                raise IndexError(f"no piece holds image {self._first + index}")
+            self._last.image = self._undistort(held[1][self._first + index - held[0]])
+            self._last.index = index
+        return np.asarray(self._last.image)
 
 
 def keyframe_images(pieces: Pieces[Keyframes], numbers: Indices) -> np.ndarray:
@@ -274,3 +281,21 @@ def keyframe_images(pieces: Pieces[Keyframes], numbers: Indices) -> np.ndarray:
             gathered = np.empty((len(numbers), *piece.images.shape[1:]), np.uint8)
         gathered[wanted] = piece.images[np.searchsorted(piece.numbers, numbers[wanted])]
     return np.zeros((0, 1, 1, 1), np.uint8) if gathered is None else gathered
+
+
+def color_of_keyframes(
+    pieces: Pieces[np.ndarray], numbers: Indices, camera: Camera, color: int
+) -> np.ndarray:
+    """Red (0), green or blue of some keyframes (k,), (k, H, W, 1) uint8, as `image.measuring_camera` sees it.
+
+    pieces: of raw images; camera: theirs, with its lens; numbers: ascending, in the whole recording
+    """
+    undistort = image.Undistorter(camera, image.measuring_camera(camera))
+    gathered = np.zeros((len(numbers), camera.height, camera.width, 1), np.uint8)
+    for (first, end), read in pieces:
+        wanted = np.flatnonzero((numbers >= first) & (numbers < end))
+        if len(wanted):
+            raw = read()
+            for row in wanted:
+                gathered[row, ..., 0] = undistort(np.ascontiguousarray(raw[numbers[row] - first, ..., color]))
+    return gathered

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from lvba import geometry
 from lvba.arrays import Indices, Pose, Poses, Vector, Vectors
 from lvba.kernels import voxel as kernel
-from lvba.lidar import degeneracy, plane_factor, voxel_map
+from lvba.lidar import degeneracy, group_factor, plane_factor, voxel_map
 from lvba.lidar.config import Stage
 from lvba.lidar.plane_feature import fit
 from lvba.lidar.point_cluster import PointClusters
@@ -23,6 +23,7 @@ from lvba.lidar.voxel_map import Level, VoxelMap
 from lvba.lidar.weights import observation_weights
 from lvba.optim import normal_equations
 from lvba.optim.normal_equations import NormalEquations
+from lvba.optim.two_level import Groups
 from lvba.progress import Progress, silent
 
 _CHUNK = 16
@@ -82,6 +83,8 @@ class BlockEquations:
     scans: (L,) as in `BlockClusters`; equations: over these, 6 unknowns each, local tangent
     information, noise_information: (L, 6, 6), of the planes about each scan, over sigma^2, world axes (see `degeneracy`)
     planes, observations, points: how many; sigma: m, of a point about its plane
+    bodies: of all groups of scans, where scans are solved at two levels (`optim.two_level`): then `equations` has pairs
+        of scans of one group only; None: `equations` has all pairs
     """
 
     scans: np.ndarray
@@ -92,6 +95,7 @@ class BlockEquations:
     observations: int
     points: float
     sigma: float
+    bodies: NormalEquations | None = None
 
 
 def candidates(regions: Regions, part: int, reach: float) -> np.ndarray:
@@ -198,11 +202,16 @@ def _clusters(
 
 
 def linearize(
-    clusters: BlockClusters, world_from_scan: Poses, sensor: Vector, stage: Stage
+    clusters: BlockClusters,
+    world_from_scan: Poses,
+    sensor: Vector,
+    stage: Stage,
+    groups: Groups | None = None,
 ) -> BlockEquations:
     """The planes of a block found at poses (S, 4, 4) of the whole recording, and their normal equations there.
 
     sensor: (3,), m, where the LiDAR is in the scan frame. Gauss-Newton, planes eliminated.
+    groups: of all S scans, to have the equations at two levels; None: all pairs of scans
     """
     poses = np.ascontiguousarray(world_from_scan[clusters.scans])
     count = len(clusters.scans)
@@ -222,20 +231,28 @@ def linearize(
             observations=0,
             points=0.0,
             sigma=0.0,
+            bodies=None if groups is None else normal_equations.empty(groups.count, 6),
         )
     weighted = observation_weights(features, poses, stage.weight_passes)
     features = features.with_weight(weighted.weight)
     fits = fit(features, poses)
     information, noise = degeneracy.information(features, fits, poses)
+    bodies = None
+    if groups is None:
+        equations = plane_factor.linearize(features, poses, weighted.sigma, fits, exact=False)
+    else:
+        both = group_factor.linearize(features, poses, weighted.sigma, fits, clusters.scans, groups)
+        equations, bodies = both.inner, both.bodies
     return BlockEquations(
         scans=clusters.scans,
-        equations=plane_factor.linearize(features, poses, weighted.sigma, fits, exact=False),
+        equations=equations,
         information=information / weighted.sigma**2,
         noise_information=noise / weighted.sigma**2,
         planes=len(features),
         observations=len(features.scan),
         points=float(features.clusters.count.sum()),
         sigma=weighted.sigma,
+        bodies=bodies,
     )
 
 
@@ -283,6 +300,7 @@ def _both(a: BlockEquations, b: BlockEquations) -> BlockEquations:
         observations=a.observations + b.observations,
         points=points,
         sigma=(a.sigma * a.points + b.sigma * b.points) / max(points, 1.0),
+        bodies=a.bodies + b.bodies if a.bodies is not None and b.bodies is not None else None,
     )
 
 

@@ -1,25 +1,37 @@
 """One LiDAR bundle adjustment over all parts of a recording: their blocks add up, one sparse solve moves all scans.
 
 The blocks' normal equations are those of the whole recording, so this is its solution, not an approximation by parts; the
-memory of a block is that of its region, and no dense system is ever made.
+memory of a block is that of its region. Where too many pairs of scans see the same planes, as in a compact place, steps
+are solved at two levels (`optim.two_level`): the gradient is that of all scans, so rounds end at the same poses.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from lvba import geometry
 from lvba.arrays import Poses
 from lvba.blocks import lidar_block
 from lvba.blocks.lidar_block import BlockEquations
 from lvba.errors import DegenerateProblemError
+from lvba.kernels.lidar import TILE
 from lvba.lidar import degeneracy
 from lvba.lidar.config import LidarConfig, Stage
-from lvba.lidar.covariance import alignment
 from lvba.lidar.degeneracy import DegenerateDirections
+from lvba.lidar.dense_covariance import alignment
 from lvba.lidar.odometry_factor import OdometryPrior, odometry_prior, reestimated
-from lvba.optim import levenberg_marquardt, linear_solver
+from lvba.optim import levenberg_marquardt, linear_solver, two_level
 from lvba.optim.normal_equations import NormalEquations
+from lvba.optim.two_level import Groups, TwoLevelEquations, TwoLevelFactors
+
+MOST_PAIRS = 200_000
+"""Pairs of scans near each other up to which all of them are coupled: 58 MB, and three times that while shares add up."""
+NEAR = 0.25
+"""Part of all pairs of scans that are near each other above which more of them are not coupled. Along a street each scan
+sees few others, and their number per scan stays: all pairs are a band, and steps at two levels converge slowly there."""
+MOST_GROUPS = 600
+"""Groups that are coupled to each other, 52 MB; a factor of them takes 104 MB."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +58,9 @@ class JointState:
 
     world_from_scan: (S, 4, 4); prior: odometry; damping: of the next step
     converged_stage: the last stage whose poses stand still, -1: none
+    group_size: scans of a group, where steps are solved at two levels; 0: they are not
+    projector: (S, 6, 6), local tangent, what the planes determine, as the last round found; at two levels only, None: it
+        is not known yet
     """
 
     world_from_scan: np.ndarray
@@ -53,14 +68,51 @@ class JointState:
     damping: float = 0.0
     converged_stage: int = -1
     history: tuple[JointRound, ...] = ()
+    group_size: int = 0
+    projector: np.ndarray | None = None
+
+    @property
+    def groups(self) -> Groups | None:
+        """Of all scans, with the motions that planes determine; None: steps are not solved at two levels."""
+        if not self.group_size:
+            return None
+        groups = two_level.groups_of(self.world_from_scan, self.group_size)
+        return groups if self.projector is None else groups.projected(self.projector)
 
 
-def begin(rough: Poses, world_from_scan: Poses, config: LidarConfig) -> JointState:
-    """The state of merged poses (S, 4, 4); odometry from the rough ones (S, 4, 4)."""
+def group_size(world_from_scan: Poses, reach: float) -> int:
+    """How many scans make a group; 0: so few scans, or so few of all, are near each other that all pairs are coupled.
+
+    world_from_scan: (S, 4, 4); reach: m, of the LiDAR: scans twice as far apart see no plane in common
+    """
+    scans = len(world_from_scan)
+    near = near_pairs(world_from_scan, reach)
+    if near <= max(MOST_PAIRS, NEAR * scans * (scans + 1) / 2):
+        return 0
+    return TILE * -(-scans // (TILE * MOST_GROUPS))
+
+
+def near_pairs(world_from_scan: Poses, reach: float) -> int:
+    """Pairs of scans, each with itself among them, that may see a plane in common: twice the LiDAR's reach (m) apart.
+
+    world_from_scan: (S, 4, 4); reach: m
+    """
+    path = cKDTree(world_from_scan[:, :3, 3])
+    return (int(path.count_neighbors(path, 2.0 * reach)) + len(world_from_scan)) // 2
+
+
+def begin(
+    rough: Poses, world_from_scan: Poses, config: LidarConfig, reach: float | None = None
+) -> JointState:
+    """The state of merged poses (S, 4, 4); odometry from the rough ones (S, 4, 4).
+
+    reach: m, of the LiDAR; None: all pairs of scans are coupled, however many
+    """
     prior = odometry_prior(rough, config.prior_rotation, config.prior_translation)
     everything = np.ones(len(rough), bool)
     prior = reestimated(prior, world_from_scan, everything, config.prior_sigmas)
-    return JointState(world_from_scan, prior)
+    size = 0 if reach is None else group_size(world_from_scan, reach)
+    return JointState(world_from_scan=world_from_scan, prior=prior, group_size=size)
 
 
 def step(
@@ -75,6 +127,9 @@ def step(
     scans = len(state.world_from_scan)
     equations, directions = assemble(state, whole, config)
     cost = 2.0 * whole.equations.cost / max(whole.points, 1.0)
+    if state.group_size and state.projector is None and directions.count.any():
+        # shares did not know what planes leave open: a step would slide along it
+        return replace(state, projector=directions.projector)
     change = _solve(equations, state.damping, config)
     moved = geometry.retract(state.world_from_scan, change)
     distance = _moved(moved, state.world_from_scan)
@@ -88,19 +143,22 @@ def step(
         degenerate_scans=int(np.count_nonzero(directions.count)),
         refused=_grows(state, distance, number, stage),
     )
+    projector = directions.projector if state.group_size else None
     if entry.refused:
         damping = levenberg_marquardt.raised(state.damping)
-        return replace(state, damping=damping, history=(*state.history, entry))
+        return replace(state, damping=damping, history=(*state.history, entry), projector=projector)
     gain = abs(float(np.sum(equations.gradient * change))) / (6 * scans)
     still = distance < stage.pose_tolerance or gain < stage.cost_tolerance
     held = directions.count == 0
     prior = reestimated(state.prior, moved, held, config.prior_sigmas) if still else state.prior
-    return JointState(
-        moved,
-        prior,
-        levenberg_marquardt.eased(state.damping),
-        number if still else state.converged_stage,
-        (*state.history, entry),
+    return replace(
+        state,
+        world_from_scan=moved,
+        prior=prior,
+        damping=levenberg_marquardt.eased(state.damping),
+        converged_stage=number if still else state.converged_stage,
+        history=(*state.history, entry),
+        projector=projector,
     )
 
 
@@ -113,21 +171,28 @@ def _grows(state: JointState, distance: float, number: int, stage: Stage) -> boo
 
 def assemble(
     state: JointState, block: BlockEquations, config: LidarConfig
-) -> tuple[NormalEquations, DegenerateDirections]:
-    """The equations of the sum of all blocks and of the prior, degenerate directions held at the odometry."""
+) -> tuple[NormalEquations | TwoLevelEquations, DegenerateDirections]:
+    """The equations of the sum of all blocks and of the prior, degenerate directions held at the odometry.
+
+    At two levels these directions are those that the shares knew of, of the round before.
+    """
     whole = lidar_block.over_all(block, len(state.world_from_scan))
     directions = degeneracy.judge(
         whole.information, whole.noise_information, state.world_from_scan, config.prior_sigmas
     )
-    planes = whole.equations.projected(directions.projector)
-    return planes + state.prior.linearize(state.world_from_scan), directions
+    prior = state.prior.linearize(state.world_from_scan)
+    if whole.bodies is None:
+        return whole.equations.projected(directions.projector) + prior, directions
+    groups = two_level.groups_of(state.world_from_scan, state.group_size)
+    inner = whole.equations if state.projector is None else whole.equations.projected(state.projector)
+    return TwoLevelEquations(groups, inner, whole.bodies) + two_level.split(prior, groups), directions
 
 
 def _moved(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.linalg.norm(a[:, :3, 3] - b[:, :3, 3], axis=1).max())
 
 
-def _solve(equations: NormalEquations, damping: float, config: LidarConfig) -> np.ndarray:
+def _solve(equations: NormalEquations | TwoLevelEquations, damping: float, config: LidarConfig) -> np.ndarray:
     """The step (S, 6); the first scan stays. More damping where the equations are not positive."""
     scans = len(equations.gradient)
     free = np.ones((scans, 6), bool)
@@ -159,7 +224,11 @@ def covariance(
     conditional = variance_factor * np.linalg.inv(diagonal + 1e-9 * np.eye(6) * diagonal.max())
     free = np.ones((scans, 6), bool)
     free[0] = False
-    factors = linear_solver.factorize(equations, 1e-12, free)
+    factors: linear_solver.Factors | TwoLevelFactors | None
+    if isinstance(equations, TwoLevelEquations):
+        factors = two_level.factorize(equations, 1e-12, free)
+    else:
+        factors = linear_solver.factorize(equations, 1e-12, free)
     if factors is None:
         raise DegenerateProblemError("the planes and the odometry do not determine the scans")
 

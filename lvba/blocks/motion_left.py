@@ -22,7 +22,7 @@ from lvba.lidar.point_times import PointClock
 from lvba.lidar.range_errors import Beams, RangeErrors
 from lvba.lidar.row_times import RowClock
 from lvba.lidar.scan import gather
-from lvba.lidar.scan_evidence import Evidence, View, nothing
+from lvba.lidar.scan_evidence import ScanEvidence, View, nothing
 from lvba.lidar.scan_motion import MotionLeft
 from lvba.progress import Progress, silent
 from lvba.trajectory import Trajectory
@@ -58,8 +58,18 @@ def measure(
     if known is None:
         return None
     if isinstance(known, str):
-        return MotionLeft(None, None, None, np.zeros((0, 6)), known)
+        return _not_corrected(None, problem=known)
     return _Measurement(dataset, known, config, ranges, progress).of(probes)
+
+
+def _not_corrected(
+    clock: PointClock | RowClock | None,
+    part: float | None = None,
+    sigma: float | None = None,
+    problem: str = "",
+) -> MotionLeft:
+    """Points stay as they are."""
+    return MotionLeft(clock=clock, part=part, sigma=sigma, motion=np.zeros((0, 6)), problem=problem)
 
 
 def clock(dataset: Dataset, windows: list[Window]) -> PointClock | RowClock | str | None:
@@ -113,13 +123,11 @@ class _Measurement:
     def _nothing(self, part: float, sigma: float) -> MotionLeft:
         """Of a part that may be chance."""
         known = bool(np.isfinite(sigma))
-        return MotionLeft(
-            self.clock, round(part, 6) if known else None, sigma if known else None, np.zeros((0, 6))
-        )
+        return _not_corrected(self.clock, round(part, 6) if known else None, sigma if known else None)
 
     def _of_windows(
         self, windows: list[Window], part: float, twists: list[np.ndarray] | None
-    ) -> tuple[Evidence, list[np.ndarray]]:
+    ) -> tuple[ScanEvidence, list[np.ndarray]]:
         """What windows tell together, and their twists at the poses found. twists: None: of the rough poses"""
         twists = twists or [self._rough_twists(window) for window in windows]
         pairs = [self._evidence(*each) for each in zip(windows, [part] * len(windows), twists, strict=True)]
@@ -134,13 +142,21 @@ class _Measurement:
             return self._nothing(part, sigma)
         if not np.isfinite(sigma) or abs(part) > _MOST or abs(changes[-1]) > _FALLS * abs(changes[0]):
             problem = "no motion of the sensor explains what is left"
-            return MotionLeft(self.clock, round(part, 6), None, np.zeros((0, 6)), problem)
+            return _not_corrected(self.clock, round(part, 6), problem=problem)
         # digits that sums in another order would not give are left out
         part = round(part, 5)
-        return MotionLeft(self.clock, part, sigma, np.round(self._motions(part, windows), 7))
+        motions, pose_covariance = self._motions(part, windows)
+        return MotionLeft(
+            clock=self.clock,
+            part=part,
+            sigma=sigma,
+            motion=np.round(motions, 7),
+            pose_covariance=pose_covariance,
+        )
 
-    def _motions(self, part: float, windows: list[tuple[int, int]]) -> np.ndarray:
-        """(S, 6), rad/s and m/s: by what points of all scans are moved, from the poses of all windows.
+    def _motions(self, part: float, windows: list[tuple[int, int]]) -> tuple[np.ndarray, np.ndarray]:
+        """(S, 6), rad/s and m/s: by what points of all scans are moved, from the poses of all windows, and what its
+        uncertainty adds to the covariances of their poses, (S, 6, 6).
 
         The motion of the path between scans first; then what each scan's own points tell beside it, which is much where
         scans are further apart than the sensor takes to change its motion.
@@ -163,9 +179,11 @@ class _Measurement:
             here = scan_motion.deviations(self._view(points, result), np.concatenate(tau))
             known.information[:, own] = here.information[:, inside]
             known.gradient[:, own] = here.gradient[:, inside]
-        return np.asarray(motions + scan_motion.most_likely(known))
+            known.by_motion[own] = here.by_motion[inside]
+        deviations, pose_covariance = scan_motion.most_likely(known)
+        return motions + deviations, pose_covariance
 
-    def _evidence(self, window: Window, part: float, twist: np.ndarray) -> tuple[Evidence, np.ndarray]:
+    def _evidence(self, window: Window, part: float, twist: np.ndarray) -> tuple[ScanEvidence, np.ndarray]:
         """Of a window, and its twists at the poses found."""
         result, own = self._solved(window, part, twist)
         if result is None or own is None:

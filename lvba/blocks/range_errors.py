@@ -19,7 +19,7 @@ from lvba.lidar.point_times import PointClock
 from lvba.lidar.range_errors import Beams, RangeErrors
 from lvba.lidar.row_times import RowClock
 from lvba.lidar.scan import gather
-from lvba.lidar.scan_evidence import ByShared, Evidence, OnPlanes, View
+from lvba.lidar.scan_evidence import ByShared, OnPlanes, ScanEvidence, View
 from lvba.progress import Progress, silent
 
 _log = logging.getLogger(__name__)
@@ -102,7 +102,7 @@ class _Measurement:
         return self._errors(np.where(kept, errors, errors + change), covariance, kept)
 
     def _beside_others(
-        self, total: Evidence, errors: np.ndarray, least: np.ndarray, by_direction: float
+        self, total: ScanEvidence, errors: np.ndarray, least: np.ndarray, by_direction: float
     ) -> RangeErrors:
         """What is significant whatever else depends on the direction of a beam, which is free and stays as it is."""
         change, covariance = self._estimate(total)
@@ -130,11 +130,11 @@ class _Measurement:
         """Of the shared numbers, what else depends on the direction of a beam."""
         return slice(self.own.stop, self.own.stop + range_errors.HARMONICS)
 
-    def _estimate(self, own: Evidence) -> tuple[np.ndarray, np.ndarray]:
+    def _estimate(self, own: ScanEvidence) -> tuple[np.ndarray, np.ndarray]:
         """The change (k,) of the errors, and its covariance (k, k)."""
         return own.change[: self.size], own.covariance[: self.size, : self.size]
 
-    def _by_direction(self, total: Evidence, points: np.ndarray) -> float:
+    def _by_direction(self, total: ScanEvidence, points: np.ndarray) -> float:
         """m, root mean square: how far points (N, 3) are off by what else depends on the direction; 0: by chance.
 
         Less the common scale in it, which planes do not tell: where beams are level, it looks like a harmonic.
@@ -167,14 +167,14 @@ class _Measurement:
             corrected=tuple(significant),
         )
 
-    def _total(self, windows: list[Window], errors: np.ndarray) -> Evidence:
+    def _total(self, windows: list[Window], errors: np.ndarray) -> ScanEvidence:
         """What windows tell of all shared numbers, their points corrected by some errors (k,)."""
         total = scan_evidence.nothing(self.others.stop)
         for number, window in enumerate(windows):
             total += self._evidence(number, window, errors, len(total.gradient))
         return total
 
-    def _evidence(self, number: int, window: Window, errors: np.ndarray, size: int) -> Evidence:
+    def _evidence(self, number: int, window: Window, errors: np.ndarray, size: int) -> ScanEvidence:
         points = self._corrected(number, window, errors)
         result = window.refined(self.dataset, points, self.config)
         if result is None:

@@ -6,6 +6,8 @@ sides, as far as the overlap reaches. Source: Li et al., section III (subsequenc
 
 import dataclasses
 import hashlib
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
@@ -21,6 +23,10 @@ from lvba.trajectory import Trajectory
 
 FEWEST_SCANS = 10
 """A core of fewer scans than this is no part: too few share a plane."""
+FEWEST_REGIONS = 16
+"""Of space: enough for many workers."""
+REGION_POINTS = 2e6
+"""Points of a region up to which parts own space together: their map takes less memory than a part's images."""
 LEAST_OVERLAP = 3
 """Scans that neighboring parts must share at least: from fewer no relative pose can be trusted."""
 
@@ -132,10 +138,12 @@ class Load:
     """What a recording asks of memory.
 
     points_per_scan: mean number of points; pixels_per_image: width times height
+    reach_m: how far all but few points are from the sensor
     """
 
     points_per_scan: float
     pixels_per_image: float
+    reach_m: float = 100.0
 
 
 BASE_BYTES = 350e6
@@ -148,14 +156,18 @@ BYTES_PER_PAIR_OF_SCANS = 3 * 36 * 8.0
 VISUAL_BYTES_PER_POINT = 50.0
 """Of LiDAR points with their planes, while the images are in memory ..."""
 BYTES_PER_PIXEL = 8.0
-"""... with all levels, and the patches taken from them."""
+"""... with all levels ..."""
+BYTES_PER_IMAGE = 4e6
+"""... and what is known of the pairs of points and images that see them, about 1,300 for each image whatever its size. Of
+57 images of 320 x 240, and 34 of 640 x 480."""
 
 
 def memory_bytes(load: Load, scans: float, images: float) -> float:
     """Peak memory that a part of so many scans and images takes, bytes."""
     points, pixels = load.points_per_scan * scans, load.pixels_per_image * images
+    visual = VISUAL_BYTES_PER_POINT * points + BYTES_PER_PIXEL * pixels + BYTES_PER_IMAGE * images
     lidar = BYTES_PER_POINT * points + BYTES_PER_PAIR_OF_SCANS * scans**2
-    return BASE_BYTES + max(lidar, VISUAL_BYTES_PER_POINT * points + BYTES_PER_PIXEL * pixels)
+    return BASE_BYTES + max(lidar, visual)
 
 
 def parts(dataset: Dataset, config: SplitConfig, load: Load) -> list[Part]:
@@ -180,6 +192,27 @@ def parts(dataset: Dataset, config: SplitConfig, load: Load) -> list[Part]:
         cut.append(_part(dataset, number, (low, high), (begin, end)))
     _check_overlaps(cut, config)
     return cut
+
+
+def regions(parts: Sequence[Part], load: Load) -> tuple[Part, ...]:
+    """Successive parts that own space together, so few that each region has about REGION_POINTS points; numbered anew.
+
+    What looks at a region reads all scans about it. In a compact place these are all scans of the recording, and with
+    a region for each part reading would grow with the square of the length.
+    """
+    scans = parts[-1].core_scans[1]
+    count = min(len(parts), max(FEWEST_REGIONS, math.ceil(scans * load.points_per_scan / REGION_POINTS)))
+    bounds = _equal(len(parts), count)
+    return tuple(
+        Part(
+            number=number,
+            scans=(parts[first].scans[0], parts[end - 1].scans[1]),
+            core_scans=(parts[first].core_scans[0], parts[end - 1].core_scans[1]),
+            images=(parts[first].images[0], parts[end - 1].images[1]),
+            core_images=(parts[first].core_images[0], parts[end - 1].core_images[1]),
+        )
+        for number, (first, end) in enumerate(pairwise([*bounds, len(parts)]))
+    )
 
 
 def with_near(dataset: Dataset, part: Part, reach: float) -> Frames:

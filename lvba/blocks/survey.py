@@ -37,17 +37,11 @@ def survey(dataset: Dataset, lidar: LidarConfig, frames: KeyframeConfig) -> Surv
     """The survey of a recording."""
     chosen = sampled(dataset)
     scans = recordings.load_scans(dataset, chosen)
-    distance = np.concatenate(
-        [np.linalg.norm(points - dataset.sensor_position_scan, axis=1) for points in scans]
-    )
-    distance = distance[np.isfinite(distance)]
-    middle, furthest = (
-        (float(q) for q in np.quantile(distance, [0.5, 0.999])) if len(distance) else (1.0, 1.0)
-    )
+    count, middle, furthest = _sizes(dataset, scans)
     return Survey(
         range_m=middle,
         reach_m=furthest,
-        points_per_scan=float(np.mean([len(points) for points in scans])),
+        points_per_scan=count,
         keyframes=keyframes.select(dataset.images.times, dataset.images.world_from_sensor, middle, frames),
         lidar=lidar,
         stages=density.adapted(lidar.stages, gather(scans), lidar.dense_points),
@@ -58,7 +52,20 @@ def load_of(dataset: Dataset) -> Load:
     """How much memory the recording's frames take, from a few scans."""
     few = recordings.load_scans(dataset, sampled(dataset)[::4])
     pixels = dataset.camera.width * dataset.camera.height if dataset.image_paths else 0
-    return Load(float(np.mean([len(points) for points in few])), float(pixels))
+    count, _, reach = _sizes(dataset, few)
+    return Load(count, float(pixels), reach)
+
+
+def _sizes(dataset: Dataset, scans: list[np.ndarray]) -> tuple[float, float, float]:
+    """Mean number of points of scans, and how far the middle one and all but few are from the sensor, m."""
+    distance = np.concatenate(
+        [np.linalg.norm(points - dataset.sensor_position_scan, axis=1) for points in scans]
+    )
+    distance = distance[np.isfinite(distance)]
+    middle, furthest = (
+        (float(q) for q in np.quantile(distance, [0.5, 0.999])) if len(distance) else (1.0, 1.0)
+    )
+    return float(np.mean([len(points) for points in scans])), middle, furthest
 
 
 def sampled(dataset: Dataset) -> list[int]:

@@ -10,12 +10,12 @@ import numpy as np
 
 from lvba.camera import Camera
 from lvba.optim.normal_equations import NormalEquations, Step
-from lvba.visual import bundle_adjustment, exposure, photometric, scene_points, visibility
+from lvba.visual import bundle_adjustment, calibration_shifts, exposure, photometric, scene_points, visibility
 from lvba.visual import noise as noise_models
 from lvba.visual.exposure_graph import Edges
 from lvba.visual.photometric import PhotometricState, Problem
 from lvba.visual.radiometry import Radiometry
-from lvba.visual.refine import Inputs, VisualConfig, calibration_shifts, scene_of
+from lvba.visual.refine import Inputs, VisualConfig, scene_of
 from lvba.visual.scene_points import Observations, PatchRules, ScenePoints
 from lvba.visual.states import VisualState
 from lvba.visual.trajectory_prior import Prior
@@ -82,8 +82,9 @@ def select_scene_points(
         camera, poses, scene.image_times, scene.plane_points, scene.scan_times, config.points.time_window_s
     )
     points, observations = visibility.find(
-        full, camera, poses, points, scene.seen, noise, config.visibility, depth, patch=config.patch
-    )
+        full, camera, poses, points, scene.seen, noise, config.visibility, depth, patch=config.patch,
+        shifts=calibration_shifts.of_pairs(given.camera, camera, prior, state, config.calibrate),
+    )  # fmt: skip
     mine = core[points.reference]
     off = bundle_adjustment.offset_sigma(points, bundle_adjustment.PLANE_FLOOR_M)
     off = (off * known.offset_scale)[mine]
@@ -94,7 +95,7 @@ def select_scene_points(
     sigma = known.noise.sigma(noise_models.gradients(sums))
     ratios = exposure.ratios_at(
         scene.pyramid, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, scene.seen,
-        depth=depth, raw=given.camera if config.vignetting else None,
+        depth=depth, raw=given.camera if config.vignetting else None, curve=light.response,
     )  # fmt: skip
     edges = exposure.edges_of(_of_core(ratios, core), len(images))
     edges = replace(edges, first=images[edges.first], second=images[edges.second])
@@ -139,7 +140,9 @@ def _with_shifts(
     problem: Problem, camera: Camera | None, state: VisualState, prior: Prior | None, config: VisualConfig
 ) -> Problem:
     """The problem with the patches moved as the calibration has it. camera: of the raw images"""
-    shifts = calibration_shifts(camera, problem.camera, problem.points, problem.observations, prior, config)
+    shifts = calibration_shifts.of_observations(
+        camera, problem.camera, problem.points, problem.observations, prior, config.calibrate
+    )
     return problem if shifts is None else replace(problem, shifts=shifts(state))
 
 
@@ -169,5 +172,7 @@ def _of_core(ratios: exposure.Ratios, core: np.ndarray) -> exposure.Ratios:
         block=ratios.block[mine],
         stretch=ratios.stretch[mine],
         level=ratios.level[mine],
+        patch=ratios.patch[mine],
         places=places,
+        curve=ratios.curve,
     )

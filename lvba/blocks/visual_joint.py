@@ -14,6 +14,7 @@ from lvba.optim.normal_equations import NormalEquations
 from lvba.visual import exposure_graph, photometric, radiometry, trajectory_prior
 from lvba.visual.exposure_graph import Edges, Exposures
 from lvba.visual.radiometry import NONE, Radiometry
+from lvba.visual.response import TAKEN_OUT
 from lvba.visual.states import VisualState
 from lvba.visual.trajectory_prior import Prior
 
@@ -129,7 +130,9 @@ def solve_exposures(edges: Sequence[Edges], images: int) -> Exposures | None:
         return None
     sums = [each.known for each in edges if each.known is not None]
     known = functools.reduce(operator.add, sums) if sums else None
-    light = NONE if known is None else radiometry.solve(known)
+    curve = edges[0].curve
+    light = NONE if known is None else radiometry.solve(known, TAKEN_OUT if curve else None)
+    before = np.cumsum([0, *(len(each.mean) for each in edges[:-1])])
     together = Edges(
         first=np.concatenate([each.first for each in edges]),
         second=np.concatenate([each.second for each in edges]),
@@ -137,11 +140,14 @@ def solve_exposures(edges: Sequence[Edges], images: int) -> Exposures | None:
         sigma=np.concatenate([each.sigma for each in edges]),
         weight_fraction=np.concatenate([each.weight_fraction for each in edges]),
         pull=np.concatenate([each.pull for each in edges]),
+        sharing=np.concatenate([each.sharing + start for each, start in zip(edges, before, strict=True)]),
+        correlation=np.concatenate([each.correlation for each in edges]),
         pairs=sum(each.pairs for each in edges),
         spread=float(np.median([each.spread for each in edges if len(each.mean)])),
         radiometry=light,
         by_radiometry=np.concatenate([each.by_radiometry for each in edges]),
         known=known,
+        curve=curve,
     )
     return exposure_graph.solve_edges(together, images)
 

@@ -1,23 +1,35 @@
-"""Recordings of ROS, which are told from other files, and not read."""
+"""Recordings of ROS, which are told from other files by their names, and imported before they are opened."""
 
 import os
 from pathlib import Path
 
 from lvba.io import files
 
-SUFFIXES = {".bag": "ROS 1 bag", ".db3": "ROS 2 bag", ".mcap": "MCAP file", ".active": "ROS 1 bag"}
-MEND = (
-    "run an odometry on it, such as FAST-LIVO2 with pcd_save and image_save on, and give the folder that it writes: "
-    "scans, images, poses and config.yaml (docs/input.md)"
-)
+ROS1, ROS2, MCAP = "ROS 1 bag", "ROS 2 bag", "MCAP file"
+_SUFFIXES = {".bag": ROS1, ".bag.active": ROS1, ".mcap": MCAP, ".mcap.active": MCAP, ".db3": ROS2}
+_PACKED = (".zst", ".zstd")
+MEND = "import it first: lvba import BAG --out RECORDING (docs/import.md)"
+
+
+def kind_of_name(name: str) -> str:
+    """What bag a file of this name is, as it is or compressed as a whole; "": none."""
+    plain = name.lower()
+    for packed in _PACKED:
+        plain = plain.removesuffix(packed)
+    return next((kind for suffix, kind in _SUFFIXES.items() if plain.endswith(suffix)), "")
+
+
+def is_packed(name: str) -> bool:
+    """Whether a file of this name is a bag that is compressed as a whole."""
+    return name.lower().endswith(_PACKED) and bool(kind_of_name(name))
 
 
 def kind(path: Path) -> str:
     """What bag a file or folder is, or "" if it is none."""
     if not os.path.isdir(path):
-        return SUFFIXES.get(path.suffix.lower(), "")
+        return kind_of_name(path.name)
     with files.as_input_error(path):
         inside = sorted(path.iterdir())
     if not any(inner.name == "metadata.yaml" or inner.suffix.lower() == ".bag" for inner in inside):
         return ""
-    return next((name for inner in inside if (name := SUFFIXES.get(inner.suffix.lower()))), "")
+    return next((name for inner in inside if (name := kind_of_name(inner.name))), "")

@@ -1,11 +1,13 @@
 """calibration.yaml of a result: the camera as it was found, in the keys that recordings have, with its uncertainty."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
+from lvba.arrays import Pose
 from lvba.camera import Camera
 from lvba.errors import InputError
 from lvba.io import camera_config, files, yaml_files
@@ -106,3 +108,32 @@ def read_camera(folder: str | Path) -> Camera | None:
     """
     path = Path(folder) / NAME
     return camera_config.read_camera(path) if path.is_file() else None
+
+
+def recording_text(
+    camera: Camera | None,
+    body_from_lidar: Pose,
+    camera_from_lidar: Pose | None,
+    more: Mapping[str, str] | None = None,
+    body_from_imu: Pose | None = None,
+) -> str:
+    """config.yaml of a recording, in FAST-LIVO2's keys.
+
+    camera, camera_from_lidar: (4, 4), m; None without images; more: other keys at top level
+    body_from_imu: (4, 4), m; None: not said, or the identity
+    """
+    lines = [] if camera is None else ["cam_model:"]
+    if camera is not None:
+        lines += [f"  {key}: {value}" for key, value in camera_keys(camera).items()]
+    lines.append("extrin_calib:")
+    for rotation, translation, transform in (
+        ("extrinsic_R", "extrinsic_T", body_from_lidar),
+        ("Rcl", "Pcl", camera_from_lidar),
+    ):
+        if transform is not None:
+            lines.append(f"  {rotation}: {transform[:3, :3].ravel().tolist()}")
+            lines.append(f"  {translation}: {transform[:3, 3].tolist()}")
+    if body_from_imu is not None:
+        lines.append(f"{camera_config.BODY_FROM_IMU}: {body_from_imu.ravel().tolist()}")
+    lines += [f"{key}: {value}" for key, value in (more or {}).items()]
+    return "\n".join(lines) + "\n"

@@ -28,6 +28,8 @@ from lvba.lens import Lens
 ROTATION_TOLERANCE = 1e-3
 """Largest entry of R R^T - I of a matrix that is taken for a rotation (four printed digits)."""
 
+BODY_FROM_IMU = "body_from_imu"
+"""Key of the transform from the axes of imu.csv to the body's, 16 numbers; without it, they are the same."""
 _EXTRINSIC_KEYS = ("Rcl", "Pcl", "extrinsic_T", "extrinsic_R")
 _MAX_SIDE = 100_000
 
@@ -43,6 +45,7 @@ class Calibration:
     camera_path, extrinsic_path: the files that said so (`config.yaml` if none did)
     warnings: one sentence about each default taken
     image_poses: the `image_poses` key of these files, `camera` or `body`, and its file
+    body_from_imu: (4, 4), from `body_from_imu`; None if these files have it not
     """
 
     camera: Camera | None
@@ -53,6 +56,7 @@ class Calibration:
     extrinsic_path: Path
     warnings: tuple[str, ...] = ()
     image_poses: Statement = field(default_factory=Statement)
+    body_from_imu: np.ndarray | None = None
 
 
 def read_calibration(folder: str | Path) -> Calibration:
@@ -61,7 +65,18 @@ def read_calibration(folder: str | Path) -> Calibration:
     Raises: InputError if a file is no YAML, or a value is missing, malformed or no rotation.
     """
     folder = Path(folder)
-    documents = _Documents(yaml_files.find(folder))
+    return _calibration(_Documents(yaml_files.find(folder)), folder)
+
+
+def read_file(path: Path) -> Calibration:
+    """The calibration in one YAML file, whatever its name.
+
+    Raises: InputError as `read_calibration`
+    """
+    return _calibration(_Documents([path]), path.parent)
+
+
+def _calibration(documents: "_Documents", folder: Path) -> Calibration:
     camera_path, camera_keys = _section(documents, names.native, folder)
     if not camera_keys:
         camera_path, camera_keys = _section(documents, names.foreign, folder)
@@ -78,6 +93,7 @@ def read_calibration(folder: str | Path) -> Calibration:
         extrinsic_path=extrinsic_path,
         warnings=_defaults(extrinsic_path, extrinsic_keys) if has_camera else (),
         image_poses=_image_poses(documents),
+        body_from_imu=_body_from_imu(documents),
     )
 
 
@@ -111,6 +127,24 @@ def _image_poses(documents: "_Documents") -> Statement:
     return statement
 
 
+def _body_from_imu(documents: "_Documents") -> np.ndarray | None:
+    """(4, 4): what the files read so far say of it."""
+    said: np.ndarray | None = None
+    for path, document in documents.read():
+        for _, mapping in yaml_files.mappings(document):
+            if BODY_FROM_IMU not in mapping:
+                continue
+            matrix = _numbers(path, mapping, BODY_FROM_IMU, 16).reshape(4, 4)
+            if not np.array_equal(matrix[3], [0, 0, 0, 1]):
+                raise InputError(path, f"{BODY_FROM_IMU} does not end in 0, 0, 0, 1", "write it row by row")
+            rotation = as_rotation(path, BODY_FROM_IMU, matrix[:3, :3])
+            here = geometry.from_rotation_translation(rotation, matrix[:3, 3])
+            if said is not None and not np.array_equal(said, here):
+                raise InputError(path, f"{BODY_FROM_IMU} is there twice with different values", "keep one")
+            said = here
+    return said
+
+
 def _defaults(path: Path, keys: dict[str, Any]) -> tuple[str, ...]:
     missing = [key for key in ("extrinsic_R", "extrinsic_T") if key not in keys]
     return (
@@ -132,14 +166,22 @@ def for_size(calibration: Calibration, size: ImageSize) -> Camera:
             "cam_fx and other camera keys are missing",
             "add cam_model: {cam_fx, ...}",
         )
+    return fitted(camera, size, calibration.camera_path, calibration.scale)
+
+
+def fitted(camera: Camera, size: ImageSize, where: object, scale: float = 1.0) -> Camera:
+    """As `for_size`, of a camera without its file. where: names it in errors; scale: a factor that is tried first.
+
+    Raises: InputError as `for_size`
+    """
     if (size.width, size.height) == (camera.width, camera.height):
         return camera
-    for factor in (calibration.scale, size.width / camera.width, size.height / camera.height):
+    for factor in (scale, size.width / camera.width, size.height / camera.height):
         off = max(abs(size.width - factor * camera.width), abs(size.height - factor * camera.height))
         if off < 1 and size.width != camera.width and size.height != camera.height:
             return replace(camera.scaled(factor), width=size.width, height=size.height)
     raise InputError(
-        calibration.camera_path,
+        where,
         f"cam_width x cam_height is {camera.width} x {camera.height}, but the images are {size.width} x {size.height}",
         "give the calibration of these images",
     )
@@ -238,7 +280,7 @@ def _transform(
     if optional and rotation_key not in keys:
         rotation = np.eye(3)
     else:
-        rotation = _rotation(path, rotation_key, _numbers(path, keys, rotation_key, 9).reshape(3, 3))
+        rotation = as_rotation(path, rotation_key, _numbers(path, keys, rotation_key, 9).reshape(3, 3))
     if optional and translation_key not in keys:
         translation = np.zeros(3)
     else:
@@ -246,7 +288,12 @@ def _transform(
     return geometry.from_rotation_translation(rotation, translation)
 
 
-def _rotation(path: Path, key: str, matrix: np.ndarray) -> np.ndarray:
+def as_rotation(path: Path, key: str, matrix: np.ndarray) -> np.ndarray:
+    """The (3, 3) rotation that is nearest to a matrix that is one within what its digits show.
+
+    matrix: (3, 3) float64; key: its name in the file
+    Raises: InputError if it is none.
+    """
     off = np.abs(matrix @ matrix.T - np.eye(3)).max()
     if not off <= ROTATION_TOLERANCE or np.linalg.det(matrix) < 0:
         reason = "a reflection" if off <= ROTATION_TOLERANCE else f"rows are off orthonormal by {off:.3g}"

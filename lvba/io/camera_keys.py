@@ -93,6 +93,8 @@ def foreign(path: Path, name: str, mapping: dict[str, Any]) -> dict[str, Any]:
     """
     if not any(all(key in mapping for key in keys) for keys in _FOREIGN):
         return {}
+    if as_float(mapping.get("fisheye_model")):  # OpenCV's calibration program says a fisheye so
+        mapping = {**mapping, "distortion_model": "fisheye"}
     sizes = [key for key in _SIZES if key in mapping]
     return _read(path, name, {**mapping, **{f"cam_{key}": mapping[key] for key in sizes}}, alone=False)
 
@@ -216,9 +218,9 @@ def _check_distortion(path: Path, values: dict[str, Any], source: dict[str, str]
     for index in range(_ANGULAR if "lens" in values else _RADIAL_TANGENTIAL, _MOST):
         value = values.pop(f"d{index}", 0)
         if as_float(value) != 0:
-            problem = (
-                f"{source[f'd{index}']} is {str(value)[:40]!r}: a model with such a coefficient is not known"
-            )
+            kind = " (of a thin prism or a tilted sensor)" if index >= _RADIAL_TANGENTIAL else ""
+            known = f"a model with such a coefficient is not known{kind}"
+            problem = f"{source[f'd{index}']} is {str(value)[:40]!r}: {known}"
             raise InputError(path, problem, _MEND)
 
 

@@ -4,9 +4,11 @@ DATASET/
   all_pcd_body/<time>.pcd       lidar_poses.txt   (in the folder or beside it; TUM, body to world)
   all_image/<time>.png|jpg      image_poses.txt   (likewise; of the body or the camera: see `io.image_poses`); optional
   config.yaml                   camera and extrinsics; optional without images
+  imu.csv                       readings of an IMU (`io.imu`); optional
 """
 
 import dataclasses
+import hashlib
 import logging
 import os
 from collections.abc import Sequence
@@ -26,6 +28,7 @@ from lvba.io import (
     frames,
     image_poses,
     images,
+    imu,
     kitti,
     pcd,
     posed_frames,
@@ -107,7 +110,25 @@ def _open_fast_livo(root: Path) -> Dataset:
     )
     if image_folder:
         dataset = _with_images(dataset, root, image_folder, calibration, scans)
-    return posed_frames.shifted(dataset)
+    return posed_frames.shifted(_with_imu(dataset, root, calibration))
+
+
+def _with_imu(dataset: Dataset, root: Path, calibration: Calibration) -> Dataset:
+    """The recording with the readings of its IMU, if there are any."""
+    path = imu.find(root)
+    if not path:
+        return dataset
+    imu.read(path)  # what is wrong with it is told before anything is computed
+    both = f"{dataset.digest}\nimu {files.sha256(path)}\n"
+    mounted = calibration.body_from_imu
+    if mounted is not None:
+        both += f"mounted {mounted.tobytes().hex()}\n"
+    return dataclasses.replace(
+        dataset,
+        imu_path=path,
+        scan_from_imu=np.eye(4) if mounted is None else mounted,
+        digest=hashlib.sha256(both.encode()).hexdigest(),
+    )
 
 
 def _with_images(
@@ -192,7 +213,7 @@ def _layout(root: Path) -> tuple[str, str]:
 
 def _refuse_bag(root: Path) -> None:
     if kind := bags.kind(root):
-        raise InputError(root, f"is a {kind}, which is not read", bags.MEND)
+        raise InputError(root, f"is a {kind}, no recording folder", bags.MEND)
 
 
 def _first_folder(root: Path, names: tuple[str, ...]) -> str:

@@ -11,7 +11,7 @@ from io import BufferedReader
 from pathlib import Path
 
 from lvba.errors import InputError, Lack
-from lvba.io import no_links
+from lvba.io import no_links, partial_files
 
 MAX_TEXT_BYTES = 64 * 1024**2
 """Longest text file read (a pose file with half a million lines)."""
@@ -147,8 +147,20 @@ def names_in(folder: str | Path) -> list[str]:
             os.close(handle)
 
 
+def open_binary(path: str | Path) -> BufferedReader:
+    """A regular file of any length, open for reading, to be closed by the caller.
+
+    Raises: InputError
+    """
+    size(path, limit=2**63)
+    with as_input_error(path):
+        return _opened(path)
+
+
 def _opened(path: str | Path) -> BufferedReader:
     """The file, open for reading."""
+    if (pieces := partial_files.opened(path)) is not None:
+        return pieces
     if no_links.are_refused(path):
         return os.fdopen(no_links.descriptor(path), "rb")
     return open(path, "rb")

@@ -20,6 +20,14 @@ def read_image(path: str | Path) -> np.ndarray:
     16 bits are scaled to 8, gray becomes RGB, alpha is dropped.
     Raises: InputError if the file is unreadable, truncated, damaged or too large.
     """
+    return _to_rgb(path, decoded(path))
+
+
+def decoded(path: str | Path) -> np.ndarray:
+    """The values of a PNG or JPEG file as stored, (H, W) or (H, W, C) uint8 or uint16, BGR.
+
+    Raises: InputError if the file is unreadable, truncated, damaged or too large.
+    """
     content = files.read_bytes(path)
     expected = image_header.size(path, content[: image_header.START_BYTES])
     image_header.check_whole(path, content)
@@ -29,7 +37,7 @@ def read_image(path: str | Path) -> np.ndarray:
         pixels = None
     if pixels is None or pixels.size == 0 or pixels.shape[:2] != (expected.height, expected.width):
         raise InputError(path, "damaged: cannot be decoded", "copy the file again, or remove it")
-    return _to_rgb(path, pixels)
+    return np.asarray(pixels)
 
 
 def check_image(path: str | Path, content: bytes | None = None) -> ImageSize:

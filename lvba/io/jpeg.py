@@ -10,8 +10,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lvba.kernels import jpeg
-
 _BARE = frozenset(range(0xD0, 0xD9)) | {0x01}
 _SIZES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _BASELINE = (0xC0, 0xC1)
@@ -161,6 +159,8 @@ def _pieces(content: bytes, start: int) -> list[np.ndarray] | None:
 
 
 def _is_whole(pieces: list[np.ndarray], layout: _Layout, interval: int) -> bool:
+    from lvba.kernels import jpeg  # here: a header is read without the compiler
+
     interval = interval or layout.units
     if len(pieces) != -(-layout.units // interval):
         return False

@@ -10,7 +10,6 @@ from lvba.dataset import Scan
 from lvba.errors import InputError
 from lvba.io import files, finite_points, pcd_header
 from lvba.io.pcd_header import Field, Header
-from lvba.kernels import lzf
 
 INTENSITY_NAMES = ("intensity", "intensities", "reflectivity", "i")
 TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "offset_time", "time_offset", "timeoffset", "stamp")
@@ -137,6 +136,8 @@ class _Compressed:
     """Columns of LZF-compressed data, in which all values of a field follow each other."""
 
     def __init__(self, path: str | Path, header: Header, content: bytes) -> None:
+        from lvba.kernels import lzf  # here: other files are read without the compiler
+
         packed_size, plain_size = (int(v) for v in np.frombuffer(content, "<u4", 2, header.data_start))
         held = len(content) - header.data_start - 8
         if packed_size > held:
@@ -276,6 +277,8 @@ def _encode_ascii(table: np.ndarray) -> bytes:
 
 
 def _encode_compressed(table: np.ndarray) -> bytes:
+    from lvba.kernels import lzf
+
     plain = np.frombuffer(b"".join(table[name].tobytes() for name in table.dtype.names or ()), np.uint8)
     packed = np.empty(plain.size + plain.size // 32 + 2, np.uint8)
     packed = packed[: lzf.compress(plain, packed)]

@@ -252,30 +252,33 @@ def _tile_product(i: int, j: int, panels: Panels, columns: np.ndarray) -> np.nda
 
 
 @kernel
-def coupled(panels: Panels, scans: int) -> np.ndarray:
-    """(S, S) bool: which scans, the first not after the second, see a feature together; each scan with itself."""
+def coupled(panels: Panels, pairs: np.ndarray, scans: int) -> np.ndarray:
+    """(Q, TILE, TILE) bool: which scans of the first and the second tile of a pair, the first scan not after the second,
+    see a feature together; each scan with itself.
+
+    pairs: (Q, 2) int64, tiles, the first not after the second; scans: S, how many there are
+    """
     starts, feature, seen = panels.starts, panels.feature, panels.seen
-    out = np.zeros((scans, scans), np.bool_)
-    tiles = len(starts) - 1
-    for i in range(tiles):
-        for j in range(i, tiles):
-            masks = np.zeros(TILE, np.int64)
-            a, b = starts[i], starts[j]
-            while a < starts[i + 1] and b < starts[j + 1]:
-                if feature[a] < feature[b]:
-                    a += 1
-                elif feature[a] > feature[b]:
-                    b += 1
-                else:
-                    for s in range(TILE):
-                        if (seen[a] >> s) & 1:
-                            masks[s] |= seen[b]
-                    a += 1
-                    b += 1
-            for s in range(min(TILE, scans - TILE * i)):
-                for u in range(min(TILE, scans - TILE * j)):
-                    row, column = TILE * i + s, TILE * j + u
-                    out[row, column] = row == column or (row < column and ((masks[s] >> u) & 1) == 1)
+    out = np.zeros((len(pairs), TILE, TILE), np.bool_)
+    for q in range(len(pairs)):
+        i, j = pairs[q, 0], pairs[q, 1]
+        masks = np.zeros(TILE, np.int64)
+        a, b = starts[i], starts[j]
+        while a < starts[i + 1] and b < starts[j + 1]:
+            if feature[a] < feature[b]:
+                a += 1
+            elif feature[a] > feature[b]:
+                b += 1
+            else:
+                for s in range(TILE):
+                    if (seen[a] >> s) & 1:
+                        masks[s] |= seen[b]
+                a += 1
+                b += 1
+        for s in range(min(TILE, scans - TILE * i)):
+            for u in range(min(TILE, scans - TILE * j)):
+                row, column = TILE * i + s, TILE * j + u
+                out[q, s, u] = row == column or (row < column and ((masks[s] >> u) & 1) == 1)
     return out
 
 
@@ -310,18 +313,19 @@ def hessian(
     diagonal: np.ndarray,
     columns: np.ndarray,
     poses: np.ndarray,
+    pairs: np.ndarray,
     slot: np.ndarray,
     blocks: int,
 ) -> np.ndarray:
     """Blocks (M, 6, 6) float64 of H = D - W W' on and above its diagonal, each pose in its own axes.
 
     diagonal: (S, 6, 6) and columns: (P, 3, 6 TILE) of `linearize`, world axes; poses: (S, 4, 4) float64, world_from_scan;
-    slot: (S, S) int32, where the block of a pair of scans is written, -1: nowhere; blocks: M. Pairs of tiles are outputs
-    of one thread each, and small enough to stay in its cache.
+    pairs: (Q, 2) int64, of tiles, the first not after the second; slot: (Q, TILE, TILE) int32, where the block of two
+    of their scans is written, -1: nowhere; blocks: M. Pairs of tiles are outputs of one thread each, and small enough to
+    stay in its cache.
     """
-    tiles, scans = len(panels.starts) - 1, len(diagonal)
+    scans = len(diagonal)
     out = np.zeros((blocks, 6, 6))
-    pairs = np.array([(i, i + d) for d in range(tiles) for i in range(tiles - d)])
     for h in prange((len(pairs) + 1) // 2):
         # near pairs have more in common than far ones: a thread's static share gets of both alike
         for turn in range(2):
@@ -334,7 +338,7 @@ def hessian(
                 row = TILE * i + s
                 for u in range(min(TILE, scans - TILE * j)):
                     column = TILE * j + u
-                    at = slot[row, column] if row <= column else -1
+                    at = slot[n, s, u]
                     if at < 0:
                         continue
                     for a in range(6):

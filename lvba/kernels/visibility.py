@@ -184,10 +184,11 @@ def judge(
     target: int,
     gates: PairGates,
     nearest: NearestPoints,
+    shift: np.ndarray,
 ) -> tuple[int, float]:
     """The verdict on one pair and its NCC (0 where it came not that far); arguments as in `judge_pairs`.
 
-    images, poses: as in `judge_pairs`
+    images, poses: as in `judge_pairs`; shift: (2,) float64, px, what is added to target pixels; (0,): nothing
     """
     height, width, half = images.shape[1], images.shape[2], gates.half
     position, normal, reference = patches.position[point], patches.normal[point], patches.reference[point]
@@ -199,6 +200,10 @@ def judge(
     if not (slant > gates.min_normal_cosine and own_slant > gates.min_normal_cosine):
         return SLANTED, 0.0
     h = plane_homography(poses, reference, target, position, normal, intrinsics)
+    if len(shift):
+        for column in range(3):
+            h[0, column] += shift[0] * h[2, column]
+            h[1, column] += shift[1] * h[2, column]
     inside = patch_inside(h, u, v, half, width, height)
     if inside != PASSED:
         return inside, 0.0
@@ -227,16 +232,22 @@ def judge_pairs(
     target: np.ndarray,
     gates: PairGates,
     nearest: NearestPoints,
+    shift: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which pairs of a scene point and a target pass eq. (3): verdict (O,) uint8 and NCC (O,) float32.
 
     images: (I, H, W, C) uint8; poses: (I, 4, 4) float64, world_from_camera; point: (O,) int32, of the patches;
     target: (O,) int32, image; nearest: (0, 0, 0) cells skip that gate
+    shift: (O, 2) float64, px, what is added to the target pixels of each pair; (0, 2): nothing
     """
+    nothing = np.empty(0, np.float64)
     verdict = np.empty(len(point), np.uint8)
     ncc = np.empty(len(point), np.float32)
     for o in prange(len(point)):
-        verdict[o], ncc[o] = judge(images, poses, intrinsics, patches, point[o], target[o], gates, nearest)
+        own = shift[o] if len(shift) else nothing
+        verdict[o], ncc[o] = judge(
+            images, poses, intrinsics, patches, point[o], target[o], gates, nearest, own
+        )
     return verdict, ncc
 
 

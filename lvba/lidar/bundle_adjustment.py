@@ -7,52 +7,26 @@ association in every round, surfaces kept apart by the side they are seen from, 
 contradict them, weights from each plane's own noise, degenerate directions held at the odometry.
 """
 
-import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from lvba import geometry
 from lvba.arrays import Poses, Vector
-from lvba.errors import DegenerateProblemError
+from lvba.inertial.consistency import InertialResult
+from lvba.inertial.readings import Imu
 from lvba.lidar import covariance as uncertainty
-from lvba.lidar import degeneracy, density, noise_information, surface, voxel_map
+from lvba.lidar import degeneracy, density, inertial_rounds, surface
 from lvba.lidar.config import LidarConfig, Stage
-from lvba.lidar.odometry_factor import OdometryPrior, odometry_prior, reestimated
+from lvba.lidar.odometry_factor import OdometryPrior, odometry_prior
 from lvba.lidar.plane import PlanePoints, Planes
-from lvba.lidar.plane_feature import fit
-from lvba.lidar.problem import LidarSolution, Problem, solve
+from lvba.lidar.problem import Problem
+from lvba.lidar.rounds import Round, Rounds, build_grid, count_points, planes_in
 from lvba.lidar.scan import Scans, gather
-from lvba.lidar.voxel_map import Association, VoxelMap
 from lvba.lidar.weights import observation_weights
 from lvba.progress import Progress, silent
 
 __all__ = ["LidarConfig", "LidarResult", "Round", "Stage", "find_planes", "refine"]
-
-_log = logging.getLogger(__name__)
-
-OBLIQUE = geometry.exp(np.array([0.31, 0.47, 0.58, 0.0, 0.0, 0.0]))
-"""grid_from_world: any rotation far from all symmetries of a cube."""
-
-
-@dataclass(frozen=True)
-class Round:
-    """One association and the steps that followed it.
-
-    planes, observations: how many; cost_before, cost_after: squared normalized residuals per point, same planes;
-    sigma: m, typical distance of a point to its plane; moved: m, the furthest that a scan moved;
-    degenerate_scans: scans with a degenerate direction
-    """
-
-    planes: int
-    observations: int
-    cost_before: float
-    cost_after: float
-    sigma: float
-    moved: float
-    steps: int
-    degenerate_scans: int
 
 
 @dataclass(frozen=True)
@@ -66,6 +40,7 @@ class LidarResult:
         map around it
     step_covariance: (S - 1, 6, 6) float64, the same of the motion from each scan to the next, in the later one's tangent
     variance_factor: actual over modeled variance of the planes' gradients; the covariances are multiplied by it
+    shared_factor: what `covariance` is to be multiplied by for what is promised, see `lidar.covariance.Covariance`
     cost_initial, cost_final: squared normalized residuals per point, of the last association's planes at the
         rough poses and at the refined ones
     degenerate_directions: motions of all scans together that planes do not determine: kept at the odometry
@@ -90,6 +65,9 @@ class LidarResult:
     degenerate_scans: np.ndarray
     odometry_dependence: np.ndarray
     warnings: tuple[str, ...]
+    inertial: InertialResult | None = None
+    """What the IMU said; None: there is none."""
+    shared_factor: float = 1.0
 
 
 def refine(
@@ -99,6 +77,7 @@ def refine(
     sensor_position: Vector | None = None,
     config: LidarConfig | None = None,
     stages: tuple[Stage, ...] | None = None,
+    imu: Imu | None = None,
     progress: Progress = silent,
 ) -> LidarResult:
     """Poses at which the scans agree on their planes, and those planes.
@@ -107,6 +86,7 @@ def refine(
     world_from_scan: (S, 4, 4), rough; the first pose stays
     sensor_position: (3,), m, where the LiDAR is in the scan frame
     stages: others than those of the settings, for comparisons
+    imu: used where it does not contradict the planes
     Raises DegenerateProblemError: no plane is seen by two scans.
     """
     config = config or LidarConfig()
@@ -115,13 +95,16 @@ def refine(
     stages = density.adapted(stages or config.stages, points, config.dense_points)
     rough = np.array(world_from_scan, float)
     prior = odometry_prior(rough, config.prior_rotation, config.prior_translation)
-    rounds = _Rounds(points=points, sensor=sensor, config=config, poses=rough, prior=prior)
+    rounds = Rounds(points=points, sensor=sensor, config=config, poses=rough, prior=prior)
     total, done = sum(stage.rounds for stage in stages), 0
-    for stage in stages:
-        problem, directions, converged = rounds.of_stage(stage, progress, done, total)
+    for stage in stages[:-1]:
+        rounds.of_stage(stage, progress, done, total)
         done += stage.rounds
-    if _may_have_drifted(directions, stage):
-        problem, directions = rounds.beyond_noise(stage, progress)
+    solved = rounds.last(stages[-1], progress, done, total)
+    inertial = None
+    if imu is not None:
+        rounds, solved, inertial = inertial_rounds.with_imu(rounds, imu, stages[-1], solved, progress)
+    problem, directions, converged = solved
     poses, history = rounds.poses, rounds.history
     del rounds
     progress("aligning scans", total, total)
@@ -133,73 +116,22 @@ def refine(
         conditional_covariance=covariance.conditional,
         step_covariance=covariance.step,
         variance_factor=covariance.variance_factor,
+        shared_factor=covariance.shared_factor,
         planes=planes,
         plane_points=plane_points,
         history=tuple(history),
-        cost_initial=2.0 * problem.cost(rough) / _points(problem),
-        cost_final=2.0 * problem.cost(poses) / _points(problem),
+        cost_initial=2.0 * problem.cost(rough) / count_points(problem),
+        cost_final=2.0 * problem.cost(poses) / count_points(problem),
         iterations=sum(entry.steps for entry in history),
         converged=converged,
         degenerate_directions=directions.common,
         degenerate_scans=directions.count,
         odometry_dependence=covariance.odometry_dependence,
+        inertial=None if inertial is None else inertial.among(covariance.marginal),
         warnings=_warnings(points, history[-1], stages, converged, problem)
+        + inertial_rounds.warnings(inertial)
         + _warnings_of_dependence(covariance.odometry_dependence, directions, problem.prior),
     )
-
-
-@dataclass
-class _Rounds:
-    """Rounds of association and solving, each from the poses of the one before. poses: (S, 4, 4)"""
-
-    points: Scans
-    sensor: np.ndarray
-    config: LidarConfig
-    poses: np.ndarray
-    prior: OdometryPrior
-    grid: VoxelMap | None = None
-    history: list[Round] = field(default_factory=list)
-
-    def of_stage(
-        self, stage: Stage, progress: Progress, done: int, total: int
-    ) -> tuple[Problem, degeneracy.DegenerateDirections, bool]:
-        """The last problem, what it leaves open, and whether the rounds of a stage came to an end."""
-        converged = False
-        for turn in range(stage.rounds):
-            progress("aligning scans", done + turn, total)
-            problem, directions = self._associated(stage)
-            solution = solve(problem, self.poses, _metric(self.config), steps=stage.steps, exact=stage.exact)
-            self._take(problem, directions, solution)
-            converged = _has_converged(solution, self.history[-1], stage)
-            if converged:
-                break
-        self.prior = reestimated(self.prior, self.poses, directions.count == 0, self.config.prior_sigmas)
-        return problem, directions, converged
-
-    def beyond_noise(
-        self, stage: Stage, progress: Progress
-    ) -> tuple[Problem, degeneracy.DegenerateDirections]:
-        """The same, with planes that count by what they say beyond noise."""
-        for turn in range(_NOISE_ROUNDS):
-            progress("weighing scans against the odometry", turn, _NOISE_ROUNDS)
-            problem, directions = self._associated(stage)
-            self._take(
-                problem, directions, noise_information.solve(problem, self.poses, self.config.prior_sigmas)
-            )
-        return problem, directions
-
-    def _associated(self, stage: Stage) -> tuple[Problem, degeneracy.DegenerateDirections]:
-        if self.grid is not None and _stale(self.grid, self.poses, stage):
-            self.grid = None  # never two at a time
-        self.grid = self.grid.up_to(stage.sizes[-1]) if self.grid else _grid(self.points, self.poses, stage)
-        return _associate(self.grid, self.poses, self.sensor, self.config, stage, self.prior)
-
-    def _take(
-        self, problem: Problem, directions: degeneracy.DegenerateDirections, solution: LidarSolution
-    ) -> None:
-        self.history.append(_round(problem, directions, self.poses, solution))
-        _log.info("round %d: %s", len(self.history), self.history[-1])
-        self.poses = solution.world_from_scan
 
 
 def find_planes(
@@ -224,99 +156,10 @@ def find_planes(
 def _planes_of_stage(
     points: Scans, world_from_scan: np.ndarray, sensor: np.ndarray, stage: Stage
 ) -> tuple[Planes, PlanePoints]:
-    grid = _grid(points, world_from_scan, stage)
-    planes = _planes(grid, world_from_scan, sensor, stage)
+    grid = build_grid(points, world_from_scan, stage)
+    planes = planes_in(grid, world_from_scan, sensor, stage)
     weights = observation_weights(planes.features, world_from_scan, stage.weight_passes)
     return surface.extract(points, grid, planes, weights, world_from_scan, sensor)
-
-
-_NOISE_ROUNDS = 6
-"""Associations in which planes count by what they say beyond noise: poses that drifted on noise are back by then."""
-
-
-def _may_have_drifted(directions: degeneracy.DegenerateDirections, stage: Stage) -> bool:
-    """Whether some scans are held so little that they, and others with them, may have drifted on noise. Where all
-    together are open in a direction, holding it says all there is to say."""
-    return (
-        stage.project_degenerate
-        and bool(directions.count.any())
-        and not directions.common
-        and len(directions.count) <= noise_information.MOST_SCANS
-    )
-
-
-_STALE = 0.02
-"""Part of the finest cells' edge that points may have moved by until they are put into cells anew. Besides time that
-spares rounds: points that change cells at each come and go, and poses never quite stand still."""
-
-
-def _stale(grid: VoxelMap, poses: np.ndarray, stage: Stage) -> bool:
-    """Whether points have left their cells, or a stage has others."""
-    finest = stage.sizes[0]
-    return grid.levels[0].size != finest or grid.shift(poses) > _STALE * finest
-
-
-def _grid(points: Scans, poses: np.ndarray, stage: Stage) -> VoxelMap:
-    return voxel_map.build(points, poses, stage.sizes, OBLIQUE if stage.oblique_grid else None)
-
-
-def _planes(grid: VoxelMap, poses: np.ndarray, sensor: np.ndarray, stage: Stage) -> Association:
-    planes = voxel_map.find_planes(grid, poses, sensor, stage.plane_test)
-    if len(planes.features) == 0:
-        raise DegenerateProblemError(
-            "no plane is seen by two scans: the scans do not overlap, or their poses are too far off"
-        )
-    return planes
-
-
-def _associate(
-    grid: VoxelMap,
-    poses: np.ndarray,
-    sensor: np.ndarray,
-    config: LidarConfig,
-    stage: Stage,
-    prior: OdometryPrior,
-) -> tuple[Problem, degeneracy.DegenerateDirections]:
-    """The planes at the poses so far, with weights and degenerate directions: a problem to solve."""
-    features = _planes(grid, poses, sensor, stage).features
-    weights = observation_weights(features, poses, stage.weight_passes)
-    features = features.with_weight(weights.weight)
-    directions = degeneracy.find(features, fit(features, poses), poses, weights.sigma, config.prior_sigmas)
-    projector = directions.projector if stage.project_degenerate and directions.count.any() else None
-    return Problem(features, weights.sigma, prior, projector), directions
-
-
-def _has_converged(solution: LidarSolution, last: Round, stage: Stage) -> bool:
-    """Whether the poses stand still after a round."""
-    # costs are half the sums of squares
-    gain = 2.0 * abs(solution.cost_before - solution.cost_after) / (6 * len(solution.world_from_scan))
-    return last.moved < stage.pose_tolerance or gain < stage.cost_tolerance
-
-
-def _metric(config: LidarConfig) -> np.ndarray:
-    return np.asarray(1.0 / config.prior_sigmas**2)
-
-
-def _round(
-    problem: Problem, directions: degeneracy.DegenerateDirections, before: np.ndarray, solution: LidarSolution
-) -> Round:
-    features = problem.features
-    points = _points(problem)
-    moved = np.linalg.norm(solution.world_from_scan[:, :3, 3] - before[:, :3, 3], axis=1)
-    return Round(
-        planes=len(features),
-        observations=len(features.scan),
-        cost_before=2.0 * solution.cost_before / points,
-        cost_after=2.0 * solution.cost_after / points,
-        sigma=problem.sigma,
-        moved=float(moved.max()),
-        steps=solution.steps,
-        degenerate_scans=int(np.count_nonzero(directions.count)),
-    )
-
-
-def _points(problem: Problem) -> float:
-    return float(np.sum(problem.features.clusters.count))
 
 
 def _warnings(
@@ -334,8 +177,9 @@ def _warnings(
             f"{unseen} of {len(points)} scans see no plane that others see: they move with the odometry"
         )
     if last.degenerate_scans:
+        by = "the IMU holds them" if problem.inertial else "these stay at the odometry"
         warnings.append(
-            f"planes leave directions of {last.degenerate_scans} of {len(points)} scans open: these stay at the odometry"
+            f"planes leave directions of {last.degenerate_scans} of {len(points)} scans open: {by}"
         )
     single = len(stages) == 1 and stages[0].rounds == 1
     if not converged and not single:

@@ -4,17 +4,17 @@ The information leaves the planes' own parameters free, so it knows that they ar
 quite flat or cells hold bits of others, errors within a cell go together and it promises too much: then the spread of the
 planes' own gradients at the solution (the "sandwich" estimator: Huber 1967, White 1982; each plane one sample) is larger
 than the noise that they should have, and the covariance is scaled by as much. The sandwich itself is not used: gradients
-at the solution are smaller than those at the truth, and on simulated scenes it is too narrow by a half.
+at the solution are smaller than those at the truth, and on simulated scenes it is too narrow by a half. Errors that
+planes close to each other share, as a depth camera's, show in neither (`lidar.group_deletion`).
 """
 
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy.linalg
 
 from lvba import geometry
 from lvba.arrays import PoseBlocks, Poses
-from lvba.lidar import noise_information, panels, plane_factor
+from lvba.lidar import dense_covariance, group_deletion, noise_information, panels, plane_factor
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
 from lvba.lidar.problem import Problem
 from lvba.optim.normal_equations import NormalEquations
@@ -30,6 +30,8 @@ class Covariance:
     conditional: (S, 6, 6), of each pose if all others were known: how far it may be off the map around it
     step: (S - 1, 6, 6), of the motion from each scan to the next, in the later one's tangent
     variance_factor: actual over modeled variance of the gradients, at least 1
+    shared_factor: what errors that planes close to each other share multiply `marginal` by, at least 1. It is for what is
+        promised; scans and cameras are weighed against each other without, for both follow the planes
     odometry_dependence: (S - 1,), of the translation of each step: its standard deviation with planes over that by the
         odometry alone, 0 to 1; none of more than MOST_NOISE_SCANS scans
     """
@@ -38,6 +40,7 @@ class Covariance:
     conditional: np.ndarray
     step: np.ndarray = field(default_factory=lambda: np.zeros((0, 6, 6)))
     variance_factor: float = 1.0
+    shared_factor: float = 1.0
     odometry_dependence: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
@@ -49,33 +52,33 @@ def estimate(problem: Problem, world_from_scan: Poses) -> Covariance:
     """How certain poses (S, 4, 4) that solve a problem are. No more than two matrices of all pairs of poses at once."""
     fits = fit(problem.features, world_from_scan)
     information = problem.linearize(world_from_scan, exact=False, fits=fits).dense()
-    own = _blocks(information, 0)
+    own = dense_covariance.blocks(information, 0)
     with_noise = problem.prior is not None and len(world_from_scan) <= MOST_NOISE_SCANS
     whole = information[6:, 6:] if with_noise else None
-    inverse = _inverse(information[6:, 6:])
+    inverse = dense_covariance.inverse(information[6:, 6:])
     del information
     # the mean, over all motions, of what the robust covariance would be relative to the plain one
     variance_factor = max(1.0, _spread_by_covariance(problem, world_from_scan, fits, inverse) / len(inverse))
+    shared_factor = max(1.0, group_deletion.variance_factor(problem, world_from_scan) / variance_factor)
     inverse *= variance_factor
     step = _of_steps(inverse, world_from_scan)
     odometry_dependence = np.zeros(0)
-    if problem.prior is not None and whole is not None:
+    others = problem.linearize_others(world_from_scan)
+    if problem.prior is not None and others is not None and whole is not None:
         noise = noise_information.linearize(problem.features, fits, world_from_scan, problem.sigma)
-        odometry = problem.prior.linearize(world_from_scan).dense()[6:, 6:]
+        odometry = others.dense()[6:, 6:]
         certain = noise_information.certain(whole - odometry, noise.dense()[6:, 6:], odometry)
-        inverse = _inverse(certain / variance_factor + odometry)
+        inverse = dense_covariance.inverse(certain / variance_factor + odometry)
         odometry_dependence = _narrowed(_of_steps(inverse, world_from_scan), problem.prior.information)
-    conditional = np.stack([variance_factor * _inverse(block) for block in own])
+    conditional = np.stack([variance_factor * dense_covariance.inverse(block) for block in own])
     return Covariance(
-        _aligned(inverse, world_from_scan), conditional, step, variance_factor, odometry_dependence
+        marginal=dense_covariance.aligned(inverse, world_from_scan),
+        conditional=conditional,
+        step=step,
+        variance_factor=variance_factor,
+        shared_factor=shared_factor,
+        odometry_dependence=odometry_dependence,
     )
-
-
-def _blocks(matrix: np.ndarray, apart: int) -> np.ndarray:
-    """(N - apart, 6, 6), of a matrix (6 N, 6 N): the blocks of each pose and the one so many places after it."""
-    poses = len(matrix) // 6
-    here = np.arange(poses - apart)
-    return np.array(matrix.reshape(poses, 6, poses, 6)[here, :, here + apart])
 
 
 def _narrowed(step: np.ndarray, odometry: np.ndarray) -> np.ndarray:
@@ -90,8 +93,8 @@ def _of_steps(covariance: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray
     """(S - 1, 6, 6), of the motion from each scan to the next, from the covariance (6 S - 6, 6 S - 6) of all but the
     first, which stands."""
     none = np.zeros((1, 6, 6))
-    each = np.concatenate([none, _blocks(covariance, 0)])
-    upper = np.concatenate([none, _blocks(covariance, 1)])
+    each = np.concatenate([none, dense_covariance.blocks(covariance, 0)])
+    upper = np.concatenate([none, dense_covariance.blocks(covariance, 1)])
     relative = geometry.inverse(world_from_scan[1:]) @ world_from_scan[:-1]
     later = np.broadcast_to(np.eye(6), (len(relative), 6, 6))
     by_both = np.concatenate([-geometry.adjoint(relative), later], axis=2)
@@ -133,38 +136,15 @@ def positive(symmetric: PoseBlocks) -> np.ndarray:
     return np.asarray((vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, -1, -2))
 
 
-def _inverse(information: np.ndarray) -> np.ndarray:
-    """The inverse of a positive matrix; eigenvalues that rounding made negative count as tiny."""
-    # symmetric, so its transpose in columns is the matrix itself in rows: LAPACK works on this one copy
-    matrix = np.array(information).T
-    try:
-        factor, _ = scipy.linalg.cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
-        inverse, _ = scipy.linalg.lapack.dpotri(factor, lower=True, overwrite_c=True)
-    except np.linalg.LinAlgError:
-        values, vectors = scipy.linalg.eigh(information, check_finite=False)
-        return np.asarray((vectors / np.maximum(values, 1e-9 * values[-1])) @ vectors.T)
-    return _mirrored(inverse.T)
-
-
-def _mirrored(matrix: np.ndarray) -> np.ndarray:
-    """A square matrix with what is above its diagonal written below it too, in place: a copy would double the memory."""
-    width = 256
-    for at in range(0, len(matrix), width):
-        below = at + width
-        matrix[below:, at:below] = matrix[at:below, below:].T
-        block = matrix[at:below, at:below]
-        block[:] = np.triu(block) + np.triu(block, 1).T
-    return matrix
-
-
 def _spread_by_covariance(
     problem: Problem, world_from_scan: np.ndarray, fits: PlaneFits, covariance: np.ndarray
 ) -> float:
-    """The trace of the product of the spread of all gradients, of planes and odometry, and a covariance
+    """The trace of the product of the spread of all gradients, of planes, odometry and IMU, and a covariance
     (6 S - 6, 6 S - 6) of all poses but the first."""
     trace = _trace_of_product(_gradient_spread(problem, world_from_scan, fits), covariance)
-    if problem.prior is not None:
-        trace += _trace_of_product(problem.prior.linearize(world_from_scan), covariance)
+    others = problem.linearize_others(world_from_scan)
+    if others is not None:
+        trace += _trace_of_product(others, covariance)
     return trace
 
 
@@ -204,35 +184,3 @@ def observation_gradients(features: PlaneFeatures, fits: PlaneFits, world_from_s
     turned = np.stack([xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z], 1)
     turned += height[:, None] * lever
     return np.concatenate([np.cross(turned, normal), height[:, None] * normal], axis=1)
-
-
-def _aligned(covariance: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray:
-    """(S, 6, 6), of each pose after the rigid motion that brings all positions closest to where they were, from the
-    covariance C (6 S - 6, 6 S - 6) of all poses but the first: diagonal blocks of (I - M Q) C (I - M Q)', M rigid motions
-    of all poses and Q what finds them."""
-    motion, pick = alignment(world_from_scan)
-    finds = np.linalg.solve(pick.T @ motion, pick.T)[:, 6:]
-    common = finds @ covariance
-    none = np.zeros((1, 6, 6))
-    each = np.concatenate([none, _blocks(covariance, 0)])
-    with_common = np.concatenate([none, np.swapaxes(common.reshape(6, -1, 6), 0, 1)])
-    motion = motion.reshape(-1, 6, 6)
-    cross = motion @ with_common
-    own = motion @ (common @ finds.T) @ np.swapaxes(motion, -1, -2)
-    return np.asarray(each - cross - np.swapaxes(cross, -1, -2) + own)
-
-
-def alignment(world_from_scan: Poses) -> tuple[np.ndarray, np.ndarray]:
-    """Rigid motions (6 S, 6) of all poses, local tangents, and what picks them out of a motion of all poses, (6 S, 6)."""
-    arm = world_from_scan[:, :3, 3] - world_from_scan[:, :3, 3].mean(0)
-    rigid = np.zeros((len(arm), 6, 6))
-    rigid[:, :3, :3] = rigid[:, 3:, 3:] = np.eye(3)
-    rigid[:, 3:, :3] = -geometry.hat(arm)
-    seen = np.zeros_like(rigid)
-    seen[:, 3:] = rigid[:, 3:]
-    # positions on a line leave the rotation about it open: the orientations decide, as in `trajectory.align`
-    lever = max(1e-3 * float(np.sqrt((arm**2).sum(1).mean())), 1e-6)
-    seen[:, :3, :3] = lever**2 * np.eye(3)
-    turn = np.zeros_like(rigid)
-    turn[:, :3, :3] = turn[:, 3:, 3:] = np.swapaxes(world_from_scan[:, :3, :3], -1, -2)
-    return (turn @ rigid).reshape(-1, 6), (turn @ seen).reshape(-1, 6)

@@ -118,7 +118,8 @@ def linearize_weighed(
     equations = equations.projected(
         np.broadcast_to(np.diag(1.0 / prior_sigmas), (len(world_from_scan), 6, 6))
     )
-    return equations + problem.prior.linearize(world_from_scan) if problem.prior else equations
+    others = problem.linearize_others(world_from_scan)
+    return equations if others is None else equations + others
 
 
 def solve(problem: Problem, world_from_scan: Poses, prior_sigmas: StepSigmas) -> LidarSolution:

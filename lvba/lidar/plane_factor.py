@@ -5,6 +5,7 @@ import numpy as np
 from lvba import geometry
 from lvba.arrays import PoseBlocks, Poses
 from lvba.kernels import lidar as kernel
+from lvba.kernels.lidar import TILE
 from lvba.lidar import panels
 from lvba.lidar.panels import Panels
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
@@ -70,9 +71,22 @@ def hessian_blocks(
     diagonal: (S, 6, 6), D; columns: (P, 3, 6 TILE) float64, W in panels; both in world axes
     world_from_scan: (S, 4, 4), C-contiguous
     """
-    scans = len(world_from_scan)
-    rows, columns_of = np.nonzero(kernel.coupled(laid.arrays, scans))
-    slot = np.full((scans, scans), -1, np.int32)
-    slot[rows, columns_of] = np.arange(len(rows), dtype=np.int32)
-    blocks = kernel.hessian(laid.arrays, diagonal, columns, world_from_scan, slot, len(rows))
-    return rows.astype(np.int32), columns_of.astype(np.int32), blocks
+    return blocks_of_tiles(laid, panels.pairs_of_tiles(laid), diagonal, columns, world_from_scan)
+
+
+def blocks_of_tiles(
+    laid: Panels, pairs: np.ndarray, diagonal: PoseBlocks, columns: np.ndarray, world_from_scan: Poses
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same of some pairs of tiles only, by rows, then columns.
+
+    pairs: (Q, 2) int64, the first tile not after the second; diagonal, columns, world_from_scan: as in `hessian_blocks`
+    columns: (P, 3, 6 TILE) float64
+    """
+    coupled = kernel.coupled(laid.arrays, pairs, len(world_from_scan))
+    pair, first, second = np.nonzero(coupled)
+    rows, columns_of = TILE * pairs[pair, 0] + first, TILE * pairs[pair, 1] + second
+    order = np.lexsort((columns_of, rows))
+    slot = np.full(coupled.shape, -1, np.int32)
+    slot[pair[order], first[order], second[order]] = np.arange(len(order), dtype=np.int32)
+    blocks = kernel.hessian(laid.arrays, diagonal, columns, world_from_scan, pairs, slot, len(order))
+    return rows[order].astype(np.int32), columns_of[order].astype(np.int32), blocks

@@ -1,4 +1,4 @@
-"""The planes of one association and the odometry as one least-squares problem over the poses of the scans."""
+"""The planes of one association, odometry and IMU as one least-squares problem over the poses of the scans."""
 
 from dataclasses import dataclass
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from lvba import geometry
 from lvba.arrays import Poses
+from lvba.inertial.factor import InertialFactor
 from lvba.lidar import plane_factor
 from lvba.lidar.odometry_factor import OdometryPrior
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
@@ -31,12 +32,15 @@ class Problem:
     prior: OdometryPrior | None
     projector: np.ndarray | None = None
     """(S, 6, 6), local tangent, keeps of a motion what the planes determine (see `degeneracy`); None: all of it."""
+    inertial: InertialFactor | None = None
+    """What an IMU felt between the scans; None: there is none, or it is not used."""
 
     def cost(self, world_from_scan: Poses, fits: PlaneFits | None = None) -> float:
         """Half the sum of squared normalized residuals at poses (S, 4, 4); fits: of the planes there, if at hand."""
         fits = fit(self.features, world_from_scan) if fits is None else fits
         planes = 0.5 * fits.cost / self.sigma**2
-        return planes + (self.prior.cost(world_from_scan) if self.prior else 0.0)
+        others = self.prior.cost(world_from_scan) if self.prior else 0.0
+        return planes + others + (self.inertial.cost(world_from_scan) if self.inertial else 0.0)
 
     def linearize(
         self, world_from_scan: Poses, exact: bool = True, fits: PlaneFits | None = None
@@ -45,7 +49,13 @@ class Problem:
         equations = plane_factor.linearize(self.features, world_from_scan, self.sigma, fits, exact)
         if self.projector is not None:
             equations = equations.projected(self.projector)
-        return equations + self.prior.linearize(world_from_scan) if self.prior else equations
+        others = self.linearize_others(world_from_scan)
+        return equations if others is None else equations + others
+
+    def linearize_others(self, world_from_scan: Poses) -> NormalEquations | None:
+        """The normal equations at poses (S, 4, 4) of all but the planes: odometry and IMU; None: there is neither."""
+        terms = [term.linearize(world_from_scan) for term in (self.prior, self.inertial) if term is not None]
+        return sum(terms[1:], terms[0]) if terms else None
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ ByShared = Callable[[OnPlanes], np.ndarray]
 
 
 @dataclass(frozen=True)
-class Evidence:
+class ScanEvidence:
     """What some scans tell of k shared numbers, poses and planes eliminated; adds up over scans that share no plane.
 
     information: (k, k), second derivative of half the sum of squared normalized distances by the numbers
@@ -94,9 +94,9 @@ class Evidence:
         """(k,) standard deviations; infinite where nothing tells."""
         return np.asarray(np.sqrt(np.diagonal(self.covariance)))
 
-    def of(self, columns: slice) -> "Evidence":
+    def of(self, columns: slice) -> "ScanEvidence":
         """Of some of the numbers, the others known to be zero."""
-        return Evidence(
+        return ScanEvidence(
             self.information[columns, columns],
             self.gradient[columns],
             self.own[:, columns],
@@ -119,8 +119,8 @@ class Evidence:
         variance, axes = np.linalg.eigh(self.covariance[columns, columns])
         return np.asarray(axes @ (sigma**2 / (sigma**2 + variance) * (axes.T @ self.change[columns])))
 
-    def __add__(self, other: "Evidence") -> "Evidence":
-        return Evidence(
+    def __add__(self, other: "ScanEvidence") -> "ScanEvidence":
+        return ScanEvidence(
             self.information + other.information,
             self.gradient + other.gradient,
             np.concatenate([self.own, other.own]),
@@ -128,9 +128,11 @@ class Evidence:
         )
 
 
-def nothing(size: int) -> Evidence:
+def nothing(size: int) -> ScanEvidence:
     """Of so many numbers."""
-    return Evidence(np.zeros((size, size)), np.zeros(size), np.zeros((0, size)), np.zeros((0, size, size)))
+    return ScanEvidence(
+        np.zeros((size, size)), np.zeros(size), np.zeros((0, size)), np.zeros((0, size, size))
+    )
 
 
 @dataclass(frozen=True)
@@ -167,7 +169,7 @@ class View:
         return (plane[order], first + order) if len(order) >= _FEWEST_POINTS else None
 
 
-def evidence(view: View, by_shared: ByShared, size: int) -> Evidence:
+def evidence(view: View, by_shared: ByShared, size: int) -> ScanEvidence:
     """What the planes tell of so many shared numbers."""
     sums = [each for scan in range(len(view.scans)) if (each := _of_scan(view, scan, by_shared)) is not None]
     return _eliminated(sums, len(view.scans), len(view.planes), size) if sums else nothing(size)
@@ -242,7 +244,7 @@ def _of_scan(view: View, scan: int, by_shared: ByShared) -> _Sums | None:
     )
 
 
-def _eliminated(sums: list[_Sums], scans: int, planes: int, size: int) -> Evidence:
+def _eliminated(sums: list[_Sums], scans: int, planes: int, size: int) -> ScanEvidence:
     """The sums by the shared numbers alone."""
     plane = np.concatenate([each.plane for each in sums])
     scan = np.concatenate([np.full(len(each.plane), each.scan) for each in sums])
@@ -272,7 +274,7 @@ def _eliminated(sums: list[_Sums], scans: int, planes: int, size: int) -> Eviden
     own -= np.einsum("pik,pi->pk", met, right)
     curvature -= np.einsum("pik,pil->pkl", met, met)
     information = np.einsum("in,nj->ij", normal[free:], through)
-    return Evidence((information + information.T) / 2, -own.sum(axis=0), own, curvature)
+    return ScanEvidence((information + information.T) / 2, -own.sum(axis=0), own, curvature)
 
 
 def _by_plane(

@@ -9,7 +9,7 @@ from lvba.arrays import Pose
 from lvba.loop_closure import correlation, surfel_icp, verification
 from lvba.loop_closure.submap import Patch
 from lvba.loop_closure.surfel_icp import Stage, Target
-from lvba.loop_closure.verification import Evidence
+from lvba.loop_closure.verification import OverlapEvidence
 
 SIGMAS = 2.0
 """How many standard deviations a rough pose may be off."""
@@ -44,7 +44,7 @@ class Alignment:
     """One alignment, and what speaks for it and against it."""
 
     a_from_b: np.ndarray
-    evidence: Evidence
+    evidence: OverlapEvidence
 
     @property
     def score(self) -> float:

@@ -11,7 +11,7 @@ from lvba.loop_closure.alignments import Expected
 from lvba.loop_closure.candidates import Candidate
 from lvba.loop_closure.submap import Patch, Submap, around, uncertainty
 from lvba.loop_closure.surfel_icp import Certainty, Target
-from lvba.loop_closure.verification import Evidence
+from lvba.loop_closure.verification import OverlapEvidence
 from lvba.optim.pose_graph import Edges
 from lvba.settings import check_ranges
 
@@ -159,7 +159,7 @@ def _known(target: Target, patch: Patch, pose: np.ndarray, config: RegisterConfi
 
 
 def _contradiction(
-    evidence: Evidence, known: Certainty, target: Target, source: Target, config: RegisterConfig
+    evidence: OverlapEvidence, known: Certainty, target: Target, source: Target, config: RegisterConfig
 ) -> str:
     """Why an alignment is not believed; empty if it is."""
     noise = float(np.median(np.concatenate([target.patch.thickness, source.patch.thickness])))

@@ -20,7 +20,7 @@ _ANGLE_DEG = 20.0
 
 
 @dataclass(frozen=True)
-class Evidence:
+class OverlapEvidence:
     """What surfels of two patches say about an alignment, each as loud as its direction is rare.
 
     Ground and long facades fit in many places; what faces another way tells more (`rarity`).
@@ -56,7 +56,7 @@ def rarity(normal: Vectors, others: Vectors) -> tuple[np.ndarray, np.ndarray]:
     return np.sum((normal @ whitening) ** 2, axis=1), np.sum((others @ whitening) ** 2, axis=1)
 
 
-def evidence(a: Target, b: Target, a_from_b: Pose, tolerance: float) -> Evidence:
+def evidence(a: Target, b: Target, a_from_b: Pose, tolerance: float) -> OverlapEvidence:
     """What speaks for and against an alignment.
 
     tolerance: m, furthest that a surfel may be from a surface that it lies on
@@ -66,7 +66,7 @@ def evidence(a: Target, b: Target, a_from_b: Pose, tolerance: float) -> Evidence
     against_b = _hidden(a.patch, b.patch.moved(a_from_b)) & ~agrees_b
     against_a = _hidden(b.patch, a.patch.moved(geometry.inverse(a_from_b))) & ~agrees_a
     rare_a, rare_b = rarity(a.patch.normal, b.patch.normal @ a_from_b[:3, :3].T)
-    return Evidence(rare_a * agrees_a, rare_b * agrees_b, rare_a * against_a, rare_b * against_b)
+    return OverlapEvidence(rare_a * agrees_a, rare_b * agrees_b, rare_a * against_a, rare_b * against_b)
 
 
 def agreeing(target: Target, source: Patch, a_from_b: Pose, tolerance: float) -> np.ndarray:

@@ -17,8 +17,10 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from lvba.optim import two_level
 from lvba.optim.linear_solver import solve_step
 from lvba.optim.normal_equations import NormalEquations, Step
+from lvba.optim.two_level import TwoLevelEquations
 
 logger = logging.getLogger(__name__)
 
@@ -184,7 +186,7 @@ class _Damping:
 
 
 def damped_step(
-    equations: NormalEquations,
+    equations: NormalEquations | TwoLevelEquations,
     damping: float,
     free: np.ndarray | None = None,
     metric: np.ndarray | None = None,
@@ -195,7 +197,10 @@ def damped_step(
     free: (B, b) bool; metric: (b,) float64
     """
     for _ in range(DAMPING_TRIES):
-        step = solve_step(equations, damping, free, metric=metric)
+        if isinstance(equations, TwoLevelEquations):
+            step = two_level.solve_step(equations, damping, free, metric)
+        else:
+            step = solve_step(equations, damping, free, metric=metric)
         if step is not None:
             return step, damping
         damping = raised(damping)

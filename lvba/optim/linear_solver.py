@@ -168,7 +168,7 @@ def factorize(
     free: (B, b) bool; metric: (b,) float64
     """
     free = np.ones(equations.gradient.shape, bool) if free is None else free
-    added, added_shared = _damped_diagonal(equations, damping, free, metric)
+    added, added_shared = damped_diagonal(equations, damping, free, metric)
     dense = _is_dense(equations, int(free.sum()), dense_limit)
     poses = _dense(equations, added, free) if dense else _sparse(equations, added, free)
     if poses is None:
@@ -228,12 +228,13 @@ def _sparse(
     return SparseFactor(lu, index, added.shape)
 
 
-def _damped_diagonal(
+def damped_diagonal(
     equations: NormalEquations, damping: float, free: np.ndarray, metric: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """(B, b) and (k,): what damping adds to the diagonal.
 
     Relative to a diagonal with a floor, so that unknowns without information are damped too.
+    free: (B, b) bool; metric: (b,) float64
     """
     own = equations.rows == equations.columns
     diagonal = np.zeros(free.shape)

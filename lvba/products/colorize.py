@@ -4,6 +4,7 @@ Colors are radiances: gray values 0..255 divided by the image's relative exposur
 """
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -121,32 +122,65 @@ def paper(
 
     held_out: indices of images that must not color anything. Source: Li et al., eq. (10).
     """
-    usable = np.setdiff1d(np.arange(len(views)), [] if held_out is None else held_out)
-    gray = np.zeros((len(cloud), 3), np.float32)
-    source = np.full(len(cloud), -1, np.int32)
-    light = None if views.light is None else np.repeat(views.light[:, :, None], 3, axis=2)
-    part = None if light is None else np.ones_like(gray)
-    if not len(usable):
-        return PaperColors(gray, source, part)
-    image_of_scan = usable[nearest_in_time(views.times[usable], cloud.scan_times)]
-    mask, intrinsics, images = views.mask, views.intrinsics, np.unique(image_of_scan)
-    poses = views.poses
+    return paper_each([(cloud, views)], held_out, progress)[0]
+
+
+def paper_each(
+    states: Sequence[tuple[Cloud, Views]], held_out: Indices | None = None, progress: Progress = silent
+) -> list[PaperColors]:
+    """The colors that `paper` gives each of some states of one recording, image by image: each is loaded once for all.
+
+    held_out: indices of images that must not color anything
+    """
+    colorings = [_Coloring(cloud, views, held_out) for cloud, views in states]
+    images = sorted({image for coloring in colorings for image in coloring.images})
 
     def color(image: int) -> None:
-        picture, pose = np.ascontiguousarray(views.load(image)), poses[image]
-        for s in np.flatnonzero(image_of_scan == image):
+        for coloring in colorings:
+            coloring.color(image)
+
+    for done, _ in enumerate(in_order(color, images)):
+        progress("color points", done + 1, len(images))
+    return [coloring.result() for coloring in colorings]
+
+
+class _Coloring:
+    """The colors of one cloud while its images are gone through, in any order. images: the ones that color it."""
+
+    def __init__(self, cloud: Cloud, views: Views, held_out: Indices | None) -> None:
+        usable = np.setdiff1d(np.arange(len(views)), [] if held_out is None else held_out)
+        self._cloud, self._views = cloud, views
+        self._gray = np.zeros((len(cloud), 3), np.float32)
+        self._source = np.full(len(cloud), -1, np.int32)
+        self._light = None if views.light is None else np.repeat(views.light[:, :, None], 3, axis=2)
+        self._part = None if self._light is None else np.ones_like(self._gray)
+        self._image_of_scan = np.zeros(0, np.int64)
+        if len(usable):
+            self._image_of_scan = usable[nearest_in_time(views.times[usable], cloud.scan_times)]
+        self.images = [int(image) for image in np.unique(self._image_of_scan)]
+        self._mask, self._poses = views.mask, views.poses
+
+    def color(self, image: int) -> None:
+        """Gives the points of the scans nearest in time to an image their colors."""
+        scans = np.flatnonzero(self._image_of_scan == image)
+        if not len(scans):
+            return
+        cloud, intrinsics, pose = self._cloud, self._views.intrinsics, self._poses[image]
+        picture = np.ascontiguousarray(self._views.load(image))
+        for s in scans:
             span = slice(cloud.scan_offsets[s], cloud.scan_offsets[s + 1])
-            seen = np.empty(span.stop - span.start, bool)
-            kernels.sample_image(cloud.points_world[span], pose, intrinsics, picture, mask, gray[span], seen)
-            source[span][seen] = image
-            if light is not None and part is not None:
+            seen, points = np.empty(span.stop - span.start, bool), cloud.points_world[span]
+            kernels.sample_image(points, pose, intrinsics, picture, self._mask, self._gray[span], seen)
+            self._source[span][seen] = image
+            if self._light is not None and self._part is not None:
                 kernels.sample_image(
-                    cloud.points_world[span], pose, intrinsics, light, mask, part[span], seen
+                    points, pose, intrinsics, self._light, self._mask, self._part[span], seen
                 )
 
-    for done, _ in enumerate(in_order(color, map(int, images))):
-        progress("color points", done + 1, len(images))
-    return PaperColors(gray, source, None if part is None else views.curve.light(gray) / part)
+    def result(self) -> PaperColors:
+        """The colors so far."""
+        even = None if self._part is None else self._views.curve.light(self._gray) / self._part
+        return PaperColors(self._gray, self._source, even)
 
 
 def blended(

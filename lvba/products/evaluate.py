@@ -3,7 +3,7 @@
 The authors' tool is not published; this module defines the protocol and docs/evaluation.md explains it.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -19,6 +19,9 @@ from lvba.products.views import Views
 from lvba.progress import Progress, silent
 from lvba.settings import check, setting
 
+FIRST_IMAGES = 40
+"""Images judged first, where the rest is judged only if these leave something open: a gain of many standard errors needs
+no more."""
 _SUFFIX = {ALL: "", OTHERS: "_leave_one_out"}
 _FIGURES = (
     *(
@@ -38,11 +41,12 @@ class EvaluateConfig:
     entropy: map_quality.EntropyConfig = field(default_factory=map_quality.EntropyConfig)
     max_images: int = setting(
         400,
-        meaning="Images judged, spread evenly over longer recordings. All images always color the map.",
+        meaning="Most images judged, spread evenly; 40 where these leave no doubt about any decision. All images "
+        "always color the map.",
         unit="images",
         low=1,
         high=1_000_000,
-        change_when="Judging takes too long (fewer), or every image should have its figures (more).",
+        change_when="Judging takes too long (fewer), or decisions are close and there are more images (more).",
     )
 
     def __post_init__(self) -> None:
@@ -115,6 +119,8 @@ def evaluate(
     entropies: Mapping[str, float] | None = None,
     brief: Collection[str] = (),
     images: np.ndarray | None = None,
+    enough: Callable[[dict[str, Scores]], bool] | None = None,
+    few: int = FIRST_IMAGES,
     colors: Literal["paper", "blended"] = "paper",
     progress: Progress = silent,
 ) -> dict[str, Scores]:
@@ -126,16 +132,15 @@ def evaluate(
     held_out: indices of images that color nothing and are judged apart.
     entropies: mean map entropies by state that are known already.
     brief: states of which only the leave-one-out figures and coverage are wanted; the rest of their figures is NaN.
-    images: (J,) int32, those to judge; None: chosen evenly.
+    images: (J,) int32, those to judge, ascending; None: chosen evenly.
+    enough: whether the scores over a few of them, spread evenly, will do; None: all are judged.
     colors: paper: a point has the color of one image, eq. (10); blended: of several, as in the map (slow).
     """
     config = config or EvaluateConfig()
     out_of_color = np.unique(np.asarray([] if held_out is None else held_out, np.int32))
     geometries = _geometries(states, colors)
-    clouds = [
-        _colored(_with_light([states[name] for name in names]), colors, out_of_color, progress)
-        for names in geometries
-    ]
+    lit = [_with_light([states[name] for name in names]) for names in geometries]
+    clouds = _colored(lit, colors, out_of_color, progress)
     if images is None:
         count = len(next(iter(states.values())).views)
         images = judged_images(count, out_of_color, config.max_images)
@@ -161,16 +166,32 @@ def evaluate(
         by_state = {name: raw[state.views.camera] for name, state in states.items()}
         return judge(by_state, renderings, valid, brief)
 
-    rows: dict[str, list[dict[str, float]]] = {name: [] for name in states}
-    for done, row in enumerate(in_order(judge_image, [int(i) for i in images])):
-        progress("judge images", done + 1, len(images))
-        for name in states:
-            rows[name].append(row[name])
     entropy = _entropies(states, config, entropies or {})
-    return {
-        name: _scores(rows[name], images, out_of_color, entropy[name], config.render.splat_px)
-        for name in states
-    }
+    rows: dict[int, dict[str, dict[str, float]]] = {}
+    scores: dict[str, Scores] = {}
+    for batch in [images] if enough is None else _first_and_rest(images, few):
+        for image, row in zip(batch, in_order(judge_image, [int(i) for i in batch]), strict=True):
+            rows[int(image)] = row
+            progress("judge images", len(rows), len(images))
+        judged = np.array(sorted(rows), np.int32)
+        scores = {
+            name: _scores(
+                *([rows[int(i)][name] for i in judged], judged, out_of_color),
+                *(entropy[name], config.render.splat_px),
+            )
+            for name in states
+        }
+        if enough is not None and len(judged) < len(images) and enough(scores):
+            break
+    return scores
+
+
+def _first_and_rest(images: np.ndarray, few: int) -> list[np.ndarray]:
+    """A few of the images, spread evenly, and the others, where there are any."""
+    if len(images) <= few:
+        return [images]
+    first = images[np.linspace(0, len(images) - 1, few).round().astype(int)]
+    return [first, np.setdiff1d(images, first)]
 
 
 def together(parts: Sequence[Scores], entropy: float) -> Scores:
@@ -223,18 +244,21 @@ def _with_light(states: Sequence[State]) -> State:
     return next((state for state in states if state.views.light is not None), states[0])
 
 
-def _colored(state: State, colors: str, held_out: np.ndarray, progress: Progress) -> ColoredCloud:
+def _colored(
+    states: Sequence[State], colors: str, held_out: np.ndarray, progress: Progress
+) -> list[ColoredCloud]:
     if colors == "paper":
-        return color_by_paper(state, held_out, progress)
-    return render.blended_cloud(state.cloud, state.views, ColorizeConfig(), held_out)
+        return color_by_paper(states, held_out, progress)
+    return [render.blended_cloud(state.cloud, state.views, ColorizeConfig(), held_out) for state in states]
 
 
 def color_by_paper(
-    state: State, held_out: Indices | None = None, progress: Progress = silent
-) -> ColoredCloud:
-    """The cloud colored by eq. (10), ready to be rendered."""
-    colors = colorize.paper(state.cloud, state.views, held_out, progress)
-    return render.colored_cloud(state.cloud.points_world, colors)
+    states: Sequence[State], held_out: Indices | None = None, progress: Progress = silent
+) -> list[ColoredCloud]:
+    """The clouds of some states of one recording colored by eq. (10), ready to be rendered."""
+    colors = colorize.paper_each([(state.cloud, state.views) for state in states], held_out, progress)
+    # taken out one by one: those of all clouds and all sorted clouds are not in memory together
+    return [render.colored_cloud(state.cloud.points_world, colors.pop(0)) for state in states]
 
 
 def judge(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from lvba.parallel import in_order
 from lvba.products.evaluate import Scores, State, color_by_paper
 from lvba.products.render import OTHERS, ColoredCloud, RenderConfig, fill, nearest, shade
 
@@ -98,23 +99,27 @@ def show(
     images = [image for image in choice.crops if first <= image < first + len(rough.views)]
     if not images:
         return Shown({}, ())
-    clouds = [(state, color_by_paper(state)) for state in (rough, refined)]
-    whole: dict[int, Picture] = {}
-    crops: list[tuple[float, Picture]] = []
-    best: list[tuple[float, Picture]] = []
-    for image in images:
+    states = [rough, refined]
+    clouds = list(zip(states, color_by_paper(states), strict=True))
+
+    def of_image(image: int) -> tuple[Picture | None, _Window | None, _Window | None]:
         own = image - first
         shown = [_shown(cloud, state, own, config) for state, cloud in clouds]
         raw, title, mask = rough.views.load(own), f"image {image}", rough.views.mask
-        if image in choice.whole:
-            whole[image] = _picture(title, raw, shown, (slice(None), slice(None)), mask)
-        crop = _most_changed(_change(raw, shown, mask))
-        if crop is not None:
-            crops.append((crop[0], _picture(title, raw, shown, crop[1], mask)))
-        large = _where_it_shows(raw, shown, mask)
-        if large is not None:
-            best.append((large[0], _picture(title, raw, shown, large[1], mask)))
-    return Shown(whole, tuple(crops), tuple(best))
+
+        def cut(window: tuple[float, tuple[slice, slice]] | None) -> _Window | None:
+            return None if window is None else (window[0], _picture(title, raw, shown, window[1], mask))
+
+        every = (slice(None), slice(None))
+        whole = _picture(title, raw, shown, every, mask) if image in choice.whole else None
+        return whole, cut(_most_changed(_change(raw, shown, mask))), cut(_where_it_shows(raw, shown, mask))
+
+    made = list(in_order(of_image, images))
+    return Shown(
+        {image: whole for image, (whole, _, _) in zip(images, made, strict=True) if whole is not None},
+        tuple(crop for _, crop, _ in made if crop is not None),
+        tuple(large for _, _, large in made if large is not None),
+    )
 
 
 def collect(choice: Choice, candidates: Sequence[Shown]) -> Pictures:
@@ -137,6 +142,10 @@ def _telling(gain: np.ndarray, count: int) -> np.ndarray:
         return order
     places = np.unique(np.linspace(0, len(order) - 1, count).round().astype(int))
     return np.asarray(order[places])
+
+
+_Window = tuple[float, Picture]
+"""How much a window of an image tells, and its picture."""
 
 
 @dataclass(frozen=True)

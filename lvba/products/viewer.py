@@ -158,7 +158,7 @@ def _each(work: Callable[[int], None], chosen: list[int], what: str, progress: P
 
 def _renderer(state: State, folder: Path, kind: str, progress: Progress) -> Callable[[int], None]:
     """Writes the picture of an image, rendered from one state."""
-    colored = evaluate.color_by_paper(state, progress=progress)
+    (colored,) = evaluate.color_by_paper([state], progress=progress)
     return lambda image: _save(folder, kind, image, pictures.leave_one_out(colored, state, image))
 
 

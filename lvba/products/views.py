@@ -25,6 +25,8 @@ class Views:
     light: (H, W) float32, part of the light that arrives at each pixel (`visual.vignetting`); None: all, and grey
         values are in proportion to it
     curve: that grey values passed
+    white_balance: (I, 3) float64, log of how much brighter red, green and blue of an image are than its exposure says;
+        None: all are alike
     """
 
     load: Callable[[int], np.ndarray]
@@ -35,14 +37,18 @@ class Views:
     valid: np.ndarray | None = field(default=None)
     light: np.ndarray | None = field(default=None)
     curve: Response = field(default=LINEAR)
+    white_balance: np.ndarray | None = field(default=None)
 
     def __len__(self) -> int:
         return len(self.times)
 
     def load_even(self, index: int) -> np.ndarray:
-        """Light of image i as if all had arrived, (H, W, 3) uint8."""
-        picture = self.load(index)
-        return picture if self.light is None else radiometry.divided(picture[None], self.light, self.curve)[0]
+        """Light of image i as if all had arrived, and colors were balanced as in all others, (H, W, 3) uint8."""
+        picture, light = self.load(index), self.light
+        if self.white_balance is not None:
+            full = np.ones(picture.shape[:2], np.float32) if light is None else light
+            light = full[..., None] * np.exp(self.white_balance[index]).astype(np.float32)
+        return picture if light is None else radiometry.divided(picture[None], light, self.curve)[0]
 
     @property
     def intrinsics(self) -> Intrinsics:

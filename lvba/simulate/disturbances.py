@@ -28,9 +28,16 @@ class Disturbances:
         "focal lengths of the calibration are too long by this part", "", 0.003, 0.01, 0.2
     )
     principal_point: float = _disturbance(
-        "the principal point of the calibration is off by this much", "px", 2.0, 5.0, 50.0
+        "the principal point of the calibration is off by this much", "px", 2.0, 8.0, 50.0
     )
-    k1: float = _disturbance("k1 of the calibration is too large by this much", "", 0.005, 0.02, 0.2)
+    k1: float = _disturbance("k1 of the calibration is too large by this much", "", 0.005, 0.03, 0.2)
+    extrinsic: float = _disturbance(
+        "the camera's extrinsic is turned by this much, and moved by 1 cm for every 0.6 degrees",
+        "deg",
+        1.0,
+        3.0,
+        30.0,
+    )
     rolling_shutter: float = _disturbance(
         "time from the first to the last row of an image, stamped in the middle", "s", 0.015, 0.03, 0.1
     )
@@ -95,6 +102,7 @@ class Disturbances:
         "part of the surfaces that beams are reflected by: what they meet appears behind", "", 0.03, 0.1, 0.5
     )
     rain: float = _disturbance("part of the beams that come back from a drop", "", 0.01, 0.05, 0.5)
+    time_offset: float = _disturbance("images are stamped this much too early", "s", 0.02, 0.1, 1.0)
     clock_drift: float = _disturbance(
         "image stamps run ahead of scan stamps by this much at the end, from none at the beginning", "s",
         0.01, 0.05, 1.0,
@@ -126,7 +134,7 @@ class Disturbances:
 
 _SIGNED = {
     "focal", "principal_point", "k1", "rolling_shutter", "range_scale", "intensity_bias", "incidence_bias",
-    "elevation_bias", "depth_distortion", "clock_drift",
+    "elevation_bias", "depth_distortion", "time_offset", "clock_drift",
 }  # fmt: skip
 ABOUT: dict[str, dict[str, Any]] = {
     each.name: dict(each.metadata) for each in dataclasses.fields(Disturbances)

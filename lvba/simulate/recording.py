@@ -1,16 +1,19 @@
 """The text files of a simulated recording: poses, true poses, exposures, calibration, and what was put in."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from lvba import geometry
 from lvba.camera import Camera
 from lvba.dataset import CAMERA
 from lvba.errors import InputError
-from lvba.io import calibration, exposures, files, image_poses, tum
+from lvba.io import calibration, exposures, files, image_poses, imu, tum
 from lvba.io.exposures import Exposures
+from lvba.simulate.imu import SimulatedImu
 from lvba.simulate.truth import Rig, Truth
 from lvba.trajectory import Trajectory
 
@@ -50,21 +53,26 @@ def write_texts(
     tum.write_trajectory(reference / "lidar_poses.txt", truth.scans)
     tum.write_trajectory(reference / "image_poses.txt", truth.images)
     exposures.write_exposures(reference / "exposures.csv", Exposures(truth.images.times, exposure))
-    files.write_text(root / "config.yaml", _config_text(camera, rig, truth.rough_camera_from_body))
+    # its camera extrinsic is the rough one
+    camera_from_lidar = truth.rough_camera_from_body @ rig.body_from_lidar
+    text = calibration.recording_text(camera, rig.body_from_lidar, camera_from_lidar)
+    files.write_text(root / "config.yaml", text)
 
 
-def _config_text(camera: Camera, rig: Rig, rough_camera_from_body: np.ndarray) -> str:
-    """config.yaml as FAST-LIVO2 writes it; its camera extrinsic is the rough one."""
-    camera_from_lidar = rough_camera_from_body @ rig.body_from_lidar
-    lines = [
-        "cam_model:",
-        *(f"  {key}: {value}" for key, value in calibration.camera_keys(camera).items()),
-        "extrin_calib:",
-    ]
-    for rotation_key, translation_key, transform in (
-        ("extrinsic_R", "extrinsic_T", rig.body_from_lidar),
-        ("Rcl", "Pcl", camera_from_lidar),
-    ):
-        lines.append(f"  {rotation_key}: {transform[:3, :3].ravel().tolist()}")
-        lines.append(f"  {translation_key}: {transform[:3, 3].tolist()}")
-    return "\n".join(lines) + "\n"
+def imu_facts(measured: SimulatedImu, truth: Truth) -> dict[str, Any]:
+    """What is true of an IMU: biases, axes, and which way is down in the world frame of the poses."""
+    world_from_scene = truth.scans.world_from_sensor[0] @ geometry.inverse(truth.scene_from_body[0])
+    return {
+        "gyroscope_bias": measured.gyroscope_bias.tolist(),
+        "accelerometer_bias": measured.accelerometer_bias.tolist(),
+        "gyroscope_axes": measured.gyroscope_axes.tolist(),
+        "accelerometer_axes": measured.accelerometer_axes.tolist(),
+        "down": (-world_from_scene[:3, 2]).tolist(),
+    }
+
+
+def write_imu(root: Path, measured: SimulatedImu, truth: Truth) -> None:
+    """imu.csv on the clock of the scans."""
+    start = float(np.round(truth.scans.times[0] - truth.scan_moments[0]))
+    readings = measured.readings
+    imu.write(root / imu.NAME, replace(readings, times=readings.times + start))

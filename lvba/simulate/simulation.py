@@ -18,6 +18,7 @@ from lvba.io import images, pcd
 from lvba.progress import Progress, silent
 from lvba.simulate import camera as cameras
 from lvba.simulate import disturbed, drift, recording, scenes, texture
+from lvba.simulate import imu as imus
 from lvba.simulate import lidar as lidars
 from lvba.simulate import truth as truths
 from lvba.simulate.camera import Sensor
@@ -36,7 +37,7 @@ _VIGNETTING = 0.35
 _SHOT_NOISE = 0.02
 _BLUR_S = 0.008
 """How long the shutter is open at relative exposure 1."""
-_SCAN_RNG, _IMAGE_RNG, _LENS_RNG = 1, 2, 4
+_SCAN_RNG, _IMAGE_RNG, _LENS_RNG, _IMU_RNG = 1, 2, 4, 5
 PINHOLE, FISHEYE = "pinhole", "fisheye"
 
 
@@ -118,6 +119,7 @@ def simulate(
     image_poses: str = CAMERA,
     disturb: Disturbances = NONE,
     lens: str = PINHOLE,
+    imu: bool = False,
     progress: Progress = silent,
 ) -> None:
     """Writes a dataset folder of a simulated recording, with the truth in its folder `reference`.
@@ -131,6 +133,7 @@ def simulate(
     image_poses: camera or body: what image_poses.txt holds; FAST-LIVO2 writes the body's
     disturb: what real sensors do, see `lvba.simulate.disturbances`
     lens: pinhole, of about 65 degrees with k1 k2 p1 p2, or fisheye, equidistant of about 160
+    imu: write imu.csv, of an IMU at the body
     Raises: InputError on an unknown name, a number out of range, a folder that holds another recording, or if Open3D
         is not installed.
     """
@@ -172,6 +175,9 @@ def simulate(
         asked["closing_m_deg"] = list(closing)
     if lens != PINHOLE:
         asked["lens"] = lens
+    measured = imus.measure(made.scene.motion, np.random.default_rng([seed, _IMU_RNG])) if imu else None
+    if measured is not None:
+        asked["imu"] = recording.imu_facts(measured, made.truth)
     if disturb.present:
         asked["disturbances"] = disturb.present
         asked["true_camera"] = {**asdict(camera), "distortion": list(camera.distortion)}
@@ -179,6 +185,8 @@ def simulate(
     root = recording.make_folders(out, facts)
     calibrated = disturbed.calibration(camera, disturb, seed)
     recording.write_texts(root, made.truth, made.rig, calibrated, exposure, image_poses)
+    if measured is not None:
+        recording.write_imu(root, measured, made.truth)
     with warnings.catch_warnings():
         # numba asks for a newer TBB than the one Open3D brings, and does without
         warnings.filterwarnings("ignore", message="The TBB threading layer requires")

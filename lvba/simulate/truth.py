@@ -14,6 +14,7 @@ from lvba.trajectory import Trajectory
 
 _START_S = 1_700_000_000
 _MARGIN_S = 0.05
+_EXTRINSIC_M_PER_DEG = 1 / 60
 _AXES = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
 """Camera axes (x right, y down, z forward) of body axes (x forward, y left, z up)."""
 
@@ -89,10 +90,11 @@ def build(
     rough_scans, scale = drifts.rough_scans(true_scans, scan_times, drift, scan_level, rng)
     error = drifts.camera_error(geometry.inverse(scene_from_camera) @ at_stamp, level, rng)
     carriers = world_from_scene @ motion.poses(image_times) @ geometry.exp(drift.at(image_times, scale))
-    rough_body_from_camera = body_from_camera @ geometry.exp(error.extrinsic)
-    rough_images = carriers @ rough_body_from_camera @ geometry.exp(error.noise)
     # draws of their own, so that what is not disturbed stays the same
-    other = rng.spawn(1)[0]
+    other, camera_rng = rng.spawn(2)
+    rough_body_from_camera = body_from_camera @ geometry.exp(error.extrinsic) @ _turned(disturb, camera_rng)
+    rough_images = carriers @ rough_body_from_camera @ geometry.exp(error.noise)
+    time_offset += disturb.time_offset
     image_moments = image_times + time_offset - disturbed_times.stamp_errors(image_times, disturb, other)
     scene_from_camera = motion.poses(image_moments) @ body_from_camera
     if disturb.jumps:
@@ -117,6 +119,15 @@ def build(
         image_moments=image_moments,
         time_offset=time_offset,
     )
+
+
+def _turned(disturb: Disturbances, rng: np.random.Generator) -> np.ndarray:
+    """(4, 4): by which the extrinsic of the calibration is off beside what difficulty makes of it, in any direction."""
+    turn, shift = (each / np.linalg.norm(each) for each in rng.normal(size=(2, 3)))
+    tangent = np.concatenate(
+        [np.radians(disturb.extrinsic) * turn, _EXTRINSIC_M_PER_DEG * disturb.extrinsic * shift]
+    )
+    return np.asarray(geometry.exp(tangent))
 
 
 def _random_world(rng: np.random.Generator) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 from lvba.products.evaluate import Scores
 from lvba.products.map_quality import EntropyChange
 from lvba.settings import check, setting
+from lvba.visual.calibration_prior import NO_CHANGE, ExtrinsicChange
 
 ROUGH, CARRIED, EXPOSED = "rough", "carried", "exposed"
 POSED, VISUAL = "posed", "visual"
@@ -65,8 +66,16 @@ MIN_PSNR_LOSS = 0.1
 """Losses of leave-one-out PSNR up to this, dB, contradict nothing: rendering alone makes such differences."""
 MIN_SSIM_LOSS = 0.005
 """Losses of leave-one-out SSIM up to this contradict nothing."""
+MOST_EXTRINSIC_SIGMAS = 3.0
+"""By so many standard deviations of its calibration an extrinsic may move on the images' word, whatever that is worth."""
+LEAST_CERTAINTY = 2.0
+"""Times more certain than the calibration images must be of an extrinsic that moved further. Where the calibration of a
+simulated recording is 2.6 degrees and 3 cm off, they are so ten times; a Kinect that turned on the spot moved its own by
+5 cm, all cameras with it, and was no more certain than the calibration."""
 SCAN_IMAGES = 60
 """So many images, spread evenly, are asked whether they contradict refined scans: enough for standard errors."""
+FEW_SCAN_IMAGES = 20
+"""So many of them are asked first, and the others only where these do not speak for scans that the map speaks for."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +134,7 @@ def entropy_figure(change: EntropyChange, config: GateConfig) -> Figure:
 
 
 _PSNR, _SSIM = "psnr_leave_one_out", "ssim_leave_one_out"
-_LOSSES = {
+LOSSES = {
     _PSNR: MIN_PSNR_LOSS,
     "psnr_common": MIN_PSNR_LOSS,
     _SSIM: MIN_SSIM_LOSS,
@@ -135,7 +144,7 @@ _LOSSES = {
 
 def image_figures(before: Scores, after: Scores, config: GateConfig) -> tuple[Figure, ...]:
     """What the images say: leave-one-out PSNR and SSIM, each over its own pixels and over those that all cover."""
-    return tuple(_image_figure(before, after, name, config) for name in _LOSSES)
+    return tuple(_image_figure(before, after, name, config) for name in LOSSES)
 
 
 def _image_figure(before: Scores, after: Scores, name: str, config: GateConfig) -> Figure:
@@ -145,7 +154,7 @@ def _image_figure(before: Scores, after: Scores, name: str, config: GateConfig) 
         finding = "unknown"
     elif gain > config.confidence * error:
         finding = "better"
-    elif -gain > max(_LOSSES[name], CONTRADICTION * error):
+    elif -gain > max(LOSSES[name], CONTRADICTION * error):
         finding = "worse"
     return Figure(
         name=name,
@@ -226,14 +235,38 @@ def judge_scans(entropy: Figure, images: Sequence[Figure], config: GateConfig) -
     return Verdict(True, "accepted", f"{_words(entropy, *_leading(images))}", figures)
 
 
+def images_agree(entropy: Figure, images: Sequence[Figure]) -> bool:
+    """Whether scans that make the map crisper beyond chance make PSNR better by more than its standard error: of more
+    images none then speak against them beyond chance."""
+    return entropy.finding == "better" and _beyond(images, 1.0)
+
+
 def _beyond(images: Sequence[Figure], errors: float) -> bool:
     """Whether PSNR gains by more than so many standard errors, over either kind of pixels."""
     return all(each.gain > errors * each.error for each in images if each.name in (_PSNR, "psnr_common"))
 
 
-def judge_cameras(before: Scores, after: Scores, config: GateConfig) -> Verdict:
-    """Whether the camera poses found predict the images better. Same scans and same exposures in both."""
-    return _judge_by_images(before, after, "camera poses", config)
+def judge_cameras(
+    before: Scores, after: Scores, config: GateConfig, extrinsic: ExtrinsicChange = NO_CHANGE
+) -> Verdict:
+    """Whether the camera poses found predict the images better. Same scans and same exposures in both.
+
+    extrinsic: that they suppose. All cameras that leave the scans together change little in the images that judge each
+    other: there the calibration contradicts, unless images know better.
+    """
+    verdict = _judge_by_images(before, after, "camera poses", config)
+    if not (config.enabled and verdict.accepted and _doubtful(extrinsic)):
+        return verdict
+    cause = (
+        f"images are predicted better ({_words(*_leading(verdict.figures))}), but all cameras have left the scans: the "
+        f"extrinsic moved by {extrinsic.sigmas:.1f} standard deviations of its calibration, and images are only "
+        f"{extrinsic.certainty:.1f} times more certain of it than that"
+    )
+    return Verdict(False, "input camera poses kept", cause, verdict.figures)
+
+
+def _doubtful(extrinsic: ExtrinsicChange) -> bool:
+    return extrinsic.sigmas > MOST_EXTRINSIC_SIGMAS and extrinsic.certainty < LEAST_CERTAINTY
 
 
 def judge_exposures(before: Scores, after: Scores, config: GateConfig) -> Verdict:

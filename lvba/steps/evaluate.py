@@ -1,6 +1,7 @@
 """The steps that score the states of a recording and choose the one that becomes the result."""
 
 import dataclasses
+import functools
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -34,6 +35,11 @@ from lvba.steps.part_scores import as_in_whole, in_core, together
 from lvba.visual import self_calibration
 from lvba.visual.radiometry import NONE, Radiometry
 
+CLEAR = 2.0
+"""A gain of so many times the standard errors that it must exceed is one whichever images are asked ..."""
+LEAST_CONFIDENCE = 2.0
+"""... and of no fewer than so many times CLEAR, however few it must exceed."""
+
 
 @dataclass(frozen=True)
 class Choice:
@@ -66,6 +72,7 @@ def evaluate(
     fused: ScanPoses,
     visual: VisualStage,
     config: EvaluateConfig,
+    gates: GateConfig,
     progress: Progress = silent,
 ) -> dict[str, Scores]:
     """The scores, over the images in a part's core, of the input and of what each stage made of it, by name (see
@@ -74,19 +81,23 @@ def evaluate(
     dataset: of the part's frames, points, photos: of these; images: how many the whole recording has
     scans, fused, visual: of the whole
     Of states that are neither input nor expected to be the result there are only the figures that decide; the others
-    are NaN.
+    are NaN. A part that is the whole recording is judged on a few images where these leave no doubt (`is_clear`).
     """
     core = _judged(images, part, config)
     if not len(core):
         return {}
     read = ScanReader(points, part.scans[0])
     states = judged_states(dataset, part, read, photos, *of_part(scans, fused, visual, part), progress)
+    alone = part.core_images == (0, images)
     scores = evaluation.evaluate(
         states,
         config,
         entropies=entropies_of(states, scans, fused),
         brief=_brief(states),
         images=core - part.images[0],
+        enough=functools.partial(is_clear, scans=scans, fused=fused, visual=visual, config=gates)
+        if alone
+        else None,
         progress=progress,
     )
     return as_in_whole(scores, part)
@@ -110,7 +121,7 @@ def complete(
     name = accepted.state
     if name not in _brief(scores):
         return scores
-    core = _judged(images, part, config) - part.images[0]
+    core = scores[name].images - part.images[0]
     read = ScanReader(points, part.scans[0])
     states = judged_states(dataset, part, read, photos, *of_part(scans, fused, visual, part), progress)
     entropies = entropies_of([name], scans, fused)
@@ -185,11 +196,11 @@ def judged_states(
     if fused.verdict.accepted:
         clouds[FUSED] = clouds[FUSED_POSED] = cloud_of(dataset, fused.world_from_scan, progress, read)
     views: dict[Camera, Views] = {}
-    states = {}
+    pictures, states = PhotoReader(photos, dataset.camera, part.images[0]), {}
     for name, cameras in camera_states(dataset, scans, fused, visual).items():
         if cameras.camera not in views:
             seen_by = dataset.with_camera(cameras.camera)
-            views[cameras.camera] = views_of(seen_by, PhotoReader(photos, cameras.camera, part.images[0]))
+            views[cameras.camera] = views_of(seen_by, pictures.seen_by(cameras.camera))
         poses, exposures = cameras.world_from_camera, cameras.log_exposure
         light = recorded_images.light_in(cameras.radiometry, cameras.camera)
         at = dataclasses.replace(
@@ -239,7 +250,7 @@ def choose(
         return Choice(CARRIED, nothing, nothing, fused.verdict)
     exposures = acceptance.judge_exposures(scores[POSED], scores[VISUAL], config)
     before, after = (EXPOSED, VISUAL) if exposures.accepted else (CARRIED, POSED)
-    cameras = acceptance.judge_cameras(scores[before], scores[after], config)
+    cameras = acceptance.judge_cameras(scores[before], scores[after], config, visual.result.extrinsic_change)
     if not cameras.accepted:
         exposures = acceptance.judge_exposures(scores[CARRIED], scores[EXPOSED], config)
         state = EXPOSED if exposures.accepted else CARRIED
@@ -259,6 +270,22 @@ def choose(
     return Choice(together if fusion.accepted else after, cameras, exposures, fusion)
 
 
+def is_clear(
+    scores: Mapping[str, Scores], scans: ScanPoses, fused: ScanPoses, visual: VisualStage, config: GateConfig
+) -> bool:
+    """Whether more images could hardly change what is chosen: every part gains by CLEAR times what it must exceed, and no
+    figure loses more than contradicts nothing."""
+    if visual.result is None or not config.enabled:
+        return True
+    twice = min(CLEAR * max(config.confidence, LEAST_CONFIDENCE), 100.0)
+    chosen = choose(scores, scans, fused, visual, dataclasses.replace(config, confidence=twice))
+    verdicts = [chosen.cameras, chosen.exposures, *([chosen.fusion] if fused.verdict.accepted else [])]
+    if not all(verdict.accepted for verdict in verdicts):
+        return False
+    figures = [figure for verdict in verdicts for figure in verdict.figures]
+    return all(-figure.gain <= acceptance.LOSSES.get(figure.name, np.inf) for figure in figures)
+
+
 def decide(
     dataset: Dataset,
     scans: ScanPoses,
@@ -271,6 +298,7 @@ def decide(
     chosen = choose(scores, scans, fused, visual, config)
     used = fused if chosen.fusion.accepted else scans
     cameras = camera_states(dataset, scans, fused, visual)[chosen.state]
+    balance = None if visual.result is None or not chosen.exposures.accepted else visual.result.white_balance
     return Accepted(
         world_from_scan=used.world_from_scan,
         world_from_camera=cameras.world_from_camera,
@@ -282,6 +310,7 @@ def decide(
         exposures=chosen.exposures,
         fusion=chosen.fusion,
         state=chosen.state,
+        white_balance=balance,
         remark=_remark(scores, chosen.state),
     )
 

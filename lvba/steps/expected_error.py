@@ -30,12 +30,13 @@ def of_result(lidar: LidarStage, fused: FusionStage, visual: VisualStage, accept
 
 
 def scan_covariance(lidar: LidarStage, fused: FusionStage, accepted: Accepted) -> np.ndarray | None:
-    """(S, 6, 6) of the scan poses that are the result; None where these are the input's."""
+    """(S, 6, 6) of the scan poses that are the result, with errors that planes close to each other share; None where
+    these are the input's."""
     if lidar.result is None or not accepted.scans.accepted:
         return None
     if fused.result is not None and accepted.fusion.accepted:
-        return fused.result.covariance
-    return lidar.result.covariance
+        return lidar.result.shared_factor * fused.result.covariance
+    return lidar.result.shared_factor * lidar.result.covariance
 
 
 def _known(covariance: np.ndarray) -> np.ndarray:

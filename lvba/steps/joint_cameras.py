@@ -326,12 +326,16 @@ def finish_cameras(
     if lidar.result is not None and scans.verdict.accepted:
         where = Trajectory(dataset.scans.times, scans.world_from_scan)
         unsolved = ~np.isfinite(spread[:, 0, 0])
-        spread[unsolved] = covariance.of_map(poses, times, where, lidar.result.covariance)[unsolved]
+        known = lidar.result.shared_factor * lidar.result.covariance
+        spread[unsolved] = covariance.of_map(poses, times, where, known)[unsolved]
     nearest = nearest_in_time(times[keyframes], times)
     degenerate = np.zeros(len(times), np.int32)
     for core, part in zip(cores, stages, strict=True):
         if part.result is not None:
             degenerate[slice(*core.core_images)] = part.result.degenerate[core.core_of_images]
+    calibration = _calibration(now, prior, stages)
+    sigma = common_sigma([result.calibration_sigma for result in results])
+    balance = _white_balance(cores, stages, len(times))
     fewest = min(results, key=lambda result: len(result.degenerate_common))
     return VisualStage(
         VisualResult(
@@ -339,18 +343,21 @@ def finish_cameras(
             log_exposure=log_exposure - log_exposure[0],
             covariance=spread,
             local_covariance=local_covariance,
-            log_exposure_sigma=now.exposure_sigma[nearest],
+            log_exposure_sigma=np.hypot(now.exposure_sigma[nearest], balance),
             keyframes=keyframes,
-            calibration=_calibration(now, prior, stages),
-            calibration_sigma=common_sigma([result.calibration_sigma for result in results]),
+            calibration=calibration,
+            calibration_sigma=sigma,
             degenerate=degenerate,
             degenerate_common=fewest.degenerate_common,
             levels=_levels(results),
             cost_initial=float(sum(result.cost_initial for result in results)),
             cost_final=float(sum(result.cost_final for result in results)),
             converged=all(result.converged for result in results),
-            warnings=_warnings(cores, stages),
+            warnings=(*_warnings(cores, stages), *_of_white_balance(balance)),
             radiometry=now.radiometry,
+            extrinsic_change=calibration_prior.extrinsic_change(
+                calibration, prior.calibration, np.diag(sigma**2)
+            ),
         )
     )
 
@@ -406,3 +413,23 @@ def _warnings(cores: Sequence[Part], stages: Sequence[VisualStage]) -> tuple[str
         else:
             warnings += [f"{name}: {warning}" for warning in part.result.warnings]
     return tuple(warnings)
+
+
+def _white_balance(cores: Sequence[Part], stages: Sequence[VisualStage], images: int) -> np.ndarray:
+    """(images,): root mean square over the colors of how far each is off the exposure of its image (logarithms)."""
+    off = np.zeros(images)
+    for core, part in zip(cores, stages, strict=True):
+        if part.result is not None and part.result.white_balance is not None:
+            gain = part.result.white_balance[core.core_of_images]
+            off[slice(*core.core_images)] = np.sqrt(np.square(gain).mean(axis=1))
+    return off
+
+
+def _of_white_balance(off: np.ndarray) -> tuple[str, ...]:
+    if not off.any():
+        return ()
+    size = 100 * float(np.sqrt(np.square(off).mean()))
+    return (
+        f"The white balance changes between images by {size:.1f} % (root mean square). In a recording in parts, "
+        "exposures are those of grey values, and depend on what images show by about as much",
+    )

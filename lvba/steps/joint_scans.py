@@ -14,16 +14,17 @@ from lvba.blocks.regions import regions
 from lvba.blocks.split import Part
 from lvba.blocks.survey import Survey
 from lvba.dataset import Dataset
-from lvba.lidar import bundle_adjustment as lidar_ba
 from lvba.lidar.bundle_adjustment import LidarConfig, LidarResult, Round
 from lvba.lidar.plane import PlanePoints, Planes
+from lvba.lidar.rounds import OBLIQUE
+from lvba.lidar.scan_errors import ScanErrors
 from lvba.loop_closure import registration, rough_poses, submap
 from lvba.loop_closure.candidates import Candidate
 from lvba.loop_closure.registration import Loop
 from lvba.loop_closure.rough_poses import RoughError
 from lvba.loop_closure.submap import Submap
 from lvba.progress import Progress, silent
-from lvba.steps.lidar import solve_lidar
+from lvba.steps.lidar import solve_lidar, with_motion
 from lvba.steps.outcomes import LidarStage
 
 
@@ -32,7 +33,7 @@ class PartScans:
     """What the LiDAR bundle adjustment of one part leaves; the input's poses where it could not be solved.
 
     poses: with scan numbers of the whole; covariances of the odometry where it could not be solved
-    variance_factor, iterations, history, converged, warnings: as in `LidarResult`
+    variance_factor, shared_factor, history, converged, warnings: as in `LidarResult`
     rough_error, confirmed: as in `LidarStage`, with scan numbers of the whole
     """
 
@@ -42,6 +43,7 @@ class PartScans:
     history: tuple[Round, ...]
     converged: bool
     warnings: tuple[str, ...]
+    shared_factor: float = 1.0
     problem: str = ""
     rough_error: RoughError | None = None
     confirmed: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -56,7 +58,7 @@ def solve_part(
     progress: Progress = silent,
 ) -> PartScans:
     """The scan poses of one part, as `steps.lidar.solve_lidar` finds them. dataset: of the part's frames."""
-    lidar = solve_lidar(dataset, part, points, config, enabled, progress)
+    lidar = solve_lidar(dataset, part, points, config, enabled, progress=progress)
     result = lidar.result
     if result is None:
         return _unsolved(dataset, part, config, lidar.problem)
@@ -68,6 +70,7 @@ def solve_part(
         history=result.history,
         converged=result.converged,
         warnings=result.warnings,
+        shared_factor=result.shared_factor,
         rough_error=lidar.rough_error and lidar.rough_error.numbered(part.scan_numbers),
         confirmed=part.scan_numbers[lidar.confirmed],
     )
@@ -127,7 +130,7 @@ def merge_parts(
     # an odometry that surfaces contradict says nothing beside them
     wrong = any(part.rough_error is not None for part in parts)
     odometry = merged.world_from_scan if wrong else dataset.scans.world_from_sensor
-    state = lidar_joint.begin(odometry, poses, survey.lidar)
+    state = lidar_joint.begin(odometry, poses, survey.lidar, survey.reach_m)
     if all(part.problem for part in parts):
         state = replace(state, converged_stage=len(survey.stages))
     return MergedStage(merged, state)
@@ -169,7 +172,7 @@ def collect_clusters(
         part,
         size=sizes[0],
         largest=max(stage.sizes[-1] for stage in survey.stages[-2:]),
-        grid_from_world=lidar_ba.OBLIQUE if survey.stages[-1].oblique_grid else np.eye(4),
+        grid_from_world=OBLIQUE if survey.stages[-1].oblique_grid else np.eye(4),
         progress=progress,
     )
 
@@ -193,6 +196,7 @@ def linearize_scans(
         state.world_from_scan,
         dataset.sensor_position_scan,
         survey.stages[number],
+        state.groups,
     )
 
 
@@ -232,8 +236,9 @@ def finish_scans(
     read_equations: Sequence[Callable[[], BlockEquations | None]],
     parts: Sequence[PartScans],
     survey: Survey,
+    scan_errors: ScanErrors | None = None,
 ) -> JointScans:
-    """The result of all rounds; read_equations: of all regions at the final poses."""
+    """The result of all rounds; read_equations: of all regions at the final poses; scan_errors: as of `solve_lidar`."""
     final = lidar_block.summed(
         each for read in read_equations if (each := read()) is not None and each.planes
     )
@@ -242,7 +247,10 @@ def finish_scans(
         return JointScans(
             LidarStage(None, problems[0] if problems else "no plane is seen by two scans"), merged.merged, ()
         )
-    variance_factor = float(np.median([part.variance_factor for part in parts if not part.problem]))
+    variance_factor, shared_factor = (
+        float(np.median([getattr(part, name) for part in parts if not part.problem]))
+        for name in ("variance_factor", "shared_factor")
+    )
     uncertainty = lidar_joint.covariance(state, final, survey.lidar, variance_factor)
     history = tuple(
         Round(
@@ -265,6 +273,7 @@ def finish_scans(
         conditional_covariance=uncertainty.conditional,
         step_covariance=np.zeros((0, 6, 6)),
         variance_factor=variance_factor,
+        shared_factor=shared_factor,
         planes=_no_planes(),
         plane_points=PlanePoints(np.zeros((0, 3), np.float32), np.zeros(0, np.int32), np.zeros(1, np.int64)),
         history=(*(entry for part in parts for entry in part.history[:1]), *history),
@@ -279,6 +288,7 @@ def finish_scans(
     )
     errors = [part.rough_error for part in parts if part.rough_error is not None]
     confirmed = np.unique(np.concatenate([part.confirmed for part in parts]))
+    result = with_motion(result, scan_errors, np.arange(len(result.covariance)))
     stage = LidarStage(result, rough_error=rough_poses.of_all(errors), confirmed=confirmed)
     return JointScans(stage, merged.merged, state.history)
 

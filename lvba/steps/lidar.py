@@ -1,18 +1,22 @@
 """The step that refines the scans of one part, and what follows from scan poses: clouds, cameras carried along."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from lvba import geometry, trajectory
-from lvba.arrays import Poses
+from lvba.arrays import Indices, Poses
 from lvba.blocks.decoded import Pieces, ScanPoints, ScanReader
 from lvba.blocks.split import Part
 from lvba.dataset import Dataset
 from lvba.errors import DegenerateProblemError
+from lvba.inertial.readings import Imu
 from lvba.io import dataset as recordings
+from lvba.io import imu as imu_files
 from lvba.lidar import bundle_adjustment as lidar_ba
-from lvba.lidar.bundle_adjustment import LidarConfig
+from lvba.lidar.bundle_adjustment import LidarConfig, LidarResult
+from lvba.lidar.scan_errors import ScanErrors
 from lvba.loop_closure import rough_poses
 from lvba.loop_closure.submap import Patch
 from lvba.products.cloud import Cloud, assemble
@@ -28,11 +32,13 @@ def solve_lidar(
     points: Pieces[ScanPoints],
     config: LidarConfig,
     enabled: bool = True,
+    errors: ScanErrors | None = None,
     progress: Progress = silent,
 ) -> LidarStage:
     """Scan poses of a part, planes and what is known about them, from the scans and their rough poses.
 
-    dataset: of the part's frames; points: of its scans
+    dataset: of the part's frames; points: of its scans; errors: of the scans of the recording, taken out of the points:
+        covariances grow by what their uncertainty makes of the poses
     """
     if not enabled:
         return LidarStage(None, "LiDAR bundle adjustment is switched off (refine_scans)")
@@ -49,16 +55,45 @@ def solve_lidar(
             rough if begin is None else begin.world_from_scan,
             sensor_position=sensor,
             config=config,
+            imu=_imu(dataset),
             progress=progress,
         )
     except DegenerateProblemError as error:
         return LidarStage(None, str(error))
     poses = result.world_from_scan
     return LidarStage(
-        result,
+        with_motion(result, errors, part.scan_numbers),
         rough_error=None if begin is None else begin.judged(surfels, poses),
         confirmed=_confirmed(surfels, dataset.scans, Trajectory(dataset.scans.times, poses)),
     )
+
+
+def with_motion(result: LidarResult, errors: ScanErrors | None, scans: Indices) -> LidarResult:
+    """The result of some scans (n,) with covariances as the motion that was taken out of their points is uncertain.
+
+    errors: of the scans of the recording
+    """
+    motion = None if errors is None else errors.motion
+    if motion is None or not len(motion.pose_covariance):
+        return result
+    more, steps = motion.pose_covariance[scans], result.step_covariance
+    if len(steps):
+        later, earlier = result.world_from_scan[1:], result.world_from_scan[:-1]
+        carry = geometry.adjoint(geometry.inverse(later) @ earlier)
+        steps = steps + more[1:] + carry @ more[:-1] @ carry.transpose(0, 2, 1)
+    return replace(
+        result,
+        covariance=result.covariance + more,
+        conditional_covariance=result.conditional_covariance + more,
+        step_covariance=steps,
+    )
+
+
+def _imu(dataset: Dataset) -> Imu | None:
+    """What the IMU of a recording felt; None: it has none."""
+    if not dataset.imu_path:
+        return None
+    return Imu(imu_files.read(dataset.imu_path), dataset.scans.times, dataset.scan_from_imu)
 
 
 def _confirmed(surfels: Sequence[Patch | None], rough: Trajectory, refined: Trajectory) -> np.ndarray:

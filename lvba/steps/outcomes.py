@@ -121,6 +121,8 @@ class Accepted:
     remark: str = ""
     radiometry: Radiometry = NONE
     """Of the images, as the exposures suppose it."""
+    white_balance: np.ndarray | None = None
+    """(I, 3) float64, log of how much brighter colors are than the exposures say; None: all alike."""
 
 
 def scan_covariance(lidar: LidarStage, scans: ScanPoses) -> Covariance | None:
@@ -128,4 +130,6 @@ def scan_covariance(lidar: LidarStage, scans: ScanPoses) -> Covariance | None:
     if lidar.result is None or not scans.verdict.accepted:
         return None
     result = lidar.result
-    return Covariance(result.covariance, result.conditional_covariance, result.step_covariance)
+    return Covariance(
+        marginal=result.covariance, conditional=result.conditional_covariance, step=result.step_covariance
+    )

@@ -75,6 +75,7 @@ def _of_part(accepted: Accepted, part: Part) -> Accepted:
         world_from_scan=accepted.world_from_scan[slice(*part.scans)],
         world_from_camera=accepted.world_from_camera[mine],
         log_exposure=accepted.log_exposure[mine],
+        white_balance=None if accepted.white_balance is None else accepted.white_balance[mine],
     )
 
 
@@ -108,6 +109,7 @@ def colored_map(
         views_of(dataset, load, accepted.radiometry),
         world_from_camera=accepted.world_from_camera,
         log_exposure=accepted.log_exposure,
+        white_balance=accepted.white_balance,
     )
     return map_file.build(
         cloud_of(dataset, accepted.world_from_scan, progress, read), views, config, progress, gain

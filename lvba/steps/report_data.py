@@ -22,6 +22,7 @@ from lvba.steps import (
     plane_thickness,
     reference_data,
     trajectory_jumps,
+    verdict,
     verdict_data,
 )
 from lvba.steps.acceptance import ROUGH
@@ -34,6 +35,9 @@ from lvba.visual import self_calibration
 from lvba.visual.radiometry import Radiometry
 from lvba.visual.response import GREY_VALUES
 from lvba.visual.result import VisualResult
+
+_VISIBLE = 0.005
+"""Standard deviation of a log exposure below which nobody sees what is off: a grey value of 200 by 1."""
 
 
 def collect(
@@ -135,9 +139,11 @@ def of_lidar(lidar: LidarStage, scans: ScanPoses, accepted: Accepted) -> dict[st
             lidar.result,
             but=(
                 *("world_from_scan", "planes", "plane_points"),
-                *("covariance", "conditional_covariance", "step_covariance"),
+                *("covariance", "conditional_covariance", "step_covariance", "inertial"),
             ),
         )
+        if lidar.result.inertial is not None:
+            facts["imu"] = lidar.result.inertial.facts()
         facts["planes"] = len(lidar.result.planes)
     return facts
 
@@ -146,7 +152,7 @@ def of_scan_errors(errors: ScanErrors | None) -> dict[str, Any]:
     """Errors of the range sensor; the part of the motion that was left in scans, and by what their points were moved."""
     if errors is None:
         return {}
-    facts: dict[str, Any] = {} if errors.motion is None else {"motion_left": errors.motion}
+    facts: dict[str, Any] = {} if errors.motion is None else {"motion_left": errors.motion.facts()}
     return facts if errors.ranges is None else facts | {"range_errors": errors.ranges.facts()}
 
 
@@ -215,9 +221,14 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
         but=(
             *("world_from_camera", "covariance", "local_covariance"),
             *("scan_from_camera", "degenerate", "log_exposure", "log_exposure_sigma"),
-            *("calibration_sigma", "radiometry"),
+            *("calibration_sigma", "radiometry", "extrinsic_change", "white_balance"),
         ),
     )
+    if accepted.exposures.accepted:
+        facts["vague_exposures"] = _vague(result.log_exposure_sigma)
+    if result.white_balance is not None:
+        size = 100 * float(np.sqrt(np.square(result.white_balance).mean()))
+        facts["white_balance"] = {"used": accepted.exposures.accepted, "change_percent": size}
     facts["history"] = _history(visual)
     facts["iterations"] = len(facts["history"])
     facts["time_offset"] = {"seconds": result.time_offset, "sigma": float(result.extrinsic_sigma[6])}
@@ -227,6 +238,8 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
         "scan_from_camera": result.scan_from_camera,
         "change_deg": float(np.degrees(np.linalg.norm(change[:3]))),
         "change_m": float(np.linalg.norm(change[3:])),
+        "sigmas": result.extrinsic_change.sigmas,
+        "certainty": result.extrinsic_change.certainty,
     }
     facts["keyframes"] = len(result.keyframes)
     last = result.levels[-1]
@@ -236,6 +249,12 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
     }
     facts["degenerate_directions"] = {"count": int(np.sum(result.degenerate)), "per_image": result.degenerate}
     return facts
+
+
+def _vague(log_exposure_sigma: np.ndarray) -> np.ndarray:
+    """Images whose exposures are known verdict.VAGUE times less well than the others, and to worse than can be seen."""
+    typical = float(np.median(log_exposure_sigma))
+    return np.flatnonzero(log_exposure_sigma > max(verdict.VAGUE * typical, _VISIBLE))
 
 
 def _calibration(dataset: Dataset, result: VisualResult, accepted: Accepted) -> dict[str, Any]:
@@ -324,6 +343,8 @@ def of_exposure(
     }
     if visual.result is not None and accepted.exposures.accepted:
         facts["log_sigma"] = visual.result.log_exposure_sigma
+    if accepted.white_balance is not None:
+        facts["white_balance"] = np.exp(accepted.white_balance)
     if reference is not None and reference.exposures is not None:
         pairs = matched(times, reference.exposures.times)
         known = np.full(len(times), np.nan)

@@ -105,12 +105,21 @@ def compare(
     carried = dataclasses.replace(views, world_from_camera=carry_cameras(dataset, refined))
     states = {ROUGH: State(before, views), CARRIED: State(after, carried)}
     unknown = dict.fromkeys(states, float("nan"))
+    entropy = acceptance.entropy_figure(map_quality.entropy_change(*_of_all_regions(entropies)), gates)
+
+    def agree(scores: Mapping[str, Scores]) -> bool:
+        return acceptance.images_agree(
+            entropy, acceptance.image_figures(scores[ROUGH], scores[CARRIED], gates)
+        )
+
     scores = evaluate.evaluate(
         states,
         config,
         entropies=unknown,
         brief=tuple(states),
         images=core - part.images[0],
+        enough=agree if part.core_images == (0, images) else None,
+        few=acceptance.FEW_SCAN_IMAGES,
         progress=progress,
     )
     return as_in_whole(scores, part)

@@ -73,7 +73,11 @@ def of_exposures(
     return (
         facts
         if power is None
-        else facts | {"nees_after_power": _squared_error(estimate - power * truth, spread)}
+        else facts
+        | {
+            "nees_after_power": _squared_error(estimate - power * truth, spread),
+            "predicted_percent_after_power": facts["predicted_percent"] / power,
+        }
     )
 
 

@@ -16,6 +16,8 @@ Level = Literal["good", "check", "bad"]
 MOST_VARIANCE_FACTOR, MOST_SPLINE_ERROR, MOST_FUSION_VARIANCE_FACTOR = 4.5, 0.8, 1.2
 _FEWEST_FRAMES = 10
 """With fewer, one rigid alignment takes up much of what could be compared."""
+_NAMED = 8
+"""Images that are named at most."""
 _FEW = 0.05
 """Part of the frames that may be less certain than the others: the 95th percentile leaves them out."""
 VAGUE = 3.0
@@ -34,6 +36,18 @@ class Judged:
 
     accepted: bool | None = None
     reason: str = ""
+
+
+@dataclass(frozen=True)
+class InputFits:
+    """How well the input's scan poses lay points on planes, where nothing speaks against them.
+
+    further_m: by how much more points scatter about the planes that scans share than at the refined poses (squared: the
+        difference of the squares); noise_m: what they scatter by there
+    """
+
+    further_m: float
+    noise_m: float
 
 
 @dataclass(frozen=True)
@@ -66,6 +80,8 @@ class Figures:
     spline_error: how far the path through the cameras misses the scans, as part of the error of leaving a camera out
     fusion_variance_factor: how many times scans and cameras are further apart, squared, than both promise
     vague_scans, vague_cameras: frames expected to be off by VAGUE times the median and more, or by nobody knows what
+    vague_exposures: numbers of the images whose exposures are, and to worse than can be seen
+    white_balance: percent, root mean square, by which it changes between images, where exposures are used
     moved_m: how far a scan moved at most in the last round that did not settle; scan_p95_m: what 95 % of the scans are
         expected to be off by less
     range_errors: systematic errors of the range sensor that are in the points
@@ -75,7 +91,9 @@ class Figures:
     jumps: frames after which the rough poses jump; jump_m, jump_deg: by at most; jump_left: whether one is still there
     extrinsic_sigmas: by how many standard deviations the extrinsic found differs from the calibrated one
     scale: of the reference over the result; None: there is no reference
+    input_fits: None: the input's poses are not as good as what was refined, or something speaks against both
     ssim: of images predicted from the map, before and after, where the loss is beyond chance
+    small_losses: what used parts lost in how well images are predicted, beyond chance, too little to contradict them
     """
 
     scans: int = 0
@@ -92,6 +110,8 @@ class Figures:
     odometry_dependent_steps: int = 0
     vague_scans: int = 0
     vague_cameras: int = 0
+    vague_exposures: tuple[int, ...] = ()
+    white_balance: float | None = None
     moved_m: float | None = None
     scan_p95_m: float | None = None
     cameras_converged: bool = True
@@ -109,9 +129,11 @@ class Figures:
     extrinsic_m: float = 0.0
     extrinsic_deg: float = 0.0
     ssim: tuple[float, float] | None = None
+    small_losses: tuple[str, ...] = ()
     thickness: tuple[float, float] | None = None
     truth: tuple[Truth, ...] = ()
     scale: float | None = None
+    input_fits: InputFits | None = None
 
 
 @dataclass(frozen=True)
@@ -153,6 +175,16 @@ def judge(figures: Figures) -> Verdict:
 
 def _rejected(figures: Figures) -> Iterator[Reason]:
     nothing = figures.scan_poses.accepted is False and figures.camera_poses.accepted in (False, None)
+    fits = figures.input_fits if nothing else None
+    if fits is not None:
+        parts = (("scan poses", figures.scan_poses), ("camera poses", figures.camera_poses))
+        listed = " and ".join(f"{name} ({part.reason})" for name, part in parts if part.accepted is False)
+        yield Reason(
+            f"Not used: refined {listed}. The input's are about as good as the data can tell: by them, points lie "
+            f"{lengths.text(fits.further_m)} further off the planes that scans share than by refined ones, beside a "
+            f"noise of {lengths.text(fits.noise_m)}.",
+            "Nothing to do; gate.min_entropy_gain and gate.confidence let smaller gains count.",
+        )
     for part, name, mend in (
         (figures.scan_poses, "scan poses",
          "Make sure that scans overlap, and that rough poses are within a few decimeters from scan to scan."),
@@ -163,7 +195,9 @@ def _rejected(figures: Figures) -> Iterator[Reason]:
         (figures.scans_with_cameras, "scan poses as the cameras have them",
          "Scans are as the LiDAR has them. Check time stamps and extrinsic if cameras should know better."),
     ):  # fmt: skip
-        if part.accepted is False:
+        if part.accepted is False and (
+            fits is None or part not in (figures.scan_poses, figures.camera_poses)
+        ):
             yield Reason(
                 f"Not used: refined {name} ({part.reason}).",
                 mend,
@@ -172,7 +206,7 @@ def _rejected(figures: Figures) -> Iterator[Reason]:
 
 
 def _alarms(figures: Figures) -> Iterator[Reason]:
-    if figures.scan_poses.accepted is False:
+    if figures.scan_poses.accepted is False and figures.camera_poses.accepted is not True:
         return  # nothing is promised
     for value, limit, text, mend in (
         (figures.variance_factor, MOST_VARIANCE_FACTOR,
@@ -268,6 +302,19 @@ def _frames(figures: Figures) -> Iterator[Reason]:
                 f"{count} of {total} {kind} are known {VAGUE:.0f} times less well than the others, or not at all.",
                 "See the expected error by frame.",
             )
+    if vague := figures.vague_exposures:
+        named = ", ".join(str(image) for image in vague[:_NAMED]) + (", ..." if len(vague) > _NAMED else "")
+        yield Reason(
+            f"The exposures of {len(vague)} of {figures.images} images ({named}) are known {VAGUE:.0f} times less well "
+            "than the others: few surfaces tie them to other images, or such as contradict each other.",
+            "Look at these images: people who walk by, glass and mirrors do that. Colors may differ there.",
+        )
+    if figures.white_balance is not None:
+        yield Reason(
+            f"The white balance changes between images by {figures.white_balance:.1f} % (root mean square): exposures "
+            "are means over red, green and blue.",
+            "Nothing to do; a fixed white balance makes better maps.",
+        )
     few = [
         f"{count} {kind}"
         for count, kind in ((figures.scans, "scans"), (figures.images, "images"))
@@ -309,6 +356,11 @@ def _looks(figures: Figures) -> Iterator[Reason]:
         yield Reason(
             f"Images predicted from the map have lost structure (SSIM {before:.3f} before, {after:.3f} after).",
             "Look at the pictures below, at edges above all.",
+        )
+    if figures.small_losses:
+        yield Reason(
+            f"Used although images are predicted a little worse: {'; '.join(figures.small_losses)}.",
+            "So little says nothing of geometry by itself; a reference would tell (--reference).",
         )
     if figures.thickness is not None and figures.thickness[1] > figures.thickness[0]:
         before, after = (1000 * value for value in figures.thickness)

@@ -1,21 +1,38 @@
 """The verdict on a run from the facts of its report, and the `verdict` and `alarms` parts of the report."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy import special
 
 from lvba.lidar.bundle_adjustment import odometry_dependent_steps
 from lvba.products import lengths, renamed_facts
 from lvba.steps import verdict
-from lvba.steps.acceptance import standard_error
-from lvba.steps.verdict import Figures, Judged, Truth, Verdict
+from lvba.steps.acceptance import CONTRADICTION, standard_error
+from lvba.steps.verdict import Figures, InputFits, Judged, Truth, Verdict
 
 Facts = Mapping[str, Any]
 
 _SSIM_SURE, _SSIM_LOSS = 2.0, 0.005
 """Standard errors, over images, by which SSIM must fall, and the least loss that means something."""
+_AS_GOOD = 1.25
+"""Times the squared distances of points from planes at refined poses that those at the input's may have: points scatter
+by a ninth more. Where inputs were refined with gain, it was mostly 4 to 300 times."""
+_THIN = 1.5
+"""Times the noise of points that planes of the whole map may be thick: of what refined poses leave double or apart, the
+distances from planes found with them tell nothing."""
+
+_JUDGED = (
+    ("refined scans", "lidar", ""),
+    ("exposures", "visual", "exposures_"),
+    ("cameras", "visual", ""),
+    ("scans as the cameras have them", "fusion", ""),
+)
+_HELD_OUT = {
+    "psnr_leave_one_out": ("{:.2f} \N{PLUS-MINUS SIGN} {:.2f} dB PSNR", 0.02),
+    "ssim_leave_one_out": ("{:.4f} \N{PLUS-MINUS SIGN} {:.4f} SSIM", 0.001),
+}
+"""Held-out scores, and the least losses that are told: rendering alone makes smaller ones."""
 
 
 def add(facts: Facts) -> dict[str, Any]:
@@ -61,7 +78,7 @@ def figures(facts: Facts) -> Figures:
     history = lidar.get("history") or [{}]
     used = lidar.get("accepted") is not False
     degenerate_scans, dependent_steps = _undetermined(lidar)
-    extrinsic = visual.get("extrinsic") or {}
+    extrinsic, balance = visual.get("extrinsic") or {}, visual.get("white_balance") or {}
     fused = "moved_m" in fusion and visual.get("accepted") is not False and used
     return Figures(
         scans=dataset.get("scans") or 0,
@@ -78,6 +95,8 @@ def figures(facts: Facts) -> Figures:
         odometry_dependent_steps=dependent_steps if used else 0,
         vague_scans=_vague(expected.get("scans")),
         vague_cameras=_vague(expected.get("cameras")),
+        vague_exposures=tuple(visual.get("vague_exposures") or ()),
+        white_balance=balance.get("change_percent") if balance.get("used") else None,
         moved_m=history[-1].get("moved") if used and lidar.get("converged") is False else None,
         scan_p95_m=(expected.get("scans") or {}).get("position_p95_m"),
         cameras_converged=last.get("converged") is not False,
@@ -91,14 +110,33 @@ def figures(facts: Facts) -> Figures:
         jump_m=max(odometry.get("jumps_m") or [0.0]),
         jump_deg=max(odometry.get("jumps_deg") or [0.0]),
         jump_left=bool(odometry.get("jump_left")),
-        extrinsic_sigmas=_extrinsic_sigmas(extrinsic, facts.get("config") or {}),
+        extrinsic_sigmas=extrinsic.get("sigmas") if visual.get("accepted") is not False else None,
         extrinsic_m=extrinsic.get("change_m") or 0.0,
         extrinsic_deg=extrinsic.get("change_deg") or 0.0,
+        small_losses=tuple(_small_losses(facts)),
         ssim=_lost_ssim(facts.get("evaluation") or {}),
         thickness=(planes["thickness_before_m"], planes["thickness_after_m"]) if planes else None,
         truth=tuple(_truth(facts.get("reference") or {})),
         scale=((facts.get("reference") or {}).get("lidar") or {}).get("scale"),
+        input_fits=_input_fits(lidar, visual, planes, bool(far), degenerate_scans + dependent_steps),
     )
+
+
+def _input_fits(lidar: Facts, visual: Facts, planes: Facts, far: bool, open_motions: int) -> InputFits | None:
+    """How well rejected poses were not needed; None: they were, or it is not sure. far: scans were registered first"""
+    before, after = lidar.get("cost_initial"), lidar.get("cost_final")
+    noise = (lidar.get("history") or [{}])[-1].get("sigma")
+    thick = planes.get("thickness_before_m")
+    if lidar.get("accepted") is not False or not (before and after and noise and thick):
+        return None
+    judged = [*(lidar.get("judged") or []), *(visual.get("judged") or [])]
+    against = {each["finding"] for each in judged} & {"worse", "unknown"}
+    open_motions += len(renamed_facts.value(lidar, "degenerate_directions") or [])
+    if far or open_motions or against or not lidar.get("judged") or lidar.get("converged") is not True:
+        return None
+    if before > _AS_GOOD * after or thick > _THIN * noise:
+        return None
+    return InputFits(noise * float(np.sqrt(max(before - after, 0.0))), noise)
 
 
 def _undetermined(lidar: Facts) -> tuple[int, int]:
@@ -123,16 +161,23 @@ def _vague(expected: Facts | None) -> int:
     return int(np.sum(~(errors <= verdict.VAGUE * np.nanmedian(errors))))
 
 
-def _extrinsic_sigmas(extrinsic: Facts, config: Facts) -> float | None:
-    prior = (config.get("visual") or {}).get("prior") or {}
-    if not extrinsic or not prior:
-        return None
-    # three axes each: as unlikely as so many standard deviations of one
-    ratio = max(
-        extrinsic["change_m"] / prior["extrinsic_position_m"],
-        extrinsic["change_deg"] / prior["extrinsic_rotation_deg"],
-    )
-    return float(-special.ndtri(special.chdtrc(3, ratio**2) / 2))
+def _small_losses(facts: Facts) -> Iterator[str]:
+    """What each used part lost in held-out scores, beyond chance and not only in the last digits."""
+    for name, section, prefix in _JUDGED:
+        part = facts.get(section) or {}
+        if part.get(f"{prefix}accepted") is not True:
+            continue
+        lost = [
+            words.format(-each["gain"], each["error"])
+            for each in part.get(f"{prefix}judged") or []
+            for words, least in [_HELD_OUT.get(each["name"], ("", 0.0))]
+            if words
+            and each["gain"] is not None
+            and each["error"] is not None
+            and -each["gain"] > max(least, CONTRADICTION * each["error"])
+        ]
+        if lost:
+            yield f"{name} (loss of {' and '.join(lost)})"
 
 
 def _lost_ssim(evaluation: Facts) -> tuple[float, float] | None:

@@ -1,8 +1,11 @@
 """The steps that refine the cameras of one part: the planes they are refined over, then one pyramid level each."""
 
+from dataclasses import replace
+from functools import partial
+
 import numpy as np
 
-from lvba.blocks.decoded import Keyframes, Pieces, ScanPoints, ScanReader, keyframe_images
+from lvba.blocks.decoded import Keyframes, Pieces, ScanPoints, ScanReader, color_of_keyframes, keyframe_images
 from lvba.blocks.split import Frames
 from lvba.blocks.survey import Survey, keyframes_of
 from lvba.dataset import Dataset
@@ -84,7 +87,12 @@ def _uncertainty(lidar: LidarStage, scans: np.ndarray) -> Covariance:
     result = lidar.result
     every = len(scans) == len(result.covariance)
     steps = result.step_covariance if every else np.zeros((0, 6, 6))
-    return Covariance(result.covariance[scans], result.conditional_covariance[scans], steps)
+    return Covariance(
+        marginal=result.covariance[scans],
+        conditional=result.conditional_covariance[scans],
+        step=steps,
+        shared_factor=result.shared_factor,
+    )
 
 
 def solve_level(
@@ -123,14 +131,21 @@ def solve_finest(
     config: VisualConfig,
     enabled: bool = True,
     variant: Variant = PRODUCT,
+    photos: Pieces[np.ndarray] = (),
     progress: Progress = silent,
 ) -> VisualStage:
-    """Camera poses and exposures of one part, from the finest level. Arguments as of `solve_level`."""
+    """Camera poses and exposures of one part, from the finest level. Arguments as of `solve_level`.
+
+    photos: raw images in color; none: white balance is taken to be the same in all of them
+    """
     problem = _why_not(dataset, planes, enabled) or coarser.problem
     if problem:
         return VisualStage(None, problem)
     try:
         given = inputs(dataset, frames, keyframes, lidar, planes, config)
+        if len(photos):
+            numbers, camera = frames.images[planes.keyframes], dataset.camera
+            given = replace(given, colors=partial(color_of_keyframes, photos, numbers, camera))
         result, last = refine.finest(given, coarser.solution, config, progress, variant)
     except DegenerateProblemError as error:
         return VisualStage(None, str(error))

@@ -325,5 +325,9 @@ def _fixed(
     free: np.ndarray,
 ) -> tuple[str, ...]:
     """The parameters of the calibration that the images do not call to correct."""
-    spread = _covariance(problem, wall_clusters, prior, at, linearization, free).shared
-    return fixed_calibration.insignificant(at.calibration.deviation(prior.calibration.reference), spread)
+    known = fixed_calibration.Precision(
+        covariance=_covariance(problem, wall_clusters, prior, at, linearization, free).shared,
+        plain=linear_solver.covariance(joint(linearization.equations, prior, at.visual), free).shared,
+        per_pixel=noise.per_pixel(problem.information, linearization.sums),
+    )
+    return fixed_calibration.insignificant(at.calibration.deviation(prior.calibration.reference), known)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import eigh
+from scipy.special import chdtrc, ndtri
 
 from lvba.optim.shared_parameters import SharedPrior, information
 from lvba.visual.states import Calibration
@@ -38,6 +39,39 @@ class Evidence:
 
     def __add__(self, other: "Evidence") -> "Evidence":
         return Evidence(self.information + other.information, self.spread + other.spread)
+
+
+@dataclass(frozen=True)
+class ExtrinsicChange:
+    """How the extrinsic found differs from the calibrated one.
+
+    sigmas: as unlikely as so many standard deviations of one number, were the calibration as good as it claims
+    certainty: how many times more certain than the calibration the images are of it, along the way it moved
+    """
+
+    sigmas: float = 0.0
+    certainty: float = 1.0
+
+
+NO_CHANGE = ExtrinsicChange()
+_LEAST_CHANCE = 1e-300
+
+
+def extrinsic_change(
+    calibration: Calibration, prior: SharedPrior[Calibration], covariance: np.ndarray
+) -> ExtrinsicChange:
+    """What is to be thought of an extrinsic that moved: right ones are far more certain than the calibration they leave.
+
+    covariance: (k, k) float64, of the calibration, as it was found
+    """
+    extrinsic = Calibration.layout()["scan_from_camera"]
+    off = calibration.deviation(prior.reference)[extrinsic]
+    by_claim = float(off @ prior.claimed[extrinsic, extrinsic] @ off)
+    if by_claim == 0.0:
+        return NO_CHANGE
+    by_images = float(off @ np.linalg.solve(covariance[extrinsic, extrinsic], off))
+    chance = max(float(chdtrc(len(off), by_claim)), _LEAST_CHANCE)
+    return ExtrinsicChange(float(-ndtri(chance / 2)), float(np.sqrt(by_images / by_claim)))
 
 
 def build(calibrated: Calibration, sigma: Mapping[str, float | np.ndarray]) -> SharedPrior[Calibration]:

@@ -4,10 +4,13 @@ The photometric cost takes contrast for brightness where a nearer view is sharpe
 without looking at the images (choosing by contrast would prefer what is bright, or dark, in the reference), weighted
 by windows that fade out, and each view is read at the pyramid level whose pixels match the other's. What is left of the
 difference in size between their pixels is made up by the windows: a mean over a larger piece of surface varies less, and
-its logarithm is greater on average; the farther view would seem brighter, along a path always to the same side.
+its logarithm is greater on average; the farther view would seem brighter, along a path always to the same side. Where
+grey values turn out to be no power of the light, means are taken again, of the light: those of a curve of it depend on
+the contrast, by more the more the curve bends where the image is.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,11 +21,13 @@ from lvba.kernels.patches_mean import REFERENCE_MEAN, SPREAD, TARGET_MEAN
 from lvba.kernels.patches_pyramid import blank_masked, halve
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.visual import radiometry, response, scene_points, vignetting, visibility
+from lvba.visual.edge_means import edge_means, medians, pieces_of_means, shared_errors, weighted_means
 from lvba.visual.exposure_graph import BLOCKS, Edges, Exposures, robust_std, solve_edges
 from lvba.visual.image import DARK, SATURATED, Pyramid, intrinsics_of
 from lvba.visual.radiometry import Radiometry, RadiometrySums
+from lvba.visual.response import LINEAR, Response
 from lvba.visual.scene_points import HIDDEN_M, PatchRules, PointsConfig, ScenePoints
-from lvba.visual.vignetting import PairPlaces
+from lvba.visual.vignetting import PairPlaces, Vignetting
 from lvba.visual.visibility import (
     DepthBuffers,
     VisibilityMap,
@@ -82,6 +87,8 @@ class Ratios:
     block: (N,) int64, 0 to BLOCKS - 1: which part of the surface the patch lies on
     stretch: (N,) int64, the same in pieces of STRETCH_M
     level: (N,) float64, mean of the logs of both mean grey values
+    patch: (N,) int64, which patch is compared: all comparisons of one share the error of its own view
+    curve: that was taken out of the images before; LINEAR: none
     places: of the patches in both images, where vignetting and response are asked for; None: they are not
     """
 
@@ -92,7 +99,9 @@ class Ratios:
     block: np.ndarray
     stretch: np.ndarray
     level: np.ndarray
+    patch: np.ndarray
     places: PairPlaces | None = None
+    curve: Response = LINEAR
 
     def by_numbers(self, present: Radiometry, light: np.ndarray) -> np.ndarray:
         """(N, NUMBERS) float64: derivative of the log ratios by the numbers of a radiometry.
@@ -121,12 +130,46 @@ def solve(
     level: int = LEVEL,
     depth: DepthBuffers | None = None,
     raw: Camera | None = None,
+    points: ScenePoints | None = None,
 ) -> Exposures:
     """The relative exposures of all images at given poses; arguments as of `ratios_at`."""
-    ratios = ratios_at(
-        pyramid, world_from_camera, image_times, planes, plane_points, scan_times, seen, level, depth, raw
-    )
-    return solve_ratios(ratios, len(world_from_camera))
+    camera, plain = pyramid.camera.at_level(level), _masked(pyramid, level, LINEAR)
+    if points is None:
+        points = place(plain[level], camera, world_from_camera, image_times, planes, plane_points, scan_times)
+    if depth is None:
+        depth = visibility.depth_buffers(
+            pyramid.camera, world_from_camera, image_times, plane_points, scan_times
+        )
+
+    def edges(curve: Response, falloff: Vignetting = vignetting.NONE) -> Edges:
+        levels = _masked(pyramid, level, curve) if curve else plain
+        ratios = measure(levels, level, camera, world_from_camera, points, seen, depth, raw)
+        return edges_of(replace(ratios, curve=curve), len(world_from_camera), Radiometry(falloff))
+
+    summed = edges(LINEAR)
+    if curve := summed.radiometry.response:
+        # found from means of grey values, which contrast had changed: the light as it is now tells what is left
+        falloff = summed.radiometry.vignetting
+        known = edges(curve, falloff).known
+        curve = curve if known is None else curve.then(radiometry.best(known).response)
+        summed = edges(curve, falloff)
+    return solve_edges(summed, len(world_from_camera))
+
+
+def placed(
+    pyramid: Pyramid,
+    world_from_camera: Poses,
+    image_times: Times,
+    planes: Planes,
+    plane_points: PlanePoints,
+    scan_times: Times,
+    level: int = LEVEL,
+) -> ScenePoints:
+    """The patches that are compared at given poses; arguments as of `ratios_at`."""
+    images = completed(pyramid.levels[: level + 2], level)[level]
+    images = blank_masked(images, MASK_REACH, float(DARK), BRIGHT)
+    camera = pyramid.camera.at_level(level)
+    return place(images, camera, world_from_camera, image_times, planes, plane_points, scan_times)
 
 
 def ratios_at(
@@ -140,6 +183,8 @@ def ratios_at(
     level: int = LEVEL,
     depth: DepthBuffers | None = None,
     raw: Camera | None = None,
+    curve: Response = LINEAR,
+    points: ScenePoints | None = None,
 ) -> Ratios:
     """The log ratios of all patches at given poses; `first` is the image that a patch was laid out in.
 
@@ -147,19 +192,41 @@ def ratios_at(
     seen: the global visibility map, which ties images that are far apart in time; None: neighbours only
     level: of the pyramid, whose patches are compared; depth: of the same images; None: made here
     raw: camera of the raw images, where vignetting and response are asked for
+    curve: of the response, as far as it is known: means are those of the light
+    points: the patches; None: placed here
     """
     if depth is None:
         depth = visibility.depth_buffers(
             pyramid.camera, world_from_camera, image_times, plane_points, scan_times
         )
+    levels, camera = _masked(pyramid, level, curve), pyramid.camera.at_level(level)
+    if points is None:
+        points = place(
+            levels[level], camera, world_from_camera, image_times, planes, plane_points, scan_times
+        )
+    ratios = measure(levels, level, camera, world_from_camera, points, seen, depth, raw)
+    return replace(ratios, curve=curve)
+
+
+def _masked(pyramid: Pyramid, level: int, curve: Response) -> list[np.ndarray]:
+    """Images of the finest levels, `level` and the two about it without what is dark or bright."""
     levels = list(pyramid.levels[: level + 2])
-    while len(levels) < level + 2:
-        levels.append(halve(levels[-1], SATURATED))
-    camera = pyramid.camera.at_level(level)
+    if curve:
+        full = levels[0]
+        levels = [radiometry.divided(full, np.ones(full.shape[1:3], np.float32), curve)]
+    levels = completed(levels, level)
     for used in range(max(level - 1, 0), level + 2):
-        levels[used] = blank_masked(levels[used], MASK_REACH, float(DARK), BRIGHT)
-    points = place(levels[level], camera, world_from_camera, image_times, planes, plane_points, scan_times)
-    return measure(levels, level, camera, world_from_camera, points, seen, depth, raw)
+        bright = float(curve.light(np.array(BRIGHT))) if curve else BRIGHT
+        levels[used] = blank_masked(levels[used], MASK_REACH, float(DARK), bright)
+    return levels
+
+
+def completed(levels: Sequence[Images], level: int = LEVEL) -> list[Images]:
+    """Levels of a pyramid, and those below that comparing patches of `level` needs. levels: (I, H, W, C) uint8 each"""
+    made = list(levels)
+    while len(made) < level + 2:
+        made.append(halve(made[-1], SATURATED))
+    return made
 
 
 def place(
@@ -233,6 +300,7 @@ def measure(
         stretch=surface_blocks(points.position_world, STRETCH_M)[point],
         places=places,
         level=0.5 * np.log(means[good, TARGET_MEAN] * means[good, REFERENCE_MEAN]),
+        patch=point.astype(np.int64),
     )
 
 
@@ -277,22 +345,23 @@ def solve_ratios(ratios: Ratios, images: int) -> Exposures:
     return solve_edges(edges_of(ratios, images), images)
 
 
-def edges_of(ratios: Ratios, images: int) -> Edges:
-    """The ratios summed up robustly per pair of images."""
+def edges_of(ratios: Ratios, images: int, start: Radiometry = radiometry.NONE) -> Edges:
+    """The ratios summed up robustly per pair of images. start: a guess of what the radiometry is"""
     low, high = np.minimum(ratios.first, ratios.second), np.maximum(ratios.first, ratios.second)
     sign = np.where(ratios.first == low, 1.0, -1.0)
     value = sign * ratios.value
     codes, edge = np.unique(low.astype(np.int64) * images + high, return_inverse=True)
     light, known, by_numbers = radiometry.NONE, None, np.zeros((len(value), radiometry.NUMBERS))
     if ratios.places is not None:
-        known = radiometry_sums(edge, sign, ratios)
-        light = radiometry.solve(known)
+        known = radiometry_sums(edge, sign, ratios, start)
+        light = radiometry.solve(known, response.TAKEN_OUT if ratios.curve else None)
         value = sign * ratios.of_surfaces(light)
         expected = sign * edge_means(edge, value, ratios.sigma, len(codes))[0][edge]
         by_numbers = sign[:, None] * ratios.by_numbers(
             light, expected + ratios.places.log_ratio(light.vignetting)
         )
     mean, sigma, weight = edge_means(edge, value, ratios.sigma, len(codes))
+    sharing, correlation = shared_errors(edge, ratios.patch, sign * weight * ratios.sigma)
     count = np.bincount(edge, minlength=len(codes))
     sigma = np.sqrt(sigma**2 + EDGE_FLOOR**2 + (FEW_PATCHES / np.maximum(count, 1)) ** 2)
     pieces = [pieces_of_means(edge, value, weight, each, mean) for each in (ratios.block, ratios.stretch)]
@@ -303,22 +372,27 @@ def edges_of(ratios: Ratios, images: int) -> Edges:
         sigma=sigma,
         weight_fraction=np.concatenate([fraction for fraction, _ in pieces], axis=1),
         pull=np.concatenate([pull for _, pull in pieces], axis=1),
+        sharing=sharing,
+        correlation=correlation,
         pairs=len(value),
         spread=robust_std(value - mean[edge]),
         radiometry=light,
-        by_radiometry=_weighted_means(edge, weight, by_numbers, len(codes)),
+        by_radiometry=weighted_means(edge, weight, by_numbers, len(codes)),
         known=known,
+        curve=ratios.curve,
     )
 
 
-def radiometry_sums(edge: Indices, sign: np.ndarray, ratios: Ratios) -> RadiometrySums:
+def radiometry_sums(
+    edge: Indices, sign: np.ndarray, ratios: Ratios, start: Radiometry = radiometry.NONE
+) -> RadiometrySums:
     """What the log ratios tell of vignetting and response, the level of each edge left open; robust as `edge_means`.
 
-    edge: (N,) of each ratio; sign: (N,) float64, 1 or -1, of the ratio in its edge
+    edge: (N,) of each ratio; sign: (N,) float64, 1 or -1, of the ratio in its edge; start: a guess of the radiometry
     """
     assert ratios.places is not None
     edges, count = int(edge.max(initial=-1)) + 1, len(ratios.value)
-    present, mean, weight = radiometry.NONE, _medians(edge, sign * ratios.value, edges), ratios.sigma**-2
+    present, mean, weight = start, medians(edge, sign * ratios.value, edges), ratios.sigma**-2
     known = radiometry.sums(
         edge, ratios.block, ratios.value, weight, np.zeros((count, radiometry.NUMBERS)), BLOCKS
     )
@@ -340,53 +414,3 @@ def radiometry_sums(edge: Indices, sign: np.ndarray, ratios: Ratios) -> Radiomet
         if np.abs(present.numbers - before.numbers).max() < _RADIOMETRY_TOLERANCE:
             break
     return known
-
-
-def _weighted_means(edge: Indices, weight: np.ndarray, values: np.ndarray, edges: int) -> np.ndarray:
-    """(E, K): of the values (N, K) of every edge."""
-    total = np.bincount(edge, weight, edges)
-    means = [np.bincount(edge, weight * column, edges) / total for column in values.T]
-    return np.stack(means, axis=1)
-
-
-def edge_means(
-    edge: Indices, value: np.ndarray, sigma: np.ndarray, edges: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Robust mean (E,) of the values of every edge, its standard deviation (E,), and the weights (N,) used.
-
-    edge (N,): which edge a value (N,) with standard deviation (N,) belongs to. Cauchy weights, scaled by the median of
-    all normalized residuals, from the median as start.
-    value: (N,) float64; sigma: (N,) float64
-    """
-    mean = _medians(edge, value, edges)
-    many = np.bincount(edge, minlength=edges)[edge] >= 4  # of few values the residuals say nothing
-    for _ in range(10):
-        residual = (value - mean[edge]) / sigma
-        scale = max(robust_std(residual[many]), 1e-3) if many.any() else 1.0
-        weight = 1 / (sigma**2 * (1 + (residual / (2 * scale)) ** 2))
-        total = np.bincount(edge, weight, edges)
-        mean = np.bincount(edge, weight * value, edges) / total
-    return mean, scale / np.sqrt(total), weight
-
-
-def pieces_of_means(
-    edge: Indices, value: np.ndarray, weight: np.ndarray, block: Indices, mean: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """What part of an edge's weight each block has, and that times how far it is off the mean, both (E, BLOCKS).
-
-    value: (N,) float64; weight: (N,) float64; mean: (E,) float64, of each edge
-    """
-    cell, shape = edge * BLOCKS + block, (len(mean), BLOCKS)
-    total = np.bincount(edge, weight, shape[0])[:, None]
-    fraction = np.bincount(cell, weight, shape[0] * BLOCKS).reshape(shape) / total
-    pull = np.bincount(cell, weight * (value - mean[edge]), shape[0] * BLOCKS).reshape(shape) / total
-    return fraction, pull
-
-
-def _medians(group: np.ndarray, value: np.ndarray, groups: int) -> np.ndarray:
-    order = np.lexsort((value, group))
-    count = np.bincount(group, minlength=groups)
-    start = np.cumsum(count) - count
-    ordered = np.append(value[order], 0.0)
-    low, high = start + np.maximum(count - 1, 0) // 2, start + count // 2
-    return np.asarray((ordered[low] + ordered[np.minimum(high, len(value))]) / 2)

@@ -45,6 +45,14 @@ def gradients(sums: np.ndarray) -> np.ndarray:
     return np.where(known, energy, np.median(energy[known]) if known.any() else 0.0)
 
 
+def per_pixel(information: np.ndarray, sums: np.ndarray) -> float:
+    """What all patches together tell of one shift along an axis that they share, 1/px^2.
+
+    information: (O,) float64, of a squared residual; sums: (O, SUMS) float64, see `lvba.kernels.photometric`
+    """
+    return 0.5 * float(information @ (sums[:, 0] + sums[:, 2]))
+
+
 def estimate(sums: np.ndarray, patch_samples: int, floor: float = 0.5) -> NoiseModel:
     """The model that fits the observations' mean square residuals, a median for each of some bins of gradient.
 

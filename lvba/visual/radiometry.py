@@ -11,6 +11,7 @@ import numpy as np
 
 from lvba.arrays import Images, Indices
 from lvba.camera import Camera
+from lvba.kernels import edge_sums
 from lvba.visual import response, vignetting
 from lvba.visual.image import DARK, SATURATED
 from lvba.visual.response import LINEAR, SLOPES, Response
@@ -52,9 +53,10 @@ NONE = Radiometry()
 def divided(images: Images, light: np.ndarray, curve: Response = LINEAR) -> np.ndarray:
     """The light of images (I, H, W, C) uint8 as if all had arrived, rounded; 255 where that is too much for a byte.
 
-    Clipped pixels become 255, and those without a picture stay as they are. light: (H, W) float32, part that arrives
+    Clipped pixels become 255, and those without a picture stay as they are.
+    light: (H, W) or (H, W, C) float32, part that arrives
     """
-    gain = (1 / light)[..., None].astype(np.float32)
+    gain = (1 / (light if light.ndim == 3 else light[..., None])).astype(np.float32)
     corrected = np.empty_like(images)
     for index, image in enumerate(images):
         arrived = response.light_of(curve, image) if curve else image
@@ -88,18 +90,8 @@ def sums(
     by_numbers: (N, NUMBERS) float64, of which the product with the numbers is the value
     """
     edges = int(edge.max(initial=-1)) + 1
-    total = np.maximum(np.bincount(edge, weight, edges), 1e-300)
-    inside = [
-        each - (np.bincount(edge, weight * each, edges) / total)[edge] for each in (*by_numbers.T, value)
-    ]
-    table = np.zeros((blocks, NUMBERS, NUMBERS + 1))
-    for row in range(NUMBERS):
-        weighted = weight * inside[row]
-        for column in range(row, NUMBERS + 1):
-            table[:, row, column] = np.bincount(block, weighted * inside[column], blocks)
-            if column < NUMBERS:
-                table[:, column, row] = table[:, row, column]
-    return RadiometrySums(table[:, :, :NUMBERS], table[:, :, NUMBERS])
+    table = edge_sums.normal_sums(edge, block, value, weight, by_numbers, edges, blocks)
+    return RadiometrySums(table[:, :, :NUMBERS].copy(), table[:, :, NUMBERS].copy())
 
 
 def best(known: RadiometrySums) -> Radiometry:
@@ -108,14 +100,18 @@ def best(known: RadiometrySums) -> Radiometry:
     return of_numbers(_solved(information, gradient, _prior(information)))
 
 
-def solve(known: RadiometrySums) -> Radiometry:
-    """What the sums tell: no response where that is not significant, and the vignetting that goes with the response."""
+def solve(known: RadiometrySums, curve: Response | None = None) -> Radiometry:
+    """What the sums tell: no response where that is not significant, and the vignetting that goes with the response.
+
+    curve: the response, where it is known
+    """
     information, gradient = known.information.sum(axis=0), known.gradient.sum(axis=0)
     if not information.any():
         return NONE
-    sigma = np.sqrt(np.diag(_covariance(known))[vignetting.NUMBERS :])
-    together = _solved(information, gradient, _prior(information))
-    curve = response.judged(together[vignetting.NUMBERS :], sigma)
+    if curve is None:
+        sigma = np.sqrt(np.diag(_covariance(known))[vignetting.NUMBERS :])
+        together = _solved(information, gradient, _prior(information))
+        curve = response.judged(together[vignetting.NUMBERS :], sigma)
     own, rest = slice(0, vignetting.NUMBERS), slice(vignetting.NUMBERS, NUMBERS)
     explained = np.einsum("bkl,l->bk", known.information[:, own, rest], curve.numbers)
     return Radiometry(

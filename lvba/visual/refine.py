@@ -1,6 +1,5 @@
 """The visual stage: from rough camera poses and refined scans to refined cameras, coarse to fine over the pyramid."""
 
-import functools
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -8,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lvba import trajectory
+from lvba.arrays import Images
 from lvba.camera import Camera
 from lvba.errors import DegenerateProblemError
 from lvba.lidar import covariance as covariances
@@ -18,28 +18,30 @@ from lvba.settings import check, setting
 from lvba.trajectory import Trajectory
 from lvba.visual import (
     bundle_adjustment,
+    calibration_shifts,
     covariance,
     degeneracy,
     exposure,
     radiometry,
     scene_points,
-    self_calibration,
     trajectory_prior,
     visibility,
+    white_balance,
 )
 from lvba.visual import result as results
 from lvba.visual.bundle_adjustment import ROUNDS, SOLVER, LevelConfig, LevelSolution
 from lvba.visual.degeneracy import DegenerateDirections
+from lvba.visual.fixed_calibration import CORRECTIONS
 from lvba.visual.image import ImageConfig, Pyramid
 from lvba.visual.keyframes import KeyframeConfig
-from lvba.visual.patch_shifts import Shifts
 from lvba.visual.radiometry import Radiometry
 from lvba.visual.result import LevelReport, VisualResult
-from lvba.visual.scene_points import Observations, PatchRules, PointsConfig, ScenePoints
+from lvba.visual.scene_points import PatchRules, PointsConfig
 from lvba.visual.states import CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior, PriorConfig
 from lvba.visual.variant import PRODUCT, Variant
 from lvba.visual.visibility import DepthBuffers, VisibilityConfig, VisibilityMap
+from lvba.visual.white_balance import WhiteBalance
 
 __all__ = [
     "Coarser",
@@ -130,6 +132,7 @@ class Inputs:
     camera_from_scan: (4, 4) calibrated extrinsic; sensor_position_scan: (3,) m
     scan_covariance: of refined_scans; None: not known
     camera: of the raw images, with its lens; None: they had none, and their camera is not refined
+    colors: red (0), green or blue of the keyframes, (K, H, W, 1) uint8; None: not at hand
     """
 
     pyramid: Pyramid
@@ -143,6 +146,7 @@ class Inputs:
     plane_points: PlanePoints
     scan_covariance: Covariance | None = None
     camera: Camera | None = None
+    colors: Callable[[int], Images] | None = None
 
 
 @dataclass(frozen=True)
@@ -219,6 +223,7 @@ def finest(
     if variant.exposures == "means":
         exposed = _exposed(scene, 0, state)
         state, sigma, light = exposed.state, exposed.sigma, exposed.radiometry
+    balance = _white_balance(scene, given, state, light) if variant.exposures == "means" else None
     start = scene.start.cameras.world_from_camera
     result = results.collect(
         solution.reports,
@@ -231,6 +236,8 @@ def finest(
         given.keyframes,
         given.images.times,
     )
+    if balance is not None:
+        result = results.with_white_balance(result, balance, given.images.times)
     spread = result.covariance + _of_map(given, result.world_from_camera)
     return replace(result, covariance=spread, radiometry=light), last
 
@@ -240,7 +247,8 @@ def _of_map(given: Inputs, world_from_camera: np.ndarray) -> np.ndarray:
     if given.scan_covariance is None:
         return np.zeros((len(world_from_camera), 6, 6))
     scans = Trajectory(given.scans.times, given.refined_scans)
-    return covariance.of_map(world_from_camera, given.images.times, scans, given.scan_covariance.marginal)
+    known = given.scan_covariance.shared_factor * given.scan_covariance.marginal
+    return covariance.of_map(world_from_camera, given.images.times, scans, known)
 
 
 @dataclass(frozen=True)
@@ -292,6 +300,15 @@ def scene_of(given: Inputs, config: VisualConfig, variant: Variant = PRODUCT) ->
         camera=given.camera,
         vignetting=config.vignetting,
     )
+
+
+def _white_balance(scene: Scene, given: Inputs, state: VisualState, light: Radiometry) -> WhiteBalance | None:
+    if given.colors is None:
+        return None
+    return white_balance.solve(
+        given.colors, scene.pyramid.camera, state.cameras.world_from_camera, scene.image_times, scene.planes,
+        scene.plane_points, scene.scan_times, scene.seen, light, scene.camera,
+    )  # fmt: skip
 
 
 def _solved(
@@ -356,7 +373,28 @@ def _exposed(scene: Scene, level: int, state: VisualState, depth: DepthBuffers |
 def _solve_level(
     scene: Scene, level: int, coarser: Coarser, config: VisualConfig, progress: Progress
 ) -> LevelSolution:
-    """Scene points, visibility and exposures anew at the present poses, then the solve."""
+    """One level's solution; at the finest, once more with points found anew if that corrected the camera.
+
+    With a camera that is pixels off in the corners, patches there match nothing: what is left are those that tell least.
+    """
+    solution = _solved_once(scene, level, coarser, config, progress)
+    free = level == 0 and config.calibrate and scene.camera is not None and solution.prior is not None
+    if not free or scene.variant.reference_pixels != "fixed" or set(CORRECTIONS) <= set(solution.fixed):
+        return solution
+    again = replace(
+        coarser,
+        state=solution.state,
+        prior=solution.prior,
+        variance_factor=solution.problem.variance_factor,
+    )
+    once_more = _solved_once(scene, level, again, config, progress)
+    return replace(once_more, history=solution.history + once_more.history)
+
+
+def _solved_once(
+    scene: Scene, level: int, coarser: Coarser, config: VisualConfig, progress: Progress
+) -> LevelSolution:
+    """Scene points, visibility and exposures anew at the present poses and calibration, then the solve."""
     images, camera = scene.pyramid.levels[level], scene.pyramid.camera.at_level(level)
     noise = float(scene.pyramid.noise[level])
     poses = coarser.state.cameras.world_from_camera
@@ -366,6 +404,9 @@ def _solve_level(
     )
     exposed = _exposed(scene, level, coarser.state, depth)
     state, images = exposed.state, exposed.radiometry.taken_out_of(images, scene.camera, camera)
+    moved = None
+    if level == 0 and scene.variant.reference_pixels == "fixed":
+        moved = calibration_shifts.of_pairs(scene.camera, camera, coarser.prior, state, config.calibrate)
     progress("scene points", 1, 3)
     points = scene_points.select(
         images, camera, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, noise,
@@ -373,14 +414,16 @@ def _solve_level(
     )  # fmt: skip
     points, observations = visibility.find(
         images, camera, poses, points, scene.seen, noise, config.visibility, depth,
-        patch=config.patch, score=scene.variant.score,
+        patch=config.patch, score=scene.variant.score, shifts=moved,
     )  # fmt: skip
     if len(observations) == 0:
         raise DegenerateProblemError(f"no scene point is seen by two images at pyramid level {level}")
     progress("camera poses", 2, 3)
     shifts = None
     if level == 0 and scene.variant.reference_pixels == "fixed":
-        shifts = calibration_shifts(scene.camera, camera, points, observations, coarser.prior, config)
+        shifts = calibration_shifts.of_observations(
+            scene.camera, camera, points, observations, coarser.prior, config.calibrate
+        )
     solver = SOLVER
     if level > 0:
         solver = replace(SOLVER, initial_damping=_COARSE_DAMPING, relative_decrease=_COARSE_DECREASE)
@@ -396,38 +439,3 @@ def _solve_level(
     )
     progress("camera poses", 3, 3)
     return solution
-
-
-def calibration_shifts(
-    camera: Camera | None,
-    pinhole: Camera,
-    points: ScenePoints,
-    observations: Observations,
-    prior: Prior | None,
-    config: VisualConfig,
-) -> Callable[[VisualState], Shifts] | None:
-    """How the calibration moves the patches of the finest level, about a state; None: it is not refined.
-
-    camera: of the raw images, None: they have none; pinhole: of the undistorted ones; prior: of these images
-    """
-    if camera is None or prior is None or not config.calibrate:
-        return None
-    return functools.partial(_shifts, camera, pinhole, points, observations, prior)
-
-
-def _shifts(
-    camera: Camera,
-    pinhole: Camera,
-    points: ScenePoints,
-    observations: Observations,
-    prior: Prior,
-    state: VisualState,
-) -> Shifts:
-    velocity = self_calibration.velocities(
-        prior.rate_scan,
-        prior.velocity_world,
-        prior.sources[0].world_from_scan,
-        state.calibration.scan_from_camera,
-    )
-    poses = state.cameras.world_from_camera
-    return self_calibration.shifts(camera, pinhole, points, observations, poses, velocity, state.calibration)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba.arrays import Images
+from lvba.kernels import edge_sums
 from lvba.visual.image import DARK, SATURATED
 
 GREY_VALUES = (30.0, 60.0, 100.0, 140.0, 180.0, 215.0, 245.0)
@@ -58,6 +59,12 @@ class Response:
             log_grey + np.einsum("nk,k->n", integrals(log_grey) - integrals(_FULL), self.numbers)
         )
 
+    def then(self, other: "Response") -> "Response":
+        """This curve and another one of the light that it gives, as one; no steeper or flatter than cameras have them."""
+        slopes = np.array(self.slopes or np.ones(SLOPES)) * other.slope(self.log_light(KNOTS))
+        possible = np.clip(slopes, 1 / STEEPEST, STEEPEST)
+        return Response(tuple(float(each) for each in possible), self.sigma)
+
     @property
     def light_of_grey(self) -> np.ndarray:
         """(256,) float32: the light of each grey value, 0 to 255."""
@@ -91,6 +98,8 @@ class Response:
 
 _FULL = np.log([255.0])
 LINEAR = Response()
+TAKEN_OUT = Response((1.0,) * SLOPES)
+"""What is left of a curve in images that it was taken out of: nothing, but its slopes are uncertain."""
 
 
 def integrals(log_grey: np.ndarray) -> np.ndarray:
@@ -98,16 +107,7 @@ def integrals(log_grey: np.ndarray) -> np.ndarray:
 
     log_grey: (N,) float64
     """
-    table = np.zeros((len(log_grey), SLOPES))
-    for knot in range(SLOPES - 1):
-        low, high = KNOTS[knot], KNOTS[knot + 1]
-        inside = np.clip(log_grey, low, high) - low
-        rising = inside * inside / (2 * (high - low))
-        table[:, knot] += inside - rising
-        table[:, knot + 1] += rising
-    table[:, 0] += np.minimum(log_grey - KNOTS[0], 0.0)
-    table[:, -1] += np.maximum(log_grey - KNOTS[-1], 0.0)
-    return table
+    return edge_sums.hat_integrals(np.ascontiguousarray(log_grey), KNOTS)
 
 
 def by_slopes(curve: Response, level: np.ndarray, light: np.ndarray) -> np.ndarray:

@@ -1,19 +1,21 @@
 """What the visual stage hands back: poses of all images, their errors, and an account of every level."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lvba.arrays import Indices, Poses, Times
 from lvba.optim.levenberg_marquardt import Iteration
 from lvba.optim.linear_solver import Covariance
-from lvba.visual import bundle_adjustment, degeneracy, photometric, trajectory_prior
+from lvba.visual import bundle_adjustment, calibration_prior, degeneracy, photometric, trajectory_prior
 from lvba.visual.bundle_adjustment import LevelSolution
+from lvba.visual.calibration_prior import NO_CHANGE, ExtrinsicChange
 from lvba.visual.degeneracy import DegenerateDirections
 from lvba.visual.photometric import PhotometricState
 from lvba.visual.radiometry import NONE, Radiometry
 from lvba.visual.states import Calibration, CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior
+from lvba.visual.white_balance import WhiteBalance
 
 _NAMED = 12
 """At most so many frames are named in a warning."""
@@ -59,6 +61,9 @@ class VisualResult:
         axes, that no image holds: there the result is the prior's
     cost_initial, cost_final: photometric cost of the finest level at the carried rough poses and at the result
     radiometry: that poses and exposures suppose
+    extrinsic_change: of the extrinsic found from the calibrated one
+    white_balance: (I, 3) float64, log of how much brighter red, green and blue of an image are than its exposure says,
+        each 0 on average, and exposures are means over the colors; None: it does not change
     """
 
     world_from_camera: np.ndarray
@@ -77,6 +82,8 @@ class VisualResult:
     converged: bool
     warnings: tuple[str, ...]
     radiometry: Radiometry = NONE
+    extrinsic_change: ExtrinsicChange = NO_CHANGE
+    white_balance: np.ndarray | None = None
 
     @property
     def scan_from_camera(self) -> np.ndarray:
@@ -160,7 +167,28 @@ def collect(
         cost_final=_cost(last, state.cameras.world_from_camera, state),
         converged=all(report.converged for report in levels),
         warnings=_warnings(last, levels, directions, own, keyframes),
+        extrinsic_change=_extrinsic_change(state, last.prior, known),
     )
+
+
+def with_white_balance(result: VisualResult, balance: WhiteBalance, times: Times) -> VisualResult:
+    """The result with exposures that are means over the colors. times: (I,) s of all images; balance: of its keyframes"""
+    sampled = times[result.keyframes]
+    nearest = np.abs(sampled[None] - times[:, None]).argmin(axis=1)
+    log_exposure = np.interp(times, sampled, balance.log_exposure)
+    gains = [np.interp(times, sampled, gain) for gain in balance.log_gain.T]
+    return replace(
+        result,
+        log_exposure=log_exposure - log_exposure[0],
+        log_exposure_sigma=balance.sigma[nearest],
+        white_balance=np.stack(gains, axis=1),
+    )
+
+
+def _extrinsic_change(state: VisualState, prior: Prior | None, known: Covariance) -> ExtrinsicChange:
+    if prior is None:
+        return NO_CHANGE
+    return calibration_prior.extrinsic_change(state.calibration, prior.calibration, known.shared)
 
 
 def _calibration_sigma(known: Covariance) -> np.ndarray:

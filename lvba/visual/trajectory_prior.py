@@ -86,6 +86,13 @@ CEILING_POSITION_M, CEILING_ROTATION_DEG = 0.02, 0.3
 """No estimate of a frame's own error rises above this. Images alone drift; a prior that followed would allow it."""
 
 
+_OPEN_S = 0.25
+"""Scans no further apart than this tell the motion of a hand or a vehicle between them."""
+_AWAY = 0.1
+"""Part of a gap between scans that a camera is away from them to tell of the motion there: nearer, errors of poses would
+be taken for speed."""
+
+
 @dataclass(frozen=True)
 class Source:
     """One way to tell from the LiDAR trajectory where each camera is.
@@ -112,6 +119,7 @@ class Prior:
     velocity_world: (I, 3) float64, m/s; rate_scan: (I, 3) float64, rad/s, about the LiDAR's axes
     calibration: what is known of the calibration itself; it counts beside the images as `calibration_prior.weighed` has
         it; evidence: of the images, by which it was weighed last, None: it was not
+    scans: as refined; times: (I,) s, of the images; None: not known
     """
 
     sources: tuple[Source, ...]
@@ -119,6 +127,8 @@ class Prior:
     rate_scan: np.ndarray
     calibration: SharedPrior[Calibration]
     evidence: Evidence | None = None
+    scans: Trajectory | None = None
+    times: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.velocity_world)
@@ -160,7 +170,15 @@ def build(
         by_spline = replace(by_eq1, world_from_scan=pose, sigma_rotation=rotation, sigma_position=position)
         sources = (by_eq1, by_spline)
     known = calibration_prior.build(Calibration(scan_from_camera), config.sigma)
-    return Prior(sources, *_rates(moving, images.times), known)
+    velocity_world, rate_scan = _rates(moving, images.times)
+    return Prior(
+        sources=sources,
+        velocity_world=velocity_world,
+        rate_scan=rate_scan,
+        calibration=known,
+        scans=moving,
+        times=images.times,
+    )
 
 
 def take(prior: Prior, index: np.ndarray) -> Prior:
@@ -180,7 +198,11 @@ def take(prior: Prior, index: np.ndarray) -> Prior:
         for s in prior.sources
     )
     return replace(
-        prior, sources=sources, velocity_world=prior.velocity_world[index], rate_scan=prior.rate_scan[index]
+        prior,
+        sources=sources,
+        velocity_world=prior.velocity_world[index],
+        rate_scan=prior.rate_scan[index],
+        times=None if prior.times is None else prior.times[index],
     )
 
 
@@ -238,6 +260,41 @@ def _spline(scans: Trajectory, times: np.ndarray) -> tuple[np.ndarray, tuple[np.
     # beyond the scans there is nothing to interpolate: what is extrapolated counts for nothing
     sigma[spline.outside(scans, times)] *= 1e3
     return spline.through(scans, times), (sigma[:, 0], sigma[:, 1])
+
+
+def rates(prior: Prior, state: VisualState) -> tuple[np.ndarray, np.ndarray]:
+    """Velocity in the world (I, 3), m/s, and angular rate about the LiDAR's axes (I, 3), rad/s, at each image, by scans
+    and by cameras between scans that are too far apart to tell them.
+
+    In rooms with a scan every 0.8 s, rates by scans alone are 6 degrees/s off, which a rolling shutter of 30 ms shows as
+    a pixel, and as a readout that seems shorter.
+    state: of the images
+    """
+    if prior.scans is None or prior.times is None:
+        return prior.velocity_world, prior.rate_scan
+    moments = prior.times + state.calibration.time_offset
+    used = _between(prior.scans.times, moments)
+    if not used.any():
+        return prior.velocity_world, prior.rate_scan
+    carried = state.cameras.world_from_camera[used] @ geometry.inverse(state.calibration.scan_from_camera)
+    every = np.concatenate([prior.scans.times, moments[used]])
+    order = np.argsort(every, kind="stable")
+    poses = np.concatenate([prior.scans.world_from_sensor, carried])[order]
+    return _rates(Trajectory(every[order], poses), moments)
+
+
+def _between(samples: Times, moments: Times) -> np.ndarray:
+    """(I,) bool: which of some moments (I,) lie in gaps of samples (S,) that leave the motion open, away from others."""
+    used = np.zeros(len(moments), bool)
+    taken = np.asarray(samples, float)
+    for number in np.argsort(moments, kind="stable"):
+        after = int(np.searchsorted(samples, moments[number]))
+        if not 0 < after < len(samples):
+            continue
+        gap = float(samples[after] - samples[after - 1])
+        if gap > _OPEN_S and np.abs(taken - moments[number]).min() >= _AWAY * gap:
+            used[number], taken = True, np.append(taken, moments[number])
+    return used
 
 
 def _rates(scans: Trajectory, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

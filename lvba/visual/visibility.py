@@ -1,6 +1,7 @@
 """Who sees a scene point: neighbours in time, and through the global visibility voxel map cameras anywhere."""
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -254,6 +255,10 @@ def global_pairs(
     return point[other].astype(np.int32), target[other].astype(np.int32)
 
 
+PairShifts = Callable[[ScenePoints, Indices, Indices], np.ndarray]
+"""(O, 2) float64, px: by how much pairs of points (O,) and targets (O,) are off in the targets by the calibration."""
+
+
 def find(
     images: Images,
     camera: Camera,
@@ -266,6 +271,7 @@ def find(
     *,
     patch: int = SCENE_POINTS.size,
     score: str = "area",
+    shifts: PairShifts | None = None,
 ) -> tuple[ScenePoints, Observations]:
     """The scene points that some target sees, with `is_global` set, and their pairs, at one pyramid level.
 
@@ -273,12 +279,13 @@ def find(
     seen: the global map; None: local targets only. noise: standard deviation of the images' noise, grey values
     depth: of the same images, to refuse hidden targets by geometry; without, the correlation alone judges
     patch: N of the N x N patch, px, odd, that of the scene points; score: as of `view_scores`
+    shifts: how far the calibration moves pairs in their targets; None: not at all
 
     Source: Li et al., II-C2, II-C3 and eq. (3), without the bars round d.z_C, with the whole warped patch inside the
     target, a gate on its scale, and the union of local and global targets.
     """
     local = _passing(*local_pairs(points.reference, len(images), config.window), images, camera,
-                     world_from_camera, points, noise, patch, depth)  # fmt: skip
+                     world_from_camera, points, noise, patch, depth, shifts)  # fmt: skip
     local = _spread(local, config.max_local)
     chosen = np.zeros(len(points), bool)
     far = (np.empty(0, np.int32), np.empty(0, np.int32))
@@ -286,7 +293,7 @@ def find(
         rows = seen.rows(points.position_world)
         chosen = choose_global(points, rows, view_scores(points, camera, world_from_camera, score))
         candidates = _without(global_pairs(chosen, rows, points.reference, seen), local, len(images))
-        far = _passing(*candidates, images, camera, world_from_camera, points, noise, patch, depth)
+        far = _passing(*candidates, images, camera, world_from_camera, points, noise, patch, depth, shifts)
         far = _spread(far, config.max_global)
     return _union(replace(points, is_global=chosen), local, far, len(images))
 
@@ -327,8 +334,10 @@ def _passing(
     noise: float,
     patch: int,
     depth: DepthBuffers,
+    shifts: PairShifts | None,
 ) -> Pairs:
     """The pairs that pass eq. (3)."""
+    shift = np.zeros((0, 2)) if shifts is None else np.ascontiguousarray(shifts(points, point, target))
     verdict, _ = kernels.judge_pairs(
         images,
         np.ascontiguousarray(world_from_camera),
@@ -338,6 +347,7 @@ def _passing(
         target,
         pair_gates(patch, noise),
         depth.at(camera),
+        shift,
     )
     counts = np.bincount(verdict, minlength=len(_GATES))
     _log.debug("pairs: %s", ", ".join(f"{n} {name}" for name, n in zip(_GATES, counts, strict=True)))

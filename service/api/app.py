@@ -10,7 +10,18 @@ from fastapi import FastAPI
 from service.api import problem_responses
 from service.api.context import Server
 from service.api.middleware import Guard
-from service.api.routes import about, batches, checks, datasets, job_files, jobs, ogc, page, uploads
+from service.api.routes import (
+    about,
+    batches,
+    checks,
+    datasets,
+    inspections,
+    job_files,
+    jobs,
+    ogc,
+    page,
+    uploads,
+)
 
 _DESCRIPTION = "Refines recordings of LiDAR and cameras. docs/rest.md says how things fit together."
 
@@ -38,7 +49,7 @@ def create(server: Server) -> FastAPI:
     )
     app.state.server = server
     problem_responses.install(app)
-    for module in (uploads, checks, datasets, jobs, job_files, batches, about, ogc, page):
+    for module in (uploads, checks, inspections, datasets, jobs, job_files, batches, about, ogc, page):
         app.include_router(module.router)
     app.add_middleware(Guard, settings=server.settings)
     return app

@@ -25,7 +25,7 @@ HEADERS = {
     "Cache-Control": "no-store",
 }
 """Unless an answer has its own."""
-_BATCHES, _CHECKS = "/v1/batches", "/v1/checks"
+_BATCHES, _CHECKS, _INSPECTIONS = "/v1/batches", "/v1/checks", "/v1/inspections"
 
 
 class Guard:
@@ -96,6 +96,7 @@ class Guard:
             return Problem("length-required", "the request has no Content-Length")
         limits, length = self._settings.limits, headers.get("content-length", "0")
         larger = {_BATCHES: limits.batch_bytes, _CHECKS: limits.check_bytes}
+        larger[_INSPECTIONS] = limits.inspection_bytes
         most = larger.get(scope["path"], limits.json_bytes)
         if not length.isascii() or not length.isdigit() or len(length) > 15 or int(length) > most:
             return Problem("too-large", f"the body of this request may have {most} bytes", limit=most)
@@ -106,7 +107,11 @@ class Guard:
 
 def _is_small(scope: Scope, headers: Headers) -> bool:
     """Whether a request has a body that is taken in before the request is looked at."""
-    return scope["method"] != "PUT" and headers.get("content-length", "0") != "0"
+    return (
+        scope["method"] != "PUT"
+        and scope["path"] != _INSPECTIONS
+        and headers.get("content-length", "0") != "0"
+    )
 
 
 def _route(scope: Scope) -> str:

@@ -6,6 +6,7 @@ from typing import Any
 
 from lvba import config
 from lvba.pipeline import Config
+from lvba.sources.importing.options import ImportOptions
 from service.api.schemas import NewJob
 
 _FACTS = ("level", "unit", "meaning", "range", "change_when", "minimum", "maximum")
@@ -17,11 +18,18 @@ def describe() -> dict[str, Any]:
     """What `GET /v1/options` answers."""
     defaults = config.to_dict(Config())
     whole = NewJob.model_json_schema()
-    schema = _in_place(whole["properties"]["config"], whole["$defs"], defaults)
+    described = _described(whole["properties"]["config"], whole["$defs"], defaults)
+    chosen = config.to_dict(ImportOptions())
+    given = whole["properties"]["import"]["anyOf"][0]
+    return {**described, "import": _described(given, whole["$defs"], chosen)}
+
+
+def _described(schema: Mapping[str, Any], groups: Mapping[str, Any], defaults: Any) -> dict[str, Any]:
+    whole = _in_place(dict(schema), groups, defaults)
     return {
-        "schema": {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema},
+        "schema": {"$schema": "https://json-schema.org/draft/2020-12/schema", **whole},
         "defaults": defaults,
-        "options": list(_flat(schema, "")),
+        "options": list(_flat(whole, "")),
     }
 
 

@@ -14,6 +14,7 @@ from pydantic import (
 )
 
 from lvba.pipeline import Config
+from lvba.sources.importing.options import ImportOptions
 from service.datasets import file_names
 from service.system.printable import printable
 
@@ -73,6 +74,10 @@ RunSettings = Annotated[
 ]
 """Settings of a run: described by their dataclasses, kept as they are given, and checked as on the command line
 (`config.from_mapping`, in `submission`), so that every mistake has one text everywhere."""
+ImportChoices = Annotated[
+    dict[str, Any], WrapValidator(_as_given, json_schema_input_type=ImportOptions), AfterValidator(_plain)
+]
+"""Options of the import of a bag, in the same way (`import_choices.read`)."""
 Days = Annotated[float, Field(gt=0, le=36500, allow_inf_nan=False)]
 Priority = Annotated[int, Field(ge=-10, le=10)]
 DatasetId = Annotated[str, Field(pattern=r"^ds_[0-9a-f]{1,40}$")]
@@ -109,9 +114,11 @@ class Webhook(_Strict):
 class NewJob(_Strict):
     """A run that is asked for."""
 
+    model_config = ConfigDict(extra="forbid", strict=True, populate_by_name=True)
     dataset: DatasetId
     name: Name | None = None
     config: RunSettings = Field(default_factory=dict)
+    import_: ImportChoices | None = Field(default=None, alias="import")
     priority: Priority = 0
     reference: bool = False
     keep_days: Days | None = None
@@ -132,6 +139,7 @@ class Restart(_Strict):
     model_config = ConfigDict(extra="forbid", strict=True, populate_by_name=True)
     from_stage: Text | None = Field(default=None, alias="from")
     config: RunSettings | None = None
+    import_: ImportChoices | None = Field(default=None, alias="import")
 
 
 class NewBatch(_Strict):

@@ -85,6 +85,7 @@ def _job(
         "dataset": row.dataset_id,
         "batch": row.batch_id,
         **{name: getattr(row, name) for name in ("config", "priority", "reference", "state")},
+        "import": row.import_options,
         **{name: time(getattr(row, name)) for name in ("created", "started", "finished", "updated")},
         "expires": time(retention.expiry(row, settings)),
         "progress": row.progress,

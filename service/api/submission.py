@@ -13,7 +13,7 @@ from lvba.pipeline import Config
 from service.api import queries
 from service.api.context import Server
 from service.api.schemas import NewJob
-from service.datasets import quota
+from service.datasets import import_choices, inspections, quota
 from service.db import journal
 from service.db.keys import Principal
 from service.db.tables import ENDED, QUEUED, READY, Batch, Dataset, Job
@@ -60,7 +60,8 @@ def queue(
         keep_days=wanted.keep_days,
         webhook=wanted.webhook.model_dump() if wanted.webhook else None,
         idempotency_key=key,
-        request_digest=digest(wanted.model_dump()),
+        import_options=_import_options(dataset, wanted),
+        request_digest=request_digest(wanted),
         created=now(),
         updated=now(),
         estimate=estimate,
@@ -70,6 +71,14 @@ def queue(
     server.database.order_events(session)
     journal.state(session, job)
     return job
+
+
+def request_digest(wanted: NewJob) -> str:
+    """Equal for equal requests, also those of versions that knew no imports."""
+    request = wanted.model_dump()
+    return digest(
+        request if wanted.import_ is not None else {k: v for k, v in request.items() if k != "import_"}
+    )
 
 
 def digest(request: dict[str, Any]) -> str:
@@ -89,11 +98,33 @@ def check_config(values: dict[str, Any]) -> None:
         raise Problem("invalid", f"config: {error}") from None
 
 
+def check_import(server: Server, dataset: Dataset, values: dict[str, Any] | None) -> None:
+    """Raises Problem: the dataset is not imported, or has not what is chosen of it."""
+    inspection = inspections.read(server.paths, dataset.id)
+    if inspection is None:
+        if values is not None:
+            raise Problem("invalid", "the dataset is a recording and needs no import", "leave `import` out")
+        return
+    try:
+        import_choices.check(import_choices.read(values or {}), inspection, dataset.name)
+    except InputError as error:
+        problem = of_input(error)
+        where = import_choices.place(error)
+        problem.more["errors"] = [{"where": where, "message": f"{error.problem}: {error.mend}"}]
+        raise problem from None
+
+
+def _import_options(dataset: Dataset, wanted: NewJob) -> dict[str, Any] | None:
+    imported = (dataset.facts or {}).get("format") is not None
+    return (wanted.import_ or {}) if imported else None
+
+
 def _check(server: Server, session: Session, principal: Principal, wanted: NewJob) -> Dataset:
     dataset = queries.one(session, Dataset, wanted.dataset, principal)
     if dataset.state != READY:
         raise Problem("not-ready", f"the dataset is {dataset.state}", "jobs need one that is ready")
     check_config(wanted.config)
+    check_import(server, dataset, wanted.import_)
     if wanted.reference and not (dataset.facts or {}).get("has_reference"):
         raise Problem("invalid", "the dataset has no folder reference/", "leave `reference` out")
     if wanted.webhook is not None:

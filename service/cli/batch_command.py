@@ -2,6 +2,7 @@
 
 import argparse
 import ctypes
+import json
 import signal
 import subprocess
 import sys
@@ -10,8 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from lvba import config
 from lvba.errors import LvbaError
-from lvba.io import result_folder
+from lvba.io import files, result_folder
 from service.cli import batch_manifest, batch_summary, clusters, stopping
 from service.cli.batch_manifest import Entry
 from service.cli.batch_summary import DONE, FAILED, RUNNING, WAITING, Row
@@ -101,9 +103,9 @@ class Queue:
         started = False
         while self._waiting and len(self._jobs) < self._arguments.jobs:
             entry = self._waiting.pop(0)
-            self._jobs.append(
-                _launch(command(self._arguments, entry, self._out / entry.name), entry, self._out)
-            )
+            choices = _choices(entry, self._out)
+            words = command(self._arguments, entry, self._out / entry.name, choices)
+            self._jobs.append(_launch(words, entry, self._out))
             self._rows[entry.name].state = RUNNING
             started = True
         return started
@@ -123,12 +125,22 @@ class Queue:
         self._display.progress("recordings", ended, len(self._rows))
 
 
-def command(arguments: argparse.Namespace, entry: Entry, out: Path) -> list[str]:
-    """The `lvba run` of one recording."""
+def _choices(entry: Entry, out: Path) -> Path | None:
+    """The file with the options of an import; None: there are none."""
+    if entry.imported is None:
+        return None
+    path = out / f"{entry.name}.import.yaml"
+    files.write_text(path, json.dumps(config.to_dict(entry.imported)) + "\n")
+    return path
+
+
+def command(arguments: argparse.Namespace, entry: Entry, out: Path, choices: Path | None = None) -> list[str]:
+    """The `lvba run` of one recording. choices: file with options of its import"""
     words = [sys.executable, "-m", "service.cli", "run", str(entry.dataset), "--out", str(out), "--quiet"]
     words += [word for setting in entry.settings for word in ("--set", setting)]
     options = {
         "config": entry.config,
+        "import": choices,
         "reference": entry.reference,
         "store": f"{arguments.store.rstrip('/')}/{entry.name}" if arguments.store else None,
         "threads": arguments.threads,

@@ -1,14 +1,16 @@
 """The list of recordings of a batch, and the order in which they get their turn."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from lvba import config
 from lvba.errors import InputError
 from lvba.io import files, plain_yaml
+from lvba.sources.importing.options import ImportOptions, parse_conventions
 
-_FIELDS = {"dataset", "name", "config", "set", "reference", "group"}
+_FIELDS = {"dataset", "name", "config", "set", "import", "reference", "group"}
 MAX_BYTES = 4 * 1024**2
 """Longest manifest read: some ten thousand recordings."""
 _MEND = "see lvba batch --help"
@@ -16,7 +18,10 @@ _MEND = "see lvba batch --help"
 
 @dataclass(frozen=True)
 class Entry:
-    """One recording with what it is run with. Paths are as they can be opened."""
+    """One recording with what it is run with. Paths are as they can be opened.
+
+    imported: options of its import, None: it needs none, or none beside those by default
+    """
 
     name: str
     dataset: Path
@@ -24,6 +29,7 @@ class Entry:
     settings: tuple[str, ...] = ()
     reference: Path | None = None
     group: str = ""
+    imported: ImportOptions | None = None
 
 
 def read(manifest: Path) -> list[Entry]:
@@ -65,7 +71,33 @@ def _entry(where: str, folder: Path, item: Any) -> Entry:
     settings = item.get("set") or []
     if not isinstance(settings, list):
         raise InputError(where, "`set` is not a list", "write it as a list of NAME=VALUE")
-    config, reference = (
+    settings_file, reference = (
         folder / item[field] if item.get(field) else None for field in ("config", "reference")
     )
-    return Entry(name, dataset, config, tuple(map(str, settings)), reference, str(item.get("group") or ""))
+    return Entry(
+        name=name,
+        dataset=dataset,
+        config=settings_file,
+        settings=tuple(map(str, settings)),
+        reference=reference,
+        group=str(item.get("group") or ""),
+        imported=_imported(where, folder, item["import"]) if item.get("import") else None,
+    )
+
+
+def _imported(where: str, folder: Path, values: Any) -> ImportOptions:
+    """Options with the paths of files as they can be opened.
+
+    Raises InputError: no such option, or a wrong value.
+    """
+    if not isinstance(values, dict):
+        raise InputError(where, "`import` is no list of options and values", _MEND)
+    options = config.from_mapping(ImportOptions, values, f"{where}, import")
+    answers = [f"{question}={answer}" for question, answer in options.conventions.items()]
+    file = folder / options.odometry
+    return replace(
+        options,
+        conventions=parse_conventions(answers),
+        calibration=tuple(str(folder / name) for name in options.calibration),
+        odometry=str(file) if options.odometry and file.is_file() else options.odometry,
+    )

@@ -10,11 +10,12 @@ from lvba import config
 from lvba.errors import InputError, LvbaError
 from lvba.io import files
 from lvba.pipeline import Config
+from lvba.sources.importing.options import ImportOptions
 from service.cli import batch_summary, server_responses, stopping
 from service.cli.batch_manifest import Entry
 from service.cli.batch_summary import DONE, FAILED, RUNNING, WAITING, Row
 from service.cli.client import Client, connected
-from service.cli.client_commands import BUSY, get_results, send
+from service.cli.client_commands import BUSY, get_results, looked_at, send
 from service.cli.client_settings import changed
 from service.cli.progress import Display
 from service.cli.server_responses import Failure, Job
@@ -35,7 +36,10 @@ def run(
     jobs = [_job(entry) for entry in entries]
     with connected(arguments.server, arguments.key_file, stopping.check) as client:
         for entry, job in zip(entries, jobs, strict=True):
-            job["dataset"] = send(client, entry.dataset, entry.name, display)
+            bag = looked_at(entry.imported or ImportOptions(), entry.dataset, display)
+            if bag is not None:
+                job["import"] = bag.choices
+            job["dataset"] = send(client, entry.dataset, entry.name, display, bag)
         wanted = {"name": file_names.plain(out.resolve().name, "batch"), "jobs": jobs}
         batch, _ = client.post("/v1/batches", wanted, server_responses.batch, key=uuid.uuid4().hex)
         display.stage("run", 0, 1)

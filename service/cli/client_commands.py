@@ -6,6 +6,7 @@ import sys
 import uuid
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from lvba.errors import InputError, LvbaError
@@ -16,6 +17,10 @@ from service.cli.progress import Display, clock_text
 from service.cli.server_responses import Dataset, Failure, Job, Result
 from service.datasets import file_names, recording_names
 from service.system.printable import printable
+
+if TYPE_CHECKING:
+    from lvba.sources.importing.options import ImportOptions
+    from service.cli.bag_submission import BagSubmission
 
 _DISTRUST = "the server names a result {}, which {}: nothing was fetched; do not trust this server"
 _ARCHIVES = (".zip", ".tar", ".tgz", ".tar.gz", ".tar.bz2", ".tar.xz")
@@ -45,14 +50,22 @@ def submit(arguments: argparse.Namespace, client: Client, display: Display) -> N
 
     wanted = client_settings.of(arguments)
     dataset = arguments.recording
+    choices: dict[str, Any] | None = None
     name = arguments.name or file_names.plain(Path(dataset.rstrip("/")).resolve().name, "recording")
     if "://" in dataset:
+        choices = _choices_by_name(arguments)
         dataset = register(client, dataset, name, display)
     elif not dataset.startswith("ds_") or Path(dataset).exists():
-        dataset = send(client, Path(dataset), name, display)
+        bag = _bag(arguments, Path(dataset), display)
+        if bag is not None:
+            choices = bag.choices
+        dataset = send(client, Path(dataset), name, display, bag)
+    else:
+        choices = _choices_by_name(arguments)
     body = {
         "dataset": dataset,
         **({"name": name} if arguments.name or dataset != arguments.recording else {}),
+        **({"import": choices} if choices else {}),
         **{"config": wanted, "priority": arguments.priority, "reference": arguments.reference},
     }
     job = client.post("/v1/jobs", body, server_responses.job, key=uuid.uuid4().hex)
@@ -63,7 +76,34 @@ def submit(arguments: argparse.Namespace, client: Client, display: Display) -> N
         _raise_unless_done(watch(client, job.id, display))
 
 
-def send(client: Client, recording: Path, name: str, display: Display) -> str:
+def _bag(arguments: argparse.Namespace, recording: Path, display: Display) -> "BagSubmission | None":
+    from service.cli import import_command
+
+    return looked_at(import_command.options_of(arguments), recording, display)
+
+
+def looked_at(options: "ImportOptions", recording: Path, display: Display) -> "BagSubmission | None":
+    """What is sent of a bag, as of `bag_submission.prepare`; None also for an archive, which the server looks into.
+
+    Raises InputError: as `bag_submission.prepare`
+    """
+    if recording.is_file() and recording.name.lower().endswith(_ARCHIVES):
+        return None
+    from service.cli import bag_submission
+
+    return bag_submission.prepare(options, recording, display)
+
+
+def _choices_by_name(arguments: argparse.Namespace) -> dict[str, Any] | None:
+    """Choices for a dataset that is on the server: files have their names in it."""
+    from service.cli import bag_submission, import_command
+
+    return bag_submission.changed(import_command.options_of(arguments)) or None
+
+
+def send(
+    client: Client, recording: Path, name: str, display: Display, bag: "BagSubmission | None" = None
+) -> str:
     """The id of a dataset with this recording, once the server has found it good. An upload that was cut goes on.
 
     Raises InputError: it is no recording, or the server finds it bad.
@@ -73,12 +113,12 @@ def send(client: Client, recording: Path, name: str, display: Display) -> str:
         raise InputError(
             recording, "there is no such file or folder", "give a recording, or the id of a dataset"
         )
-    if recording.is_dir():
+    if recording.is_dir() and bag is None:
         recording_names.check(recording)
     every = client.every("/v1/datasets", server_responses.dataset)
     begun = (row for row in every if (row.name, row.state) == (name, "uploading"))
     dataset = next(begun, None) or client.post("/v1/datasets", {"name": name}, server_responses.dataset)
-    for file, path in _files(recording):
+    for file, path in bag.files if bag else _files(recording):
         client.upload(dataset.id, file, path, display.progress)
     display.stage("check", 1, 2)
     client.post(f"/v1/datasets/{dataset.id}/finish")
@@ -108,7 +148,8 @@ def _files(recording: Path) -> list[tuple[Path, str | None]]:
     """Files to send with their names there; None: an archive."""
     if recording.is_file():
         if not recording.name.lower().endswith(_ARCHIVES):
-            raise InputError(recording, "is no archive", f"give a folder, or one of {', '.join(_ARCHIVES)}")
+            mend = f"give a folder, a bag, or one of {', '.join(_ARCHIVES)}"
+            raise InputError(recording, "is no archive", mend)
         return [(recording, None)]
     paths = sorted(path for path in recording.rglob("*") if path.is_file())
     inside = [(path, path.relative_to(recording).as_posix()) for path in paths]

@@ -74,6 +74,10 @@ def _run(arguments: argparse.Namespace, display: Display) -> int:
 
 def _command(name: str) -> Callable[[argparse.Namespace, Display], None]:
     # imported by name: `simulate` must not load what only `run` needs
+    if name == "import":
+        from service.cli import import_command
+
+        return import_command.import_recording
     if name == "run":
         from service.cli import run_command
 
@@ -94,6 +98,10 @@ def _command(name: str) -> Callable[[argparse.Namespace, Display], None]:
         from service.cli import simulate_command
 
         return simulate_command.simulate
+    if name == "inspect":
+        from service.cli import inspect_command
+
+        return inspect_command.inspect
     if name == "view":
         from service.cli import view_command
 
@@ -118,6 +126,8 @@ def _command(name: str) -> Callable[[argparse.Namespace, Display], None]:
 def _stopped(arguments: argparse.Namespace) -> str:
     if arguments.command == "run":
         return f"stopped; finished stages are kept in {arguments.out}: the same command continues from there"
+    if arguments.command == "import":
+        return f"stopped; what is written is kept in {arguments.out}: the same command continues from there"
     return "stopped"
 
 

@@ -35,6 +35,9 @@ class EventDisplay(Display):
         super().stages(names)
         self._send("stages", names=list(names))
 
+    def first_stages(self, names: Sequence[str]) -> None:
+        self._send("stages", names=list(names))
+
     def stage(self, name: str, index: int, total: int, reused: bool | None = None) -> None:
         self._sent_stage, self._sent_what = name, ""
         index, total = self._counted(name, index, total)

@@ -1,4 +1,4 @@
-"""The command line: `lvba run | batch | worker | evaluate | simulate | view | export`; with a server, `server_parser`.
+"""The command line: `lvba import | run | batch | worker | evaluate | simulate | inspect | view | export` and more.
 
 Nothing heavy is imported before a command runs, so that `lvba --help` answers at once.
 """
@@ -10,7 +10,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import NoReturn
 
-from service.cli import server_parser, stopping
+from service.cli import import_parser, server_parser, stopping
 from service.system.threads import limit_threads
 
 _EPILOG = """\
@@ -25,7 +25,8 @@ _RUN = """\
 Refine the scan poses, camera poses and exposures of a recording, and color its map.
 
 OUT gets the result (poses, exposures, map.ply, report.html, report.json, config.yaml) and, in OUT/stages, the
-intermediate results. The same command continues a stopped run after its last finished stage."""
+intermediate results. The same command continues a stopped run after its last finished stage. A bag is imported into
+OUT/recording first, as `lvba import` does it."""
 
 _RUN_EXAMPLES = """\
 examples:
@@ -40,9 +41,10 @@ OUT/config.yaml has every setting with its value and meaning, and can be given a
 _BATCH = """\
 Refine many recordings, a few at a time, and write one table of their results.
 
-MANIFEST is a YAML list; each entry has `dataset`, and may have `name`, `config`, `set` (a list), `reference` and
-`group`. Paths are relative to MANIFEST. Groups take turns, so that a short list does not wait for a long one. A recording
-that fails does not stop the others. The same command continues an interrupted batch."""
+MANIFEST is a YAML list; each entry has `dataset`, and may have `name`, `config`, `set` (a list), `import` (options of
+`lvba import`, of a bag), `reference` and `group`. Paths are relative to MANIFEST. Groups take turns, so that a short list
+does not wait for a long one. A recording that fails does not stop the others. The same command continues an interrupted
+batch."""
 
 _BATCH_EXAMPLES = """\
 examples:
@@ -78,12 +80,25 @@ examples:
 _SIMULATE = """\
 Simulate a recording of a generated scene; OUT/reference has the true poses and exposures."""
 
+BAG_FORMS = ("ros1", "ros1-lz4", "ros1-bz2", "sqlite3", "mcap", "mcap-zstd")
+BAG_LAYOUTS = ("livox-custom-1", "livox-custom-2", "livox-cloud", "ouster", "velodyne", "hesai", "robosense")
+
 _SIMULATE_EXAMPLES = """\
 examples:
   lvba simulate courtyard --out yard
   lvba simulate rooms --out rooms --frames 60 --seed 3 --difficulty hard --lidar non_repetitive
   lvba simulate street --out street --length 400 --frames 400 --motion-blur
-  lvba simulate block --out block --length 400 --frames 200 --closing 1 2"""
+  lvba simulate block --out block --length 400 --frames 200 --closing 1 2
+  lvba simulate courtyard --out walk.bag --bag ros1 --frames 100"""
+
+_INSPECT = """\
+Tell what is in a bag (ROS 1, ROS 2, MCAP) or folder: streams with types, counts, rates and clocks, fields of points and
+what their times mean, cameras, what is missing, and the command that imports it. Nothing is written."""
+
+_INSPECT_EXAMPLES = """\
+examples:
+  lvba inspect walk.bag
+  lvba inspect rosbag2_2024_05_01 --json"""
 
 _VIEW = """\
 Show a result in the browser: the map in 3D, photographs beside the map, figures and files. The server answers this
@@ -140,15 +155,23 @@ def parser() -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action="version", version=f"lvba {metadata.version('lvba')}")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    _add_import(commands)
     _add_run(commands)
     _add_batch(commands)
     _add_worker(commands)
     _add_evaluate(commands)
     _add_simulate(commands)
+    _add_inspect(commands)
     _add_view(commands)
     _add_export(commands)
     server_parser.add(commands, _command)
     return top
+
+
+def _add_import(commands: "argparse._SubParsersAction[Parser]") -> None:
+    summary = "make a recording folder of a bag"
+    command = _command(commands, "import", summary, import_parser.IMPORT, import_parser.IMPORT_EXAMPLES)
+    import_parser.add_arguments(command, _count)
 
 
 def _add_run(commands: "argparse._SubParsersAction[Parser]") -> None:
@@ -160,6 +183,19 @@ def _add_run(commands: "argparse._SubParsersAction[Parser]") -> None:
         "--store", metavar="URL", help="folder or URL of intermediate results (default: OUT/stages)"
     )
     run.add_argument("--redo", metavar="STAGE", help="repeat this stage and all that depend on it")
+    run.add_argument(
+        "--import",
+        dest="import_options",
+        type=Path,
+        metavar="FILE",
+        help="of a bag: options of `lvba import`, YAML, such as `lidar: /points`",
+    )
+    run.add_argument(
+        "--recording",
+        type=Path,
+        metavar="DIR",
+        help="of a bag: recording folder to make (default: OUT/recording)",
+    )
     run.add_argument("--name", help="name of the recording in the report (default: its folder)")
     run.add_argument("--events", type=Path, metavar="FILE", help="append events to FILE, as JSON lines")
     run.add_argument("--viewer", action="store_true", help="also write what `lvba export OUT lod` writes")
@@ -199,6 +235,11 @@ def _add_evaluate(commands: "argparse._SubParsersAction[Parser]") -> None:
     evaluate.add_argument("--image-poses", type=Path, metavar="FILE", help="TUM, world from camera or body")
     evaluate.add_argument("--exposures", type=Path, metavar="FILE", help="CSV: timestamp,relative_exposure")
     evaluate.add_argument(
+        "--calibration", type=Path, metavar="FILE",
+        help="camera that the poses were found with: calibration.yaml of a result, or a file that `lvba import "
+        "--calibration` reads (default: the recording's)",
+    )  # fmt: skip
+    evaluate.add_argument(
         "--reference", type=Path, metavar="DIR", help="folder of true poses to compare with"
     )
 
@@ -208,7 +249,9 @@ def _add_simulate(commands: "argparse._SubParsersAction[Parser]") -> None:
         commands, "simulate", "simulate a recording with known truth", _SIMULATE, _SIMULATE_EXAMPLES
     )
     simulate.add_argument(
-        "scene", metavar="SCENE", help="courtyard, rooms, corridor, street, plane, block, terrace, cabinet"
+        "scene",
+        metavar="SCENE",
+        help="courtyard, rooms, corridor, street, plane, block, terrace, cabinet, site",
     )
     simulate.add_argument("--out", type=Path, required=True, metavar="DATASET", help="folder to write")
     simulate.add_argument("--frames", type=int, metavar="N", help="images (default: the scene's)")
@@ -258,11 +301,35 @@ def _add_simulate(commands: "argparse._SubParsersAction[Parser]") -> None:
         metavar="NAME=VALUE",
         help="what real sensors do, see docs/simulation.md: a number, typical or severe; as rolling_shutter=0.015",
     )
+    _add_effects(simulate)
+    _add_bag(simulate)
+
+
+def _add_effects(simulate: Parser) -> None:
     simulate.add_argument("--vignetting", action="store_true", help="images darker towards their corners")
     simulate.add_argument(
         "--motion-blur", action="store_true", help="images blurred by motion during the exposure"
     )
+    simulate.add_argument("--imu", action="store_true", help="write imu.csv too (bags have an IMU anyway)")
     simulate.add_argument("--shot-noise", action="store_true", help="image noise grows with brightness")
+
+
+def _add_bag(simulate: Parser) -> None:
+    simulate.add_argument(
+        "--bag", choices=BAG_FORMS, help="write a bag with raw sweeps, images, IMU and odometry"
+    )
+    simulate.add_argument(
+        "--bag-points",
+        choices=BAG_LAYOUTS,
+        default="livox-custom-2",
+        help="the driver whose layout sweeps have (default: livox-custom-2)",
+    )
+
+
+def _add_inspect(commands: "argparse._SubParsersAction[Parser]") -> None:
+    inspect = _command(commands, "inspect", "tell what is in a bag or folder", _INSPECT, _INSPECT_EXAMPLES)
+    inspect.add_argument("source", type=Path, metavar="SOURCE", help="bag, folder of bags, or folder")
+    inspect.add_argument("--json", action="store_true", help="the same for programs")
 
 
 def _add_view(commands: "argparse._SubParsersAction[Parser]") -> None:

@@ -3,7 +3,8 @@
 import argparse
 import os
 
-from lvba.blocks import split, survey
+from lvba.blocks import memory, split, survey
+from lvba.blocks.memory import Peaks
 from lvba.blocks.split import Load
 from lvba.dataset import Dataset
 from lvba.errors import InputError
@@ -22,10 +23,11 @@ def announce(arguments: argparse.Namespace, dataset: Dataset, config: Config, di
     """
     load = survey.load_of(dataset)
     cores = split.parts(dataset, config.split, load)
-    needed = max(split.memory_bytes(load, len(part.scan_numbers), len(part.image_numbers)) for part in cores)
+    peaks = memory.peaks(dataset, cores, load)
+    needed = peaks.largest
     given = clusters.memory_bytes(arguments)
     if given is not None and needed > given:
-        raise _too_little(needed, given, len(cores))
+        raise _too_little(peaks, given, len(cores))
     what = "memory" if len(cores) == 1 else f"memory for each of {len(cores)} parts"
     limit = _limit(arguments, given)
     display.tell(f"{what}: about {needed / 1e9:.1f} GB{limit}")
@@ -43,11 +45,14 @@ def _limit(arguments: argparse.Namespace, given: int | None) -> str:
     return f", of {(given or limits.memory_per_process(arguments.workers)) / 1e9:.1f} GB for each worker"
 
 
-def _too_little(needed: float, given: int, parts: int) -> InputError:
+def _too_little(peaks: Peaks, given: int, parts: int) -> InputError:
+    needed = peaks.largest
     what = "the recording" if parts == 1 else f"the largest of {parts} parts"
+    if peaks.part <= given:
+        what = "a joint round of all scans" if peaks.joint == needed else "the map of a region"
     mend = f"give each worker {needed / 1e9 + 0.05:.1f} GB or more"
     smaller = given / 1e9
-    if smaller >= _LEAST_PART_GB:
+    if smaller >= _LEAST_PART_GB and peaks.part > given:
         mend += f", or make the parts smaller (--set split.by=memory --set split.memory_gb={smaller:.3g})"
     return InputError(
         f"--memory-limit {given / 1e9:.3g}GB", f"{what} takes about {needed / 1e9:.2f} GB", mend

@@ -42,6 +42,9 @@ class Display:
         """The names of all stages, in order: from now on, each is counted by its place among them."""
         self._names = list(names)
 
+    def first_stages(self, names: Sequence[str]) -> None:
+        """The names of the stages that come before all are known: they are not counted here."""
+
     def stage(self, name: str, index: int, total: int, reused: bool | None = None) -> None:
         """A stage begins: its name, its index, how many there are, and whether it is there already (None: not known)."""
         self._check()

@@ -20,6 +20,7 @@ from lvba.result import Result
 from service.cli import (
     clusters,
     first_run,
+    import_command,
     memory_estimate,
     removed_stages,
     result_table,
@@ -28,7 +29,7 @@ from service.cli import (
 )
 from service.cli.out_check import check_out
 from service.cli.progress import Display
-from service.jobs.run_events import VIEWER
+from service.jobs.run_events import IMPORT, VIEWER
 from workers import local, versions
 from workers.local import StageRecord
 from workers.store import ZarrStore
@@ -43,8 +44,10 @@ def run(arguments: argparse.Namespace, display: Display) -> None:
     clusters.check(arguments)
     check_out(arguments.out, arguments.dataset)
     started = time.perf_counter()
+    imported = import_command.of_run(arguments, display)
+    folder = imported or arguments.dataset
     display.stage("input", 0, 1)
-    dataset = open_dataset(arguments.dataset)
+    dataset = open_dataset(folder)
     reference = read_reference(arguments.reference) if arguments.reference else None
     load = memory_estimate.announce(arguments, dataset, config, display)
     first_run.announce(display, images=bool(dataset.image_paths))
@@ -52,7 +55,7 @@ def run(arguments: argparse.Namespace, display: Display) -> None:
     opened = StageRecord(
         "input", round(time.perf_counter() - started, 3), round(local.peak_memory_mb(), 1), 1, False
     )
-    report = _refine(arguments, dataset, config, work, opened, display).report
+    report = _refine(arguments, dataset, config, work, opened, display, imported=imported is not None).report
     if arguments.viewer:
         _add_viewer(arguments.out, len(report["stages"]), display)
     result_table.show(report, arguments.out)
@@ -90,6 +93,8 @@ def _refine(
     work: Plan,
     opened: StageRecord,
     display: Display,
+    *,
+    imported: bool,
 ) -> Result:
     out = result_folder.prepare(arguments.out)
     store = open_store(_place(arguments.store or str(out / "stages")))
@@ -98,7 +103,9 @@ def _refine(
         if arguments.redo:
             _forget(work, store, arguments.redo)
         last = ["write", VIEWER] if arguments.viewer else ["write"]
-        display.stages(["input", *(step.name for step in work.steps.values()), *last])
+        display.stages(
+            [*([IMPORT] if imported else []), "input", *(step.name for step in work.steps.values()), *last]
+        )
         records = _execute(arguments, work, store, display)
         display.stage("write", len(records), len(records) + len(last))
         refined = result.collect(dataset, config, work, store)

@@ -5,6 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from service.cli import import_parser
+
 _SERVE = """\
 Serve the REST API and the page, and run submitted jobs, until stopped.
 
@@ -31,14 +33,16 @@ examples:
 _SUBMIT = """\
 Send a recording to a server and start a job.
 
-RECORDING is a folder or an archive to upload (an interrupted upload continues), the id of a dataset on the server, or a
-URL in an object store that the server may read. The id of the job goes to stdout."""
+RECORDING is a folder, an archive or a bag to upload (an interrupted upload continues), the id of a dataset on the
+server, or a URL in an object store that the server may read. A bag is looked at first: what is missing or wrong is told
+before anything is sent. The id of the job goes to stdout."""
 
 _SUBMIT_EXAMPLES = """\
 examples:
   lvba submit recording --server http://127.0.0.1:8080
   lvba submit ds_3f... --set visual.levels=2 --wait
   lvba submit recording.tar.gz --name yard --priority 5
+  lvba submit walk.bag --odometry auto --calibration camera.yaml
   lvba submit s3://recordings/yard
 
 LVBA_SERVER and LVBA_KEY replace --server and --key-file."""
@@ -133,7 +137,7 @@ def _add_admin(commands: Any, command: Add) -> None:
 def _add_submit(commands: Any, command: Add) -> None:
     submit = command(commands, "submit", "send a recording to a server", _SUBMIT, _SUBMIT_EXAMPLES)
     submit.add_argument(
-        "recording", metavar="RECORDING", help="folder, archive, id of a dataset, or s3://BUCKET/PATH"
+        "recording", metavar="RECORDING", help="folder, archive, bag, id of a dataset, or s3://BUCKET/PATH"
     )
     submit.add_argument("--name", metavar="NAME", help="of dataset and job (default: the folder's)")
     submit.add_argument("--config", type=Path, metavar="FILE", help="settings, YAML")
@@ -147,7 +151,16 @@ def _add_submit(commands: Any, command: Add) -> None:
     submit.add_argument(
         "--wait", action="store_true", help="wait until it has ended; exit code 1 if it failed"
     )
+    choices = submit.add_argument_group("of a bag", "what `lvba import` takes; a server runs no commands")
+    import_parser.add_choices(choices, _count)
     add_server(submit)
+
+
+def _count(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not 1 or more")
+    return number
 
 
 def _add_questions(commands: Any, command: Add) -> None:

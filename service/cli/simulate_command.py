@@ -2,15 +2,19 @@
 
 import argparse
 
+from service.cli import simulate_bag
 from service.cli.progress import Display
 
 
 def simulate(arguments: argparse.Namespace, display: Display) -> None:
-    """Write the dataset folder."""
+    """Write the dataset folder, or a bag."""
     from lvba.simulate import disturbances
     from lvba.simulate import simulate as make
 
     display.stage(f"simulate {arguments.scene}", 0, 1)
+    if arguments.bag:
+        simulate_bag.write(arguments, display)
+        return
     make(
         arguments.scene,
         arguments.out,
@@ -29,6 +33,7 @@ def simulate(arguments: argparse.Namespace, display: Display) -> None:
         closing=arguments.closing,
         image_poses=arguments.image_poses,
         lens=arguments.lens,
+        imu=arguments.imu,
         disturb=disturbances.parse(arguments.disturb),
         progress=display.progress,
     )

@@ -11,18 +11,19 @@ import re
 import resource
 import shutil
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
 from lvba.errors import InputError, Lack
 from lvba.io import no_links
 from lvba.io.files import sync
-from service.datasets import archives, check_memory, object_store
+from service.datasets import archives, check_memory, object_store, recording_names
 from service.datasets.intake_budget import IntakeBudget, TooLargeError
 from service.datasets.recording_names import without_wrapping
 from service.settings import Limits
-from service.system import deadline, durable, file_lock, store_urls
-from service.system.disk_space import says_full
+from service.system import deadline, durable, file_lock, process_limits, store_urls
+from service.system.disk_space import LEAST_FREE, free_bytes, says_full
 from service.system.paths import count_of, size_of
 from service.system.threads import limit_threads
 
@@ -33,7 +34,7 @@ def main(task_file: str) -> int:
     task = json.loads(Path(task_file).read_text())
     limits = Limits(**task["limits"])
     no_links.refuse_below(task["without_links"])
-    _limit(limits)
+    process_limits.limit(check_memory.address_space(limits), int(limits.validation_s) + 1)
     limit_threads(2)
     try:
         with file_lock.exclusive(Path(task["lock"])):
@@ -48,17 +49,10 @@ def main(task_file: str) -> int:
     return 0
 
 
-def _limit(limits: Limits) -> None:
-    memory, seconds = check_memory.address_space(limits), int(limits.validation_s) + 1
-    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-
-
 def _answer(task: dict[str, Any], limits: Limits) -> dict[str, Any]:
     try:
         root = _recording(task, limits)
-        return _facts(root, own=root == Path(task["files"]))
+        return _facts(root, limits, own=root == Path(task["files"]))
     except InputError as error:
         if error.lack is Lack.MEMORY:
             return {"error": check_memory.said(limits)}
@@ -158,9 +152,21 @@ def _link(file: Path, folder: Path, path: str, budget: IntakeBudget) -> None:
         raise InputError(repr(path), "is there as a file and as a folder", "give one another name") from None
 
 
-def _facts(root: Path, *, own: bool) -> dict[str, Any]:
+def _limit_unpacked(limits: Limits) -> None:
+    """A bag that is compressed as a whole is unpacked beside it, into no more than there is room for."""
+    room = max(free_bytes(Path(tempfile.gettempdir())) - limits.disk_reserve_bytes, LEAST_FREE)
+    resource.setrlimit(
+        resource.RLIMIT_FSIZE, (min(room, limits.archive_bytes), resource.getrlimit(resource.RLIMIT_FSIZE)[1])
+    )
+
+
+def _facts(root: Path, limits: Limits, *, own: bool) -> dict[str, Any]:
     from lvba.io.dataset import open_dataset
 
+    sizes = {"bytes": size_of(root) if own else 0, "files": count_of(root) if own else 0}
+    if not recording_names.is_recording(root) and (answer := _of_source(root, limits)) is not None:
+        answer["facts"]["bytes"] = sizes["bytes"]
+        return {"frames": [], **sizes, **answer}
     dataset = open_dataset(root)
     times = [*dataset.scans.times, *dataset.images.times]
     frames = [
@@ -169,8 +175,7 @@ def _facts(root: Path, *, own: bool) -> dict[str, Any]:
     ]
     return {
         "frames": frames,
-        "bytes": size_of(root) if own else 0,
-        "files": count_of(root) if own else 0,
+        **sizes,
         "facts": {
             "scans": len(dataset.scan_paths),
             "images": len(dataset.image_paths),
@@ -179,10 +184,21 @@ def _facts(root: Path, *, own: bool) -> dict[str, Any]:
             "duration_s": float(max(times) - min(times)),
             "scan_bytes": sum(os.stat(path).st_size for path in dataset.scan_paths),
             "digest": dataset.digest,
+            "format": None,
             "has_reference": (root / "reference").is_dir(),
             "warnings": [warning.replace(str(root), "DATASET") for warning in dataset.warnings],
         },
     }
+
+
+def _of_source(root: Path, limits: Limits) -> dict[str, Any] | None:
+    """What is found in a bag, or a folder of another program; None: it is none."""
+    # knows all that reads them, which recordings need not wait for
+    from service.datasets import source_check
+
+    _limit_unpacked(limits)
+    opened = source_check.source_at(root)
+    return None if opened is None else source_check.look(opened[0], root, opened[1])
 
 
 if __name__ == "__main__":

@@ -120,6 +120,10 @@ class DatasetCheck:
         if "facts" in answer:
             frames = self._paths.frames(self.lease.id)
             files.write_text(frames, json.dumps(answer["frames"]), durable=True)
+            inspection = self._paths.inspection(self.lease.id)
+            inspection.unlink(missing_ok=True)
+            if "inspection" in answer:
+                files.write_text(inspection, json.dumps(answer["inspection"]), durable=True)
         with self._database.write() as session:
             dataset = self.lease.row(session)
             if dataset is None:

@@ -8,13 +8,13 @@ LINES: a JSON object each, {"path", "text"?}. Prints {"error": null | {"code", "
 
 import json
 import re
-import resource
 import sys
 from collections.abc import Iterable
 from pathlib import Path
 
 from lvba.errors import InputError
 from service.datasets import file_names, recording_names
+from service.system import process_limits
 from service.system.threads import limit_threads
 
 SECONDS = 60
@@ -23,9 +23,7 @@ _MEMORY = 4 << 30
 
 def main(folder: str, name: str, most: int) -> int:
     """0: the answer is printed."""
-    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
-    resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 5))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    process_limits.limit(_MEMORY, SECONDS)
     limit_threads(1)
     root = Path(folder) / name
     root.mkdir()

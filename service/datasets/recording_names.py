@@ -25,4 +25,25 @@ def check(folder: Path) -> None:
     # needs the readers of the method, which asking a server need not wait for otherwise
     from lvba.io.dataset import check_names
 
-    check_names(without_wrapping(folder))
+    root = without_wrapping(folder)
+    if is_recording(root) or not _is_source(root):
+        check_names(root)
+
+
+def is_recording(root: Path) -> bool:
+    """Whether a folder looks like a recording, which is run as it is."""
+    from lvba.io import kitti
+    from lvba.io.dataset import SCAN_FOLDERS
+
+    return root.is_dir() and (kitti.is_kitti(root) or any((root / name).is_dir() for name in SCAN_FOLDERS))
+
+
+def _is_source(root: Path) -> bool:
+    """Whether a folder is a bag, or one of another program, by its names.
+
+    Raises InputError: it is a bag of which a file is missing.
+    """
+    from lvba.sources import folders
+    from lvba.sources.bags.bag_files import container_at
+
+    return container_at(root) is not None or folders.is_known(root)

@@ -116,6 +116,10 @@ class Job(Leased, Base):
     dataset_id: Mapped[str] = mapped_column(ForeignKey("datasets.id"))
     batch_id: Mapped[str | None] = mapped_column(ForeignKey("batches.id"), index=True)
     config: Mapped[dict[str, Any]]
+    import_options: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
+    """What is chosen of a bag, as it was given; None: the dataset is a recording."""
+    import_key: Mapped[str | None]
+    """Of the recording that was made of the bag; None: it was not begun."""
     reference: Mapped[bool] = mapped_column(default=False)
     priority: Mapped[int] = mapped_column(default=0)
     keep_days: Mapped[float | None]

@@ -12,6 +12,10 @@ from service.db.tables import DONE, Dataset, Job
 
 _HISTORY = 20
 _PIXELS = 640 * 480
+_IMPORT_S = 0.02
+"""Of a scan or image of a bag."""
+_IMAGE_BYTES = 2 * _PIXELS
+"""Of an image as it lies in a recording."""
 _CORES = 2
 """Of the machine on which the figures below were taken."""
 
@@ -32,6 +36,9 @@ def of_counts(facts: dict[str, Any], cores: int) -> Estimate:
     work = 0.05 * facts["scans"] + 0.15 * images + 0.05 * points_mb
     memory = 500e6 + 3.5e6 * images + 8e6 * points_mb
     disk = 10e6 + 1e6 * facts["scans"] + 3e6 * images + 3e6 * points_mb
+    if facts.get("format") is not None:
+        work += _IMPORT_S * (facts["scans"] + facts["images"])
+        disk += facts["scan_bytes"] + _IMAGE_BYTES * images
     return Estimate(round(6.0 + work * _CORES / max(cores, 1), 1), int(memory), int(disk))
 
 

@@ -19,7 +19,7 @@ from service.db import journal, leases
 from service.db.database import Database
 from service.db.leases import Lease
 from service.db.tables import CANCELED, CANCELING, DONE, FAILED, QUEUED, RUNNING, Dataset, Job, Outcome
-from service.jobs import results, tail, timeline, webhooks
+from service.jobs import job_import, results, tail, timeline, webhooks
 from service.jobs.run_events import VIEWER, EndReason
 from service.settings import Settings
 from service.system import durable, messages
@@ -63,6 +63,7 @@ class JobRun:
         )
         self._recording = paths.recording(dataset.id, dataset.folder)
         self._name = dataset.name
+        self._import = job_import.prepare(database, paths, job, self._recording)
         self.child = self._start(job)
 
     def _start(self, job: Job) -> Child:
@@ -88,7 +89,11 @@ class JobRun:
         )
 
     def _command(self, job: Job, folder: Path) -> list[str]:
-        arguments = ["run", str(self._recording), f"--out={self._paths.out(job.id)}"]
+        arguments = ["run", str(self._import.source if self._import else self._recording)]
+        if self._import is not None:
+            arguments += [f"--import={folder / 'import.yaml'}", f"--recording={self._import.out}"]
+            files.write_text(folder / "import.yaml", config.to_yaml(self._import.options))
+        arguments += [f"--out={self._paths.out(job.id)}"]
         arguments += [f"--config={folder / 'config.yaml'}", f"--events={self._events}", "--viewer"]
         arguments += [f"--name={self._name}"]
         options = {
@@ -160,7 +165,7 @@ class JobRun:
             self._database.order_events(session)
             for kind, data in self._pending:
                 journal.add(session, job, kind, data)
-                if kind == journal.STAGES:
+                if kind == journal.STAGES and "write" in data["stages"]:  # not only those of an import
                     job.redo = None  # done by now: an attempt after this one goes on
         self._pending, self._wrote_at = [], time.monotonic()
         return True
@@ -195,6 +200,8 @@ class JobRun:
             if job is None:
                 return
             job.lease_owner, job.bytes, job.eta_s = None, size, None
+            if self._import is not None:
+                job_import.account(session, self._paths, job.dataset_id)
             outcome, message = self._show_end(job, code, crashed, summary)
             if job.state == DONE:
                 results.keep(session, job.id, noted)

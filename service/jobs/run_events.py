@@ -1,6 +1,7 @@
 """`--events FILE`: what a run does, for programs. One JSON object a line, added to the file as it happens.
 
-    {"event": "stages", "names": [...]}                                  all stages in order, before the first
+    {"event": "stages", "names": [...]}                                  all stages in order, before the first; of a bag
+                                                                         again when it is imported: then all are known
     {"event": "stage", "name", "index", "total", "reused": bool|null}    one begins
     {"event": "progress", "stage", "what", "done", "total"}              at most a few a second
     {"event": "record", "name", "seconds", "peak_memory_mb", "reused"}   how each went, at the end
@@ -15,6 +16,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+IMPORT = "import"
+"""Name of the stage that makes the recording of a bag; it comes first, and the stages after it are not known yet."""
 VIEWER = "viewer"
 """Name of the stage that comes last where it is asked for: the result is whole before it."""
 

@@ -8,6 +8,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from service.datasets import leftovers
 from service.db.database import Database
+from service.jobs import job_import
 from service.jobs.retention import Retention
 from service.settings import Settings
 from service.system.paths import Paths
@@ -53,6 +54,7 @@ class Sweeper(threading.Thread):
 
     def _sweep(self) -> None:
         self._retention.sweep()
+        job_import.sweep(self._database, self._paths)
         strays = time.monotonic() >= self._strays_due
         leftovers.sweep(self._database, self._paths, uploads=strays)
         if strays:

@@ -4,11 +4,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from service.db.journal import PROGRESS, STAGE, STAGES
-from service.jobs.run_events import EndReason, RunEnd, run_end
+from service.jobs.run_events import IMPORT, EndReason, RunEnd, run_end
 
 JobEvent = tuple[str, dict[str, Any]]
 """Kind and data of an event for the journal."""
 
+_AFTER_IMPORT = 9.0
+"""Work after an import, of its own, where no run was finished here."""
 WAITING, RUNNING, DONE, FAILED, STOPPED = "waiting", "running", "done", "failed", "stopped"
 
 
@@ -27,14 +29,13 @@ class Timeline:
         self._other = sum(weights.values()) / len(weights) if weights else 1.0
         self._stage_began = self._count_began = now
         self._fraction = 0.0
+        self._all_named = True
 
     def take(self, line: Mapping[str, Any], now: float) -> list[JobEvent]:
         """Add what a line of the run says; the events that it makes."""
         kind = line.get("event")
         if kind == "stages":
-            self.stages = [_waiting(str(name)) for name in line["names"]]
-            self.stages[0]["state"] = DONE
-            return [(STAGES, {"stages": [stage["name"] for stage in self.stages]})]
+            return self._list(line, now)
         if kind == "stage" and self.stages:
             return self._begin(str(line["name"]), line.get("reused"), now)
         if kind == "progress" and self.stages:
@@ -44,6 +45,16 @@ class Timeline:
         if kind == "end":
             return self._finish(line, now)
         return []
+
+    def _list(self, line: Mapping[str, Any], now: float) -> list[JobEvent]:
+        """The names of all stages, or of the first ones (`run_events.IMPORT`), which then have gone their way."""
+        records = self._end_running(DONE, now)
+        self._all_named = line["names"][0] != IMPORT or bool(self.stages)
+        known = {stage["name"]: stage for stage in self.stages}
+        self.stages = [known.get(str(name)) or _waiting(str(name)) for name in line["names"]]
+        if not known and line["names"][0] != IMPORT:
+            self.stages[0]["state"] = DONE
+        return [*records, (STAGES, {"stages": [stage["name"] for stage in self.stages]})]
 
     def give_up(self, now: float) -> None:
         """The stage that runs has failed, and nobody is there any more to say so."""
@@ -59,7 +70,7 @@ class Timeline:
     def fraction(self) -> float:
         """How much of the work is done, 0..1; never less than before."""
         done = sum(self._weight(stage) * _part(stage) for stage in self.stages)
-        every = sum(self._weight(stage) for stage in self.stages)
+        every = self._every()
         self._fraction = max(self._fraction, done / every if every else 0.0)
         return self._fraction
 
@@ -72,15 +83,28 @@ class Timeline:
         if not self._weights or not self._estimate_s:
             return None
         elapsed = now - self._began
-        every = sum(self._weight(stage) for stage in self.stages)
+        every, unknown = self._every(), self._unknown()
         made = [stage for stage in self.stages if not stage["reused"]]
-        fraction = sum(self._weight(stage) for stage in made) / every if every else 1.0
+        fraction = (sum(self._weight(stage) for stage in made) + unknown) / every if every else 1.0
         if not fraction or not made:
             return round(max(self._estimate_s - elapsed, 0.0), 1)
-        left = sum(self._weight(stage) * (1.0 - self._done(stage, every, now)) for stage in made) / every
+        left = sum(self._weight(stage) * (1.0 - self._done(stage, every, now)) for stage in made)
+        left = (left + unknown) / every
         part = left / fraction
         # the pace so far makes elapsed / (1 - part) of the whole; weighed by 1 - part
         return round(part * (part * fraction * self._estimate_s + elapsed), 1)
+
+    def _every(self) -> float:
+        """The weights of all stages."""
+        return sum(self._weight(stage) for stage in self.stages) + self._unknown()
+
+    def _unknown(self) -> float:
+        """The weights of the stages that are not named yet, about: by finished runs, or else most of all."""
+        if self._all_named:
+            return 0.0
+        known = sum(self._weight(stage) for stage in self.stages)
+        others = sum(weight for name, weight in self._weights.items() if name not in (IMPORT, "input"))
+        return others if self._weights else _AFTER_IMPORT * known
 
     def _done(self, stage: Mapping[str, Any], every: float, now: float) -> float:
         """The part of a stage that is done, 0..1, by its count or by the time that it should take."""

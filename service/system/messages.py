@@ -1,10 +1,14 @@
 """What is said to people about processes and files, without what is not theirs to know."""
 
+import re
 import signal
 from pathlib import Path
 
 from lvba.errors import InputError
 from service.system.paths import Paths
+
+_IMPORTED = re.compile(r"DATA/datasets/\w+/imports/[0-9a-f]+")
+"""The recording that a job made of a bag."""
 
 
 def of_exit(code: int) -> str:
@@ -35,4 +39,4 @@ def without_paths(text: str, paths: Paths, job_id: str, recording: Path | None) 
         known = {str(recording.absolute()): "DATASET", **known}
     for path, name in known.items():
         text = text.replace(path, name)
-    return text
+    return _IMPORTED.sub("RECORDING", text)

@@ -71,6 +71,18 @@ class Paths:
         """JSON: time and path of each image."""
         return self.dataset(dataset_id) / "frames.json"
 
+    def inspection(self, dataset_id: str) -> Path:
+        """JSON: what a bag holds (`source_check.look`); not there: the dataset is a recording."""
+        return self.dataset(dataset_id) / "inspection.json"
+
+    def imports(self, dataset_id: str) -> Path:
+        """Folder of the recordings that jobs made of a bag."""
+        return self.dataset(dataset_id) / "imports"
+
+    def imported(self, dataset_id: str, key: str) -> Path:
+        """The recording that choices with this key make of a bag; its lock lies beside it."""
+        return self.imports(dataset_id) / key
+
     def job(self, job_id: str) -> Path:
         """Folder of a job."""
         return self.root / "jobs" / job_id

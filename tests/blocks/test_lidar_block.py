@@ -11,6 +11,7 @@ from lvba.blocks import lidar_block, lidar_joint
 from lvba.kernels import voxel as kernel
 from lvba.lidar import bundle_adjustment, plane_factor, voxel_map
 from lvba.lidar.config import STAGES, LidarConfig
+from lvba.lidar.rounds import OBLIQUE
 from lvba.lidar.scan import gather
 from lvba.optim import normal_equations
 from lvba.trajectory import pose_error
@@ -41,7 +42,7 @@ def blocks_of(scans, poses, parts):
             part,
             size=STAGE.sizes[0],
             largest=STAGE.sizes[-1],
-            grid_from_world=bundle_adjustment.OBLIQUE,
+            grid_from_world=OBLIQUE,
         )
         for part in range(parts)
     ]
@@ -67,7 +68,7 @@ def test_the_equations_of_all_shares_add_up_to_those_of_the_whole(world, parts):
     scans, _, rough = world
     found = [lidar_block.linearize(each, rough, SENSOR, PLAIN) for each in blocks_of(scans, rough, parts)]
     # every share has its own noise: compare the sums of squares, which do not depend on it
-    grid = voxel_map.build(gather(scans), rough, STAGE.sizes, bundle_adjustment.OBLIQUE)
+    grid = voxel_map.build(gather(scans), rough, STAGE.sizes, OBLIQUE)
     features = voxel_map.find_planes(grid, rough, SENSOR, STAGE.plane_test).features
     whole = plane_factor.linearize(features, rough, 1.0, exact=False)
     scaled = [

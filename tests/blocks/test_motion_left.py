@@ -17,8 +17,9 @@ from lvba.lidar.scan_errors import ScanErrors
 from lvba.lidar.scan_motion import MotionLeft
 from lvba.simulate.disturbances import Disturbances
 from lvba.simulate.simulation import simulate
-from lvba.steps import report_data
-from lvba.trajectory import pose_error
+from lvba.steps import report_data, uncertainty
+from lvba.steps.lidar import with_motion
+from lvba.trajectory import Trajectory, pose_error
 
 SMALL = {"frames": 2, "scans": 36, "seed": 5, "width": 64, "height": 48, "points_per_scan": 4000}
 LEFT = 0.4
@@ -50,13 +51,19 @@ def errors_of(dataset):
     return errors
 
 
-def error_m(dataset, points):
-    """Of refined scan poses."""
-    found = bundle_adjustment.refine(
+def refined(dataset, points):
+    return bundle_adjustment.refine(
         points, dataset.scans.world_from_sensor, sensor_position=dataset.sensor_position_scan
     )
-    truth = reference.read_reference(f"{dataset.root}/reference").scans.world_from_sensor
-    return pose_error(found.world_from_scan, truth).ate_m
+
+
+def truth_of(dataset):
+    return reference.read_reference(f"{dataset.root}/reference").scans.world_from_sensor
+
+
+def error_m(dataset, points):
+    """Of refined scan poses."""
+    return pose_error(refined(dataset, points).world_from_scan, truth_of(dataset)).ate_m
 
 
 def test_what_is_left_is_found_and_taken_out(recording, found):
@@ -68,9 +75,21 @@ def test_what_is_left_is_found_and_taken_out(recording, found):
     points = [piece.points[a:b] for a, b in zip(piece.offsets[:-1], piece.offsets[1:], strict=True)]
     clean = recordings.load_scans(recording["clean"])
     best, before = (error_m(dataset, each) for each in (clean, recordings.load_scans(dataset)))
-    after = error_m(dataset, points)
+    result, truth = refined(dataset, points), truth_of(dataset)
+    after = pose_error(result.world_from_scan, truth).ate_m
     assert before > 4 * best
     assert after < 2 * best
+    told = with_motion(result, ScanErrors(None, motion), np.arange(36))
+    times = dataset.scans.times
+    nees = [
+        uncertainty.against(
+            Trajectory(times, each.world_from_scan), each.covariance, Trajectory(times, truth)
+        )["nees"]
+        for each in (result, told)
+    ]
+    assert nees[0] > 4, "poses at the end of a sweep are as uncertain as the motion during it"
+    assert nees[1] < 3
+    assert (np.linalg.eigvalsh(told.step_covariance - result.step_covariance) > -1e-12).all()
 
 
 def test_deskewed_scans_keep_their_bytes(recording):
@@ -159,7 +178,7 @@ def test_rows_of_a_depth_camera_are_put_where_they_belong(depth_camera):
     assert isinstance(motion.clock, RowClock)
     assert motion.corrected
     assert motion.sweep == pytest.approx(READOUT, abs=5 * motion.sigma * motion.clock.sweep + 1e-3)
-    given = MotionLeft.of_facts(json.loads(json.dumps(report_data.plain(motion))))
+    given = MotionLeft.of_facts(json.loads(json.dumps(report_data.plain(motion.facts()))))
     np.testing.assert_array_equal(given.clock.down, motion.clock.down)
     errors = ScanErrors(None, given)
     piece = decoded.decode_scans(dataset, (0, 48), errors)

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lvba.blocks.split import Load, SplitConfig, memory_bytes, parts, subset
+from lvba.blocks.split import Load, Part, SplitConfig, memory_bytes, parts, regions, subset
 from lvba.camera import Camera
 from lvba.dataset import Dataset, MountedCamera
 from lvba.errors import InputError
@@ -68,6 +68,32 @@ def test_what_fits_into_memory_is_not_cut_and_what_does_not_fits_in_its_parts():
     needs = [memory_bytes(LOAD, np.ptp(part.scans), np.ptp(part.images)) for part in found]
     assert max(needs) <= 0.7e9 * 1.02 < memory_bytes(LOAD, 100, 150)
     assert len(parts(dataset, SplitConfig(by="none"), LOAD)) == 1
+
+
+def test_parts_own_space_together_where_their_points_are_few():
+    dataset = recording()
+    few = parts(dataset, SplitConfig(by="count", size=25), LOAD)
+    assert regions(few, LOAD) == tuple(few)
+    many = [
+        Part(
+            n,
+            (max(10 * n - 5, 0), 10 * n + 15),
+            (10 * n, 10 * n + 10),
+            (15 * n, 15 * n + 15),
+            (15 * n, 15 * n + 15),
+        )
+        for n in range(100)
+    ]
+    thin, dense, denser = (regions(many, Load(points, 0)) for points in (3_000, 60_000, 1_000_000))
+    assert [len(found) for found in (thin, dense, denser)] == [16, 30, 100]
+    for found in (thin, dense):
+        assert [region.number for region in found] == list(range(len(found)))
+        bounds = [region.core_scans for region in found]
+        assert [end for _, end in bounds[:-1]] == [begin for begin, _ in bounds[1:]]
+        assert (bounds[0][0], bounds[-1][1]) == (0, 1000)
+        assert found[1].scans == (found[1].core_scans[0] - 5, found[1].core_scans[1] + 5)
+        assert found[-1].core_images[1] == 1500
+    assert denser == tuple(many)
 
 
 def test_too_short_parts_and_too_little_overlap_are_errors_with_the_numbers():

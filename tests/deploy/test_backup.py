@@ -43,7 +43,9 @@ def script(name, *words, database="", code=0, **more):
 
 
 def service_at(data, database):
-    return Service(data, environment={"LVBA_DATABASE": database} if database else {})
+    # a restored service waits for the leases of the one that is gone
+    environment = {"LVBA_LEASE_S": "8"}
+    return Service(data, environment=environment | ({"LVBA_DATABASE": database} if database else {}))
 
 
 def files(folder):

@@ -11,15 +11,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
+import fuzz_bags
 import fuzz_mutations as change
+import fuzz_source_targets as sources
 import fuzz_tokens
 import numpy as np
 from fuzz_mutations import Files
 
 from lvba import config, geometry
-from lvba.io import camera_config, exposures, images, pcd, ply, reference, tum
+from lvba.io import camera_config, exposures, images, imu, pcd, ply, reference, tum
 from lvba.io.dataset import load_image, load_scans, open_dataset
 from lvba.pipeline import Config
+from lvba.sources.bags.writing import BagForm
 from lvba.trajectory import Trajectory
 from service.cli import batch_manifest
 from service.datasets import archives
@@ -175,6 +178,18 @@ def _sound(found: Trajectory) -> None:
     assert (np.diff(found.times) > 0).all()
     turned = found.world_from_sensor[:, :3, :3]
     assert np.allclose(turned @ np.swapaxes(turned, 1, 2), np.eye(3), atol=1e-6)
+
+
+def _imu(folder: Path) -> list[Files]:
+    lines = [f"{1.0 + 0.005 * k:.6f},0.1,-0.2,0.3,0.01,0.02,9.81\n" for k in range(8)]
+    return _one(imu.NAME, [(imu.HEADER + "".join(lines)).encode(), "".join(lines).encode()])
+
+
+def _read_imu(folder: Path) -> None:
+    found = imu.read(folder / imu.NAME)
+    assert (np.diff(found.times) > 0).all()
+    assert np.isfinite(found.rates).all()
+    assert np.isfinite(found.forces).all()
 
 
 def _exposures(folder: Path) -> list[Files]:
@@ -415,6 +430,7 @@ TARGETS: dict[str, Target] = {
     "png": Target(_pngs, _read_image("a.png"), _mend_png, fuzz_tokens.PNG),
     "jpeg": Target(_jpegs, _read_image("a.jpg"), tokens=fuzz_tokens.JPEG),
     "poses": Target(_poses, _read_poses, tokens=fuzz_tokens.POSE),
+    "imu": Target(_imu, _read_imu, tokens=fuzz_tokens.POSE),
     "exposures": Target(_exposures, _read_exposures, tokens=fuzz_tokens.POSE),
     "calibration": Target(_calibrations, _read_calibration, tokens=fuzz_tokens.YAML),
     "manifest": Target(_manifests, _read_manifest, tokens=fuzz_tokens.YAML),
@@ -424,6 +440,19 @@ TARGETS: dict[str, Target] = {
     ),
     "reference": Target(
         _references, lambda folder: reference.read_reference(folder), tokens=fuzz_tokens.POSE
+    ),
+    "bag-ros1": Target(
+        fuzz_bags.seeds(BagForm.ROS1, BagForm.ROS1_LZ4, BagForm.ROS1_BZ2),
+        fuzz_bags.read,
+        tokens=fuzz_bags.TOKENS,
+    ),
+    "bag-mcap": Target(
+        fuzz_bags.seeds(BagForm.MCAP, BagForm.MCAP_ZSTD), fuzz_bags.read, tokens=fuzz_bags.TOKENS
+    ),
+    "bag-sqlite": Target(fuzz_bags.seeds(BagForm.SQLITE3), fuzz_bags.read, tokens=fuzz_bags.TOKENS),
+    "calibrations": Target(sources.calibration_seeds, sources.read_calibrations, tokens=fuzz_tokens.YAML),
+    "folders": Target(
+        sources.folder_seeds, sources.read_folder, tokens=(*fuzz_tokens.POSE, *fuzz_tokens.YAML)
     ),
     "zip": Target(_zips, _unpack, _mend_zip, fuzz_tokens.ZIP),
     "tar": Target(_tars, _unpack, _mend_tar, fuzz_tokens.TAR),

@@ -6,7 +6,7 @@ import pytest
 import scipy.linalg
 
 from lvba import geometry
-from lvba.lidar import covariance, noise_information, plane_factor, voxel_map
+from lvba.lidar import covariance, dense_covariance, noise_information, plane_factor, voxel_map
 from lvba.lidar.odometry_factor import odometry_prior
 from lvba.lidar.plane_feature import fit
 from lvba.lidar.problem import Problem
@@ -46,7 +46,7 @@ def dense(problem, poses, with_noise):
         noise = noise_information.linearize(problem.features, fits, poses, SIGMA).dense()[6:, 6:]
         certain = noise_information.certain(planes[6:, 6:], noise, odometry)
         whole[6:, 6:] = np.linalg.inv(certain / variance_factor + odometry)
-    motion, pick = covariance.alignment(poses)
+    motion, pick = dense_covariance.alignment(poses)
     free = np.eye(6 * scans) - motion @ np.linalg.inv(pick.T @ motion) @ pick.T
     aligned = free @ whole @ free.T
     own = scipy.linalg.block_diag(
@@ -82,7 +82,7 @@ def test_inverse_of_more_rows_than_are_mirrored_at_once():
     root = rng.normal(size=(600, 600))
     matrix = root @ root.T + 60.0 * np.eye(600)
     kept = matrix.copy()
-    inverse = covariance._inverse(matrix)
+    inverse = dense_covariance.inverse(matrix)
     np.testing.assert_allclose(inverse @ kept, np.eye(600), atol=1e-10)
     np.testing.assert_array_equal(inverse, inverse.T)
     np.testing.assert_array_equal(matrix, kept)
@@ -92,6 +92,6 @@ def test_inverse_where_rounding_made_an_eigenvalue_negative():
     rng = np.random.default_rng(1)
     turn = np.linalg.qr(rng.normal(size=(5, 5)))[0]
     matrix = turn @ np.diag([4.0, 3.0, 2.0, 1.0, -1e-12]) @ turn.T
-    inverse = covariance._inverse(matrix)
+    inverse = dense_covariance.inverse(matrix)
     assert turn[:, 0] @ inverse @ turn[:, 0] == pytest.approx(0.25)
     assert turn[:, 4] @ inverse @ turn[:, 4] == pytest.approx(1e9 / 4.0, rel=1e-3)

@@ -284,6 +284,25 @@ def test_hessian_kernel_against_its_twin(several_tiles):
     assert abs(motion @ got @ motion) < 1e-9 * np.abs(got).sum()
 
 
+def test_only_pairs_of_scans_that_see_a_plane_together_are_kept(several_tiles):
+    """Tiles 0 and 2 see the even planes, tiles 1 and 3 the odd ones."""
+    poses, plain, _ = several_tiles
+    apart = [
+        [seen for seen in plane if seen[0] // kernel.TILE % 2 == number % 2]
+        for number, plane in enumerate(plain)
+    ]
+    features = packed(apart)
+    laid = panels.pack(features, len(poses))
+    pairs = panels.pairs_of_tiles(laid)
+    assert sorted(map(tuple, pairs.tolist())) == [(0, 0), (0, 2), (1, 1), (1, 3), (2, 2), (3, 3)]
+    equations = plane_factor.linearize(features, poses, 1.0)
+    expected = {(scan, scan) for scan in range(len(poses))}
+    for plane in apart:
+        scans = [seen[0] for seen in plane]
+        expected |= {(first, second) for first in scans for second in scans if first < second}
+    assert list(zip(equations.rows, equations.columns, strict=True)) == sorted(expected)
+
+
 def test_a_panel_for_each_feature_and_tile(several_tiles):
     poses, _, features = several_tiles
     laid = panels.pack(features, len(poses))

@@ -13,7 +13,7 @@ from lvba.lidar.point_times import PointClock
 from lvba.lidar.range_errors import DIRECTION, DISTORTION, ELEVATION, INCIDENCE, Beams, RangeErrors
 from lvba.lidar.scan import gather
 from lvba.lidar.scan_errors import ScanErrors
-from lvba.lidar.scan_evidence import Evidence, View
+from lvba.lidar.scan_evidence import ScanEvidence, View
 from lvba.lidar.scan_motion import MotionLeft
 from lvba.steps import report_data
 
@@ -175,7 +175,8 @@ def test_beams_are_known_by_where_points_are():
 
 def test_facts_bring_errors_back():
     ranges = RangeErrors(AROUND, {INCIDENCE: 0.002, ELEVATION: 0.003}, {ELEVATION: 1e-4}, (ELEVATION,))
-    motion = MotionLeft(PointClock(1.0, 0.1, -0.1, True), 0.5, 1e-3, np.ones((2, 6)))
+    clock = PointClock(1.0, 0.1, -0.1, True)
+    motion = MotionLeft(clock=clock, part=0.5, sigma=1e-3, motion=np.ones((2, 6)))
     errors = ScanErrors(ranges, motion)
     facts = json.loads(json.dumps(report_data.plain(report_data.of_scan_errors(errors))))
     again = ScanErrors.of_facts(facts)
@@ -194,7 +195,7 @@ def test_facts_bring_errors_back():
 def test_what_planes_leave_open_is_taken_to_be_as_large_as_expected():
     """One number known to 0.001, one to 1: estimates of 0.02 and 3, expected to be off by 0.01."""
     own = np.diag([1e3, 1.0])
-    evidence = Evidence(np.diag([1e6, 1.0]), np.array([2e4, 3.0]), own, np.zeros((2, 2, 2)))
+    evidence = ScanEvidence(np.diag([1e6, 1.0]), np.array([2e4, 3.0]), own, np.zeros((2, 2, 2)))
     spread = evidence.covariance
     expected = 1e-4 * np.linalg.solve(1e-4 * np.eye(2) + spread, evidence.change)
     np.testing.assert_allclose(evidence.likely(slice(0, 2), 0.01), expected, rtol=1e-9)

@@ -121,12 +121,30 @@ def test_no_planes_no_evidence():
 def test_scans_that_move_as_no_path_says_tell_it_themselves():
     """Points that were moved by the wrong motion: each scan's own is found; noise is drawn to zero."""
     view, tau, twist = made(1.0, scan_count=12)
-    np.testing.assert_allclose(scan_motion.most_likely(scan_motion.deviations(view, tau)), twist, atol=0.1)
+    found, _ = scan_motion.most_likely(scan_motion.deviations(view, tau))
+    np.testing.assert_allclose(found, twist, atol=0.1)
     view, tau, _ = made(0.0, noise=0.01, scan_count=12)
     known = scan_motion.deviations(view, tau)
     alone = np.linalg.solve(known.information[0], known.gradient[0][..., None])[..., 0]
-    assert np.abs(scan_motion.most_likely(known)).mean() < 0.5 * np.abs(alone).mean()
-    assert not scan_motion.most_likely(scan_motion.Deviations.unseen(12)).any()
+    assert np.abs(scan_motion.most_likely(known)[0]).mean() < 0.5 * np.abs(alone).mean()
+    assert not any(each.any() for each in scan_motion.most_likely(scan_motion.Deviations.unseen(12)))
+
+
+def test_poses_are_as_uncertain_as_the_motion_that_was_taken_out():
+    """A scan whose points were moved by a motion that is a little off is turned and shifted by half a sweep of it."""
+    seen, errors, promised = [], [], []
+    for seed in range(3):
+        view, tau, twist = made(1.0, seed, noise=0.01, scan_count=16)
+        known = scan_motion.deviations(view, tau)
+        found, covariance = scan_motion.most_likely(known)
+        seen.append(known.by_motion)
+        errors.append(np.einsum("sij,sj->si", known.by_motion, found - twist))
+        promised.append(covariance)
+    # tau is spread evenly over -0.1 s to 0: poses follow the motion backwards at its mean
+    np.testing.assert_allclose(np.mean(np.concatenate(seen), axis=0), 0.05 * np.eye(6), atol=0.01)
+    error, covariance = np.concatenate(errors), np.concatenate(promised)
+    nees = np.einsum("si,si->s", error, np.linalg.solve(covariance, error[..., None])[..., 0]).mean() / 6
+    assert 0.4 < nees < 2.5
 
 
 def test_halves_of_the_planes_are_what_all_of_them_are():
@@ -160,8 +178,8 @@ def test_errors_that_planes_do_not_share_are_no_motion():
         bent = (view.scans.points + slope[:, None] * normal).astype(np.float32)
         bent_view = replace(view, scans=replace(view.scans, points=bent))
         known = scan_motion.deviations(bent_view, tau)
-        sure = scan_motion._drawn_to_zero(known.information[0], known.gradient[0])
-        motions.append([np.abs(each).mean() for each in (scan_motion.most_likely(known), sure)])
+        sure, _ = scan_motion._drawn_to_zero(known.information[0], known.gradient[0])
+        motions.append([np.abs(each).mean() for each in (scan_motion.most_likely(known)[0], sure)])
     clean, there = motions
     assert clean[0] < 0.02
     assert there[1] > 0.1, "as if points were independent"
@@ -178,7 +196,8 @@ def test_points_move_as_the_sensor_did():
 
 
 def test_facts_bring_it_back():
-    motion = MotionLeft(PointClock(1e-6, 0.1, -0.1, True), 0.5, 1e-3, np.arange(12.0).reshape(2, 6))
+    clock = PointClock(1e-6, 0.1, -0.1, True)
+    motion = MotionLeft(clock=clock, part=0.5, sigma=1e-3, motion=np.arange(12.0).reshape(2, 6))
     facts = {
         "clock": {"unit": 1e-6, "sweep": 0.1, "begin": -0.1, "absolute": True},
         "part": 0.5,

@@ -41,7 +41,9 @@ def asked_for():
 def offered():
     """What extras bring to those who use lvba; not what its developers need."""
     extras = PROJECT["optional-dependencies"]
-    return set().union(*(named(extras[name]) for name in ("simulate", "laz", "s3", "postgres")))
+    return set().union(
+        *(named(extras[name]) for name in ("simulate", "laz", "bags", "odometry", "s3", "postgres"))
+    )
 
 
 def modules(node, late=False):
@@ -99,9 +101,19 @@ def test_what_is_imported_later_comes_with_it_or_with_an_extra():
     assert set(missing(found, asked_for() | offered())) == set(NOT_ASKED_FOR)
 
 
-def test_commands_of_the_readme_but_simulate_laz_s3_and_postgres_come_with_a_plain_install():
+def test_commands_of_the_readme_but_simulate_laz_bags_odometry_s3_and_postgres_come_with_a_plain_install():
     assert {"dask", "distributed", "cryptography", "zarr", "fastapi", "uvicorn", "httpx"} <= asked_for()
-    assert {"open3d", "open3d-cpu", "laspy", "s3fs", "psycopg"} == offered()
+    assert {
+        "open3d",
+        "open3d-cpu",
+        "laspy",
+        "rosbags",
+        "small-gicp",
+        "lz4",
+        "backports-zstd",
+        "s3fs",
+        "psycopg",
+    } == offered()
 
 
 def test_extras_named_anywhere_exist():

@@ -114,12 +114,12 @@ def of_checkout(pattern):
     return {name for name in found if "node_modules" not in name and "__pycache__" not in name}
 
 
-def test_wheel_has_all_modules_and_the_page_and_nothing_else(wheel):
+def test_wheel_has_all_modules_the_page_and_presets_and_nothing_else(wheel):
     modules = {n for package in ("lvba", "workers", "service") for n in of_checkout(f"{package}/**/*.py")}
     modules -= of_checkout("service/page_src/**/*")
     others = (
         of_checkout("service/page/**/*") | of_checkout("service/db/**/*.mako") | of_checkout("*/py.typed")
-    )
+    ) | of_checkout("lvba/sources/presets/*.yaml")
     assert "service/page/index.html" in others
     found = {name for name in names_in_wheel(wheel) if ".dist-info/" not in name}
     assert found == modules | others

@@ -47,6 +47,17 @@ def test_paper_colors_are_the_radiance_of_the_image_nearest_in_time(world):
     assert np.sqrt((error**2).mean()) < 5
 
 
+def test_states_colored_together_get_the_colors_of_each_by_itself(world):
+    moved = geometry.retract(world.world_from_camera, np.full((6, 6), 0.01))
+    states = [(world.cloud(), world.views()), (world.cloud(), world.views(moved))]
+    for held_out in (None, np.array([2])):
+        for together, (cloud, views) in zip(colorize.paper_each(states, held_out), states, strict=True):
+            alone = colorize.paper(cloud, views, held_out)
+            np.testing.assert_array_equal(together.gray, alone.gray)
+            np.testing.assert_array_equal(together.source, alone.source)
+        assert not np.array_equal(together.gray, colorize.paper(*states[0], held_out).gray)
+
+
 def test_held_out_images_color_nothing(world):
     colors = colorize.paper(world.cloud(), world.views(), held_out=np.array([2]))
     assert 2 not in colors.source
@@ -154,7 +165,7 @@ def test_saturated_samples_are_left_out_where_there_are_others(world):
 
 def test_renderings_carry_depth_and_clip_like_a_sensor(world):
     views = world.views(log_exposure=np.array([0, 0, 3.0, 0, 0, 0]))
-    cloud = evaluate.color_by_paper(evaluate.State(world.cloud(), views))
+    (cloud,) = evaluate.color_by_paper([evaluate.State(world.cloud(), views)])
     entries = render.nearest(cloud, views, 2)
     rendering, depth = render.shade(entries, cloud, views.log_exposure, 2), render.depth(entries)
     assert rendering.color.max() == 255
@@ -174,6 +185,23 @@ def test_states_of_one_geometry_score_as_when_judged_alone(world, scores):
         np.testing.assert_array_equal(together["dull"].per_image[name], alone.per_image[name])
     assert together["true"].psnr == pytest.approx(scores["true"].psnr)
     assert together["dull"].map_entropy == 1.5
+
+
+@pytest.mark.parametrize(("enough", "judged"), [(True, [0, 2, 5]), (False, [0, 1, 2, 3, 4, 5])])
+def test_the_rest_of_the_images_is_judged_only_where_the_first_do_not_do(world, scores, enough, judged):
+    asked = []
+    state = evaluate.State(world.cloud(), world.views())
+
+    def told(so_far):
+        asked.append(list(so_far["true"].images))
+        return enough
+
+    found = evaluate.evaluate({"true": state}, enough=told, few=3)["true"]
+    assert asked == [[0, 2, 5]]
+    assert list(found.images) == judged
+    own = found.per_image["psnr_leave_one_out"]
+    np.testing.assert_array_equal(own, scores["true"].per_image["psnr_leave_one_out"][judged])
+    assert found.psnr_leave_one_out == pytest.approx(own.mean())
 
 
 def test_brief_states_get_the_same_leave_one_out_psnr(world, scores):

@@ -68,7 +68,7 @@ def test_a_state_with_vignetting_predicts_the_images_as_they_were_taken(bright, 
 
 def test_pictures_show_the_dark_corners(bright, dark):
     state = State(bright.cloud(), replace(dark.views(), light=LIGHT))
-    shown = pictures.leave_one_out(evaluate.color_by_paper(state), state, 2).astype(float)
+    shown = pictures.leave_one_out(evaluate.color_by_paper([state])[0], state, 2).astype(float)
     covered = shown.max(axis=2) > 0
     assert (
         np.abs(shown - dark.pictures[2])[covered].mean()

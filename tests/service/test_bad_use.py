@@ -10,7 +10,7 @@ from forked import run_forked
 AS_SHELL = "import os, sys; os.execvp('bash', ['bash', '-c', sys.argv[1], sys.executable, *sys.argv[2:]])"
 """A program for `lvba` that runs it below a shell command."""
 
-COMMANDS = ["run", "evaluate", "simulate", "view", "export"]
+COMMANDS = ["run", "evaluate", "simulate", "inspect", "view", "export"]
 
 
 @pytest.mark.parametrize("command", [(), *((c,) for c in COMMANDS)])
@@ -107,7 +107,7 @@ def test_a_run_that_makes_nothing_leaves_no_stages(recording, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["walk.bag", "walk.mcap", "walk_0.db3", "walk/metadata.yaml"])
-def test_a_bag_is_told_from_a_folder_of_frames(tmp_path, name):
+def test_a_bag_that_is_none_is_told(tmp_path, name):
     given = tmp_path / name
     given.parent.mkdir(exist_ok=True)
     given.write_text("")
@@ -115,7 +115,7 @@ def test_a_bag_is_told_from_a_folder_of_frames(tmp_path, name):
         given = given.parent
         (given / "walk_0.db3").write_text("")
     done = run_forked("run", given, "--out", tmp_path / "out", code=2)
-    assert_one_line(done, str(given), "which is not read", "FAST-LIVO2", "docs/input.md")
+    assert_one_line(done, tmp_path.name, "walk", ";")
 
 
 def test_a_missing_config_is_reported_as_missing(copy, tmp_path):

@@ -101,6 +101,25 @@ def wait_until(condition):
         time.sleep(0.02)
 
 
+def test_a_bag_is_imported_as_its_entry_says(lvba, bags, tmp_path):
+    """Files of the import are relative to the manifest."""
+    (tmp_path / "camera.yaml").write_text("cam0: {}\n")
+    entries = [
+        f"- {{dataset: {bags / 'walk.bag'}, name: named, import: {{image: none, lidar: /nothing}}}}",
+        f"- {{dataset: {bags / 'walk.bag'}, name: filed, import: {{calibration: [camera.yaml]}}}}",
+    ]
+    (tmp_path / "m.yaml").write_text("\n".join(entries))
+    assert batch_manifest.read(tmp_path / "m.yaml")[1].imported.calibration == (
+        str(tmp_path / "camera.yaml"),
+    )
+    lvba("batch", tmp_path / "m.yaml", "--out", tmp_path / "out", code=1)
+    rows = json.loads((tmp_path / "out" / "summary.json").read_text())
+    said = {row["name"]: row["message"] for row in rows}
+    assert "/nothing" in said["named"]
+    assert "/lidar/points" in said["named"]
+    assert "camera.yaml" in said["filed"]
+
+
 def test_groups_take_turns(tmp_path):
     text = "".join(
         f"- {{dataset: {name}, group: {name[0]}}}\n" for name in ("a1", "a2", "a3", "b1", "b2", "c1")
@@ -131,6 +150,9 @@ def test_paths_are_relative_to_the_manifest(tmp_path):
         ("- dataset: x/a\n- dataset: y/a", "two entries are named 'a'"),
         ("- {dataset: a, name: ../b}", "cannot be the name of a folder"),
         ("- {dataset: a, set: x=1}", "`set` is not a list"),
+        ("- {dataset: a.bag, import: lidar}", "`import` is no list"),
+        ("- {dataset: a.bag, import: {lydar: /x}}", "entry 1, import"),
+        ("- {dataset: a.bag, import: {conventions: {time: never}}}", "--convention time"),
     ],
 )
 def test_mistake_in_the_manifest(tmp_path, text, words):

@@ -18,7 +18,7 @@ def test_judging_a_result_finds_what_its_own_run_found(undisturbed, recording, l
     done = lvba(
         "evaluate", recording, "--out", tmp_path / "out", "--reference", recording / "reference",
         "--lidar-poses", result / "lidar_poses.txt", "--image-poses", result / "image_poses.txt",
-        "--exposures", result / "exposures.csv",
+        "--exposures", result / "exposures.csv", "--calibration", result / "calibration.yaml",
     )  # fmt: skip
     own, judged = evaluation(result), evaluation(tmp_path / "out")
     assert "report.html" in done.stdout

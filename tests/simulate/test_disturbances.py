@@ -25,6 +25,7 @@ CHANGES = {
     "focal": {CALIBRATION},
     "principal_point": {CALIBRATION},
     "k1": {CALIBRATION},
+    "extrinsic": {CALIBRATION, POSES},
     "rolling_shutter": {IMAGES},
     "vignetting": {IMAGES},
     "response": {IMAGES},
@@ -45,6 +46,7 @@ CHANGES = {
     "foliage": {SCANS},
     "mirrors": {SCANS},
     "rain": {SCANS},
+    "time_offset": {IMAGES, TRUTH},
     "clock_drift": {IMAGES, TRUTH},
     "stamp_jitter": {IMAGES, TRUTH},
     "gap": {SCANS, POSES, TRUTH},
@@ -309,6 +311,21 @@ def test_stamps_run_ahead_evenly(tmp_path):
     speed /= poses["clean"].times[-1] - poses["clean"].times[0]
     part = np.linspace(0, 1, len(moved))
     np.testing.assert_allclose(moved, 0.4 * speed * part, atol=0.15 * 0.4 * speed)
+
+
+def test_extrinsic_and_clock_are_off_by_what_is_said(tmp_path):
+    facts, given = {}, {}
+    for name, disturb in (("clean", {}), ("wrong", {"extrinsic": 3.0, "time_offset": 0.1})):
+        simulate("courtyard", tmp_path / name, disturb=Disturbances(**disturb), **SMALL)
+        facts[name] = json.loads((tmp_path / name / "reference" / "simulation.json").read_text())
+        given[name] = open_dataset(tmp_path / name).camera_from_scan
+    change = given["clean"] @ geometry.inverse(given["wrong"])
+    assert geometry.rotation_angle_deg(change) == pytest.approx(3.0, abs=1e-6)
+    calibrated = [np.array(each["rough_camera_from_body"]) for each in facts.values()]
+    moved = geometry.log(calibrated[0] @ geometry.inverse(calibrated[1]))
+    assert np.linalg.norm(moved[3:]) == pytest.approx(0.05, abs=1e-6)
+    late = [each["images_taken_after_stamp_s"] for each in facts.values()]
+    assert late[1] - late[0] == pytest.approx(0.1)
 
 
 def test_a_gap_has_no_scans_and_jumps_are_as_large_as_said(tmp_path):

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from lvba import geometry, lens
 from lvba.errors import InputError
-from lvba.io import reference
+from lvba.inertial.factor import DOWN, GYROSCOPE, factor
+from lvba.io import imu, reference
 from lvba.io.dataset import load_image, load_scan, open_dataset
 from lvba.simulate import blocks, scenes, simulate, truth
 from lvba.simulate.drift import Closing, difficulty
@@ -25,6 +27,23 @@ def field(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("field")
     simulate("plane", out, seed=4, scans=8, **{**SMALL, "width": 320, "height": 240})
     return out
+
+
+def test_an_imu_felt_the_true_motion(tmp_path):
+    simulate("plane", tmp_path, seed=4, scans=8, imu=True, **SMALL)
+    dataset, facts = (
+        open_dataset(tmp_path),
+        json.loads((tmp_path / "reference" / "simulation.json").read_text()),
+    )
+    true, felt = reference.read_reference(tmp_path / "reference").scans, imu.read(dataset.imu_path)
+    given = factor(felt, true.times, true.world_from_sensor)
+    state = given.solve(true.world_from_sensor)
+    assert len(given.measured) == 7
+    assert state.squares.mean() / 3 < 1.0
+    sigma = np.sqrt(np.diag(state.shared_covariance))
+    off = state.shared[GYROSCOPE] - facts["imu"]["gyroscope_bias"]
+    assert (np.abs(off) < 3 * sigma[GYROSCOPE]).all()
+    assert state.shared[DOWN] / 9.81 == pytest.approx(facts["imu"]["down"], abs=0.03)
 
 
 def test_a_recording_opens_without_warnings(field):
@@ -188,6 +207,18 @@ def test_all_of_a_terrace_looks_alike_and_its_end_is_a_lane_beside_its_start():
             scene.world.texture[quads] == scene.world.texture[others]
         )
         assert alike.mean() > 0.97
+
+
+def test_lanes_of_the_site_are_walked_over_and_over():
+    """All of them are 800 m long."""
+    motion = scenes.build("site", np.random.default_rng(0), 60, 2000.0).motion
+    line = motion.position(np.linspace(0, motion.duration, 4000))[:, :2]
+    assert np.sum(np.linalg.norm(np.diff(line, axis=0), axis=1)) == pytest.approx(2000, rel=0.1)
+    assert np.abs(line).max() < 45
+    first, second = line[:2000], line[2000:]
+    assert np.all(np.ptp(first, axis=0) > 75)
+    again = cKDTree(second).query(first)[0]
+    assert np.mean(again < 3.0) > 0.8
 
 
 @pytest.mark.parametrize("name", ["block", "courtyard"])

@@ -1,6 +1,7 @@
 """The gate judges each part by itself: gains are accepted; losses, chance and what cannot be judged are not."""
 
 from dataclasses import fields
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from lvba.steps.acceptance import (
     Verdict,
 )
 from lvba.steps.outcomes import ScanPoses, VisualStage
+from lvba.visual.calibration_prior import NO_CHANGE, ExtrinsicChange
 
 CONFIG = GateConfig()
 BASE = np.array([20.0, 22.0, 24.0, 21.0, 25.0])
@@ -126,6 +128,21 @@ def test_images_may_speak_for_a_map_that_is_crisper_within_chance(after, error, 
     assert verdict.reason.startswith("accepted") is accepted
 
 
+@pytest.mark.parametrize(
+    ("after", "gain", "agree"),
+    [
+        (-3.1, WEAK, True),
+        (-3.1, CHANCE + 0.1, False),
+        (-3.1, WEAK - 1, False),
+        (-3.001, WEAK, False),
+        (-3.1, np.nan, False),
+    ],
+)
+def test_few_images_do_where_they_speak_for_a_crisper_map(after, gain, agree):
+    told = images(scores(BASE), scores(BASE + gain))
+    assert acceptance.images_agree(entropy(-3.0, after), told) is agree
+
+
 def test_images_that_cannot_be_judged_contradict_nothing():
     nothing = scores(np.full(5, np.nan), ssim=np.nan)
     assert acceptance.judge_scans(entropy(-3.0, -3.1), images(nothing, nothing), CONFIG).accepted
@@ -161,14 +178,27 @@ def poses(figures=(), accepted=False):
     return ScanPoses(np.eye(4)[None], Verdict(accepted, "", "", figures), -2.6, -3.0, blocks)
 
 
-def choose(carried=BASE, exposed=BASE + 1, posed=BASE + 1, visual=BASE + 2, fused=None, config=CONFIG):
-    """The choice among states given by PSNR, or by scores."""
+def judged(
+    carried=BASE,
+    exposed=BASE + 1,
+    posed=BASE + 1,
+    visual=BASE + 2,
+    fused=None,
+    config=CONFIG,
+    extrinsic=NO_CHANGE,
+):
+    """States given by PSNR, or by scores, with the stages they are from: what decides among them is given."""
     given = {ROUGH: BASE, CARRIED: carried, EXPOSED: exposed, POSED: posed, VISUAL: visual}
     if fused is not None:
         given |= {FUSED_POSED: fused, FUSED: fused}
     states = {name: each if isinstance(each, Scores) else scores(each) for name, each in given.items()}
     with_cameras = poses((entropy(-3.0, -3.0),), accepted=fused is not None)
-    return evaluate_steps.choose(states, poses(accepted=True), with_cameras, VisualStage(object()), config)
+    found = SimpleNamespace(extrinsic_change=extrinsic)
+    return states, poses(accepted=True), with_cameras, VisualStage(found), config
+
+
+def choose(**states):
+    return evaluate_steps.choose(*judged(**states))
 
 
 def verdicts(**states):
@@ -214,6 +244,18 @@ def test_gain_by_psnr_that_ssim_contradicts_is_refused():
     assert "worse by SSIM" in choose(**worse).cameras.reason
 
 
+@pytest.mark.parametrize(
+    ("sigmas", "certainty", "used"), [(2.9, 1.0, True), (4.9, 1.1, False), (11.0, 150.0, True)]
+)
+def test_an_extrinsic_that_left_its_calibration_on_nobodys_word_is_refused(sigmas, certainty, used):
+    found = choose(extrinsic=ExtrinsicChange(sigmas, certainty))
+    assert (found.cameras.accepted, found.state) == ((True, VISUAL) if used else (False, EXPOSED))
+    assert ("left the scans" in found.cameras.reason) != used
+    assert choose(
+        extrinsic=ExtrinsicChange(sigmas, certainty), config=GateConfig(enabled=False)
+    ).cameras.accepted
+
+
 def test_fusion_is_judged_with_equal_cameras_and_exposures():
     assert choose(fused=BASE + 2).state == FUSED
     assert choose(fused=BASE + 1).state == VISUAL
@@ -221,6 +263,24 @@ def test_fusion_is_judged_with_equal_cameras_and_exposures():
     refused = choose(fused=BASE, exposed=BASE + 5, posed=BASE - 1, visual=BASE + 3).fusion
     assert not refused.accepted
     assert "cameras were not accepted" in refused.reason
+
+
+@pytest.mark.parametrize(
+    ("states", "clear"),
+    [
+        ({}, True),
+        ({"fused": BASE + 2}, True),
+        ({"visual": BASE + 1 + WEAK}, False),
+        ({"carried": BASE + 0.5, "exposed": BASE + 1 + WEAK, "config": GateConfig(confidence=0)}, False),
+        ({"posed": BASE + 2, "exposed": BASE + 2 - WEAK}, False),
+        ({"fused": BASE + 1.85}, False),
+        ({"visual": scores(BASE + 2, ssim=0.494)}, False),
+        ({"visual": scores(np.full(5, np.nan))}, False),
+        ({"posed": BASE + 2, "visual": BASE - 2, "config": GateConfig(enabled=False)}, True),
+    ],
+)
+def test_more_images_are_asked_unless_every_part_gains_far_beyond_chance(states, clear):
+    assert evaluate_steps.is_clear(*judged(**states)) is clear
 
 
 def test_nothing_to_judge_by():

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from lvba.products import lengths
@@ -29,7 +28,7 @@ KEPT = (Truth("scans", "m", 0.001, 0.07, 0.0009), Truth("cameras", "degrees", 0.
         ({}, "good", False),
         ({"images": 0, "camera_poses": Judged(), "exposures": Judged(), "variance_factor": None}, "good", False),
         ({"scan_poses": NOT_USED}, "check", False),
-        ({"scan_poses": NOT_USED, "variance_factor": 9.0}, "check", False),
+        ({"scan_poses": NOT_USED, "variance_factor": 9.0}, "check", True),
         ({"camera_poses": NOT_USED, "variance_factor": 9.0}, "check", True),
         ({"camera_poses": NOT_USED}, "check", False),
         ({"exposures": NOT_USED}, "check", False),
@@ -47,6 +46,7 @@ KEPT = (Truth("scans", "m", 0.001, 0.07, 0.0009), Truth("cameras", "degrees", 0.
         ({"vague_scans": 6}, "check", False),
         ({"vague_cameras": 6}, "check", False),
         ({"vague_cameras": 5}, "good", False),
+        ({"vague_exposures": (36, 37)}, "check", False),
         ({"moved_m": 0.004}, "check", False),
         ({"moved_m": 0.004, "scan_p95_m": 0.005}, "check", False),
         ({"moved_m": 0.006, "scan_p95_m": 0.005}, "check", True),
@@ -105,10 +105,9 @@ def facts(**more):
                   "odometry_dependence": [0.1] * 19, "converged": True, "history": [{"moved": 1e-5}]},
         "visual": {"accepted": True, "exposures_accepted": True,
                    "levels": [{"variance_factor": 20.0, "converged": False}, {"variance_factor": 2.0, "converged": True}],
-                   "extrinsic": {"change_m": 0.01, "change_deg": 0.3}},
+                   "extrinsic": {"change_m": 0.01, "change_deg": 0.3, "sigmas": 1.2}},
         "fusion": {"accepted": True, "interpolation_error_scale": 0.3, "variance_factor": 1.0, "moved_m": [0.0]},
         "evaluation": {"rough": {"per_image": per_image}, "refined": {"per_image": per_image}},
-        "config": {"visual": {"prior": {"extrinsic_position_m": 0.01, "extrinsic_rotation_deg": 0.3}}},
         "expected_error": expected,
         "planes": {"thickness_before_m": 0.03, "thickness_after_m": 0.012},
         "odometry": {"jumps_after": [], "jumps_m": [], "jumps_deg": [], "jump_left": False},
@@ -145,12 +144,27 @@ def moved(facts):
 
 
 def extrinsic(facts):
-    facts["visual"]["extrinsic"] = {"change_m": 0.05, "change_deg": 0.3}
+    facts["visual"]["extrinsic"] = {"change_m": 0.05, "change_deg": 0.3, "sigmas": 4.9}
 
 
 def blurred(facts):
     facts["evaluation"] = dict(facts["evaluation"])
     facts["evaluation"]["refined"] = {"per_image": {"ssim_common": [0.41, 0.42, 0.38, 0.4]}}
+
+
+def balanced(facts):
+    facts["visual"]["white_balance"] = {"used": True, "change_percent": 7.31}
+
+
+def lost(facts):
+    figures = {
+        "psnr_leave_one_out": (-0.069, 0.011),
+        "ssim_leave_one_out": (-0.0034, 0.0006),
+        "map_entropy": (-1.0, 0.1),
+    }
+    facts["fusion"]["judged"] = [
+        {"name": name, "gain": gain, "error": error} for name, (gain, error) in figures.items()
+    ]
 
 
 def jumped(facts):
@@ -169,7 +183,8 @@ def rejected(facts):
     ("spoil", "words"),
     [
         (alarmed, "15.0 times"), (open_scans, "3 of 20 scans"), (dependent, "1 motions"), (vague, "2 of 20 cameras"),
-        (moved, "6.0 mm"), (extrinsic, "5.0 cm"), (blurred, "lost structure"), (jumped, "jump 1 times"),
+        (moved, "6.0 mm"), (extrinsic, "5.0 cm"), (blurred, "lost structure"), (lost, "loss of 0.07"),
+        (balanced, "by 7.3 %"), (jumped, "jump 1 times"),
         (rejected, "not used: refined scan poses (the refined map is not crisper)"),
     ],
 )  # fmt: skip
@@ -179,6 +194,43 @@ def test_what_a_report_tells_reaches_the_verdict(spoil, words):
     found = verdict_data.add(given)["verdict"]
     assert found["level"] == "check"
     assert words in found["reasons"][0]["text"].replace("Not used", "not used")
+
+
+def kept(**more):
+    judged = [{"name": "map_entropy", "gain": 0.019, "error": 0.006, "finding": "neither"}]
+    images = [{"name": "psnr_leave_one_out", "gain": 0.02, "error": 0.01, "finding": "neither"}]
+    lidar = {"accepted": False, "cost_initial": 0.88, "cost_final": 0.85, "judged": judged,
+             "history": [{"moved": 1e-5, "sigma": 0.0103}]}  # fmt: skip
+    given = facts(
+        expected_error=None, fusion={}, planes={"thickness_before_m": 0.0108, "thickness_after_m": 0.0108}
+    )
+    given["lidar"] |= lidar | more
+    given["visual"] |= {"accepted": False, "judged": images}
+    return given
+
+
+def test_poses_that_nothing_betters_are_no_bad_result():
+    verdict = verdict_data.add(kept())["verdict"]
+    assert verdict["level"] == "check"
+    assert "1.8 mm further off the planes" in verdict["reasons"][0]["text"]
+    assert "Do not rely" not in verdict["summary"]
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"cost_initial": 1.2},  # they are off by more than chance
+        {"history": [{"moved": 1e-5, "sigma": 0.004}]},  # planes are thicker than the noise: walls are double
+        {"judged": [{"name": "map_entropy", "finding": "worse", "gain": -0.1, "error": 0.01}]},
+        {"judged": [{"name": "map_entropy", "finding": "unknown", "gain": 0.0, "error": 0.0}]},
+        {"judged": []},
+        {"converged": False},
+        {"degenerate_scans": [1] * 20},
+        {"odometry_dependence": [0.9] + [0.1] * 18},
+    ],
+)
+def test_poses_that_something_speaks_against_are_a_bad_result(more):
+    assert verdict_data.add(kept(**more))["verdict"]["level"] == "bad"
 
 
 def test_where_motions_between_scans_stay_wrong_no_millimeters_are_promised():
@@ -231,4 +283,13 @@ def test_figures_of_arrays_of_nothing_known_count_every_frame():
     given = facts()
     given["expected_error"]["scans"]["per_frame_m"] = [0.001] * 19 + [None]
     assert verdict_data.figures(given).vague_scans == 1
-    assert np.isfinite(verdict_data.figures(given).extrinsic_sigmas)
+
+
+def test_cameras_are_alarmed_about_where_scans_are_not_used():
+    """Nothing is promised where neither is used; images that contradict each other count wherever cameras are."""
+    off = replace(CLEAN, scan_poses=Judged(False, "not crisper"), variance_factor=190.0)
+    texts = [
+        [reason.text for reason in verdict.judge(replace(off, camera_poses=Judged(used, "why"))).reasons]
+        for used in (True, False)
+    ]
+    assert [any("190.0 times" in text for text in each) for each in texts] == [True, False]

@@ -51,6 +51,16 @@ def add_viewer_gate(module):
     module.export = held
 
 
+def add_import_gate(module):
+    import_source = module.import_source
+
+    def held(source, out, options, progress, announce):
+        wait_at("import", progress)
+        return import_source(source, out, options, progress, announce)
+
+    module.import_source = held
+
+
 def add_digest_gate(module):
     sha256 = module.sha256
 
@@ -77,6 +87,7 @@ def shift_clock(file):
 GATED = {
     "lvba.plan": add_gates,
     "lvba.products.export": add_viewer_gate,
+    "lvba.sources.importing.importer": add_import_gate,
     "service.datasets.file_upload": add_digest_gate,
 }
 if os.environ.get("LVBA_TEST_CLOCK"):

@@ -146,8 +146,8 @@ def bilinear(image, x, y):
     return np.array([(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b]) @ four, four
 
 
-def judge(images, poses, intrinsics, position, normal, reference, target, pixel, gates):
-    """(verdict, NCC) of one pair, by the order of gates of the kernel."""
+def judge(images, poses, intrinsics, position, normal, reference, target, pixel, gates, shift=(0.0, 0.0)):
+    """(verdict, NCC) of one pair, by the order of gates of the kernel; shift: px, added in the target."""
     half = gates.half
     r, t = poses[reference], poses[target]
     height, width, channels = images.shape[1:]
@@ -160,7 +160,8 @@ def judge(images, poses, intrinsics, position, normal, reference, target, pixel,
     u, v = pixel
 
     def moved(du, dv):
-        return warp_by_plane(u + du, v + dv, r, t, position, normal, intrinsics)
+        x, y, z = warp_by_plane(u + du, v + dv, r, t, position, normal, intrinsics)
+        return x + shift[0], y + shift[1], z
 
     for i in (-half, half):
         for j in (-half, half):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2, norm
 from test_trajectory_prior import moved, problem
 
 from lvba.visual import calibration_prior, trajectory_prior
@@ -108,3 +109,18 @@ def test_a_calibration_that_counts_more_keeps_derivatives_and_tells_the_spread_i
     assert trajectory_prior.gradient_variance(prior, state).dense() == pytest.approx(
         trajectory_prior.linearize(prior, state).dense()
     )
+
+
+@pytest.mark.parametrize(
+    ("axis", "sigmas", "certainty"), [(3, 4.0, 1.0), (3, 0.0, 1.0), (0, 2.0, 5.0), (5, 100.0, 5.0)]
+)
+def test_how_far_an_extrinsic_moved_and_on_what_word(axis, sigmas, certainty):
+    prior = calibration_prior.build(Calibration(np.eye(4)), PriorConfig().sigma)
+    step = np.zeros(SIZE)
+    step[axis] = sigmas / np.sqrt(CLAIMS[axis, axis])
+    moved = prior.reference.retract(step)
+    found = calibration_prior.extrinsic_change(moved, prior, np.linalg.inv(CLAIMS) / certainty**2)
+    assert found.certainty == pytest.approx(certainty if sigmas else 1.0)
+    # of six numbers one is off: as unlikely as fewer standard deviations of a single one
+    chance = 2 * norm.sf(found.sigmas)
+    assert chance == pytest.approx(max(chi2.sf(sigmas**2, 6), 1e-300), rel=1e-6)

@@ -12,7 +12,7 @@ from rectangle_world import CAMERA, look, plane_points, planes_of, rectangle, re
 from lvba.camera import Camera
 from lvba.kernels import patches_mean
 from lvba.kernels.scene import PlanePatches
-from lvba.visual import exposure, exposure_graph, image, visibility
+from lvba.visual import edge_means, exposure, exposure_graph, image, visibility
 from lvba.visual.exposure import Ratios, solve_ratios
 from lvba.visual.exposure_graph import BLOCKS
 from lvba.visual.image import Pyramid, intrinsics_of
@@ -42,7 +42,16 @@ def _graph(rng, images=12, per_edge=20, sigma=0.01, skip=()):
     value = truth[second] - truth[first] + sigma * rng.standard_normal(len(first))
     block = rng.integers(0, BLOCKS, len(first))
     spread, level = np.full(len(first), sigma), np.full(len(first), np.log(100.0))
-    ratios = Ratios(first.astype(np.int32), second.astype(np.int32), value, spread, block, block, level)
+    ratios = Ratios(
+        first.astype(np.int32),
+        second.astype(np.int32),
+        value,
+        spread,
+        block,
+        block,
+        level,
+        np.arange(len(first)),
+    )
     return truth, ratios
 
 
@@ -111,6 +120,79 @@ def test_sigma_stays_sound_where_one_block_joins_two_groups_of_images():
     assert parted.mean() < 2 * joined.mean()
 
 
+def _tied_by_few(rng, patches=2, targets=5, sigma=0.01):
+    """The graph of `_graph`, and one image more whose patches, few, are each compared with several images."""
+    truth, ratios = _graph(rng, sigma=sigma)
+    new, count = len(truth), patches * targets
+    truth = np.append(truth, 0.3)
+    patch = np.repeat(np.arange(patches), targets)
+    second = np.tile(np.arange(new - targets, new), patches)
+    # half of the variance is that of the view in the image itself
+    own, other = rng.standard_normal(patches)[patch], rng.standard_normal(count)
+    value = truth[second] - truth[new] + sigma * (other - own) / np.sqrt(2)
+    more = {
+        "first": np.full(count, new, np.int32),
+        "second": second.astype(np.int32),
+        "value": value,
+        "sigma": np.full(count, sigma),
+        "block": patch,
+        "stretch": patch,
+        "level": np.full(count, np.log(100.0)),
+        "patch": ratios.patch.max() + 1 + patch,
+    }
+    return truth, replace(
+        ratios, **{name: np.concatenate([getattr(ratios, name), each]) for name, each in more.items()}
+    )
+
+
+@pytest.mark.usefixtures("no_floors")
+def test_sigma_knows_that_one_patch_is_compared_with_several_images():
+    rng = np.random.default_rng(11)
+    shared, apart = [], []
+    for _ in range(60):
+        truth, ratios = _tied_by_few(rng)
+        for patch, of in ((ratios.patch, shared), (np.arange(len(ratios.patch)), apart)):
+            found = solve_ratios(replace(ratios, patch=patch), len(truth))
+            of.append((_error(found, np.exp(truth))[-1] / found.sigma[-1]) ** 2)
+    assert 0.5 < np.mean(shared) < 2.5
+    assert np.mean(apart) > 1.8 * np.mean(shared)
+
+
+@pytest.mark.usefixtures("no_floors")
+def test_sigma_holds_where_all_patches_of_a_pair_of_images_err_alike():
+    rng, nees = np.random.default_rng(12), []
+    for _ in range(20):
+        truth, ratios = _graph(rng, sigma=0.01)
+        low, high = np.minimum(ratios.first, ratios.second), np.maximum(ratios.first, ratios.second)
+        common = 0.02 * rng.standard_normal((len(truth), len(truth)))[low, high]
+        value = ratios.value + np.where(ratios.first == low, common, -common)
+        found = solve_ratios(replace(ratios, value=value), len(truth))
+        nees.append((_error(found, np.exp(truth)) / found.sigma) ** 2)
+    assert 0.4 < np.mean(nees) < 2.5
+
+
+@pytest.mark.usefixtures("no_floors")
+def test_an_image_whose_ties_contradict_each_other_is_uncertain():
+    truth, ratios = _tied_by_few(np.random.default_rng(13), patches=1, targets=4)
+    agreeing = solve_ratios(ratios, len(truth))
+    value = ratios.value.copy()
+    value[-2:] += 0.2
+    found = solve_ratios(replace(ratios, value=value), len(truth))
+    assert agreeing.contradiction.max() < 2
+    assert found.contradiction[-1] > 5
+    assert found.sigma[-1] > 2 * agreeing.sigma[-1]
+    assert np.delete(found.contradiction, -1).max() < 0.5 * found.contradiction[-1]
+
+
+def test_a_pair_of_images_is_as_uncertain_as_its_patches_scatter():
+    rng = np.random.default_rng(14)
+    edge, sigma = np.repeat(np.arange(10), 12), np.full(120, 0.01)
+    value = 0.01 * rng.standard_normal(120)
+    value[edge == 3] *= 30
+    _, found, _ = edge_means.edge_means(edge, value, sigma, 10)
+    assert found[3] > 5 * np.delete(found, 3).max()
+
+
 def test_wrong_patches_and_wrong_pairs_of_images_do_little():
     rng = np.random.default_rng(2)
     truth, ratios = _graph(rng)
@@ -130,7 +212,7 @@ def test_two_components_and_a_lone_image():
     kept = Ratios(
         *(
             getattr(ratios, name)[~across]
-            for name in ("first", "second", "value", "sigma", "block", "stretch", "level")
+            for name in ("first", "second", "value", "sigma", "block", "stretch", "level", "patch")
         )
     )
     found = solve_ratios(kept, 13)
@@ -147,7 +229,14 @@ def test_nothing_to_compare():
     none = np.empty(0)
     found = solve_ratios(
         Ratios(
-            none.astype(np.int32), none.astype(np.int32), none, none, none.astype(int), none.astype(int), none
+            none.astype(np.int32),
+            none.astype(np.int32),
+            none,
+            none,
+            none.astype(int),
+            none.astype(int),
+            none,
+            none.astype(int),
         ),
         3,
     )
@@ -160,7 +249,7 @@ def test_medians_match_numpy():
     rng = np.random.default_rng(0)
     group, value = rng.integers(0, 7, 200), rng.standard_normal(200)
     expected = [np.median(value[group == g]) for g in range(7)]
-    np.testing.assert_allclose(exposure._medians(group, value, 7), expected)
+    np.testing.assert_allclose(edge_means.medians(group, value, 7), expected)
 
 
 def test_blocks_make_up_their_edges():
@@ -169,7 +258,7 @@ def test_blocks_make_up_their_edges():
     value, weight = rng.standard_normal(90), rng.uniform(0.5, 2, 90)
     edge[0], edge[1:][edge[1:] == 2] = 2, 1
     mean = np.array([np.average(value[edge == e], weights=weight[edge == e]) for e in range(3)])
-    share, pull = exposure.pieces_of_means(edge, value, weight, block, mean)
+    share, pull = edge_means.pieces_of_means(edge, value, weight, block, mean)
     for e in range(2):
         for b in range(BLOCKS):
             rest = (edge == e) & (block != b)
@@ -356,13 +445,27 @@ def test_pyramid_too_short_is_extended():
     )
 
 
-def test_variances_are_those_of_the_dense_inverse(monkeypatch):
+def test_influence_of_edges_is_that_of_the_dense_inverse(monkeypatch):
     monkeypatch.setattr(exposure_graph, "_COLUMNS", 3)
     first, second = np.array([0, 0, 1, 2, 5, 5, 6, 7]), np.array([1, 2, 3, 3, 6, 7, 8, 8])
     component = np.array([0, 0, 0, 0, 1, 2, 2, 2, 2], np.int32)
     weight = np.random.default_rng(2).uniform(1.0, 9.0, len(first))
     graph = exposure_graph._Graph(first, second, component)
-    each = graph._centered(graph.factor(weight).values(np.diag(1 / np.sqrt(weight))))
-    variances = graph.factor(weight).variances()
-    np.testing.assert_allclose(variances, (each**2).sum(axis=1), rtol=1e-12, atol=1e-15)
-    assert variances[4] == 0.0
+    dense = graph._centered(graph.factor(weight).values(np.eye(len(first))))
+    found = np.concatenate([by_edges for _, by_edges in graph.factor(weight).by_edges()], axis=1)
+    np.testing.assert_allclose(found, dense.T, rtol=1e-12, atol=1e-15)
+    assert not found[:, 4].any()
+
+
+def test_the_misclosure_of_a_ring_is_spread():
+    """One pair of images closes it, off by two of its standard deviations; the others agree much better than that."""
+    count, sigma = 40, 0.01
+    first, second = np.array(
+        [(i, i + step) for step in range(1, 6) for i in range(count - step)] + [(0, count - 1)]
+    ).T
+    graph = exposure_graph._Graph(first, second, np.zeros(count, np.int32))
+    difference = np.zeros(len(first))
+    difference[-1] = 2 * sigma
+    value, _ = graph.solve_robustly(difference, np.full(len(first), sigma))
+    ends = value[-1] - value[0]
+    assert 0.2 < ends / difference[-1] < 0.8

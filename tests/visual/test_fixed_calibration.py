@@ -24,6 +24,13 @@ def rows_of(count, seed=1):
     return np.random.default_rng(seed).normal(size=(count, LAYOUT.size)) / SIGMA * 20 / np.sqrt(count)
 
 
+def insignificant(off, covariance, per_pixel=1.0):
+    """By a covariance that is as the information has it; per_pixel of 1: all that is not chance moves patches enough."""
+    return fixed_calibration.insignificant(
+        off, fixed_calibration.Precision(covariance=covariance, plain=covariance, per_pixel=per_pixel)
+    )
+
+
 def wrong(**off):
     true = np.zeros(LAYOUT.size)
     for name, value in off.items():
@@ -32,7 +39,7 @@ def wrong(**off):
 
 
 def test_right_calibrations_are_left_alone():
-    fixed = [fixed_calibration.insignificant(*estimate(wrong(), rows_of(300), seed=s)) for s in range(200)]
+    fixed = [insignificant(*estimate(wrong(), rows_of(300), seed=s)) for s in range(200)]
     assert all(names == fixed_calibration.CORRECTIONS for names in fixed)
 
 
@@ -41,7 +48,7 @@ def test_right_calibrations_are_left_alone():
 )
 def test_a_wrong_one_is_corrected_and_only_that(name, value):
     for seed in range(50):
-        fixed = fixed_calibration.insignificant(*estimate(wrong(**{name: value}), rows_of(300), seed=seed))
+        fixed = insignificant(*estimate(wrong(**{name: value}), rows_of(300), seed=seed))
         assert name not in fixed
         assert len(fixed) == 3
 
@@ -54,7 +61,7 @@ def test_what_looks_like_a_turned_camera_is_not_corrected():
     rows[:, place] = rows[:, turn] * SIGMA[turn] / SIGMA[place]
     off, covariance = estimate(wrong(principal_point=4), rows)
     assert abs(off[place]).min() > 1  # half of it is taken for the one, half for the other
-    assert "principal_point" in fixed_calibration.insignificant(off, covariance)
+    assert "principal_point" in insignificant(off, covariance)
 
 
 def test_the_others_are_judged_as_they_are_without_what_is_fixed():
@@ -65,7 +72,7 @@ def test_the_others_are_judged_as_they_are_without_what_is_fixed():
         1 + 0.02 * np.random.default_rng(3).normal(size=(300, 1))
     )
     off, covariance = estimate(wrong(readout=0.02), rows)
-    fixed = fixed_calibration.insignificant(off, covariance)
+    fixed = insignificant(off, covariance)
     assert ("readout" in fixed) != ("focal" in fixed)
 
 
@@ -92,3 +99,28 @@ def test_held_means_at_the_reference():
         fixed.information[np.ix_(others, others)], 3 * claimed[np.ix_(others, others)]
     )
     assert fixed.reference is prior.reference
+
+
+def test_what_moves_patches_by_less_than_interpolation_must_be_told_from_all_others():
+    """A lens that looks much like another focal length: one of the two is corrected where patches move enough."""
+    rows, focal = rows_of(300), LAYOUT["focal"].start
+    lens = np.arange(LAYOUT.size)[LAYOUT["distortion"]]
+    alike = rows[:, focal] * SIGMA[focal]
+    rows[:, lens] = 0.0
+    rows[:, lens[0]] = (alike + 0.2 * np.random.default_rng(3).normal(size=300)) / SIGMA[lens[0]]
+    off, covariance = estimate(wrong(distortion=(0.01, 0, 0, 0)), rows)
+    alone = fixed_calibration._without(off, covariance, np.arange(LAYOUT.size)[LAYOUT["focal"]])
+    squared = fixed_calibration._squared(*alone, lens)
+    assert fixed_calibration._chance(*alone, lens) < fixed_calibration.CHANCE
+    assert fixed_calibration._chance(off, covariance, lens) > fixed_calibration.APART
+    bias = fixed_calibration.BIAS_PX
+    corrected = set(fixed_calibration.CORRECTIONS) - set(
+        insignificant(off, covariance, squared / (2 * bias) ** 2)
+    )
+    assert corrected in ({"distortion"}, {"focal"})
+    assert insignificant(off, covariance, squared / (0.5 * bias) ** 2) == fixed_calibration.CORRECTIONS
+
+
+def test_a_small_correction_that_is_told_from_all_others_is_made():
+    off, covariance = estimate(wrong(focal=(0.01, 0)), rows_of(300))
+    assert "focal" not in insignificant(off, covariance, per_pixel=1e12)

@@ -25,6 +25,9 @@ def test_homography_is_ray_plane_intersection():
         )
 
 
+UNMOVED = np.empty(0)
+
+
 def _patch(u=100, v=75, position=(0, 0, 4.0), normal=(0, 0, -1.0)):
     """One patch of a wall 4 m ahead, in image 0."""
     return PlanePatches(
@@ -32,7 +35,7 @@ def _patch(u=100, v=75, position=(0, 0, 4.0), normal=(0, 0, -1.0)):
     )
 
 
-def _one_pair(gates=GATES, **changes):
+def _one_pair(gates=GATES, shift=UNMOVED, **changes):
     """The verdict of a point 4 m ahead on a facing wall, seen from two places, with some things changed."""
     setup = {
         "target": np.zeros(3), "turn": np.zeros(3), "normal": np.array([0, 0, -1.0]), "position": np.array([0, 0, 4.0]),
@@ -44,7 +47,7 @@ def _one_pair(gates=GATES, **changes):
     poses = np.stack([np.eye(4), geometry.exp(np.concatenate([setup["turn"], [0, 0, 0]]))])
     poses[1, :3, 3] = setup["target"]
     patch = _patch(position=setup["position"], normal=setup["normal"])
-    return kernels.judge(images, poses, INTRINSICS, patch, 0, 1, gates, NOTHING)
+    return kernels.judge(images, poses, INTRINSICS, patch, 0, 1, gates, NOTHING, shift)
 
 
 def test_same_view_passes_and_gain_does_not_matter():
@@ -52,6 +55,14 @@ def test_same_view_passes_and_gain_does_not_matter():
     dimmed = _one_pair(change=lambda image: 20 + 0.5 * image)
     assert dimmed[0] == kernels.PASSED
     assert dimmed[1] > 0.999
+
+
+def test_a_pair_is_judged_where_its_target_pixels_are():
+    """The target's picture is moved by three columns and two rows down: only with that shift it is the same."""
+    moved = {"change": lambda image: np.roll(image, (2, 3), (0, 1)), "gates": GATES}
+    assert _one_pair(**moved)[1] < 0.9
+    there = _one_pair(**moved, shift=np.array([3.0, 2.0]))
+    assert there == (kernels.PASSED, pytest.approx(1.0))
 
 
 def test_faint_texture_agrees_with_itself_under_noise_and_noise_with_nothing():
@@ -68,7 +79,7 @@ def test_faint_texture_agrees_with_itself_under_noise_and_noise_with_nothing():
         for noise_known in (0.0, noise**2):
             gates = GATES._replace(contrast_floor=noise**2 / 4, noise=noise_known)
             rows.append([
-                kernels.judge(stack, poses, INTRINSICS, _patch(a, b), 0, 1, gates, NOTHING)[0] == kernels.PASSED
+                kernels.judge(stack, poses, INTRINSICS, _patch(a, b), 0, 1, gates, NOTHING, UNMOVED)[0] == kernels.PASSED
                 for a in range(20, 180, 10) for b in range(20, 130, 10)
             ])  # fmt: skip
         return np.mean(rows, axis=1)
@@ -128,6 +139,6 @@ def test_color_contrast_alone_does_not_pass():
     )
     gates = GATES._replace(contrast_floor=0.5)
     poses = np.tile(np.eye(4), (2, 1, 1))
-    verdict, ncc = kernels.judge(images, poses, INTRINSICS, _patch(), 0, 1, gates, NOTHING)
+    verdict, ncc = kernels.judge(images, poses, INTRINSICS, _patch(), 0, 1, gates, NOTHING, UNMOVED)
     assert verdict == kernels.UNLIKE
     assert abs(ncc) < 0.5

@@ -45,7 +45,8 @@ def make(name, seed=0, images=12, per_pair=150, sigma=0.01, falloff=vignetting.N
     block = rng.integers(0, BLOCKS, len(first))
     ratios = Ratios(
         first.astype(np.int32), second.astype(np.int32), grey[1] - grey[0], np.full(len(first), 1.5 * sigma),
-        block, block, (grey[0] + grey[1]) / 2, PairPlaces(reference, target),
+        block, block, (grey[0] + grey[1]) / 2, np.arange(len(first)),
+        PairPlaces(reference, target),
     )  # fmt: skip
     return truth, ratios
 
@@ -105,7 +106,7 @@ def test_parts_add_up_to_the_whole():
 
     def part(mine):
         places = PairPlaces(ratios.places.reference[mine], ratios.places.target[mine])
-        names = ("first", "second", "value", "sigma", "block", "stretch", "level")
+        names = ("first", "second", "value", "sigma", "block", "stretch", "level", "patch")
         return exposure.edges_of(Ratios(*(getattr(ratios, name)[mine] for name in names), places), len(truth))
 
     halves = [part(ratios.first < 5), part(ratios.first >= 5)]
@@ -145,6 +146,31 @@ def test_grey_values_come_back():
     assert not LINEAR
     assert not response.of_numbers(np.zeros(response.SLOPES))
     assert not response.of_numbers(None)
+
+
+def test_contrast_does_not_look_like_light():
+    """A surface at two exposures: the curve of a mean of grey values is not the mean of the light."""
+    curve = Response((0.5, 0.6, 0.7, 0.8, 1.0, 1.6, 2.6))
+    rng = np.random.default_rng(3)
+    contrast = np.exp(0.4 * rng.standard_normal((120, 160, 1)))
+    light = np.stack([80 * gain * contrast for gain in (1.0, 1.5)])
+    images = np.rint(curve.grey(np.minimum(light, 255).astype(np.float32))).astype(np.uint8)
+    linear = radiometry.divided(images, np.ones(images.shape[1:3], np.float32), curve)
+    inside = (images < image.SATURATED).all(axis=0)
+    ratios = [float(np.log(each[1][inside].mean() / each[0][inside].mean())) for each in (images, linear)]
+    of_means = curve.log_ratio(
+        np.array([0.5 * np.log(images[0][inside].mean() * images[1][inside].mean())]), np.array([ratios[0]])
+    )
+    assert abs(of_means[0] - np.log(1.5)) > 5 * abs(ratios[1] - np.log(1.5))
+
+
+def test_two_curves_are_one():
+    gentle = Response((0.9, 0.92, 0.95, 1.0, 1.05, 1.1, 1.15))
+    log_grey = np.linspace(np.log(20), np.log(255), 50)
+    expected = TRUE.log_light(gentle.log_light(log_grey))
+    np.testing.assert_allclose(gentle.then(TRUE).log_light(log_grey), expected, atol=0.03)
+    assert TRUE.then(LINEAR).slopes == pytest.approx(TRUE.slopes)
+    assert LINEAR.then(TRUE).slopes == pytest.approx(TRUE.slopes)
 
 
 @pytest.mark.parametrize("slopes", [(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.05), (1.0,) * 6 + (11.0,)])

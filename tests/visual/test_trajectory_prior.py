@@ -219,3 +219,35 @@ def test_beyond_the_scans_the_spline_says_nothing():
 def test_settings_out_of_range_are_refused_by_name(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         PriorConfig(**wrong)
+
+
+def test_cameras_tell_how_fast_one_turns_between_scans_that_are_far_apart():
+    scan_times, times = np.arange(0.0, 10.0, 0.8), np.arange(0.35, 9.0, 0.8)
+
+    def turning(t):
+        turn = np.zeros((len(t), 6))
+        turn[:, 2] = 0.5 * np.sin(3.0 * t)
+        turn[:, 3] = 0.8 * t
+        return geometry.exp(turn)
+
+    truth = turning(times) @ EXTRINSIC
+    rates = {}
+    for every in (0.8, 0.1):
+        scans = scan_times if every == 0.8 else np.arange(0.0, 10.0, 0.1)
+        prior = trajectory_prior.build(
+            Trajectory(scans, turning(scans)),
+            turning(scans),
+            Trajectory(times, truth),
+            geometry.inverse(EXTRINSIC),
+        )
+        state = VisualState(CameraStates(truth, np.zeros(len(times))), Calibration(EXTRINSIC))
+        rates[every] = [
+            each[1][:, 2] for each in ((None, prior.rate_scan), trajectory_prior.rates(prior, state))
+        ]
+    expected = 1.5 * np.cos(3.0 * times)
+    alone, with_cameras = (np.sqrt(np.mean((each - expected) ** 2)) for each in rates[0.8])
+    assert alone > 0.05
+    assert with_cameras < 0.5 * alone
+    np.testing.assert_array_equal(*rates[0.1])  # near scans tell it themselves
+    half = trajectory_prior.take(prior, np.arange(0, len(times), 2))
+    assert len(half.times) == len(half) == (len(times) + 1) // 2

@@ -34,8 +34,9 @@ def make(rng, found=TRUE, images=12, per_pair=60, sigma=0.01):
     spread = np.full(len(first), sigma)
     level = np.full(len(first), np.log(100.0))
     return truth, Ratios(
-        first.astype(np.int32), second.astype(np.int32), value, spread, block, block, level, places
-    )
+        first.astype(np.int32), second.astype(np.int32), value, spread, block, block, level,
+        np.arange(len(first)), places,
+    )  # fmt: skip
 
 
 def solve(ratios, images=12):
@@ -117,6 +118,7 @@ def _nothing():
         none.astype(int),
         none.astype(int),
         none,
+        none.astype(int),
         places,
     )
 
@@ -144,7 +146,7 @@ def test_parts_add_up_to_the_whole():
 
     def part(mine):
         places = PairPlaces(ratios.places.reference[mine], ratios.places.target[mine])
-        names = ("first", "second", "value", "sigma", "block", "stretch", "level")
+        names = ("first", "second", "value", "sigma", "block", "stretch", "level", "patch")
         return exposure.edges_of(Ratios(*(getattr(ratios, name)[mine] for name in names), places), 12)
 
     halves = [part(ratios.first < 6), part(ratios.first >= 6)]

@@ -53,7 +53,8 @@ def find(rec, points, seen=None, images=None, **changes):
     )
 
 
-def test_judge_matches_its_twin():
+@pytest.mark.parametrize("moved", [False, True])
+def test_judge_matches_its_twin(moved):
     rec = room_with_screen()
     points = take(local_points(rec), slice(None, None, 5))
     point, target = visibility.local_pairs(points.reference, len(rec.images), 7)
@@ -62,11 +63,15 @@ def test_judge_matches_its_twin():
     images[3, 60:100, 60:120] = 255
     gates = GATES._replace(min_normal_cosine=0.45, min_scale=0.9, max_scale=1.08, min_ncc=0.75, noise=9.0)
     patches = visibility.kernel_patches(points)
-    verdict, ncc = kernels.judge_pairs(images, rec.poses, INTRINSICS, patches, point, target, gates, NOTHING)
+    shift = np.random.default_rng(0).uniform(-1.5, 1.5, (len(point), 2)) if moved else np.zeros((0, 2))
+    verdict, ncc = kernels.judge_pairs(
+        images, rec.poses, INTRINSICS, patches, point, target, gates, NOTHING, shift
+    )
+    shifts = shift if moved else np.zeros((len(point), 2))
     expected = [
         naive_judge(images, rec.poses, INTRINSICS, points.position_world[p], points.normal_world[p],
-                    points.reference[p], t, points.pixel[p], gates)
-        for p, t in zip(point, target, strict=True)
+                    points.reference[p], t, points.pixel[p], gates, by)
+        for p, t, by in zip(point, target, shifts, strict=True)
     ]  # fmt: skip
     assert set(verdict) >= {0, 2, 3, 4, 6, 7}
     np.testing.assert_array_equal(verdict, [v for v, _ in expected])
@@ -269,7 +274,8 @@ def test_depth_buffers_refuse_hidden_targets_without_looking_at_the_images():
         min_scale=0.1, max_scale=10.0, min_ncc=-2.0, dark=-1.0, bright=300.0, min_usable=0.0
     )
     verdict, _ = kernels.judge_pairs(
-        rec.images, rec.poses, INTRINSICS, visibility.kernel_patches(points), point, target, gates, depth.at(CAMERA)
+        rec.images, rec.poses, INTRINSICS, visibility.kernel_patches(points), point, target, gates, depth.at(CAMERA),
+        np.zeros((0, 2)),
     )  # fmt: skip
     judged = np.isin(verdict, [kernels.PASSED, kernels.HIDDEN])
     hidden = verdict == kernels.HIDDEN

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from distributed.security import Security
+from forked import ForkedProcess
 from gates import Gates
 from ports import free_port
 
@@ -23,7 +24,7 @@ def tls_files(folder):
 
 
 class Cluster:
-    """`dask scheduler` and `lvba worker` processes."""
+    """`dask scheduler` and `lvba worker` processes; the workers are forked from one that has imported them."""
 
     def __init__(self, folder, tls=()):
         self.folder, self.tls = folder, tls
@@ -41,8 +42,9 @@ class Cluster:
         self.scheduler = self._start("-m", *words)
 
     def start_worker(self, *options):
-        words = ["service.cli", "worker", self.address, "--threads", 1, *self.tls_options, *options]
-        return self._start("-m", *words)
+        words = ["worker", self.address, "--threads", 1, *self.tls_options, *options]
+        self.processes.append(ForkedProcess(words, self._log(), self._environment()))
+        return self.processes[-1]
 
     @property
     def tls_options(self):
@@ -64,14 +66,20 @@ class Cluster:
             process.wait()
 
     def _start(self, *words):
-        environment = {**os.environ, **self.gates.environment}
-        environment["PYTHONPATH"] += f"{os.pathsep}{Path(__file__).parent}"
-        with (self.folder / f"{len(self.processes)}.log").open("wb") as log:
+        with self._log().open("wb") as log:
             process = subprocess.Popen(
-                [sys.executable, *map(str, words)], stdout=log, stderr=log, env=environment
+                [sys.executable, *map(str, words)], stdout=log, stderr=log, env=self._environment()
             )
         self.processes.append(process)
         return process
+
+    def _log(self):
+        return self.folder / f"{len(self.processes)}.log"
+
+    def _environment(self):
+        environment = {**os.environ, **self.gates.environment}
+        environment["PYTHONPATH"] += f"{os.pathsep}{Path(__file__).parent}"
+        return environment
 
     def end(self):
         """Stops everything; what each process said is shown with a test that failed."""

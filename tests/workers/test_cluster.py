@@ -163,6 +163,24 @@ def test_scheduler_killed_and_its_client_too_busy_to_close(toy_cluster, expected
     assert contents(tmp_path / "store") == expected
 
 
+def test_scheduler_killed_between_telling_that_a_step_is_done_and_sending_what_it_returned(
+    toy_cluster, expected, tmp_path, monkeypatch
+):
+    result, killed = cluster.Future.result, []
+
+    def too_late(future, timeout=None):
+        if not killed:
+            killed.append(future.key)
+            toy_cluster.kill_scheduler()
+            toy_cluster.start_scheduler()
+        return result(future, timeout)
+
+    monkeypatch.setattr(cluster.Future, "result", too_late)
+    run(toy_cluster, tmp_path)
+    assert len(killed) == 1
+    assert contents(tmp_path / "store") == expected
+
+
 def test_driver_killed_in_the_midst_of_a_step(toy_cluster, expected, tmp_path):
     (tmp_path / "hold-bb").touch()
     environment = {"PYTHONPATH": f"{Path(toy_steps.__file__).parent}:{Path(connection.__file__).parents[1]}"}

@@ -242,7 +242,8 @@ def _reference(facts: Facts) -> str:
                      formats.number(error.get("predicted_percent"), 2, "%")))  # fmt: skip
         if (after := error.get("rms_percent_after_power")) is not None and abs(error["power"] - 1) > _POWER:
             rows.append((f"Exposure, after one scale and the power {error['power']:.2f} of the light, which images "
-                         "leave open", formats.MISSING, formats.number(after, 2, "%"), formats.MISSING))  # fmt: skip
+                         "leave open", formats.MISSING, formats.number(after, 2, "%"),
+                         formats.number(error.get("predicted_percent_after_power"), 2, "%")))  # fmt: skip
     inner = table(("", "before", "after", "expected"), rows)
     return f'<div class="card">{inner}</div>' if inner else ""
 

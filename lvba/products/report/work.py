@@ -60,6 +60,18 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
+def _imu_rows(imu: Facts) -> list[tuple[str, str]]:
+    if not imu:
+        return []
+    if not imu.get("used"):
+        return [("IMU", f"not used: {imu.get('problem')}")]
+    tilt = f"{imu['tilt_deg']:.2f} ± {imu['tilt_sigma_deg']:.2f}°"
+    return [
+        ("Motions between scans that the IMU felt", formats.count(imu["motions"])),
+        ("Tilt of the world's z axis", tilt),
+    ]
+
+
 def lidar_rows(facts: Facts) -> list[tuple[str, str]]:
     """Figures of the LiDAR bundle adjustment."""
     stage = facts.get("lidar") or {}
@@ -72,6 +84,7 @@ def lidar_rows(facts: Facts) -> list[tuple[str, str]]:
     if left.get("part") is not None:
         rows.append(_motion_row(left))
     rows += _range_error_rows(stage.get("range_errors") or {})
+    rows += _imu_rows(stage.get("imu") or {})
     scans = renamed_facts.value(stage, "degenerate_scans") or []
     if scans:
         held = sum(not count for count in scans)

@@ -1,8 +1,5 @@
 """Whether a recording can be read, as far as names and small texts tell, before it is uploaded."""
 
-import json
-import subprocess
-import sys
 import tempfile
 import threading
 from typing import Annotated, Any
@@ -12,20 +9,15 @@ from starlette.concurrency import run_in_threadpool
 
 from lvba.errors import InputError
 from service.api.context import Context, Submitter
+from service.api.process_answers import answer_of, body_of
 from service.datasets import file_names, names_process
 from service.problems import Problem
 
 router = APIRouter(prefix="/v1", tags=["uploads"])
 _AT_ONCE = threading.BoundedSemaphore(2)
-_BODY = {
-    "requestBody": {
-        "content": {"application/x-ndjson": {"schema": {"type": "string", "format": "binary"}}},
-        "required": True,
-    }
-}
 
 
-@router.post("/checks", openapi_extra=_BODY)
+@router.post("/checks", openapi_extra=body_of("application/x-ndjson"))
 async def check(
     request: Request,
     server: Context,
@@ -43,16 +35,17 @@ def _checked(body: bytes, name: str, most: int) -> dict[str, Any]:
         raise Problem("unavailable", "other recordings are being looked at", headers={"Retry-After": "2"})
     try:
         with tempfile.TemporaryDirectory(prefix="lvba-names-") as folder:
-            words = [sys.executable, "-m", names_process.__name__, folder, _plain(name), str(most)]
-            done = subprocess.run(words, input=body, capture_output=True, timeout=names_process.SECONDS)
-    except subprocess.TimeoutExpired:
-        done = None
+            return answer_of(
+                names_process.__name__,
+                [folder, _plain(name), str(most)],
+                names_process.SECONDS,
+                Problem(
+                    "invalid", "the list of files could not be looked at", "upload the recording as it is"
+                ),
+                given=body,
+            )
     finally:
         _AT_ONCE.release()
-    if done is None or done.returncode != 0:
-        raise Problem("invalid", "the list of files could not be looked at", "upload the recording as it is")
-    answer: dict[str, Any] = json.loads(done.stdout)
-    return answer
 
 
 def _plain(name: str) -> str:

@@ -10,10 +10,11 @@ from sqlalchemy.orm import Session
 from starlette.responses import FileResponse
 
 from lvba.errors import InputError
+from lvba.io import bags
 from service.api import file_responses, queries, serializers
 from service.api.context import Context, Reader, Server, Submitter
 from service.api.schemas import NewDataset
-from service.datasets import file_names, quota, recording_roots
+from service.datasets import file_names, inspections, quota, recording_roots
 from service.db.tables import ENDED, INVALID, READY, UPLOADING, VALIDATING, Dataset, Job, Upload
 from service.problems import Problem
 from service.system import store_urls
@@ -62,8 +63,9 @@ def _registered(server: Server, folder: str) -> str:
     if not path.is_absolute() or not below:
         # whether it exists is nobody's business outside the roots
         raise Problem("forbidden", "the folder is not below a root of this server", "see `roots` of /v1/info")
-    if not resolved.is_dir():
-        raise Problem("invalid", "there is no such folder", "name the folder of a recording")
+    bag = resolved.is_file() and bool(bags.kind_of_name(resolved.name))
+    if not resolved.is_dir() and not bag:
+        raise Problem("invalid", "there is no such folder or bag", "name the folder of a recording, or a bag")
     return str(resolved)
 
 
@@ -153,6 +155,19 @@ def upload_shown(server: Server, upload: Upload) -> dict[str, Any]:
         "complete": upload.complete,
         "sha256": upload.sha256,
     }
+
+
+@router.get("/{dataset_id}/inspection")
+def inspection(dataset_id: str, server: Context, principal: Reader) -> dict[str, Any]:
+    """What the check found in a bag: topics, clocks, what is missing, and files beside it."""
+    with server.database.read() as session:
+        row = queries.one(session, Dataset, dataset_id, principal)
+    if row.state != READY:
+        raise Problem("not-ready", f"the dataset is {row.state}", "wait until it is ready")
+    kept = inspections.read(server.paths, row.id)
+    if kept is None:
+        raise Problem("not-found", "the dataset is a recording, and needs no import", "run it as it is")
+    return kept
 
 
 @router.get("/{dataset_id}/frames")

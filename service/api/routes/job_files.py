@@ -8,6 +8,8 @@ from typing import Annotated, Any, BinaryIO
 from fastapi import APIRouter, Header, Query, Response
 from starlette.responses import FileResponse, StreamingResponse
 
+from lvba.io import files
+from lvba.io.dataset import IMAGE_POSES
 from service.api import file_responses, queries
 from service.api.context import Context, Reader, Server
 from service.api.routes.datasets import frames_of
@@ -167,7 +169,21 @@ def frames(job_id: str, server: Context, principal: Reader) -> dict[str, Any]:
     with server.database.read() as session:
         dataset = queries.one(session, Dataset, job.dataset_id, principal)
     items = []
-    for frame in frames_of(server, dataset):
+    for frame in _imported_frames(server, job) if job.import_key else frames_of(server, dataset):
         pictures = file_responses.pictures(_base(job_id), there, frame["index"])
-        items.append({"index": frame["index"], "time": frame["time"], "raw": frame["url"], **pictures})
+        name = {"name": frame["name"]} if "name" in frame else {}
+        items.append(
+            {"index": frame["index"], "time": frame["time"], **name, "raw": frame["url"], **pictures}
+        )
     return {"items": items}
+
+
+def _imported_frames(server: Server, job: Job) -> list[dict[str, Any]]:
+    """Index, time and stamp of each image of the recording that a job made of a bag, where it has no URL."""
+    poses = server.paths.imported(job.dataset_id, job.import_key or "") / IMAGE_POSES
+    lines = files.read_text(poses).splitlines() if poses.is_file() else []
+    stamps = [line.split()[0] for line in lines if line and not line.startswith("#")]
+    return [
+        {"index": index, "time": float(stamp), "name": stamp, "url": None}
+        for index, stamp in enumerate(stamps)
+    ]

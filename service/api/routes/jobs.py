@@ -12,14 +12,27 @@ from service.api.routes.datasets import Cursor, Limit
 from service.api.schemas import ChangedJob, NewJob, Restart
 from service.db import journal
 from service.db.keys import Principal
-from service.db.tables import CANCELED, CANCELING, DONE, ENDED, FAILED, QUEUED, RUNNING, Delivery, Job
-from service.jobs.run_events import VIEWER
+from service.db.tables import (
+    CANCELED,
+    CANCELING,
+    DONE,
+    ENDED,
+    FAILED,
+    QUEUED,
+    RUNNING,
+    Dataset,
+    Delivery,
+    Job,
+)
+from service.jobs.run_events import IMPORT, VIEWER
 from service.problems import Problem
 from service.system.paths import now
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 IdempotencyKey = Annotated[str | None, Header(max_length=200, pattern=r"^[^\x00]+$")]
 Id = Annotated[str | None, Query(max_length=60, pattern=r"^[a-z]+_[0-9a-f]+$")]
+_ALWAYS = (IMPORT, "input", "write", VIEWER)
+"""Stages that cannot be asked for."""
 State = Literal["queued", "running", "canceling", "done", "failed", "canceled"]
 
 
@@ -56,7 +69,7 @@ def _known(server: Server, principal: Principal, body: NewJob, key: str | None) 
     with server.database.read() as session:
         wanted = select(Job).where(Job.owner == principal.owner, Job.idempotency_key == key)
         job = session.scalars(wanted).one_or_none()
-    if job is not None and job.request_digest != submission.digest(body.model_dump()):
+    if job is not None and job.request_digest != submission.request_digest(body):
         raise Problem("invalid", "the Idempotency-Key was used for another request", "choose another one")
     if job is not None and job.deleted:
         raise Problem("invalid", "the job of this Idempotency-Key was removed", "choose another one")
@@ -161,6 +174,9 @@ def restart(
         job = queries.one(session, Job, job_id, principal, lock=True)
         if job.state not in ENDED:
             raise Problem("conflict", f"the job is {job.state}", "cancel it first, or wait")
+        if wanted.import_ is not None:
+            submission.check_import(server, session.get_one(Dataset, job.dataset_id), wanted.import_)
+            job.import_options = wanted.import_
         _check_stage(job, wanted.from_stage)
         submission.check_restart(server, session, job)
         job.redo = wanted.from_stage
@@ -175,8 +191,8 @@ def restart(
 
 
 def _check_stage(job: Job, stage: str | None) -> None:
-    # these are not kept: they are done anew each time anyway
-    known = [record["name"] for record in job.stages if record["name"] not in ("input", "write", VIEWER)]
+    # they are done anew each time anyway, or, as an import, kept for as long as they fit
+    known = [record["name"] for record in job.stages if record["name"] not in _ALWAYS]
     if stage is not None and stage not in known:
         raise Problem(
             "invalid", f"the job has no stage {stage!r}", f"one of these: {', '.join(known) or '(none yet)'}"

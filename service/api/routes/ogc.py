@@ -107,6 +107,9 @@ def process(process_id: str, request: Request) -> dict[str, Any]:
                 "a dataset of /v1/datasets that is ready", {"type": "string", "pattern": "^ds_"}
             ),
             "config": _input("settings", options_schema.describe()["schema"], required=False),
+            "import": _input(
+                "how a bag is imported", options_schema.describe()["import"]["schema"], required=False
+            ),
             "reference": _input(
                 "compare with reference/ in the dataset", {"type": "boolean"}, required=False
             ),

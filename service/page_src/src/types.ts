@@ -60,6 +60,8 @@ export interface Job {
   config: Record<string, unknown> | null;
   priority: number;
   reference: boolean;
+  /** Choices of the import of a bag. */
+  import?: Record<string, unknown> | null;
   state: JobState;
   created: string;
   started: string | null;
@@ -93,7 +95,46 @@ export interface Dataset {
     duration_s: number;
     warnings?: string[];
     has_reference?: boolean;
+    /** Of what a job imports first; null or missing: it is a recording. */
+    format?: string | null;
   } | null;
+}
+
+/** A topic, and what its first records say; what is not known is missing. */
+export interface StreamFacts {
+  name: string;
+  kind: string;
+  type: string;
+  count: number | null;
+  rate: number | null;
+  first: number | null;
+  last: number | null;
+  problem: string;
+  points?: number;
+  width?: number;
+  height?: number;
+  stored?: string;
+  times?: string;
+  time_field?: string;
+  time_unit?: string;
+  sweep_s?: number;
+  stamp_is?: string;
+  lens?: string;
+  child?: string;
+  acceleration_unit?: string;
+  transforms?: string[];
+}
+
+export interface Inspection {
+  format: string;
+  size: number;
+  streams: StreamFacts[];
+  notes: string[];
+  missing: string[];
+  presets: string[];
+  choice: { lidar: string; image: string; odometry: string; imu: string };
+  /** Files that may be calibrations or poses. */
+  beside?: string[];
 }
 
 export interface UploadedFile {
@@ -171,6 +212,7 @@ export interface Schema {
   enum?: unknown[];
   anyOf?: Schema[];
   properties?: Record<string, Schema>;
+  items?: Schema;
   minimum?: number;
   maximum?: number;
   level?: "basic" | "advanced";
@@ -185,6 +227,12 @@ export interface Schema {
 export interface Options {
   schema: Schema;
   defaults: Record<string, unknown>;
+}
+
+/** What `/v1/options` answers. */
+export interface AllOptions extends Options {
+  /** Of the import of a bag. */
+  import: Options;
 }
 
 export interface ScoresFacts {

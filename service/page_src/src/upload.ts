@@ -78,7 +78,7 @@ const TEXT = /\.(txt|ya?ml)$/i;
 const MOST_TEXT = 8 * 1024 * 1024;
 const MOST_LINES = 15 * 1024 * 1024;
 
-/** What the server's reader finds wrong with names, poses and calibration, before anything is sent; null: nothing, or not known. */
+/** What the server's reader finds wrong with names, parts of a bag, poses and calibration, before anything is sent; null: nothing, or not known. */
 export async function checkNames(items: Item[], folder: string): Promise<JobError | null> {
   if (isArchive(items)) return null;
   const lines = await Promise.all(items.map(async ({ path, file }) =>

@@ -25,13 +25,14 @@ PATIENCE = 120.0
 class Service:
     """One `lvba serve` over a data folder; it can be killed and started again.
 
-    Forked from a process that has imported it, but for `below`. Its jobs, and services of other tests (of the page, of
-    deployments, of the wheel), are started as users start them.
+    Forked from a process that has imported it, and so are its jobs, but for `below`. Services of other tests (of the
+    page, of deployments, of the wheel) are started as users start them, with their jobs.
     """
 
-    def __init__(self, data, *options, environment=None, below=()):
-        """below: a command line that goes before, such as one that sets limits"""
-        self.data, self.options, self.below = data, options, below
+    def __init__(self, data, *options, environment=None, below=(), forks_jobs=True):
+        """below: a command line that goes before, such as one that sets limits; forks_jobs: False where it matters
+        whose children they are"""
+        self.data, self.options, self.below, self.forks_jobs = data, options, below, forks_jobs
         # services over the same folder share their gates
         self.gates = Gates(data.with_name(f"{data.name}-gates"))
         self.environment = {**os.environ, **self.gates.environment, **(environment or {})}
@@ -49,7 +50,7 @@ class Service:
                     command, stdout=log, stderr=log, env=self.environment, start_new_session=True
                 )
             else:
-                self.process = ForkedProcess(words, self.log, self.environment)
+                self.process = ForkedProcess(words, self.log, self.environment, self.forks_jobs)
         until = time.monotonic() + PATIENCE
         while time.monotonic() < until:
             found = re.search(r"serving (http://\S+)", self.log.read_text()[begins:])

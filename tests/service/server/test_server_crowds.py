@@ -253,6 +253,9 @@ def test_check_without_enough_memory_blames_the_memory(tmp_path, tiny_recording)
 
 
 def test_check_takes_no_more_memory_than_the_service_itself_may():
-    code = "from service.datasets.check_process import _limit, Limits; _limit(Limits())"
+    code = (
+        "from service.datasets import check_memory; from service.settings import Limits;"
+        " from service.system import process_limits; process_limits.limit(check_memory.address_space(Limits()), 60)"
+    )
     words = ["sh", "-c", 'ulimit -v 2000000; exec "$@"', "sh", sys.executable, "-c", code]
     assert subprocess.run(words, check=False).returncode == 0

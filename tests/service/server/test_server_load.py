@@ -14,7 +14,7 @@ import bench_load  # noqa: E402 - no package
 
 
 def test_nothing_is_lost_under_a_small_load():
-    load = bench_load.Load(jobs=6, clients=6, listeners=60, uploads=12, upload_bytes=1 << 20, refine=False)
+    load = bench_load.Load(jobs=3, clients=6, listeners=30, uploads=6, upload_bytes=1 << 20, refine=False)
     found = bench_load.run(load, seconds=1.0, first=False)
     assert {name: found[name] for name in found if name.startswith("lost")} == {
         "lost_jobs": 0,

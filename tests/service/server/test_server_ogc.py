@@ -15,7 +15,7 @@ def client(service):
 def test_client_finds_the_process_and_what_it_takes(client):
     assert [process["id"] for process in client.processes()] == ["lvba"]
     process = client.process("lvba")
-    assert {"dataset", "config", "reference"} == set(process["inputs"])
+    assert {"dataset", "config", "import", "reference"} == set(process["inputs"])
     assert process["inputs"]["dataset"]["minOccurs"] == 1
     assert "async-execute" in process["jobControlOptions"]
     assert any(uri.endswith("/conf/core") for uri in client.conformance()["conformsTo"])

@@ -37,6 +37,36 @@ def count(stage, done, total, what="points"):
     return {"event": "progress", "stage": stage, "what": what, "done": done, "total": total}
 
 
+def test_an_import_is_the_first_stage_before_the_others_are_known():
+    first = {"event": "stages", "names": ["import", "input"]}
+    record = {"event": "record", "name": "import", "seconds": 4.0, "peak_memory_mb": 90.0, "reused": False}
+    timeline, _ = run_of(
+        (0.0, first), (0.0, begin("import")), (0.0, count("import", 0, 2)), (2.0, count("import", 1, 2))
+    )
+    assert [stage["state"] for stage in timeline.stages] == ["running", "waiting"]
+    assert timeline.stages[0]["eta_s"] == 2.0
+    assert timeline.fraction() < 0.1, "most of the work is not named yet"
+    for now, line in (
+        (4.0, record),
+        (4.0, begin("input")),
+        (5.0, {**NAMES, "names": ["import", *NAMES["names"]]}),
+    ):
+        told = timeline.take(line, now)
+    assert told[-1] == ("stages", {"stages": ["import", "input", "lidar", "map", "write"]})
+    assert [stage["state"] for stage in timeline.stages] == ["done", "done", "waiting", "waiting", "waiting"]
+    assert (timeline.stages[0]["seconds"], timeline.stages[0]["peak_memory_mb"]) == (4.0, 90.0)
+    assert timeline.fraction() == 0.4
+
+
+def test_time_left_in_an_import_counts_the_stages_after_it():
+    weights = {"import": 0.2, "input": 0.1, "lidar": 0.7}
+    first = {"event": "stages", "names": ["import", "input"]}
+    lines = ((0.0, first), (0.0, begin("import")), (10.0, count("import", 1, 1)))
+    timeline, _ = run_of(*lines, weights=weights, estimate=100.0)
+    # 0.82 of the work is left, of which a count at its end leaves a tenth: the estimate and the pace, weighed by it
+    assert timeline.eta_s(10.0) == pytest.approx(0.82 * (0.82 * 100.0 + 10.0), abs=0.1)
+
+
 def test_stages_are_those_that_the_run_names():
     timeline, told = run_of((1.0, NAMES), (1.0, begin("lidar")), (4.0, begin("map")))
     assert [(stage["name"], stage["state"]) for stage in timeline.stages] == [

@@ -53,10 +53,10 @@ export function nested(changes: Changes): Record<string, unknown> {
   return out;
 }
 
-/** What a refusal says of single settings, to be shown beside them, and what is left to say elsewhere. */
-export function placed(error: unknown, options: Options | null): { errors: Record<string, string>; trouble: { cause: string; hint: string } } {
+/** What a refusal says of single settings, to be shown beside them, and what is left to say elsewhere; group: where they are in a job. */
+export function placed(error: unknown, options: Options | null, group: "config" | "import" = "config"): { errors: Record<string, string>; trouble: { cause: string; hint: string } } {
   const known = new Set(options === null ? [] : fieldsOf(options).map((field) => field.name));
-  const refused = error instanceof Problem ? error.errors.map((one): [string, string] => [one.where.replace(/^(body\.)?config\./, ""), one.message]) : [];
+  const refused = error instanceof Problem ? error.errors.map((one): [string, string] => [one.where.replace(new RegExp(`^(body\\.)?${group}\\.`), ""), one.message]) : [];
   if (refused.length === 0 || !refused.every(([name]) => known.has(name))) return { errors: {}, trouble: troubleOf(error) };
   const names = refused.map(([name]) => name).join(", ");
   return { errors: Object.fromEntries(refused), trouble: { cause: `Correct these settings: ${names}.`, hint: "The reason is beside each of them." } };
@@ -72,8 +72,8 @@ export function flat(config: unknown, fields: Field[]): Changes {
   return out;
 }
 
-export function OptionsForm(props: { options: Options; changes: Changes; set: (changes: Changes) => void; errors: Record<string, string> }) {
-  const { options, changes, set, errors } = props;
+export function OptionsForm(props: { options: Options; changes: Changes; set: (changes: Changes) => void; errors: Record<string, string>; kind?: "settings" | "import" }) {
+  const { options, changes, set, errors, kind = "settings" } = props;
   const [query, setQuery] = useState("");
   const fields = useMemo(() => fieldsOf(options), [options]);
   const wanted = query.toLowerCase().split(/\s+/).filter((word) => word !== "");
@@ -87,12 +87,12 @@ export function OptionsForm(props: { options: Options; changes: Changes; set: (c
     else next[name] = value;
     set(next);
   };
-  const groups = (members: Field[], kind: string): ComponentChildren => [...grouped(members)].map(([group, inside]) => (
-    <section key={group} class="group" aria-label={`${kind}: ${group}`}>
-      <h3>{TITLES[group] ?? group}</h3>
+  const groups = (members: Field[], label: string): ComponentChildren => [...grouped(members)].map(([group, inside]) => (
+    <section key={group} class="group" aria-label={`${label}: ${group}`}>
+      {kind === "settings" && <h3>{TITLES[group] ?? group}</h3>}
       {inside.map((field) => (
         <Row key={field.name} field={field} value={field.name in changes ? changes[field.name] : field.fallback}
-          changed={field.name in changes} error={errors[field.name] ?? ""} change={change} />
+          changed={field.name in changes} error={errors[field.name] ?? ""} change={change} kind={kind} />
       ))}
     </section>
   ));
@@ -100,15 +100,15 @@ export function OptionsForm(props: { options: Options; changes: Changes; set: (c
   const advanced = matching.filter((field) => field.schema.level === "advanced");
   return (
     <div class="options">
-      <div class="toolbar">
+      {kind === "settings" && <div class="toolbar">
         <input type="search" aria-label="Search settings" placeholder="Search settings, e.g. voxel" value={query} onInput={(event) => { setQuery(event.currentTarget.value); }} />
         <span class="quiet" role="status">{Object.keys(changes).length === 0 ? "All at their defaults" : `${String(Object.keys(changes).length)} changed`}</span>
-      </div>
-      {groups(basic, "Settings")}
+      </div>}
+      {groups(basic, kind === "settings" ? "Settings" : "Choices")}
       {advanced.length > 0 && (
         <details class="advanced" open={wanted.length > 0 || advanced.some((field) => field.name in changes || field.name in errors)}>
-          <summary><span class="group-name">Advanced settings</span><span class="quiet small">{advanced.length}</span></summary>
-          {groups(advanced, "Advanced settings")}
+          <summary><span class="group-name">{kind === "settings" ? "Advanced settings" : "More choices"}</span><span class="quiet small">{advanced.length}</span></summary>
+          {groups(advanced, kind === "settings" ? "Advanced settings" : "More choices")}
         </details>
       )}
       {matching.length === 0 && <p class="quiet">No setting matches.</p>}
@@ -134,11 +134,13 @@ interface RowProps {
   changed: boolean;
   error: string;
   change: (name: string, value: unknown) => void;
+  kind: string;
 }
 
-function Row({ field, value, changed, error, change }: RowProps) {
-  const id = `option-${field.name.replaceAll(".", "-")}`;
+function Row({ field, value, changed, error, change, kind }: RowProps) {
+  const id = `${kind === "settings" ? "option" : kind}-${field.name.replaceAll(".", "-")}`;
   const [above, name] = labelOf(field.name, field.schema.unit ?? "");
+  const plain = field.fallback !== "" && !(Array.isArray(field.fallback) && field.fallback.length === 0);
   const { meaning, unit = "", range = "", change_when: advice = "", description = "" } = field.schema;
   return (
     <div class={`option${changed ? " option-changed" : ""}`}>
@@ -151,7 +153,7 @@ function Row({ field, value, changed, error, change }: RowProps) {
         <p><Prose text={meaning ?? description} /></p>
         {advice !== "" && <p class="quiet">Change it when: <Prose text={advice} /></p>}
         <p class="quiet">
-          {range !== "" && <span>Range: {range}{unit === "" ? "" : ` ${unit}`}. </span>}<span>Default: {text(field.fallback)}</span>
+          {range !== "" && <span>Range: {range}{unit === "" ? "" : ` ${unit}`}. </span>}{plain && <span>Default: {text(field.fallback)}</span>}
           {changed && <>{" "}<button type="button" class="link" aria-label={`Default for ${field.name}`} onClick={() => { change(field.name, undefined); }}>reset</button></>}
         </p>
       </div>
@@ -176,6 +178,7 @@ function labelOf(name: string, unit: string): [string, string] {
 }
 
 function text(value: unknown): string {
+  if (value === "") return "(default)";
   return typeof value === "string" ? value : JSON.stringify(value);
 }
 
@@ -195,6 +198,7 @@ function Input({ id, field, value, change }: { id: string; field: Field; value: 
   if (is("boolean")) {
     return <input id={id} type="checkbox" {...described} checked={value === true} onChange={(event) => { change(event.currentTarget.checked); }} />;
   }
+  if (schema.items?.enum !== undefined) return <Several id={id} offered={schema.items.enum} value={Array.isArray(value) ? value : []} change={change} />;
   if (is("array") || is("object")) return <JsonInput id={id} value={value} change={change} />;
   if (is("number") || is("integer")) {
     const [nullable, whole] = [is("null"), !is("number")];
@@ -210,6 +214,20 @@ function Input({ id, field, value, change }: { id: string; field: Field; value: 
     );
   }
   return <input id={id} type="text" {...described} value={value === null ? "" : String(value)} onChange={(event) => { change(event.currentTarget.value); }} />;
+}
+
+/** Any of several. */
+function Several({ id, offered, value, change }: { id: string; offered: unknown[]; value: unknown[]; change: (value: unknown) => void }) {
+  if (offered.length === 0) return <span id={id} class="quiet small">None beside the bag: upload them with it.</span>;
+  return (
+    <div id={id} role="group" aria-describedby={`${id}-help`}>
+      {offered.map((one) => (
+        <label key={text(one)} class="check">
+          <input type="checkbox" checked={value.includes(one)} onChange={(event) => { change(event.currentTarget.checked ? [...value, one] : value.filter((other) => other !== one)); }} /> {text(one)}
+        </label>
+      ))}
+    </div>
+  );
 }
 
 function JsonInput({ id, value, change }: { id: string; value: unknown; change: (value: unknown) => void }) {

@@ -16,7 +16,7 @@ export function Choice({ dataset, checked, choose, gone }: { dataset: Dataset; c
         <span>
           <strong>{dataset.name}</strong>
           <span class="quiet small">
-            {facts === null ? "" : `${plural(facts.scans, "scan")}, ${plural(facts.images, "image")}, ${duration(facts.duration_s)} · `}{size(dataset)} · {ago(dataset.created)}
+            {facts === null ? "" : `${facts.format ? `${facts.format}, ` : ""}${plural(facts.scans, "scan")}, ${plural(facts.images, "image")}, ${duration(facts.duration_s)} · `}{size(dataset)} · {ago(dataset.created)}
           </span>
         </span>
       </label>

@@ -29,7 +29,7 @@ function Form({ job, close, done }: { job: Job; close: () => void; done: () => v
   const [from, setFrom] = useState("");
   const [trouble, setTrouble] = useState<{ cause: string; hint: string } | null>(null);
   const [errors, setErrors] = useState<Record<string, string>>({});
-  const names = grouped(job.stages ?? []).map((group) => group.whole?.name ?? group.parts[0]?.name ?? group.name);
+  const names = grouped(job.stages ?? []).map((group) => group.whole?.name ?? group.parts[0]?.name ?? group.name).filter((one) => one !== "import");
   const restart = async (): Promise<void> => {
     try {
       await send("POST", `/v1/jobs/${job.id}/restart`, { ...(from === "" ? {} : { from }), ...(edited === null ? {} : { config: nested(edited) }) });

@@ -3,11 +3,13 @@
 import { useEffect, useRef, useState } from "preact/hooks";
 
 import { get, send, troubleOf } from "../api";
+import { BAG, inspectBag, isBag, type Look } from "../bag";
 import { pause } from "../events";
 import { bytes, count, duration, percent, plural } from "../format";
 import type { Dataset } from "../types";
 import { checkNames, dropped, isArchive, type Item, placedAt, type Progress, Upload, withoutCommonFolder } from "../upload";
 import { Bar, Trouble } from "./basic";
+import { InspectionTable } from "./inspection";
 
 type Phase = "choose" | "sending" | "paused" | "checking" | "ended";
 
@@ -18,9 +20,11 @@ export function Uploader({ unfinished, ready, failed }: { unfinished: Dataset | 
   const [folder, setFolder] = useState("");
   const [progress, setProgress] = useState<Progress | null>(null);
   const [trouble, setTrouble] = useState<{ cause: string; hint: string } | null>(null);
+  const [look, setLook] = useState<Look | "looking" | null>(null);
   const upload = useRef<Upload | null>(null);
+  const looking = useRef(new AbortController());
   const stop = useRef(new AbortController());
-  useEffect(() => () => { stop.current.abort(); }, []);
+  useEffect(() => () => { stop.current.abort(); looking.current.abort(); }, []);
   useEffect(() => {
     if (phase !== "sending") return;
     const warn = (event: BeforeUnloadEvent): void => { event.preventDefault(); };
@@ -31,11 +35,29 @@ export function Uploader({ unfinished, ready, failed }: { unfinished: Dataset | 
   const wrong = unfinished?.state === "invalid" ? (unfinished.error?.path ?? null) : null;
   const take = (given: Item[]): void => {
     const kept = wrong === null ? withoutCommonFolder(given) : placedAt(given, wrong);
-    const folder = given[0]?.path.includes("/") === true ? given[0].path.split("/")[0] : given[0]?.file.name.replace(/\.(zip|tar.*|tgz)$/i, "");
+    const folder = given[0]?.path.includes("/") === true ? given[0].path.split("/")[0] : given.find((item) => BAG.test(item.path) || given.length === 1)?.file.name.replace(/\.(zip|tar.*|tgz)$/i, "").replace(BAG, "");
     setItems(kept);
     setFolder(folder ?? "");
     setName(unfinished?.name ?? folder ?? "");
     setTrouble(null);
+    lookInto(kept, folder ?? "");
+  };
+
+  /** Shows what is in a bag, while its upload may already be on its way. */
+  const lookInto = (kept: Item[], folder: string): void => {
+    looking.current.abort();
+    looking.current = new AbortController();
+    const { signal } = looking.current;
+    setLook(isBag(kept) ? "looking" : null);
+    if (!isBag(kept)) return;
+    inspectBag(kept, folder, signal).then(
+      (seen) => { if (!signal.aborted) setLook(seen); },
+      (error: unknown) => {
+        if (signal.aborted) return;
+        setLook(null);
+        setTrouble(troubleOf(error));
+      },
+    );
   };
 
   const run = async (): Promise<void> => {
@@ -87,7 +109,8 @@ export function Uploader({ unfinished, ready, failed }: { unfinished: Dataset | 
             <p>{isArchive(items) ? `Archive ${items[0]?.file.name ?? ""}` : plural(items.length, "file")}, {bytes(total)}</p>
             <label for="dataset-name">Name</label>
             <input id="dataset-name" value={name} disabled={unfinished !== null} onInput={(event) => { setName(event.currentTarget.value); }} />
-            <button type="button" class="primary" disabled={name.trim() === ""} onClick={() => { void run(); }}>Upload</button>
+            <Looked look={look} />
+            <button type="button" class="primary" disabled={name.trim() === "" || (look !== null && look !== "looking" && look.error !== null)} onClick={() => { void run(); }}>Upload</button>
           </div>
         )}
       </>
@@ -97,9 +120,22 @@ export function Uploader({ unfinished, ready, failed }: { unfinished: Dataset | 
     <div class="sending">
       <Sending phase={phase} progress={progress} total={total} />
       <Trouble trouble={trouble} />
+      {phase !== "ended" && <Looked look={look} />}
       {phase === "sending" && <button type="button" onClick={() => { stop.current.abort(); }}>Pause</button>}
       {phase === "paused" && <button type="button" class="primary" onClick={() => { void run(); }}>Continue</button>}
     </div>
+  );
+}
+
+function Looked({ look }: { look: Look | "looking" | null }) {
+  if (look === null) return null;
+  if (look === "looking") return <p class="quiet" role="status">Looking into the bag …</p>;
+  return (
+    <>
+      <Trouble trouble={look.error} />
+      {look.later !== "" && <p class="quiet small">{look.later}</p>}
+      {look.inspection !== null && <InspectionTable inspection={look.inspection} label="What is in the bag" />}
+    </>
   );
 }
 
@@ -154,7 +190,7 @@ function Chooser({ take, single }: { take: (items: Item[]) => void; single: bool
         if (event.dataTransfer !== null) void dropped(event.dataTransfer).then(take);
       }}
     >
-      <p><strong>Drop a recording here</strong>: its folder, or an archive of it</p>
+      <p><strong>Drop a recording here</strong>: its folder, an archive of it, or a bag with its calibration</p>
       <div class="drop-buttons">
         <label class="button file-button">
           Choose folder
@@ -167,11 +203,15 @@ function Chooser({ take, single }: { take: (items: Item[]) => void; single: bool
           </label>
         )}
         <label class="button file-button">
+          Choose bag
+          <input type="file" multiple class="visually-hidden" accept=".bag,.mcap,.db3,.zst,.zstd,.yaml,.yml,.txt,.json,.csv,.xml,.tum" onChange={(event) => { take(list(event.currentTarget.files)); }} />
+        </label>
+        <label class="button file-button">
           Choose archive
           <input type="file" class="visually-hidden" accept=".zip,.tar,.tgz,.gz,.bz2,.xz" onChange={(event) => { take(list(event.currentTarget.files)); }} />
         </label>
       </div>
-      <p class="quiet small">all_image, all_pcd_body and config.yaml, as FAST-LIVO2 writes them; zip or tar. An interrupted upload continues where it stopped.</p>
+      <p class="quiet small">all_image, all_pcd_body and config.yaml, as FAST-LIVO2 writes them; zip or tar; or bags of ROS 1, ROS 2 and MCAP. An interrupted upload continues where it stopped.</p>
     </div>
   );
 }

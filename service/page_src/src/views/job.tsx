@@ -179,6 +179,7 @@ function About({ job, dataset }: { job: Job; dataset: string }) {
           ...(estimate ? [["Estimated", `${duration(estimate.seconds)}, ${bytes(estimate.memory_bytes)} memory${estimate.basis === undefined ? "" : `, from ${estimate.basis}`}`] as [string, string]] : []),
         ]}
       />
+      {job.import !== null && job.import !== undefined && Object.keys(job.import).length > 0 && <details class="more"><summary>Choices of the import</summary><pre class="small">{JSON.stringify(job.import, null, 1)}</pre></details>}
       {changed && <details class="more"><summary>Changed settings</summary><pre class="small">{JSON.stringify(job.config, null, 1)}</pre></details>}
       {(job.attempts ?? []).length > 1 && (
         <details class="more">

@@ -8,9 +8,10 @@ import { about, bytes } from "../format";
 import { go, useFetched, useTitle } from "../hooks";
 import { Card, Facts, Trouble } from "../parts/basic";
 import { type Changes, nested, OptionsForm, placed } from "../parts/options";
+import { ImportForm, InspectionTable } from "../parts/inspection";
 import { Choice, Unfinished } from "../parts/recordings";
 import { Uploader } from "../parts/uploader";
-import type { Dataset, Estimate, Info, Job, Options } from "../types";
+import type { AllOptions, Dataset, Estimate, Info, Inspection, Job } from "../types";
 
 export function Submit({ dataset: wanted }: { dataset: string | null }) {
   const datasets = useFetched<Dataset[]>("/v1/datasets", (path) => all<Dataset>(path));
@@ -34,10 +35,13 @@ export function Submit({ dataset: wanted }: { dataset: string | null }) {
                 {ready.map((one) => <Choice key={one.id} dataset={one} checked={one.id === chosen} choose={() => { setChosen(one.id); }} gone={gone} />)}
               </fieldset>
             )}
-            <details open={ready.length === 0 || unfinished !== null} key={unfinished?.id ?? "new"} class="more">
-              <summary>{ready.length === 0 ? "Upload" : "Upload another"}</summary>
-              <Uploader key={unfinished?.id ?? "new"} unfinished={unfinished} ready={(one) => { setUnfinished(null); setChosen(one.id); datasets.again(); }} failed={(one) => { setUnfinished(one); datasets.again(); }} />
-            </details>
+            {/* not before it is known what is there: it would fold over what somebody has just chosen */}
+            {(datasets.data !== null || datasets.trouble !== null) && (
+              <details open={ready.length === 0 || unfinished !== null} key={unfinished?.id ?? "new"} class="more">
+                <summary>{ready.length === 0 ? "Upload" : "Upload another"}</summary>
+                <Uploader key={unfinished?.id ?? "new"} unfinished={unfinished} ready={(one) => { setUnfinished(null); setChosen(one.id); datasets.again(); }} failed={(one) => { setUnfinished(one); datasets.again(); }} />
+              </details>
+            )}
             {(info.data?.roots ?? []).length > 0 && <Register roots={info.data?.roots ?? []} done={datasets.again} />}
             {open.length > 0 && <Unfinished datasets={open} resume={setUnfinished} gone={gone} />}
           </Card>
@@ -69,7 +73,11 @@ function Register({ roots, done }: { roots: string[]; done: () => void }) {
 }
 
 function JobForm({ dataset, children }: { dataset: Dataset | null; children: ComponentChildren }) {
-  const options = useFetched<Options>("/v1/options");
+  const options = useFetched<AllOptions>("/v1/options");
+  const isBag = (dataset?.facts?.format ?? null) !== null;
+  const inspection = useFetched<Inspection>(isBag && dataset !== null ? `/v1/datasets/${dataset.id}/inspection` : null);
+  const [choices, setChoices] = useState<Changes>({});
+  const [refusedChoices, setRefusedChoices] = useState<Record<string, string>>({});
   const [name, setName] = useState("");
   const [changes, setChanges] = useState<Changes>({});
   const [reference, setReference] = useState(false);
@@ -82,19 +90,23 @@ function JobForm({ dataset, children }: { dataset: Dataset | null; children: Com
     if (dataset !== null) setName(dataset.name);
     setReference(dataset?.facts?.has_reference === true);
   }, [dataset?.id]);
-  const body = useMemo(() => ({ dataset: dataset?.id ?? "", name, config: nested(changes), priority, reference }), [dataset, name, changes, priority, reference]);
+  const body = useMemo(() => ({ dataset: dataset?.id ?? "", name, config: nested(changes), ...(isBag ? { import: choices } : {}), priority, reference }), [dataset, name, changes, isBag, choices, priority, reference]);
   const submit = async (): Promise<void> => {
     setSending(true);
     setTrouble(null);
     setErrors({});
+    setRefusedChoices({});
     try {
       const job = await send<Job>("POST", "/v1/jobs", body, { "Idempotency-Key": mark });
       go("jobs", job.id);
     } catch (error) {
       setMark(crypto.getRandomValues(new Uint32Array(4)).join("-"));
       const { trouble: rest, errors: refused } = placed(error, options.data);
-      setTrouble(rest);
+      const chosen = placed(error, options.data?.import ?? null, "import");
+      const aboutImport = Object.keys(chosen.errors).length > 0;
+      setTrouble(aboutImport ? chosen.trouble : rest);
       setErrors(refused);
+      setRefusedChoices(chosen.errors);
       setSending(false);
     }
   };
@@ -102,7 +114,18 @@ function JobForm({ dataset, children }: { dataset: Dataset | null; children: Com
     <div class="columns">
       <div>
         {children}
-      <Card title="2. Start" id="start">
+      {isBag && (
+        <Card title="2. Import" id="import">
+          <Trouble trouble={inspection.trouble} />
+          {inspection.data !== null && options.data !== null && (
+            <>
+              <InspectionTable inspection={inspection.data} label="What can be imported" />
+              <ImportForm options={options.data.import} inspection={inspection.data} changes={choices} set={setChoices} errors={refusedChoices} />
+            </>
+          )}
+        </Card>
+      )}
+      <Card title={isBag ? "3. Start" : "2. Start"} id="start">
         <div class="field"><label for="job-name">Name of the job</label><input id="job-name" value={name} onInput={(event) => { setName(event.currentTarget.value); }} /></div>
         <div class="field">
           <label for="priority">Priority</label>

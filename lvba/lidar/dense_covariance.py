@@ -1,0 +1,78 @@
+"""Covariances of all poses as one matrix: inverse, blocks, and what is left after one rigid alignment."""
+
+import numpy as np
+import scipy.linalg
+
+from lvba import geometry
+from lvba.arrays import Poses
+
+
+def blocks(matrix: np.ndarray, apart: int) -> np.ndarray:
+    """(N - apart, 6, 6), of a matrix: the blocks of each pose and the one so many places after it.
+
+    matrix: (6 N, 6 N) float64
+    """
+    poses = len(matrix) // 6
+    here = np.arange(poses - apart)
+    return np.array(matrix.reshape(poses, 6, poses, 6)[here, :, here + apart])
+
+
+def inverse(information: np.ndarray) -> np.ndarray:
+    """(N, N), the inverse of a positive matrix; eigenvalues that rounding made negative count as tiny.
+
+    information: (N, N) float64
+    """
+    # symmetric, so its transpose in columns is the matrix itself in rows: LAPACK works on this one copy
+    matrix = np.array(information).T
+    try:
+        factor, _ = scipy.linalg.cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
+        inverse, _ = scipy.linalg.lapack.dpotri(factor, lower=True, overwrite_c=True)
+    except np.linalg.LinAlgError:
+        values, vectors = scipy.linalg.eigh(information, check_finite=False)
+        return np.asarray((vectors / np.maximum(values, 1e-9 * values[-1])) @ vectors.T)
+    return _mirrored(inverse.T)
+
+
+def _mirrored(matrix: np.ndarray) -> np.ndarray:
+    """A square matrix with what is above its diagonal written below it too, in place: a copy would double the memory."""
+    width = 256
+    for at in range(0, len(matrix), width):
+        below = at + width
+        matrix[below:, at:below] = matrix[at:below, below:].T
+        block = matrix[at:below, at:below]
+        block[:] = np.triu(block) + np.triu(block, 1).T
+    return matrix
+
+
+def aligned(covariance: np.ndarray, world_from_scan: Poses) -> np.ndarray:
+    """(S, 6, 6), of each pose (S, 4, 4) after the rigid motion that brings all positions closest to where they were:
+    diagonal blocks of (I - M Q) C (I - M Q)', M rigid motions of all poses and Q what finds them.
+
+    covariance: (6 S - 6, 6 S - 6) float64, C, of all poses but the first
+    """
+    motion, pick = alignment(world_from_scan)
+    finds = np.linalg.solve(pick.T @ motion, pick.T)[:, 6:]
+    common = finds @ covariance
+    none = np.zeros((1, 6, 6))
+    each = np.concatenate([none, blocks(covariance, 0)])
+    with_common = np.concatenate([none, np.swapaxes(common.reshape(6, -1, 6), 0, 1)])
+    motion = motion.reshape(-1, 6, 6)
+    cross = motion @ with_common
+    own = motion @ (common @ finds.T) @ np.swapaxes(motion, -1, -2)
+    return np.asarray(each - cross - np.swapaxes(cross, -1, -2) + own)
+
+
+def alignment(world_from_scan: Poses) -> tuple[np.ndarray, np.ndarray]:
+    """Rigid motions (6 S, 6) of all poses, local tangents, and what picks them out of a motion of all poses, (6 S, 6)."""
+    arm = world_from_scan[:, :3, 3] - world_from_scan[:, :3, 3].mean(0)
+    rigid = np.zeros((len(arm), 6, 6))
+    rigid[:, :3, :3] = rigid[:, 3:, 3:] = np.eye(3)
+    rigid[:, 3:, :3] = -geometry.hat(arm)
+    seen = np.zeros_like(rigid)
+    seen[:, 3:] = rigid[:, 3:]
+    # positions on a line leave the rotation about it open: the orientations decide, as in `trajectory.align`
+    lever = max(1e-3 * float(np.sqrt((arm**2).sum(1).mean())), 1e-6)
+    seen[:, :3, :3] = lever**2 * np.eye(3)
+    turn = np.zeros_like(rigid)
+    turn[:, :3, :3] = turn[:, 3:, 3:] = np.swapaxes(world_from_scan[:, :3, :3], -1, -2)
+    return (turn @ rigid).reshape(-1, 6), (turn @ seen).reshape(-1, 6)

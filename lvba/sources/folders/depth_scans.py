@@ -1,0 +1,109 @@
+"""Depth images as scans in the frame of the depth camera: x right, y down, z forward, points in the order of rows."""
+
+from collections.abc import Callable, Iterable
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from lvba.camera import Camera
+from lvba.errors import InputError
+from lvba.io import depth, files, image_header
+from lvba.lens import undistort
+from lvba.sources.folders.items import Item
+from lvba.sources.source import RawImage, RawScan
+
+FRAME = "depth"
+IMAGE_FRAME = "camera"
+
+
+class DepthCamera:
+    """The rays of the pixels of a depth image, made once.
+
+    camera: of the depth images, at the size that files have; meters: of one unit of the files
+    """
+
+    def __init__(self, camera: Camera, meters: float) -> None:
+        self._camera, self._meters = camera, meters
+        columns, rows = np.meshgrid(
+            np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float)
+        )
+        u, v = (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy
+        x, y = (u, v) if camera.is_pinhole else undistort(camera.lens, camera.distortion, u, v)
+        self._rays = np.stack([x, y], axis=-1).reshape(-1, 2).astype(np.float32)
+        self._rows = np.repeat(np.arange(camera.height), camera.width)
+
+    def scan(self, path: Path, stamp: int, trusted: np.ndarray | None = None) -> RawScan:
+        """The points of a depth image, along the axis of the camera, without pixels that measured nothing.
+
+        stamp: ns; trusted: (H, W) bool, pixels to take, or None
+        Raises: InputError if the file is damaged, of another size, or has no depth.
+        """
+        values = depth.read_depth(path)
+        camera = self._camera
+        if values.shape != (camera.height, camera.width):
+            size = f"{values.shape[1]} x {values.shape[0]} px instead of {camera.width} x {camera.height}"
+            raise InputError(path, size, "give depth images of one size, with their intrinsics")
+        if trusted is not None:
+            if trusted.shape != values.shape:
+                raise InputError(path, "its confidence image has another size", "copy the files again")
+            values = np.where(trusted, values, 0)
+        return self.scan_of(path, values, stamp)
+
+    def scan_of(self, path: Path, values: np.ndarray, stamp: int) -> RawScan:
+        """As `scan`, of depths that are at hand. values: (H, W) uint16 or float32, in the unit; stamp: ns
+
+        Raises: InputError if there is no depth.
+        """
+        flat = values.ravel()
+        measured = np.flatnonzero(flat)
+        if not len(measured):
+            raise InputError(path, "measured nothing: all its values are 0", "remove the file")
+        distance = flat[measured].astype(np.float32) * np.float32(self._meters)
+        points = np.empty((len(measured), 3), np.float32)
+        points[:, :2] = self._rays[measured] * distance[:, None]
+        points[:, 2] = distance
+        return RawScan(stamp=stamp, frame=FRAME, points=points, rows=self._rows[measured])
+
+    def item(
+        self, stream: str, path: Path, stamp: int, trusted: Callable[[], np.ndarray] | None = None
+    ) -> Item:
+        """A scan that is loaded when it is its turn. stamp: ns"""
+        return Item(
+            stamp, stream, lambda: self.scan(path, stamp, None if trusted is None else trusted()), str(path)
+        )
+
+
+def image_item(stream: str, path: Path, stamp: int, frame: str = IMAGE_FRAME) -> Item:
+    """An image file whose bytes are read when it is its turn. stamp: ns"""
+    return Item(stamp, stream, lambda: _image(path, stamp, frame), str(path))
+
+
+def _image(path: Path, stamp: int, frame: str) -> RawImage:
+    content = files.read_bytes(path)
+    image_header.size(path, content[: image_header.START_BYTES])
+    image_header.check_whole(path, content)
+    suffix = ".png" if content.startswith(b"\x89PNG") else ".jpg"
+    return RawImage(stamp=stamp, frame=frame, encoded=content, suffix=suffix)
+
+
+_LOOKED_AT = 20
+
+
+def size_of_first(paths: Iterable[Path]) -> image_header.ImageSize:
+    """Width and height of the first image that is there and whole at its start, of the first twenty.
+
+    Raises: InputError of the first, if none is.
+    """
+    first: InputError | None = None
+    for path in islice(paths, _LOOKED_AT):
+        try:
+            return image_size(path)
+        except InputError as error:
+            first = first or error
+    raise first or InputError("images", "there are none", "copy the folder again")
+
+
+def image_size(path: Path) -> image_header.ImageSize:
+    """Width and height of a PNG or JPEG file. Raises: InputError if it is neither."""
+    return image_header.size(path, files.read_start(path, image_header.START_BYTES))

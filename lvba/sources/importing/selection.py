@@ -1,0 +1,49 @@
+"""Which scans and images of a source are wanted."""
+
+from dataclasses import dataclass
+
+from lvba.sources.importing.options import ImportOptions
+
+_ABSOLUTE_S = 1e8
+
+
+@dataclass
+class Selection:
+    """Asked for each record of one kind in their order. zero: ns, of the first scan; every, rate as of the options."""
+
+    zero: int
+    start: float | None
+    stop: float | None
+    every: int
+    rate: float
+    _seen: int = 0
+    _last: int | None = None
+    _next: float = 0.0
+
+    @classmethod
+    def of(cls, options: ImportOptions, zero: int, every: int) -> "Selection":
+        """By the options."""
+        return cls(zero, options.start, options.stop, every, options.rate)
+
+    def inside(self, stamp: int) -> bool:
+        """Whether a stamp (ns) is within the time that is wanted."""
+        seconds, absolute = (stamp - self.zero) * 1e-9, stamp * 1e-9
+        if self.start is not None and (absolute if self.start > _ABSOLUTE_S else seconds) < self.start:
+            return False
+        return self.stop is None or (absolute if self.stop > _ABSOLUTE_S else seconds) <= self.stop
+
+    def wants(self, stamp: int) -> bool:
+        """Whether the record with this stamp (ns) is wanted; stamps that do not grow are not."""
+        number, self._seen = self._seen, self._seen + 1
+        if (self._last is not None and stamp <= self._last) or not self.inside(stamp):
+            return False
+        self._last = stamp
+        if number % self.every:
+            return False
+        if self.rate:
+            seconds = (stamp - self.zero) * 1e-9
+            # a hair early is in time: stamps of sensors jitter
+            if seconds < self._next - 0.1 / self.rate:
+                return False
+            self._next = max(self._next + 1 / self.rate, seconds)
+        return True

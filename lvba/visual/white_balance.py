@@ -1,0 +1,124 @@
+"""How a camera's white balance changes from image to image: relative exposures found for each color by itself.
+
+A camera that balances its colors anew for each image changes the grey value of a red wall otherwise than that of a blue
+one. One exposure per image, from grey values, then depends on what the image shows. By color there is one number for each
+image again, found as exposures of grey images are. The relative exposure is the mean of their logarithms; what each color
+is off that is the white balance.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from lvba.arrays import Images, Poses, Times
+from lvba.camera import Camera
+from lvba.lidar.plane import PlanePoints, Planes
+from lvba.visual import exposure
+from lvba.visual.image import Pyramid
+from lvba.visual.radiometry import Radiometry
+from lvba.visual.scene_points import ScenePoints, take
+from lvba.visual.visibility import DepthBuffers, VisibilityMap
+
+COLORS = 3
+_SIGMAS = 3.0
+_LEAST = 0.005
+"""Root mean square change of a color below which nobody sees it: there exposures of grey values are as good."""
+_FEW = 4
+"""One patch in so many is asked first. Where they say that the white balance changes by less than half of what anybody
+sees, the others are not asked: chance makes changes seem larger, not smaller."""
+_SAME = 4
+"""Images that are asked whether they have colors at all."""
+
+
+@dataclass(frozen=True)
+class WhiteBalance:
+    """log_exposure: (I,) float64, mean over the colors, 0 on average; sigma: (I,) float64, of it
+    log_gain: (I, 3) float64, by how much red, green and blue of an image are brighter than that; each 0 on average
+    """
+
+    log_exposure: np.ndarray
+    sigma: np.ndarray
+    log_gain: np.ndarray
+
+
+def solve(
+    colors: Callable[[int], Images],
+    camera: Camera,
+    world_from_camera: Poses,
+    image_times: Times,
+    planes: Planes,
+    plane_points: PlanePoints,
+    scan_times: Times,
+    seen: VisibilityMap | None,
+    light: Radiometry,
+    raw: Camera | None,
+    depth: DepthBuffers | None = None,
+) -> WhiteBalance | None:
+    """The white balance of all images; None where it does not change, or where images have no color.
+
+    colors: red (0), green or blue of all undistorted images, (I, H, W, 1) uint8; camera: of these; raw: before they were
+    undistorted; light: radiometry of the images; other arguments as of `exposure.ratios_at`
+    """
+    points: ScenePoints | None = None
+
+    def by_color(one_in: int) -> tuple[np.ndarray, np.ndarray] | None:
+        nonlocal points
+        log_exposure, sigma = np.empty((len(image_times), COLORS)), np.empty((len(image_times), COLORS))
+        first: np.ndarray | None = None
+        for color in range(COLORS):
+            images = colors(color)
+            if first is not None and np.array_equal(images[:_SAME], first):
+                return None
+            first = images[:_SAME].copy()
+            levels = exposure.completed([light.taken_out_of(images, raw, camera)])
+            pyramid = Pyramid(tuple(levels), camera, np.zeros(len(levels)))
+            if points is None:
+                points = exposure.placed(
+                    pyramid, world_from_camera, image_times, planes, plane_points, scan_times
+                )
+            solved = exposure.solve(
+                pyramid, world_from_camera, image_times, planes, plane_points, scan_times, seen, depth=depth,
+                points=take(points, np.arange(0, len(points), one_in)),
+            )  # fmt: skip
+            log_exposure[:, color], sigma[:, color] = solved.log_exposure, solved.sigma
+        return log_exposure, sigma
+
+    few = by_color(_FEW)
+    if few is None or _stays(*few):
+        return None
+    every = by_color(1)
+    return None if every is None else judged(*every)
+
+
+def judged(log_exposure: np.ndarray, sigma: np.ndarray) -> WhiteBalance | None:
+    """The white balance from the exposures by color; None where its changes may be chance, or cannot be seen.
+
+    log_exposure, sigma: (I, 3) float64, as solved for each color, and their standard deviations
+    """
+    known = np.isfinite(sigma).all(axis=1)
+    if np.count_nonzero(known) < COLORS:
+        return None
+    common, gain = _apart(log_exposure, known)
+    size, chance = _size(gain, known), _size(sigma, known)
+    if size <= max(_LEAST, _SIGMAS * chance):
+        return None
+    return WhiteBalance(common, np.sqrt(np.square(sigma).mean(axis=1)), gain)
+
+
+def _stays(log_exposure: np.ndarray, sigma: np.ndarray) -> bool:
+    """Whether exposures by color, from few patches, say that the white balance stays. Arguments as of `judged`."""
+    known = np.isfinite(sigma).all(axis=1)
+    return bool(known.all()) and _size(_apart(log_exposure, known)[1], known) <= _LEAST / 2
+
+
+def _apart(log_exposure: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What is common to the colors of each image (I,), and what each color is off that (I, 3); 0 on average."""
+    about = log_exposure - log_exposure[known].mean(axis=0)
+    common = about.mean(axis=1)
+    return common, about - common[:, None]
+
+
+def _size(values: np.ndarray, known: np.ndarray) -> float:
+    """Root mean square of the values of known images."""
+    return float(np.sqrt(np.square(values[known]).mean()))

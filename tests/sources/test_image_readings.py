@@ -1,0 +1,95 @@
+"""What is taken where an offset of images is measured beside usual answers: pairs that are parabolas of the offset."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from lvba.sources.importing import decision, image_readings
+
+OFFSETS = {"+0": 0.0, "+0.1": 0.1, "-0.1": -0.1, "+0.05": 0.05, "-0.05": -0.05}
+
+
+@dataclass(frozen=True)
+class Pair:
+    segment: int
+
+
+@dataclass(frozen=True)
+class Parabolas:
+    """Pairs by which images are alike at offsets (s) about one, each at another one."""
+
+    about: float
+    spread: float
+    flat: float = 1.0
+    segments: int = 12
+    rough: float = 0.0
+
+    @property
+    def pairs(self):
+        return [Pair(number * self.segments // 12) for number in range(12)]
+
+    def scores(self, reading):
+        normal = np.random.default_rng(0).normal(size=12)
+        normal = np.repeat(normal[: self.segments], 12 // self.segments)
+        best = self.about + self.spread * (normal - normal.mean()) / normal.std()
+        wrong = 0.9 * (reading.extrinsic != "camera_from_lidar")
+        phase = np.random.default_rng(1).uniform(0, 2 * np.pi, 12)
+        rough = self.rough * np.sin(reading.offset / 5e-3 + phase)
+        return self.flat * (0.03 + 8.0 * (reading.offset - best) ** 2) + rough + wrong
+
+    def score(self, reading):
+        return decision.mean(self.scores(reading))
+
+
+def found(about, spread):
+    return image_readings.find(Parabolas(about, spread), OFFSETS, {}, "here")
+
+
+def test_an_unusual_answer_beside_what_is_measured_is_not_taken():
+    read = found(-0.0267, 0.022)
+    assert 0.005 < read.measured_sigma < 0.008
+    assert read.reading.offset == pytest.approx(-0.0267, abs=1e-3)
+    assert any("by what they show" in words for words in read.warnings)
+
+
+@pytest.mark.parametrize(
+    ("about", "taken"), [(0.0, "+0"), (0.002, "+0"), (-0.05, "-0.05"), (-0.046, "-0.05")]
+)
+def test_a_usual_answer_is_taken_without_a_word(about, taken):
+    read = found(about, 0.008)
+    assert read.reading.offset == OFFSETS[taken]
+    assert not read.warnings
+
+
+def test_an_offset_that_is_left_to_the_bundle_adjustment_is_told():
+    read = found(0.015, 0.008)
+    assert read.reading.offset == 0.0
+    [words] = read.warnings
+    assert "+15 ms" in words
+    assert "image_offset=0.0150" in words
+
+
+def test_pairs_of_one_segment_err_together():
+    apart = found(0.0, 0.02)
+    together = image_readings.find(Parabolas(0.0, 0.02, segments=4), OFFSETS, {}, "here")
+    # four differing segments instead of twelve pairs
+    assert together.measured_sigma == pytest.approx(apart.measured_sigma * np.sqrt(11 / 3), rel=0.02)
+
+
+def test_the_nearest_point_of_each_cell_hides_those_behind():
+    rng = np.random.default_rng(3)
+    column, row = rng.uniform(1, 300, 500), rng.uniform(1, 200, 500)
+    depth = rng.uniform(1, 20, 500)
+    cell = [(int(x) // 12, int(y) // 12) for x, y in zip(column, row, strict=True)]
+    nearest = {each: min(d for d, c in zip(depth, cell, strict=True) if c == each) for each in cell}
+    expected = [d <= nearest[c] * 1.05 + 0.2 for d, c in zip(depth, cell, strict=True)]
+    assert image_readings._in_front(column, row, depth).tolist() == expected
+    assert image_readings._in_front(column[:0], row[:0], depth[:0]).tolist() == []
+
+
+def test_rough_scores_are_looked_at_more_widely():
+    read = image_readings.find(Parabolas(0.0, 0.008, rough=0.02), OFFSETS, {}, "here")
+    assert abs(read.measured) < 3 * read.measured_sigma < 0.012
+    assert read.reading.offset == 0.0
+    assert not read.warnings

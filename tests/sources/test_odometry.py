@@ -1,0 +1,263 @@
+"""Poses where there are none: sweeps of a simulated walk, registered one after another, and the gate."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lvba import geometry
+from lvba.errors import InputError
+from lvba.io import tum
+from lvba.io.dataset import open_dataset
+from lvba.simulate import lidar as lidars
+from lvba.simulate import raw, simulation
+from lvba.simulate.lidar import Surroundings
+from lvba.sources.importing.importer import import_source
+from lvba.sources.importing.options import ImportOptions
+from lvba.sources.odometry import external, gate, information
+from lvba.sources.odometry.estimate import Estimate, estimate
+from lvba.sources.odometry.registration import odometry
+from lvba.sources.odometry.sweeps import Inertial, Sweep, deskewed
+from lvba.sources.source import ListSource
+from lvba.trajectory import Trajectory
+
+GRAVITY = np.array([0, 0, 9.81])
+
+
+class Walk:
+    """A simulated walk: sweeps, an IMU and the true poses. scans: at 10 Hz."""
+
+    def __init__(self, scene: str, seed: int, pattern: str, scans: int, points: int) -> None:
+        made = simulation.make(scene, seed, "easy", 400, 400, None, None)
+        around = Surroundings(made.scene.world, made.caster)
+        motion, body_from_lidar = made.scene.motion, made.rig.body_from_lidar
+
+        def poses(times: np.ndarray) -> np.ndarray:
+            return motion.poses(times) @ body_from_lidar
+
+        self.sweeps, self.truth = [], []
+        for index in range(scans):
+            rng = np.random.default_rng([seed, index])
+            directions = lidars.PATTERNS[pattern](points, rng)
+            moments = 0.15 + 0.1 * index + lidars.beam_times(pattern, len(directions))
+            measured, _, beams = lidars.scan(around, poses(moments), directions, rng)
+            self.sweeps.append(Sweep.of_middle(measured, moments[beams]))
+            self.truth.append(poses(np.array([self.sweeps[-1].time]))[0])
+        times = np.arange(0, 0.3 + 0.1 * scans, 0.005)
+        rng, step = np.random.default_rng(seed), 2e-3
+        before, at, after = poses(times - step), poses(times), poses(times + step)
+        rates = geometry.log(geometry.inverse(before) @ after)[:, :3] / (2 * step)
+        accelerations = (before - 2 * at + after)[:, :3, 3] / step**2
+        forces = np.einsum("nji,nj->ni", at[:, :3, :3], accelerations + GRAVITY)
+        self.imu = Inertial(
+            times,
+            rates + rng.normal(0, 2e-3, rates.shape) + rng.normal(0, 2e-3, 3),
+            forces + rng.normal(0, 0.05, rates.shape) + rng.normal(0, 0.03, 3),
+        )
+
+    def error(self, found: Estimate) -> float:
+        """m, largest error of a position, the first poses laid over each other."""
+        true = geometry.inverse(self.truth[0]) @ np.array(self.truth)
+        return float(np.linalg.norm((found.world_from_lidar - true)[:, :3, 3], axis=1).max())
+
+
+@pytest.fixture(scope="module")
+def courtyard() -> Walk:
+    return Walk("courtyard", 3, "spinning", 25, 6000)
+
+
+def run(walk: Walk, imu: Inertial | None) -> Estimate:
+    return estimate(walk.sweeps, imu, lambda count: None)
+
+
+@pytest.mark.parametrize("with_imu", [True, False])
+def test_a_walk_is_followed(courtyard: Walk, with_imu: bool) -> None:
+    found = run(courtyard, courtyard.imu if with_imu else None)
+    assert not found.verdict.lost, found.verdict.reasons
+    assert courtyard.error(found) < 0.05
+    np.testing.assert_array_equal(found.times, [sweep.time for sweep in courtyard.sweeps])
+
+
+def test_the_same_walk_gives_the_same_bytes(courtyard: Walk) -> None:
+    one, other = (estimate(courtyard.sweeps[:8], courtyard.imu, lambda count: None) for _ in range(2))
+    assert one.world_from_lidar.tobytes() == other.world_from_lidar.tobytes()
+
+
+def test_a_featureless_corridor_is_told_as_lost() -> None:
+    found = run(Walk("corridor", 1, "non_repetitive", 40, 4000), None)
+    assert found.verdict.lost
+    assert found.verdict.first_s is not None
+
+
+def test_scans_that_do_not_belong_together_are_told_as_lost(courtyard: Walk) -> None:
+    there = Walk("courtyard", 8, "spinning", 25, 6000)
+    mixed = [*courtyard.sweeps[:13], *there.sweeps[13:]]
+    assert estimate(mixed, None, lambda count: None).verdict.lost
+
+
+def test_scans_far_apart_are_not_trusted(courtyard: Walk) -> None:
+    """Twice a second, registrations may be right, but cannot be checked."""
+    steps = list(odometry(courtyard.sweeps[:14], 0.3))
+    slow = [replace(step, time=0.5 * number) for number, step in enumerate(steps)]
+    assert not gate.judge(steps, forces=False).lost
+    assert "0.50 s apart" in gate.judge(slow, forces=False).reasons[0]
+
+
+def test_too_few_scans_are_lost() -> None:
+    assert gate.judge((), False).lost
+
+
+def test_sweeps_without_motion_are_left_as_they_are(courtyard: Walk) -> None:
+    sweep = courtyard.sweeps[0]
+    still = Sweep(0.0, sweep.points, np.zeros(len(sweep.points)))
+    np.testing.assert_array_equal(deskewed(still, np.ones(6)), sweep.points.astype(float))
+
+
+def test_deskewing_moves_each_point_by_its_own_time() -> None:
+    rng = np.random.default_rng(1)
+    points, offsets = rng.normal(0, 5, (200, 3)).astype(np.float32), rng.uniform(-0.05, 0.05, 200)
+    velocity = np.array([0.3, -0.2, 1.0, 2.0, -1.0, 0.5])
+    each = geometry.exp(offsets[:, None] * velocity)
+    plain = np.einsum("nij,nj->ni", each[:, :3, :3], points.astype(float)) + each[:, :3, 3]
+    np.testing.assert_allclose(deskewed(Sweep(0.0, points, offsets), velocity), plain, atol=2e-5)
+
+
+def test_the_imu_integrates_turns_and_forces(courtyard: Walk) -> None:
+    imu, begin, end = courtyard.imu, 0.5, 0.9
+    turn = imu.turn(begin, end, np.zeros(3))
+    back = imu.turn(end, begin, np.zeros(3))
+    assert turn is not None
+    assert back is not None
+    np.testing.assert_allclose(turn, -back)
+    assert imu.turn(0.5, 99.0, np.zeros(3)) is None
+    assert Inertial(imu.times, imu.rates).force(begin, end, np.zeros(3)) is None
+    force = imu.force(begin, end, np.zeros(3))
+    assert force is not None
+    assert np.linalg.norm(force) == pytest.approx(9.81, abs=1.0)
+
+
+def test_noise_of_normals_feigns_no_information() -> None:
+    """In a corridor of two walls and a floor, nothing holds a pose along it; normals of noisy patches would."""
+    rng = np.random.default_rng(2)
+    along, up = rng.uniform(-8, 8, 9000), rng.uniform(0, 2, 9000)
+    walls = np.stack([along[:6000], np.where(np.arange(6000) % 2, 1.0, -1.0), up[:6000]], axis=-1)
+    floor = np.stack([along[6000:], up[6000:] - 1, np.zeros(3000)], axis=-1)
+    points = np.concatenate([walls, floor]) + rng.normal(0, 0.02, (9000, 3))
+    told = information.of_planes(points, 0.3)
+    along_sigma, across_sigma = (1 / np.sqrt(np.maximum(told[axis, axis], 1e-9)) for axis in (3, 4))
+    assert across_sigma < 1e-3
+    assert along_sigma > 30 * across_sigma
+
+
+def program(folder: Path, text: str) -> str:
+    script = folder / "program.py"
+    script.write_text(text)
+    return f"{sys.executable} {script} {{bag}} {{out}}"
+
+
+def test_a_program_of_the_user_gives_the_poses(tmp_path: Path) -> None:
+    text = "import sys\nopen(sys.argv[2], 'w').write('1 0 0 0 0 0 0 1\\n2 1 0 0 0 0 0 1\\n')\n"
+    found = external.run(program(tmp_path, text), tmp_path / "a b.bag", lambda: None)
+    np.testing.assert_array_equal(found.times, [1, 2])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("import sys\nprint('no IMU topic')\nsys.exit(3)\n", "exit code 3: no IMU topic"),
+        ("print('done')\n", "has written no file"),
+        ("import sys\nopen(sys.argv[2], 'w').write('1 2 3\\n')\n", "poses.txt"),
+    ],
+)
+def test_a_program_that_fails_is_one_clear_error(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        external.run(program(tmp_path, text), tmp_path / "x.bag", lambda: None)
+
+
+@pytest.mark.parametrize("command", ["no-such-program {bag} {out}", "'{bag} {out}"])
+def test_a_command_that_cannot_be_run_is_one_clear_error(tmp_path: Path, command: str) -> None:
+    with pytest.raises(InputError, match="cannot be"):
+        external.run(command, tmp_path / "x.bag", lambda: None)
+
+
+def test_a_program_ends_when_the_user_stops(tmp_path: Path) -> None:
+    def stop() -> None:
+        raise KeyboardInterrupt
+
+    command = program(tmp_path, "import time\ntime.sleep(600)\n")
+    with pytest.raises(KeyboardInterrupt):
+        external.run(command, tmp_path / "x.bag", stop)
+    listed = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True).stdout
+    assert str(tmp_path) not in listed
+
+
+@pytest.fixture(scope="module")
+def without_poses() -> tuple[ListSource, raw.RawTruth]:
+    sensors = raw.Sensors(points=5000, width=64, height=48, image_hz=1.0)
+    whole, truth = raw.simulate_raw("courtyard", seconds=3.0, sensors=sensors)
+    streams = tuple(each for each in whole.description.streams if each.name != raw.ODOMETRY)
+    items = tuple(item for item in whole.items if item[0] != raw.ODOMETRY)
+    return replace(whole, description=replace(whole.description, streams=streams), items=items), truth
+
+
+def test_a_source_without_poses_is_imported(
+    tmp_path: Path, without_poses: tuple[ListSource, raw.RawTruth]
+) -> None:
+    """The IMU's mounting is in the static transforms."""
+    source, truth = without_poses
+    with pytest.raises(InputError, match="--odometry auto"):
+        import_source(source, tmp_path / "none")
+    options = ImportOptions(odometry="auto", image="none")
+    report = import_source(source, tmp_path / "out", options)
+    assert report.facts["odometry"]["by"].endswith("and IMU")
+    assert report.facts["streams"]["odometry"] == "--odometry auto"
+    dataset = open_dataset(tmp_path / "out")
+    assert len(dataset.scan_paths) == len(truth.scans)
+    stamps = np.array([int(Path(path).stem.replace(".", "")) for path in dataset.scan_paths])
+    true = truth.scene_from_body(stamps) @ truth.rig.body_from_lidar
+    found = dataset.scans.world_from_sensor
+    off = geometry.inverse(geometry.inverse(true[0]) @ true) @ (geometry.inverse(found[0]) @ found)
+    assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 0.05
+    assert geometry.rotation_angle_deg(off).max() < 0.5
+
+
+def test_a_program_gives_the_poses_of_an_import(
+    tmp_path: Path, without_poses: tuple[ListSource, raw.RawTruth]
+) -> None:
+    source, truth = without_poses
+    times = np.arange(truth.scans[0], truth.scans[-1] + 200_000_000, 50_000_000)
+    body = Trajectory(times * 1e-9, truth.scene_from_body(times))
+    tum.write_trajectory(tmp_path / "true.txt", body)
+    command = program(
+        tmp_path, f"import shutil, sys\nshutil.copy({str(tmp_path / 'true.txt')!r}, sys.argv[2])\n"
+    )
+    report = import_source(source, tmp_path / "out", ImportOptions(odometry=command, image="none"))
+    assert report.facts["conventions"]["pose_of"]["taken"] in ("body", "lidar")
+    assert report.facts["streams"]["odometry"] == command
+    assert len(open_dataset(tmp_path / "out").scan_paths) > 20
+
+
+def test_stamps_of_a_preset_hold_for_the_imu_too(
+    tmp_path: Path, without_poses: tuple[ListSource, raw.RawTruth]
+) -> None:
+    """Of a driver that stamps the end of a sweep and counts times of points from 0: points are a sweep late."""
+    source, _ = without_poses
+    topics = {raw.LIDAR: "/os1_cloud_node1/points", raw.IMU: "/imu/imu"}
+    streams = tuple(
+        replace(each, name=topics.get(each.name, each.name)) for each in source.description.streams
+    )
+    items = tuple(
+        (topics.get(name, name), replace(item, stamp=item.stamp + 100_000_000) if name == raw.LIDAR else item)
+        for name, item in source.items
+    )
+    viral = replace(source, items=items, description=replace(source.description, streams=streams))
+    options = ImportOptions(odometry="auto", image="none", preset="ntu-viral")
+    report = import_source(viral, tmp_path / "out", options)
+    assert report.facts["odometry"]["by"].endswith("and IMU")
+    assert report.facts["conventions"]["imu_offset"]["taken"] == "+0.1"
+    line = (tmp_path / "out" / "imu.csv").read_text().splitlines()[1]
+    felt = next(item.stamp for name, item in source.items if name == raw.IMU)
+    assert int(line.split(",")[0].replace(".", "")) == felt + 100_000_000

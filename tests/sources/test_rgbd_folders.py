@@ -1,0 +1,156 @@
+"""Folders of depth cameras and phones: one wall and one mark on it, written as each program does, must come back."""
+
+import known_view as view
+import numpy as np
+import pytest
+import rgbd_writers as writers
+
+from lvba.errors import InputError
+from lvba.sources import folders
+from lvba.sources.opening import open_source
+from lvba.sources.source import Kind
+
+CASES = {
+    "polycam": (writers.polycam, "depth", "images", "poses", 1e-3, 0.3),
+    "record3d": (writers.record3d, "depth", "images", "poses", 2e-4, 0.3),
+    "tum": (writers.tum, "depth", "rgb", "groundtruth", 2e-4, 0.2),
+    "replica": (writers.replica, "depth", "images", "poses", 2e-4, 0.3),
+    "scannet": (writers.scannet, "depth", "color", "pose", 1e-3, 0.3),
+    "stray": (writers.stray, "depth", "rgb", "odometry", 1e-3, 0.5),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_points_and_pixels_are_where_the_wall_and_the_mark_are(tmp_path, name):
+    write, scans, images, poses, resolution_m, pixel = CASES[name]
+    write(tmp_path)
+    source = open_source(tmp_path)
+    view.check(source, scans, images, poses, resolution_m, pixel)
+    known = source.geometry()
+    assert known.deskewed
+    described = {stream.name: stream for stream in source.describe().streams}
+    assert described[scans].kind is Kind.SCANS
+    assert described[scans].count == 4
+    assert source.describe().size > 1000
+
+
+def test_tum_times_keep_all_digits(tmp_path):
+    writers.tum(tmp_path)
+    stream = folders.find(tmp_path).describe().streams[0]
+    assert stream.first == 1305031453_359684000
+
+
+def test_tum_numbers_of_frames_are_thirtieths_of_a_second(tmp_path):
+    writers.tum(tmp_path, counted=True)
+    source = folders.find(tmp_path)
+    assert [record.stamp for _, record in source.records(["depth"])] == [0, 33333333, 66666666, 100000000]
+    assert any("30 frames a second" in note for note in source.describe().notes)
+
+
+def test_benchmark_sequences_have_their_cameras_by_name(tmp_path):
+    folder = tmp_path / "rgbd_dataset_freiburg1_rpy"
+    writers.tum(folder)
+    (folder / "camera.yaml").unlink()
+    with pytest.raises(InputError, match=r"camera\.yaml there"):  # 64 x 48 px are no images of a Kinect
+        folders.find(folder)
+    for file in (folder / "rgb").iterdir():
+        writers.png(file, np.zeros((480, 640, 3), np.uint8))
+    camera = folders.find(folder).geometry().camera
+    assert (camera.fx, camera.distortion[4]) == (517.306408, 1.163314)
+
+
+def test_points_that_the_phone_does_not_trust_are_left_out(tmp_path):
+    writers.stray(tmp_path)
+    source = folders.find(tmp_path)
+    scan = next(record for _, record in source.records(["depth"]))
+    assert len(scan.points) == (writers.SMALL[0] - 1) * writers.SMALL[1]
+    _, reading = next(source.records(["imu"]))
+    np.testing.assert_array_equal(reading.gyroscope, [0.1, 0.2, 0.3])
+
+
+def test_lost_poses_of_scannet_are_left_out_and_told(tmp_path):
+    writers.scannet(tmp_path)
+    assert "1 of 5 poses are not finite" in " ".join(folders.find(tmp_path).describe().notes)
+
+
+def test_one_damaged_depth_image_is_counted_and_most_are_an_error(tmp_path):
+    writers.tum(tmp_path)
+    whole = (tmp_path / "depth/1.png").read_bytes()
+    (tmp_path / "depth/1.png").write_bytes(whole[: len(whole) // 2])
+    source = folders.find(tmp_path)
+    assert len(list(source.records(["depth"]))) == 3
+    assert "1 of 4 records of depth could not be decoded" in source.losses()[0]
+    for i in (0, 2):
+        (tmp_path / f"depth/{i}.png").write_bytes(whole[:100])
+    with pytest.raises(InputError, match=r"depth/0\.png"):
+        list(source.records(["depth"]))
+
+
+DAMAGES = [
+    (writers.polycam, "keyframes/corrected_cameras/100.json", "{", r"100\.json: not JSON"),
+    (writers.polycam, "keyframes/corrected_cameras/100.json", '{"t_00": 1}', r"100\.json: t_01 is no number"),
+    (writers.record3d, "metadata", "[]", "metadata: holds no names"),
+    (
+        writers.record3d,
+        "metadata",
+        '{"w": 64, "h": 48, "dw": 32, "dh": 24, "K": [1]}',
+        "metadata: K: not 9 finite numbers",
+    ),
+    (
+        writers.record3d,
+        "rgbd/0.depth",
+        "bvx2....",
+        r"0\.depth: is compressed by LZFSE, which is not read; decompress",
+    ),
+    (writers.tum, "rgb.txt", "x rgb/0.png\n", r"rgb\.txt:1: 'x' is no time"),
+    (writers.tum, "depth.txt", "1.0\n", r"depth\.txt:1: 1 words instead of 2"),
+    (writers.tum, "groundtruth.txt", "1 2 3\n", r"groundtruth\.txt:1"),
+    (writers.tum, "rgb.txt", "# none\n", "names no files"),
+    (writers.replica, "traj.txt", "1 2\n", r"traj\.txt:1: not 16 finite numbers"),
+    (writers.replica, "traj.txt", " ".join(["0"] * 16) + "\n", "no rotation"),
+    (writers.replica, "cam_params.json", "{}", "has no section camera"),
+    (writers.replica, "cam_params.json", '{"camera": {"w": 64}}', r"camera\.h is no number"),
+    (writers.scannet, "intrinsic/intrinsic_depth.txt", "1 2 3\n", r"intrinsic_depth\.txt"),
+    (
+        writers.scannet,
+        "intrinsic/extrinsic_color.txt",
+        writers.matrix_text(np.diag([2.0, 1, 1, 1])),
+        "is not the identity",
+    ),
+    (writers.scannet, "pose/9.txt", "1 2\n", r"9\.txt: is no 4x4 matrix"),
+    (writers.stray, "odometry.csv", "1, 2\n", r"odometry\.csv:1: not 9 finite numbers"),
+    (writers.stray, "odometry.csv", "1, 0, 0, 0, 0, 0, 0, 0, 3\n", "length 3 instead of 1"),
+    (writers.stray, "camera_matrix.csv", "1, 2, 3\n", r"camera_matrix\.csv: is no 3x3 matrix"),
+    (writers.stray, "rgb.mp4", "no video", r"rgb\.mp4: is no video"),
+]
+
+
+@pytest.mark.parametrize(("write", "name", "text", "message"), DAMAGES)
+def test_a_damaged_folder_is_refused_in_one_line(tmp_path, write, name, text, message):
+    write(tmp_path)
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=message) as error:
+        folders.find(tmp_path)
+    assert str(tmp_path) in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("write", "names"),
+    [
+        (writers.tum, ("depth/0.png", "rgb/0.png")),
+        (writers.scannet, ("depth/9.png", "color/9.jpg")),
+        (writers.stray, ("depth/000000.png",)),
+    ],
+)
+def test_a_first_image_that_is_damaged_is_one_of_many(tmp_path, write, names):
+    write(tmp_path)
+    for name in names:
+        (tmp_path / name).write_bytes(b"")
+    source = folders.find(tmp_path)
+    assert len(list(source.records(["depth"]))) == 3
+    assert "1 of 4 records of depth could not be decoded" in source.losses()[0]
+
+
+def test_other_folders_are_none(tmp_path):
+    assert folders.find(tmp_path) is None
+    assert folders.find(tmp_path / "missing") is None

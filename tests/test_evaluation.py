@@ -1,0 +1,52 @@
+"""Poses of any method are judged by scans that are corrected as in a run."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from lvba import evaluation
+from lvba.io.dataset import load_scan, open_dataset
+from lvba.lidar.scan_errors import ScanErrors
+from lvba.pipeline import Config
+from lvba.products import map_quality
+from lvba.steps.lidar import cloud_of
+
+
+class Stretched(ScanErrors):
+    """Scans that are too long by as many thousandths as their number says."""
+
+    def points(self, scan, index, stamp):
+        return scan.points * np.float32(1 + 1e-3 * index)
+
+
+def test_scans_are_corrected_by_their_numbers_in_the_recording_before_poses_are_judged(
+    recording, tmp_path, monkeypatch
+):
+    shutil.copytree(recording / "all_pcd_body", tmp_path / "scans" / "all_pcd_body")
+    dataset = open_dataset(tmp_path / "scans")
+    lines = (recording / "reference" / "lidar_poses.txt").read_text().splitlines(keepends=True)
+    (tmp_path / "later.txt").write_text("".join(lines[9:]))
+    given = evaluation.read_given(dataset, tmp_path / "later.txt")
+    assert list(given.scan_numbers) == list(range(len(dataset.scans) - len(lines[9:]), len(dataset.scans)))
+
+    config = Config()
+    asked = []
+    monkeypatch.setattr(
+        evaluation.scan_errors, "measure", lambda *of: asked.append(of[0]) or Stretched(None, None)
+    )
+    judged = evaluation.report(given, config, None)["evaluation"]
+    assert asked == [dataset]  # of all scans, as in a run, not of those that the poses are of
+    for state, poses in (
+        ("rough", given.dataset.scans.world_from_sensor),
+        ("refined", given.world_from_scan),
+    ):
+        cloud = cloud_of(
+            given.dataset,
+            poses,
+            read=lambda index: (
+                load_scan(given.dataset, index).points * np.float32(1 + 1e-3 * given.scan_numbers[index])
+            ),
+        )
+        expected = map_quality.entropy_blocks(cloud, config.evaluate.entropy).mean
+        assert judged[state]["map_entropy"] == pytest.approx(expected, abs=1e-12)

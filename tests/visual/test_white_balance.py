@@ -1,0 +1,99 @@
+"""Exposures by color: what is common to the colors is the exposure, the rest the white balance."""
+
+import numpy as np
+import pytest
+from rectangle_world import CAMERA, room_with_screen
+
+from lvba.products.views import Views
+from lvba.visual import radiometry, white_balance
+
+
+def balances(count, size, seed=3):
+    """(count, 3) log gains that drift, each 0 on average over images and over colors."""
+    gain = size * np.sin(np.random.default_rng(seed).uniform(0, 6, 3) + 0.7 * np.arange(count)[:, None])
+    gain -= gain.mean(axis=1, keepdims=True)
+    return gain - gain.mean(axis=0)
+
+
+def solve(rec, gain):
+    def colors(color):
+        return np.clip(np.rint(rec.images * np.exp(gain[:, color])[:, None, None, None]), 0, 255).astype(
+            np.uint8
+        )
+
+    return white_balance.solve(
+        colors,
+        CAMERA,
+        rec.poses,
+        rec.times,
+        rec.planes,
+        rec.plane_points,
+        rec.times,
+        None,
+        radiometry.NONE,
+        None,
+    )
+
+
+def test_white_balance_and_exposures_of_a_room():
+    rec = room_with_screen(count=5)
+    gain = balances(len(rec.times), 0.08)
+    found = solve(rec, gain)
+    truth = np.log(rec.exposure)
+    assert np.abs(found.log_exposure - truth + truth.mean()).max() < 0.006
+    assert np.abs(found.log_gain - gain).max() < 0.006
+    assert np.abs(found.log_gain.sum(axis=1)).max() < 1e-12
+
+
+def test_images_without_color_are_seen_at_once():
+    rec = room_with_screen(count=3)
+    assert solve(rec, np.zeros((3, 3))) is None
+
+
+@pytest.mark.parametrize(("size", "solves"), [(0.0, 3), (0.08, 6)])
+def test_all_patches_are_asked_only_where_few_see_a_change(monkeypatch, size, solves):
+    rec, asked, real = room_with_screen(count=3), [], white_balance.exposure.solve
+
+    def counted(*arguments, points, **options):
+        asked.append(len(points))
+        return real(*arguments, points=points, **options)
+
+    monkeypatch.setattr(white_balance.exposure, "solve", counted)
+    found = solve(rec, np.add(balances(len(rec.times), size), [0.0, 0.2, -0.2]))
+    assert (found is None) == (size == 0)
+    assert len(asked) == solves
+    assert asked[0] < asked[-1] / 3 or solves == 3
+
+
+@pytest.mark.parametrize(
+    ("size", "sigma", "found"), [(0.02, 0.002, True), (0.02, 0.02, False), (0.003, 1e-4, False)]
+)
+def test_changes_count_beyond_chance_and_where_they_can_be_seen(size, sigma, found):
+    truth, gain = np.linspace(-0.2, 0.2, 40), balances(40, size)
+    uncertain = np.full((40, 3), sigma)
+    uncertain[5] = np.inf
+    judged = white_balance.judged(truth[:, None] + gain + [0.0, 0.4, -0.3], uncertain)
+    assert (judged is not None) == found
+    if judged is not None:
+        assert np.corrcoef(judged.log_exposure, truth)[0, 1] > 0.999
+        assert judged.sigma[0] == pytest.approx(sigma)
+        assert np.isinf(judged.sigma[5])
+
+
+def test_nothing_that_is_compared_has_no_white_balance():
+    assert white_balance.judged(np.zeros((5, 3)), np.full((5, 3), np.inf)) is None
+
+
+@pytest.mark.parametrize("light", [None, np.full((24, 32), 0.5, np.float32)])
+def test_colors_are_divided_by_the_white_balance(light):
+    picture = np.full((24, 32, 3), (50, 60, 70), np.uint8)
+    picture[0, 0] = 255
+    gain = np.log([[1.0, 1.0, 1.0], [1.25, 1.0, 0.7]])
+    views = Views(
+        lambda index: picture, CAMERA, np.arange(2.0), np.tile(np.eye(4), (2, 1, 1)), np.zeros(2), light=light,
+        white_balance=gain,
+    )  # fmt: skip
+    more = 1 if light is None else 2
+    assert (views.load_even(0)[1:] == np.array([50, 60, 70]) * more).all()
+    assert (views.load_even(1)[1:] == np.array([40, 60, 100]) * more).all()
+    assert (views.load_even(1)[0, 0] == 255).all()
