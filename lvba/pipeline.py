@@ -324,12 +324,12 @@ class _Chain:
             level = self.plan.add(
                 self._name(part, f"visual-level-{number}", f"visual-level-{number}-part"), visual.solve_level,
                 *(images.dataset, images.frames, images.keyframes, lidar, images.planes, level),
-                *(config.visual, config.refine_cameras, self.variant),
+                *(config.visual, self.variant),
             )  # fmt: skip
         return self.plan.add(
             self._name(part, "visual", "visual-part"), visual.solve_finest,
             *(images.dataset, images.frames, images.keyframes, lidar, images.planes, level),
-            *(config.visual, config.refine_cameras, self.variant, given(self.photos, part.image_numbers)),
+            *(config.visual, self.variant, given(self.photos, part.image_numbers)),
         )  # fmt: skip
 
     def _solve_cameras_jointly(

@@ -152,6 +152,14 @@ def check(config: Any) -> None:
         raise RangeError(field.name, f"{field.name} is {value!r}, must be {allowed}{unit}")
 
 
+class Group:
+    """What the dataclass of a group of settings is derived from: none is made with a value out of its range."""
+
+    def __post_init__(self) -> None:
+        """Raises RangeError as `check` does."""
+        check(self)
+
+
 def _is_allowed(value: Any, known: About) -> bool:
     if known.choices:
         return value in known.choices

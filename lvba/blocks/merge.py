@@ -10,11 +10,11 @@ from lvba.loop_closure import registration
 from lvba.loop_closure.registration import Loop
 from lvba.optim import pose_graph
 from lvba.optim.pose_graph import Edges, PoseGraph, PoseGraphConfig
-from lvba.settings import check, setting
+from lvba.settings import Group, setting
 
 
 @dataclass(frozen=True)
-class MergeConfig:
+class MergeConfig(Group):
     """How the parts of a long recording become one."""
 
     loops: bool = setting(
@@ -60,9 +60,6 @@ class MergeConfig:
         change_when="Recordings from the air or of wide places (larger), or memory is short (smaller).",
         advanced=True,
     )
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True)

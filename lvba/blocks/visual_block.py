@@ -13,6 +13,7 @@ from lvba.optim.normal_equations import NormalEquations, Step
 from lvba.visual import bundle_adjustment, calibration_shifts, exposure, photometric, scene_points, visibility
 from lvba.visual import noise as noise_models
 from lvba.visual.exposure_graph import Edges
+from lvba.visual.image import LevelImages
 from lvba.visual.photometric import PhotometricState, Problem
 from lvba.visual.radiometry import Radiometry
 from lvba.visual.refine import Inputs, VisualConfig, scene_of
@@ -73,16 +74,12 @@ def select_scene_points(
     scene = scene_of(given, config)
     camera = scene.pyramid.camera
     full = light.taken_out_of(scene.pyramid.levels[0], given.camera, camera)
-    noise, poses = float(scene.pyramid.noise[0]), state.cameras.world_from_camera
-    points = scene_points.select(
-        full, camera, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, noise,
-        config.points, PatchRules(size=config.patch),
-    )  # fmt: skip
-    depth = visibility.depth_buffers(
-        camera, poses, scene.image_times, scene.plane_points, scene.scan_times, config.points.time_window_s
-    )
+    level, poses = LevelImages(full, camera, float(scene.pyramid.noise[0])), state.cameras.world_from_camera
+    cameras, rules = scene.cameras(poses), PatchRules(size=config.patch)
+    points = scene_points.select(level, cameras, scene.surfaces, config.points, rules)
+    depth = scene.depth_buffers(camera, poses, config.points.time_window_s)
     points, observations = visibility.find(
-        full, camera, poses, points, scene.seen, noise, config.visibility, depth, patch=config.patch,
+        level, poses, points, scene.seen, config.visibility, depth, patch=config.patch,
         shifts=calibration_shifts.of_pairs(given.camera, camera, prior, state, config.calibrate),
     )  # fmt: skip
     mine = core[points.reference]
@@ -93,10 +90,10 @@ def select_scene_points(
     problem = _with_shifts(problem, given.camera, state, prior, config)
     sums = photometric.sums(problem, PhotometricState(state.cameras, np.zeros(len(points))))
     sigma = known.noise.sigma(noise_models.gradients(sums))
+    raw = given.camera if config.vignetting else None
     ratios = exposure.ratios_at(
-        scene.pyramid, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, scene.seen,
-        depth=depth, raw=given.camera if config.vignetting else None, curve=light.response,
-    )  # fmt: skip
+        scene.pyramid, cameras, scene.surfaces, scene.seen, depth=depth, raw=raw, curve=light.response
+    )
     edges = exposure.edges_of(_of_core(ratios, core), len(images))
     edges = replace(edges, first=images[edges.first], second=images[edges.second])
     return CameraPoints(

@@ -184,6 +184,19 @@ class _Rows:
     by_later_velocity: np.ndarray
     by_shared: np.ndarray
 
+    @classmethod
+    def constant(cls, residual: np.ndarray) -> "_Rows":
+        """With Jacobians of zeros."""
+        count = len(residual)
+        return cls(
+            residual=residual,
+            by_earlier=np.zeros((count, 9, 6)),
+            by_later=np.zeros((count, 9, 6)),
+            by_velocity=np.zeros((count, 9, 3)),
+            by_later_velocity=np.zeros((count, 9, 3)),
+            by_shared=np.zeros((count, 9, SHARED)),
+        )
+
     def whitened(self, whitening: np.ndarray) -> "_Rows":
         return _Rows(
             residual=np.einsum("kab,kb->ka", whitening, self.residual),
@@ -222,11 +235,9 @@ def _rows(
         axis=1,
     )
 
-    count, eye = len(first), np.eye(3)
+    rows, eye = _Rows.constant(residual), np.eye(3)
     back, into = np.swapaxes(relative, -1, -2), geometry.inverse_right_jacobian(rotation)
-    by_earlier, by_later = np.zeros((count, 9, 6)), np.zeros((count, 9, 6))
-    by_velocity, by_later_velocity = np.zeros((count, 9, 3)), np.zeros((count, 9, 3))
-    by_shared = np.zeros((count, 9, SHARED))
+    by_earlier, by_later, by_shared = rows.by_earlier, rows.by_later, rows.by_shared
     by_earlier[:, _ROTATION, :3] = -into @ back @ imu_axes.T
     by_later[:, _ROTATION, :3] = into @ imu_axes.T
     by_earlier[:, _VELOCITY, :3] = geometry.hat(felt) @ imu_axes.T
@@ -234,8 +245,8 @@ def _rows(
     by_later[:, _POSITION, :3] = -own @ later @ geometry.hat(lever)
     by_earlier[:, _POSITION, 3:] = -own @ scan
     by_later[:, _POSITION, 3:] = own @ later
-    by_velocity[:, _VELOCITY], by_later_velocity[:, _VELOCITY] = -own, own
-    by_velocity[:, _POSITION] = -own * seconds[..., None]
+    rows.by_velocity[:, _VELOCITY], rows.by_later_velocity[:, _VELOCITY] = -own, own
+    rows.by_velocity[:, _POSITION] = -own * seconds[..., None]
     by_shared[:, _VELOCITY, DOWN] = -own * seconds[..., None]
     by_shared[:, _POSITION, DOWN] = -0.5 * own * seconds[..., None] ** 2
     by_shared[:, _POSITION, LEVER] = own @ (later - scan)
@@ -246,14 +257,7 @@ def _rows(
     by_both = np.concatenate([by_bias, by_offset[:, :, None]], axis=2)
     by_both[:, :3] = into @ np.swapaxes(off[:, :3, :3], -1, -2) @ right @ by_both[:, :3]
     by_shared[:, :, :6], by_shared[:, :, OFFSET] = -by_both[:, :, :6], -by_both[:, :, 6:]
-    return _Rows(
-        residual=residual,
-        by_earlier=by_earlier,
-        by_later=by_later,
-        by_velocity=by_velocity,
-        by_later_velocity=by_later_velocity,
-        by_shared=by_shared,
-    )
+    return rows
 
 
 def _prior(shared: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

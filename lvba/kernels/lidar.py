@@ -14,7 +14,14 @@ import numpy as np
 from numba import prange
 
 from lvba.kernels.compiled import kernel, parallel_kernel
-from lvba.kernels.point_cluster import Clusters, add_cluster, eigen3, move_cluster, rotate_scatter
+from lvba.kernels.point_cluster import (
+    Clusters,
+    add_cluster,
+    eigen3,
+    fill_cross,
+    move_cluster,
+    rotate_scatter,
+)
 
 TILE = 12
 """Neighboring scans whose parts of W share a panel: enough of them to fill whole vector registers."""
@@ -188,9 +195,7 @@ def linearize(
             for a in range(3):
                 gradient[s, 3 + a] += 2.0 * ue[0] * u0[a]
             # D: the plane held fixed, and the curvature of the rotation
-            cross[0, 1], cross[0, 2] = -u0[2], u0[1]
-            cross[1, 0], cross[1, 2] = u0[2], -u0[0]
-            cross[2, 0], cross[2, 1] = -u0[1], u0[0]
+            fill_cross(u0, cross)
             rotate_scatter(cross, moved, turned)
             d = diagonal[s]
             full = (turned[0], turned[1], turned[2], turned[3], turned[4], turned[5])
@@ -389,9 +394,7 @@ def information(
             for j in range(3):
                 u = vectors[f, j]
                 weight = 1.0 if j == 0 else variance[f, j - 1]
-                cross[0, 1], cross[0, 2] = -u[2], u[1]
-                cross[1, 0], cross[1, 2] = u[2], -u[0]
-                cross[2, 0], cross[2, 1] = -u[1], u[0]
+                fill_cross(u, cross)
                 rotate_scatter(cross, moved, turned)
                 row[0] = lever[1] * u[2] - lever[2] * u[1]
                 row[1] = lever[2] * u[0] - lever[0] * u[2]

@@ -88,6 +88,16 @@ def cluster_of_sums(sums: np.ndarray, mean: np.ndarray, scatter: np.ndarray) -> 
     scatter[5] = sums[9] - sums[3] * mean[2]
 
 
+@kernel(inline=True)
+def fill_cross(vector: np.ndarray, out: np.ndarray) -> None:
+    """out (3, 3) becomes the matrix whose product with any b is the cross product of the vector (3,) and b; its diagonal
+    stays. vector: (3,) float64; out: (3, 3) float64
+    """
+    out[0, 1], out[0, 2] = -vector[2], vector[1]
+    out[1, 0], out[1, 2] = vector[2], -vector[0]
+    out[2, 0], out[2, 1] = -vector[1], vector[0]
+
+
 @kernel
 def rotate_scatter(rotation: np.ndarray, scatter: np.ndarray, out: np.ndarray) -> None:
     """out (6,) = R S R' for the rotation (3, 3), or that of a pose (4, 4), and the scatter (6,), S; all float64.

@@ -10,6 +10,7 @@ import numpy as np
 from numba import prange
 
 from lvba.kernels.compiled import kernel, parallel_kernel
+from lvba.kernels.point_cluster import fill_cross
 
 _TERMS = 16
 """Of each power series: exact to rounding for turns of up to half a radian in a step."""
@@ -154,9 +155,7 @@ def _series(
 @kernel
 def _hat(vector: np.ndarray) -> np.ndarray:
     matrix = np.zeros((3, 3))
-    matrix[0, 1], matrix[0, 2] = -vector[2], vector[1]
-    matrix[1, 0], matrix[1, 2] = vector[2], -vector[0]
-    matrix[2, 0], matrix[2, 1] = -vector[1], vector[0]
+    fill_cross(vector, matrix)
     return matrix
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from lvba.lidar.voxel_map import PlaneTest
 from lvba.lidar.weights import WEIGHT_PASSES
-from lvba.settings import check, setting
+from lvba.settings import Group, setting
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ STAGES = (_COARSE, _MIDDLE, Stage())
 
 
 @dataclass(frozen=True)
-class LidarConfig:
+class LidarConfig(Group):
     """LiDAR bundle adjustment: how scan poses are refined."""
 
     prior_translation: float = setting(
@@ -114,9 +114,6 @@ class LidarConfig:
         change_when="The report says that scan poses had not converged (more).",
         advanced=True,
     )
-
-    def __post_init__(self) -> None:
-        check(self)
 
     @property
     def stages(self) -> tuple[Stage, ...]:

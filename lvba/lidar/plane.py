@@ -44,3 +44,15 @@ class PlanePoints:
     points_world: np.ndarray
     plane: np.ndarray
     scan_offsets: np.ndarray
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """Planes and their points, and when these were measured.
+
+    scan_times: (S,) float64, s, ascending, of the scans in `points`
+    """
+
+    planes: Planes
+    points: PlanePoints
+    scan_times: np.ndarray

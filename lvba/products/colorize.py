@@ -16,7 +16,7 @@ from lvba.parallel import in_order
 from lvba.products.cloud import Blocks, Cloud, Origins, sort_into_blocks, surfaces
 from lvba.products.views import Views, nearest_in_time
 from lvba.progress import Progress, silent
-from lvba.settings import check, setting
+from lvba.settings import Group, setting
 from lvba.visual.image import DARK, SATURATED
 from lvba.visual.response import LINEAR, Response
 
@@ -27,7 +27,7 @@ _LOOSE = 3.0
 
 
 @dataclass(frozen=True)
-class ColorizeConfig:
+class ColorizeConfig(Group):
     """How several views of a point are blended."""
 
     max_views: int = setting(
@@ -47,9 +47,6 @@ class ColorizeConfig:
         change_when="Surfaces seen at a slant only stay gray (larger), or are smeared (smaller).",
         advanced=True,
     )
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 TOLERANCE = 6.0

@@ -17,7 +17,7 @@ from lvba.products.colorize import ColorizeConfig
 from lvba.products.render import ALL, OTHERS, ColoredCloud, RenderConfig, Rendering
 from lvba.products.views import Views
 from lvba.progress import Progress, silent
-from lvba.settings import check, setting
+from lvba.settings import Group, setting
 
 FIRST_IMAGES = 40
 """Images judged first, where the rest is judged only if these leave something open: a gain of many standard errors needs
@@ -34,7 +34,7 @@ _FIGURES = (
 
 
 @dataclass(frozen=True)
-class EvaluateConfig:
+class EvaluateConfig(Group):
     """What is judged, and how."""
 
     render: RenderConfig = field(default_factory=RenderConfig)
@@ -48,9 +48,6 @@ class EvaluateConfig:
         high=1_000_000,
         change_when="Judging takes too long (fewer), or decisions are close and there are more images (more).",
     )
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,13 @@ from lvba.products.cloud import Cloud, thin
 from lvba.products.colorize import ColorizeConfig
 from lvba.products.views import Views
 from lvba.progress import Progress, silent
-from lvba.settings import check, setting
+from lvba.settings import Group, setting
 
 logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class MapConfig:
+class MapConfig(Group):
     """The map that users keep."""
 
     colors: Literal["blended", "paper"] = setting(
@@ -44,9 +44,6 @@ class MapConfig:
         meaning="Keep points that no image sees; they are gray and have views = 0.",
         change_when="The map should hold colored points only.",
     )
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 UNCOLORED = 128

@@ -8,11 +8,11 @@ import numpy as np
 from lvba.arrays import CloudPoints
 from lvba.kernels import map_entropy as kernels
 from lvba.products.cloud import Cloud
-from lvba.settings import check, setting
+from lvba.settings import Group, setting
 
 
 @dataclass(frozen=True)
-class EntropyConfig:
+class EntropyConfig(Group):
     """Mean map entropy."""
 
     radius_m: float = setting(
@@ -24,9 +24,6 @@ class EntropyConfig:
         change_when="Points are sparser than this, as from the air (larger).",
         advanced=True,
     )
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 ENTROPY_VOXEL_M = 0.1

@@ -10,7 +10,7 @@ from lvba.kernels import zbuffer as kernels
 from lvba.products.cloud import Blocks, Cloud, sort_into_blocks
 from lvba.products.colorize import NOISE, ColorizeConfig, PaperColors, Samples, blend, collect
 from lvba.products.views import Views
-from lvba.settings import check, setting
+from lvba.settings import Group, setting
 from lvba.visual.response import LINEAR, Response
 
 SEVERAL = -(1 << 30)
@@ -21,7 +21,7 @@ ALL, OTHERS = 0, 1
 
 
 @dataclass(frozen=True)
-class RenderConfig:
+class RenderConfig(Group):
     """How points become pixels."""
 
     splat_px: int = setting(
@@ -34,9 +34,6 @@ class RenderConfig:
         change_when="Points are much sparser than pixels and coverage is low (larger).",
         advanced=True,
     )
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True)

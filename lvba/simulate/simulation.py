@@ -169,12 +169,7 @@ def simulate(
         disturb=disturb,
     )
     asked: dict[str, Any] = {"scene": scene, "difficulty": difficulty, "length_m": length}
-    if image_poses != CAMERA:
-        asked["image_poses"] = image_poses
-    if closing is not None:
-        asked["closing_m_deg"] = list(closing)
-    if lens != PINHOLE:
-        asked["lens"] = lens
+    asked |= _unusual(image_poses, closing, lens)
     measured = imus.measure(made.scene.motion, np.random.default_rng([seed, _IMU_RNG])) if imu else None
     if measured is not None:
         asked["imu"] = recording.imu_facts(measured, made.truth)
@@ -191,6 +186,18 @@ def simulate(
         # numba asks for a newer TBB than the one Open3D brings, and does without
         warnings.filterwarnings("ignore", message="The TBB threading layer requires")
         _write_all(root, simulation, progress)
+
+
+def _unusual(image_poses: str, closing: tuple[float, float] | None, lens: str) -> dict[str, Any]:
+    """What simulation.json says of choices where they are not the usual ones."""
+    facts: dict[str, Any] = {}
+    if image_poses != CAMERA:
+        facts["image_poses"] = image_poses
+    if closing is not None:
+        facts["closing_m_deg"] = list(closing)
+    if lens != PINHOLE:
+        facts["lens"] = lens
+    return facts
 
 
 def _check_choice(name: str, given: str, known: tuple[str, str]) -> None:

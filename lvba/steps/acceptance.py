@@ -12,7 +12,7 @@ import numpy as np
 
 from lvba.products.evaluate import Scores
 from lvba.products.map_quality import EntropyChange
-from lvba.settings import check, setting
+from lvba.settings import Group, setting
 from lvba.visual.calibration_prior import NO_CHANGE, ExtrinsicChange
 
 ROUGH, CARRIED, EXPOSED = "rough", "carried", "exposed"
@@ -26,7 +26,7 @@ Finding = Literal["better", "worse", "neither", "unknown"]
 
 
 @dataclass(frozen=True)
-class GateConfig:
+class GateConfig(Group):
     """What a stage must gain to be accepted, and what it must lose to be refused."""
 
     enabled: bool = setting(
@@ -51,9 +51,6 @@ class GateConfig:
         change_when="A wrong acceptance is worse for you than a missed one (larger).",
         advanced=True,
     )
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 FUSION_LOSS = 0.05

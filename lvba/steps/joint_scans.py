@@ -1,6 +1,6 @@
 """The steps that make the scans of all parts one: each part by itself, merged, then one joint problem in rounds."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -252,19 +252,6 @@ def finish_scans(
         for name in ("variance_factor", "shared_factor")
     )
     uncertainty = lidar_joint.covariance(state, final, survey.lidar, variance_factor)
-    history = tuple(
-        Round(
-            planes=r.planes,
-            observations=r.observations,
-            cost_before=r.cost,
-            cost_after=r.cost,
-            sigma=r.sigma,
-            moved=r.moved,
-            steps=1,
-            degenerate_scans=r.degenerate_scans,
-        )
-        for r in state.history
-    )
     last = len(survey.stages) - 1
     converged = state.converged_stage >= last or not state.history
     result = LidarResult(
@@ -276,7 +263,7 @@ def finish_scans(
         shared_factor=shared_factor,
         planes=_no_planes(),
         plane_points=PlanePoints(np.zeros((0, 3), np.float32), np.zeros(0, np.int32), np.zeros(1, np.int64)),
-        history=(*(entry for part in parts for entry in part.history[:1]), *history),
+        history=(*(entry for part in parts for entry in part.history[:1]), *_rounds(state)),
         cost_initial=float(np.mean([part.history[0].cost_before for part in parts if part.history])),
         cost_final=2.0 * final.equations.cost / max(final.points, 1.0),
         iterations=len(state.history) + sum(len(part.history) for part in parts),
@@ -291,6 +278,21 @@ def finish_scans(
     result = with_motion(result, scan_errors, np.arange(len(result.covariance)))
     stage = LidarStage(result, rough_error=rough_poses.of_all(errors), confirmed=confirmed)
     return JointScans(stage, merged.merged, state.history)
+
+
+def _rounds(state: JointState) -> Iterator[Round]:
+    """The joint rounds, as of an undivided recording."""
+    for each in state.history:
+        yield Round(
+            planes=each.planes,
+            observations=each.observations,
+            cost_before=each.cost,
+            cost_after=each.cost,
+            sigma=each.sigma,
+            moved=each.moved,
+            steps=1,
+            degenerate_scans=each.degenerate_scans,
+        )
 
 
 def _no_planes() -> Planes:

@@ -72,7 +72,6 @@ def figures(facts: Facts) -> Figures:
     dataset, lidar, visual = (facts.get(name) or {} for name in ("dataset", "lidar", "visual"))
     fusion, odometry = facts.get("fusion") or {}, facts.get("odometry") or {}
     ranges = lidar.get("range_errors") or {}
-    far = odometry.get("too_far_off") or {}
     expected, planes = facts.get("expected_error") or {}, facts.get("planes") or {}
     last = (visual.get("levels") or [{}])[-1]
     history = lidar.get("history") or [{}]
@@ -101,15 +100,7 @@ def figures(facts: Facts) -> Figures:
         scan_p95_m=(expected.get("scans") or {}).get("position_p95_m"),
         cameras_converged=last.get("converged") is not False,
         range_errors=len(ranges.get("noticed") or []) + bool(ranges.get("problem")),
-        registered=bool(far),
-        rough_m=far.get("step_m") or 0.0,
-        rough_deg=far.get("step_deg") or 0.0,
-        open_steps=len(far.get("open_after") or []),
-        left_steps=len(far.get("left_after") or []),
-        jumps=len(odometry.get("jumps_after") or []),
-        jump_m=max(odometry.get("jumps_m") or [0.0]),
-        jump_deg=max(odometry.get("jumps_deg") or [0.0]),
-        jump_left=bool(odometry.get("jump_left")),
+        **_rough_poses(odometry),
         extrinsic_sigmas=extrinsic.get("sigmas") if visual.get("accepted") is not False else None,
         extrinsic_m=extrinsic.get("change_m") or 0.0,
         extrinsic_deg=extrinsic.get("change_deg") or 0.0,
@@ -118,8 +109,26 @@ def figures(facts: Facts) -> Figures:
         thickness=(planes["thickness_before_m"], planes["thickness_after_m"]) if planes else None,
         truth=tuple(_truth(facts.get("reference") or {})),
         scale=((facts.get("reference") or {}).get("lidar") or {}).get("scale"),
-        input_fits=_input_fits(lidar, visual, planes, bool(far), degenerate_scans + dependent_steps),
+        input_fits=_input_fits(
+            lidar, visual, planes, bool(odometry.get("too_far_off")), degenerate_scans + dependent_steps
+        ),
     )
+
+
+def _rough_poses(odometry: Facts) -> dict[str, Any]:
+    """The figures of rough poses that are too far off for planes, and of those that jump."""
+    far = odometry.get("too_far_off") or {}
+    return {
+        "registered": bool(far),
+        "rough_m": far.get("step_m") or 0.0,
+        "rough_deg": far.get("step_deg") or 0.0,
+        "open_steps": len(far.get("open_after") or []),
+        "left_steps": len(far.get("left_after") or []),
+        "jumps": len(odometry.get("jumps_after") or []),
+        "jump_m": max(odometry.get("jumps_m") or [0.0]),
+        "jump_deg": max(odometry.get("jumps_deg") or [0.0]),
+        "jump_left": bool(odometry.get("jump_left")),
+    }
 
 
 def _input_fits(lidar: Facts, visual: Facts, planes: Facts, far: bool, open_motions: int) -> InputFits | None:

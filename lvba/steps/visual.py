@@ -40,22 +40,16 @@ def find_planes(
     enabled: whether there are visual steps
     """
     poses, keyframes = scans.world_from_scan[frames.scans], keyframes_of(survey, frames)
-    if not enabled or len(keyframes) < 2:
-        return MapPlanes(
-            world_from_scan=poses,
-            keyframes=keyframes,
-            planes=None,
-            points=None,
-            uncertainty=None,
-            problem="fewer than two keyframes",
-        )
+    none = MapPlanes(world_from_scan=poses, keyframes=keyframes, planes=None, points=None, uncertainty=None)
+    if not enabled:
+        return replace(none, problem="visual bundle adjustment is switched off (refine_cameras)")
+    if len(keyframes) < 2:
+        return replace(none, problem="fewer than two keyframes")
     uncertainty = None
     if lidar.result is not None and scans.verdict.accepted:
         uncertainty = _uncertainty(lidar, frames.scans)
         if len(lidar.result.planes):
-            return MapPlanes(
-                world_from_scan=poses, keyframes=keyframes, planes=None, points=None, uncertainty=uncertainty
-            )
+            return replace(none, uncertainty=uncertainty)
     try:
         planes, plane_points = lidar_ba.find_planes(
             ScanReader(points).load(frames.scans),
@@ -64,21 +58,8 @@ def find_planes(
             config=survey.lidar,
         )
     except DegenerateProblemError as error:
-        return MapPlanes(
-            world_from_scan=poses,
-            keyframes=keyframes,
-            planes=None,
-            points=None,
-            uncertainty=None,
-            problem=str(error),
-        )
-    return MapPlanes(
-        world_from_scan=poses,
-        keyframes=keyframes,
-        planes=planes,
-        points=plane_points,
-        uncertainty=uncertainty,
-    )
+        return replace(none, problem=str(error))
+    return replace(none, planes=planes, points=plane_points, uncertainty=uncertainty)
 
 
 def _uncertainty(lidar: LidarStage, scans: np.ndarray) -> Covariance:
@@ -103,7 +84,6 @@ def solve_level(
     planes: MapPlanes,
     coarser: VisualLevel,
     config: VisualConfig,
-    enabled: bool = True,
     variant: Variant = PRODUCT,
     progress: Progress = silent,
 ) -> VisualLevel:
@@ -111,7 +91,7 @@ def solve_level(
 
     dataset: of the part's frames; keyframes: of these; lidar: of the whole recording
     """
-    problem = _why_not(dataset, planes, enabled) or coarser.problem
+    problem = _why_not(dataset, planes) or coarser.problem
     if problem:
         return VisualLevel(None, problem)
     try:
@@ -129,7 +109,6 @@ def solve_finest(
     planes: MapPlanes,
     coarser: VisualLevel,
     config: VisualConfig,
-    enabled: bool = True,
     variant: Variant = PRODUCT,
     photos: Pieces[np.ndarray] = (),
     progress: Progress = silent,
@@ -138,7 +117,7 @@ def solve_finest(
 
     photos: raw images in color; none: white balance is taken to be the same in all of them
     """
-    problem = _why_not(dataset, planes, enabled) or coarser.problem
+    problem = _why_not(dataset, planes) or coarser.problem
     if problem:
         return VisualStage(None, problem)
     try:
@@ -152,13 +131,9 @@ def solve_finest(
     return VisualStage(result, "", tuning(last))
 
 
-def _why_not(dataset: Dataset, planes: MapPlanes, enabled: bool) -> str:
+def _why_not(dataset: Dataset, planes: MapPlanes) -> str:
     """Why there is no visual stage; empty: there is one."""
-    if not dataset.image_paths:
-        return "the recording has no images"
-    if not enabled:
-        return "visual bundle adjustment is switched off (refine_cameras)"
-    return planes.problem
+    return planes.problem if dataset.image_paths else "the recording has no images"
 
 
 def inputs(

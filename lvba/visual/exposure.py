@@ -14,16 +14,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lvba.arrays import Images, Indices, Poses, Times, Vectors
+from lvba.arrays import Images, Indices, Poses, Vectors
 from lvba.camera import Camera
 from lvba.kernels import patches_mean, photometric_shared
 from lvba.kernels.patches_mean import REFERENCE_MEAN, SPREAD, TARGET_MEAN
 from lvba.kernels.patches_pyramid import blank_masked, halve
-from lvba.lidar.plane import PlanePoints, Planes
+from lvba.lidar.plane import Surfaces
+from lvba.trajectory import Trajectory
 from lvba.visual import radiometry, response, scene_points, vignetting, visibility
 from lvba.visual.edge_means import edge_means, medians, pieces_of_means, shared_errors, weighted_means
 from lvba.visual.exposure_graph import BLOCKS, Edges, Exposures, robust_std, solve_edges
-from lvba.visual.image import DARK, SATURATED, Pyramid, intrinsics_of
+from lvba.visual.image import DARK, SATURATED, LevelImages, Pyramid, intrinsics_of
 from lvba.visual.radiometry import Radiometry, RadiometrySums
 from lvba.visual.response import LINEAR, Response
 from lvba.visual.scene_points import HIDDEN_M, PatchRules, PointsConfig, ScenePoints
@@ -121,11 +122,8 @@ class Ratios:
 
 def solve(
     pyramid: Pyramid,
-    world_from_camera: Poses,
-    image_times: Times,
-    planes: Planes,
-    plane_points: PlanePoints,
-    scan_times: Times,
+    cameras: Trajectory,
+    surfaces: Surfaces,
     seen: VisibilityMap | None,
     level: int = LEVEL,
     depth: DepthBuffers | None = None,
@@ -135,16 +133,15 @@ def solve(
     """The relative exposures of all images at given poses; arguments as of `ratios_at`."""
     camera, plain = pyramid.camera.at_level(level), _masked(pyramid, level, LINEAR)
     if points is None:
-        points = place(plain[level], camera, world_from_camera, image_times, planes, plane_points, scan_times)
+        points = place(plain[level], camera, cameras, surfaces)
     if depth is None:
-        depth = visibility.depth_buffers(
-            pyramid.camera, world_from_camera, image_times, plane_points, scan_times
-        )
+        depth = _depth(pyramid, cameras, surfaces)
+    poses = cameras.world_from_sensor
 
     def edges(curve: Response, falloff: Vignetting = vignetting.NONE) -> Edges:
         levels = _masked(pyramid, level, curve) if curve else plain
-        ratios = measure(levels, level, camera, world_from_camera, points, seen, depth, raw)
-        return edges_of(replace(ratios, curve=curve), len(world_from_camera), Radiometry(falloff))
+        ratios = measure(levels, level, camera, poses, points, seen, depth, raw)
+        return edges_of(replace(ratios, curve=curve), len(poses), Radiometry(falloff))
 
     summed = edges(LINEAR)
     if curve := summed.radiometry.response:
@@ -153,32 +150,32 @@ def solve(
         known = edges(curve, falloff).known
         curve = curve if known is None else curve.then(radiometry.best(known).response)
         summed = edges(curve, falloff)
-    return solve_edges(summed, len(world_from_camera))
+    return solve_edges(summed, len(poses))
+
+
+def _depth(pyramid: Pyramid, cameras: Trajectory, surfaces: Surfaces) -> DepthBuffers:
+    """Depth buffers of all images."""
+    return visibility.depth_buffers(
+        pyramid.camera, cameras.world_from_sensor, cameras.times, surfaces.points, surfaces.scan_times
+    )
 
 
 def placed(
     pyramid: Pyramid,
-    world_from_camera: Poses,
-    image_times: Times,
-    planes: Planes,
-    plane_points: PlanePoints,
-    scan_times: Times,
+    cameras: Trajectory,
+    surfaces: Surfaces,
     level: int = LEVEL,
 ) -> ScenePoints:
     """The patches that are compared at given poses; arguments as of `ratios_at`."""
     images = completed(pyramid.levels[: level + 2], level)[level]
     images = blank_masked(images, MASK_REACH, float(DARK), BRIGHT)
-    camera = pyramid.camera.at_level(level)
-    return place(images, camera, world_from_camera, image_times, planes, plane_points, scan_times)
+    return place(images, pyramid.camera.at_level(level), cameras, surfaces)
 
 
 def ratios_at(
     pyramid: Pyramid,
-    world_from_camera: Poses,
-    image_times: Times,
-    planes: Planes,
-    plane_points: PlanePoints,
-    scan_times: Times,
+    cameras: Trajectory,
+    surfaces: Surfaces,
     seen: VisibilityMap | None,
     level: int = LEVEL,
     depth: DepthBuffers | None = None,
@@ -188,7 +185,7 @@ def ratios_at(
 ) -> Ratios:
     """The log ratios of all patches at given poses; `first` is the image that a patch was laid out in.
 
-    world_from_camera: (I, 4, 4); image_times: (I,) s; scan_times: (S,) s of the scans in `plane_points`
+    cameras: of the images of the pyramid
     seen: the global visibility map, which ties images that are far apart in time; None: neighbours only
     level: of the pyramid, whose patches are compared; depth: of the same images; None: made here
     raw: camera of the raw images, where vignetting and response are asked for
@@ -196,15 +193,11 @@ def ratios_at(
     points: the patches; None: placed here
     """
     if depth is None:
-        depth = visibility.depth_buffers(
-            pyramid.camera, world_from_camera, image_times, plane_points, scan_times
-        )
+        depth = _depth(pyramid, cameras, surfaces)
     levels, camera = _masked(pyramid, level, curve), pyramid.camera.at_level(level)
     if points is None:
-        points = place(
-            levels[level], camera, world_from_camera, image_times, planes, plane_points, scan_times
-        )
-    ratios = measure(levels, level, camera, world_from_camera, points, seen, depth, raw)
+        points = place(levels[level], camera, cameras, surfaces)
+    ratios = measure(levels, level, camera, cameras.world_from_sensor, points, seen, depth, raw)
     return replace(ratios, curve=curve)
 
 
@@ -232,18 +225,13 @@ def completed(levels: Sequence[Images], level: int = LEVEL) -> list[Images]:
 def place(
     images: Images,
     camera: Camera,
-    world_from_camera: Poses,
-    image_times: Times,
-    planes: Planes,
-    plane_points: PlanePoints,
-    scan_times: Times,
+    cameras: Trajectory,
+    surfaces: Surfaces,
 ) -> ScenePoints:
     """Patches on a regular grid over every image, each on one plane, whatever the image shows there."""
     config = PointsConfig(cells=CELLS)
-    return scene_points.select(
-        images, camera, world_from_camera, image_times, planes, plane_points, scan_times, 0.0, config, PATCH,
-        score=centrality(camera, scene_points.cell_size(camera, config, PATCH)),
-    )  # fmt: skip
+    score = centrality(camera, scene_points.cell_size(camera, config, PATCH))
+    return scene_points.select(LevelImages(images, camera, 0.0), cameras, surfaces, config, PATCH, score)
 
 
 def centrality(camera: Camera, cell: int) -> np.ndarray:

@@ -14,7 +14,7 @@ from lvba.kernels.scene import Intrinsics
 from lvba.lens import Lens, widest_angle
 from lvba.parallel import in_order
 from lvba.progress import Progress, silent
-from lvba.settings import check, setting
+from lvba.settings import Group, setting
 
 SATURATED = 250
 """Grey value (of 255) from which a pixel counts as clipped."""
@@ -39,7 +39,7 @@ def intrinsics_of(camera: Camera) -> Intrinsics:
 
 
 @dataclass(frozen=True)
-class ImageConfig:
+class ImageConfig(Group):
     """How images are loaded."""
 
     channels: Literal[1, 3] = setting(
@@ -49,9 +49,6 @@ class ImageConfig:
         change_when="Neighboring surfaces differ in hue but not in brightness.",
         advanced=True,
     )
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True)
@@ -70,6 +67,19 @@ class Pyramid:
 
     def __len__(self) -> int:
         return len(self.levels)
+
+
+@dataclass(frozen=True)
+class LevelImages:
+    """The images of one pyramid level.
+
+    images: (I, H, W, C) uint8 or float32, undistorted; camera: of this level
+    noise: grey values, standard deviation of the sensor's noise at this level
+    """
+
+    images: np.ndarray
+    camera: Camera
+    noise: float
 
 
 def usable_levels(camera: Camera, wanted: int, min_width: int = 80) -> int:

@@ -6,11 +6,11 @@ import numpy as np
 
 from lvba import geometry
 from lvba.arrays import Poses, Times
-from lvba.settings import check, setting
+from lvba.settings import Group, setting
 
 
 @dataclass(frozen=True)
-class KeyframeConfig:
+class KeyframeConfig(Group):
     """An image becomes a keyframe once enough time has passed, or the camera moved or turned, since the last one."""
 
     interval_s: float = setting(
@@ -37,9 +37,6 @@ class KeyframeConfig:
         change_when="The camera turns fast and neighboring keyframes overlap too little (smaller).",
         advanced=True,
     )
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 def select(

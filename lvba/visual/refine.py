@@ -7,14 +7,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lvba import trajectory
-from lvba.arrays import Images
+from lvba.arrays import Images, Poses
 from lvba.camera import Camera
 from lvba.errors import DegenerateProblemError
 from lvba.lidar import covariance as covariances
 from lvba.lidar.covariance import Covariance
-from lvba.lidar.plane import PlanePoints, Planes
+from lvba.lidar.plane import PlanePoints, Planes, Surfaces
 from lvba.progress import Progress, silent
-from lvba.settings import check, setting
+from lvba.settings import Group, setting
 from lvba.trajectory import Trajectory
 from lvba.visual import (
     bundle_adjustment,
@@ -32,7 +32,7 @@ from lvba.visual import result as results
 from lvba.visual.bundle_adjustment import ROUNDS, SOLVER, LevelConfig, LevelSolution
 from lvba.visual.degeneracy import DegenerateDirections
 from lvba.visual.fixed_calibration import CORRECTIONS
-from lvba.visual.image import ImageConfig, Pyramid
+from lvba.visual.image import ImageConfig, LevelImages, Pyramid
 from lvba.visual.keyframes import KeyframeConfig
 from lvba.visual.radiometry import Radiometry
 from lvba.visual.result import LevelReport, VisualResult
@@ -71,7 +71,7 @@ _COARSEST_EXPOSED = 5
 
 
 @dataclass(frozen=True)
-class VisualConfig:
+class VisualConfig(Group):
     """Visual bundle adjustment: how camera poses and exposures are refined."""
 
     levels: int = setting(
@@ -118,9 +118,6 @@ class VisualConfig:
     points: PointsConfig = field(default_factory=PointsConfig)
     visibility: VisibilityConfig = field(default_factory=VisibilityConfig)
     prior: PriorConfig = field(default_factory=PriorConfig)
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True)
@@ -260,9 +257,7 @@ class Scene:
 
     pyramid: Pyramid
     image_times: np.ndarray
-    scan_times: np.ndarray
-    planes: Planes
-    plane_points: PlanePoints
+    surfaces: Surfaces
     keyframes: np.ndarray
     start: VisualState
     prior: Prior
@@ -272,6 +267,17 @@ class Scene:
     camera: Camera | None = None
     vignetting: bool = False
     """Whether it is asked for."""
+
+    def cameras(self, world_from_camera: Poses) -> Trajectory:
+        """The images where these poses (I, 4, 4) have them."""
+        return Trajectory(self.image_times, world_from_camera)
+
+    def depth_buffers(self, camera: Camera, world_from_camera: Poses, time_window_s: float) -> DepthBuffers:
+        """What hides what from a camera at poses (I, 4, 4); time_window_s: s, as of `visibility.depth_buffers`."""
+        surfaces = self.surfaces
+        return visibility.depth_buffers(
+            camera, world_from_camera, self.image_times, surfaces.points, surfaces.scan_times, time_window_s
+        )
 
 
 def scene_of(given: Inputs, config: VisualConfig, variant: Variant = PRODUCT) -> Scene:
@@ -287,9 +293,7 @@ def scene_of(given: Inputs, config: VisualConfig, variant: Variant = PRODUCT) ->
     return Scene(
         pyramid=given.pyramid,
         image_times=times,
-        scan_times=scans.times,
-        planes=given.planes,
-        plane_points=given.plane_points,
+        surfaces=Surfaces(given.planes, given.plane_points, scans.times),
         keyframes=given.keyframes,
         start=VisualState(CameraStates(start, np.zeros(len(times))), prior.calibration.reference),
         prior=prior,
@@ -305,10 +309,10 @@ def scene_of(given: Inputs, config: VisualConfig, variant: Variant = PRODUCT) ->
 def _white_balance(scene: Scene, given: Inputs, state: VisualState, light: Radiometry) -> WhiteBalance | None:
     if given.colors is None:
         return None
+    cameras = scene.cameras(state.cameras.world_from_camera)
     return white_balance.solve(
-        given.colors, scene.pyramid.camera, state.cameras.world_from_camera, scene.image_times, scene.planes,
-        scene.plane_points, scene.scan_times, scene.seen, light, scene.camera,
-    )  # fmt: skip
+        given.colors, scene.pyramid.camera, cameras, scene.surfaces, scene.seen, light, scene.camera
+    )
 
 
 def _solved(
@@ -317,7 +321,7 @@ def _solved(
     """The next level: what it leaves, its solution, and the directions that no image holds."""
     level = len(scene.pyramid) - 1 - coarser.levels
     solution = _solve_level(scene, level, coarser, config, progress)
-    directions = degeneracy.find(solution.problem, solution.linearization, scene.planes)
+    directions = degeneracy.find(solution.problem, solution.linearization, scene.surfaces.planes)
     prior, state = solution.prior, solution.state
     if prior is not None:
         state = degeneracy.return_to_prior(state, prior, directions)
@@ -362,10 +366,10 @@ def _exposed(scene: Scene, level: int, state: VisualState, depth: DepthBuffers |
         return _Exposed(state, np.zeros(len(poses)))
     # coarse where the poses are still rough
     compared = max(min(level, _COARSEST_EXPOSED), exposure.LEVEL)
+    raw = scene.camera if scene.vignetting and scene.variant.exposures == "means" else None
     solved = exposure.solve(
-        scene.pyramid, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, scene.seen,
-        compared, depth, scene.camera if scene.vignetting and scene.variant.exposures == "means" else None,
-    )  # fmt: skip
+        scene.pyramid, scene.cameras(poses), scene.surfaces, scene.seen, compared, depth, raw
+    )
     state = replace(state, cameras=CameraStates(poses, solved.log_exposure))
     return _Exposed(state, solved.sigma, solved.radiometry)
 
@@ -399,21 +403,17 @@ def _solved_once(
     noise = float(scene.pyramid.noise[level])
     poses = coarser.state.cameras.world_from_camera
     progress("exposures", 0, 3)
-    depth = visibility.depth_buffers(
-        camera, poses, scene.image_times, scene.plane_points, scene.scan_times, config.points.time_window_s
-    )
+    depth = scene.depth_buffers(camera, poses, config.points.time_window_s)
     exposed = _exposed(scene, level, coarser.state, depth)
     state, images = exposed.state, exposed.radiometry.taken_out_of(images, scene.camera, camera)
     moved = None
     if level == 0 and scene.variant.reference_pixels == "fixed":
         moved = calibration_shifts.of_pairs(scene.camera, camera, coarser.prior, state, config.calibrate)
     progress("scene points", 1, 3)
-    points = scene_points.select(
-        images, camera, poses, scene.image_times, scene.planes, scene.plane_points, scene.scan_times, noise,
-        config.points, PatchRules(size=config.patch),
-    )  # fmt: skip
+    shown, rules = LevelImages(images, camera, noise), PatchRules(size=config.patch)
+    points = scene_points.select(shown, scene.cameras(poses), scene.surfaces, config.points, rules)
     points, observations = visibility.find(
-        images, camera, poses, points, scene.seen, noise, config.visibility, depth,
+        shown, poses, points, scene.seen, config.visibility, depth,
         patch=config.patch, score=scene.variant.score, shifts=moved,
     )  # fmt: skip
     if len(observations) == 0:

@@ -8,10 +8,11 @@ import numpy as np
 from lvba.arrays import Indices, Poses, Times, Vectors
 from lvba.camera import Camera
 from lvba.kernels import patches
-from lvba.lidar.plane import PlanePoints, Planes
+from lvba.lidar.plane import PlanePoints, Planes, Surfaces
 from lvba.parallel import in_order
-from lvba.settings import check, setting
-from lvba.visual.image import DARK, SATURATED, intrinsics_of
+from lvba.settings import Group, setting
+from lvba.trajectory import Trajectory
+from lvba.visual.image import DARK, SATURATED, LevelImages, intrinsics_of
 
 DOG_NOISE = 0.146
 """Standard deviation of the difference of Gaussians (sigma 1.0 and 1.6) of white noise of standard deviation 1."""
@@ -69,7 +70,7 @@ def take(points: ScenePoints, index: np.ndarray) -> ScenePoints:
 
 
 @dataclass(frozen=True)
-class PointsConfig:
+class PointsConfig(Group):
     """Which LiDAR points become scene points of an image."""
 
     cells: int = setting(
@@ -89,9 +90,6 @@ class PointsConfig:
         change_when="Things move in the scene (shorter), or the LiDAR is sparse or slow (longer).",
         advanced=True,
     )
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True)
@@ -210,39 +208,32 @@ def point_gates(camera: Camera, rules: PatchRules, noise: float) -> patches.Poin
 
 
 def select(
-    images: np.ndarray,
-    camera: Camera,
-    world_from_camera: Poses,
-    image_times: Times,
-    planes: Planes,
-    plane_points: PlanePoints,
-    scan_times: Times,
-    noise: float,
+    level: LevelImages,
+    cameras: Trajectory,
+    surfaces: Surfaces,
     config: PointsConfig = PointsConfig(),
     rules: PatchRules = SCENE_POINTS,
     score: np.ndarray | None = None,
 ) -> ScenePoints:
     """The local scene points of every image at one pyramid level, by image and grid cell (row by row).
 
-    images: (I, H, W, C) uint8 or float32, undistorted; camera: of this level
-    world_from_camera: (I, 4, 4); image_times: (I,) s
-    scan_times: (S,) s, ascending, of the scans in `plane_points`
-    noise: standard deviation of the images' noise at this level, grey values
+    cameras: of the images of the level
     score: (H, W) float32, to choose by in every image instead of the difference of Gaussians
 
     Source: Li et al., II-C1 and eq. (2). Ours: the point is where the ray of the whole pixel meets the plane, points
     hidden by others are left out, and the LiDAR points round the patch must lie on its plane and reach its four sides.
     """
-    lidar, gates = kernel_points(planes, plane_points), point_gates(camera, rules, noise)
-    window = np.full(len(images), config.time_window_s)
+    camera, scan_times = level.camera, surfaces.scan_times
+    lidar, gates = kernel_points(surfaces.planes, surfaces.points), point_gates(camera, rules, level.noise)
+    window = np.full(len(cameras), config.time_window_s)
     cell = cell_size(camera, config, rules)
 
     def of_images(chosen: np.ndarray | slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         ranges = near_ranges(
-            image_times[chosen], scan_times, plane_points.scan_offsets, window[chosen], MAX_POINTS
+            cameras.times[chosen], scan_times, surfaces.points.scan_offsets, window[chosen], MAX_POINTS
         )
-        poses = world_from_camera[chosen]
-        return _select_images(images[chosen], camera, poses, lidar, ranges, gates, cell, score)
+        poses = cameras.world_from_sensor[chosen]
+        return _select_images(level.images[chosen], camera, poses, lidar, ranges, gates, cell, score)
 
     pixel, own, seen = of_images(slice(None))
     for _ in range(3):
@@ -252,9 +243,8 @@ def select(
         window[few] *= 2
         pixel[few], own[few], seen[few] = of_images(few)
     image, place = np.nonzero(own >= 0)
-    return make_points(
-        image.astype(np.int32), pixel[image, place], own[image, place], camera, world_from_camera, planes
-    )
+    poses, planes = cameras.world_from_sensor, surfaces.planes
+    return make_points(image.astype(np.int32), pixel[image, place], own[image, place], camera, poses, planes)
 
 
 def _select_images(

@@ -16,7 +16,7 @@ from lvba.arrays import Indices, Pose, PoseBlocks, Poses, Times
 from lvba.optim import normal_equations
 from lvba.optim.normal_equations import Border, NormalEquations
 from lvba.optim.shared_parameters import SharedPrior
-from lvba.settings import check, setting
+from lvba.settings import Group, setting
 from lvba.trajectory import Trajectory
 from lvba.visual import calibration_prior, fixed_calibration
 from lvba.visual.calibration_prior import Evidence
@@ -27,7 +27,7 @@ _RATE_STEP_S = 0.02
 
 
 @dataclass(frozen=True)
-class PriorConfig:
+class PriorConfig(Group):
     """How well the calibrated extrinsic of the camera and the clocks are known."""
 
     extrinsic_position_m: float = setting(
@@ -54,9 +54,6 @@ class PriorConfig:
         high=10,
         change_when="The sensors are triggered by hardware (smaller), or each has a clock of its own (larger).",
     )
-
-    def __post_init__(self) -> None:
-        check(self)
 
     @property
     def sigma(self) -> dict[str, float | np.ndarray]:

@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lvba.arrays import Images, Indices, Poses, Times, Vectors
+from lvba.arrays import Indices, Poses, Times, Vectors
 from lvba.camera import Camera
 from lvba.kernels import visibility as kernels
 from lvba.kernels.scene import NearestPoints, PlanePatches
 from lvba.kernels.visibility_depth import nearest_points
 from lvba.lidar.plane import PlanePoints
-from lvba.settings import check, setting
-from lvba.visual.image import DARK, SATURATED, intrinsics_of
+from lvba.settings import Group, setting
+from lvba.visual.image import DARK, SATURATED, LevelImages, intrinsics_of
 from lvba.visual.scene_points import HIDDEN_M, SCENE_POINTS, Observations, ScenePoints, near_ranges, take
 
 _log = logging.getLogger(__name__)
@@ -21,7 +21,7 @@ _GATES = ("passed", "behind", "outside", "slanted", "scaled", "hidden", "masked"
 
 
 @dataclass(frozen=True)
-class VisibilityConfig:
+class VisibilityConfig(Group):
     """Which images become targets of a scene point."""
 
     window: int = setting(
@@ -49,9 +49,6 @@ class VisibilityConfig:
         change_when="Places are seen many times again and should be tied more (more), or runs take too long (fewer).",
         advanced=True,
     )
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 MIN_VIEW_COSINE = 0.17
@@ -260,12 +257,10 @@ PairShifts = Callable[[ScenePoints, Indices, Indices], np.ndarray]
 
 
 def find(
-    images: Images,
-    camera: Camera,
+    level: LevelImages,
     world_from_camera: Poses,
     points: ScenePoints,
     seen: VisibilityMap | None,
-    noise: float,
     config: VisibilityConfig = VisibilityConfig(),
     depth: DepthBuffers = NOTHING_HIDES,
     *,
@@ -275,8 +270,8 @@ def find(
 ) -> tuple[ScenePoints, Observations]:
     """The scene points that some target sees, with `is_global` set, and their pairs, at one pyramid level.
 
-    images: (I, H, W, C); camera: of this level; world_from_camera: (I, 4, 4); points: from `scene_points.select`
-    seen: the global map; None: local targets only. noise: standard deviation of the images' noise, grey values
+    world_from_camera: (I, 4, 4), of the images of the level; points: from `scene_points.select`
+    seen: the global map; None: local targets only
     depth: of the same images, to refuse hidden targets by geometry; without, the correlation alone judges
     patch: N of the N x N patch, px, odd, that of the scene points; score: as of `view_scores`
     shifts: how far the calibration moves pairs in their targets; None: not at all
@@ -284,18 +279,19 @@ def find(
     Source: Li et al., II-C2, II-C3 and eq. (3), without the bars round d.z_C, with the whole warped patch inside the
     target, a gate on its scale, and the union of local and global targets.
     """
-    local = _passing(*local_pairs(points.reference, len(images), config.window), images, camera,
-                     world_from_camera, points, noise, patch, depth, shifts)  # fmt: skip
+    count = len(level.images)
+    candidates = local_pairs(points.reference, count, config.window)
+    local = _passing(*candidates, level, world_from_camera, points, patch, depth, shifts)
     local = _spread(local, config.max_local)
     chosen = np.zeros(len(points), bool)
     far = (np.empty(0, np.int32), np.empty(0, np.int32))
     if seen is not None:
         rows = seen.rows(points.position_world)
-        chosen = choose_global(points, rows, view_scores(points, camera, world_from_camera, score))
-        candidates = _without(global_pairs(chosen, rows, points.reference, seen), local, len(images))
-        far = _passing(*candidates, images, camera, world_from_camera, points, noise, patch, depth, shifts)
+        chosen = choose_global(points, rows, view_scores(points, level.camera, world_from_camera, score))
+        candidates = _without(global_pairs(chosen, rows, points.reference, seen), local, count)
+        far = _passing(*candidates, level, world_from_camera, points, patch, depth, shifts)
         far = _spread(far, config.max_global)
-    return _union(replace(points, is_global=chosen), local, far, len(images))
+    return _union(replace(points, is_global=chosen), local, far, count)
 
 
 Pairs = tuple[np.ndarray, np.ndarray]
@@ -327,11 +323,9 @@ def kernel_patches(points: ScenePoints) -> PlanePatches:
 def _passing(
     point: np.ndarray,
     target: np.ndarray,
-    images: np.ndarray,
-    camera: Camera,
+    level: LevelImages,
     world_from_camera: np.ndarray,
     points: ScenePoints,
-    noise: float,
     patch: int,
     depth: DepthBuffers,
     shifts: PairShifts | None,
@@ -339,14 +333,14 @@ def _passing(
     """The pairs that pass eq. (3)."""
     shift = np.zeros((0, 2)) if shifts is None else np.ascontiguousarray(shifts(points, point, target))
     verdict, _ = kernels.judge_pairs(
-        images,
+        level.images,
         np.ascontiguousarray(world_from_camera),
-        intrinsics_of(camera),
+        intrinsics_of(level.camera),
         kernel_patches(points),
         point,
         target,
-        pair_gates(patch, noise),
-        depth.at(camera),
+        pair_gates(patch, level.noise),
+        depth.at(level.camera),
         shift,
     )
     counts = np.bincount(verdict, minlength=len(_GATES))

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lvba.arrays import Images, Poses, Times
+from lvba.arrays import Images
 from lvba.camera import Camera
-from lvba.lidar.plane import PlanePoints, Planes
+from lvba.lidar.plane import Surfaces
+from lvba.trajectory import Trajectory
 from lvba.visual import exposure
 from lvba.visual.image import Pyramid
 from lvba.visual.radiometry import Radiometry
@@ -45,11 +46,8 @@ class WhiteBalance:
 def solve(
     colors: Callable[[int], Images],
     camera: Camera,
-    world_from_camera: Poses,
-    image_times: Times,
-    planes: Planes,
-    plane_points: PlanePoints,
-    scan_times: Times,
+    cameras: Trajectory,
+    surfaces: Surfaces,
     seen: VisibilityMap | None,
     light: Radiometry,
     raw: Camera | None,
@@ -64,7 +62,7 @@ def solve(
 
     def by_color(one_in: int) -> tuple[np.ndarray, np.ndarray] | None:
         nonlocal points
-        log_exposure, sigma = np.empty((len(image_times), COLORS)), np.empty((len(image_times), COLORS))
+        log_exposure, sigma = np.empty((len(cameras), COLORS)), np.empty((len(cameras), COLORS))
         first: np.ndarray | None = None
         for color in range(COLORS):
             images = colors(color)
@@ -74,13 +72,9 @@ def solve(
             levels = exposure.completed([light.taken_out_of(images, raw, camera)])
             pyramid = Pyramid(tuple(levels), camera, np.zeros(len(levels)))
             if points is None:
-                points = exposure.placed(
-                    pyramid, world_from_camera, image_times, planes, plane_points, scan_times
-                )
-            solved = exposure.solve(
-                pyramid, world_from_camera, image_times, planes, plane_points, scan_times, seen, depth=depth,
-                points=take(points, np.arange(0, len(points), one_in)),
-            )  # fmt: skip
+                points = exposure.placed(pyramid, cameras, surfaces)
+            some = take(points, np.arange(0, len(points), one_in))
+            solved = exposure.solve(pyramid, cameras, surfaces, seen, depth=depth, points=some)
             log_exposure[:, color], sigma[:, color] = solved.log_exposure, solved.sigma
         return log_exposure, sigma
 

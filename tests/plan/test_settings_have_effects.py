@@ -23,7 +23,7 @@ from lvba.steps import acceptance
 from lvba.steps.fusion import solve_fusion
 from lvba.steps.lidar import solve_lidar
 from lvba.steps.outcomes import LidarStage, VisualLevel
-from lvba.steps.visual import solve_finest, visual_levels
+from lvba.steps.visual import find_planes, solve_finest, visual_levels
 from lvba.trajectory import Trajectory
 from lvba.visual import image, keyframes, refine, vignetting
 from lvba.visual.vignetting import Vignetting
@@ -144,10 +144,11 @@ def scans_as_they_are(settings):
 
 
 def cameras_as_they_are(settings):
-    planes = SimpleNamespace(problem="no planes")
-    return solve_finest(
-        ring(), None, [], None, planes, VisualLevel(None), settings.visual, settings.refine_cameras
-    ).problem
+    frames = SimpleNamespace(scans=slice(None), images=np.arange(0))
+    nothing = SimpleNamespace(world_from_scan=np.zeros((0, 4, 4)))
+    survey = SimpleNamespace(keyframes=np.arange(0))
+    planes = find_planes(ring(), frames, [], None, nothing, survey, settings.refine_cameras)
+    return solve_finest(ring(), None, [], None, planes, VisualLevel(None), settings.visual).problem
 
 
 def fused(settings):

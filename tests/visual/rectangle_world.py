@@ -8,7 +8,8 @@ import numpy as np
 from lvba import geometry
 from lvba.camera import Camera
 from lvba.kernels.visibility import PairGates
-from lvba.lidar.plane import PlanePoints, Planes
+from lvba.lidar.plane import PlanePoints, Planes, Surfaces
+from lvba.trajectory import Trajectory
 from lvba.visual import visibility
 from lvba.visual.image import intrinsics_of
 
@@ -170,6 +171,14 @@ class Recording:
     plane_points: PlanePoints
     exposure: np.ndarray
     noise: float
+
+    @property
+    def cameras(self):
+        return Trajectory(self.times, self.poses)
+
+    @property
+    def surfaces(self):
+        return Surfaces(self.planes, self.plane_points, self.times)
 
 
 @functools.cache

@@ -12,6 +12,8 @@ from rectangle_world import CAMERA, look, plane_points, planes_of, rectangle, re
 from lvba.camera import Camera
 from lvba.kernels import patches_mean
 from lvba.kernels.scene import PlanePatches
+from lvba.lidar.plane import Surfaces
+from lvba.trajectory import Trajectory
 from lvba.visual import edge_means, exposure, exposure_graph, image, visibility
 from lvba.visual.exposure import Ratios, solve_ratios
 from lvba.visual.exposure_graph import BLOCKS
@@ -20,7 +22,7 @@ from lvba.visual.image import Pyramid, intrinsics_of
 
 def _solve(rec, images=None, levels=2):
     pyramid = image.build_pyramid(rec.images if images is None else images, CAMERA, levels)
-    return exposure.solve(pyramid, rec.poses, rec.times, rec.planes, rec.plane_points, rec.times, None)
+    return exposure.solve(pyramid, rec.cameras, rec.surfaces, None)
 
 
 def _error(found, truth):
@@ -314,7 +316,7 @@ def test_walking_ahead_does_not_add_up():
         images, poses, scans, planes = _approach(seed)
         times = 0.2 * np.arange(len(poses))
         pyramid = image.build_pyramid(images, CAMERA, 2)
-        found = exposure.solve(pyramid, poses, times, planes, scans, times, None)
+        found = exposure.solve(pyramid, Trajectory(times, poses), Surfaces(planes, scans, times), None)
         assert (found.component == 0).all()
         slopes.append(found.log_exposure[-1] - found.log_exposure[0])
     assert abs(np.mean(slopes)) < 0.003
@@ -324,7 +326,7 @@ def test_walking_ahead_does_not_add_up():
 def test_hidden_patches_are_not_compared():
     rec = room_with_screen(sideways=True)
     pyramid = image.build_pyramid(rec.images, CAMERA, 2)
-    args = (pyramid, rec.poses, rec.times, rec.planes, rec.plane_points, rec.times, None)
+    args = (pyramid, rec.cameras, rec.surfaces, None)
     with_depth = exposure.solve(*args)
     without = exposure.solve(*args, depth=visibility.NOTHING_HIDES)
     assert with_depth.pairs < without.pairs
@@ -333,8 +335,7 @@ def test_hidden_patches_are_not_compared():
 
 def test_placing_does_not_look_at_the_images():
     rec = room_with_screen()
-    camera = CAMERA.at_level(1)
-    args = (camera, rec.poses, rec.times, rec.planes, rec.plane_points, rec.times)
+    args = (CAMERA.at_level(1), rec.cameras, rec.surfaces)
     half = image.build_pyramid(rec.images, CAMERA, 2).levels[1]
     first = exposure.place(half, *args)
     second = exposure.place(np.clip(255 - half, 1, 249).astype(np.uint8), *args)
@@ -439,7 +440,7 @@ def test_pyramid_too_short_is_extended():
     rec = room_with_screen()
     full = image.build_pyramid(rec.images, CAMERA, 3)
     short = Pyramid(full.levels[:1], CAMERA, full.noise[:1])
-    args = (rec.poses, rec.times, rec.planes, rec.plane_points, rec.times, None)
+    args = (rec.cameras, rec.surfaces, None)
     np.testing.assert_array_equal(
         exposure.solve(short, *args).log_exposure, exposure.solve(full, *args).log_exposure
     )

@@ -207,7 +207,7 @@ def curved_room():
 def test_the_curve_of_a_room():
     rec, images = curved_room()
     pyramid = image.build_pyramid(images, CAMERA, 2)
-    given = (pyramid, rec.poses, rec.times, rec.planes, rec.plane_points, rec.times, None)
+    given = (pyramid, rec.cameras, rec.surfaces, None)
     truth = np.log(rec.exposure)
     errors = [np.std(left_of(exposure.solve(*given, raw=raw).log_exposure, truth)) for raw in (CAMERA, None)]
     assert errors[0] < 0.01

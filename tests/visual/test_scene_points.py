@@ -20,7 +20,7 @@ from lvba import geometry
 from lvba.kernels import patches
 from lvba.kernels.scene import Intrinsics
 from lvba.visual import scene_points
-from lvba.visual.image import intrinsics_of
+from lvba.visual.image import LevelImages, intrinsics_of
 from lvba.visual.scene_points import PatchRules, PointsConfig
 
 INTRINSICS = intrinsics_of(CAMERA)
@@ -30,18 +30,9 @@ FORWARD = geometry.from_rotation_translation(np.array([[0, 0, 1.0], [-1, 0, 0], 
 
 def select(rec, config=PointsConfig(), images=None, *, plane_points=None, **rules):  # noqa: B008
     """Points of a recording at full size."""
-    return scene_points.select(
-        rec.images if images is None else images,
-        CAMERA,
-        rec.poses,
-        rec.times,
-        rec.planes,
-        plane_points or rec.plane_points,
-        rec.times,
-        rec.noise,
-        config,
-        PatchRules(**rules),
-    )
+    level = LevelImages(rec.images if images is None else images, CAMERA, rec.noise)
+    surfaces = replace(rec.surfaces, points=plane_points or rec.plane_points)
+    return scene_points.select(level, rec.cameras, surfaces, config, PatchRules(**rules))
 
 
 def test_selection_matches_its_twin():

@@ -204,9 +204,7 @@ def dark_room(found):
 
 def found_in(rec, images, raw=CAMERA):
     pyramid = image.build_pyramid(images, CAMERA, 2)
-    return exposure.solve(
-        pyramid, rec.poses, rec.times, rec.planes, rec.plane_points, rec.times, None, raw=raw
-    )
+    return exposure.solve(pyramid, rec.cameras, rec.surfaces, None, raw=raw)
 
 
 def test_vignetting_of_a_room():

@@ -23,15 +23,15 @@ from rectangle_world import (
 from lvba.kernels import visibility as kernels
 from lvba.kernels.visibility_depth import nearest_points
 from lvba.visual import scene_points, visibility
+from lvba.visual.image import LevelImages
 from lvba.visual.scene_points import PointsConfig, ScenePoints, take
 from lvba.visual.visibility import VisibilityConfig
 
 
 def local_points(rec, cells=150):
     config = PointsConfig(cells=cells)
-    return scene_points.select(
-        rec.images, CAMERA, rec.poses, rec.times, rec.planes, rec.plane_points, rec.times, rec.noise, config
-    )
+    level = LevelImages(rec.images, CAMERA, rec.noise)
+    return scene_points.select(level, rec.cameras, rec.surfaces, config)
 
 
 def global_map(rec):
@@ -42,15 +42,8 @@ def global_map(rec):
 
 
 def find(rec, points, seen=None, images=None, **changes):
-    return visibility.find(
-        rec.images if images is None else images,
-        CAMERA,
-        rec.poses,
-        points,
-        seen,
-        rec.noise,
-        VisibilityConfig(**changes),
-    )
+    level = LevelImages(rec.images if images is None else images, CAMERA, rec.noise)
+    return visibility.find(level, rec.poses, points, seen, VisibilityConfig(**changes))
 
 
 @pytest.mark.parametrize("moved", [False, True])

@@ -21,18 +21,7 @@ def solve(rec, gain):
             np.uint8
         )
 
-    return white_balance.solve(
-        colors,
-        CAMERA,
-        rec.poses,
-        rec.times,
-        rec.planes,
-        rec.plane_points,
-        rec.times,
-        None,
-        radiometry.NONE,
-        None,
-    )
+    return white_balance.solve(colors, CAMERA, rec.cameras, rec.surfaces, None, radiometry.NONE, None)
 
 
 def test_white_balance_and_exposures_of_a_room():

@@ -193,16 +193,10 @@ def find(
         reading = reading.answered(question, every[question][decided.taken])
     usual = reading.offset == next(iter(offsets.values()))
     far = max(_ODD_SIGMAS * sigma, _ODD_S) if usual else max(offset.NEAR_SIGMAS * sigma, _FIT_STEP_S)
-    off = abs(place - reading.offset)
-    if off > far and "image_offset" not in said:
+    if abs(place - reading.offset) > far and "image_offset" not in said:
         reading, decisions[-1] = _measured(scorer, reading, decisions[-1], place, sigma, usual)
-    elif off > max(_TOLD_SIGMAS * sigma, _FIT_STEP_S) and not decisions[-1].warning:
-        words = (
-            f"image_offset: images seem to be taken {1000 * place:+.0f} ms (+- {1000 * sigma:.0f}) after their stamps, "
-            f"and {decisions[-1].taken} is taken: what is left is for the bundle adjustment, or --convention "
-            f"image_offset={place:.4f}"
-        )
-        decisions[-1] = replace(decisions[-1], warning=words)
+    else:
+        decisions[-1] = _with_what_is_left(decisions[-1], reading, place, sigma)
     warnings = [each.warning for each in decisions if each.warning]
     if scorer.pairs and scorer.score(reading) > WARN_SCORE:
         warnings.append(
@@ -217,6 +211,18 @@ def find(
         measured_sigma=sigma,
         warnings=tuple(warnings),
     )
+
+
+def _with_what_is_left(decided: Decision, reading: ImageReading, place: float, sigma: float) -> Decision:
+    """The decision on the offset, with a warning where images seem to be taken at another one."""
+    if abs(place - reading.offset) <= max(_TOLD_SIGMAS * sigma, _FIT_STEP_S) or decided.warning:
+        return decided
+    words = (
+        f"image_offset: images seem to be taken {1000 * place:+.0f} ms (+- {1000 * sigma:.0f}) after their stamps, "
+        f"and {decided.taken} is taken: what is left is for the bundle adjustment, or --convention "
+        f"image_offset={place:.4f}"
+    )
+    return replace(decided, warning=words)
 
 
 def _offset(scorer: ImageScorer, best: ImageReading) -> tuple[float, float]:

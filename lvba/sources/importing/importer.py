@@ -20,7 +20,8 @@ from lvba.progress import Progress, silent
 from lvba.sources.importing import conventions as deciding
 from lvba.sources.importing import data_set, folder, imu_clock, own_odometry, rig, streams, survey, thinning
 from lvba.sources.importing.conventions import Conventions, Origin
-from lvba.sources.importing.options import ImportOptions
+from lvba.sources.importing.options import Guess, ImportOptions
+from lvba.sources.importing.own_odometry import OwnOdometry
 from lvba.sources.importing.rig import RigFacts
 from lvba.sources.importing.streams import Streams
 from lvba.sources.importing.survey import Survey
@@ -64,10 +65,7 @@ def import_source(
     description = source.describe()
     if thinning.is_meant(description, options):
         return _thinned(description, options, out, progress)
-    if options.camera and not options.calibration:
-        raise InputError(
-            f"--camera {options.camera[:80]}", "says nothing without a calibration", "give --calibration FILE"
-        )
+    _check_camera(options)
     known = data_set.of_source(description, options)
     chosen = streams.choose(description, options, known.topics)
     key = _key(description, options)
@@ -84,15 +82,12 @@ def import_source(
     )
     _check_images(facts, surveyed, chosen, known.calibration)
     origin, estimated = _origin(chosen), None
-    if origin is Origin.OWN:
+    if passes > 2:
         announce("odometry", 1, passes)
-        clock = deciding.clock_of(surveyed)
-        late = deciding.imu_offset(clock, known.guess)
-        on_clock = replace(surveyed, imu=imu_clock.shifted(surveyed.imu, late))
-        estimated = own_odometry.of_scans(source, chosen.lidar, on_clock, clock, facts, progress)
+    if origin is Origin.OWN:
+        estimated = _own_odometry(source, chosen, surveyed, facts, known.guess, progress)
         odometry = estimated.track
     elif chosen.odometry_command:
-        announce("odometry", 1, passes)
         odometry = own_odometry.of_command(chosen.odometry_command, description.path, surveyed, progress)
     else:
         odometry = _odometry(chosen, surveyed)
@@ -114,6 +109,13 @@ def import_source(
     _write_evidence(out, evidence)
     folder.finish(out, key)
     return ImportReport(evidence, reused=False)
+
+
+def _check_camera(options: ImportOptions) -> None:
+    if options.camera and not options.calibration:
+        raise InputError(
+            f"--camera {options.camera[:80]}", "says nothing without a calibration", "give --calibration FILE"
+        )
 
 
 def _thinned(
@@ -167,6 +169,16 @@ def _origin(chosen: Streams) -> Origin:
     if chosen.odometry:
         return Origin.STREAM
     return Origin.FILE if chosen.odometry_file or chosen.odometry_command else Origin.OWN
+
+
+def _own_odometry(
+    source: Source, chosen: Streams, surveyed: Survey, facts: RigFacts, guess: Guess, progress: Progress
+) -> OwnOdometry:
+    """The poses that scans tell, and the IMU where there is one. guess: what is known of such recordings"""
+    clock = deciding.clock_of(surveyed)
+    late = deciding.imu_offset(clock, guess)
+    on_clock = replace(surveyed, imu=imu_clock.shifted(surveyed.imu, late))
+    return own_odometry.of_scans(source, chosen.lidar, on_clock, clock, facts, progress)
 
 
 def _odometry(chosen: Streams, surveyed: Survey) -> Track:

@@ -30,7 +30,7 @@ NONE = "none"
 
 
 @dataclass(frozen=True)
-class ImportOptions:
+class ImportOptions(settings.Group):
     """What is chosen of a source: said once for the command line, the service and its form. Topics are names of streams.
 
     odometry: a topic, a TUM file, "auto": by the scans, or a command with {bag} and {out}
@@ -110,9 +110,6 @@ class ImportOptions:
         change_when="Scans or images are many more than are needed.",
         advanced=True,
     )
-
-    def __post_init__(self) -> None:
-        settings.check(self)
 
 
 @dataclass(frozen=True)
