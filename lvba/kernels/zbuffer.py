@@ -298,6 +298,46 @@ def nearest_entries(
     return nearest
 
 
+@kernel
+def _cell_depths(nearest: np.ndarray) -> np.ndarray:
+    """How deep an image sees in each cell, see `seen_depths`: (h, w) float32, m.
+
+    nearest: (h, w) int64, entries
+    """
+    rows, columns = nearest.shape
+    inverse = np.zeros((rows + 2, columns + 2), np.float32)
+    for row in range(rows):
+        for column in range(columns):
+            if nearest[row, column] != EMPTY:
+                inverse[row + 1, column + 1] = STEPS / np.float32(nearest[row, column] >> 32)
+    out = np.empty((rows, columns), np.float32)
+    for row in range(rows):
+        for column in range(columns):
+            out[row, column] = _seen_depth(inverse, row + 1, column + 1)
+    return out
+
+
+@kernel
+def take_out_hidden(entries: np.ndarray, cell: int, part: float, tolerance: float) -> None:
+    """Empties the pixels of the second variant that show, through gaps of the first, what lies behind it; in place.
+
+    entries: (2, H, W) int64, of `splat`; cell: px, edge of the cells of `seen_depths`
+    part: of the depth, and tolerance, m: what is deeper than the first variant in that cell by more than both is behind
+    """
+    height, width = entries.shape[1:]
+    nearest = np.full(((height + cell - 1) // cell, (width + cell - 1) // cell), EMPTY, np.int64)
+    for row in range(height):
+        for column in range(width):
+            at = row // cell, column // cell
+            nearest[at] = min(nearest[at], entries[0, row, column])
+    limit = _cell_depths(nearest) * np.float32(1 + part) + np.float32(tolerance)
+    for row in range(height):
+        for column in range(width):
+            entry = entries[1, row, column]
+            if entry != EMPTY and np.float32(entry >> 32) / STEPS > limit[row // cell, column // cell]:
+                entries[1, row, column] = EMPTY
+
+
 @parallel_kernel
 def seen_depths(
     cloud: BlockPoints,
@@ -316,15 +356,7 @@ def seen_depths(
     rows, columns = (height + cell - 1) // cell, (width + cell - 1) // cell
     out = np.empty((poses.shape[0], rows, columns), np.float32)
     for image in prange(poses.shape[0]):
-        nearest = nearest_entries(cloud, poses[image], intrinsics, cell, height, width)
-        inverse = np.zeros((rows + 2, columns + 2), np.float32)
-        for row in range(rows):
-            for column in range(columns):
-                if nearest[row, column] != EMPTY:
-                    inverse[row + 1, column + 1] = STEPS / np.float32(nearest[row, column] >> 32)
-        for row in range(rows):
-            for column in range(columns):
-                out[image, row, column] = _seen_depth(inverse, row + 1, column + 1)
+        out[image] = _cell_depths(nearest_entries(cloud, poses[image], intrinsics, cell, height, width))
     return out
 
 

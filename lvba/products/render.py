@@ -7,6 +7,7 @@ import numpy as np
 from lvba.arrays import CloudPoints, Indices, LogExposures
 from lvba.kernels import colorize as color_kernels
 from lvba.kernels import zbuffer as kernels
+from lvba.kernels.visibility_depth import HIDING_PART
 from lvba.products.cloud import Blocks, Cloud, sort_into_blocks
 from lvba.products.colorize import NOISE, ColorizeConfig, PaperColors, Samples, blend, collect
 from lvba.products.views import Views
@@ -18,6 +19,12 @@ SEVERAL = -(1 << 30)
 
 ALL, OTHERS = 0, 1
 """Variants of a rendering: from all colored points, and from those that other images colored (leave-one-out)."""
+
+HIDING_CELLS = 80
+"""Cells across an image, of a splat at least, in which the nearest point hides what lies behind it: wider than the gaps
+between lines of a spinning LiDAR on a wall that is a few meters away."""
+BEHIND_M = 0.05
+"""So much, beside HIDING_PART of the depth, points of one surface may be apart along a ray."""
 
 
 @dataclass(frozen=True)
@@ -111,13 +118,14 @@ def nearest(
 ) -> np.ndarray:
     """What each pixel of an image sees, ALL and OTHERS: entries (2, H, W) int64 for `shade` and `depth`.
 
-    Each point fills `splat_px` x `splat_px` pixels round its projection; the nearest point wins.
+    Each point fills `splat_px` x `splat_px` pixels round its projection; the nearest point wins. Points that the image
+    colored are not among OTHERS, but hide what lies behind them there, too, also between them.
     guard_images: OTHERS leaves out the points of this many images before and after, too
     """
     if guard_images and cloud.samples is not None:
         raise ValueError("guard_images needs colors of one image each")
     config = config or RenderConfig()
-    return kernels.splat(
+    entries = kernels.splat(
         cloud.blocks.holding(cloud.points_world),
         cloud.source,
         views.poses[image],
@@ -128,6 +136,9 @@ def nearest(
         views.camera.height,
         views.camera.width,
     )
+    cell = max(views.camera.width // HIDING_CELLS, config.splat_px)
+    kernels.take_out_hidden(entries, cell, HIDING_PART, BEHIND_M)
+    return entries
 
 
 def shade(

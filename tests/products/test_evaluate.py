@@ -96,7 +96,27 @@ def test_held_out_images_are_judged_apart(world):
     by_image = scores.per_image["psnr_leave_one_out"]
     assert scores.psnr_held_out == pytest.approx(by_image[[1, 4]].mean())
     assert scores.psnr_leave_one_out == pytest.approx(by_image[[0, 2, 3, 5]].mean())
-    np.testing.assert_array_equal(scores.per_image["psnr"][[1, 4]], by_image[[1, 4]])
+    # all their points are of other images: the same pixels but for those beside or behind something nearer
+    np.testing.assert_allclose(scores.per_image["psnr"][[1, 4]], by_image[[1, 4]], atol=0.3)
+
+
+def test_a_wall_that_one_image_alone_colored_hides_what_other_images_saw_behind_it(world):
+    rng = np.random.default_rng(0)
+    near, far = (
+        rng.uniform(-1, 1, (count, 3)) * [edge, edge, 0] + [0, 0, edge]
+        for count, edge in ((1500, 1), (9000, 3))
+    )
+    source = np.repeat([0, 1], [len(near), len(far)]).astype(np.int32)
+    colors = colorize.PaperColors(gray=np.full((len(source), 3), 100, np.float32), source=source)
+    cloud = render.colored_cloud(np.concatenate([near, far]).astype(np.float32), colors)
+    poses = np.stack([np.eye(4), geometry.exp(np.array([0, 0, 0, 0, 0, 1.5]))])
+    views = box_world.BoxWorld(poses, np.zeros(2), world.pictures[:2], [], poses).views()
+    entries = render.nearest(cloud, views, 0)
+    depth = render.depth(entries)
+    assert ((depth[render.ALL] > 2) & np.isfinite(depth[render.ALL])).mean() > 0.05
+    assert np.isfinite(depth[render.OTHERS]).mean() < 0.01
+    # from behind the wall the far one is seen, whoever colored it
+    assert np.isfinite(render.depth(render.nearest(cloud, views, 1, guard_images=0))[render.ALL]).mean() > 0.5
 
 
 def test_an_image_without_neighbors_in_view_is_not_judged_by_itself(world):
@@ -228,8 +248,13 @@ def test_blended_colors_can_be_judged_with_one_image_left_out(world):
         others = render.blended_cloud(state.cloud, state.views, colorize.ColorizeConfig(), np.array([i]))
         expected = render.render(others, state.views, i)
         found = render.render(cloud, state.views, i)
-        np.testing.assert_array_equal(found.covered[render.OTHERS], expected.covered[render.ALL])
-        np.testing.assert_allclose(found.color[render.OTHERS], expected.color[render.ALL], atol=0.01)
+        # but for what lies beside or behind something nearer: much of so small an image
+        covered = found.covered[render.OTHERS]
+        assert expected.covered[render.ALL][covered].all()
+        assert covered.sum() > 0.85 * expected.covered[render.ALL].sum()
+        np.testing.assert_allclose(
+            found.color[render.OTHERS][covered], expected.color[render.ALL][covered], atol=0.01
+        )
     assert scores.psnr_leave_one_out > 24
     with pytest.raises(ValueError, match="guard_images"):
         render.render(cloud, state.views, 0, guard_images=1)

@@ -92,6 +92,32 @@ def test_cells_know_how_deep_they_see(scene, cell, gaps):
         np.testing.assert_allclose(cells[i], expected, rtol=1e-3)
 
 
+@pytest.mark.parametrize("cell", [3, 8])
+def test_what_lies_behind_the_points_of_an_image_is_hidden_without_them(scene, cell):
+    points, views, _ = scene
+    points = points[np.abs(points).max(1) < 10]
+    source = np.random.default_rng(0).integers(0, 6, len(points)).astype(np.int32)
+    blocks = clouds.sort_into_blocks(points)
+    ordered, sources = points[blocks.order], source[blocks.order]
+    taken = 0
+    for i, pose in enumerate(views.poses):
+        entries = kernels.splat(
+            blocks.holding(by_axis(ordered)), sources, pose, views.intrinsics, i, 0, 0, HEIGHT, WIDTH
+        )
+        left = entries.copy()
+        kernels.take_out_hidden(left, cell, 0.02, 0.05)
+        np.testing.assert_array_equal(left[0], entries[0])
+        depth = kernels.split(entries)[0][1]
+        limit = naive.seen_depths(ordered, pose, views.intrinsics, cell, HEIGHT, WIDTH) * 1.02 + 0.05
+        limit = limit.repeat(cell, 0).repeat(cell, 1)[:HEIGHT, :WIDTH]
+        clear = (left[1] != kernels.EMPTY) | (entries[1] == kernels.EMPTY)
+        with np.errstate(invalid="ignore"):
+            sure = np.isinf(depth) | np.isinf(limit) | (np.abs(depth - limit) > 2e-3 * limit)
+        np.testing.assert_array_equal(clear[sure], ((depth <= limit) | np.isinf(depth))[sure])
+        taken += (~clear).sum()
+    assert taken > 100
+
+
 def test_a_floor_seen_at_a_grazing_angle_does_not_hide_itself():
     rng = np.random.default_rng(0)
     floor = np.column_stack([rng.uniform(-20, 20, 400000), np.full(400000, 1.5), rng.uniform(1, 40, 400000)])
