@@ -1,10 +1,10 @@
 """Rough alignments of two patches of surfels, by correlation: all shifts at once, for a few turns."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import fft
-from scipy.ndimage import maximum_filter
 
 from lvba import geometry
 from lvba.arrays import Pose, Vectors
@@ -79,10 +79,11 @@ class _Shifts:
         at = np.floor((center - self.low) / self.cell).astype(np.int64)
         inside = np.all((at >= 0) & (at < self.shape), axis=1)
         flat = np.ravel_multi_index(at[inside].T, self.shape)
-        cells = int(np.prod(self.shape))
-        count = np.maximum(np.bincount(flat, minlength=cells), 1)
-        grid = np.stack([np.bincount(flat, vector[inside, k], cells) / count for k in range(3)])
-        return grid.reshape(3, *self.shape)
+        taken, which, count = np.unique(flat, return_inverse=True, return_counts=True)
+        grid = np.zeros((3, *self.shape))
+        for k in range(3):
+            grid[k].reshape(-1)[taken] = np.bincount(which, vector[inside, k], len(taken)) / count
+        return grid
 
     def undone(self, shift: np.ndarray) -> np.ndarray:
         """(4, 4), the motion that a peak at a shift (3,) asks for."""
@@ -91,14 +92,28 @@ class _Shifts:
     def peaks(self, correlation: np.ndarray, reach: float, count: int) -> list[tuple[np.ndarray, float]]:
         """Shifts (3,), m, and correlation of the highest peaks within reach."""
         steps = [fft.fftfreq(n, 1 / n) * self.cell for n in self.shape]
+        near = [np.flatnonzero(np.abs(s) <= reach + self.cell) for s in steps]
+        steps = [s[index] for s, index in zip(steps, near, strict=True)]
         far = np.sqrt(sum(s**2 for s in np.meshgrid(*steps, indexing="ij", sparse=True)))
-        top = (correlation >= maximum_filter(correlation, 3, mode="wrap")) & (far <= reach + self.cell)
+        inside = correlation[np.ix_(*near)]
+        top = (inside >= _highest_about(correlation, near)) & (far <= reach + self.cell)
         where = np.argwhere(top)
-        value = correlation[top]
+        value = inside[top]
         best = np.argsort(-value, kind="stable")[:count]
         return [
             (np.array([steps[k][w[k]] for k in range(3)]), float(v)) for w, v in zip(where[best], value[best])
         ]
+
+
+def _highest_about(values: np.ndarray, places: Sequence[np.ndarray]) -> np.ndarray:
+    """The highest of values (X, Y, Z) in the 3 x 3 x 3 cells about each place; the grid goes on at its other side.
+
+    places: of each axis. Only they are looked at: most shifts of a large grid are out of reach.
+    """
+    for axis, index in enumerate(places):
+        before, here, after = (values.take(index + step, axis, mode="wrap") for step in (-1, 0, 1))
+        values = np.maximum(np.maximum(before, here), after)
+    return values
 
 
 def _grid(a: Patch, b: Patch, a_from_b: np.ndarray, reach: float, cell: float) -> _Shifts:
