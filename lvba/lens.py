@@ -10,6 +10,8 @@ import numpy as np
 
 _NEWTON_STEPS = 60
 _CLOSE = 1e-13
+_FARTHEST = 1e6
+"""Normalized coordinates beyond which no ray of a pinhole is looked for."""
 _ANGLES = 4000
 """In how many steps the monotone limit is looked for, up to 180 degrees."""
 
@@ -61,7 +63,9 @@ def undistort(
     x, y = u, v
     for _ in range(_NEWTON_STEPS):
         again_u, again_v = distort(lens, coefficients, x, y)
-        x, y = x + (u - again_u), y + (v - again_v)
+        # beyond the monotone limit each step goes farther than the last
+        x = np.clip(x + (u - again_u), -_FARTHEST, _FARTHEST)
+        y = np.clip(y + (v - again_v), -_FARTHEST, _FARTHEST)
         if max(np.abs(u - again_u).max(initial=0), np.abs(v - again_v).max(initial=0)) < 1e-12:
             break
     return x, y

@@ -22,8 +22,8 @@ def of_pairs(
     state: VisualState,
     asked: bool,
 ) -> PairShifts | None:
-    """How the calibration of a state moves any pairs of points and targets; None: not at all. Arguments as of
-    `of_observations`."""
+    """How the calibration of a state moves any pairs of points and targets; None: not at all. Pairs that are far outside
+    of their targets stay there: nothing is known of a lens so far off its axis. Arguments as of `of_observations`."""
     if camera is None or prior is None or not asked:
         return None
     reference = prior.calibration.reference
@@ -32,7 +32,11 @@ def of_pairs(
 
     def shifts(points: ScenePoints, point: np.ndarray, target: np.ndarray) -> np.ndarray:
         pairs = Observations(point, target, np.zeros(len(point), bool))
-        return _shifts(camera, pinhole, points, pairs, prior, state).at
+        near = self_calibration.near_target(points, pairs, pinhole, state.cameras.world_from_camera)
+        pairs = Observations(point[near], target[near], pairs.is_global[near])
+        at = np.zeros((len(point), 2))
+        at[near] = _shifts(camera, pinhole, points, pairs, prior, state).at
+        return at
 
     return shifts
 

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from lvba import geometry, lens
+from lvba.arrays import Poses
 from lvba.camera import Camera
 from lvba.kernels import photometric_shared as kernels
 from lvba.kernels.scene import PlanePatches
@@ -147,6 +148,18 @@ def shifts(
     layout = calibration.layout()
     columns = np.concatenate([np.arange(layout.size)[layout[name]] for name in (*INTRINSICS, "readout")])
     return Shifts(offset, np.concatenate([by, by_readout[:, :, None]], axis=2), columns, layout.size)
+
+
+def near_target(
+    points: ScenePoints, observations: Observations, pinhole: Camera, world_from_camera: Poses
+) -> np.ndarray:
+    """(O,) bool: whether patches lie in their target images, or outside by less than the size of one.
+
+    No calibration moves others into the images. pinhole: of these images; world_from_camera: (I, 4, 4) float64
+    """
+    place = _centers(points, observations, points.pixel.astype(float), pinhole, world_from_camera)[0]
+    off_middle = place / np.array([pinhole.width, pinhole.height]) - 0.5
+    return np.asarray((np.abs(off_middle) <= 1.5).all(axis=1))
 
 
 def _centers(

@@ -49,6 +49,15 @@ def test_a_lens_ends_where_its_polynomial_folds_back():
     assert widest_angle(Lens.RADIAL_TANGENTIAL, (0.0,) * 4) == np.pi / 2
 
 
+def test_what_no_ray_is_imaged_at_spoils_nothing():
+    """k1 = -0.3 images no ray farther out than 0.70: asked for one there, steps diverge, and stay finite."""
+    u = np.array([0.2, 0.9, 5.0, 1e4])
+    with np.errstate(all="raise"):
+        x, _ = undistort(Lens.RADIAL_TANGENTIAL, (-0.3, 0.0, 0.0, 0.0), u, np.zeros(4))
+    assert np.isfinite(x).all()
+    assert distort(Lens.RADIAL_TANGENTIAL, (-0.3, 0.0, 0.0, 0.0), x[:1], np.zeros(1))[0] == pytest.approx(0.2)
+
+
 def image_through(camera, seen):
     """What a camera records where `seen(x, y)` is the radiance along the rays (x, y, 1), (H, W) uint8."""
     row, column = np.mgrid[: camera.height, : camera.width].astype(float)

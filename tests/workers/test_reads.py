@@ -44,6 +44,7 @@ def reads(monkeypatch):
     return counts
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")  # an overflow would be printed to users
 @pytest.mark.parametrize(("size", "held"), [(0, local.HELD_BYTES), (10, 0)])
 def test_frames_are_decoded_once_for_each_use(street, reads, tmp_path, monkeypatch, size, held):
     """Also where nothing stays in memory between steps, and by all parts together where there are two."""
