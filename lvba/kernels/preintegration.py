@@ -89,8 +89,9 @@ def _take_step(
     turn, once, twice, by_once, by_twice = _series(angle, felt)
     gained, moved = _times(once, felt), _times(twice, felt)
     carry, spread = _error_step(seconds, axes, (turn, once, twice), (by_once, by_twice), (gained, moved))
-    by_bias[:] = _product(carry, by_bias) - spread
-    covariance[:] = _product(_product(carry, covariance), carry.T)
+    _put(by_bias, 0, 0, 1.0, _product(carry, by_bias))
+    _add(by_bias, -1.0, spread)
+    _put(covariance, 0, 0, 1.0, _transformed(carry, covariance))
     gyroscope, accelerometer = noise.gyroscope**2 / seconds, noise.accelerometer**2 / seconds
     for row in range(9):
         for column in range(9):
@@ -98,9 +99,11 @@ def _take_step(
                 covariance[row, column] += gyroscope * spread[row, axis] * spread[column, axis]
                 covariance[row, column] += accelerometer * spread[row, 3 + axis] * spread[column, 3 + axis]
     # the position goes on by the velocity and the axes before the step, the velocity by these axes
-    position += velocity * seconds + _times(axes, moved) * seconds**2
-    velocity += _times(axes, gained) * seconds
-    axes[:] = _product(axes, turn)
+    faster, farther = _times(axes, gained), _times(axes, moved)
+    for axis in range(3):
+        position[axis] += velocity[axis] * seconds + farther[axis] * seconds**2
+        velocity[axis] += faster[axis] * seconds
+    _put(axes, 0, 0, 1.0, _product(axes, turn))
 
 
 @kernel
@@ -113,18 +116,20 @@ def _error_step(
 ) -> tuple[np.ndarray, np.ndarray]:
     """How errors go on over a step, (9, 9), and what errors of rate and force add to them, (9, 6)."""
     turn, once, twice = series
-    carry, spread = np.eye(9), np.zeros((9, 6))
-    carry[:3, :3] = turn.T
-    carry[3:6, :3] = -_product(axes, _hat(done[0])) * seconds
-    carry[6:, :3] = -_product(axes, _hat(done[1])) * seconds**2
-    for axis in range(3):
-        carry[6 + axis, 3 + axis] = seconds
-    # the right Jacobian is the transpose of the left one, `once`
-    spread[:3, :3] = once.T * seconds
-    spread[3:6, :3] = _product(axes, by_angle[0]) * seconds**2
-    spread[6:, :3] = _product(axes, by_angle[1]) * seconds**3
-    spread[3:6, 3:] = _product(axes, once) * seconds
-    spread[6:, 3:] = _product(axes, twice) * seconds**2
+    carry, spread = np.zeros((9, 9)), np.zeros((9, 6))
+    _put(carry, 3, 0, -seconds, _product(axes, _hat(done[0])))
+    _put(carry, 6, 0, -(seconds**2), _product(axes, _hat(done[1])))
+    for row in range(3):
+        carry[3 + row, 3 + row] = carry[6 + row, 6 + row] = 1.0
+        carry[6 + row, 3 + row] = seconds
+        for column in range(3):
+            carry[row, column] = turn[column, row]
+            # the right Jacobian is the transpose of the left one, `once`
+            spread[row, column] = once[column, row] * seconds
+    _put(spread, 3, 0, seconds**2, _product(axes, by_angle[0]))
+    _put(spread, 6, 0, seconds**3, _product(axes, by_angle[1]))
+    _put(spread, 3, 3, seconds, _product(axes, once))
+    _put(spread, 6, 3, seconds**2, _product(axes, twice))
     return carry, spread
 
 
@@ -134,18 +139,21 @@ def _series(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """exp of a turn (3, 3); its integral over the step and the integral of that, as parts of the step; and how these two
     times `felt` change with the angle, (3, 3)."""
-    turning, power = _hat(angle), np.eye(3)
+    turning, power = _hat(angle), np.zeros((3, 3))
+    power[0, 0] = power[1, 1] = power[2, 2] = 1.0
     turn, once, twice = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
     by_once, by_twice = np.zeros((3, 3)), np.zeros((3, 3))
-    vector, by_vector = felt.copy(), np.zeros((3, 3))
+    vector, by_vector = felt, np.zeros((3, 3))
     weight = 1.0
     for term in range(_TERMS):
-        turn += weight * power
-        once += weight / (term + 1) * power
-        twice += weight / ((term + 1) * (term + 2)) * power
-        by_once += weight / (term + 1) * by_vector
-        by_twice += weight / ((term + 1) * (term + 2)) * by_vector
-        by_vector = _product(turning, by_vector) - _hat(vector)
+        first, second = weight / (term + 1), weight / ((term + 1) * (term + 2))
+        _add(turn, weight, power)
+        _add(once, first, power)
+        _add(twice, second, power)
+        _add(by_once, first, by_vector)
+        _add(by_twice, second, by_vector)
+        by_vector = _product(turning, by_vector)
+        _add(by_vector, -1.0, _hat(vector))
         vector = _times(turning, vector)
         power = _product(turning, power)
         weight /= term + 1
@@ -157,6 +165,24 @@ def _hat(vector: np.ndarray) -> np.ndarray:
     matrix = np.zeros((3, 3))
     fill_cross(vector, matrix)
     return matrix
+
+
+# loops, and each for arrays of one type only: expressions of whole arrays took 20 s to compile
+
+
+@kernel
+def _add(out: np.ndarray, scale: float, matrix: np.ndarray) -> None:
+    for row in range(matrix.shape[0]):
+        for column in range(matrix.shape[1]):
+            out[row, column] += scale * matrix[row, column]
+
+
+@kernel
+def _put(out: np.ndarray, top: int, left: int, scale: float, matrix: np.ndarray) -> None:
+    """What is in `out` from (top, left) on becomes scale times the matrix."""
+    for row in range(matrix.shape[0]):
+        for column in range(matrix.shape[1]):
+            out[top + row, left + column] = scale * matrix[row, column]
 
 
 @kernel
@@ -177,4 +203,17 @@ def _product(one: np.ndarray, other: np.ndarray) -> np.ndarray:
             if value != 0.0:
                 for column in range(other.shape[1]):
                     result[row, column] += value * other[middle, column]
+    return result
+
+
+@kernel
+def _transformed(carry: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """C P C'."""
+    half, result = _product(carry, covariance), np.zeros(covariance.shape)
+    for row in range(half.shape[0]):
+        for middle in range(half.shape[1]):
+            value = half[row, middle]
+            if value != 0.0:
+                for column in range(len(carry)):
+                    result[row, column] += value * carry[column, middle]
     return result
