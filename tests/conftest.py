@@ -27,6 +27,10 @@ hypothesis.settings.load_profile("untimed")
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = "tests/service/page/"
+FEW_KERNELS = ("tests", "io", "foundation", "fuzz", "sources", "steps", "plan")
+"""Folders of tests that need few kernels, ..."""
+MANY_KERNELS = ("test_settings_have_effects.py", "test_importing.py", "test_odometry.py", "test_turning.py")
+"""... and files in them that need many."""
 
 
 def pytest_addoption(parser):
@@ -43,11 +47,13 @@ def pytest_addoption(parser):
 def pytest_collection_modifyitems(items):
     """The longest files first, so that none of them is left for one of several processes at the end.
 
-    Before them those that need few kernels, which may be compiled meanwhile; deployments late: what they run is compiled
-    by then, for which a slow machine takes minutes.
+    Before them those that need few kernels, which may be compiled meanwhile: what two processes need at once, both
+    compile. Deployments late: what they run is compiled by then, for which a slow machine takes minutes. After them many
+    files of some seconds each.
     """
-    order = {"page": -2, "workers": -1, "deploy": 1} | dict.fromkeys(("io", "sources", "steps", "plan"), -3)
-    items.sort(key=lambda item: order.get(item.path.parent.name, 0))
+    order = {"page": -2, "workers": -1, "service": 0, "server": 0, "packages": 0, "deploy": 1}
+    order |= dict.fromkeys(FEW_KERNELS, -3)
+    items.sort(key=lambda item: 1 if item.path.name in MANY_KERNELS else order.get(item.path.parent.name, 2))
 
 
 @pytest.hookimpl(optionalhook=True)

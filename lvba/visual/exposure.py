@@ -301,10 +301,15 @@ def _places(
     target: np.ndarray,
 ) -> PairPlaces:
     """Where points (N,) are in their reference images and in targets (N,)."""
+    pixels = points.pixel.astype(float)
     landed, _, _ = photometric_shared.centers(
-        point, target, np.ascontiguousarray(world_from_camera), intrinsics_of(camera), kernel_patches(points)
+        point,
+        target,
+        np.ascontiguousarray(world_from_camera),
+        intrinsics_of(camera),
+        kernel_patches(points)._replace(pixel=pixels),
     )
-    reference = vignetting.places(raw, camera, points.pixel.astype(float))
+    reference = vignetting.places(raw, camera, pixels)
     return PairPlaces(reference[point], vignetting.places(raw, camera, landed))
 
 

@@ -264,7 +264,7 @@ def _select_images(
         if score is None:
             scores = np.stack(list(in_order(difference_of_gaussians, images[part])))
         else:
-            scores = np.broadcast_to(score, (len(images[part]), *score.shape))
+            scores = np.repeat(score[None], len(images[part]), axis=0)  # the kernel compiles for one layout
         poses = np.ascontiguousarray(world_from_camera[part])
         parts.append(
             patches.select_points(

@@ -140,9 +140,9 @@ def depth_buffers(
     poses, points = np.ascontiguousarray(world_from_camera), plane_points.points_world
 
     def buffers(part: slice, size: float) -> np.ndarray:
-        return nearest_points(
-            points, ranges[part], poses[part], intrinsics, camera.width, camera.height, size, 0.1
-        )
+        # the kernel compiles for one layout
+        own, at = np.ascontiguousarray(ranges[part]), np.ascontiguousarray(poses[part])
+        return nearest_points(points, own, at, intrinsics, camera.width, camera.height, size, 0.1)
 
     finest = camera.width / 160
     some = buffers(slice(None, None, max(len(poses) // 8, 1)), finest)

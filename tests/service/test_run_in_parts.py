@@ -40,8 +40,10 @@ def runs(street, lvba, tmp_path_factory):
     options = {
         "whole": (),
         "parts": PARTS,
+        # its scans are looked at, nothing else
         "merged": (
-            *PARTS, "--set", "merge.coarse_rounds=0", "--set", "merge.scan_rounds=0", "--set", "merge.image_rounds=0",
+            *PARTS, "--set", "merge.coarse_rounds=0", "--set", "merge.scan_rounds=0", "--set", "refine_cameras=false",
+            "--set", "evaluate.max_images=2",
         ),
     }  # fmt: skip
     for name, more in options.items():
