@@ -1,7 +1,8 @@
 """Scans from raw packets of Velodyne's sensors (velodyne_msgs/VelodyneScan): VLP-16, Puck Hi-Res, HDL-32E and VLP-32C.
 
-Sources: Velodyne's user manuals of these (packet structure, laser angles, firing times). A block has 32 returns and the
-azimuth of the first of them, clockwise seen from above; the sensor turns on between firings.
+Sources: Velodyne's user manuals (packet structure, firing times, laser angles but those of the VLP-32C). The angles of
+the VLP-32C, and how far off the axis beams meet, are known by comparison with velodyne-decoder only. A block has 32
+returns and the azimuth of the first of them, clockwise seen from above; the sensor turns on between firings.
 """
 
 from collections.abc import Iterator
