@@ -39,7 +39,7 @@ class JointRound:
     """One association over all blocks and the step that followed it.
 
     cost: squared normalized residuals per point; moved: m, the furthest that a scan moved; refused: that it was to
-    move, but did not
+    move, but did not; small: that it moved scans by less than poses that stand still may
     """
 
     stage: int
@@ -50,6 +50,7 @@ class JointRound:
     moved: float
     degenerate_scans: int
     refused: bool
+    small: bool
 
 
 @dataclass(frozen=True)
@@ -133,6 +134,7 @@ def step(
     change = _solve(equations, state.damping, config)
     moved = geometry.retract(state.world_from_scan, change)
     distance = _moved(moved, state.world_from_scan)
+    gain = abs(float(np.sum(equations.gradient * change))) / (6 * scans)
     entry = JointRound(
         stage=number,
         planes=whole.planes,
@@ -142,13 +144,14 @@ def step(
         moved=distance,
         degenerate_scans=int(np.count_nonzero(directions.count)),
         refused=_grows(state, distance, number, stage),
+        small=distance < stage.pose_tolerance or gain < stage.cost_tolerance,
     )
     projector = directions.projector if state.group_size else None
     if entry.refused:
         damping = levenberg_marquardt.raised(state.damping)
         return replace(state, damping=damping, history=(*state.history, entry), projector=projector)
-    gain = abs(float(np.sum(equations.gradient * change))) / (6 * scans)
-    still = distance < stage.pose_tolerance or gain < stage.cost_tolerance
+    # a step at two levels goes part of the way: how far it is still is what the next one tells
+    still = entry.small and (not state.group_size or _was_small(state, number))
     held = directions.count == 0
     prior = reestimated(state.prior, moved, held, config.prior_sigmas) if still else state.prior
     return replace(
@@ -160,6 +163,11 @@ def step(
         history=(*state.history, entry),
         projector=projector,
     )
+
+
+def _was_small(state: JointState, number: int) -> bool:
+    """Whether the last round was of this stage, and small."""
+    return bool(state.history) and state.history[-1].stage == number and state.history[-1].small
 
 
 def _grows(state: JointState, distance: float, number: int, stage: Stage) -> bool:

@@ -98,6 +98,19 @@ def test_rounds_at_two_levels_end_where_all_pairs_of_scans_do(world):
     np.testing.assert_allclose(deviation, expected, rtol=0.1)
 
 
+def test_a_step_at_two_levels_is_not_the_whole_way(world):
+    """With all pairs the first small step is the last one; at two levels the next one tells what was left."""
+    truth, rough, cells = world
+    rng = np.random.default_rng(1)
+    start = geometry.retract(truth, rng.normal(size=(SCANS, 6)) * np.repeat([5e-4, 3e-3], 3))
+    state = lidar_joint.begin(rough, start, CONFIG)
+    whole, grouped = (rounds(cells, replace(state, group_size=size), 8)[0] for size in (0, TILE))
+    for each, needed in ((whole, 1), (grouped, 2)):
+        small = [entry.small for entry in each.history]
+        assert each.converged_stage == len(STAGES) - 1
+        assert small == [False] * (len(small) - needed) + [True] * needed
+
+
 def test_what_planes_leave_open_stays_at_the_odometry_at_two_levels():
     """Along a wall on flat ground nothing tells how far one went."""
     world = plane_world.World()
