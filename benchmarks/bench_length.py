@@ -97,11 +97,12 @@ def _said(dataset: Path) -> float:
     """Peak memory of the largest process as it is said before a run, MB."""
     from lvba.blocks import memory, split, survey
     from lvba.io.dataset import open_dataset
+    from lvba.pipeline import Config
 
-    opened = open_dataset(dataset)
+    config, opened = Config(), open_dataset(dataset)
     load = survey.load_of(opened)
     parts = split.parts(opened, split.SplitConfig(**_CUT), load)  # type: ignore[arg-type]
-    return memory.peaks(opened, parts, load).largest / 1e6
+    return memory.peaks(opened, parts, load, config.merge.near_m, config.visual.keyframes).largest / 1e6
 
 
 def _processor_seconds() -> float:

@@ -138,12 +138,13 @@ class Load:
     """What a recording asks of memory.
 
     points_per_scan: mean number of points; pixels_per_image: width times height
-    reach_m: how far all but few points are from the sensor
+    reach_m, range_m: how far all but few points are from the sensor, and half of them
     """
 
     points_per_scan: float
     pixels_per_image: float
     reach_m: float = 100.0
+    range_m: float = 10.0
 
 
 BASE_BYTES = 350e6
@@ -164,10 +165,15 @@ BYTES_PER_IMAGE = 4e6
 
 def memory_bytes(load: Load, scans: float, images: float) -> float:
     """Peak memory that a part of so many scans and images takes, bytes."""
+    lidar = BYTES_PER_POINT * load.points_per_scan * scans + BYTES_PER_PAIR_OF_SCANS * scans**2
+    return max(BASE_BYTES + lidar, visual_bytes(load, scans, images))
+
+
+def visual_bytes(load: Load, scans: float, images: float) -> float:
+    """Peak memory of the steps that look at so many images and the planes of so many scans, bytes."""
     points, pixels = load.points_per_scan * scans, load.pixels_per_image * images
     visual = VISUAL_BYTES_PER_POINT * points + BYTES_PER_PIXEL * pixels + BYTES_PER_IMAGE * images
-    lidar = BYTES_PER_POINT * points + BYTES_PER_PAIR_OF_SCANS * scans**2
-    return BASE_BYTES + max(lidar, visual)
+    return BASE_BYTES + visual
 
 
 def parts(dataset: Dataset, config: SplitConfig, load: Load) -> list[Part]:

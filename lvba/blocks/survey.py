@@ -52,8 +52,8 @@ def load_of(dataset: Dataset) -> Load:
     """How much memory the recording's frames take, from a few scans."""
     few = recordings.load_scans(dataset, sampled(dataset)[::4])
     pixels = dataset.camera.width * dataset.camera.height if dataset.image_paths else 0
-    count, _, reach = _sizes(dataset, few)
-    return Load(count, float(pixels), reach)
+    count, middle, reach = _sizes(dataset, few)
+    return Load(count, float(pixels), reach, middle)
 
 
 def _sizes(dataset: Dataset, scans: list[np.ndarray]) -> tuple[float, float, float]:

@@ -64,15 +64,29 @@ def factor(
     Raises MemoryError: the band would be larger than MOST_BYTES.
     """
     order = _order(rows, columns, len(diagonal))
-    place = np.empty(len(order), np.int64)
-    place[order] = np.arange(len(order))
-    band = _band(rows, columns, blocks, diagonal, free, place)
+    band = _band(rows, columns, blocks, diagonal, free, _place(order))
     try:
         return BandedCholesky(
             cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False), order, free
         )
     except np.linalg.LinAlgError:
         return None
+
+
+def width_of(rows: np.ndarray, columns: np.ndarray, count: int) -> int:
+    """How many blocks wide the band of so many blocks is that are coupled in pairs; rows, columns: (M,) integers."""
+    return _width(rows, columns, _place(_order(rows, columns, count)))
+
+
+def _place(order: np.ndarray) -> np.ndarray:
+    """(B,), of each block in an order of them."""
+    place = np.empty(len(order), np.int64)
+    place[order] = np.arange(len(order))
+    return place
+
+
+def _width(rows: np.ndarray, columns: np.ndarray, place: np.ndarray) -> int:
+    return int(np.abs(place[rows] - place[columns]).max(initial=0)) + 1
 
 
 def _diagonal_of_inverse(lower: np.ndarray, size: int) -> np.ndarray:
@@ -131,8 +145,7 @@ def _band(
     """
     count, size = diagonal.shape
     first, second = place[rows], place[columns]
-    reach = int(np.abs(first - second).max(initial=0))
-    width = (reach + 1) * size
+    width = _width(rows, columns, place) * size
     if 8.0 * width * count * size > MOST_BYTES:
         raise MemoryError(f"a band of {8e-9 * width * count * size:.1f} GB")
     band = np.zeros((count * size, width)).T  # as LAPACK has it in memory, so that it is factored in place

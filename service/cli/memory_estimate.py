@@ -23,7 +23,7 @@ def announce(arguments: argparse.Namespace, dataset: Dataset, config: Config, di
     """
     load = survey.load_of(dataset)
     cores = split.parts(dataset, config.split, load)
-    peaks = memory.peaks(dataset, cores, load)
+    peaks = memory.peaks(dataset, cores, load, config.merge.near_m, config.visual.keyframes)
     needed = peaks.largest
     given = clusters.memory_bytes(arguments)
     if given is not None and needed > given:
@@ -49,7 +49,8 @@ def _too_little(peaks: Peaks, given: int, parts: int) -> InputError:
     needed = peaks.largest
     what = "the recording" if parts == 1 else f"the largest of {parts} parts"
     if peaks.part <= given:
-        what = "a joint round of all scans" if peaks.joint == needed else "the map of a region"
+        rounds = {peaks.joint: "a joint round of all scans", peaks.cameras: "a joint round of all cameras"}
+        what = rounds.get(needed, "the map of a region")
     mend = f"give each worker {needed / 1e9 + 0.05:.1f} GB or more"
     smaller = given / 1e9
     if smaller >= _LEAST_PART_GB and peaks.part > given:

@@ -13,6 +13,7 @@ from lvba.kernels.lidar import TILE
 from lvba.optim import linear_solver, two_level
 from lvba.optim.normal_equations import NormalEquations
 from lvba.trajectory import Trajectory
+from lvba.visual.keyframes import KeyframeConfig
 
 
 def poses_at(positions):
@@ -75,19 +76,53 @@ def test_memory_grows_no_faster_than_the_scans():
     )
 
 
-def test_the_largest_of_part_region_and_joint_round_counts():
-    path = Trajectory(np.arange(600.0), site(600))
-    names = tuple(map(str, range(600)))
+@pytest.mark.parametrize(("places", "within"), [(street(500), 1.1), (site(500), 1.05), (site(100), 1.05)])
+def test_a_joint_round_of_cameras_takes_what_is_said(places, within):
+    """Of keyframes that are tied as far away as they may be: all pairs within 16 m of each other."""
+    few = equations(places, 8.0)
+    tied = NormalEquations(
+        rows=few.rows,
+        columns=few.columns,
+        blocks=np.where((few.rows == few.columns)[:, None, None], 1e3 * np.eye(7), 0.1 * np.ones((7, 7))),
+        gradient=np.zeros((len(places), 7)),
+        cost=0.0,
+    )
+    factor = linear_solver.factorize(tied, 1e-9).poses
+    held = 3 * tied.blocks.nbytes + factor.lower.nbytes
+    assert held <= memory.camera_bytes(places, 8.0) <= within * held
+
+
+def test_a_joint_round_of_cameras_grows_with_a_street_and_faster_in_a_site():
+    def ratio(place):
+        return memory.camera_bytes(place(2_000), 8.0) / memory.camera_bytes(place(1_000), 8.0)
+
+    assert ratio(street) == pytest.approx(2.0, rel=0.05)
+    assert 3.5 < ratio(site) < 4.5
+    assert memory.camera_bytes(site(0), 8.0) == 0.0
+
+
+def recording(scans, load, size=10):
+    """So many scans of a site, each with an image, in parts without overlap: dataset, parts, load and settings."""
+    path = Trajectory(np.arange(float(scans)), site(scans))
+    names = tuple(map(str, range(scans)))
     camera = MountedCamera(Camera(640, 480, 500, 500, 320, 240), np.eye(4))
     dataset = Dataset("site", names, path, names, path, (camera,))
-    load = Load(3_000, 640 * 480, 50.0)
-    bounds = [(10 * n, 10 * n + 10) for n in range(60)]
+    bounds = [(begin, begin + size) for begin in range(0, scans, size)]
     parts = [Part(n, each, each, each, each) for n, each in enumerate(bounds)]
-    found = memory.peaks(dataset, parts, load)
-    assert found.part == split.memory_bytes(load, 10, 10)
+    return dataset, parts, load, 8.0, KeyframeConfig()
+
+
+def test_the_largest_of_part_region_and_joint_rounds_counts():
+    load = Load(3_000, 640 * 480, 50.0)
+    dataset, parts, *rest = recording(600, load)
+    found = memory.peaks(dataset, parts, *rest)
+    # a part is looked at with half as many frames that others took at the same place
+    assert found.part == split.visual_bytes(load, 15, 15) > split.memory_bytes(load, 10, 10)
     assert found.region == split.BASE_BYTES + split.BYTES_PER_POINT * 3_000 * 40
-    assert found.joint == split.BASE_BYTES + memory.joint_bytes(path.world_from_sensor, 50.0)
-    assert found.largest == found.joint
+    assert found.joint == split.BASE_BYTES + memory.joint_bytes(dataset.scans.world_from_sensor, 50.0)
+    assert found.cameras == split.BASE_BYTES + memory.camera_bytes(dataset.images.world_from_sensor, 8.0)
+    assert found.largest == found.cameras > found.joint
     whole = (0, 600)
-    alone = memory.peaks(dataset, [Part(0, whole, whole, whole, whole)], load)
-    assert (alone.largest, alone.region, alone.joint) == (split.memory_bytes(load, 600, 600), 0.0, 0.0)
+    alone = memory.peaks(dataset, [Part(0, whole, whole, whole, whole)], *rest)
+    assert (alone.largest, alone.region) == (split.memory_bytes(load, 600, 600), 0.0)
+    assert (alone.joint, alone.cameras) == (0.0, 0.0)
