@@ -29,7 +29,13 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGE = "tests/service/page/"
 FEW_KERNELS = ("tests", "io", "foundation", "fuzz", "sources", "steps", "plan")
 """Folders of tests that need few kernels, ..."""
-MANY_KERNELS = ("test_settings_have_effects.py", "test_importing.py", "test_odometry.py", "test_turning.py")
+MANY_KERNELS = (
+    "test_evaluation.py",
+    "test_importing.py",
+    "test_odometry.py",
+    "test_settings_have_effects.py",
+    "test_turning.py",
+)
 """... and files in them that need many."""
 
 

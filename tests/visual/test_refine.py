@@ -110,9 +110,9 @@ def test_images_that_show_nothing_are_an_error_that_says_so(room):
 def test_a_level_at_which_nothing_is_seen_twice_is_passed_over(room, monkeypatch):
     find = visibility.find
 
-    def near_sighted(images, camera, *others, **more):
-        points, observations = find(images, camera, *others, **more)
-        if camera.width < CAMERA.width:
+    def near_sighted(level, *others, **more):
+        points, observations = find(level, *others, **more)
+        if level.camera.width < CAMERA.width:
             observations = Observations(*(getattr(observations, f.name)[:0] for f in fields(observations)))
         return points, observations
 
