@@ -5,10 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lvba.sources.odometry.registration import SURPRISING, Step
+from lvba.sources.odometry.registration import OPEN, SURPRISING, Step
 
-_OPEN_M, _OPEN_RAD = 0.05, 0.03
-"""A direction of a scan that planes tell less than this about is open: the prediction alone holds it."""
 _WARM_UP = 10
 """Scans at the begin: speed, gravity and biases are not known yet."""
 _BRIDGED_S = {True: 1.0, False: 0.3}
@@ -55,7 +53,7 @@ def judge(steps: Sequence[Step], forces: bool) -> Verdict:
             surprising_part=0.0,
             unmatched_part=0.0,
         )
-    open_ = np.array([step.weakest_m > _OPEN_M or step.weakest_rad > _OPEN_RAD for step in judged])
+    open_ = np.array([step.sway > OPEN for step in judged])
     surprising = np.array([step.surprise > SURPRISING for step in judged])
     matched = np.array([step.registered.matched for step in judged])
     unmatched = matched < _ALONE * np.median(matched)

@@ -35,7 +35,7 @@ class LocalMap:
 
     def __init__(self, voxel: float) -> None:
         self._gicp = load()
-        self._voxel = voxel
+        self.voxel = voxel
         self._map = self._gicp.GaussianVoxelMap(voxel)
         self._map.set_lru(_KEPT_SCANS, 10)
 
@@ -44,7 +44,7 @@ class LocalMap:
 
         points: (N, 3) float64, m, LiDAR frame
         """
-        cloud, _ = self._gicp.preprocess_points(points, self._voxel / 2, _NEIGHBORS, 1)
+        cloud, _ = self._gicp.preprocess_points(points, self.voxel / 2, _NEIGHBORS, 1)
         return cloud
 
     def add(self, cloud: Any, map_from_lidar: Pose) -> None:

@@ -3,12 +3,13 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain, islice
+from typing import Any
 
 import numpy as np
 
 from lvba import geometry
-from lvba.arrays import Pose
-from lvba.optim import linear_solver, normal_equations
+from lvba.arrays import Pose, Vectors
+from lvba.optim import normal_equations
 from lvba.optim.levenberg_marquardt import damped_step
 from lvba.optim.normal_equations import NormalEquations
 from lvba.sources.odometry import information as informations
@@ -26,8 +27,10 @@ _HEAD_ROUNDS = (_STEADY, 1, 1)
 """By the motion of which of them the first sweep is deskewed, round by round."""
 SURPRISING = 3.5
 """Standard deviations between registration and prediction that chance does not explain."""
-_FLOOR = 1 / np.array([1.0, 1.0, 1.0, 10.0, 10.0, 10.0]) ** 2
-"""What is not known is known to a radian and ten meters, so that it can be inverted."""
+_TRIED = 2
+"""In so many directions, of those that planes tell least about, a scan is registered again from a cell away."""
+OPEN = 0.5
+"""A scan that ends farther from its pose than this part of a cell is held by no surface in some direction."""
 
 
 @dataclass(frozen=True)
@@ -35,16 +38,15 @@ class Step:
     """What the odometry found at one scan.
 
     time: s; world_from_lidar: (4, 4); registered: as the map alone has it
-    weakest_m, weakest_rad: standard deviation of the registration in its weakest direction
     surprise: how far the registration is from the prediction, in standard deviations of both together
+    sway: 0: the scan comes back to the same place when its registration starts elsewhere; 1: it stays where it starts
     """
 
     time: float
     world_from_lidar: Pose
     registered: Registered
-    weakest_m: float
-    weakest_rad: float
     surprise: float
+    sway: float
 
 
 def odometry(sweeps: Iterable[Sweep], voxel: float, imu: Inertial | None = None) -> Iterator[Step]:
@@ -115,9 +117,8 @@ def _first_step(motion: Motion, points: int) -> Step:
         time=motion.time,
         world_from_lidar=motion.pose,
         registered=Registered(motion.pose, 1.0, points, 0.0),
-        weakest_m=0.0,
-        weakest_rad=0.0,
         surprise=0.0,
+        sway=0.0,
     )
 
 
@@ -134,17 +135,38 @@ def _go_on(
         pose, surprise = _fused(registered.map_from_lidar, information, prediction, robust)
         moved = geometry.log(geometry.inverse(motion.pose) @ pose) / (sweep.time - motion.time)
         during = np.r_[during[:3] if prediction.turn is not None else moved[:3], moved[3:]]
+    sway = _sway(local, cloud, registered.map_from_lidar, information, points)
     local.add(local.prepared(deskewed(sweep, during)), pose)
-    covariance = linear_solver.covariance(_equations(information + np.diag(_FLOOR), np.zeros(6))).blocks[0]
     step = Step(
         time=sweep.time,
         world_from_lidar=pose,
         registered=registered,
-        weakest_m=float(np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1])),
-        weakest_rad=float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1])),
         surprise=surprise,
+        sway=sway,
     )
     return moved_on(motion, sweep.time, pose, registered.map_from_lidar, prediction), step
+
+
+def _sway(local: LocalMap, cloud: Any, registered: Pose, information: np.ndarray, points: Vectors) -> float:
+    """How far from its pose a scan ends when its registration starts a cell away, in cells: the most of some directions.
+
+    registered: (4, 4), as the map alone has it; information: (6, 6), rad and m; points: (N, 3), m, LiDAR frame
+    Where surfaces hold a scan, however little, it comes back. Where they do not, it ends wherever noise and the cells of
+    the map keep it, and of that its information says nothing.
+    """
+    size = np.repeat(
+        [np.median(np.linalg.norm(points, axis=1)), 1.0], 3
+    )  # m, how far a unit of tangent moves points
+    _, directions = np.linalg.eigh(information / size[:, None] / size)
+    sway = 0.0
+    for direction in directions.T[:_TRIED]:
+        start = geometry.retract(registered, local.voxel * direction / size)
+        end = local.register(cloud, start, _REACHES[0] * local.voxel).map_from_lidar
+        off = geometry.log(geometry.inverse(registered) @ end)
+        sway = max(sway, float(np.linalg.norm(off * size)) / local.voxel)
+        if sway > OPEN:
+            break
+    return sway
 
 
 def _fused(
