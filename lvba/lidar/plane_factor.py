@@ -11,9 +11,6 @@ from lvba.lidar.panels import Panels
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
 from lvba.optim.normal_equations import NormalEquations
 
-HESSIAN_BYTES_PER_POSE_SQUARED = 6 * 6 * 8
-"""Memory of the dense Hessian: this times the square of the number of scans."""
-
 
 def linearize(
     features: PlaneFeatures,

@@ -51,11 +51,6 @@ def _has_frames(out: Path) -> bool:
     return any((out / name).is_dir() and files.names_in(out / name) for name in (SCANS, IMAGES))
 
 
-def is_import(out: Path) -> bool:
-    """Whether a folder holds an import, finished or not."""
-    return os.path.isfile(out / STATE)
-
-
 def _text(key: str, done: bool) -> str:
     return json.dumps({"key": key, "done": done}) + "\n"
 
