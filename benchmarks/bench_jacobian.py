@@ -27,7 +27,9 @@ from lvba.visual.image import DARK, SATURATED
 from lvba.visual.photometric import PhotometricState, Problem
 from lvba.visual.states import CameraStates
 
-sys.path.append(str(Path(__file__).resolve().parent.parent / "tests" / "visual"))
+sys.path.append(str(Path(__file__).resolve().parent.parent / "tests" / "support"))
+
+import textured_planes
 
 CAMERA = Camera(320, 240, 190.0, 190.0, 159.5, 119.5)
 IMAGES = 10
@@ -130,8 +132,6 @@ def linearize_by_centers(problem: Problem, state: PhotometricState) -> NormalEqu
 
 def room(patch: int) -> tuple[Problem, PhotometricState, np.ndarray]:
     """The problem, its rough start (5 mm, 0.1 degrees off), and the true poses."""
-    import textured_planes
-
     world, poses = textured_planes.room(), textured_planes.walk(IMAGES)
     images = textured_planes.render(world, poses, CAMERA, np.ones(IMAGES), noise=2.0)
     points, observations = textured_planes.scene_points(world, poses, CAMERA, step=14, radius=patch // 2)
