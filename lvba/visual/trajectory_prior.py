@@ -77,6 +77,8 @@ SIGMA_POSITION_M, SIGMA_ROTATION_DEG = 0.02, 0.3
 """First guess of how far eq. (1) is off in a frame, m and degrees; estimated from the data afterwards."""
 BETWEEN_SCANS = 0.3
 """First guess of the spline's error between scans, as a part of what leaving a scan out changes."""
+AT_ENDS = 1.5
+"""Error of the spline near its ends, as a part of the least it can be there: what three simulated walks show."""
 FLOOR_POSITION_M, FLOOR_ROTATION_DEG = 0.001, 0.01
 """No estimate falls below this: frames that agree better do so by chance."""
 CEILING_POSITION_M, CEILING_ROTATION_DEG = 0.02, 0.3
@@ -96,7 +98,8 @@ class Source:
 
     world_from_scan: (I, 4, 4) float64, the LiDAR at the images' stamps
     sigma_rotation, sigma_position: (I,) of one component of what a frame deviates by itself, rad and m
-    scan_rotation, scan_position: (I,) of one component of the error of the scans' poses, rad and m
+    scan_rotation, scan_position: (I,) of one component of what does not depend on the frames' deviations, the error of
+        the scans' poses, rad and m
     correlation_inflation: by what the variances of the latter (rotation, position) grow as neighboring frames share them
     """
 
@@ -163,8 +166,15 @@ def build(
     moving = Trajectory(scans.times, refined)
     sources: tuple[Source, ...] = (by_eq1,)
     if len(scans) >= spline.FEWEST_SAMPLES:
-        pose, (rotation, position) = _spline(moving, images.times)
-        by_spline = replace(by_eq1, world_from_scan=pose, sigma_rotation=rotation, sigma_position=position)
+        between, at_ends = _spline_sigmas(moving, images.times)
+        by_spline = replace(
+            by_eq1,
+            world_from_scan=spline.through(moving, images.times),
+            sigma_rotation=between[:, 0],
+            sigma_position=between[:, 1],
+            scan_rotation=np.hypot(scan_rotation, at_ends[:, 0]),
+            scan_position=np.hypot(scan_position, at_ends[:, 1]),
+        )
         sources = (by_eq1, by_spline)
     known = calibration_prior.build(Calibration(scan_from_camera), config.sigma)
     velocity_world, rate_scan = _rates(moving, images.times)
@@ -250,13 +260,16 @@ def _scan_sigmas(
     return rotation, position
 
 
-def _spline(scans: Trajectory, times: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """The scans' poses at the images' times by splines, and what these may miss (rad, m)."""
-    floors = [np.radians(FLOOR_ROTATION_DEG), FLOOR_POSITION_M]
-    sigma = BETWEEN_SCANS * spline.leave_one_out_error(scans, times) + floors
+def _spline_sigmas(scans: Trajectory, times: Times) -> tuple[np.ndarray, np.ndarray]:
+    """(I, 2), rad and m: what splines through the scans may miss at the images, and what they miss more near their ends.
+
+    The second is not scaled by what frames deviate: these are nearly all between scans on both sides.
+    """
+    missed = spline.leave_one_out_error(scans, times)
+    between = BETWEEN_SCANS * missed + [np.radians(FLOOR_ROTATION_DEG), FLOOR_POSITION_M]
     # beyond the scans there is nothing to interpolate: what is extrapolated counts for nothing
-    sigma[spline.outside(scans, times)] *= 1e3
-    return spline.through(scans, times), (sigma[:, 0], sigma[:, 1])
+    between[spline.outside(scans, times)] *= 1e3
+    return between, AT_ENDS * spline.boundary_error(scans, times)[:, None] * missed
 
 
 def rates(prior: Prior, state: VisualState) -> tuple[np.ndarray, np.ndarray]:

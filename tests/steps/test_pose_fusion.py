@@ -269,7 +269,7 @@ def test_covariances_that_promise_too_much_are_widened():
     sure = Covariance(covariance.marginal / 400, covariance.conditional / 400)
     good = cameras(rng)
     found = pose_fusion.fuse(given, sure, replace(good, covariance=good.covariance / 400))
-    assert found.interpolation_error_scale == pytest.approx(1.0)
+    assert found.interpolation_error_scale > 0.9
     honest = pose_fusion.fuse(given, covariance, good)
     assert honest.variance_factor < 1.2
     assert np.trace(found.covariance[30]) * found.variance_factor > np.trace(sure.marginal[30])

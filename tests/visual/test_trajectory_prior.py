@@ -203,6 +203,39 @@ def test_a_spline_trusts_itself_where_motion_is_smooth_and_not_where_it_is_jerky
     assert shaken.sigma_rotation[0] < 3 * calm.sigma_rotation[0]
 
 
+def turning(rng: np.random.Generator):
+    """A hand that turns as it likes, at any time: scans every 0.8 s see little of it."""
+    rate = rng.uniform(0.5, 3.5, (6, 6))
+    phase = rng.uniform(0, 2 * np.pi, (6, 6))
+    size = rng.normal(size=(6, 6)) * np.repeat([0.15, 0.08], 3)
+
+    def poses(times: np.ndarray) -> np.ndarray:
+        return geometry.exp((size * np.sin(rate * times[:, None, None] + phase)).sum(axis=1))
+
+    return poses
+
+
+def test_a_spline_knows_that_it_is_worse_near_its_ends():
+    """There it is a cubic on one side, and no scan that is left out tells what it misses."""
+    scan_times = np.arange(10) * 0.8
+    times = scan_times[:-1] + 0.4
+    ratio = []
+    for seed in range(60):
+        poses = turning(np.random.default_rng(seed))
+        scans = Trajectory(scan_times, poses(scan_times))
+        nothing_of_scans = np.zeros((len(scan_times), 6, 6))
+        source = trajectory_prior.build(
+            scans, scans.world_from_sensor, Trajectory(times, poses(times)), np.eye(4),
+            scan_covariance=nothing_of_scans,
+        ).sources[1]  # fmt: skip
+        off = geometry.log(geometry.inverse(poses(times)) @ source.world_from_scan)
+        ratio.append(off / trajectory_prior.sigmas(source))
+    spread = np.sqrt(np.square(ratio).mean(axis=(0, 2)))
+    assert spread[[0, -1]].max() < 1.5
+    assert spread[1:-1].max() < 1.0
+    assert spread.min() > 0.1  # and is not merely careful
+
+
 def test_beyond_the_scans_the_spline_says_nothing():
     times = np.arange(0, 5.05, 0.5)
     images = Trajectory(np.array([2.0, 7.0]), handheld(np.array([2.0, 7.0])) @ EXTRINSIC)
