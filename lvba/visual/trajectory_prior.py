@@ -166,12 +166,12 @@ def build(
     moving = Trajectory(scans.times, refined)
     sources: tuple[Source, ...] = (by_eq1,)
     if len(scans) >= spline.FEWEST_SAMPLES:
-        between, at_ends = _spline_sigmas(moving, images.times)
+        within, at_ends = _spline_sigmas(moving, images.times)
         by_spline = replace(
             by_eq1,
             world_from_scan=spline.through(moving, images.times),
-            sigma_rotation=between[:, 0],
-            sigma_position=between[:, 1],
+            sigma_rotation=within[:, 0],
+            sigma_position=within[:, 1],
             scan_rotation=np.hypot(scan_rotation, at_ends[:, 0]),
             scan_position=np.hypot(scan_position, at_ends[:, 1]),
         )
@@ -265,11 +265,11 @@ def _spline_sigmas(scans: Trajectory, times: Times) -> tuple[np.ndarray, np.ndar
 
     The second is not scaled by what frames deviate: these are nearly all between scans on both sides.
     """
-    missed = spline.leave_one_out_error(scans, times)
-    between = BETWEEN_SCANS * missed + [np.radians(FLOOR_ROTATION_DEG), FLOOR_POSITION_M]
+    left_out = spline.leave_one_out_error(scans, times)
+    within = BETWEEN_SCANS * left_out + [np.radians(FLOOR_ROTATION_DEG), FLOOR_POSITION_M]
     # beyond the scans there is nothing to interpolate: what is extrapolated counts for nothing
-    between[spline.outside(scans, times)] *= 1e3
-    return between, AT_ENDS * spline.boundary_error(scans, times)[:, None] * missed
+    within[spline.outside(scans, times)] *= 1e3
+    return within, AT_ENDS * spline.boundary_error(scans, times)[:, None] * left_out
 
 
 def rates(prior: Prior, state: VisualState) -> tuple[np.ndarray, np.ndarray]:
