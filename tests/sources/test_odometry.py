@@ -93,7 +93,8 @@ def test_a_corridor_without_doors_is_told_as_lost(with_imu: bool) -> None:
     found = run(walk, walk.imu if with_imu else None)
     assert found.verdict.lost
     assert found.verdict.first_s is not None
-    assert found.verdict.open_part > 0.5
+    # far beyond the 5 and 20 % that are tolerated; by chance some scans come back to where they were
+    assert found.verdict.open_part > 0.3
 
 
 def test_a_street_with_little_across_it_is_followed() -> None:
@@ -116,6 +117,25 @@ def test_scans_far_apart_are_not_trusted(courtyard: Walk) -> None:
     slow = [replace(step, time=0.5 * number) for number, step in enumerate(steps)]
     assert not gate.judge(steps, forces=False).lost
     assert "0.50 s apart" in gate.judge(slow, forces=False).reasons[0]
+
+
+@pytest.mark.parametrize(
+    ("scans", "surprising", "lost"), [(40, 1, False), (40, 2, True), (290, 2, False), (290, 3, True)]
+)
+def test_one_scan_off_the_motion_is_chance_and_several_are_not(
+    courtyard: Walk, scans: int, surprising: int, lost: bool
+) -> None:
+    [first, step] = list(odometry(courtyard.sweeps[:2], 0.3))
+    off = {20 + number for number in range(surprising)}
+    steps = [first] + [
+        replace(step, time=0.1 * number, surprise=9.0 if number in off else 0.5, sway=0.0)
+        for number in range(1, scans + 10)
+    ]
+    verdict = gate.judge(steps, forces=False)
+    assert verdict.lost is lost
+    if lost:
+        assert f"{surprising} of {scans} scans move as no sensor does" in verdict.reasons[0]
+        assert verdict.first_s == pytest.approx(2.0)
 
 
 def test_too_few_scans_are_lost() -> None:
@@ -162,6 +182,27 @@ def test_noise_of_normals_gives_no_information() -> None:
     along_sigma, across_sigma = (1 / np.sqrt(np.maximum(told[axis, axis], 1e-9)) for axis in (3, 4))
     assert across_sigma < 1e-3
     assert along_sigma > 30 * across_sigma
+
+
+def test_single_beams_on_the_ground_do_not_hide_what_stands_across() -> None:
+    """Points of one beam lie along a line: they say little of how the plane through it is turned about it."""
+    rng = np.random.default_rng(4)
+    spread, thick, thin = (
+        0.02,
+        0.01,
+        0.0005,
+    )  # m: of a beam along the road, of surfaces, of the ground far away
+
+    def patch(x: float, y: float, size: tuple[float, float, float], count: int) -> np.ndarray:
+        return np.array([x, y, 0.5]) + rng.normal(0, 1, (count, 3)) * size
+
+    floor = [patch(x + 0.5, y + 0.5, (0.2, 0.2, thick), 60) for x in range(8) for y in range(20)]
+    beams = [patch(x + 10.5, y + 0.5, (spread, 0.2, thin), 12) for x in range(6) for y in range(20)]
+    wall = [patch(30.5, y + 0.5, (thick, 0.2, 0.2), 30) for y in range(3)]
+    across = information.of_planes(np.concatenate([*floor, *wall]), 1.0)[3, 3]
+    assert across > 0.5 * 90 / thick**2
+    assert information.of_planes(np.concatenate([*floor, *beams, *wall]), 1.0)[3, 3] > 0.8 * across
+    assert information.of_planes(np.concatenate([*floor, *beams]), 1.0)[3, 3] < 0.2 * across
 
 
 def program(folder: Path, text: str) -> str:

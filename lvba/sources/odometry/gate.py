@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
 from lvba.sources.odometry.registration import OPEN, SURPRISING, Step
 
@@ -11,7 +12,11 @@ _WARM_UP = 10
 """Scans at the begin: speed, gravity and biases are not known yet."""
 _BRIDGED_S = {True: 1.0, False: 0.3}
 """How long in a row the prediction alone may hold a direction: with an IMU that feels accelerations, and without."""
-_SURPRISING_PART = {True: 0.06, False: 0.008}
+_SURPRISING_PART = {True: 0.04, False: 0.002}
+"""Of scans whose registration is right: a bump, a scan with a gap. One that went to a wrong place and stays there
+contradicts the motion again at the next scans."""
+_CHANCE = 0.05
+"""That so many scans contradict the motion though the odometry has held: what is less likely is not believed."""
 _OPEN_PART = {True: 0.2, False: 0.05}
 _ALONE = 0.5
 """A scan that finds less than this part of what scans usually find in the map is not registered."""
@@ -59,10 +64,15 @@ def judge(steps: Sequence[Step], forces: bool) -> Verdict:
     unmatched = matched < _ALONE * np.median(matched)
     finite = np.array([np.isfinite(step.world_from_lidar).all() for step in judged])
     seconds = _longest(open_ | unmatched, np.array([step.time for step in judged]))
-    reasons = [
+    count = int(surprising.sum())
+    reasons = (
+        [f"{count} of {len(judged)} scans move as no sensor does"]
+        if _chance(count, len(judged), _SURPRISING_PART[forces]) < _CHANCE
+        else []
+    )
+    reasons += [
         f"{part:.1%} of the scans {what}"
         for part, most, what in (
-            (float(surprising.mean()), _SURPRISING_PART[forces], "move as no sensor does"),
             (float(open_.mean()), _OPEN_PART[forces], "see too few surfaces to be held in every direction"),
             (float(unmatched.mean()), _UNMATCHED_PART, "do not fit the map of those before them"),
         )
@@ -87,6 +97,11 @@ def judge(steps: Sequence[Step], forces: bool) -> Verdict:
         surprising_part=float(surprising.mean()),
         unmatched_part=float(unmatched.mean()),
     )
+
+
+def _chance(count: int, of: int, rate: float) -> float:
+    """That `count` or more of so many scans are of a kind that comes at this rate."""
+    return float(special.bdtrc(count - 1, of, rate)) if count else 1.0
 
 
 def _longest(flags: np.ndarray, times: np.ndarray) -> float:
