@@ -8,7 +8,7 @@ contradict them, weights from each plane's own noise, degenerate directions held
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -41,6 +41,9 @@ class LidarResult:
     step_covariance: (S - 1, 6, 6) float64, the same of the motion from each scan to the next, in the later one's tangent
     variance_factor: actual over modeled variance of the planes' gradients; the covariances are multiplied by it
     shared_factor: what `covariance` is to be multiplied by for what is promised, see `lidar.covariance.Covariance`
+    own_covariance: (S, 6, 6) float64, local tangent, rad and m, of what each scan is off by itself beside that, because
+        the motion that was taken out of its points is uncertain; (0, 6, 6): nothing. Neighbors do not share it, and the
+        other covariances do not hold it
     cost_initial, cost_final: squared normalized residuals per point, of the last association's planes at the
         rough poses and at the refined ones
     degenerate_directions: motions of all scans together that planes do not determine: kept at the odometry
@@ -68,6 +71,18 @@ class LidarResult:
     inertial: InertialResult | None = None
     """What the IMU said; None: there is none."""
     shared_factor: float = 1.0
+    own_covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 6, 6)))
+
+    @property
+    def whole_covariance(self) -> uncertainty.Covariance:
+        """Of the poses, with what each scan is off by itself."""
+        known = uncertainty.Covariance(
+            marginal=self.covariance,
+            conditional=self.conditional_covariance,
+            step=self.step_covariance,
+            shared_factor=self.shared_factor,
+        )
+        return known.with_own(self.own_covariance, self.world_from_scan)
 
 
 def refine(

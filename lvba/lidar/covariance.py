@@ -8,7 +8,7 @@ at the solution are smaller than those at the truth, and on simulated scenes it 
 planes close to each other share, as a depth camera's, show in neither (`lidar.group_deletion`).
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -42,6 +42,16 @@ class Covariance:
     variance_factor: float = 1.0
     shared_factor: float = 1.0
     odometry_dependence: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def with_own(self, own: PoseBlocks, world_from_scan: Poses) -> "Covariance":
+        """Of poses (S, 4, 4) that are each off by something more, independently; own: (S, 6, 6) or (0, 6, 6), nothing."""
+        if not len(own):
+            return self
+        step = self.step
+        if len(step):
+            carry = geometry.adjoint(geometry.inverse(world_from_scan[1:]) @ world_from_scan[:-1])
+            step = step + own[1:] + carry @ own[:-1] @ np.swapaxes(carry, -1, -2)
+        return replace(self, marginal=self.marginal + own, conditional=self.conditional + own, step=step)
 
 
 MOST_NOISE_SCANS = 400

@@ -36,7 +36,7 @@ def scan_covariance(lidar: LidarStage, fused: FusionStage, accepted: Accepted) -
         return None
     if fused.result is not None and accepted.fusion.accepted:
         return lidar.result.shared_factor * fused.result.covariance
-    return lidar.result.shared_factor * lidar.result.covariance
+    return lidar.result.shared_factor * lidar.result.whole_covariance.marginal
 
 
 def _known(covariance: np.ndarray) -> np.ndarray:

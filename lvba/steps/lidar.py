@@ -69,24 +69,14 @@ def solve_lidar(
 
 
 def with_motion(result: LidarResult, errors: ScanErrors | None, scans: Indices) -> LidarResult:
-    """The result of some scans (n,) with covariances as the motion that was taken out of their points is uncertain.
+    """The result of some scans (n,) that knows how uncertain the motion is that was taken out of their points.
 
     errors: of the scans of the recording
     """
     motion = None if errors is None else errors.motion
     if motion is None or not len(motion.pose_covariance):
         return result
-    more, steps = motion.pose_covariance[scans], result.step_covariance
-    if len(steps):
-        later, earlier = result.world_from_scan[1:], result.world_from_scan[:-1]
-        carry = geometry.adjoint(geometry.inverse(later) @ earlier)
-        steps = steps + more[1:] + carry @ more[:-1] @ carry.transpose(0, 2, 1)
-    return replace(
-        result,
-        covariance=result.covariance + more,
-        conditional_covariance=result.conditional_covariance + more,
-        step_covariance=steps,
-    )
+    return replace(result, own_covariance=motion.pose_covariance[scans])
 
 
 def _imu(dataset: Dataset) -> Imu | None:

@@ -129,7 +129,4 @@ def scan_covariance(lidar: LidarStage, scans: ScanPoses) -> Covariance | None:
     """The covariances of the scan poses in use; None where these are the input's."""
     if lidar.result is None or not scans.verdict.accepted:
         return None
-    result = lidar.result
-    return Covariance(
-        marginal=result.covariance, conditional=result.conditional_covariance, step=result.step_covariance
-    )
+    return lidar.result.whole_covariance

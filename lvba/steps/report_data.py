@@ -139,7 +139,7 @@ def of_lidar(lidar: LidarStage, scans: ScanPoses, accepted: Accepted) -> dict[st
             lidar.result,
             but=(
                 *("world_from_scan", "planes", "plane_points"),
-                *("covariance", "conditional_covariance", "step_covariance", "inertial"),
+                *("covariance", "conditional_covariance", "step_covariance", "own_covariance", "inertial"),
             ),
         )
         if lidar.result.inertial is not None:

@@ -63,7 +63,11 @@ def find_planes(
 
 
 def _uncertainty(lidar: LidarStage, scans: np.ndarray) -> Covariance:
-    """Of some scans (n,); steps between scans are known of an undivided recording only."""
+    """Of some scans (n,); steps between scans are known of an undivided recording only.
+
+    Without what each scan is off by itself: how far single frames deviate is read off the cameras, and what neighbors
+    do not share would count as an error that they do.
+    """
     assert lidar.result is not None
     result = lidar.result
     every = len(scans) == len(result.covariance)
