@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -187,18 +188,26 @@ class _Graph:
     second: np.ndarray
     component: np.ndarray
 
-    def factor(self, weight: np.ndarray) -> "_Factor":
-        """The edges' normal equations, factorized."""
-        images = len(self.component)
-        free = np.setdiff1d(np.arange(images), np.unique(self.component, return_index=True)[1])
+    @cached_property
+    def free(self) -> np.ndarray:
+        """(F,) int64: images but the first of every component."""
+        return np.setdiff1d(np.arange(len(self.component)), np.unique(self.component, return_index=True)[1])
+
+    @cached_property
+    def incidence(self) -> sparse.csr_matrix:
+        """(E, F): -1 and 1 at the images of an edge, as far as they are free."""
         rows = np.tile(np.arange(len(self.first)), 2)
         signs = np.repeat([-1.0, 1.0], len(self.first))
-        incidence = sparse.csr_matrix(
-            (signs, (rows, np.concatenate([self.first, self.second]))), shape=(len(self.first), images)
-        )[:, free]
-        weighted = incidence.multiply(weight[:, None]).tocsr()
-        solver = splu((incidence.T @ weighted).tocsc()) if len(free) else None
-        return _Factor(self.component, free, weighted, solver)
+        ends = np.concatenate([self.first, self.second])
+        shape = len(self.first), len(self.component)
+        return sparse.csr_matrix((signs, (rows, ends)), shape=shape)[:, self.free]
+
+    def factor(self, weight: np.ndarray) -> "_Factor":
+        """The edges' normal equations, factorized."""
+        weighted = self.incidence.copy()
+        weighted.data *= np.repeat(weight, np.diff(weighted.indptr))
+        solver = splu((self.incidence.T @ weighted).tocsc()) if len(self.free) else None
+        return _Factor(self.component, self.free, weighted, solver)
 
     def solve_robustly(self, value: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The images' values (I,) that fit the edges' (E,) with standard deviations (E,), and the edges' weights.

@@ -73,7 +73,8 @@ def test_moves_without_groups_against_whole_matrices(clean):
             weight = np.linalg.inv(promised[own, own] + 1e-12 * np.eye(6))
             moved += (other - found)[own] @ weight @ (other - found)[own]
             expected += np.trace(weight @ (spread - promised)[own, own])
-    np.testing.assert_allclose(group_deletion._moves(problem, poses, group), (moved, expected), rtol=1e-6)
+    whole = group_deletion._Whole.of(problem, poses)
+    np.testing.assert_allclose(group_deletion._moves(whole, group), (moved, expected), rtol=1e-6)
 
 
 def test_noise_alone_is_as_large_as_promised(clean):
@@ -97,19 +98,28 @@ def test_shared_errors_are_told_that_single_planes_do_not_show(room):
 def test_windows_of_many_scans_hold_their_planes_alone(clean, monkeypatch):
     problem, poses = clean
     whole = group_deletion.variance_factor(problem, poses)
-    monkeypatch.setattr(group_deletion, "MOST_SCANS", 5)
+    monkeypatch.setattr(group_deletion, "MOST_SCANS", 3)
     windows = list(group_deletion._windows(problem, poses))
-    assert [len(part) for _, part in windows] == [5, 5, 5]
+    assert [len(part) for _, part in windows] == [3, 3, 3]
     window, part = windows[1]
     feature = problem.features.feature
-    inside = (problem.features.scan >= 1) & (problem.features.scan < 6)
+    inside = (problem.features.scan >= 2) & (problem.features.scan < 5)
     many = np.bincount(feature[inside], minlength=len(problem.features)) >= 2
     assert len(window.features) == many.sum()
-    np.testing.assert_array_equal(window.features.scan, problem.features.scan[inside & many[feature]] - 1)
+    np.testing.assert_array_equal(window.features.scan, problem.features.scan[inside & many[feature]] - 2)
     np.testing.assert_allclose(
         window.cost(part), 0.5 * fit(window.features, part).cost / problem.sigma**2 + window.prior.cost(part)
     )
     assert 0.3 * whole < group_deletion.variance_factor(problem, poses) < 3.0 * whole
+
+
+def test_two_windows_are_enough_where_no_scan_is_outside_of_them(clean, monkeypatch):
+    problem, poses = clean
+    monkeypatch.setattr(group_deletion, "MOST_SCANS", 5)
+    windows = list(group_deletion._windows(problem, poses))
+    np.testing.assert_array_equal(windows[0][1], poses[:5])
+    np.testing.assert_array_equal(windows[1][1], poses[3:])
+    assert len(windows) == 2
 
 
 def test_without_odometry_or_with_few_pieces_nothing_is_told(clean, monkeypatch):
