@@ -12,7 +12,7 @@ import numpy as np
 from lvba.blocks import motion_left, scan_windows
 from lvba.blocks.scan_windows import Window
 from lvba.dataset import Dataset
-from lvba.lidar import range_errors, scan_evidence, scan_motion
+from lvba.lidar import incidence, range_errors, scan_evidence, scan_motion
 from lvba.lidar.bundle_adjustment import LidarResult
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.point_times import PointClock
@@ -45,11 +45,21 @@ def measure(
     """
     points = [scan.points for window in probes for scan in window.scans]
     beams = Beams.of(points, dataset.sensor_position_scan, dataset.sensor_axes_scan)
+    beams = replace(beams, usual=_usual_brightness(probes, beams))
     clock = motion_left.clock(dataset, probes)
     known = None if isinstance(clock, str) else clock
     return _Measurement(dataset=dataset, beams=beams, clock=known, config=config, progress=progress).of(
-        probes, points
+        probes
     )
+
+
+def _usual_brightness(probes: list[Window], beams: Beams) -> float | None:
+    """By one scan of each window; None: scans have no intensities that differ."""
+    scans = [window.scans[len(window.scans) // 2] for window in probes if window.intensity is not None]
+    if not scans or len(scans) < len(probes):
+        return None
+    cosine = np.concatenate([incidence.cosines(scan.points, beams.position) for scan in scans])
+    return range_errors.usual_brightness(np.concatenate([scan.intensity for scan in scans]), cosine)
 
 
 @dataclass
@@ -63,10 +73,13 @@ class _Measurement:
     progress: Progress
     cosines: dict[int, np.ndarray] = field(default_factory=dict)
 
-    def of(self, probes: list[Window], points: list[np.ndarray]) -> RangeErrors:
+    def of(self, probes: list[Window]) -> RangeErrors:
         """By some windows; only where they tell of an error, by larger ones."""
-        together = np.concatenate(points) if points else np.zeros((0, 3))
-        shifts = range_errors.typical_shifts(self.beams, together) if points else np.zeros(0)
+        scans = [scan for window in probes for scan in window.scans]
+        together = np.concatenate([scan.points for scan in scans]) if scans else np.zeros((0, 3))
+        known = [each for window in probes if (each := window.intensity) is not None]
+        intensity = np.concatenate(known) if self.beams.usual is not None else None
+        shifts = range_errors.typical_shifts(self.beams, together, intensity) if scans else np.zeros(0)
         least = range_errors.LEAST_M / np.maximum(shifts, 1e-9)
         total = self._total(probes, np.zeros(self.size))
         own = total.of(self.own)
@@ -83,6 +96,10 @@ class _Measurement:
         for turn in range(_ROUNDS):
             self.progress("errors of ranges", turn, _ROUNDS)
             total = self._total(windows, errors)
+            if turn == 0 and self.beams.plain and total.chance(self.others) <= range_errors.CHANCE:
+                # with errors of its direction that no model has, a real sensor seemed to be 8 cm off
+                self.beams = replace(self.beams, plain=False)
+                return self._closer(windows, least[: self.size], points)
             change, covariance = self._estimate(total.of(self.own))
             if not np.isfinite(covariance).all():
                 return replace(
@@ -183,8 +200,11 @@ class _Measurement:
             *(gather(points), result.world_from_scan, result.planes, result.plane_points),
             self.dataset.sensor_position_scan,
         )
-        self.cosines[number] = range_errors.cosines_on_planes(view, self.beams)
-        return scan_evidence.evidence(view, self._by_shared(window, result), size)
+        cosine = self.cosines[number] = range_errors.cosines_on_planes(view, self.beams)
+        brighter = None
+        if self.beams.usual is not None and window.intensity is not None:
+            brighter = range_errors.brighter_on_planes(view, self.beams, window.intensity, cosine)
+        return scan_evidence.evidence(view, self._by_shared(window, result, brighter), size)
 
     def _corrected(self, number: int, window: Window, errors: np.ndarray) -> list[np.ndarray]:
         """Points of each scan; angles of incidence are those on the planes of the round before."""
@@ -197,10 +217,11 @@ class _Measurement:
         ends = np.cumsum([len(each) for each in points])[:-1]
         known = self.cosines.get(number)
         cosines = [None] * len(points) if known is None else np.split(known, ends)
-        return [ranges.points(each, cosine) for each, cosine in zip(points, cosines, strict=True)]
+        intensities = [scan.intensity for scan in window.scans]
+        return [ranges.points(*each) for each in zip(points, cosines, intensities, strict=True)]
 
-    def _by_shared(self, window: Window, result: LidarResult) -> ByShared:
-        terms = [range_errors.by_errors(self.beams)]
+    def _by_shared(self, window: Window, result: LidarResult, brighter: np.ndarray | None) -> ByShared:
+        terms = [range_errors.by_errors(self.beams, brighter)]
         if self.clock is not None:
             stamps = self.dataset.scans.times[window.numbers]
             tau = motion_left.point_times_of(window, stamps, self.clock)

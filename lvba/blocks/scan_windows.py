@@ -57,11 +57,19 @@ class Window:
         """Successive scans with a margin on either side."""
         return _windows(dataset, [_with_margin(dataset, core)], _MOST_POINTS)[0]
 
+    @property
+    def intensity(self) -> np.ndarray | None:
+        """(M,) float32, of the points of all its scans; None where one of these has none."""
+        known = [scan.intensity for scan in self.scans if scan.intensity is not None]
+        return np.concatenate(known) if known and len(known) == len(self.scans) else None
+
     def corrected(self, ranges: RangeErrors | None) -> "Window":
         """The window with its points where they belong."""
         if ranges is None or not ranges.corrected:
             return self
-        scans = [replace(scan, points=ranges.points(scan.points)) for scan in self.scans]
+        scans = [
+            replace(scan, points=ranges.points(scan.points, intensity=scan.intensity)) for scan in self.scans
+        ]
         return replace(self, scans=scans)
 
     def refined(self, dataset: Dataset, points: list[np.ndarray], config: LidarConfig) -> LidarResult | None:
@@ -109,8 +117,9 @@ def _thinned(dataset: Dataset, numbers: list[int], most: int) -> list[Scan]:
     def load(number: int) -> Scan:
         scan = recordings.load_scan(dataset, number)
         if len(scan) <= most:
-            return Scan(scan.points, None, scan.time)
+            return scan
         kept = np.sort(np.random.default_rng(number).permutation(len(scan))[:most])
-        return Scan(scan.points[kept], None, None if scan.time is None else scan.time[kept])
+        intensity, time = (None if each is None else each[kept] for each in (scan.intensity, scan.time))
+        return Scan(scan.points[kept], intensity, time)
 
     return list(in_order(load, numbers))

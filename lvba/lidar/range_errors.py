@@ -1,6 +1,8 @@
 """Systematic errors of the range sensor that all points share: where points belong, and what planes tell of them.
 
 incidence: m, a surface is measured this much farther at grazing incidence than seen straight on
+offset: m, ranges are too long by this much
+brightness: m, a surface twice as bright as usual is measured this much farther than a usual one, and others in proportion
 elevation: rad, the beams of a sensor that turns go this much higher about its axis than it says
 distortion: ranges of a sensor that looks ahead are too long by this part 45 degrees off its axis, and in proportion to
     the squared tangent of the angle elsewhere, as those of depth cameras
@@ -8,8 +10,10 @@ distortion: ranges of a sensor that looks ahead are too long by this part 45 deg
 Whatever else depends on the direction of a beam is looked for beside them as a part of the range, by spherical harmonics:
 it is not corrected, but an error that it explains as well is none of the above.
 
-A common scale or offset of ranges is none of them: planes cannot tell a scale from that of the poses, nor an offset from
-incidence where most points are on the ground. Nor is intensity: what it says of ranges follows the incidence.
+A common scale of ranges is none of them: planes cannot tell it from that of the poses. Where most points are on the
+ground, they cannot tell an offset from incidence either, but then each takes the other's errors out of the points as
+well. What returns less is also met at a more grazing angle: brightness is the intensity over the cosine of incidence,
+which a matt surface keeps from any angle.
 """
 
 import math
@@ -25,6 +29,7 @@ from lvba.lidar import incidence
 from lvba.lidar.scan_evidence import ByShared, OnPlanes, View
 
 INCIDENCE, ELEVATION, DISTORTION = "incidence", "elevation", "distortion"
+OFFSET, BRIGHTNESS = "offset", "brightness"
 DIRECTION = "direction"
 """Of what depends on the direction in another way: m, how far points are off by it, root mean square."""
 HARMONICS = 8
@@ -32,13 +37,23 @@ HARMONICS = 8
 HARMONIC_SIGMA = 0.01
 """What they are expected to be, as parts of the range: where beams are nearly alike, planes tell only some of them, and
 the others could have any size."""
-LARGEST = {INCIDENCE: 0.05, ELEVATION: math.radians(1.0), DISTORTION: 0.1}
+LARGEST = {
+    INCIDENCE: 0.05, ELEVATION: math.radians(1.0), DISTORTION: 0.1, OFFSET: 0.05, BRIGHTNESS: 0.05
+}  # fmt: skip
 """What is more is not believed of a sensor: the planes are of a kind that tells something else, such as leaves."""
 CHANCE = 2e-9
 """How often a right sensor may be taken for a wrong one: six standard deviations, for errors can be twice the promised
 ones."""
 LEAST_M = 1e-3
 """And an error must move points by so much, root mean square: less is lost in the noise of usual sensors."""
+_USUAL_COSINE = 2.0 / 3.0
+"""Of incidence, where surfaces are not known yet."""
+_LEAST_COSINE = 0.2
+"""Of incidence, that intensities are divided by: what returns from surfaces met more grazing says little of them."""
+_BRIGHTEST = 3.0
+"""Times the usual brightness that a surface counts as at most: reflectors return a hundred times as much."""
+_VARIED = 0.05
+"""Standard deviation of the brightness, relative to the usual one, below which it says nothing."""
 _NARROW = 0.6
 """Mean of the directions of points, as unit vectors, above which a sensor looks ahead."""
 _NEAR_AXIS = math.cos(math.radians(15.0))
@@ -52,11 +67,15 @@ class Beams:
 
     position: (3,) m, where they begin; axis: (3,), unit: the one it turns about, or looks along (`narrow`); None: neither
     is clear
+    usual: brightness of the usual surface, in the unit of the intensities; None: there are none
+    plain: False: errors that do not depend on the beam's direction or its incidence are not looked for
     """
 
     position: np.ndarray
     axis: np.ndarray | None
     narrow: bool
+    usual: float | None = None
+    plain: bool = True
 
     @staticmethod
     def of(points: Iterable[np.ndarray], position: np.ndarray, axes: np.ndarray) -> "Beams":
@@ -83,18 +102,25 @@ class Beams:
     @property
     def names(self) -> tuple[str, ...]:
         """The errors that such a sensor may have."""
-        if self.axis is None:
-            return (INCIDENCE,)
-        return (INCIDENCE, DISTORTION if self.narrow else ELEVATION)
+        by_axis = () if self.axis is None else (DISTORTION if self.narrow else ELEVATION,)
+        plain = (OFFSET,) if self.usual is None else (OFFSET, BRIGHTNESS)
+        return (INCIDENCE, *by_axis, *(plain if self.plain else ()))
 
-    def shift(self, name: str, points: Vectors, cosine: np.ndarray) -> np.ndarray:
+    def shift(
+        self, name: str, points: Vectors, cosine: np.ndarray, brighter: np.ndarray | None = None
+    ) -> np.ndarray:
         """(N, 3) m: by how much points (N, 3) m, scan frame, go where they belong for one unit of an error.
 
         cosine: (N,) float64, of the angle of incidence
+        brighter: (N,) float64, as `Beams.brighter`; None: not known, nothing moves by it
         """
         ray, length = _directions(points, self.position)
         if name == INCIDENCE:
             return np.asarray(-ray * (1 - cosine)[:, None])
+        if name == OFFSET:
+            return -ray
+        if name == BRIGHTNESS:
+            return np.zeros(ray.shape) if brighter is None else np.asarray(-ray * brighter[:, None])
         assert self.axis is not None
         along = ray @ self.axis
         if name == DISTORTION:
@@ -102,6 +128,45 @@ class Beams:
             return np.asarray(-ray * (length * (1 / ahead**2 - 1))[:, None])
         across = np.maximum(np.sqrt(np.maximum(1 - along**2, 0.0)), 1e-3)
         return np.asarray((self.axis - along[:, None] * ray) * (length / across)[:, None])
+
+    def brighter(self, cosine: np.ndarray, intensity: np.ndarray | None) -> np.ndarray:
+        """(N,) float64: by how many times the usual brightness surfaces are brighter than that; 0 where not known.
+
+        cosine: (N,) float64, of the angle of incidence; intensity: (N,) float32
+        """
+        if intensity is None:
+            return np.zeros(len(cosine))
+        return self.relative(brightness(intensity, cosine))
+
+    def relative(self, seen: np.ndarray) -> np.ndarray:
+        """As `brighter`. seen: (N,) float64, brightnesses, NaN where not known"""
+        if self.usual is None:
+            return np.zeros(len(seen))
+        relative = seen / self.usual
+        return np.where(np.isfinite(relative), np.clip(relative, 0.0, _BRIGHTEST) - 1.0, 0.0)
+
+
+def brightness(intensity: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    """(N,) float64: of the surfaces of points, in the unit of the intensities.
+
+    intensity: (N,) float32; cosine: (N,) float64, of the angle of incidence
+    """
+    return np.asarray(intensity, float) / np.maximum(cosine, _LEAST_COSINE)
+
+
+def usual_brightness(intensity: np.ndarray | None, cosine: np.ndarray) -> float | None:
+    """The median over points; None where it tells nothing.
+
+    intensity: (N,) float32; cosine: (N,) float64, of the angle of incidence
+    """
+    if intensity is None:
+        return None
+    seen = brightness(intensity, cosine)
+    seen = seen[np.isfinite(seen) & (seen > 0)]
+    usual = float(np.median(seen)) if len(seen) else 0.0
+    if not usual > 0 or np.std(np.minimum(seen / usual, _BRIGHTEST)) < _VARIED:
+        return None
+    return usual
 
 
 def _directions(points: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -127,18 +192,23 @@ class RangeErrors:
     problem: str = ""
     noticed: tuple[str, ...] = ()
 
-    def points(self, points: np.ndarray, cosine: np.ndarray | None = None) -> np.ndarray:
+    def points(
+        self, points: np.ndarray, cosine: np.ndarray | None = None, intensity: np.ndarray | None = None
+    ) -> np.ndarray:
         """(N, 3) float32, m: where the points of a scan belong.
 
-        points: (N, 3) float32, m, scan frame
+        points: (N, 3) float32, m, scan frame; intensity: (N,) float32, None: it has none
         cosine: (N,) float64, of the angles of incidence; None: by the surface about each point
         """
         if not self.corrected or not len(points):
             return points
-        if cosine is None and INCIDENCE in self.corrected:
+        if cosine is None and not {INCIDENCE, BRIGHTNESS}.isdisjoint(self.corrected):
             cosine = incidence.cosines(points, self.beams.position)
         straight = np.ones(len(points)) if cosine is None else cosine
-        shifts = [self.values[name] * self.beams.shift(name, points, straight) for name in self.corrected]
+        brighter = self.beams.brighter(straight, intensity) if BRIGHTNESS in self.corrected else None
+        shifts = [
+            self.values[name] * self.beams.shift(name, points, straight, brighter) for name in self.corrected
+        ]
         return np.asarray(sum(shifts, np.asarray(points, float)), np.float32)
 
     def facts(self) -> dict[str, Any]:
@@ -151,6 +221,7 @@ class RangeErrors:
             "axis": self.beams.axis,
             "narrow": self.beams.narrow,
             "sensor_position": self.beams.position,
+            "usual_brightness": self.beams.usual,
             "problem": self.problem,
         }
 
@@ -161,7 +232,13 @@ class RangeErrors:
             return None
         try:
             axis = None if facts["axis"] is None else np.array(facts["axis"], float).reshape(3)
-            beams = Beams(np.array(facts["sensor_position"], float).reshape(3), axis, bool(facts["narrow"]))
+            usual = facts.get("usual_brightness")
+            beams = Beams(
+                position=np.array(facts["sensor_position"], float).reshape(3),
+                axis=axis,
+                narrow=bool(facts["narrow"]),
+                usual=None if usual is None else float(usual),
+            )
             names = tuple(facts["corrected"])
             values = {name: float(facts["values"][name]) for name in names if name in beams.names}
             return RangeErrors(
@@ -179,6 +256,10 @@ def sentence(name: str, value: float) -> str:
     farther = "farther" if value > 0 else "nearer"
     if name == INCIDENCE:
         return f"Surfaces are measured {abs(1e3 * value):.0f} mm {farther} at grazing incidence"
+    if name == OFFSET:
+        return f"All surfaces are measured {abs(1e3 * value):.0f} mm {'too far' if value > 0 else 'too near'}"
+    if name == BRIGHTNESS:
+        return f"Surfaces twice as bright as usual are measured {abs(1e3 * value):.0f} mm {farther}"
     if name == DIRECTION:
         size = f"{1e3 * value:.0f} mm and more"
         return (
@@ -187,13 +268,17 @@ def sentence(name: str, value: float) -> str:
     return f"Surfaces 45 degrees off the sensor's axis are measured {abs(100 * value):.2f} % {farther} than ahead"
 
 
-def by_errors(beams: Beams) -> ByShared:
-    """Derivative of points' distances from their planes by the errors `beams.names`."""
+def by_errors(beams: Beams, brighter: np.ndarray | None = None) -> ByShared:
+    """Derivative of points' distances from their planes by the errors `beams.names`.
+
+    brighter: (M,) float64, of the planes of the points of all scans, as `Beams.brighter`
+    """
 
     def derivative(points: OnPlanes) -> np.ndarray:
         ray, _ = _directions(points.place, beams.position)
         cosine = np.abs(np.einsum("ni,ni->n", ray, points.normal))
-        shifts = [beams.shift(name, points.place, cosine) for name in beams.names]
+        own = None if brighter is None else brighter[points.chosen]
+        shifts = [beams.shift(name, points.place, cosine, own) for name in beams.names]
         return np.stack([np.einsum("ni,ni->n", points.normal, each) for each in shifts], axis=1)
 
     return derivative
@@ -216,13 +301,14 @@ def by_directions(beams: Beams) -> ByShared:
     return derivative
 
 
-def typical_shifts(beams: Beams, points: np.ndarray) -> np.ndarray:
+def typical_shifts(beams: Beams, points: np.ndarray, intensity: np.ndarray | None = None) -> np.ndarray:
     """(k,) m: by how much the errors `beams.names` move points, root mean square along or across the beam, a unit each.
 
-    points: (N, 3) float32, m, scan frames
+    points: (N, 3) float32, m, scan frames; intensity: (N,) float32
     """
-    spread = 2.0 / 3.0 * np.ones(len(points))
-    shifts = [beams.shift(name, points, spread) for name in beams.names]
+    spread = _USUAL_COSINE * np.ones(len(points))
+    brighter = beams.brighter(spread, intensity)
+    shifts = [beams.shift(name, points, spread, brighter) for name in beams.names]
     return np.array([math.sqrt(float(np.mean(np.sum(each**2, axis=1)))) for each in shifts])
 
 
@@ -268,3 +354,20 @@ def cosines_on_planes(view: View, beams: Beams) -> np.ndarray:
         cosine[known[1]] = np.abs(np.einsum("ni,ni->n", normal, ray))
     seen = np.isfinite(cosine)
     return np.where(seen, cosine, cosine[seen].mean() if seen.any() else 1.0)
+
+
+def brighter_on_planes(view: View, beams: Beams, intensity: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    """(M,) float64, as `Beams.brighter`: of the plane that each point is on, by the median over all that are; 0 on none.
+
+    A point of another surface near an edge is off the plane, and would have a brightness of its own: the two would seem
+    to belong together, and clean rooms to have an error of a centimeter.
+    intensity: (M,) float32, of the points of all scans; cosine: (M,) float64, on their planes
+    """
+    plane = view.labels.plane
+    seen = brightness(intensity, cosine)
+    order = np.lexsort((seen, plane))
+    order = order[(plane[order] >= 0) & np.isfinite(seen[order])]
+    number, first, count = np.unique(plane[order], return_index=True, return_counts=True)
+    of_plane = np.full(len(view.planes), np.nan)
+    of_plane[number] = seen[order[first + count // 2]]
+    return beams.relative(np.where(plane >= 0, of_plane[plane], np.nan))

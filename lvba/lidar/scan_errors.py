@@ -25,7 +25,8 @@ class ScanErrors:
 
     def points(self, scan: Scan, index: int, stamp: float) -> np.ndarray:
         """(N, 3) float32, m: where the points of a scan belong. index: its number; stamp: s"""
-        points = scan.points if self.ranges is None else self.ranges.points(scan.points)
+        ranges = self.ranges
+        points = scan.points if ranges is None else ranges.points(scan.points, intensity=scan.intensity)
         return points if self.motion is None else self.motion.points(points, scan.time, index, stamp)
 
     @staticmethod

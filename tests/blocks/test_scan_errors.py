@@ -61,6 +61,24 @@ def test_an_error_is_found_and_taken_out(tmp_path, lidar, points, disturbance, v
     assert after.rotation_deg < 1.6 * best.rotation_deg + 0.01
 
 
+def test_an_error_by_brightness_is_found_and_taken_out(tmp_path):
+    """Ranges are right for a surface of half the radiance, of which an intensity of 50 returns straight on."""
+    dataset = recorded(tmp_path / "off", "spinning", 10000, intensity_bias=0.03)
+    ranges = (errors := scan_errors.measure(dataset, LidarConfig())).ranges
+    assert "brightness" in ranges.corrected
+    assert set(ranges.corrected) <= {"brightness", "offset"}
+    usual = 0.03 * ranges.beams.usual / 100
+    assert ranges.values["brightness"] == pytest.approx(
+        usual, abs=4 * ranges.sigma["brightness"] + 0.03 * usual
+    )
+    assert ranges.values["offset"] == pytest.approx(usual - 0.015, abs=4 * ranges.sigma["offset"])
+    best, before = error(recorded(tmp_path / "clean", "spinning", 10000)), error(dataset)
+    after = error(dataset, errors)
+    assert before.ate_m > 1.3 * best.ate_m
+    assert after.ate_m < 1.6 * best.ate_m
+    assert after.rotation_deg < 1.6 * best.rotation_deg + 0.01
+
+
 @pytest.mark.parametrize("lidar", ["spinning", "non_repetitive"])
 def test_a_right_sensor_is_left_alone(tmp_path, lidar):
     dataset = recorded(tmp_path / "clean", lidar)

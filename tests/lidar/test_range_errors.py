@@ -10,7 +10,16 @@ from lvba.dataset import Scan
 from lvba.lidar import range_errors, scan_evidence
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.lidar.point_times import PointClock
-from lvba.lidar.range_errors import DIRECTION, DISTORTION, ELEVATION, INCIDENCE, Beams, RangeErrors
+from lvba.lidar.range_errors import (
+    BRIGHTNESS,
+    DIRECTION,
+    DISTORTION,
+    ELEVATION,
+    INCIDENCE,
+    OFFSET,
+    Beams,
+    RangeErrors,
+)
 from lvba.lidar.scan import gather
 from lvba.lidar.scan_errors import ScanErrors
 from lvba.lidar.scan_evidence import ScanEvidence, View
@@ -19,14 +28,19 @@ from lvba.steps import report_data
 
 AHEAD = Beams(np.array([0.1, -0.2, 0.3]), np.array([1.0, 0.0, 0.0]), True)
 AROUND = Beams(np.array([0.1, -0.2, 0.3]), np.array([0.0, 0.0, 1.0]), False)
+MATT = Beams(np.array([0.1, -0.2, 0.3]), np.array([0.0, 0.0, 1.0]), False, usual=40.0)
 NORMALS = np.linalg.qr(np.random.default_rng(1).normal(size=(6, 3, 3)))[0][:, :, 0]
 
 
-def measured(beams, errors, rays, distance, normal):
-    """What a sensor with errors makes of beams (N, 3) that meet a surface at a distance: by the definitions alone."""
-    factor, bias, directions = 1.0, 0.0, rays
+def measured(beams, errors, rays, distance, normal, bright=1.0):
+    """What a sensor with errors makes of beams (N, 3) that meet a surface at a distance: by the definitions alone.
+
+    bright: of the surface, times the usual
+    """
+    factor, directions = 1.0, rays
+    bias = errors.get(OFFSET, 0.0) + errors.get(BRIGHTNESS, 0.0) * (bright - 1)
     if INCIDENCE in errors:
-        bias = errors[INCIDENCE] * (1 - np.abs(np.einsum("ni,ni->n", rays, normal)))
+        bias = bias + errors[INCIDENCE] * (1 - np.abs(np.einsum("ni,ni->n", rays, normal)))
     if DISTORTION in errors:
         factor = 1 + errors[DISTORTION] * np.tan(np.arccos(rays @ beams.axis)) ** 2
     if DIRECTION in errors:
@@ -40,8 +54,11 @@ def measured(beams, errors, rays, distance, normal):
     return beams.position + directions * (distance * factor + bias)[:, None]
 
 
-def room(beams, errors, seed=0, noise=0.0):
-    """Scans of the walls of a convex room, taken with errors; planes and poses are the true ones."""
+def room(beams, errors, seed=0, noise=0.0, bright=None):
+    """Scans of the walls of a convex room, taken with errors; planes and poses are the true ones.
+
+    bright: (12,), times the usual, of the walls
+    """
     rng = np.random.default_rng(seed)
     normals, offsets = np.concatenate([NORMALS, -NORMALS]), np.full(2 * len(NORMALS), 8.0)
     poses = geometry.exp(rng.normal(size=(8, 6)) * [0.5, 0.5, 0.5, 1.5, 1.5, 1.5])
@@ -55,7 +72,8 @@ def room(beams, errors, seed=0, noise=0.0):
         reach = np.where(speed > 0, (offsets - normals @ origin) / np.maximum(speed, 1e-9), np.inf)
         hit, distance = np.argmin(reach, axis=1), reach.min(axis=1)
         distance = distance + noise * rng.normal(size=len(distance))
-        points.append(measured(beams, errors, rays, distance, normals[hit] @ pose[:3, :3]))
+        shine = 1.0 if bright is None else bright[hit]
+        points.append(measured(beams, errors, rays, distance, normals[hit] @ pose[:3, :3], shine))
         labels.append(hit)
     axes = [np.linalg.svd(normal[None])[2].T for normal in normals]
     planes = Planes(
@@ -74,32 +92,40 @@ def room(beams, errors, seed=0, noise=0.0):
 
 @pytest.mark.parametrize(
     ("beams", "name", "value"),
-    [(AROUND, INCIDENCE, 0.02), (AROUND, ELEVATION, 0.005), (AHEAD, DISTORTION, 0.02)],
+    [
+        (AROUND, INCIDENCE, 0.02),
+        (AROUND, ELEVATION, 0.005),
+        (AHEAD, DISTORTION, 0.02),
+        (AROUND, OFFSET, 0.02),
+        (MATT, BRIGHTNESS, 0.02),
+    ],
 )
 def test_points_go_back_where_they_belong(beams, name, value):
     rays = np.random.default_rng(2).normal(size=(400, 3)) * [1, 1, 0.4]
     rays /= np.linalg.norm(rays, axis=1)[:, None]
     rays = rays[rays[:, 0] > 0.75]
     normal = np.tile([-0.8, 0.6, 0.0], (len(rays), 1))
-    distance = np.full(len(rays), 7.0)
-    true, off = (measured(beams, errors, rays, distance, normal) for errors in ({}, {name: value}))
+    distance, bright = np.full(len(rays), 7.0), np.linspace(0.2, 2.0, len(rays))
+    true, off = (measured(beams, errors, rays, distance, normal, bright) for errors in ({}, {name: value}))
     cosine = np.abs(np.einsum("ni,ni->n", rays, normal))
-    back = RangeErrors(beams, {name: value}, {name: 1e-3}, (name,)).points(off, cosine)
+    back = RangeErrors(beams, {name: value}, {name: 1e-3}, (name,)).points(off, cosine, 40 * bright * cosine)
     assert np.abs(off - true).max() > 5e-3
     np.testing.assert_allclose(back, true, atol=0.06 * np.abs(off - true).max())
 
 
-@pytest.mark.parametrize("beams", [AROUND, AHEAD])
+@pytest.mark.parametrize("beams", [AROUND, AHEAD, MATT])
 def test_derivatives_against_differences(beams):
     view = room(beams, {})
     step = 1e-2  # points are float32, and move in proportion
+    cosine = range_errors.cosines_on_planes(view, beams)
+    intensity = np.random.default_rng(4).uniform(10, 90, 12)[view.labels.plane] * cosine
+    brighter = range_errors.brighter_on_planes(view, beams, intensity, cosine)
     for number, name in enumerate(beams.names):
         ends = []
         for sign in (1, -1):
             moved = RangeErrors(beams, {name: sign * step}, corrected=(name,))
-            cosine = range_errors.cosines_on_planes(view, beams)
-            ends.append(moved.points(view.scans.points.astype(float), cosine).astype(float))
-        _, x, _, _ = scan_evidence.terms(view, 3, range_errors.by_errors(beams))
+            ends.append(moved.points(view.scans.points.astype(float), cosine, intensity).astype(float))
+        _, x, _, _ = scan_evidence.terms(view, 3, range_errors.by_errors(beams, brighter))
         plane, chosen = view.on_planes(3)
         turn, normal = view.world_from_scan[3][:3, :3], view.planes.normal[plane]
         by_difference = np.einsum("ni,ij,nj->n", normal, turn, (ends[0] - ends[1])[chosen]) / (2 * step)
@@ -116,11 +142,48 @@ def test_derivatives_against_differences(beams):
 )
 def test_errors_are_found_within_their_deviations(beams, errors):
     view = room(beams, errors, noise=0.01)
-    known = scan_evidence.evidence(view, range_errors.by_errors(beams), 2)
+    known = scan_evidence.evidence(view, range_errors.by_errors(beams), 3)
     expected = np.array([errors.get(name, 0.0) for name in beams.names])
     # the change is linear: errors turn with themselves by up to some percent
     assert (np.abs(known.change - expected) < 4 * known.sigma + 0.05 * np.abs(expected)).all()
-    assert (known.sigma < [5e-3, 5e-4]).all()
+    # seen by a sensor that looks ahead, an offset is much like incidence
+    like = 2e-2 if beams.narrow else 5e-3
+    assert (known.sigma < [like, 5e-4, like]).all()
+
+
+@pytest.mark.parametrize("errors", [{}, {BRIGHTNESS: 0.01, OFFSET: -0.004}, {INCIDENCE: 0.01}])
+def test_brightness_offset_and_incidence_are_told_apart(errors):
+    bright = np.random.default_rng(6).uniform(0.2, 1.8, 12)
+    view = room(MATT, errors, noise=0.01, bright=bright)
+    cosine = range_errors.cosines_on_planes(view, MATT)
+    intensity = 40 * bright[view.labels.plane] * cosine
+    brighter = range_errors.brighter_on_planes(view, MATT, intensity, cosine)
+    np.testing.assert_allclose(brighter, bright[view.labels.plane] - 1, atol=1e-9)
+    known = scan_evidence.evidence(view, range_errors.by_errors(MATT, brighter), 4)
+    expected = np.array([errors.get(name, 0.0) for name in MATT.names])
+    assert (np.abs(known.change - expected) < 4 * known.sigma + 0.05 * np.abs(expected)).all()
+    assert known.sigma[3] < 2e-3
+
+
+def test_brightness_is_that_of_planes_and_bounded():
+    """Points of another surface on a plane do not count; reflectors and points without intensity are not believed."""
+    view = room(MATT, {})
+    cosine = range_errors.cosines_on_planes(view, MATT)
+    intensity = np.where(np.arange(len(cosine)) % 10 == 0, 4000.0, 80.0 * cosine)
+    intensity[5] = np.nan
+    np.testing.assert_allclose(range_errors.brighter_on_planes(view, MATT, intensity, cosine), 1.0)
+    np.testing.assert_allclose(MATT.brighter(np.ones(3), np.array([4e3, 0.0, np.nan])), [2.0, -1.0, 0.0])
+    assert range_errors.usual_brightness(None, np.ones(3)) is None
+    assert range_errors.usual_brightness(np.full(9, 5.0), np.ones(9)) is None
+    assert range_errors.usual_brightness(np.array([1.0, 4.0, 6.0]), np.full(3, 0.5)) == 8.0
+
+
+@pytest.mark.parametrize("errors", [{OFFSET: 0.004}, {}])
+def test_without_intensities_there_is_no_brightness(errors):
+    view = room(AROUND, errors, noise=0.01)
+    assert BRIGHTNESS not in AROUND.names
+    known = scan_evidence.evidence(view, range_errors.by_errors(AROUND), 3)
+    assert abs(known.change[2] - errors.get(OFFSET, 0.0)) < 4 * known.sigma[2]
 
 
 @pytest.mark.parametrize(
@@ -131,12 +194,12 @@ def test_what_depends_on_the_direction_in_another_way_is_told_apart(errors, by_d
     """A sensor that turns: beams that go higher, or ranges that are too long ahead and behind."""
     view = room(AROUND, errors, noise=0.01)
     own, others = range_errors.by_errors(AROUND), range_errors.by_directions(AROUND)
-    known = scan_evidence.evidence(view, lambda each: np.concatenate([own(each), others(each)], axis=1), 10)
-    alone = scan_evidence.evidence(view, own, 2)
-    np.testing.assert_allclose(known.of(slice(0, 2)).change, alone.change, rtol=1e-6, atol=1e-12)
-    np.testing.assert_allclose(known.of(slice(0, 2)).covariance, alone.covariance, rtol=1e-6)
-    assert (known.chance(slice(2, 10)) < range_errors.CHANCE) == by_direction
-    assert by_direction or known.chance(slice(2, 10)) > 1e-3
+    known = scan_evidence.evidence(view, lambda each: np.concatenate([own(each), others(each)], axis=1), 11)
+    alone = scan_evidence.evidence(view, own, 3)
+    np.testing.assert_allclose(known.of(slice(0, 3)).change, alone.change, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(known.of(slice(0, 3)).covariance, alone.covariance, rtol=1e-6)
+    assert (known.chance(slice(3, 11)) < range_errors.CHANCE) == by_direction
+    assert by_direction or known.chance(slice(3, 11)) > 1e-3
 
 
 def test_nothing_is_told_by_chance_where_nothing_tells():
@@ -164,25 +227,26 @@ def test_beams_are_known_by_where_points_are():
     around, ahead = rng.normal(size=(900, 3)) * [1, 1, 0.2], rng.normal(size=(900, 3)) * 0.2 + [1, 0, 0]
     position = np.array([0.3, 0.1, -0.2])
     spinning = Beams.of([around @ axes.T + position], position, axes)
-    assert spinning.names == (INCIDENCE, ELEVATION)
+    assert spinning.names == (INCIDENCE, ELEVATION, OFFSET)
     np.testing.assert_allclose(np.abs(spinning.axis @ axes[:, 2]), 1.0)
     camera = Beams.of([ahead @ axes.T + position], position, axes)
-    assert camera.names == (INCIDENCE, DISTORTION)
+    assert camera.names == (INCIDENCE, DISTORTION, OFFSET)
     np.testing.assert_allclose(camera.axis, axes[:, 0], atol=1e-12)
-    assert Beams.of([rng.normal(size=(900, 3))], np.zeros(3), np.eye(3)).names == (INCIDENCE,)
+    assert Beams.of([rng.normal(size=(900, 3))], np.zeros(3), np.eye(3)).names == (INCIDENCE, OFFSET)
     assert Beams.of([], np.zeros(3), np.eye(3)).axis is None
 
 
 def test_facts_bring_errors_back():
-    ranges = RangeErrors(AROUND, {INCIDENCE: 0.002, ELEVATION: 0.003}, {ELEVATION: 1e-4}, (ELEVATION,))
+    values = {INCIDENCE: 0.002, ELEVATION: 0.003, BRIGHTNESS: 0.004}
+    ranges = RangeErrors(MATT, values, {ELEVATION: 1e-4}, (ELEVATION, BRIGHTNESS))
     clock = PointClock(1.0, 0.1, -0.1, True)
     motion = MotionLeft(clock=clock, part=0.5, sigma=1e-3, motion=np.ones((2, 6)))
     errors = ScanErrors(ranges, motion)
     facts = json.loads(json.dumps(report_data.plain(report_data.of_scan_errors(errors))))
     again = ScanErrors.of_facts(facts)
-    scan = Scan(
-        np.random.default_rng(5).normal(size=(60, 3)).astype(np.float32), None, np.linspace(0, 0.1, 60)
-    )
+    rng = np.random.default_rng(5)
+    points, intensity = rng.normal(size=(60, 3)).astype(np.float32), rng.uniform(5, 60, 60).astype(np.float32)
+    scan = Scan(points, intensity, np.linspace(0, 0.1, 60))
     np.testing.assert_array_equal(again.points(scan, 1, 0.1), errors.points(scan, 1, 0.1))
     assert np.abs(again.points(scan, 1, 0.1) - scan.points).max() > 1e-3
     assert ScanErrors.of_facts({}) is None

@@ -99,6 +99,8 @@ _RANGE_ERRORS = (
     ("elevation", "Beams higher than the sensor says", 180.0 / np.pi, 3, "\N{DEGREE SIGN}"),
     ("distortion", "Ranges too long 45\N{DEGREE SIGN} off the sensor's axis", 100.0, 2, " %"),
     ("incidence", "Surfaces measured too far at grazing incidence", 1000.0, 1, " mm"),
+    ("offset", "All surfaces measured too far", 1000.0, 1, " mm"),
+    ("brightness", "Surfaces twice as bright as usual measured too far", 1000.0, 1, " mm"),
 )
 """Key, what it says, factor, digits, unit."""
 
