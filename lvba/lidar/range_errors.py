@@ -151,7 +151,7 @@ def brightness(intensity: np.ndarray, cosine: np.ndarray) -> np.ndarray:
 
     intensity: (N,) float32; cosine: (N,) float64, of the angle of incidence
     """
-    return np.asarray(intensity, float) / np.maximum(cosine, _LEAST_COSINE)
+    return np.asarray(np.asarray(intensity, float) / np.maximum(cosine, _LEAST_COSINE))
 
 
 def usual_brightness(intensity: np.ndarray | None, cosine: np.ndarray) -> float | None:
