@@ -290,8 +290,9 @@ def color_of_keyframes(
 
     pieces: of raw images; camera: theirs, with its lens; numbers: ascending, in the whole recording
     """
-    undistort = image.Undistorter(camera, image.measuring_camera(camera))
-    gathered = np.zeros((len(numbers), camera.height, camera.width, 1), np.uint8)
+    pinhole = image.measuring_camera(camera)
+    undistort = image.Undistorter(camera, pinhole)
+    gathered = np.zeros((len(numbers), pinhole.height, pinhole.width, 1), np.uint8)
     for (first, end), read in pieces:
         wanted = np.flatnonzero((numbers >= first) & (numbers < end))
         if len(wanted):

@@ -10,7 +10,7 @@ from lvba.io import dataset as recordings
 from lvba.lidar import density
 from lvba.lidar.config import STAGES, LidarConfig, Stage
 from lvba.lidar.scan import gather
-from lvba.visual import keyframes
+from lvba.visual import image, keyframes
 from lvba.visual.keyframes import KeyframeConfig
 
 _SAMPLED_SCANS = 16
@@ -51,7 +51,8 @@ def survey(dataset: Dataset, lidar: LidarConfig, frames: KeyframeConfig) -> Surv
 def load_of(dataset: Dataset) -> Load:
     """How much memory the recording's frames take, from a few scans."""
     few = recordings.load_scans(dataset, sampled(dataset)[::4])
-    pixels = dataset.camera.width * dataset.camera.height if dataset.image_paths else 0
+    measured = image.measuring_camera(dataset.camera)
+    pixels = measured.width * measured.height if dataset.image_paths else 0
     count, middle, reach = _sizes(dataset, few)
     return Load(count, float(pixels), reach, middle)
 

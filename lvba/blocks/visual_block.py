@@ -76,8 +76,8 @@ def select_scene_points(
     full = light.taken_out_of(scene.pyramid.levels[0], given.camera, camera)
     level, poses = LevelImages(full, camera, float(scene.pyramid.noise[0])), state.cameras.world_from_camera
     cameras, rules = scene.cameras(poses), PatchRules(size=config.patch)
-    points = scene_points.select(level, cameras, scene.surfaces, config.points, rules)
-    depth = scene.depth_buffers(camera, poses, config.points.time_window_s)
+    points = scene_points.select(level, cameras, scene.surfaces, scene.points, rules)
+    depth = scene.depth_buffers(camera, poses, scene.points.time_window_s)
     points, observations = visibility.find(
         level, poses, points, scene.seen, config.visibility, depth, patch=config.patch,
         shifts=calibration_shifts.of_pairs(given.camera, camera, prior, state, config.calibrate),

@@ -7,6 +7,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
+from lvba import lens
 from lvba.arrays import Images, Picture
 from lvba.camera import Camera
 from lvba.kernels.patches_pyramid import halve
@@ -23,6 +24,8 @@ DARK = 3
 resampling leaves a rim."""
 _WIDER = 0.95
 """Focal length of undistorted images over that of the raw ones."""
+_FARTHEST_DEG = 65.0
+"""How far off the axis images of a fisheye are used: there, ten pixels of a pinhole show what a raw one does."""
 _NOISE_BLOCK = 16
 _NOISE_QUANTILE = 0.05
 _NOISE_BIAS = 0.866
@@ -104,9 +107,9 @@ def memory_bytes(count: int, camera: Camera, levels: int, channels: int = 1) -> 
 
 
 class Undistorter:
-    """Resamples images of one camera to a pinhole camera of the same size; zero where there is no image.
+    """Resamples images of one camera to a pinhole camera; zero where there is no image.
 
-    pinhole: None: `camera.undistorted()`
+    pinhole: of any size; None: `camera.undistorted()`
     """
 
     def __init__(self, camera: Camera, pinhole: Camera | None = None) -> None:
@@ -115,7 +118,7 @@ class Undistorter:
         if self.identity:
             return
         target = pinhole or camera
-        size, coefficients = (camera.width, camera.height), np.array(camera.distortion)
+        size, coefficients = (target.width, target.height), np.array(camera.distortion)
         if camera.lens is Lens.EQUIDISTANT:
             self._map_x, self._map_y = cv2.fisheye.initUndistortRectifyMap(
                 camera.matrix, coefficients, np.eye(3), target.matrix, size, cv2.CV_32FC1
@@ -154,7 +157,8 @@ def _angles(pinhole: Camera) -> np.ndarray:
 
 
 def measuring_camera(camera: Camera) -> Camera:
-    """The pinhole camera whose images the poses are measured in: of a slightly wider view where there is distortion.
+    """The pinhole camera whose images the poses are measured in: of a slightly wider view where there is distortion, and
+    of a larger picture where the lens is a fisheye.
 
     Resampling does not put details near the limit of resolution quite where they belong: it draws them to the pixels of
     the raw image. With the same focal length the nearest one lies to the same side over large parts of the picture, in
@@ -164,7 +168,29 @@ def measuring_camera(camera: Camera) -> Camera:
     pinhole = camera.undistorted()
     if camera.is_pinhole:
         return pinhole
-    return replace(pinhole, fx=_WIDER * pinhole.fx, fy=_WIDER * pinhole.fy)
+    wider = replace(pinhole, fx=_WIDER * pinhole.fx, fy=_WIDER * pinhole.fy)
+    return _with_borders(wider, camera) if camera.lens is Lens.EQUIDISTANT else wider
+
+
+def _with_borders(pinhole: Camera, fisheye: Camera) -> Camera:
+    """The pinhole larger on all sides, up to the rim of its fisheye's images or `_FARTHEST_DEG` off the axis.
+
+    A fisheye is there for what it sees to the sides; but towards 90 degrees a pinhole's pixels show ever less of it.
+    """
+    right, bottom = fisheye.width - 1, fisheye.height - 1
+    rim = np.array([[0, fisheye.cy], [right, fisheye.cy], [fisheye.cx, 0], [fisheye.cx, bottom]])
+    x, y = lens.undistort(fisheye.lens, fisheye.distortion, *fisheye.normalized(rim))
+    seen = np.minimum(np.hypot(x, y), np.tan(np.radians(_FARTHEST_DEG)))
+    seen_px = seen * [pinhole.fx, pinhole.fx, pinhole.fy, pinhole.fy]
+    inside_px = [pinhole.cx, right - pinhole.cx, pinhole.cy, bottom - pinhole.cy]
+    west, east, north, south = (int(border) for border in np.maximum(seen_px - inside_px, 0))
+    return replace(
+        pinhole,
+        width=pinhole.width + west + east,
+        height=pinhole.height + north + south,
+        cx=pinhole.cx + west,
+        cy=pinhole.cy + north,
+    )
 
 
 def undistort(rgb: np.ndarray, camera: Camera) -> np.ndarray:
@@ -210,8 +236,9 @@ def load_undistorted(
 
     read, camera: see `load_images`
     """
-    full = np.empty((count, camera.height, camera.width, config.channels), np.uint8)
-    undistorter = Undistorter(camera, measuring_camera(camera))
+    pinhole = measuring_camera(camera)
+    full = np.empty((count, pinhole.height, pinhole.width, config.channels), np.uint8)
+    undistorter = Undistorter(camera, pinhole)
 
     def load(index: int) -> None:
         raw = read(index)

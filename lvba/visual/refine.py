@@ -264,6 +264,7 @@ class Scene:
     seen: VisibilityMap | None
     """Which cameras are near a scan: that does not change by centimetres, so the rough poses will do."""
     variant: Variant
+    points: PointsConfig
     camera: Camera | None = None
     vignetting: bool = False
     """Whether it is asked for."""
@@ -301,6 +302,7 @@ def scene_of(given: Inputs, config: VisualConfig, variant: Variant = PRODUCT) ->
         if variant.global_points
         else None,
         variant=variant,
+        points=scene_points.over(config.points, given.pyramid.camera, given.camera),
         camera=given.camera,
         vignetting=config.vignetting,
     )
@@ -403,7 +405,7 @@ def _solved_once(
     noise = float(scene.pyramid.noise[level])
     poses = coarser.state.cameras.world_from_camera
     progress("exposures", 0, 3)
-    depth = scene.depth_buffers(camera, poses, config.points.time_window_s)
+    depth = scene.depth_buffers(camera, poses, scene.points.time_window_s)
     exposed = _exposed(scene, level, coarser.state, depth)
     state, images = exposed.state, exposed.radiometry.taken_out_of(images, scene.camera, camera)
     moved = None
@@ -411,7 +413,7 @@ def _solved_once(
         moved = calibration_shifts.of_pairs(scene.camera, camera, coarser.prior, state, config.calibrate)
     progress("scene points", 1, 3)
     shown, rules = LevelImages(images, camera, noise), PatchRules(size=config.patch)
-    points = scene_points.select(shown, scene.cameras(poses), scene.surfaces, config.points, rules)
+    points = scene_points.select(shown, scene.cameras(poses), scene.surfaces, scene.points, rules)
     points, observations = visibility.find(
         shown, poses, points, scene.seen, config.visibility, depth,
         patch=config.patch, score=scene.variant.score, shifts=moved,

@@ -1,6 +1,6 @@
 """Scene points and who sees them: the data between point selection, visibility and the photometric solve."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import cv2
 import numpy as np
@@ -145,6 +145,17 @@ def cell_size(camera: Camera, config: PointsConfig, rules: PatchRules = SCENE_PO
     """Edge of a grid cell at this camera's size, px."""
     side = float((camera.width * camera.height / config.cells) ** 0.5)
     return max(round(side), rules.min_cell_px)
+
+
+def over(config: PointsConfig, pinhole: Camera, raw: Camera | None) -> PointsConfig:
+    """The configuration with cells as large in images of a pinhole as they would be in the raw ones.
+
+    raw: the camera that images of the pinhole are made of; None: they were taken by it
+    """
+    if raw is None:
+        return config
+    larger = (pinhole.width * pinhole.height) / (raw.width * raw.height)
+    return replace(config, cells=round(config.cells * larger))
 
 
 def difference_of_gaussians(image: np.ndarray) -> np.ndarray:

@@ -100,6 +100,43 @@ def test_poses_are_measured_in_images_that_show_all_that_the_usual_ones_show():
     assert (pyramid.levels[0][0, 50:70, 70:90] == 120).all()
 
 
+FISHEYE = Camera(320, 240, 115.0, 114.0, 157.0, 121.0, (0.02, -0.005, 0.003, 0.001), lens.Lens.EQUIDISTANT)
+
+
+def _off_axis(pinhole, u, v):
+    return np.degrees(np.arctan(np.hypot((u - pinhole.cx) / pinhole.fx, (v - pinhole.cy) / pinhole.fy)))
+
+
+def test_images_of_a_fisheye_are_used_up_to_65_degrees_or_their_rim():
+    wide = image.measuring_camera(FISHEYE)
+    left, right = _off_axis(wide, 0, wide.cy), _off_axis(wide, wide.width - 1, wide.cy)
+    assert 64 < left <= 65
+    assert 64 < right <= 65
+    # upwards the picture ends before
+    _, y = lens.undistort(FISHEYE.lens, FISHEYE.distortion, np.array([0.0]), np.array([-121.0 / 114.0]))
+    rim = np.degrees(np.arctan(-y[0]))
+    assert rim < 64
+    assert rim - 1 < _off_axis(wide, wide.cx, 0) <= rim
+
+
+def test_a_fisheye_in_a_wide_pinhole_shows_what_each_ray_saw():
+    v, u = np.mgrid[:240, :320].astype(float)
+    pyramid = image.load_images(
+        lambda _: np.round(_wave(u, v)).astype(np.uint8)[..., None].repeat(3, 2), 1, FISHEYE, 2
+    )
+    wide = pyramid.camera
+    assert pyramid.levels[0].shape == (1, wide.height, wide.width, 1)
+    v, u = np.mgrid[: wide.height, : wide.width].astype(float)
+    x, y = lens.distort(FISHEYE.lens, FISHEYE.distortion, (u - wide.cx) / wide.fx, (v - wide.cy) / wide.fy)
+    raw_u, raw_v = FISHEYE.fx * x + FISHEYE.cx, FISHEYE.fy * y + FISHEYE.cy
+    inside = (raw_u >= 1) & (raw_u <= 318) & (raw_v >= 1) & (raw_v <= 238)
+    seen = pyramid.levels[0][0, ..., 0].astype(float)
+    assert np.abs(seen - _wave(raw_u, raw_v))[inside].max() < 1.5
+    assert (seen[(raw_u < -1) | (raw_u > 320) | (raw_v < -1) | (raw_v > 240)] == 0).all()
+    assert inside[:, :20].any(), "the borders show something"
+    assert inside[:, -20:].any()
+
+
 def test_no_distortion_leaves_the_image_alone():
     raw = np.random.default_rng(0).integers(0, 256, (120, 160, 3), np.uint8)
     assert image.undistort(raw, DISTORTED.undistorted()) is raw

@@ -121,6 +121,14 @@ def test_one_point_per_cell_and_the_best():
     assert np.median(chosen) > 2 * np.median(score)
 
 
+def test_cells_are_as_large_in_a_wider_picture():
+    raw = replace(CAMERA, width=CAMERA.width // 2)
+    over = scene_points.over(PointsConfig(cells=150), CAMERA, raw)
+    assert over.cells == 300
+    assert scene_points.cell_size(CAMERA, over) == scene_points.cell_size(raw, PointsConfig(cells=150))
+    assert scene_points.over(PointsConfig(cells=150), CAMERA, None).cells == 150
+
+
 def test_flat_images_give_no_points():
     rec = room_with_screen()
     flat = np.full_like(rec.images, 90)
