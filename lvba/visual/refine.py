@@ -212,31 +212,36 @@ def finest(
     progress: Progress = silent,
     variant: Variant = PRODUCT,
 ) -> tuple[VisualResult, LevelSolution]:
-    """The result with the solution of the finest level behind it. Raises DegenerateProblemError as `refine` does."""
+    """The result, and the solution of the finest level by the images as they are. Raises DegenerateProblemError as
+    `refine` does.
+
+    Where the white balance changes from image to image, the result is by images without that: patches of several colors
+    differ from image to image else.
+    """
     scene = scene_of(given, config, variant)
-    solution, last, directions = _solved(scene, coarser or _none_yet(scene), config, progress)
-    state, sigma = solution.state, np.zeros(len(scene.image_times))
+    coarser = coarser or _none_yet(scene)
+    solution, last, directions = _solved(scene, coarser, config, progress)
+    state, sigma, plain = solution.state, np.zeros(len(scene.image_times)), last
     light = radiometry.NONE
     if variant.exposures == "means":
         exposed = _exposed(scene, 0, state)
         state, sigma, light = exposed.state, exposed.sigma, exposed.radiometry
     balance = _white_balance(scene, given, state, light) if variant.exposures == "means" else None
-    start = scene.start.cameras.world_from_camera
+    if balance is not None and given.colors is not None:
+        balanced = white_balance.taken_out_of(scene.pyramid, given.colors, balance, light.response)
+        again = replace(
+            coarser, state=state, prior=solution.prior, variance_factor=last.problem.variance_factor
+        )
+        solution, last, directions = _solved(replace(scene, pyramid=balanced), again, config, progress)
+        state = solution.state
+    start, keyframes, times = scene.start.cameras.world_from_camera, given.keyframes, given.images.times
     result = results.collect(
-        solution.reports,
-        last,
-        state,
-        directions,
-        sigma,
-        start,
-        scene.prior,
-        given.keyframes,
-        given.images.times,
+        solution.reports, last, state, directions, sigma, start, scene.prior, keyframes, times
     )
     if balance is not None:
-        result = results.with_white_balance(result, balance, given.images.times)
+        result = results.with_white_balance(result, balance, times)
     spread = result.covariance + _of_map(given, result.world_from_camera)
-    return replace(result, covariance=spread, radiometry=light), last
+    return replace(result, covariance=spread, radiometry=light), plain
 
 
 def _of_map(given: Inputs, world_from_camera: np.ndarray) -> np.ndarray:

@@ -16,12 +16,15 @@ from lvba.camera import Camera
 from lvba.lidar.plane import Surfaces
 from lvba.trajectory import Trajectory
 from lvba.visual import exposure
-from lvba.visual.image import Pyramid
+from lvba.visual.image import DARK, SATURATED, Pyramid, build_pyramid
 from lvba.visual.radiometry import Radiometry
+from lvba.visual.response import Response
 from lvba.visual.scene_points import ScenePoints, take
 from lvba.visual.visibility import DepthBuffers, VisibilityMap
 
 COLORS = 3
+_LUMA = (0.299, 0.587, 0.114)
+"""Weights of red, green and blue in a grey value."""
 _SIGMAS = 3.0
 _LEAST = 0.005
 """Root mean square change of a color below which nobody sees it: there exposures of grey values are as good."""
@@ -83,6 +86,30 @@ def solve(
         return None
     every = by_color(1)
     return None if every is None else judged(*every)
+
+
+def taken_out_of(
+    pyramid: Pyramid, colors: Callable[[int], Images], balance: WhiteBalance, curve: Response
+) -> Pyramid:
+    """The images as a camera whose white balance stays would have taken them; clipped and dark pixels stay as they are.
+
+    colors: red (0), green or blue of the images of the pyramid, (I, H, W, 1) uint8; curve: the response of the camera
+    """
+    channels = [colors(color) for color in range(COLORS)]
+    before = pyramid.levels[0]
+    full = np.empty_like(before)
+    grey_values = np.arange(256, dtype=np.float32)
+    for index, gains in enumerate(np.exp(balance.log_gain)):
+        corrected = [
+            curve.grey(curve.light(grey_values) / np.float32(gain))[channel[index]]
+            for channel, gain in zip(channels, gains, strict=True)
+        ]
+        if before.shape[-1] == 1:
+            corrected = [sum(weight * each for weight, each in zip(_LUMA, corrected, strict=True))]
+        rounded = np.rint(np.concatenate(corrected, axis=-1)).astype(np.uint8)
+        clipped = (before[index] >= SATURATED) | (rounded >= SATURATED)
+        full[index] = np.where(before[index] <= DARK, before[index], np.where(clipped, 255, rounded))
+    return build_pyramid(full, pyramid.camera, len(pyramid))
 
 
 def judged(log_exposure: np.ndarray, sigma: np.ndarray) -> WhiteBalance | None:

@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 from rectangle_world import CAMERA, room_with_screen
 
+from lvba.camera import Camera
 from lvba.products.views import Views
 from lvba.visual import radiometry, white_balance
+from lvba.visual.image import build_pyramid, grey
+from lvba.visual.response import LINEAR, Response
+from lvba.visual.white_balance import WhiteBalance
 
 
 def balances(count, size, seed=3):
@@ -71,6 +75,26 @@ def test_changes_count_beyond_chance_and_where_they_can_be_seen(size, sigma, fou
 
 def test_nothing_that_is_compared_has_no_white_balance():
     assert white_balance.judged(np.zeros((5, 3)), np.full((5, 3), np.inf)) is None
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("curve", [LINEAR, Response((1.3, 1.2, 1.1, 1.0, 0.9, 0.8, 0.7), 0.01)])
+def test_white_balance_is_taken_out_of_images(channels, curve):
+    """Colored surfaces are as bright in all images then; what is clipped or dark stays what it is."""
+    rng, gain = np.random.default_rng(7), balances(4, 0.08)
+    true = rng.uniform(40, 200, (32, 48, 3)).astype(np.float32)
+    seen = np.rint(curve.grey(curve.light(true) * np.exp(gain)[:, None, None])).astype(np.uint8)
+    seen[:, 0, :5], seen[:, 1, :5] = 255, 0
+    full = seen if channels == 3 else np.stack([grey(each) for each in seen])[..., None]
+    pyramid = build_pyramid(full, Camera(width=48, height=32, fx=40.0, fy=40.0, cx=24.0, cy=16.0), 1)
+    balance = WhiteBalance(np.zeros(4), np.full(4, 1e-3), gain)
+    [found] = white_balance.taken_out_of(pyramid, lambda k: seen[..., k : k + 1], balance, curve).levels
+    assert found.dtype == np.uint8
+    assert (found[:, 0, :5] == 255).all()
+    assert (found[:, 1, :5] == 0).all()
+    wanted = true if channels == 3 else (true @ [0.299, 0.587, 0.114])[..., None]
+    np.testing.assert_allclose(found[:, 2:], np.tile(wanted[2:], (4, 1, 1, 1)), atol=1.3)
+    assert np.abs(full[:, 2:] - wanted[2:]).max() > 5
 
 
 @pytest.mark.parametrize("light", [None, np.full((24, 32), 0.5, np.float32)])
