@@ -54,7 +54,7 @@ LINEAR_ALGEBRA = {
     "lvba/visual/vignetting.py": (2, "three coefficients and a center: at most 5 x 5"),
     "lvba/visual/radiometry.py": (2, "vignetting and response of a camera: 12 x 12"),
     "lvba/visual/fixed_calibration.py": (2, "estimates given that some are fixed, Wald tests: at most 8 x 8"),
-    "lvba/visual/covariance.py": (3, "6 x 6 blocks: whitening, mean of map covariances"),
+    "lvba/visual/covariance.py": (4, "6 x 6 blocks: whitening, size of a wall's error, mean of map covariances"),
     "lvba/visual/self_calibration.py": (1, "derivative of the lens, 2 x 2"),
     "lvba/visual/exposure_graph.py": (1, "log exposures from ratios: linear, one unknown per image"),
 }  # fmt: skip

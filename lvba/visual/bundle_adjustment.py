@@ -291,8 +291,8 @@ def _undecided(prior: Prior, source: Source, state: VisualState, known: Covarian
 
 
 def covariance_of(solution: LevelSolution) -> Covariance:
-    """Of the images' unknowns, (I, 7, 7) blocks, and of the calibration."""
-    return _covariance(
+    """Of the images' unknowns, (I, 7, 7) blocks, and of the calibration, which counts errors of each image as its own."""
+    args = (
         solution.problem,
         solution.wall_clusters,
         solution.prior,
@@ -300,6 +300,8 @@ def covariance_of(solution: LevelSolution) -> Covariance:
         solution.linearization,
         solution.free,
     )
+    poses = _covariance(*args, of_walls=covariance.balanced_gradients)
+    return replace(poses, shared=_covariance(*args).shared)
 
 
 def _covariance(
@@ -309,10 +311,11 @@ def _covariance(
     at: _State,
     linearization: Linearization,
     free: np.ndarray,
+    of_walls: Callable[..., csr_matrix] = covariance.bias_reduced_gradients,
 ) -> Covariance:
     total = joint(linearization.equations, prior, at.visual)
     varies = None if prior is None else trajectory_prior.gradient_variance(prior, at.visual)
-    clusters = covariance.bias_reduced_gradients(problem, linearization, at.photometric, wall_clusters, total)
+    clusters = of_walls(problem, linearization, at.photometric, wall_clusters, total)
     return linear_solver.sandwich(total, clusters, varies, free)
 
 

@@ -178,6 +178,36 @@ def test_what_walls_tell_of_an_image_adds_up_to_what_the_equations_say(scene):
     assert np.asarray(plain.sum(axis=0)).reshape(COUNT, 7) == pytest.approx(wanted)
 
 
+def test_what_cancels_between_the_images_of_a_wall_still_does_where_its_error_counts_for_more(scene):
+    images, points, observations, poses, _ = scene
+    found = bundle_adjustment.solve(
+        images, CAMERA, points, observations, start(poses), still(poses), variant=JOINT
+    )
+    problem, at, walls = found.problem, found.photometric, covariance.find_wall_clusters(found.problem)
+    known = bundle_adjustment.joint(found.linearization.equations, found.prior, found.state)
+    arguments = problem, found.linearization, at, walls, known
+    plain = covariance.cluster_gradients(problem, found.linearization, walls).toarray()
+    columns = plain.shape[1]
+    reduced = covariance.bias_reduced_gradients(*arguments).toarray()[:, :columns]
+    balanced = covariance.balanced_gradients(*arguments).toarray()[:, :columns]
+    pulls = np.abs(plain).max(axis=1) > 0
+    plain, reduced, balanced = plain[pulls], reduced[pulls], balanced[pulls]
+    factor = np.einsum("wi,wi->w", balanced, plain) / np.einsum("wi,wi->w", plain, plain)
+    np.testing.assert_allclose(balanced, factor[:, None] * plain, rtol=1e-9, atol=1e-9 * np.abs(plain).max())
+    assert (factor >= 1 - 1e-12).all()
+    assert factor.max() > 1.05
+    # by all that is known of each image, a wall's error is as large as bias reduction has it
+    inverse = np.linalg.inv(known.diagonal_blocks()[:, :6, :6])
+
+    def squared(gradients):
+        by_image = gradients.reshape(len(gradients), COUNT, 7)[:, :, :6]
+        return np.einsum("wia,iab,wib->w", by_image, inverse, by_image)
+
+    np.testing.assert_allclose(squared(balanced), squared(reduced), rtol=1e-6)
+    # bias reduction image by image turns them
+    assert np.abs(reduced - factor[:, None] * plain).max() > 1e-3 * np.abs(plain).max()
+
+
 def test_a_wall_that_alone_holds_an_image_counts_for_as_much_as_it_may_be_wrong():
     # three walls, one to each axis of a position; the equations of the image are their sum and a weak prior
     walls = np.zeros((3, 6, 6))

@@ -113,7 +113,7 @@ def test_what_moves_patches_by_less_than_interpolation_must_be_told_from_all_oth
     squared = fixed_calibration._squared(*alone, lens)
     assert fixed_calibration._chance(*alone, lens) < fixed_calibration.CHANCE
     assert fixed_calibration._chance(off, covariance, lens) > fixed_calibration.APART
-    bias = fixed_calibration.BIAS_PX
+    bias = fixed_calibration.DOUBTFUL_PX
     corrected = set(fixed_calibration.CORRECTIONS) - set(
         insignificant(off, covariance, squared / (2 * bias) ** 2)
     )
@@ -121,6 +121,12 @@ def test_what_moves_patches_by_less_than_interpolation_must_be_told_from_all_oth
     assert insignificant(off, covariance, squared / (0.5 * bias) ** 2) == fixed_calibration.CORRECTIONS
 
 
-def test_a_small_correction_that_is_told_from_all_others_is_made():
+@pytest.mark.parametrize(("moved", "made"), [(1.5, True), (0.7, False)])
+def test_a_small_correction_that_is_told_from_all_others_is_made_unless_interpolation_does_as_much(
+    moved, made
+):
     off, covariance = estimate(wrong(focal=(0.01, 0)), rows_of(300))
-    assert "focal" not in insignificant(off, covariance, per_pixel=1e12)
+    squared = fixed_calibration._squared(off, covariance, np.arange(LAYOUT.size)[LAYOUT["focal"]])
+    per_pixel = squared / (moved * fixed_calibration.BIAS_PX) ** 2
+    assert fixed_calibration.BIAS_PX * moved < fixed_calibration.DOUBTFUL_PX
+    assert ("focal" not in insignificant(off, covariance, per_pixel)) == made
