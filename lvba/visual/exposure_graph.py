@@ -121,6 +121,17 @@ def _by_radiometry(edges: Edges) -> np.ndarray:
     return np.asarray(-np.einsum("ek,bk->eb", edges.by_radiometry, numbers))
 
 
+def _by_held_response(edges: Edges) -> np.ndarray:
+    """(E,): changes of the means if the response was what fits best; 0 where one is used, or none was asked for.
+
+    What is too little to be believed of a camera (that of sRGB, where all surfaces are bright) is in the exposures.
+    """
+    if edges.known is None or edges.radiometry.response or edges.curve:
+        return np.zeros(len(edges.mean))
+    numbers = radiometry.best(edges.known).response.numbers
+    return np.asarray(edges.by_radiometry[:, -len(numbers) :] @ numbers)
+
+
 def robust_std(values: np.ndarray) -> float:
     """Standard deviation of values about 0 by their median absolute value, as if they were normal; 0 without any.
 
@@ -281,10 +292,18 @@ class _Graph:
         )
         most = max(small[joined].mean(), large[joined].mean())
         shared = self._jackknife(factor.values(_by_radiometry(edges)))
+        shared += self._held_response(factor, edges, solution) ** 2
         if edges.radiometry.vignetting:
             shared += self._centered(factor.values(_FALLOFF_FLOOR * edges.by_radiometry[:, :1]))[:, 0] ** 2
         variance_factor = max(most / own[joined].mean(), 1.0) * contradiction
         return np.where(joined, np.sqrt(own * variance_factor + shared), np.inf)
+
+    def _held_response(self, factor: _Factor, edges: Edges, solution: np.ndarray) -> np.ndarray:
+        """(I,): by what values would differ with the response that fits best, but for a power of all, which is open."""
+        change, value = self._centered(
+            np.stack([factor.values(_by_held_response(edges)), solution], axis=1)
+        ).T
+        return np.asarray(change - value * (change @ value) / max(value @ value, 1e-12))
 
     def _without(self, edges: Edges, weight: np.ndarray, block: int) -> np.ndarray:
         """(I,): the solution without the patches of one block. weight: (E,), of the edges with them"""
