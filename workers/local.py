@@ -1,4 +1,7 @@
-"""A plan in this process: steps in order, finished ones reused, time and memory of each recorded."""
+"""A plan in this process: steps in order, finished ones reused, time and memory of each recorded.
+
+An artifact is written while the next step runs. A process that is killed then has one step more to do again.
+"""
 
 import bisect
 import contextlib
@@ -6,9 +9,10 @@ import ctypes
 import resource
 import time
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from lvba import plan
 from lvba.plan import Plan, Step
@@ -45,15 +49,61 @@ def run(
     """
     records = []
     uses = _uses(work)
-    for index, step in enumerate(work.steps.values()):
-        if on_step is not None:
-            on_step(step, index, len(work.steps))
-        records.append(
-            recorded(step, store) if step.key in store else make(step, store, progress, work.version)
-        )
-        later = {key: _next(uses[key], index) for key in store.held() if key in uses}
+
+    def release(index: int, but: str | None) -> None:
+        later = {key: _next(uses[key], index) for key in store.held() if key in uses and key != but}
         _release(store, later, index)
+
+    with _Writer(store) as writer:
+        for index, step in enumerate(work.steps.values()):
+            if on_step is not None:
+                on_step(step, index, len(work.steps))
+            if step.key in store:
+                records.append(recorded(step, store))
+            else:
+                value, record = _computed(step, store, progress)
+                writer.write(step.key, value, _facts(record, work.version))
+                records.append(record)
+                _give_back_after(record)
+            release(index, writer.key)
+    release(len(work.steps), None)
     return records
+
+
+class _Writer:
+    """Writes an artifact while the next step runs, one at a time; what is written at last is there when it is left.
+
+    key: of the artifact that may not be there yet; its value is in memory
+    """
+
+    def __init__(self, store: ZarrStore) -> None:
+        self.key: str | None = None
+        self._store = store
+        self._pool = ThreadPoolExecutor(1)
+        self._pending: Future[None] | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def write(self, key: str, value: Any, facts: dict[str, Any]) -> None:
+        """Begin to write an artifact when the one before is there. Raises what writing that one raised."""
+        self._wait()
+        self._store.know(key, value)
+        self.key, self._pending = key, self._pool.submit(self._store.put, key, value, facts)
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            self._wait()
+        except OSError:
+            if kind is None:
+                raise
+        finally:
+            self._pool.shutdown()
+
+    def _wait(self) -> None:
+        pending, self._pending, self.key = self._pending, None, None
+        if pending is not None:
+            pending.result()
 
 
 def _uses(work: Plan) -> dict[str, list[int]]:
@@ -85,17 +135,31 @@ def _release(store: ZarrStore, later: dict[str, int | None], index: int) -> None
 
 def make(step: Step, store: ZarrStore, progress: Progress, version: str) -> StageRecord:
     """Make one artifact and put it in the store."""
+    value, record = _computed(step, store, progress)
+    store.put(step.key, value, _facts(record, version))
+    _give_back_after(record)
+    return record
+
+
+def _computed(step: Step, store: ZarrStore, progress: Progress) -> tuple[Any, StageRecord]:
+    """One artifact, which is not in the store yet, and its record."""
     reset_peak_memory()
     started = time.perf_counter()
     value = plan.compute(step, store, progress)
     seconds = time.perf_counter() - started
-    record = StageRecord(step.name, round(seconds, 3), round(peak_memory_mb(), 1), 1, reused=False)
+    return value, StageRecord(step.name, round(seconds, 3), round(peak_memory_mb(), 1), 1, reused=False)
+
+
+def _facts(record: StageRecord, version: str) -> dict[str, Any]:
+    """What is kept with an artifact."""
     facts = asdict(record)
     facts.pop("reused")
-    store.put(step.key, value, {**facts, "version": version})
-    if seconds > _LONG_SECONDS:
+    return {**facts, "version": version}
+
+
+def _give_back_after(record: StageRecord) -> None:
+    if record.seconds > _LONG_SECONDS:
         give_back_memory()
-    return record
 
 
 def give_back_memory() -> None:

@@ -107,7 +107,7 @@ class ZarrStore(MutableMapping[str, Any]):
         self._verified.add(key)
 
     def know(self, key: str, value: Any) -> None:
-        """Take a value that was read before for what the store holds."""
+        """Take a value for what the store holds: one that was read before, or that is being written."""
         self._values[key] = value
         self._known.add(key)
 
@@ -140,8 +140,8 @@ class ZarrStore(MutableMapping[str, Any]):
         return list(self._values)
 
     def size(self, key: str) -> int:
-        """Bytes of the files of an artifact that is held."""
-        if key not in self._sizes:
+        """Bytes of the files of an artifact that is held; 0 while it is being written."""
+        if not self._sizes.get(key):
             files = (self.folder / key).rglob("*")
             self._sizes[key] = sum(path.stat().st_size for path in files if path.is_file())
         return self._sizes[key]

@@ -1,5 +1,6 @@
 """Running a plan in one process over a store: reuse, interruption, records."""
 
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -78,6 +79,50 @@ def test_interrupted_in_any_step_it_goes_on_and_ends_with_the_same_bytes(tmp_pat
     assert [r.reused for r in records] == [True] * done + [False] * (5 - done)
     assert [*NAMES[: done + 1], *NAMES[done:], "reduce"] == CALLS
     assert contents(tmp_path / "undisturbed") == contents(tmp_path / "interrupted")
+
+
+class Slow(ZarrStore):
+    """Writes the first artifact when the second step has begun, and none that is called by a name."""
+
+    def __init__(self, folder, lacks=""):
+        super().__init__(folder)
+        self.began = threading.Event()
+        self.lacks = lacks
+
+    def put(self, key, value, facts):
+        assert self.began.wait(60)
+        if self.lacks and key.startswith(self.lacks):
+            raise OSError(28, "no space left", str(self.folder))
+        super().put(key, value, facts)
+
+
+def begin_second(store):
+    return lambda step, index, total: store.began.set() if index == 1 else None
+
+
+def test_an_artifact_is_written_while_the_next_step_runs(tmp_path):
+    store = Slow(tmp_path / "slow")
+    local.run(chain(), store, on_step=begin_second(store))
+    local.run(chain(), ZarrStore(tmp_path / "usual"))
+    assert contents(tmp_path / "slow") == contents(tmp_path / "usual")
+    assert store.held() == []
+
+
+@pytest.mark.parametrize("name", [*NAMES, "reduce"])
+def test_what_cannot_be_written_ends_the_run_and_what_was_written_before_stays(tmp_path, name):
+    store = Slow(tmp_path, lacks=name)
+    with pytest.raises(OSError, match="no space left"):
+        local.run(chain(), store, on_step=begin_second(store))
+    done = [*NAMES, "reduce"].index(name)
+    assert sorted(key.split("-")[0] for key in store) == sorted([*NAMES, "reduce"][:done])
+
+
+def test_interrupted_while_an_artifact_is_written_it_is_there(tmp_path, monkeypatch):
+    monkeypatch.setitem(globals(), "FAIL", True)
+    store = Slow(tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        local.run(chain("bb"), store, on_step=begin_second(store))
+    assert [key.split("-")[0] for key in store] == ["a"]
 
 
 def test_only_what_is_damaged_is_made_again(tmp_path):
