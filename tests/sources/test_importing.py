@@ -260,4 +260,4 @@ def test_an_imu_that_is_mounted_otherwise_than_is_said_is_a_warning(tmp_path, tr
         for name, record in source.items
     ]
     report = import_source(replace(source, items=tuple(turned)), tmp_path / "out")
-    assert any("imu: it turns otherwise than the poses" in words for words in report.warnings)
+    assert any("imu: its axes are turned by" in words for words in report.warnings)

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from lvba.arrays import Pose
+from lvba.inertial import readings
 from lvba.sources.importing import decision, offset
 from lvba.sources.importing import turning as turnings
 from lvba.sources.importing.decision import Answer, Decision
@@ -24,6 +25,12 @@ _ODD_S = 0.03
 """What is less is left to the bundle adjustment, which looks for it: poses may be late by as much, not the IMU."""
 _OTHERWISE, _TURNING = 0.5, 0.05
 """Part of turn rates that poses may differ from the gyroscope by, and the rates (rad/s) from which on that is asked."""
+_SEARCHED = np.linspace(-1.0, 1.0, 21)
+"""s: offsets that no convention gives, tried where one of them fits better than all that conventions give."""
+_TURNED_DEG, _SCALED = 3.0, 1.1
+"""Errors of axes and of scale that are named: what is less is left to the bundle adjustment, too."""
+_DEGREES, _LIKE_DEGREES = np.degrees(1.0), 2.0
+"""Scale of a gyroscope in deg/s, and the factor that it may be off by: noise of poses adds to their turns."""
 
 
 @dataclass(frozen=True)
@@ -65,10 +72,11 @@ def find(
     turns = _Turns(Track(poses.times[steps], poses.poses[steps]), turning)
     answers = [Answer(name, turns.scores(value)) for name, value in offsets.items()]
     if not all(np.isfinite(answer.scores).all() for answer in answers):
-        return ImuRead(offsets[first])
-    best = min(answers, key=lambda answer: answer.score).name
-    left, sigma = offset.measure(lambda by: turns.scores(offsets[best] + by), _STEP_S, 2)
-    place = offsets[best] + left
+        words = "imu: there are no readings while most poses are taken: its clock is another one, or it was switched off"
+        return ImuRead(offsets[first], warnings=(words,))
+    start = turns.near(offsets, min(answers, key=lambda answer: answer.score))
+    left, sigma = offset.measure(lambda by: turns.scores(start + by), _STEP_S, 2)
+    place = start + left
     excluded = offset.away(offsets, place, sigma, _ODD_S)
     decided = decision.decide(
         QUESTION, answers, said, next(iter(offsets)), "rad/s", where, excluded, known_by or _STAMPS
@@ -79,8 +87,16 @@ def find(
         words = f"{QUESTION}: the IMU turns {size} after its stamps: that is taken"
         taken = round(place, 4)
         decided = decided.measured(f"{taken:+.4g}", decision.mean(turns.scores(taken)), words)
-    warnings = [decided.warning, turns.otherwise(taken)]
+    warnings = [decided.warning, turns.otherwise(taken), _unit(imu)]
     return ImuRead(taken, (decided,), place, sigma, tuple(words for words in warnings if words))
+
+
+def _unit(imu: ImuReadings) -> str:
+    """A warning where the accelerometer is in no known unit."""
+    if readings.in_si_units(readings.ordered(imu.times, imu.rates, imu.forces)) is not None:
+        return ""
+    norm = float(np.median(np.linalg.norm(imu.forces, axis=1)))
+    return f"imu: accelerations are not used: their median norm, {norm:.3g}, is gravity neither in m/s^2 nor in g"
 
 
 def shifted(imu: ImuReadings | None, by: float) -> ImuReadings | None:
@@ -130,14 +146,54 @@ class _Turns:
         rates[~covered] = np.sqrt(np.mean(rates[covered] ** 2, axis=0))
         return np.asarray(rates)
 
+    def near(self, offsets: dict[str, float], best: Answer) -> float:
+        """s: the offset that `best` of these names, or one that no convention gives and that is better beyond chance."""
+        others = [Answer(f"{late:+.4g}", self.scores(float(late))) for late in _SEARCHED]
+        others = [other for other in others if np.isfinite(other.scores).all()]
+        other = min(others, key=lambda answer: answer.score, default=best)
+        return float(other.name) if decision.better(other, best) else offsets[best.name]
+
     def otherwise(self, late: float) -> str:
         """A warning where the gyroscope turns otherwise than the poses; "" where it does not."""
         rates = self._turned.as_rotvec() / (self._end - self._begin)[:, None]
         size = float(np.sqrt(np.mean(np.sum((rates - rates.mean(axis=0)) ** 2, axis=1))))
         off = float(np.sqrt(np.mean(self.scores(late) ** 2)))
-        if size < _TURNING or off < _OTHERWISE * size:
+        if max(size, off) < _TURNING:
+            return ""
+        if why := self._fit(late):
+            return f"imu: {why}: check its mounting (--calibration) and its units"
+        if off < _OTHERWISE * size:
             return ""
         return (
             f"imu: it turns otherwise than the poses, by {off:.2g} of {size:.2g} rad/s: check its mounting "
             "(--calibration), its units and its clock"
         )
+
+    def _fit(self, late: float) -> str:
+        """With which axes and which scale it would turn as the poses; "" where that is no better beyond chance."""
+        begin, end = self._begin - late, self._end - late
+        covered, seconds = self._turning.covers(begin, end), (end - begin)[:, None]
+        # mean rates: turns would be counted past half a turn, of a gyroscope that is far too fast
+        felt = (self._turning.sum(end) - self._turning.sum(begin)) / seconds
+        true = self._turned.as_rotvec() / seconds
+        felt, true = (rates[covered] - np.median(rates[covered], axis=0) for rates in (felt, true))
+        u, _, vt = np.linalg.svd(true.T @ felt)
+        turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+        scale = float(np.sum(felt**2) / max(np.sum(true * (felt @ turn.T)), 1e-12))
+        fitted = felt @ turn.T / scale
+        groups = min(_GROUPS, len(true) // _TURNS)
+
+        def answer(rates: np.ndarray) -> Answer:
+            squares = np.sum((rates - true) ** 2, axis=1)
+            return Answer("", np.sqrt([part.mean() for part in np.array_split(squares, groups)]))
+
+        if not decision.better(answer(fitted), answer(felt)):
+            return ""
+        angle = float(np.degrees(Rotation.from_matrix(turn).magnitude()))
+        if abs(np.log(scale / _DEGREES)) < np.log(_LIKE_DEGREES):
+            return f"its gyroscope turns {scale:.0f} times as fast as the poses, as one that counts degrees would"
+        if angle > _TURNED_DEG:
+            return f"its axes are turned by {angle:.0f} degrees from what is said"
+        if abs(np.log(scale)) > np.log(_SCALED):
+            return f"its gyroscope turns {scale:.3g} times as fast as the poses"
+        return ""

@@ -32,6 +32,12 @@ class Turning:
         step = (times - self.times[before])[:, None]
         return Rotation.from_quat(self.turned[before]) * Rotation.from_rotvec(self.rates[before] * step)
 
+    def sum(self, times: Times) -> np.ndarray:
+        """(Q, 3) rad: rates summed up until times (Q,) s, as if turns about different axes added up."""
+        sums = np.cumsum(self.rates[:-1] * np.diff(self.times)[:, None], axis=0)
+        sums = np.concatenate([np.zeros((1, 3)), sums])
+        return np.stack([np.interp(times, self.times, column) for column in sums.T], axis=-1)
+
     def covers(self, first: Times, last: Times) -> np.ndarray:
         """(Q,) bool: whether there are readings all the way from first (Q,) to last (Q,) s."""
         gaps = np.concatenate([[0], np.cumsum(np.diff(self.times) > _MAX_GAP_S)])
