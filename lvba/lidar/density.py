@@ -38,7 +38,8 @@ def points_per_cell(scans: Scans, size: float) -> float:
     medians = []
     for first, last in zip(scans.offsets[:-1:step], scans.offsets[1::step], strict=True):
         points = scans.points[first:last]
-        points = points[np.isfinite(points).all(axis=1)]
+        finite = np.isfinite(points)
+        points = points if finite.all() else points[finite.all(axis=1)]
         if len(points):
             cells = np.floor(points / np.float32(size)).astype(np.int64)
             key = (cells[:, 0] * 2_000_003 + cells[:, 1]) * 2_000_003 + cells[:, 2]

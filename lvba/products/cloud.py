@@ -91,8 +91,9 @@ def assemble(
 
     def move(s: int) -> np.ndarray:
         points = np.ascontiguousarray(load_scan(s), np.float32)
-        finite = np.isfinite(points).all(1)
-        points = points if finite.all() else points[finite]
+        finite = np.isfinite(points)
+        # nearly always all are, and to see that takes a fortieth of the time to see which
+        points = points if finite.all() else points[finite.all(axis=1)]
         out = np.empty_like(points)
         kernels.transform(points, np.ascontiguousarray(world_from_scan[s], float), out)
         return out
