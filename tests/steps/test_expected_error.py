@@ -10,7 +10,8 @@ from lvba.steps import expected_error
 
 @pytest.mark.parametrize("with_cameras", [True, False])
 def test_errors_that_planes_share_are_promised_of_scans(with_cameras):
-    lidar = SimpleNamespace(result=SimpleNamespace(covariance=np.full((3, 6, 6), 2.0), shared_factor=4.0))
+    with_own = SimpleNamespace(marginal=np.full((3, 6, 6), 2.0))
+    lidar = SimpleNamespace(result=SimpleNamespace(whole_covariance=with_own, shared_factor=4.0))
     fused = SimpleNamespace(result=SimpleNamespace(covariance=np.full((3, 6, 6), 1.5)))
     accepted = SimpleNamespace(
         scans=SimpleNamespace(accepted=True), fusion=SimpleNamespace(accepted=with_cameras)
