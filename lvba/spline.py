@@ -10,8 +10,6 @@ from lvba.trajectory import Trajectory
 FEWEST_SAMPLES = 5
 """Of a trajectory, for anything here."""
 
-_NEAREST = 2
-
 
 def through(samples: Trajectory, times: Times, beyond: float = 0.0) -> np.ndarray:
     """Poses (Q, 4, 4) at times (Q,) by twice differentiable cubic splines; beyond the ends, those there.
@@ -69,9 +67,8 @@ def _leave_one_out(samples: Trajectory) -> np.ndarray:
     weight = _cubic_weights(samples.times[index] - samples.times[2:-2, None])
     off = np.einsum("sa,saj->sj", weight, around)
     size = np.stack([np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(off[:, 3:], axis=1)], axis=1)
-    # of the two at each end nothing tells: they are as bad as the worse of the nearest that are known
-    first, last = size[:_NEAREST].max(axis=0), size[-_NEAREST:].max(axis=0)
-    each = np.concatenate([[first, first], size, [last, last]])
+    # of the two at each end nothing tells: they are as bad as the worse of the nearest two that are known
+    each = np.pad(size, ((2, 2), (0, 0)), mode="maximum", stat_length=2)
     return np.asarray(each / np.sqrt(3.0))
 
 

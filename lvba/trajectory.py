@@ -118,7 +118,7 @@ def align(estimate: Poses, reference: Poses, rounds: int = 5) -> np.ndarray:
     orientations = np.einsum("nij,nkj->ik", reference[:, :3, :3], estimate[:, :3, :3])
     lever = 1e-3 * max(float(np.sqrt(((p - p_mean) ** 2).sum(1).mean())), 1e-3)
     for _ in range(rounds):
-        rotation = _closest_rotation(positions + lever**2 * orientations)
+        rotation = geometry.closest_rotation(positions + lever**2 * orientations)
         off = (q - q_mean) - (p - p_mean) @ rotation.T
         turned = np.einsum("nji,jk,nkl->nil", reference[:, :3, :3], rotation, estimate[:, :3, :3])
         angle = np.linalg.norm(Rotation.from_matrix(turned).as_rotvec(), axis=1)
@@ -158,16 +158,11 @@ def align_for_errors(estimate: Poses, reference: Poses) -> Alignment:
         # |R_a - R_b|^2 is twice the squared angle
         orientations = np.einsum("nij,nkj->ik", reference[:, :3, :3], estimate[:, :3, :3])
         cross = cross + _LEVER_M**2 / 2 * orientations
-    rotation = _closest_rotation(cross)
+    rotation = geometry.closest_rotation(cross)
     return Alignment(geometry.from_rotation_translation(rotation, q_mean - rotation @ p_mean), by)
 
 
 _EXACT = 1e-12
-
-
-def _closest_rotation(cross: np.ndarray) -> np.ndarray:
-    u, _, vt = np.linalg.svd(cross)
-    return np.asarray(u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt)
 
 
 @dataclass(frozen=True)

@@ -262,8 +262,7 @@ def _errors(expected: np.ndarray, poses: np.ndarray) -> np.ndarray:
 
 def _middle(transforms: np.ndarray) -> np.ndarray:
     """The (4, 4) transform of medians, element by element, made a rotation again."""
-    u, _, vt = np.linalg.svd(np.median(transforms[:, :3, :3], axis=0))
-    rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    rotation = geometry.closest_rotation(np.median(transforms[:, :3, :3], axis=0))
     return geometry.from_rotation_translation(rotation, np.median(transforms[:, :3, 3], axis=0))
 
 

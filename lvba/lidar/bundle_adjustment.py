@@ -74,15 +74,19 @@ class LidarResult:
     own_covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 6, 6)))
 
     @property
-    def whole_covariance(self) -> uncertainty.Covariance:
-        """Of the poses, with what each scan is off by itself."""
-        known = uncertainty.Covariance(
+    def pose_covariance(self) -> uncertainty.Covariance:
+        """Of the poses, without what each scan is off by itself."""
+        return uncertainty.Covariance(
             marginal=self.covariance,
             conditional=self.conditional_covariance,
             step=self.step_covariance,
             shared_factor=self.shared_factor,
         )
-        return known.with_own(self.own_covariance, self.world_from_scan)
+
+    @property
+    def whole_covariance(self) -> uncertainty.Covariance:
+        """Of the poses, with what each scan is off by itself."""
+        return self.pose_covariance.with_own(self.own_covariance, self.world_from_scan)
 
 
 def refine(

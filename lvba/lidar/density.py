@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from lvba import geometry
 from lvba.lidar.config import Stage
 from lvba.lidar.scan import Scans
 
@@ -37,9 +38,7 @@ def points_per_cell(scans: Scans, size: float) -> float:
     step = max(1, len(scans) // _SAMPLED_SCANS)
     medians = []
     for first, last in zip(scans.offsets[:-1:step], scans.offsets[1::step], strict=True):
-        points = scans.points[first:last]
-        finite = np.isfinite(points)
-        points = points if finite.all() else points[finite.all(axis=1)]
+        points = geometry.finite(scans.points[first:last])
         if len(points):
             cells = np.floor(points / np.float32(size)).astype(np.int64)
             key = (cells[:, 0] * 2_000_003 + cells[:, 1]) * 2_000_003 + cells[:, 2]

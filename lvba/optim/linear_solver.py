@@ -301,21 +301,15 @@ def sandwich(
     """
     factors = _undamped(equations, free, dense_limit)
     count, size = equations.gradient.shape
-    middle = csc_matrix((gradients.shape[1],) * 2) if spread is None else spread.sparse()
+    middle = _middle(gradients, spread)
     unknowns, k = count * size, equations.shared
     own, with_shared = np.zeros((count, size, size)), np.zeros((count, size, k))
-
-    def columns(first: int, last: int) -> np.ndarray:
-        unit = np.zeros((unknowns + k, last - first))
-        unit[np.arange(first, last), np.arange(last - first)] = 1.0
-        return factors.solve(unit)
-
-    shared = columns(unknowns, unknowns + k)
+    shared = _columns(factors, unknowns + k, unknowns, unknowns + k)
     shared_pull, shared_middle = gradients @ shared, middle @ shared
     per = max(_COLUMNS // size, 1)
     for start in range(0, count, per):
         stop = min(start + per, count)
-        piece = columns(start * size, stop * size)
+        piece = _columns(factors, unknowns + k, start * size, stop * size)
         here = stop - start
         pull, each, through = (
             np.ascontiguousarray(part.reshape(-1, here, size).transpose(1, 2, 0))
@@ -324,3 +318,32 @@ def sandwich(
         own[start:stop] = pull @ np.swapaxes(pull, 1, 2) + each @ np.swapaxes(through, 1, 2)
         with_shared[start:stop] = pull @ shared_pull + each @ shared_middle
     return Covariance(own, with_shared, shared_pull.T @ shared_pull + shared.T @ shared_middle)
+
+
+def shared_sandwich(
+    equations: NormalEquations,
+    gradients: csr_matrix,
+    spread: NormalEquations | None,
+    free: np.ndarray | None = None,
+    dense_limit: int = 2500,
+) -> np.ndarray:
+    """(k, k): the block of the shared parameters of `sandwich` alone, which takes as many columns of the inverse.
+
+    free: (B, b) bool; other arguments and errors as of `sandwich`
+    """
+    factors, size = _undamped(equations, free, dense_limit), gradients.shape[1]
+    shared = _columns(factors, size, size - equations.shared, size)
+    pull = gradients @ shared
+    return np.asarray(pull.T @ pull + shared.T @ (_middle(gradients, spread) @ shared))
+
+
+def _middle(gradients: csr_matrix, spread: NormalEquations | None) -> csc_matrix:
+    """P of `sandwich`, (B b + k, B b + k)."""
+    return csc_matrix((gradients.shape[1],) * 2) if spread is None else spread.sparse()
+
+
+def _columns(factors: Factors, size: int, first: int, last: int) -> np.ndarray:
+    """Columns from `first` to before `last` of the inverse, which is `size` wide, (size, last - first)."""
+    unit = np.zeros((size, last - first))
+    unit[np.arange(first, last), np.arange(last - first)] = 1.0
+    return factors.solve(unit)

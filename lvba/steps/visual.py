@@ -69,15 +69,9 @@ def _uncertainty(lidar: LidarStage, scans: np.ndarray) -> Covariance:
     do not share would count as an error that they do.
     """
     assert lidar.result is not None
-    result = lidar.result
-    every = len(scans) == len(result.covariance)
-    steps = result.step_covariance if every else np.zeros((0, 6, 6))
-    return Covariance(
-        marginal=result.covariance[scans],
-        conditional=result.conditional_covariance[scans],
-        step=steps,
-        shared_factor=result.shared_factor,
-    )
+    known = lidar.result.pose_covariance
+    steps = known.step if len(scans) == len(known.marginal) else np.zeros((0, 6, 6))
+    return replace(known, marginal=known.marginal[scans], conditional=known.conditional[scans], step=steps)
 
 
 def solve_level(

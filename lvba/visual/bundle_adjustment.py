@@ -292,31 +292,35 @@ def _undecided(prior: Prior, source: Source, state: VisualState, known: Covarian
 
 def covariance_of(solution: LevelSolution) -> Covariance:
     """Of the images' unknowns, (I, 7, 7) blocks, and of the calibration, which counts errors of each image as its own."""
-    args = (
-        solution.problem,
-        solution.wall_clusters,
-        solution.prior,
-        _State(solution.photometric, solution.state.calibration),
-        solution.linearization,
-        solution.free,
+    problem, prior, linearization = solution.problem, solution.prior, solution.linearization
+    at = _State(solution.photometric, solution.state.calibration)
+    total = joint(linearization.equations, prior, at.visual)
+    clusters = covariance.balanced_gradients(
+        problem, linearization, at.photometric, solution.wall_clusters, total
     )
-    poses = _covariance(*args, of_walls=covariance.balanced_gradients)
-    return replace(poses, shared=_covariance(*args).shared)
+    poses = linear_solver.sandwich(total, clusters, _gradient_variance(prior, at), solution.free)
+    shared = _covariance_of_calibration(
+        problem, solution.wall_clusters, prior, at, linearization, solution.free, total
+    )
+    return replace(poses, shared=shared)
 
 
-def _covariance(
+def _covariance_of_calibration(
     problem: Problem,
     wall_clusters: WallClusters,
     prior: Prior | None,
     at: _State,
     linearization: Linearization,
     free: np.ndarray,
-    of_walls: Callable[..., csr_matrix] = covariance.bias_reduced_gradients,
-) -> Covariance:
-    total = joint(linearization.equations, prior, at.visual)
-    varies = None if prior is None else trajectory_prior.gradient_variance(prior, at.visual)
-    clusters = of_walls(problem, linearization, at.photometric, wall_clusters, total)
-    return linear_solver.sandwich(total, clusters, varies, free)
+    total: NormalEquations,
+) -> np.ndarray:
+    """(k, k); total: `joint`, at this state."""
+    clusters = covariance.bias_reduced_gradients(problem, linearization, at.photometric, wall_clusters, total)
+    return linear_solver.shared_sandwich(total, clusters, _gradient_variance(prior, at), free)
+
+
+def _gradient_variance(prior: Prior | None, at: _State) -> NormalEquations | None:
+    return None if prior is None else trajectory_prior.gradient_variance(prior, at.visual)
 
 
 def _fixed(
@@ -328,9 +332,10 @@ def _fixed(
     free: np.ndarray,
 ) -> tuple[str, ...]:
     """The parameters of the calibration that the images do not call to correct."""
+    total = joint(linearization.equations, prior, at.visual)
     known = fixed_calibration.Precision(
-        covariance=_covariance(problem, wall_clusters, prior, at, linearization, free).shared,
-        plain=linear_solver.covariance(joint(linearization.equations, prior, at.visual), free).shared,
+        covariance=_covariance_of_calibration(problem, wall_clusters, prior, at, linearization, free, total),
+        plain=linear_solver.covariance(total, free).shared,
         per_pixel=noise.per_pixel(problem.information, linearization.sums),
     )
     return fixed_calibration.insignificant(at.calibration.deviation(prior.calibration.reference), known)

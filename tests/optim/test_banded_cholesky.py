@@ -146,6 +146,8 @@ def test_sandwiches_are_those_of_the_dense_inverse(problem, dense_limit, with_sp
     spread = equations if with_spread else None
     found = linear_solver.sandwich(equations, csr_matrix(gradients), spread, free, dense_limit)
     same(found, inverse @ middle @ inverse, free)
+    shared = linear_solver.shared_sandwich(equations, csr_matrix(gradients), spread, free, dense_limit)
+    np.testing.assert_array_equal(shared, found.shared)
 
 
 def test_a_band_that_would_be_too_large_is_solved_otherwise(monkeypatch):

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from lvba import geometry
 from lvba.arrays import Pose
 from lvba.inertial import readings
 from lvba.sources.importing import decision, offset
@@ -177,8 +178,7 @@ class _Turns:
         felt = (self._turning.sum(end) - self._turning.sum(begin)) / seconds
         true = self._turned.as_rotvec() / seconds
         felt, true = (rates[covered] - np.median(rates[covered], axis=0) for rates in (felt, true))
-        u, _, vt = np.linalg.svd(true.T @ felt)
-        turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+        turn = geometry.closest_rotation(true.T @ felt)
         scale = float(np.sum(felt**2) / max(np.sum(true * (felt @ turn.T)), 1e-12))
         fitted = felt @ turn.T / scale
         groups = min(_GROUPS, len(true) // _TURNS)
