@@ -281,7 +281,7 @@ def _disturbed_row(scene: str, seed: int, frames: int, name: str, size: float, w
     finally:
         for folder in (dataset, out):
             shutil.rmtree(folder, ignore_errors=True)
-    return _errors(figures(report)) | _without_truth(report)
+    return errors(figures(report)) | without_truth(report)
 
 
 def code_version() -> str:
@@ -296,7 +296,7 @@ def code_version() -> str:
     return head.stdout.strip() + ("+" if changed.returncode else "")
 
 
-def _errors(row: dict[str, Any]) -> dict[str, Any]:
+def errors(row: dict[str, Any]) -> dict[str, Any]:
     """Of a row, what the table of disturbances shows."""
     kept = {name: row[name] for name in ("failed", "seconds", "peak_memory_mb") if name in row}
     reference = row.get("reference") or {}
@@ -311,7 +311,7 @@ def _errors(row: dict[str, Any]) -> dict[str, Any]:
     return kept
 
 
-def _without_truth(report: dict[str, Any]) -> dict[str, Any]:
+def without_truth(report: dict[str, Any]) -> dict[str, Any]:
     """The verdict as a user without a reference gets it: level, reasons, and whether expected errors are lower bounds."""
     if "failed" in report:
         return {}

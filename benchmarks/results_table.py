@@ -70,6 +70,12 @@ errors are likely larger than promised. Exposures are compared after the one pow
 **Bold**: more than three times the promised error without that word (exposures: without a reason that names them), but
 for a common scale of the LiDAR's ranges, which promises leave out ([evaluation.md](evaluation.md#how-good-is-my-map)).
 """,
+    "models": """## What each model of sensors brings
+
+Scenes disturbed by typical sizes of what a model is of, by runs with all models and without this one; last, all at once.
+Without -> with: errors against the truth as above, the verdict, and processor seconds of the run. "nothing disturbed":
+what all models cost, and do to, a clean scene: the least seconds of several runs of each kind, in turns.
+""",
     "colors": """## Colors of the map
 
 The map as users keep it, colored by the version before views were ranked by angle and hidden by surfaces, and by
@@ -332,6 +338,28 @@ def _imu(name: str, row: Row) -> list[str]:
     ]
 
 
+def _models(name: str, row: Row) -> list[str]:
+    sides = [row["without"], row["with"]]
+    poses = [
+        " -> ".join(
+            f"{number(side, 'reference', part, 'ate_m', scale=1e3)} / "
+            f"{number(side, 'reference', part, 'rotation_deg', digits=4)}"
+            for side in sides
+        )
+        for part in ("lidar", "camera")
+    ]
+    exposures = [_exposures(side.get("reference") or {})[0] for side in sides]
+    verdicts = [str(side.get("verdict")) + (", at least" if side.get("at_least") else "") for side in sides]
+    return [
+        name,
+        ", ".join(row["disturbances"]) or "-",
+        *poses,
+        " -> ".join("-" if each is None else f"{each:.2f}" for each in exposures),
+        " -> ".join(verdicts),
+        " -> ".join(number(side, "processor_seconds", digits=1) for side in sides),
+    ]
+
+
 def _colors(name: str, row: Row) -> list[str]:
     def both(key: str, scale: float = 1.0, digits: int = 2) -> str:
         old, new = (number(row, state, key, scale=scale, digits=digits) for state in ("before", "after"))
@@ -451,6 +479,18 @@ COLUMNS: dict[str, tuple[list[str], Callable[[str, Row], list[str]]]] = {
             "gate was",
         ],
         _gate,
+    ),
+    "models": (
+        [
+            "model",
+            "disturbed by",
+            "scans mm / deg",
+            "cameras mm / deg",
+            "exposures %",
+            "verdict",
+            "processor s",
+        ],
+        _models,
     ),
     "colors": (
         [

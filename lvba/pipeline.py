@@ -146,7 +146,8 @@ class _Chain:
         ]
         add, config, cores = self.plan.add, self.config, [part.core_scans for part in self.parts]
         self.survey = add("survey", survey.survey, self.dataset, config.lidar, config.visual.keyframes)
-        self.errors = add("scan-errors", scan_errors.measure, self.dataset, config.lidar, config.refine_scans)
+        measured = config.refine_scans and self.variant.scan_errors
+        self.errors = add("scan-errors", scan_errors.measure, self.dataset, config.lidar, measured)
         self.photos, self.keyframes = list[Made](), list[Made]()
         self.points = self._decode("scans", decoded.decode_scans, cores, self.errors)
 

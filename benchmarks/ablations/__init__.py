@@ -29,3 +29,20 @@ ABLATIONS: dict[str, Ablation] = {
     "parts side by side": Ablation(align_parts=False),
 }
 """By the name that the tables give them."""
+
+_EXTRINSIC_FIXED = ("visual.prior.extrinsic_position_m=0.0001", "visual.prior.extrinsic_rotation_deg=0.001")
+_CLOCKS_FIXED = ("visual.prior.time_offset_s=0.000001",)
+
+MODELS: dict[str, Ablation] = {
+    "camera": Ablation(("visual.calibrate=false",)),
+    "vignetting and response": Ablation(("visual.vignetting=false",)),
+    "white balance": Ablation(variant=Variant(white_balance=False)),
+    "extrinsic": Ablation(_EXTRINSIC_FIXED),
+    "time offset": Ablation(_CLOCKS_FIXED),
+    "errors of scans": Ablation(variant=Variant(scan_errors=False)),
+    "all of these": Ablation(
+        ("visual.calibrate=false", "visual.vignetting=false", *_EXTRINSIC_FIXED, *_CLOCKS_FIXED),
+        Variant(white_balance=False, scan_errors=False),
+    ),
+}
+"""Without one model of what sensors do, by the name of the model."""

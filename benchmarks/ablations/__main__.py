@@ -1,13 +1,15 @@
 """One recording by the method with a part of it left out: a result folder as `lvba run` writes it.
 
 python -m benchmarks.ablations "without exposures" RECORDING --out RESULT [--reference TRUTH] [--set name=value ...]
+
+The name of a model of what sensors do, such as "white balance", is the method without it.
 """
 
 import argparse
 import sys
 from pathlib import Path
 
-from benchmarks.ablations import ABLATIONS
+from benchmarks.ablations import ABLATIONS, MODELS
 from lvba import config as settings
 from lvba import pipeline, result
 from lvba.io import result_folder
@@ -17,10 +19,12 @@ from lvba.pipeline import Config
 from workers import local, versions
 from workers.url_store import open_store
 
+_EVERY = ABLATIONS | MODELS
+
 
 def run(name: str, recording: Path, out: Path, reference: Path | None, options: list[str]) -> None:
     """Writes the result folder; finished stages are kept in it and used again."""
-    ablation = ABLATIONS[name]
+    ablation = _EVERY[name]
     config = settings.override(Config(), [*ablation.settings, *options])
     dataset = open_dataset(recording)
     truth = None if reference is None else read_reference(reference)
@@ -38,7 +42,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("name", choices=ABLATIONS, metavar="NAME", help=f"one of: {'; '.join(ABLATIONS)}")
+    parser.add_argument("name", choices=_EVERY, metavar="NAME", help=f"one of: {'; '.join(_EVERY)}")
     parser.add_argument("recording", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--reference", type=Path)

@@ -226,13 +226,14 @@ def finest(
     if variant.exposures == "means":
         exposed = _exposed(scene, 0, state)
         state, sigma, light = exposed.state, exposed.sigma, exposed.radiometry
-    balance = _white_balance(scene, given, state, light) if variant.exposures == "means" else None
+    balanced = variant.exposures == "means" and variant.white_balance
+    balance = _white_balance(scene, given, state, light) if balanced else None
     if balance is not None and given.colors is not None:
-        balanced = white_balance.taken_out_of(scene.pyramid, given.colors, balance, light.response)
+        pyramid = white_balance.taken_out_of(scene.pyramid, given.colors, balance, light.response)
         again = replace(
             coarser, state=state, prior=solution.prior, variance_factor=last.problem.variance_factor
         )
-        solution, last, directions = _solved(replace(scene, pyramid=balanced), again, config, progress)
+        solution, last, directions = _solved(replace(scene, pyramid=pyramid), again, config, progress)
         state = solution.state
     start, keyframes, times = scene.start.cameras.world_from_camera, given.keyframes, given.images.times
     result = results.collect(

@@ -1,4 +1,4 @@
-"""What the visual bundle adjustment is made of."""
+"""What the method is made of."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -16,6 +16,8 @@ class Variant:
         reference's pose, as in the paper: slower and less accurate
     global_points: points and targets through the global visibility voxel map
     score: best view of a voxel, eq. (4): "area", pixels per m^2, or "as printed"
+    white_balance: where it changes from image to image, it is taken out of the images
+    scan_errors: what is systematically wrong with scans is measured and taken out of their points
     """
 
     prior: bool = True
@@ -24,6 +26,8 @@ class Variant:
     reference_pixels: Literal["fixed", "moving"] = "fixed"
     global_points: bool = True
     score: Literal["area", "as printed"] = "area"
+    white_balance: bool = True
+    scan_errors: bool = True
 
 
 PRODUCT = Variant()

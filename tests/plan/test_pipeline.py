@@ -81,15 +81,17 @@ def test_a_variant_of_parts_with_joint_rounds_is_refused(plan_of):
 
 def test_every_ablation_has_a_plan_of_its_own(plan_of, monkeypatch):
     monkeypatch.syspath_prepend(str(Path(lvba.__file__).parent.parent))
-    from benchmarks.ablations import ABLATIONS
+    from benchmarks.ablations import ABLATIONS, MODELS
+
+    every = ABLATIONS | MODELS
 
     def keys(name):
-        ablation = ABLATIONS[name]
+        ablation = every[name]
         settings = config.override(Config(), list(ablation.settings))
         made = plan_of(0, settings=settings, variant=ablation.variant, align_parts=ablation.align_parts)
         return frozenset(made.steps)
 
     # parts are aligned, or not, where there are several
-    alone = [name for name in ABLATIONS if name != "parts side by side"]
-    assert len({keys(name) for name in alone}) == len(alone) > 10
+    alone = [name for name in every if name != "parts side by side"]
+    assert len({keys(name) for name in alone}) == len(alone) > 17
     assert plan_of(20, align_parts=False).steps.keys() != plan_of(20).steps.keys()
