@@ -25,6 +25,7 @@ from lvba.products.evaluate import EvaluateConfig
 from lvba.products.map_file import MapConfig
 from lvba.settings import setting
 from lvba.steps import (
+    camera_outliers,
     evaluate,
     expected_error,
     fusion,
@@ -153,18 +154,18 @@ class _Chain:
 
     def add(self, reference: Reference | None) -> None:
         """All steps: the sequence of a run."""
+        add = self.plan.add
         lidar, scans, merged = self.solve_scans()
-        cameras, merged = self.solve_cameras(lidar, scans, merged)
+        solved, merged = self.solve_cameras(lidar, scans, merged)
+        cameras = self.mend_cameras(scans, solved)
         learned, fused = self.fuse(lidar, scans, cameras)
         scores, accepted = self.choose(scans, fused, cameras)
-        expected = self.plan.add(
-            "expected-error", expected_error.of_result, lidar, learned, cameras, accepted
-        )
+        expected = add("expected-error", expected_error.of_result, lidar, learned, cameras, accepted)
         pieces = self.color_map(accepted, expected)
         planes = self.measure_planes(accepted)
         self.show_images(accepted, scores)
         facts = self.merge_facts(merged, accepted)
-        self.plan.add(
+        add(
             "facts", report_data.collect,
             *(self.dataset, lidar, scans, cameras, learned, scores, accepted),
             *(expected, one_at_a_time(pieces), planes, reference, facts, self.errors),
@@ -378,6 +379,12 @@ class _Chain:
         dataset = split.subset(self.dataset, frames.scans, frames.images)
         return self._images(f"-with-near-{part.number}", dataset, frames, lidar, scans)
 
+    def mend_cameras(self, scans: Ref, solved: Ref) -> Ref:
+        """The cameras without outliers."""
+        state = self.dataset, scans, solved
+        compared = self._each("visual-outliers", camera_outliers.compare, *state, self.config.evaluate)
+        return self.plan.add("visual-mended", camera_outliers.mend, *state, compared)
+
     def fuse(self, lidar: Ref, scans: Ref, cameras: Ref) -> tuple[Ref, Ref]:
         """What the cameras say about the scans, and the scans as they are used with the cameras."""
         add, config = self.plan.add, self.config
@@ -399,13 +406,11 @@ class _Chain:
         accepted = self.plan.add(
             "visual-gate", evaluate.decide, self.dataset, scans, fused, cameras, scores, config.gate
         )
+        name, options = "evaluate-result", (accepted, config.evaluate)
         complete = [
-            self.plan.add(
-                self._name(part, "evaluate-result"), evaluate.complete,
-                *(*self._of(part), *states, own, accepted, config.evaluate),
-            )
-            for frames, part, own in zip(self.frames, self.parts, parts, strict=True)
-        ]  # fmt: skip
+            self.plan.add(self._name(part, name), evaluate.complete, *self._of(part), *states, own, *options)
+            for part, own in zip(self.parts, parts, strict=True)
+        ]
         return self._together("evaluate-result", complete, scans, fused), accepted
 
     def _together(self, name: str, parts: list[Ref], scans: Ref, fused: Ref) -> Ref:

@@ -34,6 +34,7 @@ from lvba.steps.outcomes import Accepted, ScanPoses, VisualStage
 from lvba.steps.part_scores import as_in_whole, in_core, together
 from lvba.visual import self_calibration
 from lvba.visual.radiometry import NONE, Radiometry
+from lvba.visual.result import VisualResult
 
 CLEAR = 2.0
 """A gain of so many times the standard errors that it must exceed is one whichever images are asked ..."""
@@ -201,17 +202,19 @@ def judged_states(
         if cameras.camera not in views:
             seen_by = dataset.with_camera(cameras.camera)
             views[cameras.camera] = views_of(seen_by, pictures.seen_by(cameras.camera))
-        poses, exposures = cameras.world_from_camera, cameras.log_exposure
-        light = recorded_images.light_in(cameras.radiometry, cameras.camera)
-        at = dataclasses.replace(
-            views[cameras.camera],
-            world_from_camera=poses,
-            log_exposure=exposures,
-            light=light,
-            curve=cameras.radiometry.response,
-        )
-        states[name] = State(clouds.get(name, own), at)
+        states[name] = State(clouds.get(name, own), views_at(views[cameras.camera], cameras))
     return states
+
+
+def views_at(views: Views, cameras: Cameras) -> Views:
+    """The views of a recording where these cameras have them. views: with the same camera"""
+    return dataclasses.replace(
+        views,
+        world_from_camera=cameras.world_from_camera,
+        log_exposure=cameras.log_exposure,
+        light=recorded_images.light_in(cameras.radiometry, cameras.camera),
+        curve=cameras.radiometry.response,
+    )
 
 
 def camera_states(
@@ -224,17 +227,21 @@ def camera_states(
     states = {ROUGH: Cameras(rough, equal, camera), CARRIED: Cameras(carried, equal, camera)}
     if visual.result is None:
         return states
-    poses, exposures = visual.result.world_from_camera, visual.result.log_exposure
-    light = visual.result.radiometry
-    refined = self_calibration.corrected(camera, visual.result.calibration)
+    refined = refined_cameras(camera, visual.result)
     states |= {
-        EXPOSED: Cameras(carried, exposures, camera, light),
-        POSED: Cameras(poses, equal, refined),
-        VISUAL: Cameras(poses, exposures, refined, light),
+        EXPOSED: dataclasses.replace(refined, world_from_camera=carried, camera=camera),
+        POSED: Cameras(refined.world_from_camera, equal, refined.camera),
+        VISUAL: refined,
     }
     if fused.verdict.accepted:
         states |= {FUSED_POSED: states[POSED], FUSED: states[VISUAL]}
     return states
+
+
+def refined_cameras(camera: Camera, result: VisualResult) -> Cameras:
+    """The cameras as the visual stage has them. camera: of the raw images, as calibrated"""
+    refined = self_calibration.corrected(camera, result.calibration)
+    return Cameras(result.world_from_camera, result.log_exposure, refined, result.radiometry)
 
 
 def choose(

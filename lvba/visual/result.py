@@ -1,6 +1,6 @@
 """What the visual stage hands back: poses of all images, their errors, and an account of every level."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -64,6 +64,7 @@ class VisualResult:
     extrinsic_change: of the extrinsic found from the calibrated one
     white_balance: (I, 3) float64, log of how much brighter red, green and blue of an image are than its exposure says,
         each 0 on average, and exposures are means over the colors; None: it does not change
+    substituted: (r,) int64, images whose poses are their neighbors' (`lvba.steps.camera_outliers`)
     """
 
     world_from_camera: np.ndarray
@@ -84,6 +85,7 @@ class VisualResult:
     radiometry: Radiometry = NONE
     extrinsic_change: ExtrinsicChange = NO_CHANGE
     white_balance: np.ndarray | None = None
+    substituted: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @property
     def scan_from_camera(self) -> np.ndarray:

@@ -30,7 +30,8 @@ STAGES = [
         "images",
         "visual-planes",
     ),
-    *("visual-level-2", "visual-level-1", "visual", "fusion", "fusion-entropy", "fusion-gate"),
+    *("visual-level-2", "visual-level-1", "visual", "visual-outliers", "visual-mended"),
+    *("fusion", "fusion-entropy", "fusion-gate"),
     *("evaluate", "visual-gate", "evaluate-result", "expected-error"),
     *("map", "planes", "renderings", "pictures", "facts"),
 ]

@@ -1,0 +1,350 @@
+"""The steps that look for single cameras that the visual stage left in a wrong place, and put them where their neighbors
+have them.
+
+One camera that is degrees off colors the points about it wrongly, so that its neighbors are predicted worse as well: a
+gain of all others is not beyond chance then, and the gate refuses all of them. A camera is an outlier where it leaves the
+LiDAR trajectory by far more than its neighbors do, and where images say that it is wrong: PSNR and SSIM of its image,
+left out, are better at its neighbors' deviation from the trajectory. The gate judges the result of it as any other.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import PurePath
+
+import numpy as np
+
+from lvba import geometry, spline
+from lvba.arrays import Indices, Poses, Times
+from lvba.blocks.decoded import PhotoReader, Pieces, ScanPoints, ScanReader
+from lvba.blocks.split import Part
+from lvba.dataset import Dataset
+from lvba.products import evaluate as evaluation
+from lvba.products.evaluate import EvaluateConfig, Scores, State
+from lvba.products.recorded_images import views_of
+from lvba.progress import Progress, silent
+from lvba.steps import acceptance, evaluate
+from lvba.steps.lidar import carry_cameras, cloud_of
+from lvba.steps.outcomes import ScanPoses, VisualStage
+from lvba.steps.part_scores import as_in_whole, in_core, together
+from lvba.trajectory import Trajectory
+from lvba.visual.result import VisualResult
+
+SOLVED = "solved"
+"""The state with the cameras as the visual stage left them; the others are named after their `Expectation`."""
+ODD = 5.0
+"""Times the median by which a camera must miss its neighbors' deviation to be asked about: 7.7 standard deviations, were
+these normal."""
+MOST = 0.05
+"""Part of the keyframes that may be asked about, by each path: a stage that fails in more is judged as it is ..."""
+LEAST = 2
+"""... but so many always."""
+FEWEST = 8
+"""Keyframes below which no median says what is odd."""
+_NAMED = 8
+"""Images that are named at most."""
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """One way to tell where the cameras are without their images, and by what the keyframes solved deviate from it.
+
+    world_from_camera: (I, 4, 4) of all images; deviation: (K, 6) of the keyframes, in the frame of the camera
+    known: (K,) bool, keyframes that it says something about
+    """
+
+    name: str
+    world_from_camera: Poses
+    deviation: np.ndarray
+    known: np.ndarray
+
+
+@dataclass(frozen=True)
+class Outliers:
+    """odd: (r,) int64, keyframes that leave the trajectory by far more than their neighbors, as numbers of images
+    others: (n,) int64, the other keyframes; expectations: that they contradict
+    """
+
+    odd: np.ndarray
+    others: np.ndarray
+    expectations: tuple[Expectation, ...]
+
+    @property
+    def keyframes(self) -> np.ndarray:
+        """(K,) int64, all of them."""
+        return np.union1d(self.odd, self.others)
+
+    def names_for(self, image: int) -> list[str]:
+        """Of the expectations that say something about a keyframe."""
+        at = int(np.searchsorted(self.keyframes, image))
+        return [each.name for each in self.expectations if each.known[at]]
+
+    def about(self, images: int, odd: Indices) -> np.ndarray:
+        """(n,) int64, some of the outliers, and images between them and the next of the others: these follow both."""
+        numbers = np.arange(images)
+        gaps = np.searchsorted(self.others, numbers)
+        follow = ~np.isin(numbers, self.keyframes) & np.isin(gaps, gaps[odd])
+        return np.union1d(odd, numbers[follow])
+
+
+def find(dataset: Dataset, scans: ScanPoses, visual: VisualStage) -> Outliers | None:
+    """The cameras that images are to be asked about; None: none."""
+    if visual.result is None or len(visual.result.keyframes) < FEWEST:
+        return None
+    keyframes, expectations = visual.result.keyframes, _expectations(dataset, scans, visual.result)
+    odd = np.zeros(len(keyframes), bool)
+    for each in expectations:
+        known = np.flatnonzero(each.known)
+        odd[known[odd_ones(each.deviation[known])]] = True
+    if not odd.any():
+        return None
+    return Outliers(keyframes[odd], keyframes[~odd], expectations)
+
+
+def _expectations(dataset: Dataset, scans: ScanPoses, result: VisualResult) -> tuple[Expectation, ...]:
+    """Cameras carried along with the scans, and on splines through them; the latter not in the gaps at the ends, where
+    they are three times as far off."""
+    times, samples = dataset.images.times, Trajectory(dataset.scans.times, scans.world_from_scan)
+    everywhere = np.ones(len(result.keyframes), bool)
+    expected = [("carried", carry_cameras(dataset, scans.world_from_scan), everywhere)]
+    if len(samples) >= spline.FEWEST_SAMPLES:
+        moments = times + result.time_offset
+        inside = (moments >= samples.times[1]) & (moments <= samples.times[-2])
+        poses = spline.through(samples, moments) @ result.scan_from_camera
+        expected.append(("spline", poses, inside[result.keyframes]))
+    solved = result.world_from_camera[result.keyframes]
+    return tuple(
+        Expectation(name, poses, geometry.log(geometry.inverse(poses[result.keyframes]) @ solved), known)
+        for name, poses, known in expected
+        if np.count_nonzero(known) >= FEWEST
+    )
+
+
+def odd_ones(deviation: np.ndarray) -> np.ndarray:
+    """Those of n successive cameras whose deviation (n, 6) is not their neighbors', (r,) int64, ascending: the oddest,
+    and again without it."""
+    left, most = np.arange(len(deviation)), max(LEAST, int(MOST * len(deviation)))
+    typical = np.median(_sizes(_from_most(deviation)), axis=0)
+    if not (typical > 0).all():
+        return np.zeros(0, np.int64)
+    while len(deviation) - len(left) < most:
+        off = (_sizes(_from_most(deviation[left])) / typical).max(axis=1)
+        if off.max() <= ODD:
+            break
+        left = np.delete(left, off.argmax())
+    return np.setdiff1d(np.arange(len(deviation)), left)
+
+
+def _from_most(values: np.ndarray) -> np.ndarray:
+    """(n, 6): by how much each of n values differs from the median of its four neighbors: two of these may be odd."""
+    first = np.clip(np.arange(len(values)) - 2, 0, len(values) - 5)
+    window = first[:, None] + np.arange(5)
+    others = window[window != np.arange(len(values))[:, None]].reshape(-1, 4)
+    return np.asarray(values - np.median(values[others], axis=1))
+
+
+def _sizes(deviation: np.ndarray) -> np.ndarray:
+    """(n, 2): of rotations and positions."""
+    return np.stack([np.linalg.norm(deviation[:, part], axis=1) for part in (slice(3), slice(3, 6))], axis=1)
+
+
+def _from_neighbors(times: Times, values: np.ndarray, reach: int = 1) -> np.ndarray:
+    """(n, 6): by how much each of n values differs from what those `reach` before and after it say, at the ends one."""
+    index = np.arange(len(times))
+    before, after = index - reach, index + reach
+    first, last = before < 0, after >= len(times)
+    before = np.where(first, np.minimum(after, len(times) - 1), before)
+    after = np.where(last, np.maximum(before, 0), after)
+    span = times[after] - times[before]
+    fraction = np.where(span > 0, (times - times[before]) / np.where(span > 0, span, 1.0), 0.0)
+    return np.asarray(values - values[before] - fraction[:, None] * (values[after] - values[before]))
+
+
+def substituted(outliers: Outliers, times: Times, poses: Poses, expected: Expectation) -> np.ndarray:
+    """Poses (I, 4, 4) with the outliers, and images about them, at the deviation of the keyframes next to them.
+
+    times: (I,) s; poses: as solved
+    """
+    others = np.isin(outliers.keyframes, outliers.others)
+    at = outliers.about(len(times), outliers.odd)
+    known, deviation = times[outliers.others], expected.deviation[others]
+    moved = np.stack([np.interp(times[at], known, deviation[:, n]) for n in range(6)], axis=1)
+    changed = poses.copy()
+    changed[at] = geometry.retract(expected.world_from_camera[at], moved)
+    return changed
+
+
+def compare(
+    dataset: Dataset,
+    part: Part,
+    points: Pieces[ScanPoints],
+    photos: Pieces[np.ndarray],
+    whole: Dataset,
+    scans: ScanPoses,
+    visual: VisualStage,
+    config: EvaluateConfig,
+    progress: Progress = silent,
+) -> dict[str, Scores]:
+    """How well the images of outliers in a part's core are predicted where they are, and by each path; empty: none is.
+
+    dataset: of the part's frames, points, photos: of these; whole, scans, visual: of the recording
+    """
+    outliers = find(whole, scans, visual)
+    if outliers is None or visual.result is None:
+        return {}
+    core = in_core(outliers.odd, part)
+    if not len(core):
+        return {}
+    result, mine = visual.result, slice(*part.images)
+    cloud = cloud_of(
+        dataset, scans.world_from_scan[slice(*part.scans)], progress, ScanReader(points, part.scans[0])
+    )
+    solved = evaluate.refined_cameras(whole.camera, result)
+    pictures = PhotoReader(photos, whole.camera, part.images[0]).seen_by(solved.camera)
+    views = views_of(dataset.with_camera(solved.camera), pictures)
+    poses = {SOLVED: result.world_from_camera} | {
+        each.name: substituted(outliers, whole.images.times, result.world_from_camera, each)
+        for each in outliers.expectations
+    }
+    states = {
+        name: State(
+            cloud,
+            evaluate.views_at(
+                views,
+                replace(solved, world_from_camera=each[mine], log_exposure=result.log_exposure[mine]),
+            ),
+        )
+        for name, each in poses.items()
+    }
+    scores = evaluation.evaluate(
+        states,
+        config,
+        entropies=dict.fromkeys(states, float("nan")),
+        brief=tuple(states),
+        images=(core - part.images[0]).astype(np.int32),
+        progress=progress,
+    )
+    return as_in_whole(scores, part)
+
+
+def mend(
+    dataset: Dataset, scans: ScanPoses, visual: VisualStage, compared: Sequence[Mapping[str, Scores]]
+) -> VisualStage:
+    """The cameras with outliers where images say that their neighbors have them; where images do not say which of the two
+    is right, they stay, and are as uncertain as the two are apart.
+
+    compared: of all parts (`compare`)
+    """
+    outliers = find(dataset, scans, visual)
+    scores = together(compared, dict.fromkeys((SOLVED, *_names(compared)), float("nan")))
+    if outliers is None or visual.result is None or not scores:
+        return visual
+    result, times = visual.result, dataset.images.times
+    better = np.array([_better(scores, int(image), outliers.names_for(int(image))) for image in outliers.odd])
+    for expected in outliers.expectations:
+        result = _moved(result, outliers, times, expected, outliers.odd[better == expected.name])
+    result = _widened(result, outliers, times, outliers.odd[better == ""])
+    if len(result.substituted):
+        named = [dataset.image_paths[image] for image in outliers.odd[~np.isin(better, ["", SOLVED])]]
+        result = replace(result, warnings=(*result.warnings, _warning(named)))
+    return replace(visual, result=result)
+
+
+def _names(compared: Sequence[Mapping[str, Scores]]) -> Collection[str]:
+    return {name for each in compared for name in each}
+
+
+def _better(scores: Mapping[str, Scores], image: int, names: Sequence[str]) -> str:
+    """The one of these states that predicts an image best, if better than where it was solved by PSNR and SSIM, over its
+    own pixels and over common ones; SOLVED: all are worse; "": neither."""
+    at = int(np.searchsorted(scores[SOLVED].images, image))
+    gains = {
+        name: {
+            figure: each.per_image[figure][at] - scores[SOLVED].per_image[figure][at]
+            for figure in acceptance.LOSSES
+        }
+        for name, each in scores.items()
+        if name in names
+    }
+    better = {
+        name: gain["psnr_common"]
+        for name, gain in gains.items()
+        if all(gain[figure] > least for figure, least in acceptance.LOSSES.items())
+    }
+    if better:
+        return max(better, key=lambda name: better[name])
+    worse = (
+        all(-gain[figure] > least for figure, least in acceptance.LOSSES.items()) for gain in gains.values()
+    )
+    return SOLVED if all(worse) else ""
+
+
+def _moved(
+    result: VisualResult, outliers: Outliers, times: Times, expected: Expectation, moved: Indices
+) -> VisualResult:
+    """The result with some outliers (r,) where they are expected, more uncertain by as much as others are off that."""
+    if not len(moved):
+        return result
+    at = outliers.about(len(times), moved)
+    poses, known, local = (
+        values.copy() for values in (result.world_from_camera, result.covariance, result.local_covariance)
+    )
+    poses[at] = substituted(outliers, times, poses, expected)[at]
+    for image in at:
+        error = _error(outliers, times, expected, int(image))
+        for covariance in (known, local):
+            covariance[image] += error
+    return replace(
+        result,
+        world_from_camera=poses,
+        covariance=known,
+        local_covariance=local,
+        keyframes=np.setdiff1d(result.keyframes, moved),
+        substituted=np.union1d(result.substituted, at),
+    )
+
+
+def _error(outliers: Outliers, times: Times, expected: Expectation, image: int) -> np.ndarray:
+    """(6, 6): how far cameras are off that take their deviation from others as far away, as the others show."""
+    gaps = np.searchsorted(outliers.others, outliers.odd)
+    gap = int(np.searchsorted(outliers.others, image))
+    missing = int(np.count_nonzero(gaps == gap))
+    kept = np.isin(outliers.keyframes, outliers.others) & expected.known
+    deviation, moments = expected.deviation[kept], times[outliers.keyframes[kept]]
+    if 0 < gap < len(outliers.others):
+        off = _from_neighbors(moments, deviation, (missing + 2) // 2)
+    else:
+        off = deviation[missing:] - deviation[:-missing]
+    return np.asarray(off.T @ off / max(len(off), 1))
+
+
+def _widened(result: VisualResult, outliers: Outliers, times: Times, unclear: Indices) -> VisualResult:
+    """The result with some outliers (r,) as uncertain as they are off where they are expected, by the nearest."""
+    if not len(unclear):
+        return result
+    known, local = result.covariance.copy(), result.local_covariance.copy()
+    solved = result.world_from_camera[unclear]
+    apart = np.stack(
+        [
+            geometry.log(
+                geometry.inverse(solved)
+                @ substituted(outliers, times, result.world_from_camera, expected)[unclear]
+            )
+            for expected in outliers.expectations
+        ]
+    )
+    nearest = np.linalg.norm(apart, axis=-1).argmin(axis=0)
+    off = apart[nearest, np.arange(len(unclear))]
+    for covariance in (known, local):
+        covariance[unclear] += off[:, :, None] * off[:, None, :]
+    return replace(result, covariance=known, local_covariance=local)
+
+
+def _warning(images: Sequence[str]) -> str:
+    """images: their files"""
+    named = [PurePath(image).name for image in images]
+    listed = ", ".join(named[:_NAMED]) + (f" and {len(named) - _NAMED} more" if len(named) > _NAMED else "")
+    return (
+        f"Cameras had left the trajectory, where their images ({listed}) are predicted worse than where their neighbors "
+        "have them: they were put there, and their expected errors are larger. Look at these images: blur, a covered "
+        "lens and people before the camera do that"
+    )
