@@ -400,18 +400,17 @@ class _Chain:
 
     def choose(self, scans: Ref, fused: Ref, cameras: Ref) -> tuple[Ref, Ref]:
         """The scores over all images, and the state that is the result."""
-        config, states = self.config, (len(self.dataset.image_paths), scans, fused, cameras)
+        add, config = self.plan.add, self.config
+        states = len(self.dataset.image_paths), scans, fused, cameras
         parts = self._each("evaluate", evaluate.evaluate, *states, config.evaluate, config.gate)
         scores = self._together("evaluate", parts, scans, fused)
-        accepted = self.plan.add(
-            "visual-gate", evaluate.decide, self.dataset, scans, fused, cameras, scores, config.gate
-        )
-        name, options = "evaluate-result", (accepted, config.evaluate)
-        complete = [
-            self.plan.add(self._name(part, name), evaluate.complete, *self._of(part), *states, own, *options)
+        accepted = add("visual-gate", evaluate.decide, self.dataset, *states[1:], scores, config.gate)
+        name, complete, options = "evaluate-result", evaluate.complete, (accepted, config.evaluate)
+        completed = [
+            add(self._name(part, name), complete, *self._of(part), *states, own, *options)
             for part, own in zip(self.parts, parts, strict=True)
         ]
-        return self._together("evaluate-result", complete, scans, fused), accepted
+        return self._together(name, completed, scans, fused), accepted
 
     def _together(self, name: str, parts: list[Ref], scans: Ref, fused: Ref) -> Ref:
         """The scores of all parts as one."""
