@@ -53,6 +53,19 @@ def leave_one_out_error(samples: Trajectory, times: Times) -> np.ndarray:
     return np.asarray(around)
 
 
+def leave_one_out_rates(samples: Trajectory, times: Times, floor: np.ndarray) -> np.ndarray:
+    """(Q, 2): what rates by the splines differ by where samples are left out, rad/s and m/s, of one component.
+
+    At times (Q,) what samples about them differ by from the cubic through their neighbors, over the time between them.
+    floor: (2,) float64, rad and m, by which samples differ at least
+    """
+    each = np.maximum(_leave_one_out(samples), floor)
+    before, _ = trajectory.bracket(samples.times, times)
+    after = np.minimum(before + 1, len(samples) - 1)
+    interval = np.diff(samples.times)[np.minimum(before, len(samples) - 2)]
+    return np.asarray(np.maximum(each[before], each[after]) / interval[:, None])
+
+
 def outside(samples: Trajectory, times: np.ndarray) -> np.ndarray:
     """Which times (Q,) are before the first sample or after the last, (Q,) bool."""
     return np.asarray((times < samples.times[0]) | (times > samples.times[-1]))

@@ -75,8 +75,10 @@ def step(now: JointCameras, blocks: Sequence[CameraBlock]) -> JointCameras:
     change, damping = levenberg_marquardt.damped_step(joint, now.damping, free)
     if change is None:
         return replace(now, damping=damping)
-    state = VisualState(
-        photometric.moved(now.state.cameras, change.blocks), now.state.calibration.retract(change.shared)
+    state = replace(
+        now.state,
+        cameras=photometric.moved(now.state.cameras, change.blocks),
+        calibration=now.state.calibration.retract(change.shared),
     )
     entry = _round(blocks, cost, now.state, state, taken_back=False)
     return replace(

@@ -15,6 +15,7 @@ from lvba.optim.linear_solver import Covariance
 from lvba.optim.normal_equations import NormalEquations, Step
 from lvba.visual import (
     calibration_prior,
+    camera_motion,
     covariance,
     fixed_calibration,
     noise,
@@ -110,7 +111,7 @@ def solve(
         offset_sigma=sigma, variance_factor=config.variance_factor, reference_pixels=variant.reference_pixels,
     )  # fmt: skip
     free = _free(problem, prior is not None, variant.exposures == "joint")
-    at = _State(PhotometricState(state.cameras, np.zeros(len(points))), state.calibration)
+    at = _State(PhotometricState(state.cameras, np.zeros(len(points))), state.calibration, state.motion)
     history: tuple[Iteration, ...] = ()
     solver = config.solver
     quick = replace(solver, relative_decrease=max(solver.relative_decrease, _QUICK_DECREASE))
@@ -134,12 +135,15 @@ def solve(
                 fixed = _fixed(problem, wall_clusters, prior, at, linearization, free)
             keep = config.finest and one_left
             problem, prior = _reweighted(problem, wall_clusters, prior, at, linearization, free, keep)
+            # not by a readout that may be chance
+            if shifts is not None and prior is not None and (one_left or state.calibration.readout):
+                at = _with_motion(problem, prior, at, sums, fixed)
             problem, at = _about(problem, at, shifts)
     calibration = at.calibration
     if prior is not None:
         calibration = fixed_calibration.restored(calibration, prior.calibration.reference, fixed)
     return LevelSolution(
-        state=VisualState(at.photometric.cameras, calibration),
+        state=VisualState(at.photometric.cameras, calibration, at.motion),
         photometric=at.photometric,
         problem=problem,
         wall_clusters=wall_clusters,
@@ -161,7 +165,17 @@ def _about(
         return problem, at
     now = shifts(at.visual)
     photometric = replace(at.photometric, shared=np.zeros(now.size))
-    return replace(problem, shifts=now), _State(photometric, at.calibration)
+    return replace(problem, shifts=now), replace(at, photometric=photometric)
+
+
+def _with_motion(
+    problem: Problem, prior: Prior, at: "_State", sums: np.ndarray, fixed: tuple[str, ...]
+) -> "_State":
+    """The state with the motion during each image as its rows tell it; without, where all are read at once."""
+    if "readout" in fixed:
+        return replace(at, motion=None)
+    state = camera_motion.by_rows(problem, at.photometric, sums, prior, at.visual)
+    return replace(at, calibration=state.calibration, motion=state.motion)
 
 
 def offset_sigma(points: ScenePoints, floor_m: float) -> np.ndarray:
@@ -178,10 +192,11 @@ def offset_sigma(points: ScenePoints, floor_m: float) -> np.ndarray:
 class _State:
     photometric: PhotometricState
     calibration: Calibration
+    motion: np.ndarray | None
 
     @property
     def visual(self) -> VisualState:
-        return VisualState(self.photometric.cameras, self.calibration)
+        return VisualState(self.photometric.cameras, self.calibration, self.motion)
 
 
 class _Model:
@@ -204,7 +219,7 @@ class _Model:
 
     def retract(self, state: _State, step: Step) -> _State:
         moved = photometric.retract(self._problem, state.photometric, self.at(state), step)
-        return _State(moved, state.calibration.retract(step.shared))
+        return _State(moved, state.calibration.retract(step.shared), state.motion)
 
 
 def joint(equations: NormalEquations, prior: Prior | None, state: VisualState) -> NormalEquations:
@@ -293,7 +308,7 @@ def _undecided(prior: Prior, source: Source, state: VisualState, known: Covarian
 def covariance_of(solution: LevelSolution) -> Covariance:
     """Of the images' unknowns, (I, 7, 7) blocks, and of the calibration, which counts errors of each image as its own."""
     problem, prior, linearization = solution.problem, solution.prior, solution.linearization
-    at = _State(solution.photometric, solution.state.calibration)
+    at = _State(solution.photometric, solution.state.calibration, solution.state.motion)
     total = joint(linearization.equations, prior, at.visual)
     clusters = covariance.balanced_gradients(
         problem, linearization, at.photometric, solution.wall_clusters, total

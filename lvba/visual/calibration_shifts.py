@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from lvba.camera import Camera
-from lvba.visual import self_calibration, trajectory_prior
+from lvba.visual import camera_motion, self_calibration
 from lvba.visual.fixed_calibration import CORRECTIONS
 from lvba.visual.patch_shifts import Shifts
 from lvba.visual.scene_points import Observations, ScenePoints
@@ -66,12 +66,14 @@ def _shifts(
     prior: Prior,
     state: VisualState,
 ) -> Shifts:
-    velocity_world, rate_scan = trajectory_prior.rates(prior, state)
+    velocity_world, rate_scan = camera_motion.rates(prior, state)
     velocity = self_calibration.velocities(
         rate_scan,
         velocity_world,
         prior.sources[0].world_from_scan,
         state.calibration.scan_from_camera,
     )
+    if state.motion is not None:
+        velocity = velocity + state.motion
     poses = state.cameras.world_from_camera
     return self_calibration.shifts(camera, pinhole, points, observations, poses, velocity, state.calibration)

@@ -125,7 +125,7 @@ def return_to_prior(state: VisualState, prior: Prior, directions: DegenerateDire
         motion = to_center @ geometry.exp(step.blocks[0] @ directions.common) @ geometry.inverse(to_center)
         poses = geometry.orthonormalize(motion @ at.cameras.world_from_camera)
         cameras = CameraStates(poses, at.cameras.log_exposure)
-        return VisualState(cameras, at.calibration.retract(step.shared))
+        return replace(at, cameras=cameras, calibration=at.calibration.retract(step.shared))
 
     return levenberg_marquardt(state, lambda at: _prior_along(at, prior, directions), moved, _HOLD).state
 

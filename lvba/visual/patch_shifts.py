@@ -11,12 +11,15 @@ class Shifts:
 
     at: (O, 2) float64, px of the level, what the values themselves move; by: (O, 2, m) float64, px per step of m
     parameters; columns: (m,) int64, which of the `size` numbers of a step of all shared parameters these are
+    rows: (O, 2) float64, when each patch is read in its reference and in its target, parts of the readout time after the
+        middle of the image
     """
 
     at: np.ndarray
     by: np.ndarray
     columns: np.ndarray
     size: int
+    rows: np.ndarray
 
     @property
     def jacobian(self) -> np.ndarray:

@@ -19,6 +19,7 @@ from lvba.trajectory import Trajectory
 from lvba.visual import (
     bundle_adjustment,
     calibration_shifts,
+    camera_motion,
     covariance,
     degeneracy,
     exposure,
@@ -66,6 +67,10 @@ _COARSE_DAMPING = 1e-4
 """First damping of a coarse level, which begins further off."""
 _COARSE_ROUNDS = 2
 """Solves of a coarse level."""
+_MOST_SOLVES = 3
+"""At most so many more, at the finest level, with points found anew."""
+_ROWS_STAY_PX = 0.05
+"""Change of the first and last rows, root mean square over the images, below which motions during images stand still."""
 _COARSEST_EXPOSED = 5
 """Coarsest pyramid level that exposures are compared at."""
 
@@ -304,7 +309,7 @@ def scene_of(given: Inputs, config: VisualConfig, variant: Variant = PRODUCT) ->
         keyframes=given.keyframes,
         start=VisualState(CameraStates(start, np.zeros(len(times))), prior.calibration.reference),
         prior=prior,
-        seen=_visibility_map(scans.times, sensors, times, start, given.plane_points)
+        seen=visibility.map_near_scans(scans.times, sensors, times, start, given.plane_points)
         if variant.global_points
         else None,
         variant=variant,
@@ -347,17 +352,6 @@ def _none_yet(scene: Scene) -> Coarser:
     return Coarser(scene.start, held, _FIRST_VARIANCE_FACTOR, ())
 
 
-def _visibility_map(
-    scan_times: np.ndarray,
-    sensors: np.ndarray,
-    image_times: np.ndarray,
-    world_from_camera: np.ndarray,
-    points: PlanePoints,
-) -> VisibilityMap:
-    near = visibility.cameras_near_scans(scan_times, sensors, image_times, world_from_camera[:, :3, 3])
-    return visibility.build_map(points.points_world, points.scan_offsets, near, len(world_from_camera))
-
-
 @dataclass(frozen=True)
 class _Exposed:
     """A state with exposures solved anew, their standard deviations (K,), and the radiometry that they suppose."""
@@ -388,19 +382,25 @@ def _solve_level(
     """One level's solution; at the finest, once more with points found anew if that corrected the camera.
 
     With a camera that is pixels off in the corners, patches there match nothing: what is left are those that tell least.
+    The same holds for rows that the camera moved otherwise at than was known, as often as that still changes.
     """
     solution = _solved_once(scene, level, coarser, config, progress)
     free = level == 0 and config.calibrate and scene.camera is not None and solution.prior is not None
     if not free or scene.variant.reference_pixels != "fixed" or set(CORRECTIONS) <= set(solution.fixed):
         return solution
-    again = replace(
-        coarser,
-        state=solution.state,
-        prior=solution.prior,
-        variance_factor=solution.problem.variance_factor,
-    )
-    once_more = _solved_once(scene, level, again, config, progress)
-    return replace(once_more, history=solution.history + once_more.history)
+    for _ in range(_MOST_SOLVES):
+        again = replace(
+            coarser,
+            state=solution.state,
+            prior=solution.prior,
+            variance_factor=solution.problem.variance_factor,
+        )
+        once_more = _solved_once(scene, level, again, config, progress)
+        shown = camera_motion.change_px(scene.pyramid.camera, solution.state, once_more.state)
+        solution = replace(once_more, history=solution.history + once_more.history)
+        if shown < _ROWS_STAY_PX:
+            break
+    return solution
 
 
 def _solved_once(

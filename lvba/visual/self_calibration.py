@@ -10,6 +10,7 @@ the velocity of the camera.
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +30,8 @@ COEFFICIENTS = 4
 """Coefficients of a lens that are refined: k1 k2 p1 p2, or k1 k2 k3 k4 of an equidistant one."""
 _STEP = 1e-5
 """Of differences, in normalized coordinates."""
+_ROW_STEPS = 3
+"""Times that the row at which a point is read is computed from where that row shows it: each leaves a fiftieth."""
 
 
 def corrected(camera: Camera, calibration: Calibration) -> Camera:
@@ -127,6 +130,8 @@ def shifts(
 ) -> Shifts:
     """How the calibration moves all patches: exactly at its present values, and linear about them.
 
+    To first order a row would be read where it is without the motion: rows that lie 5 px off are seen 0.1 px elsewhere.
+
     camera: the raw one that the images were undistorted with; pinhole: of these images
     world_from_camera: (I, 4, 4) float64; velocity: (I, 6) float64, rad/s and m/s, of `velocities`
     """
@@ -135,19 +140,63 @@ def shifts(
     at = observations.point
     by = displacement(camera, pinhole, place) - by_pixel @ displacement(camera, pinhole, pixels)[at]
     by_readout = np.zeros((len(at), 2))
-    for end, (image, where) in enumerate(((points.reference[at], pixels[at]), (observations.target, place))):
-        moving = velocity[image] * row_part(camera, pinhole, where)[:, None]
+    rows = np.stack([row_part(camera, pinhole, where) for where in (pixels[at], place)], axis=1)
+    for end, image in enumerate((points.reference[at], observations.target)):
+        moving = velocity[image] * rows[:, end : end + 1]
         by_readout += np.einsum("oai,oi->oa", by_poses[:, :, 6 * end : 6 * end + 6], moving)
     now = corrected(camera, calibration)
-    offset = calibration.readout * by_readout
-    if now != camera:
+    offset = np.zeros_like(place)
+    if now != camera or calibration.readout:
         # the ray that the pixel of the reference shows, where it is seen in the target, and where that pixel has gone to
         seen = _carried(camera, now, pinhole, pixels)
-        ends = _centers(points, observations, seen, pinhole, world_from_camera)[0]
-        offset = offset + _carried(now, camera, pinhole, ends) - place
+        if calibration.readout:
+            moving = _Rows(world_from_camera, calibration.readout * velocity, rows)
+            ends = _seen_by_rows(points, observations, seen, pinhole, now, moving)
+        else:
+            ends = _centers(points, observations, seen, pinhole, world_from_camera)[0]
+        offset = _carried(now, camera, pinhole, ends) - place
     layout = calibration.layout()
     columns = np.concatenate([np.arange(layout.size)[layout[name]] for name in (*INTRINSICS, "readout")])
-    return Shifts(offset, np.concatenate([by, by_readout[:, :, None]], axis=2), columns, layout.size)
+    return Shifts(offset, np.concatenate([by, by_readout[:, :, None]], axis=2), columns, layout.size, rows)
+
+
+class _Rows(NamedTuple):
+    """world_from_camera: (I, 4, 4) at the middle rows; over: (I, 6) float64, how far each moves during its readout, rad
+    and m; parts: (O, 2) of `Shifts.rows`, as far as they are known yet"""
+
+    world_from_camera: np.ndarray
+    over: np.ndarray
+    parts: np.ndarray
+
+
+def _seen_by_rows(
+    points: ScenePoints,
+    observations: Observations,
+    pixels: np.ndarray,
+    pinhole: Camera,
+    raw: Camera,
+    moving: _Rows,
+) -> np.ndarray:
+    """(O, 2) px: where what pixels (P, 2) of the references show is in the targets, each row at its own pose."""
+    at, middle = observations.point, np.array([pinhole.cx, pinhole.cy])
+    focal = np.array([pinhole.fx, pinhole.fy])
+    first = _posed(moving, points.reference[at], moving.parts[:, 0])
+    ray = np.column_stack([(pixels[at] - middle) / focal, np.ones(len(at))])
+    along = np.einsum("oij,oj->oi", first[:, :3, :3], ray)
+    normal, above = points.normal_world[at], points.position_world[at] - first[:, :3, 3]
+    depth = np.einsum("oi,oi->o", normal, above) / np.einsum("oi,oi->o", normal, along)
+    world, part = first[:, :3, 3] + along * depth[:, None], moving.parts[:, 1]
+    for _ in range(_ROW_STEPS):
+        second = _posed(moving, observations.target, part)
+        local = np.einsum("oji,oj->oi", second[:, :3, :3], world - second[:, :3, 3])
+        place = np.asarray(local[:, :2] / local[:, 2:] * focal + middle)
+        part = row_part(raw, pinhole, place)
+    return place
+
+
+def _posed(moving: _Rows, image: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """(O, 4, 4): where cameras are when they read a row."""
+    return geometry.retract(moving.world_from_camera[image], moving.over[image] * part[:, None])
 
 
 def near_target(

@@ -46,7 +46,12 @@ class Calibration(SharedParameters):
 
 @dataclass(frozen=True)
 class VisualState:
-    """Everything the visual bundle adjustment solves for."""
+    """Everything the visual bundle adjustment solves for.
+
+    motion: (I, 6) float64 `[rotation | translation]`, rad/s and m/s, in the axes of each camera: by how much it moves
+        otherwise than the trajectory says while its rows are read; None: not at all
+    """
 
     cameras: CameraStates
     calibration: Calibration
+    motion: np.ndarray | None = None

@@ -85,13 +85,6 @@ CEILING_POSITION_M, CEILING_ROTATION_DEG = 0.02, 0.3
 """No estimate of a frame's own error rises above this. Images alone drift; a prior that followed would allow it."""
 
 
-_OPEN_S = 0.25
-"""Scans no further apart than this tell the motion of a hand or a vehicle between them."""
-_AWAY = 0.1
-"""Part of a gap between scans that a camera is away from them to tell of the motion there: nearer, errors of poses would
-be taken for speed."""
-
-
 @dataclass(frozen=True)
 class Source:
     """One way to tell from the LiDAR trajectory where each camera is.
@@ -177,7 +170,7 @@ def build(
         )
         sources = (by_eq1, by_spline)
     known = calibration_prior.build(Calibration(scan_from_camera), config.sigma)
-    velocity_world, rate_scan = _rates(moving, images.times)
+    velocity_world, rate_scan = rates_of(moving, images.times)
     return Prior(
         sources=sources,
         velocity_world=velocity_world,
@@ -272,43 +265,8 @@ def _spline_sigmas(scans: Trajectory, times: Times) -> tuple[np.ndarray, np.ndar
     return within, AT_ENDS * spline.boundary_error(scans, times)[:, None] * left_out
 
 
-def rates(prior: Prior, state: VisualState) -> tuple[np.ndarray, np.ndarray]:
-    """Velocity in the world (I, 3), m/s, and angular rate about the LiDAR's axes (I, 3), rad/s, at each image, by scans
-    and by cameras between scans that are too far apart to tell them.
-
-    In rooms with a scan every 0.8 s, rates by scans alone are 6 degrees/s off, which a rolling shutter of 30 ms shows as
-    a pixel, and as a readout that seems shorter.
-    state: of the images
-    """
-    if prior.scans is None or prior.times is None:
-        return prior.velocity_world, prior.rate_scan
-    moments = prior.times + state.calibration.time_offset
-    used = _between(prior.scans.times, moments)
-    if not used.any():
-        return prior.velocity_world, prior.rate_scan
-    carried = state.cameras.world_from_camera[used] @ geometry.inverse(state.calibration.scan_from_camera)
-    every = np.concatenate([prior.scans.times, moments[used]])
-    order = np.argsort(every, kind="stable")
-    poses = np.concatenate([prior.scans.world_from_sensor, carried])[order]
-    return _rates(Trajectory(every[order], poses), moments)
-
-
-def _between(samples: Times, moments: Times) -> np.ndarray:
-    """(I,) bool: which of some moments (I,) lie in gaps of samples (S,) that leave the motion open, away from others."""
-    used = np.zeros(len(moments), bool)
-    taken = np.asarray(samples, float)
-    for number in np.argsort(moments, kind="stable"):
-        after = int(np.searchsorted(samples, moments[number]))
-        if not 0 < after < len(samples):
-            continue
-        gap = float(samples[after] - samples[after - 1])
-        if gap > _OPEN_S and np.abs(taken - moments[number]).min() >= _AWAY * gap:
-            used[number], taken = True, np.append(taken, moments[number])
-    return used
-
-
-def _rates(scans: Trajectory, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Velocity in the world (Q, 3) m/s and angular rate in the sensor's frame (Q, 3) rad/s."""
+def rates_of(scans: Trajectory, times: Times) -> tuple[np.ndarray, np.ndarray]:
+    """Velocity in the world (Q, 3), m/s, and angular rate in the sensor's frame (Q, 3), rad/s, at times (Q,), s."""
     if len(scans) < 2:
         return np.zeros((len(times), 3)), np.zeros((len(times), 3))
     interpolate = spline.through if len(scans) >= spline.FEWEST_SAMPLES else trajectory.sample

@@ -174,6 +174,22 @@ def cameras_near_scans(
     return offsets, np.concatenate(rows) if rows else np.empty(0, np.int32)
 
 
+def map_near_scans(
+    scan_times: np.ndarray,
+    sensors: np.ndarray,
+    image_times: np.ndarray,
+    world_from_camera: Poses,
+    points: PlanePoints,
+) -> VisibilityMap:
+    """The `build_map` of cameras (I, 4, 4) near the scans whose points these are; further arguments as of
+    `cameras_near_scans`.
+
+    scan_times: (S,) float64, s; sensors: (S, 3) float64, m, world frame; image_times: (I,) float64, s
+    """
+    near = cameras_near_scans(scan_times, sensors, image_times, world_from_camera[:, :3, 3])
+    return build_map(points.points_world, points.scan_offsets, near, len(world_from_camera))
+
+
 def build_map(
     points_world: np.ndarray,
     scan_offsets: np.ndarray,

@@ -5,7 +5,7 @@ import pytest
 
 from lvba import geometry
 from lvba.trajectory import Trajectory
-from lvba.visual import trajectory_prior, trajectory_sigmas
+from lvba.visual import camera_motion, trajectory_prior, trajectory_sigmas
 from lvba.visual.states import Calibration, CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior, PriorConfig
 
@@ -275,7 +275,7 @@ def test_cameras_tell_how_fast_one_turns_between_scans_that_are_far_apart():
         )
         state = VisualState(CameraStates(truth, np.zeros(len(times))), Calibration(EXTRINSIC))
         rates[every] = [
-            each[1][:, 2] for each in ((None, prior.rate_scan), trajectory_prior.rates(prior, state))
+            each[1][:, 2] for each in ((None, prior.rate_scan), camera_motion.rates(prior, state))
         ]
     expected = 1.5 * np.cos(3.0 * times)
     alone, with_cameras = (np.sqrt(np.mean((each - expected) ** 2)) for each in rates[0.8])
