@@ -12,6 +12,9 @@ from lvba.trajectory import Alignment, Trajectory, align_for_errors, pose_error
 
 MAX_TIME_DIFFERENCE_S = 1e-3
 """Samples further apart in time than this are not of the same frame."""
+MOST_SCALE = 0.05
+"""Part by which ranges may be too long or short: laser scanners are a thousandth off, depth cameras some hundredths. A
+factor further from 1 is none of ranges: of a path that hardly spreads, position errors make any, also a negative one."""
 _ALIKE = 0.01
 """Standard deviation of log exposures below which no power can be read off them."""
 _LEAST_POWER = 0.1
@@ -26,7 +29,8 @@ def compare(
     lidar: after alignment of the scans (`trajectory.align_for_errors`). camera: in the frame of the LiDAR map, that is
     with the alignment of the scans (or its own where there is no scan); camera_aligned: after their own alignment.
     aligned_by: what the alignment was found from. scale (of the scans): by what factor the result is smaller than the
-    reference; scaled_ate_m: position errors after that factor, which only the range sensor itself tells.
+    reference; scaled_ate_m: position errors after that factor, which only the range sensor itself tells, where it can be
+    the sensor's (MOST_SCALE).
     exposure: after one common scale. Frames are matched by time; a part without two frames in common is left out.
     """
     facts: dict[str, Any] = {}
@@ -86,8 +90,10 @@ class _Scaled:
         return _Scaled(center, reference_center, factor)
 
     def error(self, estimate: np.ndarray, truth: np.ndarray, alignment: Alignment) -> float:
-        """m, root mean square."""
+        """m, root mean square; without a factor where it is none of ranges."""
         aligned = (alignment.reference_from_estimate @ estimate)[:, :3, 3]
+        if abs(self.factor - 1) > MOST_SCALE:
+            return float(np.sqrt(np.mean(np.sum((aligned - truth[:, :3, 3]) ** 2, axis=1))))
         off = self.reference_center + self.factor * (aligned - self.center) - truth[:, :3, 3]
         return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
 

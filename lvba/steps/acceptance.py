@@ -194,7 +194,9 @@ def may_be_crisper(entropy: Figure, config: GateConfig) -> bool:
     )
 
 
-def judge_scans(entropy: Figure, images: Sequence[Figure], config: GateConfig) -> Verdict:
+def judge_scans(
+    entropy: Figure, images: Sequence[Figure], config: GateConfig, open_motions: int = 0
+) -> Verdict:
     """Whether map and images together speak for refined scan poses: one gains beyond chance, the other does not deny it.
 
     images: from cameras carried along with the scans, without exposures on both sides; none where there are no images
@@ -203,6 +205,8 @@ def judge_scans(entropy: Figure, images: Sequence[Figure], config: GateConfig) -
     punishes a crisp map for structure in the wrong place, and a blurred one less. In a simulated courtyard, scans that
     come from 56 to 0.4 mm change PSNR by +0.05 +- 0.11 dB and SSIM by -0.019 +- 0.004. In small rooms few blocks make the
     error of the entropy large; there PSNR may decide: where SSIM denies it, by as many standard errors as deny anything.
+    open_motions: from scan to scan, of those that were registered first, which surfaces leave open. A map is as crisp
+    whatever these are, so that only images can tell: there the poses must not be the less likely ones by PSNR.
     """
     figures = (entropy, *images)
     change = _words(entropy)
@@ -218,6 +222,14 @@ def judge_scans(entropy: Figure, images: Sequence[Figure], config: GateConfig) -
             "input poses kept",
             f"the refined map is crisper ({change}), "
             f"but images are predicted worse ({_words(*_leading(images))})",
+            figures,
+        )
+    if open_motions and _SSIM not in gained and _fall(asked):
+        return Verdict(
+            False,
+            "input poses kept",
+            f"the refined map is crisper ({change}), which says nothing of {open_motions} motions from scan to scan that "
+            f"surfaces leave open, and images are rather predicted worse ({_words(*_leading(images))})",
             figures,
         )
     seen = _PSNR in gained and (_SSIM not in lost or _beyond(asked, CONTRADICTION))
@@ -241,6 +253,11 @@ def images_agree(entropy: Figure, images: Sequence[Figure]) -> bool:
 def _beyond(images: Sequence[Figure], errors: float) -> bool:
     """Whether PSNR gains by more than so many standard errors, over either kind of pixels."""
     return all(each.gain > errors * each.error for each in images if each.name in (_PSNR, "psnr_common"))
+
+
+def _fall(images: Sequence[Figure]) -> bool:
+    """Whether PSNR falls over either kind of pixels, by chance or not."""
+    return bool(images) and all(each.gain < 0 for each in images if each.name in (_PSNR, "psnr_common"))
 
 
 def judge_cameras(

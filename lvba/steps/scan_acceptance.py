@@ -141,7 +141,8 @@ def judge_lidar(
     if lidar.result is None:
         return keep_rough(rough, before, lidar.problem)
     scores = together(compared, {ROUGH: float("nan"), CARRIED: float("nan")})
-    return decide(rough, lidar.result.world_from_scan, before, after, scores, config)
+    open_motions = 0 if lidar.rough_error is None else len(lidar.rough_error.open_after)
+    return decide(rough, lidar.result.world_from_scan, before, after, scores, config, open_motions)
 
 
 def _of_all_regions(entropies: Sequence[RegionEntropy]) -> tuple[EntropyBlocks, EntropyBlocks]:
@@ -190,11 +191,12 @@ def decide(
     after: EntropyBlocks,
     scores: Mapping[str, Scores],
     gates: GateConfig,
+    open_motions: int = 0,
 ) -> ScanPoses:
-    """The scan poses in use. rough, refined: (S, 4, 4); scores: of `compare`"""
+    """The scan poses in use. rough, refined: (S, 4, 4); scores: of `compare`; open_motions: as of `judge_scans`"""
     entropy = acceptance.entropy_figure(map_quality.entropy_change(before, after), gates)
     images = acceptance.image_figures(scores[ROUGH], scores[CARRIED], gates) if scores else ()
-    verdict = acceptance.judge_scans(entropy, images, gates)
+    verdict = acceptance.judge_scans(entropy, images, gates, open_motions)
     poses, blocks = (refined, after) if verdict.accepted else (rough, before)
     return ScanPoses(poses, verdict, before.mean, after.mean, blocks)
 

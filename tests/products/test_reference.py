@@ -125,3 +125,16 @@ def test_a_common_scale_is_told_apart_from_other_errors():
     bent[: len(bent) // 2, 2, 3] += 0.1
     facts = reference.compare(truth(), Trajectory(TIMES, bent), Trajectory(TIMES + 0.5, CAMERAS))
     assert facts["lidar"]["scaled_ate_m"] > 0.5 * facts["lidar"]["ate_m"]
+
+
+@pytest.mark.parametrize(
+    ("factor", "used"), [(1.04, True), (0.97, True), (1.3, False), (0.5, False), (-0.5, False)]
+)
+def test_a_factor_that_is_none_of_ranges_excuses_nothing(factor, used):
+    """Positions that are all too far out by so much; errors of a sensor that turns on the spot are like that, too."""
+    other = np.array(SCANS)
+    center = other[:, :3, 3].mean(axis=0)
+    other[:, :3, 3] = center + factor * (other[:, :3, 3] - center)
+    facts = reference.compare(truth(), Trajectory(TIMES, other), Trajectory(TIMES + 0.5, CAMERAS))
+    assert (facts["lidar"]["scaled_ate_m"] < 1e-9) is used
+    assert used or facts["lidar"]["scaled_ate_m"] == pytest.approx(facts["lidar"]["ate_m"])

@@ -143,6 +143,27 @@ def test_few_images_do_where_they_speak_for_a_crisper_map(after, gain, agree):
     assert acceptance.images_agree(entropy(-3.0, after), told) is agree
 
 
+@pytest.mark.parametrize(
+    ("psnr", "common", "ssim", "accepted"),
+    [
+        (CHANCE - 0.2, CHANCE - 0.2, 0.5, False),
+        (CHANCE + 0.2, CHANCE + 0.2, 0.5, True),
+        (CHANCE - 0.2, CHANCE + 0.2, 0.5, True),
+        (CHANCE - 0.2, CHANCE - 0.2, 0.6, True),
+        (np.nan, np.nan, np.nan, True),
+    ],
+)
+def test_where_surfaces_leave_motions_open_the_likelier_poses_by_images_are_used(
+    psnr, common, ssim, accepted
+):
+    """The map is as crisp whatever these motions are. A loss that is chance else contradicts nothing."""
+    judged_by = images(scores(BASE), scores(BASE + psnr, BASE + common, ssim))
+    assert acceptance.judge_scans(entropy(-3.0, -3.1), judged_by, CONFIG).accepted
+    verdict = acceptance.judge_scans(entropy(-3.0, -3.1), judged_by, CONFIG, open_motions=40)
+    assert verdict.accepted is accepted
+    assert accepted or "40 motions" in verdict.reason
+
+
 def test_images_that_cannot_be_judged_contradict_nothing():
     nothing = scores(np.full(5, np.nan), ssim=np.nan)
     assert acceptance.judge_scans(entropy(-3.0, -3.1), images(nothing, nothing), CONFIG).accepted
