@@ -29,7 +29,7 @@ GROUPS = 8
 DEALS = 3
 """Most times that pieces are cut and dealt anew: one deal is 40 % off."""
 _PLAIN = 0.65
-"""Where the first deal finds a ratio below this, planes do not err together, and others would not find a ratio above 1."""
+"""Where the first deal finds a ratio below this, planes do not err together, and others would find no ratio above 1."""
 MOST_SCANS = 150
 """Scans that are looked at together: the time grows with their third power. Of more, windows of so many tell: the first,
 the last and, where these two leave some out, the middle one."""
