@@ -61,10 +61,12 @@ class Expectation:
 @dataclass(frozen=True)
 class Outliers:
     """odd: (r,) int64, keyframes that leave the trajectory by far more than their neighbors, as numbers of images
+    by_all: (r,) bool, by two expectations, and by all that say something about them
     others: (n,) int64, the other keyframes; expectations: that they contradict
     """
 
     odd: np.ndarray
+    by_all: np.ndarray
     others: np.ndarray
     expectations: tuple[Expectation, ...]
 
@@ -91,13 +93,16 @@ def find(dataset: Dataset, scans: ScanPoses, visual: VisualStage) -> Outliers | 
     if visual.result is None or len(visual.result.keyframes) < FEWEST:
         return None
     keyframes, expectations = visual.result.keyframes, _expectations(dataset, scans, visual.result)
-    odd = np.zeros(len(keyframes), bool)
-    for each in expectations:
-        known = np.flatnonzero(each.known)
-        odd[known[odd_ones(each.deviation[known])]] = True
+    known = np.stack([each.known for each in expectations])
+    contradicted = np.zeros_like(known)
+    for row, each in zip(contradicted, expectations, strict=True):
+        at = np.flatnonzero(each.known)
+        row[at[odd_ones(each.deviation[at])]] = True
+    odd = contradicted.any(axis=0)
     if not odd.any():
         return None
-    return Outliers(keyframes[odd], keyframes[~odd], expectations)
+    by_all = (contradicted == known).all(axis=0) & (known.sum(axis=0) > 1)
+    return Outliers(keyframes[odd], by_all[odd], keyframes[~odd], expectations)
 
 
 def _expectations(dataset: Dataset, scans: ScanPoses, result: VisualResult) -> tuple[Expectation, ...]:
@@ -229,8 +234,8 @@ def compare(
 def mend(
     dataset: Dataset, scans: ScanPoses, visual: VisualStage, compared: Sequence[Mapping[str, Scores]]
 ) -> VisualStage:
-    """The cameras with outliers where images say that their neighbors have them; where images do not say which of the two
-    is right, they stay, and are as uncertain as the two are apart.
+    """The cameras with outliers where their neighbors have them, if images say so, or say nothing and all expectations
+    agree; where only one contradicts, they stay, and are as uncertain as the two poses are apart.
 
     compared: of all parts (`compare`)
     """
@@ -239,14 +244,26 @@ def mend(
     if outliers is None or visual.result is None or not scores:
         return visual
     result, times = visual.result, dataset.images.times
-    better = np.array([_better(scores, int(image), outliers.names_for(int(image))) for image in outliers.odd])
+    choices = [_better(scores, int(image), outliers.names_for(int(image))) for image in outliers.odd]
+    better = np.array(choices, object)
+    better[(better == "") & outliers.by_all] = _nearest(outliers).name
     for expected in outliers.expectations:
         result = _moved(result, outliers, times, expected, outliers.odd[better == expected.name])
     result = _widened(result, outliers, times, outliers.odd[better == ""])
     if len(result.substituted):
-        named = [dataset.image_paths[image] for image in outliers.odd[~np.isin(better, ["", SOLVED])]]
+        named = [dataset.image_paths[image] for image in outliers.odd[(better != "") & (better != SOLVED)]]
         result = replace(result, warnings=(*result.warnings, _warning(named)))
     return replace(visual, result=result)
+
+
+def _nearest(outliers: Outliers) -> Expectation:
+    """The expectation that the other cameras follow most closely, rotations and positions alike."""
+
+    def spread(expected: Expectation) -> float:
+        kept = np.isin(outliers.keyframes, outliers.others) & expected.known
+        return float(np.log(_sizes(_from_most(expected.deviation[kept])) + 1e-12).sum(axis=1).mean())
+
+    return min(outliers.expectations, key=spread)
 
 
 def _names(compared: Sequence[Mapping[str, Scores]]) -> Collection[str]:
@@ -344,7 +361,7 @@ def _warning(images: Sequence[str]) -> str:
     named = [PurePath(image).name for image in images]
     listed = ", ".join(named[:_NAMED]) + (f" and {len(named) - _NAMED} more" if len(named) > _NAMED else "")
     return (
-        f"Cameras had left the trajectory, where their images ({listed}) are predicted worse than where their neighbors "
-        "have them: they were put there, and their expected errors are larger. Look at these images: blur, a covered "
-        "lens and people before the camera do that"
+        f"Cameras had left the trajectory, and their images ({listed}) do not speak for that: they were put where their "
+        "neighbors have them, and their expected errors are larger. Look at these images: blur, a covered lens and "
+        "people before the camera do that"
     )

@@ -135,14 +135,24 @@ def test_its_promise_is_kept():
     assert 0.5 < np.square(errors).mean() < 2.0
 
 
-def test_where_images_do_not_say_it_stays_and_is_uncertain():
+@pytest.mark.parametrize(("gain", "ssim"), [(0.05, 0.1), (3.0, 0.001), (3.0, -0.1), (0.0, 0.0)])
+def test_where_images_do_not_say_it_is_where_all_expect_it(gain, ssim):
     walk = Walk(3, 20)
-    for gain, ssim in ((0.05, 0.1), (3.0, 0.001), (3.0, -0.1)):
-        result = walk.mended(gain, ssim)
-        np.testing.assert_array_equal(result.world_from_camera, walk.visual.result.world_from_camera)
-        assert len(result.substituted) == len(result.warnings) == 0
-        turned = np.sqrt(np.trace(result.covariance[20][:3, :3]))
-        assert np.radians(1.5) < turned < np.radians(3.0)
+    result = walk.mended(gain, ssim)
+    assert np.linalg.norm(off(walk, result, 20)[:3]) < np.radians(0.5)
+    assert list(result.substituted) == [19, 20]
+    assert "(20.png)" in result.warnings[0]
+
+
+@pytest.mark.parametrize(("gain", "ssim"), [(0.05, 0.1), (3.0, 0.001), (3.0, -0.1), (0.0, 0.0)])
+def test_where_images_do_not_say_and_one_expects_it_alone_it_stays_and_is_uncertain(gain, ssim):
+    """Before the second scan there is no spline."""
+    walk = Walk(3, 0)
+    result = walk.mended(gain, ssim)
+    np.testing.assert_array_equal(result.world_from_camera, walk.visual.result.world_from_camera)
+    assert len(result.substituted) == len(result.warnings) == 0
+    turned = np.sqrt(np.trace(result.covariance[0][:3, :3]))
+    assert np.radians(1.5) < turned < np.radians(3.0)
 
 
 def test_where_images_say_that_it_is_right_nothing_changes():
