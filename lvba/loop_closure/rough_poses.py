@@ -138,10 +138,8 @@ def contradicted(patches: Sequence[Patch | None], world_from_scan: Poses) -> np.
         first, second = patches[k], patches[k + 1]
         if first is None or second is None:
             continue
-        step = scan_steps.register(Target.of(first), second, steps[k])
-        off = step.correction(steps[k])
-        far = np.linalg.norm(off[3:]) > JUMP_M or np.linalg.norm(off[:3]) > np.radians(JUMP_DEG)
-        if far and step.overlap > agree[k] + _GAIN:
+        step = _registered(Target.of(first), second, steps[k])
+        if _far(step.correction(steps[k])) and step.overlap > agree[k] + _GAIN:
             wrong.append(int(k))
     return np.array(sorted(wrong), np.int64)
 
@@ -170,6 +168,23 @@ def confirmed(
         if same or not rival.aligned or rival.overlap < step.overlap - _GAIN:
             sure.append(int(k))
     return np.array(sure, np.int64)
+
+
+def _registered(first: Target, second: Patch, rough: np.ndarray) -> Step:
+    """As `scan_steps.register`; nothing is known where that is far from the odometry's (4, 4) without good reason.
+
+    Scans that overlap little, as of a narrow sensor that turns, fit together in several ways: any wall fits any other
+    one. Where surfaces leave directions open, they speak against an odometry only if they contradict it in sight.
+    """
+    step = scan_steps.register(first, second, rough)
+    if not step.open or not _far(step.correction(rough)) or scan_steps.contradicts(first, second, rough):
+        return step
+    return replace(step, first_from_second=rough, information=np.zeros((6, 6)), open=6)
+
+
+def _far(off: np.ndarray) -> bool:
+    """Whether a motion that is off by so much, (6,) rad and m, is decimeters off."""
+    return bool(np.linalg.norm(off[3:]) > JUMP_M or np.linalg.norm(off[:3]) > np.radians(JUMP_DEG))
 
 
 def _apart(one: np.ndarray, other: np.ndarray) -> bool:
@@ -239,7 +254,7 @@ class _Odometry:
             if first is None or second is None:
                 steps.append(None)
             else:
-                steps.append(scan_steps.register(Target.of(first), second, rough[k]))
+                steps.append(_registered(Target.of(first), second, rough[k]))
         off = np.array(
             [
                 each.correction(motion) if each is not None else np.zeros(6)

@@ -93,6 +93,12 @@ def overlap(first: Target, second: Patch, first_from_second: Pose) -> float:
     return float(np.mean(verification.agreeing(first, second, first_from_second, _NEAR_M)))
 
 
+def contradicts(first: Target, second: Patch, first_from_second: Pose) -> bool:
+    """Whether one scan sees through surfaces of the other where a motion has them; not if they have nothing in common."""
+    said = verification.evidence(first, Target.of(second), first_from_second, _NEAR_M)
+    return said.contradicting > 1 - _LEAST_AGREEING
+
+
 def register(first: Target, second: Patch, rough: Pose, prior: np.ndarray = WIDE) -> Step:
     """The step that surfaces fall into from the odometry's (4, 4); searched for where they do not.
 

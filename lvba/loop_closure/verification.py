@@ -40,6 +40,12 @@ class OverlapEvidence:
         return float(agree / (agree + against)) if agree else 0.0
 
     @property
+    def contradicting(self) -> float:
+        """Part of what is said that contradicts, 0 to 1; 0 where nothing is said."""
+        agree, against = self.for_a.sum() + self.for_b.sum(), self.against_a.sum() + self.against_b.sum()
+        return float(against / (agree + against)) if against else 0.0
+
+    @property
     def surfels(self) -> int:
         """How many agree, of the patch where these are fewer."""
         return int(min(np.count_nonzero(self.for_a), np.count_nonzero(self.for_b)))

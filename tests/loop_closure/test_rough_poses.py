@@ -156,6 +156,22 @@ def test_a_motion_that_fits_elsewhere_as_well_is_not_confirmed():
     assert len(rough_poses.confirmed(patches, jump, after, motion[None])) == 0
 
 
+@pytest.mark.parametrize(("count", "after"), [(40, 11), (50, 14)])
+def test_scans_of_a_narrow_sensor_that_turns_do_not_contradict_it_by_another_wall(count, after):
+    """They see nothing in common; a wall of the one fits a wall of the other, meters away."""
+    poses = plane_world.path("rooms", count)[after : after + 2]
+    scans = [
+        scan[(scan[:, 0] > 0) & (np.abs(scan[:, 1:]) < scan[:, :1] * [0.42, 0.35]).all(axis=1)]
+        for scan in plane_world.scan_all(plane_world.rooms(), poses, 30000, 0.02, "spinning", count)
+    ]
+    first, second = rough_poses.surfels_of(scans)
+    motion = geometry.inverse(poses[0]) @ poses[1]
+    step = scan_steps.register(Target.of(first), second, motion)
+    assert step.open
+    assert np.linalg.norm(step.correction(motion)[3:]) > 1.0  # this is what surfaces fit by
+    assert len(rough_poses.contradicted([first, second], poses)) == 0
+
+
 def test_a_single_scan_is_not_contradicted(courtyard):
     _, truth, _, surfels = courtyard
     assert len(rough_poses.contradicted(surfels[:1], truth[:1])) == 0
