@@ -16,11 +16,12 @@ the first rows compile, too); for what a run takes by itself see [benchmarks.md]
 
 Recordings and their gates, poses of any method, hard difficulty, medium difficulty with seeds 104 to 109 and 119 and
 of the street with seed 121, loops, recordings in parts, ablations, degenerate directions, and disturbed scenes with
-seeds 701 and 702 are of the version whose promises of cameras leave out what cancels between images, before the motion
-during images was found from their rows, and single cameras that failed were put back. Other rows of medium difficulty with seeds
-120 and 121 are of the version before it, which promises more. All other rows are older: their leave-one-out counts
-pixels that show what lies behind a surface ([evaluation.md](evaluation.md#which-figure-decides)), and is lower for
-it; the IMU is of a version that finds exposures by color, and other disturbed scenes of an earlier one.
+seeds 701 and 702 are of the version whose promises of cameras leave out what cancels between images, before the
+motion during images was found from their rows, and single cameras that failed were put back. Other rows of medium
+difficulty with seeds 120 and 121 are of the version before it, which promises more. All other rows are older: their
+leave-one-out counts pixels that show what lies behind a surface
+([evaluation.md](evaluation.md#which-figure-decides)), and is lower for it; the IMU is of a version that finds
+exposures by color, and other disturbed scenes of an earlier one.
 """
 
 NOTES = {
