@@ -36,14 +36,19 @@ class OverlapEvidence:
     @property
     def agreeing(self) -> float:
         """Part of what is said that agrees, 0 to 1; 0 where nothing is said."""
-        agree, against = self.for_a.sum() + self.for_b.sum(), self.against_a.sum() + self.against_b.sum()
+        agree, against = self._sums
         return float(agree / (agree + against)) if agree else 0.0
 
     @property
     def contradicting(self) -> float:
         """Part of what is said that contradicts, 0 to 1; 0 where nothing is said."""
-        agree, against = self.for_a.sum() + self.for_b.sum(), self.against_a.sum() + self.against_b.sum()
+        agree, against = self._sums
         return float(against / (agree + against)) if against else 0.0
+
+    @property
+    def _sums(self) -> tuple[float, float]:
+        """Of what agrees, and of what contradicts."""
+        return self.for_a.sum() + self.for_b.sum(), self.against_a.sum() + self.against_b.sum()
 
     @property
     def surfels(self) -> int:

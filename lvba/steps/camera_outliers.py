@@ -75,6 +75,11 @@ class Outliers:
         """(K,) int64, all of them."""
         return np.union1d(self.odd, self.others)
 
+    @property
+    def kept(self) -> np.ndarray:
+        """(K,) bool, which of the keyframes are no outliers."""
+        return np.isin(self.keyframes, self.others)
+
     def names_for(self, image: int) -> list[str]:
         """Of the expectations that say something about a keyframe."""
         at = int(np.searchsorted(self.keyframes, image))
@@ -169,9 +174,8 @@ def substituted(outliers: Outliers, times: Times, poses: Poses, expected: Expect
 
     times: (I,) s; poses: as solved
     """
-    others = np.isin(outliers.keyframes, outliers.others)
     at = outliers.about(len(times), outliers.odd)
-    known, deviation = times[outliers.others], expected.deviation[others]
+    known, deviation = times[outliers.others], expected.deviation[outliers.kept]
     moved = np.stack([np.interp(times[at], known, deviation[:, n]) for n in range(6)], axis=1)
     changed = poses.copy()
     changed[at] = geometry.retract(expected.world_from_camera[at], moved)
@@ -260,7 +264,7 @@ def _nearest(outliers: Outliers) -> Expectation:
     """The expectation that the other cameras follow most closely, rotations and positions alike."""
 
     def spread(expected: Expectation) -> float:
-        kept = np.isin(outliers.keyframes, outliers.others) & expected.known
+        kept = outliers.kept & expected.known
         return float(np.log(_sizes(_from_most(expected.deviation[kept])) + 1e-12).sum(axis=1).mean())
 
     return min(outliers.expectations, key=spread)
@@ -325,7 +329,7 @@ def _error(outliers: Outliers, times: Times, expected: Expectation, image: int) 
     gaps = np.searchsorted(outliers.others, outliers.odd)
     gap = int(np.searchsorted(outliers.others, image))
     missing = int(np.count_nonzero(gaps == gap))
-    kept = np.isin(outliers.keyframes, outliers.others) & expected.known
+    kept = outliers.kept & expected.known
     deviation, moments = expected.deviation[kept], times[outliers.keyframes[kept]]
     if 0 < gap < len(outliers.others):
         off = _from_neighbors(moments, deviation, (missing + 2) // 2)

@@ -17,11 +17,10 @@ from lvba.arrays import Times
 from lvba.camera import Camera
 from lvba.kernels import photometric_shared as kernels
 from lvba.kernels.photometric import XR, XX, XY, YR, YY
-from lvba.kernels.scene import PlanePatches
 from lvba.optim import linear_solver, normal_equations
 from lvba.optim.normal_equations import Border, NormalEquations
 from lvba.trajectory import Trajectory
-from lvba.visual import trajectory_prior
+from lvba.visual import photometric, trajectory_prior
 from lvba.visual.photometric import PhotometricState, Problem
 from lvba.visual.states import Calibration, VisualState
 from lvba.visual.trajectory_prior import FLOOR_POSITION_M, FLOOR_ROTATION_DEG, Prior
@@ -148,14 +147,9 @@ def equations(problem: Problem, at: PhotometricState, sums: np.ndarray, readout:
 
 def _jacobian(problem: Problem, at: PhotometricState, readout: float) -> np.ndarray:
     """(O, 2, 25): target pixel of each patch by `[pose | motion]` of its reference and of its target, and by readout."""
-    points, observations, shifts = problem.points, problem.observations, problem.shifts
+    observations, shifts = problem.observations, problem.shifts
     assert shifts is not None
-    patches = PlanePatches(
-        points.position_world + at.offset[:, None] * points.normal_world,
-        points.normal_world,
-        points.reference,
-        points.pixel.astype(float),
-    )
+    patches = photometric.patches_at(problem, at)._replace(pixel=problem.points.pixel.astype(float))
     poses = np.ascontiguousarray(at.cameras.world_from_camera)
     by_poses = kernels.centers(observations.point, observations.target, poses, problem.intrinsics, patches)[2]
     by_ends = by_poses.reshape(len(observations), 2, 2, 6)

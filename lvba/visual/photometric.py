@@ -211,7 +211,7 @@ def sums(problem: Problem, state: PhotometricState) -> np.ndarray:
         np.ascontiguousarray(state.cameras.world_from_camera),
         np.exp(state.cameras.log_exposure),
         problem.intrinsics,
-        _patches(problem, state),
+        patches_at(problem, state),
         problem.starts,
         problem.observations.target,
         problem.patch // 2,
@@ -233,7 +233,7 @@ def _shift(problem: Problem, state: PhotometricState) -> np.ndarray:
     return np.asarray(shifts.at + shifts.by @ state.shared[shifts.columns])
 
 
-def _patches(problem: Problem, state: PhotometricState) -> PlanePatches:
+def patches_at(problem: Problem, state: PhotometricState) -> PlanePatches:
     """The scene points where their planes now are."""
     points = problem.points
     position = points.position_world + state.offset[:, None] * points.normal_world
@@ -319,7 +319,7 @@ def _shared_terms(
         problem.observations.point,
         np.ascontiguousarray(state.cameras.world_from_camera),
         problem.intrinsics,
-        _patches(problem, state),
+        patches_at(problem, state),
         np.ascontiguousarray(by_shared),
     )
     by_image = np.zeros((len(state.cameras), 7, by_shared.shape[2]))
@@ -355,7 +355,7 @@ def _assembled(
         problem.observations.point,
         np.ascontiguousarray(state.cameras.world_from_camera),
         problem.intrinsics,
-        _patches(problem, state),
+        patches_at(problem, state),
     )
 
 
@@ -376,7 +376,7 @@ def shared_information(
         problem.observations.point,
         np.ascontiguousarray(state.cameras.world_from_camera),
         problem.intrinsics,
-        _patches(problem, state),
+        patches_at(problem, state),
     )
 
 

@@ -1,0 +1,94 @@
+"""What docs/results.md says about itself and before each table."""
+
+HEAD = """# Results
+
+*Reference.* Accuracy on simulated and real recordings.
+
+Made by `benchmarks/results.py` from runs of the installed command with default settings; nothing here is typed by hand.
+Lengths in millimeters and angles in degrees are root mean squares over all frames. How the figures are defined:
+[evaluation.md](evaluation.md). Seconds are wall time on two cores that had some other work beside (and
+the first rows compile, too); for what a run takes by itself see [benchmarks.md](benchmarks.md).
+
+Recordings and their gates, poses of any method, hard difficulty, medium difficulty with seeds 104 to 109 and 119 and
+of the street with seed 121, loops, recordings in parts, ablations, degenerate directions, and disturbed scenes with
+seeds 701 and 702 are of the version whose promises of cameras leave out what cancels between images, before the
+motion during images was found from their rows, and single cameras that failed were put back. Other rows of medium
+difficulty with seeds 120 and 121 are of the version before it, which promises more. All other rows are older: their
+leave-one-out counts pixels that show what lies behind a surface
+([evaluation.md](evaluation.md#which-figure-decides)), and is lower for it; the IMU is of a version that finds
+exposures by color, and other disturbed scenes of an earlier one.
+"""
+
+NOTES = {
+    "recordings": """## Real recordings
+
+Before -> after. PSNR and SSIM over covered pixels by the paper's protocol (points may be judged by the image that
+colored them) and leave-one-out (only points colored from other images judge a pixel). Map entropy: lower is better.
+""",
+    "foreign": """## Poses of any method
+
+Input, result and reference of the recordings, each given to `lvba evaluate` as poses of another method, all with
+exposures and camera of the result. Where a result predicts images better than the reference itself, their distance is no
+longer a measure of the result.
+""",
+    "simulated": """## Simulated scenes with known truth, {difficulty} difficulty
+
+Rough -> refined. Scans after alignment; cameras in the frame of the aligned LiDAR map; exposures after one common scale.
+After the root mean squares, "median, 95 %": half and 95 % of the frames are off by less than so many millimeters.
+"promised" is the error that the reported covariance predicts, NEES the normalized estimation error squared (1 is honest).
+""",
+    "parts": """## Recordings in parts
+
+One street, undivided and in overlapping parts: against the undivided solution (largest difference of any scan, camera
+and exposure, after the scans are aligned), against the truth, and walls across seams relative to those of one side alone.
+""",
+    "loops": """## Loops
+
+In five parts of 32 scans. Ends that miss each other by 1 m and 2 degrees in the rough poses, beside the same place with
+easy drift; and lanes whose facades repeat, where a closing that is tempting would be false.
+""",
+    "gates": """## Gates
+
+Every part against the state before it, all else equal ([evaluation.md](evaluation.md)): gain with its standard error,
+positive is better; what the truth says of that part alone, used or not (scans and cameras mm / deg, exposures %); and
+whether the gate was right. "open": there is no truth, or position and rotation disagree, or both change by less than
+2 % or than the reference is certain to.
+""",
+    "ablations": """## Ablations
+
+One option each on the same simulated scenes, against truth, and leave-one-out.
+""",
+    "disturbed": """## One disturbance at a time
+
+What real sensors do, one at a time ([list](simulation.md#disturbances)), not told to the program. "median, 95 %": half
+and 95 % of the frames are off by less than so many millimeters. "promised" is the error that the report predicts, and
+the verdict what a user without a reference reads; "at least": the report says that
+errors are likely larger than promised. Exposures are compared after the one power of the light that images leave open.
+**Bold**: more than three times the promised error without that word (exposures: without a reason that names them), but
+for a common scale of the LiDAR's ranges, which promises leave out ([evaluation.md](evaluation.md#how-good-is-my-map)).
+""",
+    "models": """## What each model of sensors brings
+
+Scenes disturbed by typical sizes of what a model is of, by runs with all models and without this one; last, all at once.
+Without -> with: errors against the truth as above, the verdict, and processor seconds of the run. "nothing disturbed":
+what all models cost, and do to, a clean scene: the least seconds of several runs of each kind, in turns.
+""",
+    "colors": """## Colors of the map
+
+The map as users keep it, colored by the version before views were ranked by angle and hidden by surfaces, and by
+this one (before -> after), at the same poses and exposures. Wrong: points on the sides of a thin cabinet that carry the
+color of the floor it stands on, in percent of the colored ones: all, those up to 0.3 m above the floor, and those
+within 5 cm of an upright or upper edge; and points of the floor within 0.3 m of it that carry the cabinet's. Error: mean
+absolute difference from the true color, gray values (0..255), over all colored points. Range noise is 20 mm.
+""",
+    "imu": """## IMU
+
+Without -> with `imu.csv` of `lvba simulate --imu` (`benchmarks/imu_factors.py`; images of 320 x 240, medium difficulty).
+"open": scans that planes leave a direction of open without the IMU, how many, and their errors in both runs; tilt: how
+far the direction of gravity is off in the frame of the true poses, and one standard deviation as reported.
+""",
+    "degenerate directions": """## Degenerate directions
+
+Scenes that leave motions undetermined: what is reported, and the errors of input and result.
+""",
+}
