@@ -33,6 +33,9 @@ PIECE_BYTES = 1 << 25
 PIECES_HELD = 3
 """... of which so many are in memory at a time."""
 
+BLANK = 0.95
+"""Part of an image that is black or clipped from which it shows nothing."""
+
 T = TypeVar("T")
 Range = tuple[int, int]
 """Half-open, of numbers of frames in the whole recording."""
@@ -265,6 +268,20 @@ class PhotoReader:
             self._last.image = self._undistort(held[1][self._first + index - held[0]])
             self._last.index = index
         return np.asarray(self._last.image)
+
+
+def blank_photos(pieces: Pieces[np.ndarray], images: Range) -> np.ndarray:
+    """Which of some images (half-open range) show nothing, (b,) int32, counted from the first of these.
+
+    They are black, or clipped, nearly everywhere, by every 64th pixel.
+    """
+    blank: list[int] = []
+    for (first, _), read in pieces:
+        sample = read()[:, ::8, ::8]
+        nothing = (sample.max(axis=-1) <= image.DARK) | (sample.min(axis=-1) >= image.SATURATED)
+        at = first + np.flatnonzero(nothing.mean(axis=(1, 2)) > BLANK) - images[0]
+        blank += [int(number) for number in at if 0 <= number < images[1] - images[0]]
+    return np.array(sorted(blank), np.int32)
 
 
 def keyframe_images(pieces: Pieces[Keyframes], numbers: Indices) -> np.ndarray:

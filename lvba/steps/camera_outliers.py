@@ -15,7 +15,7 @@ import numpy as np
 
 from lvba import geometry, spline
 from lvba.arrays import Indices, Poses, Times
-from lvba.blocks.decoded import PhotoReader, Pieces, ScanPoints, ScanReader
+from lvba.blocks.decoded import PhotoReader, Pieces, ScanPoints, ScanReader, blank_photos
 from lvba.blocks.split import Part
 from lvba.dataset import Dataset
 from lvba.products import evaluate as evaluation
@@ -229,6 +229,7 @@ def compare(
         config,
         entropies=dict.fromkeys(states, float("nan")),
         brief=tuple(states),
+        held_out=blank_photos(photos, part.images),
         images=(core - part.images[0]).astype(np.int32),
         progress=progress,
     )

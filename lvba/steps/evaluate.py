@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lvba.blocks.decoded import PhotoReader, Pieces, ScanPoints, ScanReader
+from lvba.blocks.decoded import PhotoReader, Pieces, ScanPoints, ScanReader, blank_photos
 from lvba.blocks.split import Part
 from lvba.camera import Camera
 from lvba.dataset import Dataset
@@ -82,9 +82,11 @@ def evaluate(
     dataset: of the part's frames, points, photos: of these; images: how many the whole recording has
     scans, fused, visual: of the whole
     Of states that are neither input nor expected to be the result there are only the figures that decide; the others
-    are NaN. A part that is the whole recording is judged on a few images where these leave no doubt (`is_clear`).
+    are NaN. Images that show nothing are not judged, and color nothing: about them all would be wrong, whatever the poses
+    are. A part that is the whole recording is judged on a few images where these leave no doubt (`is_clear`).
     """
-    core = _judged(images, part, config)
+    blank = blank_photos(photos, part.images)
+    core = np.setdiff1d(_judged(images, part, config), blank + np.int32(part.images[0]))
     if not len(core):
         return {}
     read = ScanReader(points, part.scans[0])
@@ -95,6 +97,7 @@ def evaluate(
         config,
         entropies=entropies_of(states, scans, fused),
         brief=_brief(states),
+        held_out=blank,
         images=core - part.images[0],
         enough=functools.partial(is_clear, scans=scans, fused=fused, visual=visual, config=gates)
         if alone
@@ -127,7 +130,12 @@ def complete(
     states = judged_states(dataset, part, read, photos, *of_part(scans, fused, visual, part), progress)
     entropies = entropies_of([name], scans, fused)
     only = evaluation.evaluate(
-        {name: states[name]}, config, entropies=entropies, images=core, progress=progress
+        {name: states[name]},
+        config,
+        held_out=blank_photos(photos, part.images),
+        entropies=entropies,
+        images=core,
+        progress=progress,
     )
     return scores | {name: evaluation.completed(scores[name], only[name])}
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba.arrays import Poses
-from lvba.blocks.decoded import PhotoReader, Pieces, ScanPoints, ScanReader
+from lvba.blocks.decoded import PhotoReader, Pieces, ScanPoints, ScanReader, blank_photos
 from lvba.blocks.regions import region_cloud
 from lvba.blocks.split import Part
 from lvba.blocks.survey import Survey
@@ -94,7 +94,8 @@ def compare(
     entropies: of all regions
     Only leave-one-out figures are known, and no map entropy; empty where no image is asked.
     """
-    core = in_core(asked_images(images), part)
+    blank = blank_photos(photos, part.images)
+    core = np.setdiff1d(in_core(asked_images(images), part), blank + np.int32(part.images[0]))
     if lidar.result is None or not len(core) or not asks_images(entropies, gates):
         return {}
     refined = lidar.result.world_from_scan[slice(*part.scans)]
@@ -117,6 +118,7 @@ def compare(
         config,
         entropies=unknown,
         brief=tuple(states),
+        held_out=blank,
         images=core - part.images[0],
         enough=agree if part.core_images == (0, images) else None,
         few=acceptance.FEW_SCAN_IMAGES,

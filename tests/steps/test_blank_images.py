@@ -1,0 +1,52 @@
+"""Images that show nothing judge nothing and color nothing: one of them does not make its neighbors worse."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lvba import pipeline, plan
+from lvba.blocks import decoded
+from lvba.io.dataset import open_dataset
+from lvba.io.images import read_image, write_image
+from lvba.pipeline import Config
+
+BLANK = 7
+
+
+def test_black_and_clipped_images_are_blank_and_dark_or_bright_ones_are_not():
+    rng = np.random.default_rng(0)
+    images = rng.integers(10, 240, (6, 64, 96, 3), dtype=np.uint8)
+    images[1], images[2], images[3] = 0, 255, images[3] // 24 + 4
+    images[4, 8:] = 0
+    pieces = [((10, 13), lambda: images[:3]), ((13, 16), lambda: images[3:])]
+    assert list(decoded.blank_photos(pieces, (10, 16))) == [1, 2]
+    assert list(decoded.blank_photos(pieces, (12, 15))) == [0]
+    assert decoded.blank_photos([], (0, 0)).dtype == np.int32
+
+
+@pytest.fixture(scope="module", params=[0, 255], ids=["black", "clipped"])
+def runs(request, recording, tmp_path_factory):
+    """Artifacts by the name of their steps, of the recording, and with one image blank."""
+    folder = tmp_path_factory.mktemp("blank") / "street"
+    shutil.copytree(recording, folder)
+    path = Path(open_dataset(folder).image_paths[BLANK])
+    write_image(path, np.full_like(read_image(path), request.param))
+    made = []
+    for each in (recording, folder):
+        work = pipeline.refine(open_dataset(each), Config())
+        store = plan.run(work, {})
+        made.append({step.name: store[key] for key, step in work.steps.items()})
+    return made
+
+
+def test_a_blank_image_is_not_judged_and_its_neighbors_are_predicted_as_well(runs):
+    """Before, points near it had its black or white, and its neighbors lost up to 10 dB."""
+    clean, blank = (run["evaluate-result"]["visual"] for run in runs)
+    assert BLANK not in blank.images
+    assert set(clean.images) - set(blank.images) == {BLANK}
+    others = np.isin(clean.images, blank.images)
+    lost = clean.per_image["psnr_leave_one_out"][others] - blank.per_image["psnr_leave_one_out"]
+    assert lost.max() < 2.0
+    assert all(run["visual-gate"].cameras.accepted for run in runs)
