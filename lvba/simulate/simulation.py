@@ -28,7 +28,7 @@ from lvba.simulate.scenes import Scene
 from lvba.simulate.texture import Texture
 from lvba.simulate.truth import Rig, Truth
 from lvba.simulate.view import View
-from lvba.simulate.world import RayCaster
+from lvba.simulate.world import EmbreeCaster, RayCaster, World
 
 DEFAULT_FRAMES = 100
 _MEAN_GREY = 95.0
@@ -82,6 +82,7 @@ def make(
     length: float | None,
     closing: tuple[float, float] | None,
     disturb: Disturbances = NONE,
+    caster: Callable[[World], RayCaster] = EmbreeCaster,
 ) -> Made:
     """What is simulated, before anything is taken of it; arguments, as `length` (m), as of `simulate`."""
     level, on_top = drift.difficulty(difficulty), None if closing is None else drift.Closing(*closing)
@@ -93,7 +94,7 @@ def make(
         scene=built,
         rig=rig,
         truth=truth,
-        caster=RayCaster(built.world),
+        caster=caster(built.world),
         texture=texture.build(built.world, paint),
         optics=optics,
     )
@@ -120,6 +121,7 @@ def simulate(
     disturb: Disturbances = NONE,
     lens: str = PINHOLE,
     imu: bool = False,
+    caster: Callable[[World], RayCaster] = EmbreeCaster,
     progress: Progress = silent,
 ) -> None:
     """Writes a dataset folder of a simulated recording, with the truth in its folder `reference`.
@@ -134,6 +136,7 @@ def simulate(
     disturb: what real sensors do, see `lvba.simulate.disturbances`
     lens: pinhole, of about 65 degrees with k1 k2 p1 p2, or fisheye, equidistant of about 160
     imu: write imu.csv, of an IMU at the body
+    caster: what finds out what rays meet; `lvba.simulate.world.PlainCaster` does without Open3D
     Raises: InputError on an unknown name, a number out of range, a folder that holds another recording, or if Open3D
         is not installed.
     """
@@ -143,7 +146,7 @@ def simulate(
     _check(counts, lidar, seed, length)
     _check_choice("lens", lens, (PINHOLE, FISHEYE))
     _check_choice("image_poses", image_poses, (CAMERA, BODY))
-    made = make(scene, seed, difficulty, frames, scans, length, closing, disturb)
+    made = make(scene, seed, difficulty, frames, scans, length, closing, disturb, caster)
     optics = made.optics
     camera, exposure = cameras.random_camera(width, height, optics), cameras.exposures(frames, optics)
     if lens == FISHEYE:

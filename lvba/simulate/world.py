@@ -1,7 +1,7 @@
 """The geometry of a scene: parallelograms, and which of them rays meet."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -130,8 +130,44 @@ class Builder:
         return shaded
 
 
-class RayCaster:
-    """Finds the first rectangle along rays (Embree, through Open3D)."""
+class RayCaster(Protocol):
+    """Finds the first rectangle along rays."""
+
+    def cast(self, center: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far rays go, (M,) float32 (inf: no hit), in lengths of their direction; what they meet, (M,) int32 (-1).
+
+        center: (3,) or (M, 3) float64, m, scene frame; directions: (M, 3) float64
+        """
+
+
+class PlainCaster:
+    """A ray caster of numpy alone, which tries every rectangle: for a few rays in small worlds."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+
+    def cast(self, center: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `RayCaster`."""
+        world = self._world
+        distance = np.full(len(directions), np.inf)
+        quad = np.full(len(directions), -1, np.int32)
+        for number in range(len(world)):
+            u, v = world.edge_u[number], world.edge_v[number]
+            # rows: how far along u, along v and off the plane a place is
+            inverse = np.linalg.inv(np.stack([u, v, np.cross(u, v)], axis=1))
+            start, step = (center - world.corner[number]) @ inverse.T, directions @ inverse.T
+            with np.errstate(divide="ignore", invalid="ignore"):
+                far = -start[..., 2] / step[:, 2]
+                along_u, along_v = start[..., 0] + far * step[:, 0], start[..., 1] + far * step[:, 1]
+            hit = (
+                (far > 0) & (far < distance) & (np.abs(along_u - 0.5) <= 0.5) & (np.abs(along_v - 0.5) <= 0.5)
+            )
+            distance[hit], quad[hit] = far[hit], number
+        return distance.astype(np.float32), quad
+
+
+class EmbreeCaster:
+    """A ray caster for large worlds (Embree, through Open3D)."""
 
     def __init__(self, world: World) -> None:
         """Raises: InputError if Open3D is not installed."""
@@ -152,10 +188,7 @@ class RayCaster:
         self._scene.add_triangles(tensor(vertices), tensor(triangles.astype(np.uint32)))
 
     def cast(self, center: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How far rays go, (M,) float32 (inf: no hit), in lengths of their direction; what they meet, (M,) int32 (-1).
-
-        center: (3,) or (M, 3) float64, m, scene frame; directions: (M, 3) float64
-        """
+        """See `RayCaster`."""
         rays = np.empty((len(directions), 6), np.float32)
         rays[:, :3], rays[:, 3:] = center, directions
         answer = self._scene.cast_rays(self._tensor(rays))

@@ -17,6 +17,9 @@ from service.system.printable import printable
 _USERS_TO_MEND = {errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EPERM, errno.EROFS, errno.EFBIG}
 """Failures of the system that whoever started the command can do something about."""
 _REASONS = {None: EndReason.INPUT, Lack.DISK: EndReason.DISK_FULL, Lack.MEMORY: EndReason.OUT_OF_MEMORY}
+_NO_CACHE = "no locator available"
+"""What numba says where it can write neither to NUMBA_CACHE_DIR, nor beside the kernels, nor in the home folder."""
+_NOT_KEPT = "compiled kernels: no folder for them can be written; set NUMBA_CACHE_DIR to one that can"
 _OUT_OF_MEMORY = "out of memory: finished stages are kept; free memory or use fewer frames"
 
 
@@ -67,6 +70,8 @@ def _run(arguments: argparse.Namespace, display: Display) -> int:
         mended = files.input_error(where, error)
         return _end(display, str(mended), 2, _why(mended), mended)
     except Exception as error:
+        if _NO_CACHE in str(error):
+            return _end(display, _NOT_KEPT, 2, EndReason.INPUT)
         # nobody foresaw it: whoever listens learns it here, whoever reads the log finds where it comes from
         display.end(1, EndReason.UNEXPECTED, f"{type(error).__name__}: {error}", None)
         raise
@@ -106,6 +111,10 @@ def _command(name: str) -> Callable[[argparse.Namespace, Display], None]:
         from service.cli import view_command
 
         return view_command.view
+    if name == "warm":
+        from service.cli import warm_command
+
+        return warm_command.warm
     if name == "serve":
         from service.cli import serve_command
 

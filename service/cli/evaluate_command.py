@@ -33,9 +33,9 @@ def evaluate(arguments: argparse.Namespace, display: Display) -> None:
         dataset, arguments.lidar_poses, arguments.image_poses, arguments.exposures, camera, radiometry
     )
     result_folder.prepare(arguments.out)
-    first_run.announce(display, images=bool(dataset.image_paths))
     display.stage("evaluate", 1, 2)
-    report = evaluation.report(given, config, reference, display.progress)
+    with first_run.shown(display):
+        report = evaluation.report(given, config, reference, display.progress)
     report["versions"] = versions.versions()
     page.write(arguments.out, report)
     display.clear()

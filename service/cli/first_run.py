@@ -1,40 +1,59 @@
-"""The first run on a machine compiles the numerical kernels, which takes minutes: whoever waits is told so."""
+"""The first run on a machine compiles the numerical kernels, for minutes: whoever waits sees so, and how far it is."""
 
-from importlib import import_module
-from pathlib import Path
-from types import ModuleType
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
-from numba.core.registry import CPUDispatcher
+from numba.core import event
 
+from lvba import kernels
+from service.cli import kernel_cache
 from service.cli.progress import Display
 
-_LIDAR, _VISUAL = (
-    ("voxel", "lidar", "map_entropy"),
-    ("patches", "photometric", "visibility", "zbuffer", "colorize"),
-)
-"""Modules of `lvba.kernels` that every run needs, and every run with images."""
-_NOTICE = (
-    "the first run on this machine compiles the numerical kernels: 1 to 3 minutes more, once. "
-    "The count may stand still meanwhile."
-)
+NOTICE = "numerical kernels are compiled, once on this machine (1 to 3 minutes for all); `lvba warm` does it beforehand"
+_COUNT = "kernels compiled"
+_KIND = "numba:compile"
 
 
-def announce(display: Display, *, images: bool) -> None:
-    """Say that kernels are to be compiled, where the cache of compiled code does not have them.
+class Compilations(event.Listener):
+    """Shows the kernels that are compiled in this process: a notice with the first, then how many of about how many."""
 
-    images: whether the run will need those that work on images
-    """
-    names = _LIDAR + _VISUAL if images else _LIDAR
-    if not all(is_compiled(import_module(f"lvba.kernels.{name}")) for name in names):
-        display.tell(_NOTICE)
+    def __init__(self, display: Display, notice: str) -> None:
+        self.done = 0
+        self._display, self._notice, self._total = display, notice, 0
+        self._lock = threading.RLock()
+
+    def on_start(self, event: event.Event) -> None:
+        """A kernel is being compiled; those that it calls come within."""
+        with self._lock:
+            if self._total or not _is_ours(event):
+                return
+            # its own code may be there for other types only
+            self._total = max(kernel_cache.missing(), 1)
+            if self._notice:
+                self._display.tell(self._notice)
+
+    def on_end(self, event: event.Event) -> None:
+        """One more is done, or has failed."""
+        if _is_ours(event):
+            with self._lock:
+                self.done += 1
+                self._display.progress(_COUNT, self.done, max(self._total, self.done))
 
 
-def is_compiled(module: ModuleType) -> bool:
-    """Whether numba's cache holds code of this module that is not older than its source.
+@contextmanager
+def shown(display: Display, notice: str = NOTICE) -> Iterator[Compilations]:
+    """Kernels that are compiled meanwhile in this process are shown. They are where numba's cache has no code of them."""
+    compilations = Compilations(display, notice)
+    with event.install_listener(_KIND, compilations):
+        yield compilations
 
-    Code that was compiled for another processor counts, too: to tell them apart means to read the cache.
-    """
-    dispatcher = next(item for item in vars(module).values() if isinstance(item, CPUDispatcher))
-    source = Path(str(module.__file__))
-    indices = Path(str(dispatcher.stats.cache_path)).glob(f"{source.stem}.*.nbi")
-    return any(index.stat().st_mtime >= source.stat().st_mtime for index in indices)
+
+def announce_in_workers(display: Display) -> None:
+    """Say that other processes on this machine will compile kernels, where the cache has no code of some of them."""
+    if kernel_cache.missing():
+        display.tell(f"{NOTICE}. The count may stand still meanwhile.")
+
+
+def _is_ours(event: event.Event) -> bool:
+    return str(event.data["dispatcher"].py_func.__module__).startswith(f"{kernels.__name__}.")

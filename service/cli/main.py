@@ -123,6 +123,18 @@ examples:
   lvba export result colmap --out colmap_model"""
 
 
+_WARM = """\
+Compile the numerical kernels, so that the first run does not wait for it: 1 to 3 minutes, once on a machine.
+
+A small made-up recording is refined in a temporary folder. Compiled code is kept beside the program, or in
+NUMBA_CACHE_DIR where that is set; where all is there already, nothing is done."""
+
+_WARM_EXAMPLES = """\
+examples:
+  lvba warm
+  NUMBA_CACHE_DIR=/var/cache/lvba lvba warm"""
+
+
 class Parser(argparse.ArgumentParser):
     """Usage mistakes are one line on stderr, and exit code 2."""
 
@@ -164,6 +176,7 @@ def parser() -> argparse.ArgumentParser:
     _add_inspect(commands)
     _add_view(commands)
     _add_export(commands)
+    _command(commands, "warm", "compile what runs need", _WARM, _WARM_EXAMPLES)
     server_parser.add(commands, _command)
     return top
 

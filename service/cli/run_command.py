@@ -6,6 +6,7 @@ import logging
 import os
 import time
 from pathlib import Path
+from typing import Any
 
 from lvba import pipeline, result
 from lvba.dataset import Dataset
@@ -39,7 +40,14 @@ _log = logging.getLogger(__name__)
 
 
 def run(arguments: argparse.Namespace, display: Display) -> None:
-    """Refine the recording and write OUT."""
+    """Refine the recording, write OUT and show what has become of it."""
+    with first_run.shown(display):
+        report = refine(arguments, display)
+    result_table.show(report, arguments.out)
+
+
+def refine(arguments: argparse.Namespace, display: Display) -> dict[str, Any]:
+    """The report, after refining the recording and writing OUT."""
     config = settings_files.load(arguments)
     clusters.check(arguments)
     check_out(arguments.out, arguments.dataset)
@@ -50,7 +58,8 @@ def run(arguments: argparse.Namespace, display: Display) -> None:
     dataset = open_dataset(folder)
     reference = read_reference(arguments.reference) if arguments.reference else None
     load = memory_estimate.announce(arguments, dataset, config, display)
-    first_run.announce(display, images=bool(dataset.image_paths))
+    if arguments.workers is not None:
+        first_run.announce_in_workers(display)
     work = pipeline.refine(_for_workers(dataset), config, reference, versions.key_version(), load=load)
     opened = StageRecord(
         "input", round(time.perf_counter() - started, 3), round(local.peak_memory_mb(), 1), 1, False
@@ -58,7 +67,7 @@ def run(arguments: argparse.Namespace, display: Display) -> None:
     report = _refine(arguments, dataset, config, work, opened, display, imported=imported is not None).report
     if arguments.viewer:
         _add_viewer(arguments.out, len(report["stages"]), display)
-    result_table.show(report, arguments.out)
+    return report
 
 
 def _add_viewer(out: Path, index: int, display: Display) -> None:

@@ -17,7 +17,7 @@ from lvba.simulate import disturbances, disturbed, lidar, simulate, simulation, 
 from lvba.simulate.disturbances import ABOUT, Disturbances
 from lvba.simulate.people import People
 from lvba.simulate.view import Shine, View
-from lvba.simulate.world import Builder, RayCaster
+from lvba.simulate.world import Builder, EmbreeCaster
 
 SMALL = {"frames": 8, "scans": 8, "width": 96, "height": 72, "points_per_scan": 1500, "seed": 6}
 CALIBRATION, SCANS, IMAGES, POSES, TRUTH = "calibration", "scans", "images", "rough poses", "truth"
@@ -142,7 +142,7 @@ def room():
 
 def camera_in(world, **things):
     camera = cameras.random_camera(96, 72, np.random.default_rng(2))
-    return View.of(RayCaster(world), texture.build(world, np.random.default_rng(3)), camera, **things)
+    return View.of(EmbreeCaster(world), texture.build(world, np.random.default_rng(3)), camera, **things)
 
 
 AHEAD = geometry.from_rotation_translation(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))
@@ -197,7 +197,7 @@ def test_a_person_hides_what_is_behind_from_camera_and_lidar():
     assert columns.max() == pytest.approx((u * camera.fx + camera.cx).max(), abs=1)
     assert rows.min() == pytest.approx((v * camera.fy + camera.cy).min(), abs=1)
 
-    around = lidar.Surroundings(world, RayCaster(world), people)
+    around = lidar.Surroundings(world, EmbreeCaster(world), people)
     ahead = np.array([[1.0, 0, -0.1], [1, 0, -0.2], [-1, 0, 0]])
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
     points, _, beams = lidar.scan(around, np.eye(4), np.repeat(ahead, 400, axis=0), np.random.default_rng(0))
@@ -207,7 +207,7 @@ def test_a_person_hides_what_is_behind_from_camera_and_lidar():
 
 def ranges(world, directions, disturb, seed=0, **more):
     """Of each beam that came back, with the same noise for the same seed: measured minus true."""
-    around = lidar.Surroundings(world, RayCaster(world), **more)
+    around = lidar.Surroundings(world, EmbreeCaster(world), **more)
     rng = np.random.default_rng(seed)
     points, _, beams = lidar.scan(around, np.eye(4), directions, rng, disturb)
     return np.linalg.norm(points, axis=1), beams
@@ -237,7 +237,7 @@ def test_ranges_are_wrong_by_what_is_said(name, size, expected):
     clean, heard = ranges(world, beams, disturbances.NONE)
     wrong, again = ranges(world, beams, Disturbances(**{name: size}))
     np.testing.assert_array_equal(heard, again)
-    true, quad = RayCaster(world).cast(np.zeros(3), beams)
+    true, quad = EmbreeCaster(world).cast(np.zeros(3), beams)
     cosine = np.abs(np.einsum("ij,ij->i", beams, world.normal[quad]))
     error = expected(true, beams, cosine, world.color[quad].mean(axis=1))[heard]
     # noise and mixed points are of the same draws; the scale takes them along
@@ -251,7 +251,7 @@ def test_beams_are_raised_and_said_to_be_where_they_should():
     across = np.hypot(beams[:, 0], beams[:, 1])
     angle = np.arctan2(beams[:, 2], across) + np.radians(1.0)
     higher = np.column_stack([beams[:, :2] / across[:, None] * np.cos(angle)[:, None], np.sin(angle)])
-    true, _ = RayCaster(world).cast(np.zeros(3), higher)
+    true, _ = EmbreeCaster(world).cast(np.zeros(3), higher)
     assert np.median(np.abs(raised - true[heard])) < 0.02
     assert np.abs(clean - raised).max() > 0.1
 

@@ -11,7 +11,7 @@ from lvba.lens import Lens
 from lvba.simulate import camera as cameras
 from lvba.simulate import drift, lidar
 from lvba.simulate.camera import Sensor
-from lvba.simulate.world import Builder, RayCaster
+from lvba.simulate.world import Builder, EmbreeCaster
 from lvba.trajectory import pose_error
 
 MODEL = Lens.RADIAL_TANGENTIAL
@@ -61,10 +61,10 @@ def test_exposures_start_at_one_and_stay_within_half_to_twice(seed):
     assert len(cameras.exposures(2, np.random.default_rng(seed))) == 2
 
 
-def box_caster() -> tuple[RayCaster, Builder]:
+def box_caster() -> tuple[EmbreeCaster, Builder]:
     world = Builder(np.random.default_rng(0))
     world.box((0, 0, 0), (8, 6, 4))
-    return RayCaster(world.build()), world
+    return EmbreeCaster(world.build()), world
 
 
 @pytest.mark.parametrize("name", list(lidar.PATTERNS))
@@ -107,7 +107,7 @@ def test_beams_into_the_open_give_no_points():
     world.rectangle((5, -1, -1), (0, 2, 0), (0, 0, 2))
     built = world.build()
     rng = np.random.default_rng(4)
-    around = lidar.Surroundings(built, RayCaster(built))
+    around = lidar.Surroundings(built, EmbreeCaster(built))
     points, _, _ = lidar.scan(around, np.eye(4), lidar.spinning(20_000, rng), rng)
     assert 0 < len(points) < 2000
     assert points[:, 0].min() > 4.8

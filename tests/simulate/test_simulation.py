@@ -16,7 +16,7 @@ from lvba.io import imu, reference
 from lvba.io.dataset import load_image, load_scan, open_dataset
 from lvba.simulate import blocks, scenes, simulate, truth
 from lvba.simulate.drift import Closing, difficulty
-from lvba.simulate.world import RayCaster
+from lvba.simulate.world import EmbreeCaster
 from lvba.trajectory import pose_error
 
 SMALL = {"frames": 6, "width": 96, "height": 72, "points_per_scan": 2000}
@@ -152,7 +152,7 @@ def test_without_open3d_one_line_says_what_to_install(tmp_path, monkeypatch):
 def test_nobody_walks_through_walls_and_there_is_always_something_to_see(name, seed):
     rng = np.random.default_rng(seed)
     scene = scenes.build(name, rng, 60, None)
-    caster = RayCaster(scene.world)
+    caster = EmbreeCaster(scene.world)
     rig = truth.random_rig(name, rng)
     found = truth.build(scene, rig, difficulty("medium"), 60, 60, rng)
     poses = scene.motion.poses(np.linspace(0, scene.motion.duration, 600))
@@ -196,7 +196,7 @@ def test_all_of_a_terrace_looks_alike_and_its_end_is_a_lane_beside_its_start():
     scene = scenes.build("terrace", np.random.default_rng(0), 60, 120.0)
     ends = scene.motion.position([0, scene.motion.duration])
     np.testing.assert_allclose(ends[1, :2] - ends[0, :2], [0, blocks.LANE_SPACING_M], atol=0.5)
-    caster, rng = RayCaster(scene.world), np.random.default_rng(1)
+    caster, rng = EmbreeCaster(scene.world), np.random.default_rng(1)
     rays = rng.normal(size=(2000, 3))
     rays[:, 2] = -0.3 * np.abs(rays[:, 2])
     here = np.array([10.0, 0.3, 1.7])

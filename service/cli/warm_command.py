@@ -1,0 +1,70 @@
+"""`lvba warm`: all kernels that runs need are compiled beforehand, by short runs of a made-up recording."""
+
+import argparse
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from lvba.simulate import simulate
+from lvba.simulate.disturbances import Disturbances
+from lvba.simulate.world import PlainCaster
+from service.cli import first_run, kernel_cache, run_command
+from service.cli.progress import Display
+
+_RUNS: tuple[tuple[str, ...], ...] = (
+    ("--viewer",),
+    ("--set", "split.by=count", "--set", "split.size=12"),
+)
+"""Options of each run: one as usual, with the map for the page; one in parts."""
+
+
+def warm(arguments: argparse.Namespace, display: Display) -> None:
+    """Fill the cache of compiled kernels, and say how many were compiled and where they lie."""
+    place = kernel_cache.folder()
+    started, compiled = time.perf_counter(), 0
+    if not kernel_cache.is_warm(place):
+        compiled = fill(display)
+        kernel_cache.note_warm(place)
+    display.clear()
+    seconds = time.perf_counter() - started
+    said = f"{compiled} kernels compiled in {seconds:.0f} s" if compiled else "nothing to compile"
+    sys.stdout.write(f"{said}; {len(kernel_cache.compiled(place))} files in {place}\n")
+
+
+def fill(display: Display) -> int:
+    """Compile what runs need and the cache does not hold; how many kernels that were."""
+    with tempfile.TemporaryDirectory(prefix="lvba-warm-") as name, first_run.shown(display, "") as seen:
+        recording = Path(name) / "recording"
+        display.stage("simulate", 0, 1)
+        simulate_recording(recording, display)
+        for number, options in enumerate(_RUNS):
+            run_command.refine(_arguments(recording, Path(name) / f"result-{number}", options), display)
+    return seen.done
+
+
+def simulate_recording(recording: Path, display: Display) -> None:
+    """A small recording with all that a recording may have: readings of an IMU, times of points, intensities, images
+    with vignetting and colors that drift, and exposures that differ.
+    """
+    simulate(
+        "cabinet",
+        recording,
+        seed=1,
+        frames=24,
+        scans=24,
+        width=160,
+        height=120,
+        points_per_scan=4000,
+        vignetting=True,
+        imu=True,
+        disturb=Disturbances(motion_left=0.1, white_balance=0.05),
+        caster=PlainCaster,
+        progress=display.progress,
+    )
+
+
+def _arguments(recording: Path, out: Path, options: tuple[str, ...]) -> argparse.Namespace:
+    from service.cli import main
+
+    return main.parser().parse_args(["run", str(recording), "--out", str(out), *options])
