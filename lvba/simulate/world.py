@@ -147,7 +147,10 @@ class PlainCaster:
         self._world = world
 
     def cast(self, center: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """See `RayCaster`."""
+        """How far rays go, (M,) float32 (inf: no hit), in lengths of their direction; what they meet, (M,) int32 (-1).
+
+        center: (3,) or (M, 3) float64, m, scene frame; directions: (M, 3) float64
+        """
         world = self._world
         distance = np.full(len(directions), np.inf)
         quad = np.full(len(directions), -1, np.int32)
@@ -188,7 +191,10 @@ class EmbreeCaster:
         self._scene.add_triangles(tensor(vertices), tensor(triangles.astype(np.uint32)))
 
     def cast(self, center: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """See `RayCaster`."""
+        """How far rays go, (M,) float32 (inf: no hit), in lengths of their direction; what they meet, (M,) int32 (-1).
+
+        center: (3,) or (M, 3) float64, m, scene frame; directions: (M, 3) float64
+        """
         rays = np.empty((len(directions), 6), np.float32)
         rays[:, :3], rays[:, 3:] = center, directions
         answer = self._scene.cast_rays(self._tensor(rays))

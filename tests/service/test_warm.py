@@ -10,6 +10,7 @@ from service.cli import kernel_cache
 FILL = "from service.cli import progress, warm_command\nwarm_command.fill(progress.Display(quiet=True))\n"
 RUN = "import sys\nfrom service.cli import main\nassert main.main(sys.argv[1:]) == 0\n"
 LIST = """
+import sys
 from service.cli import kernel_cache
 for name, module in list(sys.modules.items()):
     if name.startswith("lvba.kernels."):
