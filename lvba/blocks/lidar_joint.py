@@ -20,7 +20,7 @@ from lvba.lidar import degeneracy
 from lvba.lidar.config import LidarConfig, Stage
 from lvba.lidar.degeneracy import DegenerateDirections
 from lvba.lidar.dense_covariance import alignment
-from lvba.lidar.odometry_factor import OdometryPrior, odometry_prior, reestimated
+from lvba.lidar.odometry_factor import OdometryPrior, reestimated
 from lvba.optim import levenberg_marquardt, linear_solver, two_level
 from lvba.optim.normal_equations import NormalEquations
 from lvba.optim.two_level import Groups, TwoLevelEquations, TwoLevelFactors
@@ -102,16 +102,13 @@ def near_pairs(world_from_scan: Poses, reach: float) -> int:
     return (int(path.count_neighbors(path, 2.0 * reach)) + len(world_from_scan)) // 2
 
 
-def begin(
-    rough: Poses, world_from_scan: Poses, config: LidarConfig, reach: float | None = None
-) -> JointState:
-    """The state of merged poses (S, 4, 4); odometry from the rough ones (S, 4, 4).
+def begin(odometry: OdometryPrior, world_from_scan: Poses, reach: float | None = None) -> JointState:
+    """The state of merged poses (S, 4, 4) beside an odometry.
 
     reach: m, of the LiDAR; None: all pairs of scans are coupled, however many
     """
-    prior = odometry_prior(rough, config.prior_rotation, config.prior_translation)
-    everything = np.ones(len(rough), bool)
-    prior = reestimated(prior, world_from_scan, everything, config.prior_sigmas)
+    everything = np.ones(len(world_from_scan), bool)
+    prior = reestimated(odometry, world_from_scan, everything)
     size = 0 if reach is None else group_size(world_from_scan, reach)
     return JointState(world_from_scan=world_from_scan, prior=prior, group_size=size)
 
@@ -153,7 +150,7 @@ def step(
     # a step at two levels goes part of the way: how far it is still is what the next one tells
     still = entry.small and (not state.group_size or _was_small(state, number))
     held = directions.count == 0
-    prior = reestimated(state.prior, moved, held, config.prior_sigmas) if still else state.prior
+    prior = reestimated(state.prior, moved, held) if still else state.prior
     return replace(
         state,
         world_from_scan=moved,

@@ -95,6 +95,7 @@ def refine(
     *,
     sensor_position: Vector | None = None,
     config: LidarConfig | None = None,
+    odometry: OdometryPrior | None = None,
     stages: tuple[Stage, ...] | None = None,
     imu: Imu | None = None,
     progress: Progress = silent,
@@ -104,6 +105,8 @@ def refine(
     scans: S arrays (N, 3) float32, m, scan frame; NaN rows are passed over
     world_from_scan: (S, 4, 4), rough; the first pose stays
     sensor_position: (3,), m, where the LiDAR is in the scan frame
+    odometry: what is known of the motions from scan to scan; None: that they are about as world_from_scan has them. Poses
+        that come of the scans themselves are no odometry: they would be taken for a second, very good witness
     stages: others than those of the settings, for comparisons
     imu: used where it does not contradict the planes
     Raises DegenerateProblemError: no plane is seen by two scans.
@@ -113,7 +116,7 @@ def refine(
     points = gather(scans)
     stages = density.adapted(stages or config.stages, points, config.dense_points)
     rough = np.array(world_from_scan, float)
-    prior = odometry_prior(rough, config.prior_rotation, config.prior_translation)
+    prior = odometry or odometry_prior(rough, config.prior_rotation, config.prior_translation)
     rounds = Rounds(points=points, sensor=sensor, config=config, poses=rough, prior=prior)
     total, done = sum(stage.rounds for stage in stages), 0
     for stage in stages[:-1]:

@@ -15,7 +15,6 @@ import numpy as np
 
 from lvba.arrays import Poses
 from lvba.lidar.dense_covariance import aligned, alignment, inverse
-from lvba.lidar.odometry_factor import OdometryPrior
 from lvba.lidar.plane_feature import PlaneFeatures, fit
 from lvba.lidar.problem import Problem
 from lvba.optim.normal_equations import NormalEquations
@@ -80,10 +79,8 @@ def _window(problem: Problem, first: int, end: int) -> Problem:
         weight=features.weight[mine],
         size=features.size[kept],
     )
-    steps = slice(first, end - 1)
     projector = None if problem.projector is None else problem.projector[first:end]
-    odometry = OdometryPrior(prior.previous_from_next[steps], prior.information[steps])
-    return Problem(inside, problem.sigma, odometry, projector)
+    return Problem(inside, problem.sigma, prior.among(np.arange(first, end)), projector)
 
 
 def _deals(features: PlaneFeatures, poses: np.ndarray) -> Iterator[np.ndarray]:

@@ -3,12 +3,12 @@
 It decides only what planes leave open. Where they determine a direction, they outweigh it by orders of magnitude.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from lvba import geometry
-from lvba.arrays import Poses, StepSigmas
+from lvba.arrays import Indices, Poses
 from lvba.optim import pose_graph
 from lvba.optim.normal_equations import NormalEquations
 from lvba.optim.pose_graph import Edges
@@ -16,6 +16,8 @@ from lvba.optim.pose_graph import Edges
 _FEWEST_STEPS = 10
 _FLOOR_ROTATION, _FLOOR_TRANSLATION = 2e-4, 1e-3
 """rad and m: no odometry is taken for better than this from scan to scan."""
+JUMP = np.diag(np.repeat([np.radians(4.0), 0.6], 3) ** -2.0)
+"""(6, 6), information of a step of which nothing is known yet."""
 
 
 @dataclass(frozen=True)
@@ -24,10 +26,14 @@ class OdometryPrior:
 
     next_from_previous is measured as previous_from_next: (S - 1, 4, 4)
     information: (S - 1, 6, 6), of the local tangent [rotation | translation] at the later scan
+    ceiling: (6,), rad and m, standard deviations of a step that no estimate exceeds
+    jumps: (K,) int64, steps that the odometry knows nothing of: they say nothing of the others, and stay uncertain
     """
 
     previous_from_next: np.ndarray
     information: np.ndarray
+    ceiling: np.ndarray
+    jumps: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def cost(self, world_from_scan: Poses) -> float:
         """Half the sum of squared normalized residuals."""
@@ -40,6 +46,16 @@ class OdometryPrior:
     def linearize(self, world_from_scan: Poses) -> NormalEquations:
         """The normal equations at poses (S, 4, 4); Gauss-Newton."""
         return pose_graph.linearize(world_from_scan, self._edges())
+
+    def among(self, members: Indices) -> "OdometryPrior":
+        """Of successive scans (n,) int64."""
+        steps = members[:-1]
+        return replace(
+            self,
+            previous_from_next=self.previous_from_next[steps],
+            information=self.information[steps],
+            jumps=np.flatnonzero(np.isin(steps, self.jumps)),
+        )
 
     def _edges(self) -> Edges:
         earlier = np.arange(len(self.information))
@@ -54,24 +70,32 @@ class OdometryPrior:
 
 def odometry_prior(world_from_scan: Poses, sigma_rotation: float, sigma_translation: float) -> OdometryPrior:
     """The prior of rough poses (S, 4, 4) with standard deviations (rad, m) of one step."""
-    information = np.diag([sigma_rotation**-2] * 3 + [sigma_translation**-2] * 3)
+    sigmas = np.repeat([sigma_rotation, sigma_translation], 3)
     steps = geometry.inverse(world_from_scan[:-1]) @ world_from_scan[1:]
-    return OdometryPrior(steps, np.broadcast_to(information, (len(steps), 6, 6)).copy())
+    return OdometryPrior(steps, np.broadcast_to(np.diag(sigmas**-2), (len(steps), 6, 6)).copy(), sigmas)
 
 
-def reestimated(
-    prior: OdometryPrior, world_from_scan: Poses, held: np.ndarray, ceiling: StepSigmas
-) -> OdometryPrior:
+def with_jumps(prior: OdometryPrior, jumps: Indices, world_from_scan: Poses) -> OdometryPrior:
+    """The prior with some steps (K,) int64 as poses (S, 4, 4) have them, and hardly held there."""
+    steps, information = prior.previous_from_next.copy(), prior.information.copy()
+    steps[jumps] = geometry.inverse(world_from_scan[jumps]) @ world_from_scan[jumps + 1]
+    information[jumps] = JUMP
+    return replace(prior, previous_from_next=steps, information=information, jumps=np.asarray(jumps))
+
+
+def reestimated(prior: OdometryPrior, world_from_scan: Poses, held: np.ndarray) -> OdometryPrior:
     """The prior with the standard deviations that its errors at refined poses (S, 4, 4) show; robust (median).
 
     held: (S,) bool, scans that planes hold in every direction: only steps between two of these tell how wrong the
         odometry is; where they are few the prior stays as it is
-    ceiling: (6,), rad and m, [rotation | translation], no estimate is larger
     """
-    error = np.abs(prior.residuals(world_from_scan))[held[1:] & held[:-1]]
+    ordinary = np.ones(len(prior.information), bool)
+    ordinary[prior.jumps] = False
+    error = np.abs(prior.residuals(world_from_scan))[held[1:] & held[:-1] & ordinary]
     if len(error) < _FEWEST_STEPS:
         return prior
     rotation, translation = (1.4826 * float(np.median(error[:, part])) for part in (slice(3), slice(3, 6)))
     sigma = np.repeat([max(rotation, _FLOOR_ROTATION), max(translation, _FLOOR_TRANSLATION)], 3)
-    information = np.diag(np.minimum(sigma, ceiling) ** -2)
-    return replace(prior, information=np.broadcast_to(information, prior.information.shape).copy())
+    information = prior.information.copy()
+    information[ordinary] = np.diag(np.minimum(sigma, prior.ceiling) ** -2)
+    return replace(prior, information=information)

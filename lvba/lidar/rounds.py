@@ -72,7 +72,7 @@ class Rounds:
             converged = _has_converged(solution, self.history[-1], stage)
             if converged:
                 break
-        self.prior = reestimated(self.prior, self.poses, directions.count == 0, self.config.prior_sigmas)
+        self.prior = reestimated(self.prior, self.poses, directions.count == 0)
         return problem, directions, converged
 
     def last(self, stage: Stage, progress: Progress, done: int, total: int) -> Solved:

@@ -17,6 +17,7 @@ from lvba.arrays import Poses, Vector
 from lvba.errors import DegenerateProblemError
 from lvba.lidar import bundle_adjustment
 from lvba.lidar.config import LidarConfig
+from lvba.lidar.odometry_factor import JUMP, OdometryPrior, odometry_prior, with_jumps
 from lvba.loop_closure import candidates, registration, scan_steps, submap
 from lvba.loop_closure.candidates import CandidateConfig
 from lvba.loop_closure.scan_steps import Step
@@ -102,6 +103,21 @@ class StartPoses:
     def judged(self, patches: Sequence[Patch | None], world_from_scan: Poses) -> RoughError:
         """The error, with what is left of it in refined poses (S, 4, 4). patches: of `surfels_of`"""
         return replace(self.error, left_after=contradicted(patches, world_from_scan))
+
+
+def odometry_of(
+    rough: Poses, error: RoughError | None, world_from_scan: Poses, config: LidarConfig
+) -> OdometryPrior:
+    """What rough poses (S, 4, 4) still say of the motions from scan to scan.
+
+    error: None: as much as the settings let expect; else their steps are as good as they proved to be, and those that are
+        wrong are as poses (S, 4, 4) have them that came of surfaces, and say next to nothing
+    """
+    if error is None:
+        return odometry_prior(rough, config.prior_rotation, config.prior_translation)
+    rotation = max(config.prior_rotation, float(np.radians(error.step_deg)))
+    prior = odometry_prior(rough, rotation, max(config.prior_translation, error.step_m))
+    return with_jumps(prior, error.wrong_after, world_from_scan)
 
 
 def thinned(points: np.ndarray, number: int) -> np.ndarray:
@@ -211,10 +227,11 @@ def start(
     for _ in range(_PASSES):
         odometry = _Odometry.of(patches, poses, progress)
         chain = odometry.chained(patches, progress)
+        prior = odometry_of(poses, odometry.error(chain), chain.world_from_scan, config)
         groups = []
         for number, members in enumerate(pieces):
             progress("solving groups of scans", number, len(pieces))
-            groups.append(_Group.solved(scans, members, chain, sensor_position, config))
+            groups.append(_Group.solved(scans, members, chain, prior, sensor_position, config))
         steps = _steps(groups, chain)
         begin = pose_graph.propagate(len(poses), steps, 0, world_from_scan[0])
         graph = pose_graph.solve(begin, pose_graph.concatenate([steps, _loops(groups, begin, progress)]))
@@ -289,7 +306,7 @@ class _Odometry:
 
     def prior(self, step: int) -> np.ndarray:
         """(6, 6), information of a rough step."""
-        return scan_steps.WIDE if self.wrong[step] else np.diag(self.sigma**-2.0)
+        return JUMP if self.wrong[step] else np.diag(self.sigma**-2.0)
 
     def chained(self, patches: Sequence[Patch | None], progress: Progress) -> _Chain:
         """Each scan registered to those before it, one after another."""
@@ -330,13 +347,18 @@ class _Group:
         scans: Sequence[np.ndarray],
         members: np.ndarray,
         chain: _Chain,
+        prior: OdometryPrior,
         sensor_position: Vector | None,
         config: LidarConfig,
     ) -> "_Group":
         poses = chain.world_from_scan[members]
         try:
             result = bundle_adjustment.refine(
-                [scans[k] for k in members], poses, sensor_position=sensor_position, config=config
+                [scans[k] for k in members],
+                poses,
+                odometry=prior.among(members),
+                sensor_position=sensor_position,
+                config=config,
             )
         except DegenerateProblemError:
             return _Group(members, poses, chain.information[members[:-1]], None)

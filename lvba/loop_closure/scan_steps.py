@@ -9,6 +9,7 @@ from lvba import geometry
 from lvba.arrays import Pose, Poses, Vector
 from lvba.errors import DegenerateProblemError
 from lvba.lidar import bundle_adjustment
+from lvba.lidar.odometry_factor import JUMP
 from lvba.loop_closure import alignments, submap, surfel_icp, verification
 from lvba.loop_closure.alignments import Expected
 from lvba.loop_closure.submap import Patch
@@ -18,8 +19,6 @@ _REACH_M = 40.0
 """Surfaces further away are seen by few points, and tell little of positions."""
 _FEWEST = 30
 """Surfels below which a scan tells nothing."""
-_WIDE_M, _WIDE_DEG = 0.6, 4.0
-"""Standard deviations of a step of which nothing is known yet, along each axis."""
 _NEAR_M = 0.1
 _STARTS = 24
 _LEAST_OVERLAP, _LEAST_AGREEING = 0.15, 0.85
@@ -28,8 +27,7 @@ _FLOOR = np.repeat([np.radians(0.03), 0.005], 3)
 _OPEN_SIGMA_M = 0.05
 _MATCH_M, _MATCH_DEG = 0.5, 20.0
 
-WIDE = np.diag(np.repeat([np.radians(_WIDE_DEG), _WIDE_M], 3) ** -2.0)
-"""(6, 6), information of such a step."""
+_WIDE_M, _WIDE_DEG = float(JUMP[5, 5] ** -0.5), float(np.degrees(JUMP[0, 0] ** -0.5))
 
 
 @dataclass(frozen=True)
@@ -99,7 +97,7 @@ def contradicts(first: Target, second: Patch, first_from_second: Pose) -> bool:
     return said.contradicting > 1 - _LEAST_AGREEING
 
 
-def register(first: Target, second: Patch, rough: Pose, prior: np.ndarray = WIDE) -> Step:
+def register(first: Target, second: Patch, rough: Pose, prior: np.ndarray = JUMP) -> Step:
     """The step that surfaces fall into from the odometry's (4, 4); searched for where they do not.
 
     prior: (6, 6) float64, information of the odometry

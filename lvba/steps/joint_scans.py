@@ -127,10 +127,9 @@ def merge_parts(
     poses = merged.world_from_scan
     if not align:
         poses = _side_by_side(cores, parts, dataset.scans.world_from_sensor)
-    # an odometry that surfaces contradict says nothing beside them
-    wrong = any(part.rough_error is not None for part in parts)
-    odometry = merged.world_from_scan if wrong else dataset.scans.world_from_sensor
-    state = lidar_joint.begin(odometry, poses, survey.lidar, survey.reach_m)
+    error = rough_poses.of_all([part.rough_error for part in parts if part.rough_error is not None])
+    odometry = rough_poses.odometry_of(dataset.scans.world_from_sensor, error, poses, survey.lidar)
+    state = lidar_joint.begin(odometry, poses, survey.reach_m)
     if all(part.problem for part in parts):
         state = replace(state, converged_stage=len(survey.stages))
     return MergedStage(merged, state)

@@ -44,15 +44,17 @@ def solve_lidar(
         return LidarStage(None, "LiDAR bundle adjustment is switched off (refine_scans)")
     scans, sensor = ScanReader(points).load(part.scan_numbers), dataset.sensor_position_scan
     surfels = rough_poses.surfels_of(scans, sensor)
-    rough, begin = dataset.scans.world_from_sensor, None
+    rough, begin, odometry = dataset.scans.world_from_sensor, None, None
     if len(rough_poses.contradicted(surfels, rough)):
         begin = rough_poses.start(
             scans, surfels, rough, sensor_position=sensor, config=config, progress=progress
         )
+        odometry = rough_poses.odometry_of(rough, begin.error, begin.world_from_scan, config)
     try:
         result = lidar_ba.refine(
             scans,
             rough if begin is None else begin.world_from_scan,
+            odometry=odometry,
             sensor_position=sensor,
             config=config,
             imu=_imu(dataset),

@@ -11,6 +11,7 @@ from lvba.blocks import lidar_block, lidar_joint
 from lvba.kernels import voxel as kernel
 from lvba.lidar import bundle_adjustment, plane_factor, voxel_map
 from lvba.lidar.config import STAGES, LidarConfig
+from lvba.lidar.odometry_factor import odometry_prior
 from lvba.lidar.rounds import OBLIQUE
 from lvba.lidar.scan import gather
 from lvba.optim import normal_equations
@@ -122,7 +123,7 @@ def test_no_shares_are_no_sum():
 
 def rounds(scans, rough, start, parts, stages):
     """stages: (number of the stage, rounds) in turn, points put into cells anew for each."""
-    state = lidar_joint.begin(rough, start, CONFIG)
+    state = lidar_joint.begin(odometry_prior(rough, CONFIG.prior_rotation, CONFIG.prior_translation), start)
     for number, count in stages:
         cells = blocks_of(scans, state.world_from_scan, parts)
         stage = STAGES[number]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lvba import geometry
-from lvba.lidar.odometry_factor import odometry_prior, reestimated
+from lvba.lidar.odometry_factor import odometry_prior, reestimated, with_jumps
 
 CEILING = np.repeat([0.01, 0.05], 3)
 
@@ -33,7 +33,7 @@ def test_it_is_found_in_spite_of_slips():
         )
         rough[at:] = slip @ rough[at:]
     prior = odometry_prior(rough, 0.01, 0.05)
-    found = sigmas(reestimated(prior, refined, np.ones(201, bool), CEILING))
+    found = sigmas(reestimated(prior, refined, np.ones(201, bool)))
     assert found == pytest.approx(np.tile(np.repeat([0.002, 0.008], 3), (200, 1)), rel=0.15)
 
 
@@ -42,14 +42,33 @@ def test_scans_that_planes_do_not_hold_have_no_vote():
     held = np.arange(201) >= 120
     # these sit at the odometry for want of anything better, and so agree with it
     refined[:120] = refined[120] @ geometry.inverse(rough[120]) @ rough[:120]
-    found = sigmas(reestimated(odometry_prior(rough, 0.01, 0.05), refined, held, CEILING))
+    found = sigmas(reestimated(odometry_prior(rough, 0.01, 0.05), refined, held))
     assert found[0] == pytest.approx(np.repeat([0.002, 0.008], 3), rel=0.25)
 
 
 def test_few_scans_change_nothing_and_no_estimate_passes_its_limits():
     refined, rough = walk(rotation=0.5, translation=0.5)
     prior = odometry_prior(rough, 0.01, 0.05)
-    assert reestimated(prior, refined, np.arange(201) < 9, CEILING) is prior
-    assert sigmas(reestimated(prior, refined, np.ones(201, bool), CEILING))[0] == pytest.approx(CEILING)
-    perfect = sigmas(reestimated(odometry_prior(refined, 0.01, 0.05), refined, np.ones(201, bool), CEILING))
+    assert reestimated(prior, refined, np.arange(201) < 9) is prior
+    assert sigmas(reestimated(prior, refined, np.ones(201, bool)))[0] == pytest.approx(CEILING)
+    perfect = sigmas(reestimated(odometry_prior(refined, 0.01, 0.05), refined, np.ones(201, bool)))
     assert (perfect > 1e-4).all()
+
+
+def test_jumps_have_no_vote_and_are_held_by_next_to_nothing():
+    refined, rough = walk()
+    jumps = np.arange(0, 200, 3)
+    prior = with_jumps(odometry_prior(rough, 0.01, 0.05), jumps, refined)
+    assert prior.residuals(refined)[jumps] == pytest.approx(0.0, abs=1e-9)
+    known = reestimated(prior, refined, np.ones(201, bool))
+    expected = np.tile(np.repeat([0.002, 0.008], 3), (200, 1))
+    expected[jumps] = np.repeat([np.radians(4.0), 0.6], 3)
+    assert sigmas(known) == pytest.approx(expected, rel=0.15)
+
+
+def test_some_scans_have_the_odometry_between_them():
+    refined, rough = walk()
+    prior = with_jumps(odometry_prior(rough, 0.01, 0.05), np.array([50, 120]), refined)
+    part = prior.among(np.arange(100, 150))
+    assert part.jumps.tolist() == [20]
+    assert np.array_equal(part.residuals(refined[100:150]), prior.residuals(refined)[100:149])

@@ -6,6 +6,7 @@ import pytest
 
 from lvba import geometry
 from lvba.lidar import bundle_adjustment
+from lvba.lidar.config import LidarConfig
 from lvba.loop_closure import rough_poses, scan_steps
 from lvba.loop_closure.rough_poses import RoughError
 from lvba.loop_closure.surfel_icp import Target
@@ -62,6 +63,32 @@ def test_jumps_are_taken_out_and_the_bundle_adjustment_ends_where_it_does_withou
     refined = bundle_adjustment.refine(scans, start.world_from_scan).world_from_scan
     assert pose_error(refined, truth).ate_m < 1.5 * without.ate_m
     assert len(start.judged(surfels, refined).left_after) == 0
+
+
+def test_poses_that_came_of_the_scans_are_no_second_witness_beside_them(courtyard):
+    """Registered poses agree with refined ones to a millimeter: as an odometry, they would hold their own errors."""
+    scans, _, rough, surfels = courtyard
+    wrong = with_jumps(rough)
+    start = rough_poses.start(scans, surfels, wrong)
+    odometry = rough_poses.odometry_of(wrong, start.error, start.world_from_scan, LidarConfig())
+    assert odometry.jumps.tolist() == [after for after, _ in JUMPS]
+    clean, refined, held = (
+        bundle_adjustment.refine(scans, poses, odometry=known)
+        for poses, known in ((rough, None), (start.world_from_scan, odometry), (start.world_from_scan, None))
+    )
+    dependence = [np.median(each.odometry_dependence) for each in (clean, refined, held)]
+    assert dependence[1] == pytest.approx(dependence[0], rel=0.2)
+    assert dependence[2] > 0.4
+    # within the deviations promised, the odometry's errors decide nothing
+    apart = geometry.log(geometry.inverse(clean.world_from_scan) @ refined.world_from_scan)
+    assert np.abs(apart[:, 3:]).max() < 2e-4
+
+
+def test_without_an_error_the_odometry_is_as_the_settings_have_it(courtyard):
+    _, _, rough, _ = courtyard
+    odometry = rough_poses.odometry_of(rough, None, rough, LidarConfig())
+    assert not len(odometry.jumps)
+    assert 1 / np.sqrt(np.diag(odometry.information[3])) == pytest.approx([0.01] * 3 + [0.05] * 3)
 
 
 def test_an_odometry_that_is_decimeters_off_at_every_step_is_replaced(courtyard):
