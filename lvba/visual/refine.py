@@ -425,7 +425,11 @@ def _solved_once(
         patch=config.patch, score=scene.variant.score, shifts=moved,
     )  # fmt: skip
     if len(observations) == 0:
-        raise DegenerateProblemError(f"no scene point is seen by two images at pyramid level {level}")
+        size = "full size" if level == 0 else f"1/{2**level} of their size"
+        raise DegenerateProblemError(
+            f"no scene point looks alike in two images (compared at {size}): they overlap too little, are too plain, "
+            "show too little of what the scans measured, or camera poses, extrinsic or stamps are far off"
+        )
     progress("camera poses", 2, 3)
     shifts = None
     if level == 0 and scene.variant.reference_pixels == "fixed":
