@@ -14,12 +14,13 @@ from lvba.camera import Camera
 from lvba.dataset import Dataset
 from lvba.io import image_poses as kinds
 from lvba.io import timestamps
-from lvba.io.dataset import load_scan
+from lvba.io.dataset import load_image, load_scan
 from lvba.io.exposures import Exposures, read_exposures
 from lvba.io.image_poses import Statement
 from lvba.io.reference import Reference, of_cameras
 from lvba.io.tum import read_pose_file, read_trajectory
 from lvba.lidar.scan_errors import ScanErrors
+from lvba.parallel import in_order
 from lvba.pipeline import Config
 from lvba.products import evaluate as evaluation
 from lvba.products import map_quality
@@ -122,7 +123,11 @@ def report(
             log_exposure=given.log_exposure,
         )
         states = {ROUGH: State(rough, views), VISUAL: State(refined, claimed)}
-        scores = evaluation.evaluate(states, config.evaluate, progress=progress)
+        blank = _blank(dataset)
+        judged = evaluation.judged_images(len(views), blank, config.evaluate.max_images)
+        scores = evaluation.evaluate(
+            states, config.evaluate, held_out=blank, images=np.setdiff1d(judged, blank), progress=progress
+        )
     given_verdict = Verdict(True, "given")
     scans = ScanPoses(given.world_from_scan, given_verdict, before.mean, after.mean, after)
     facts: dict[str, Any] = {
@@ -137,6 +142,14 @@ def report(
     if reference is not None:
         facts["reference"] = _against(given, of_cameras(reference, dataset))
     return dict(report_data.plain(facts))
+
+
+def _blank(dataset: Dataset) -> np.ndarray:
+    """The images that show nothing, (b,) int32: they judge nothing and color nothing."""
+    nothing = in_order(
+        lambda image: decoded.shows_nothing(load_image(dataset, image)), range(len(dataset.images))
+    )
+    return np.flatnonzero(list(nothing)).astype(np.int32)
 
 
 def _reader(given: Given, errors: ScanErrors | None) -> Callable[[int], np.ndarray]:

@@ -1,12 +1,15 @@
-"""Poses of any method are judged by scans that are corrected as in a run."""
+"""Poses of any method are judged as in a run: by corrected scans, and not by images that show nothing."""
 
+import dataclasses
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lvba import evaluation
 from lvba.io.dataset import load_scan, open_dataset
+from lvba.io.images import read_image, write_image
 from lvba.lidar.scan_errors import ScanErrors
 from lvba.pipeline import Config
 from lvba.products import map_quality
@@ -50,3 +53,18 @@ def test_scans_are_corrected_by_their_numbers_in_the_recording_before_poses_are_
         )
         expected = map_quality.entropy_blocks(cloud, config.evaluate.entropy).mean
         assert judged[state]["map_entropy"] == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_blank_image_is_not_judged_and_colors_nothing(recording, tmp_path):
+    shutil.copytree(recording, tmp_path / "street")
+    path = Path(open_dataset(tmp_path / "street").image_paths[7])
+    write_image(path, np.zeros_like(read_image(path)))
+    config = dataclasses.replace(Config(), refine_scans=False)
+    clean, blank = (
+        evaluation.report(evaluation.read_given(open_dataset(folder)), config, None)["evaluation"]["refined"]
+        for folder in (recording, tmp_path / "street")
+    )
+    assert set(clean["images"]) - set(blank["images"]) == {7}
+    before = dict(zip(clean["images"], clean["per_image"]["psnr_leave_one_out"], strict=True))
+    after = dict(zip(blank["images"], blank["per_image"]["psnr_leave_one_out"], strict=True))
+    assert max(before[image] - after[image] for image in after) < 2.0

@@ -15,7 +15,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from scipy.spatial import cKDTree
 
-from lvba.arrays import Indices
+from lvba.arrays import Indices, Picture
 from lvba.blocks.split import Part
 from lvba.blocks.survey import Survey
 from lvba.camera import Camera
@@ -271,17 +271,19 @@ class PhotoReader:
 
 
 def blank_photos(pieces: Pieces[np.ndarray], images: Range) -> np.ndarray:
-    """Which of some images (half-open range) show nothing, (b,) int32, counted from the first of these.
-
-    They are black, or clipped, nearly everywhere, by every 64th pixel.
-    """
+    """Which of some images (half-open range) show nothing, (b,) int32, counted from the first of these."""
     blank: list[int] = []
     for (first, _), read in pieces:
-        sample = read()[:, ::8, ::8]
-        nothing = (sample.max(axis=-1) <= image.DARK) | (sample.min(axis=-1) >= image.SATURATED)
-        at = first + np.flatnonzero(nothing.mean(axis=(1, 2)) > BLANK) - images[0]
+        at = first + np.flatnonzero([shows_nothing(photo) for photo in read()]) - images[0]
         blank += [int(number) for number in at if 0 <= number < images[1] - images[0]]
     return np.array(sorted(blank), np.int32)
+
+
+def shows_nothing(photo: Picture) -> bool:
+    """Whether an image (H, W, 3) uint8 is black, or clipped, nearly everywhere, by every 64th pixel."""
+    sample = photo[::8, ::8]
+    nothing = (sample.max(axis=-1) <= image.DARK) | (sample.min(axis=-1) >= image.SATURATED)
+    return bool(nothing.mean() > BLANK)
 
 
 def keyframe_images(pieces: Pieces[Keyframes], numbers: Indices) -> np.ndarray:
