@@ -40,6 +40,8 @@ _GAIN = 0.1
 """Part of a scan's surfels by which the agreement must grow: what overlaps little could be anything."""
 _SAME_M, _SAME_DEG = 0.1, 1.0
 """Motions that differ by less are the same: two thin scans do not tell it better."""
+_BESIDE = (1, 4)
+"""Scans on either side of a motion whose surfaces are asked whether they confirm it."""
 _BEFORE = 8
 """Scans that another one is registered to."""
 _OUTLYING = 6.0
@@ -168,22 +170,30 @@ def confirmed(
     patches: of `surfels_of`; world_from_scan: (S, 4, 4); after: (J,) int64, the scans
     expected: (S - 1, 4, 4), motions as those before and after let expect
     Surfaces confirm a motion if they determine it in all directions, agree with it, and do not agree as well with
-    another one that is nearer to what is expected.
+    another one that is nearer to what is expected: those of both scans, or of some on both sides where these are few.
     """
     sure = []
     for k in np.unique(after):
-        first, second = patches[k], patches[k + 1]
-        if first is None or second is None:
-            continue
-        target, motion = Target.of(first), geometry.inverse(world_from_scan[k]) @ world_from_scan[k + 1]
-        step = scan_steps.register(target, second, motion)
-        if not step.aligned or step.open or _apart(motion, step.first_from_second):
-            continue
-        rival = scan_steps.register(target, second, expected[k])
-        same = not _apart(rival.first_from_second, step.first_from_second)
-        if same or not rival.aligned or rival.overlap < step.overlap - _GAIN:
-            sure.append(int(k))
+        motion = geometry.inverse(world_from_scan[k]) @ world_from_scan[k + 1]
+        for beside in _BESIDE:
+            before, behind = slice(max(0, k + 1 - beside), k + 1), slice(k + 1, k + 1 + beside)
+            first = scan_steps.together(patches[before], world_from_scan[before], -1)
+            second = scan_steps.together(patches[behind], world_from_scan[behind], 0)
+            if first is not None and second is not None and _agreed(first, second, motion, expected[k]):
+                sure.append(int(k))
+                break
     return np.array(sure, np.int64)
+
+
+def _agreed(first: Patch, second: Patch, motion: np.ndarray, expected: np.ndarray) -> bool:
+    """Whether surfaces determine a motion (4, 4), agree with it, and with none near the expected one (4, 4) as well."""
+    target = Target.of(first)
+    step = scan_steps.register(target, second, motion)
+    if not step.aligned or step.open or _apart(motion, step.first_from_second):
+        return False
+    rival = scan_steps.register(target, second, expected)
+    same = not _apart(rival.first_from_second, step.first_from_second)
+    return same or not rival.aligned or rival.overlap < step.overlap - _GAIN
 
 
 def _registered(first: Target, second: Patch, rough: np.ndarray) -> Step:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from lvba import geometry
+from lvba.arrays import Poses
 from lvba.dataset import Dataset
 from lvba.io.reference import Reference
 from lvba.lidar import range_errors
@@ -28,9 +29,7 @@ from lvba.steps import (
 from lvba.steps.acceptance import ROUGH
 from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, ScanPoses, VisualStage
 from lvba.steps.plane_thickness import PlaneChange
-from lvba.steps.trajectory_jumps import Jumps
 from lvba.steps.uncertainty import Expected
-from lvba.trajectory import Trajectory
 from lvba.visual import self_calibration
 from lvba.visual.radiometry import Radiometry
 from lvba.visual.response import GREY_VALUES
@@ -82,27 +81,25 @@ def collect(
 
 
 def of_odometry(dataset: Dataset, accepted: Accepted, lidar: LidarStage) -> dict[str, Any]:
-    """Where the rough scan poses jump, and whether the result still does there."""
-    rough, left = (
-        _jumps(Trajectory(dataset.scans.times, poses), lidar)
-        for poses in (dataset.scans.world_from_sensor, accepted.world_from_scan)
-    )
+    """Where the rough scan poses jump, and where surfaces do not say how scans after it are to those before."""
+    rough = trajectory_jumps.find(dataset.scans)
+    rough = rough.without(_confirmed(dataset.scans.world_from_sensor, lidar))
     return {
         "jumps_after": rough.after,
         "jumps_m": rough.meters,
         "jumps_deg": rough.degrees,
-        "jump_left": bool(np.isin(rough.after, left.after).any()),
+        "untied_after": rough.without(_confirmed(accepted.world_from_scan, lidar)).after,
         "too_far_off": lidar.rough_error,
     }
 
 
-def _jumps(trajectory: Trajectory, lidar: LidarStage) -> Jumps:
-    """Of scan poses, without the motions that surfaces confirm: a sensor may truly turn so fast."""
-    jumps = trajectory_jumps.find(trajectory)
+def _confirmed(world_from_scan: Poses, lidar: LidarStage) -> np.ndarray:
+    """(K,) int64, scans after which poses (S, 4, 4) go on unlike before and after, and surfaces confirm it: a sensor may
+    truly move so fast."""
     if lidar.result is None:
-        return jumps
-    other = trajectory_jumps.differ(lidar.result.world_from_scan, trajectory.world_from_sensor)
-    return jumps.without(lidar.confirmed[~other[lidar.confirmed]])
+        return np.zeros(0, np.int64)
+    other = trajectory_jumps.differ(lidar.result.world_from_scan, world_from_scan)
+    return np.asarray(lidar.confirmed[~other[lidar.confirmed]])
 
 
 def of_dataset(dataset: Dataset) -> dict[str, Any]:

@@ -15,6 +15,8 @@ _ORDINARY = 6.0
 people and cars speed up, brake and shake."""
 LEAST_M, LEAST_DEG = 0.15, 1.8
 """Smaller ones are within three standard deviations of what is expected of an odometry from frame to frame."""
+_FAST = 0.9
+"""Part of the motions that are slower than the speed at which a sensor is turned now and then: jumps are fewer."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +42,22 @@ def find(trajectory: Trajectory) -> Jumps:
     interval = np.diff(trajectory.times)
     jumps = []
     judged = slice(_NEIGHBORS, len(meters) - _NEIGHBORS)
-    for size, least in ((meters, LEAST_M), (degrees, LEAST_DEG)):
+    for size, least in ((meters, LEAST_M), (degrees, np.maximum(LEAST_DEG, _swings(trajectory)))):
         ordinary = _ORDINARY * np.median((size / interval)[judged]) * interval
         jumps.append(np.where(size > np.maximum(ordinary, least), size, 0.0))
     after = np.flatnonzero((jumps[0] > 0) | (jumps[1] > 0))
     return Jumps(after, jumps[0][after], jumps[1][after])
+
+
+def _swings(trajectory: Trajectory) -> np.ndarray:
+    """(N - 1,), degrees: the turn to the next frame less the one expected, of a sensor that swings round.
+
+    Turning takes no run-up as going does: what turns at some speed may turn as fast the other way in the next moment, and
+    between sparse frames nothing shows how it came to.
+    """
+    poses, interval = trajectory.world_from_sensor, np.diff(trajectory.times)
+    turned = geometry.rotation_angle_deg(geometry.inverse(poses[:-1]) @ poses[1:])
+    return np.asarray(2.0 * np.quantile(turned / interval, _FAST) * interval)
 
 
 def expected(trajectory: Trajectory) -> np.ndarray:

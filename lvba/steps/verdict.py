@@ -88,7 +88,8 @@ class Figures:
     registered: whether rough poses were so far off that scans were registered to each other first; rough_m, rough_deg: by
         how much from scan to scan; open_steps, left_steps: motions between scans that this left open, and that are wrong
         in the result
-    jumps: frames after which the rough poses jump; jump_m, jump_deg: by at most; jump_left: whether one is still there
+    jumps: frames after which the rough poses jump; jump_m, jump_deg: by at most; untied_jumps: those where surfaces
+        do not say how scans before and after are to each other
     extrinsic_sigmas: by how many standard deviations the extrinsic found differs from the calibrated one
     scale: of the reference over the result; None: there is no reference
     input_fits: None: the input's poses are not as good as what was refined, or something speaks against both
@@ -124,7 +125,7 @@ class Figures:
     jumps: int = 0
     jump_m: float = 0.0
     jump_deg: float = 0.0
-    jump_left: bool = False
+    untied_jumps: tuple[int, ...] = ()
     extrinsic_sigmas: float | None = None
     extrinsic_m: float = 0.0
     extrinsic_deg: float = 0.0
@@ -266,12 +267,21 @@ def _odometry(figures: Figures) -> Iterator[Reason]:
     if figures.jumps:
         sizes = [f"{figures.jump_m:.2f} m"] if figures.jump_m else []
         size = " and ".join(sizes + ([f"{figures.jump_deg:.1f} degrees"] if figures.jump_deg else []))
-        still = "; the result still has a jump there" if figures.jump_left else ""
-        yield Reason(
-            f"The rough poses jump {figures.jumps} times, by up to {size}{still}.",
-            "Look at the map on both sides of the jump; if surfaces are double there, cut the recording in two.",
-            more=figures.jump_left,
-        )
+        times = {1: "once", 2: "twice"}.get(figures.jumps, f"{figures.jumps} times")
+        words = f"The rough poses jump {times}, by {'up to ' * (figures.jumps > 1)}{size}"
+        if untied := figures.untied_jumps:
+            yield Reason(
+                f"{words}; after scan {_named(untied)}, surfaces do not say where scans are to those before.",
+                "Run the odometry again, or cut the recording there.",
+                "bad",
+                more=True,
+                unknown=True,
+            )
+        else:
+            yield Reason(
+                f"{words}.",
+                "Look at the map on both sides of the jump; if surfaces are double there, cut the recording in two.",
+            )
     if figures.odometry_dependent_steps:
         yield Reason(
             f"{figures.odometry_dependent_steps} motions from scan to scan depend on the odometry alone: scans "
@@ -292,6 +302,10 @@ def _odometry(figures: Figures) -> Iterator[Reason]:
         )
 
 
+def _named(numbers: tuple[int, ...]) -> str:
+    return ", ".join(str(number) for number in numbers[:_NAMED]) + (", ..." if len(numbers) > _NAMED else "")
+
+
 def _frames(figures: Figures) -> Iterator[Reason]:
     for count, total, kind in (
         (figures.vague_scans, figures.scans, "scans"),
@@ -303,10 +317,9 @@ def _frames(figures: Figures) -> Iterator[Reason]:
                 "See the expected error by frame.",
             )
     if vague := figures.vague_exposures:
-        named = ", ".join(str(image) for image in vague[:_NAMED]) + (", ..." if len(vague) > _NAMED else "")
         yield Reason(
-            f"The exposures of {len(vague)} of {figures.images} images ({named}) are known {VAGUE:.0f} times less well "
-            "than the others: few surfaces tie them to other images, or such as contradict each other.",
+            f"The exposures of {len(vague)} of {figures.images} images ({_named(vague)}) are known {VAGUE:.0f} times "
+            "less well than the others: few surfaces tie them to other images, or such as contradict each other.",
             "Look at these images: people who walk by, glass and mirrors do that. Colors may differ there.",
         )
     if figures.white_balance is not None:

@@ -127,7 +127,7 @@ def _rough_poses(odometry: Facts) -> dict[str, Any]:
         "jumps": len(odometry.get("jumps_after") or []),
         "jump_m": max(odometry.get("jumps_m") or [0.0]),
         "jump_deg": max(odometry.get("jumps_deg") or [0.0]),
-        "jump_left": bool(odometry.get("jump_left")),
+        "untied_jumps": tuple(odometry.get("untied_after") or ()),
     }
 
 

@@ -152,6 +152,19 @@ def test_a_fast_turn_is_confirmed_and_a_jump_is_not(courtyard):
         assert rough_poses.confirmed(patches, moved, np.array([9]), expected).tolist() == sure
 
 
+def test_scans_of_few_points_are_tied_by_those_beside_them_and_jumps_are_not(courtyard, monkeypatch):
+    _, truth, rough, _ = courtyard
+    surfels = rough_poses.surfels_of(plane_world.recording("courtyard", scans=SCANS, points=1500)[0])
+    expected = trajectory_jumps.expected(Trajectory(np.arange(SCANS) / 2, truth))
+    inner = np.arange(2, SCANS - 2)
+    sure = rough_poses.confirmed(surfels, truth, inner, expected)
+    at = np.array([after for after, _ in JUMPS])
+    assert len(rough_poses.confirmed(surfels, with_jumps(rough), at, expected)) == 0
+    monkeypatch.setattr(rough_poses, "_BESIDE", (1,))
+    pairs = rough_poses.confirmed(surfels, truth, inner, expected)
+    assert len(pairs) < len(inner) / 2 < 2 * len(inner) / 3 < len(sure)
+
+
 def _moved(a_from_b, points):
     return geometry.transform_points(geometry.inverse(a_from_b), points).astype(np.float32)
 

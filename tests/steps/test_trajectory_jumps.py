@@ -47,6 +47,31 @@ def test_jumps_are_found_where_they_are(meters, degrees):
     assert found.degrees == pytest.approx([degrees if degrees > 1.8 else 0.0] * 2, abs=0.3)
 
 
+def swinging(times, fastest):
+    """A sensor that walks straight on and is swung from side to side, so many degrees per second at most."""
+    sides = np.random.default_rng(2).choice(
+        [-1.0, -0.9, 0.0, 0.8, 1.0], len(times), p=[0.1, 0.1, 0.6, 0.1, 0.1]
+    )
+    poses = np.tile(np.eye(4), (len(times), 1, 1))
+    for k in range(1, len(times)):
+        interval = times[k] - times[k - 1]
+        step = geometry.exp(np.array([0, 0, np.radians(fastest) * sides[k] * interval, interval, 0, 0]))
+        poses[k] = poses[k - 1] @ step
+    return poses
+
+
+def test_a_sensor_that_swings_does_not_jump_where_it_turns_back():
+    """Between sparse frames nothing shows how a turn came to; a meter aside is still one."""
+    times = np.arange(0, 40, 0.8)
+    poses = swinging(times, 60.0)
+    assert trajectory_jumps.unexpected(Trajectory(times, poses))[1].max() > 40
+    assert len(trajectory_jumps.find(Trajectory(times, poses)).after) == 0
+    poses[21:] = (
+        poses[20] @ geometry.exp(np.array([0, 0, 0, 0, 1.0, 0])) @ geometry.inverse(poses[20]) @ poses[21:]
+    )
+    assert trajectory_jumps.find(Trajectory(times, poses)).after.tolist() == [20]
+
+
 @pytest.mark.parametrize("frames", [0, 1, 3, 5])
 def test_few_frames_have_none(frames):
     times = np.arange(float(frames))
@@ -59,7 +84,7 @@ def odometry(rough, refined, accepted, confirmed):
     dataset = SimpleNamespace(scans=Trajectory(times, rough))
     stage = LidarStage(SimpleNamespace(world_from_scan=refined), confirmed=np.array(confirmed, np.int64))
     told = report_data.of_odometry(dataset, SimpleNamespace(world_from_scan=accepted), stage)
-    return told["jumps_after"].tolist(), told["jump_left"]
+    return told["jumps_after"].tolist(), told["untied_after"].tolist()
 
 
 def test_what_surfaces_confirm_is_no_jump_and_only_where_poses_go_as_they_say():
@@ -68,11 +93,13 @@ def test_what_surfaces_confirm_is_no_jump_and_only_where_poses_go_as_they_say():
     jump[:2, 3] = 0.9, 0.4
     jumped = np.concatenate([true[:13], jump @ true[13:]])
     # a fast motion that all poses have, or a jump that all have: what surfaces say decides
-    assert odometry(jumped, jumped, jumped, [12]) == ([], False)
-    assert odometry(jumped, jumped, jumped, []) == ([12], True)
+    assert odometry(jumped, jumped, jumped, [12]) == ([], [])
+    assert odometry(jumped, jumped, jumped, []) == ([12], [12])
     # surfaces confirm the refined motion: the input's jump is one, and stays one where the result is the input
-    assert odometry(jumped, true, true, [12]) == ([12], False)
-    assert odometry(jumped, true, jumped, [12]) == ([12], True)
+    assert odometry(jumped, true, true, [12]) == ([12], [])
+    assert odometry(jumped, true, jumped, [12]) == ([12], [12])
+    # no jump to be seen any more is no tie: planes of one side may have pulled scans of the other anywhere
+    assert odometry(jumped, true, true, []) == ([12], [12])
 
 
 def test_expected_motions_are_those_around():

@@ -52,7 +52,7 @@ KEPT = (Truth("scans", "m", 0.001, 0.07, 0.0009), Truth("cameras", "degrees", 0.
         ({"moved_m": 0.006, "scan_p95_m": 0.005}, "check", True),
         ({"cameras_converged": False}, "check", False),
         ({"jumps": 1, "jump_m": 0.3}, "check", False),
-        ({"jumps": 1, "jump_m": 1.0, "jump_left": True}, "check", True),
+        ({"jumps": 1, "jump_m": 1.0, "untied_jumps": (4,)}, "bad", True),
         ({"range_errors": 1}, "check", True),
         ({"registered": True, "rough_m": 0.3}, "check", False),
         ({"registered": True, "open_steps": 1}, "bad", True),
@@ -80,6 +80,16 @@ def test_figures_decide(change, level, at_least):
     for reason in found.reasons:
         assert reason.text.endswith(".")
         assert reason.mend.endswith(".")
+
+
+def test_jumps_are_counted_in_words_and_untied_ones_promise_nothing():
+    known = replace(CLEAN, jumps=2, jump_m=1.0, untied_jumps=(4, 9))
+    judged = verdict.judge(known)
+    assert judged.unknown
+    assert "jump twice, by up to 1.00 m; after scan 4, 9, surfaces do not say" in judged.reasons[0].text
+    assert "not known" in verdict_data.summary(judged, {"scans": {"position_m": 0.001}})
+    assert "jump 3 times" in verdict.judge(replace(known, jumps=3)).reasons[0].text
+    assert "jump once, by 1.00 m." in verdict.judge(replace(known, jumps=1, untied_jumps=())).reasons[0].text
 
 
 def test_the_worst_reason_comes_first():
@@ -110,7 +120,7 @@ def facts(**more):
         "evaluation": {"rough": {"per_image": per_image}, "refined": {"per_image": per_image}},
         "expected_error": expected,
         "planes": {"thickness_before_m": 0.03, "thickness_after_m": 0.012},
-        "odometry": {"jumps_after": [], "jumps_m": [], "jumps_deg": [], "jump_left": False},
+        "odometry": {"jumps_after": [], "jumps_m": [], "jumps_deg": [], "untied_after": []},
     } | more  # fmt: skip
 
 
@@ -184,7 +194,7 @@ def rejected(facts):
     [
         (alarmed, "15.0 times"), (open_scans, "3 of 20 scans"), (dependent, "1 motions"), (vague, "2 of 20 cameras"),
         (moved, "6.0 mm"), (extrinsic, "5.0 cm"), (blurred, "lost structure"), (lost, "loss of 0.07"),
-        (balanced, "by 7.3 %"), (jumped, "jump 1 times"),
+        (balanced, "by 7.3 %"), (jumped, "jump once, by 0.40 m"),
         (rejected, "not used: refined scan poses (the refined map is not crisper)"),
     ],
 )  # fmt: skip
