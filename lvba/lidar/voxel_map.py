@@ -298,4 +298,5 @@ def _observations(level: Level, side: np.ndarray, ok: np.ndarray) -> tuple[np.nd
     keep = np.flatnonzero((side >= 0) & ok[cell, np.maximum(side, 0)])
     pair = cell[keep] * _SIDES + side[keep]
     order = np.argsort(pair, kind="stable")
-    return keep[order], np.unique(pair, return_counts=True)[1]
+    first = _starts_of_runs(pair[order])
+    return keep[order], np.diff(first, append=len(pair))

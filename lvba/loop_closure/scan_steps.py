@@ -1,7 +1,7 @@
 """The motion from a scan to the next, as their surfaces have it: surfels of a scan, registered to those before it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,10 +9,11 @@ from lvba import geometry
 from lvba.arrays import Pose, Poses, Vector
 from lvba.errors import DegenerateProblemError
 from lvba.lidar import bundle_adjustment
+from lvba.lidar.config import STAGES
 from lvba.lidar.odometry_factor import JUMP
 from lvba.loop_closure import alignments, submap, surfel_icp, verification
 from lvba.loop_closure.alignments import Expected
-from lvba.loop_closure.submap import Patch
+from lvba.loop_closure.submap import Patch, SubmapConfig
 from lvba.loop_closure.surfel_icp import Target
 
 _REACH_M = 40.0
@@ -28,6 +29,16 @@ _OPEN_SIGMA_M = 0.05
 _MATCH_M, _MATCH_DEG = 0.5, 20.0
 
 _WIDE_M, _WIDE_DEG = float(JUMP[5, 5] ** -0.5), float(np.degrees(JUMP[0, 0] ** -0.5))
+_TEST = STAGES[-1].plane_test
+_ALONE = replace(
+    STAGES[-1],
+    plane_test=replace(
+        _TEST, min_scans=1, min_points=_TEST.min_points // 2, max_tilt=2**0.5 * _TEST.max_tilt
+    ),
+)
+"""Planes of one scan alone have half as many points as those that two must see ..."""
+_SURFELS = SubmapConfig(min_points=2, full=32)
+"""... and so have its surfels."""
 
 
 @dataclass(frozen=True)
@@ -73,15 +84,16 @@ def surfels(points: np.ndarray, sensor_position: Vector) -> Patch | None:
 
     points: (N, 3) float32, m, scan frame; sensor_position: (3,), m, scan frame
     """
-    still = np.array([np.eye(4)] * 2)
+    still = np.eye(4)[None]
     try:
-        # a scan beside itself: planes are those that two scans see
         planes, labels = bundle_adjustment.find_planes(
-            [points, points], still, sensor_position=sensor_position
+            [points], still, sensor_position=sensor_position, stages=(_ALONE,)
         )
     except DegenerateProblemError:
         return None
-    whole = submap.build(planes, labels, still, np.arange(2), sensor_position=sensor_position)
+    whole = submap.build(
+        planes, labels, still, np.arange(1), sensor_position=sensor_position, config=_SURFELS
+    )
     patch = submap.around(whole, 0, _REACH_M)
     return patch if len(patch) >= _FEWEST else None
 

@@ -228,8 +228,7 @@ def _place(row: int, column: int, window: tuple[int, int]) -> tuple[slice, slice
 def _sums(values: np.ndarray, window: tuple[int, int]) -> np.ndarray:
     """Of values (H, W) over each window, by its upper left corner."""
     height, width = window
-    table = np.zeros((values.shape[0] + 1, values.shape[1] + 1))
-    table[1:, 1:] = values.cumsum(0, dtype=float).cumsum(1)
+    table = cv2.integral(values, sdepth=cv2.CV_64F)
     return np.asarray(
         table[height:, width:] - table[:-height, width:] - table[height:, :-width] + table[:-height, :-width]
     )

@@ -47,7 +47,9 @@ PATCH = PatchRules(
 )  # fmt: skip
 """Patches whose means are compared."""
 CELLS = 600
-"""Patches per image, about, on a regular grid."""
+"""Patches per image, about, on a regular grid ..."""
+FEW_CELLS = 150
+"""... and where exposures are only those to begin the next finer pyramid level from."""
 WINDOW = 5
 """Compared with this many images before and after, and through the global map with any."""
 MIN_SCALE = 0.25
@@ -129,13 +131,17 @@ def solve(
     depth: DepthBuffers | None = None,
     raw: Camera | None = None,
     points: ScenePoints | None = None,
+    cells: int = CELLS,
 ) -> Exposures:
-    """The relative exposures of all images at given poses; arguments as of `ratios_at`."""
+    """The relative exposures of all images at given poses.
+
+    cells: patches per image, about, that are placed where there are no `points`; other arguments as of `ratios_at`
+    """
     camera, plain = pyramid.camera.at_level(level), _masked(pyramid, level, LINEAR)
     if points is None:
-        points = place(plain[level], camera, cameras, surfaces)
+        points = place(plain[level], camera, cameras, surfaces, cells)
     if depth is None:
-        depth = _depth(pyramid, cameras, surfaces)
+        depth = depth_of(pyramid, cameras, surfaces)
     poses = cameras.world_from_sensor
 
     def edges(curve: Response, falloff: Vignetting = vignetting.NONE) -> Edges:
@@ -153,8 +159,8 @@ def solve(
     return solve_edges(summed, len(poses))
 
 
-def _depth(pyramid: Pyramid, cameras: Trajectory, surfaces: Surfaces) -> DepthBuffers:
-    """Depth buffers of all images."""
+def depth_of(pyramid: Pyramid, cameras: Trajectory, surfaces: Surfaces) -> DepthBuffers:
+    """Depth buffers of all images of a pyramid, where no others are at hand."""
     return visibility.depth_buffers(
         pyramid.camera, cameras.world_from_sensor, cameras.times, surfaces.points, surfaces.scan_times
     )
@@ -193,7 +199,7 @@ def ratios_at(
     points: the patches; None: placed here
     """
     if depth is None:
-        depth = _depth(pyramid, cameras, surfaces)
+        depth = depth_of(pyramid, cameras, surfaces)
     levels, camera = _masked(pyramid, level, curve), pyramid.camera.at_level(level)
     if points is None:
         points = place(levels[level], camera, cameras, surfaces)
@@ -227,9 +233,10 @@ def place(
     camera: Camera,
     cameras: Trajectory,
     surfaces: Surfaces,
+    cells: int = CELLS,
 ) -> ScenePoints:
-    """Patches on a regular grid over every image, each on one plane, whatever the image shows there."""
-    config = PointsConfig(cells=CELLS)
+    """About so many patches on a regular grid over every image, each on one plane, whatever the image shows there."""
+    config = PointsConfig(cells=cells)
     score = centrality(camera, scene_points.cell_size(camera, config, PATCH))
     return scene_points.select(LevelImages(images, camera, 0.0), cameras, surfaces, config, PATCH, score)
 

@@ -139,12 +139,12 @@ class Undistorter:
         resampled = cv2.remap(
             image, self._map_x, self._map_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
         )
-        clipped = image >= SATURATED
+        clipped = cv2.threshold(image, SATURATED - 1, 255, cv2.THRESH_BINARY)[1]
         if clipped.any():
             # a mixture of clipped and good pixels is no measurement either; cubic weights reach two pixels
-            wide = cv2.dilate(clipped.astype(np.uint8) * 255, np.ones((3, 3), np.uint8))
+            wide = cv2.dilate(clipped, np.ones((3, 3), np.uint8))
             mixed = cv2.remap(wide, self._map_x, self._map_y, cv2.INTER_LINEAR)
-            resampled[mixed > 0] = 255
+            cv2.max(resampled, cv2.threshold(mixed, 0, 255, cv2.THRESH_BINARY)[1], resampled)
         resampled[self._outside] = 0
         return resampled
 

@@ -37,12 +37,11 @@ from lvba.visual.image import ImageConfig, LevelImages, Pyramid
 from lvba.visual.keyframes import KeyframeConfig
 from lvba.visual.radiometry import Radiometry
 from lvba.visual.result import LevelReport, VisualResult
-from lvba.visual.scene_points import PatchRules, PointsConfig
+from lvba.visual.scene_points import PatchRules, PointsConfig, ScenePoints
 from lvba.visual.states import CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior, PriorConfig
 from lvba.visual.variant import PRODUCT, Variant
 from lvba.visual.visibility import DepthBuffers, VisibilityConfig, VisibilityMap
-from lvba.visual.white_balance import WhiteBalance
 
 __all__ = [
     "Coarser",
@@ -227,12 +226,16 @@ def finest(
     coarser = coarser or _none_yet(scene)
     solution, last, directions = _solved(scene, coarser, config, progress)
     state, sigma, plain = solution.state, np.zeros(len(scene.image_times)), last
-    light = radiometry.NONE
+    light, balance = radiometry.NONE, None
     if variant.exposures == "means":
-        exposed = _exposed(scene, 0, state)
+        # exposures, and those by color, are solved at the same poses
+        where = scene.pyramid, scene.cameras(state.cameras.world_from_camera), scene.surfaces
+        depth, points = exposure.depth_of(*where), exposure.placed(*where)
+        exposed = _exposed(scene, 0, state, depth, points)
         state, sigma, light = exposed.state, exposed.sigma, exposed.radiometry
-    balanced = variant.exposures == "means" and variant.white_balance
-    balance = _white_balance(scene, given, state, light) if balanced else None
+        if variant.white_balance and given.colors is not None:
+            seen = scene.pyramid.camera, *where[1:], scene.seen
+            balance = white_balance.solve(given.colors, *seen, light, scene.camera, depth, points)
     if balance is not None and given.colors is not None:
         pyramid = white_balance.taken_out_of(scene.pyramid, given.colors, balance, light.response)
         again = replace(
@@ -319,15 +322,6 @@ def scene_of(given: Inputs, config: VisualConfig, variant: Variant = PRODUCT) ->
     )
 
 
-def _white_balance(scene: Scene, given: Inputs, state: VisualState, light: Radiometry) -> WhiteBalance | None:
-    if given.colors is None:
-        return None
-    cameras = scene.cameras(state.cameras.world_from_camera)
-    return white_balance.solve(
-        given.colors, scene.pyramid.camera, cameras, scene.surfaces, scene.seen, light, scene.camera
-    )
-
-
 def _solved(
     scene: Scene, coarser: Coarser, config: VisualConfig, progress: Progress
 ) -> tuple[Coarser, LevelSolution, DegenerateDirections]:
@@ -361,16 +355,19 @@ class _Exposed:
     radiometry: Radiometry = radiometry.NONE
 
 
-def _exposed(scene: Scene, level: int, state: VisualState, depth: DepthBuffers | None = None) -> _Exposed:
-    """The state with exposures solved anew, at a level and its depth buffers."""
+def _exposed(
+    scene: Scene, level: int, state: VisualState, depth: DepthBuffers, points: ScenePoints | None = None
+) -> _Exposed:
+    """The state with exposures solved anew, at a level and its depth buffers, by patches; None: placed anew."""
     poses = state.cameras.world_from_camera
     if scene.variant.exposures == "none":
         return _Exposed(state, np.zeros(len(poses)))
     # coarse where the poses are still rough
     compared = max(min(level, _COARSEST_EXPOSED), exposure.LEVEL)
     raw = scene.camera if scene.vignetting and scene.variant.exposures == "means" else None
+    cells = exposure.FEW_CELLS if level else exposure.CELLS
     solved = exposure.solve(
-        scene.pyramid, scene.cameras(poses), scene.surfaces, scene.seen, compared, depth, raw
+        scene.pyramid, scene.cameras(poses), scene.surfaces, scene.seen, compared, depth, raw, points, cells
     )
     state = replace(state, cameras=CameraStates(poses, solved.log_exposure))
     return _Exposed(state, solved.sigma, solved.radiometry)

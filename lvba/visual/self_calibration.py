@@ -196,7 +196,7 @@ def _seen_by_rows(
 
 def _posed(moving: _Rows, image: np.ndarray, part: np.ndarray) -> np.ndarray:
     """(O, 4, 4): where cameras are when they read a row."""
-    return geometry.retract(moving.world_from_camera[image], moving.over[image] * part[:, None])
+    return geometry.moved(moving.world_from_camera[image], moving.over[image] * part[:, None])
 
 
 def near_target(

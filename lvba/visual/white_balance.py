@@ -55,13 +55,13 @@ def solve(
     light: Radiometry,
     raw: Camera | None,
     depth: DepthBuffers | None = None,
+    points: ScenePoints | None = None,
 ) -> WhiteBalance | None:
     """The white balance of all images; None where it does not change, or where images have no color.
 
     colors: red (0), green or blue of all undistorted images, (I, H, W, 1) uint8; camera: of these; raw: before they were
     undistorted; light: radiometry of the images; other arguments as of `exposure.ratios_at`
     """
-    points: ScenePoints | None = None
 
     def by_color(one_in: int) -> tuple[np.ndarray, np.ndarray] | None:
         nonlocal points

@@ -333,6 +333,17 @@ def test_hidden_patches_are_not_compared():
     assert np.sqrt((_error(with_depth, rec.exposure) ** 2).mean()) < 0.003
 
 
+def test_a_part_of_the_patches_gives_exposures_to_begin_a_finer_level_from():
+    rec = room_with_screen()
+    pyramid = image.build_pyramid(rec.images, CAMERA, 2)
+    few, every = (
+        exposure.solve(pyramid, rec.cameras, rec.surfaces, None, cells=cells)
+        for cells in (12, exposure.CELLS)
+    )
+    assert few.pairs < 0.5 * every.pairs
+    assert np.sqrt((_error(few, rec.exposure) ** 2).mean()) < 0.005
+
+
 def test_placing_does_not_look_at_the_images():
     rec = room_with_screen()
     args = (CAMERA.at_level(1), rec.cameras, rec.surfaces)

@@ -6,7 +6,7 @@ from rectangle_world import CAMERA, room_with_screen
 
 from lvba.camera import Camera
 from lvba.products.views import Views
-from lvba.visual import radiometry, white_balance
+from lvba.visual import exposure, radiometry, white_balance
 from lvba.visual.image import build_pyramid, grey
 from lvba.visual.response import LINEAR, Response
 from lvba.visual.white_balance import WhiteBalance
@@ -19,13 +19,14 @@ def balances(count, size, seed=3):
     return gain - gain.mean(axis=0)
 
 
-def solve(rec, gain):
+def solve(rec, gain, **options):
     def colors(color):
         return np.clip(np.rint(rec.images * np.exp(gain[:, color])[:, None, None, None]), 0, 255).astype(
             np.uint8
         )
 
-    return white_balance.solve(colors, CAMERA, rec.cameras, rec.surfaces, None, radiometry.NONE, None)
+    given = colors, CAMERA, rec.cameras, rec.surfaces, None, radiometry.NONE, None
+    return white_balance.solve(*given, **options)
 
 
 def test_white_balance_and_exposures_of_a_room():
@@ -36,6 +37,17 @@ def test_white_balance_and_exposures_of_a_room():
     assert np.abs(found.log_exposure - truth + truth.mean()).max() < 0.006
     assert np.abs(found.log_gain - gain).max() < 0.006
     assert np.abs(found.log_gain.sum(axis=1)).max() < 1e-12
+
+
+def test_white_balance_by_patches_that_are_there_already():
+    """As where exposures were solved at the same poses before."""
+    rec = room_with_screen(count=5)
+    gain = balances(len(rec.times), 0.08)
+    pyramid = build_pyramid(rec.images, CAMERA, 2)
+    points = exposure.placed(pyramid, rec.cameras, rec.surfaces)
+    depth = exposure.depth_of(pyramid, rec.cameras, rec.surfaces)
+    found = solve(rec, gain, depth=depth, points=points)
+    assert np.abs(found.log_gain - gain).max() < 0.006
 
 
 def test_images_without_color_are_seen_at_once():
