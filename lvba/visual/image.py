@@ -106,6 +106,10 @@ def memory_bytes(count: int, camera: Camera, levels: int, channels: int = 1) -> 
     return count * channels * per_image
 
 
+_NO_MAP = np.empty(0, np.uint16)
+"""Parts of pixels for `cv2.remap`: none."""
+
+
 class Undistorter:
     """Resamples images of one camera to a pinhole camera; zero where there is no image.
 
@@ -127,6 +131,9 @@ class Undistorter:
             self._map_x, self._map_y = cv2.initUndistortRectifyMap(
                 camera.matrix, coefficients, None, target.matrix, size, cv2.CV_32FC1
             )
+        # whole pixels; those far outside are empty anyway
+        corner = np.floor(np.nan_to_num(np.stack([self._map_x, self._map_y], axis=-1)))
+        self._upper_left = np.clip(corner, -1, np.iinfo(np.int16).max).astype(np.int16)
         inside = (self._map_x >= 0) & (self._map_x <= camera.width - 1)
         inside &= (self._map_y >= 0) & (self._map_y <= camera.height - 1)
         # beyond its widest angle the model folds back into the picture
@@ -141,10 +148,9 @@ class Undistorter:
         )
         clipped = cv2.threshold(image, SATURATED - 1, 255, cv2.THRESH_BINARY)[1]
         if clipped.any():
-            # a mixture of clipped and good pixels is no measurement either; cubic weights reach two pixels
-            wide = cv2.dilate(clipped, np.ones((3, 3), np.uint8))
-            mixed = cv2.remap(wide, self._map_x, self._map_y, cv2.INTER_LINEAR)
-            cv2.max(resampled, cv2.threshold(mixed, 0, 255, cv2.THRESH_BINARY)[1], resampled)
+            # a mixture of clipped and good pixels is no measurement either: any of the 4 x 4 that are mixed
+            wide = cv2.dilate(clipped, np.ones((4, 4), np.uint8), anchor=(1, 1))
+            cv2.max(resampled, cv2.remap(wide, self._upper_left, _NO_MAP, cv2.INTER_NEAREST), resampled)
         resampled[self._outside] = 0
         return resampled
 

@@ -37,6 +37,26 @@ def test_undistorted_pixels_show_what_their_ray_saw():
     assert np.abs(raw - _wave(ud, vd))[inside].max() > 10, "the distortion must matter here"
 
 
+@pytest.mark.parametrize("channels", [1, 3])
+def test_clipped_is_what_is_mixed_of_a_clipped_pixel_and_nothing_else(channels):
+    rng = np.random.default_rng(5)
+    raw = rng.integers(90, 110, (120, 160, channels)).astype(np.uint8)
+    raw[rng.uniform(size=raw.shape) < 0.004] = 255
+    raw = raw.reshape(raw.shape if channels > 1 else raw.shape[:2])
+    v, u = np.mgrid[:120, :160].astype(float)
+    ud, vd = _distort(DISTORTED, u, v)
+    left, top = np.floor(ud).astype(int), np.floor(vd).astype(int)
+    inside = (left >= 1) & (left <= 157) & (top >= 1) & (top <= 117)
+    # the map is of float32: next to whole pixels it may be on the other side
+    inside &= (np.abs(ud - np.rint(ud)) > 1e-3) & (np.abs(vd - np.rint(vd)) > 1e-3)
+    result = image.undistort(raw, DISTORTED)
+    for row, column in zip(*np.nonzero(inside), strict=True):
+        mixed = raw[
+            top[row, column] - 1 : top[row, column] + 3, left[row, column] - 1 : left[row, column] + 3
+        ]
+        np.testing.assert_array_equal(result[row, column] == 255, (mixed == 255).any(axis=(0, 1)))
+
+
 def test_pixels_without_image_are_black_and_clipped_ones_stay_clipped():
     pincushion = Camera(160, 120, 130.0, 130.0, 79.5, 59.5, (0.3, 0.0, 0.0, 0.0))
     raw = np.full((120, 160, 3), 130, np.uint8)
