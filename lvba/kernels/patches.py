@@ -41,7 +41,7 @@ class PointGates(NamedTuple):
     not; min_score: least |DoG|
     max_off_plane: largest part of the LiDAR points within twice the patch that are off the plane; min_support: least
     number that are on it; bin: px, edge of the bins that these are looked up in; extent_spacings: how far the support is
-    looked for, in mean spacings of LiDAR points
+    looked for, in mean spacings of LiDAR points; max_extent: px, how far at most where they are sparse in one direction
     min_buffer: px, least cell of the z-buffer; buffer_spacings: its cell in mean spacings; hiding: m, see
     `visibility_depth.hiding_depth`
     """
@@ -58,6 +58,7 @@ class PointGates(NamedTuple):
     min_support: float
     bin: float
     extent_spacings: float
+    max_extent: float
     min_buffer: float
     buffer_spacings: float
     hiding: float
@@ -85,6 +86,13 @@ class Bins(NamedTuple):
     size: float
     columns: int
     rows: int
+
+
+class Reach(NamedTuple):
+    """px, how far from a pixel its support is looked for: across and down the image."""
+
+    across: float
+    down: float
 
 
 class Support(NamedTuple):
@@ -161,6 +169,40 @@ def bin_points(uvz: np.ndarray, width: int, height: int, size: float) -> Bins:
         order[fill[which[k]]] = k
         fill[which[k]] += 1
     return Bins(offsets, order, size, columns, rows)
+
+
+@kernel
+def usual_gap(bins: Bins, down: bool) -> float:
+    """px, median distance of bins that hold points to the next such of its column (`down`) or row; 0: none."""
+    along, beside = (bins.rows, bins.columns) if down else (bins.columns, bins.rows)
+    gaps, total = np.zeros(along + 1, np.int64), 0
+    for b in range(beside):
+        last = -1
+        for a in range(along):
+            one = a * bins.columns + b if down else b * bins.columns + a
+            if bins.offsets[one + 1] == bins.offsets[one]:
+                continue
+            if last >= 0:
+                gaps[a - last] += 1
+                total += 1
+            last = a
+    below = 0
+    for gap in range(along + 1):
+        below += gaps[gap]
+        if total > 0 and 2 * below >= total:
+            return gap * bins.size
+    return 0.0
+
+
+@kernel
+def reach_of(shown: Projected, bins: Bins, width: int, height: int, gates: PointGates) -> Reach:
+    """How far from a pixel its support is looked for: some mean spacings of the points, further in the direction in which
+    they are sparse, as across the rings of a spinning LiDAR."""
+    patch = gates.half + 0.5
+    spacing = math.sqrt(width * height / max(len(shown.uvz), 1))
+    even = min(max(2.0, gates.extent_spacings * spacing / patch), 4.0) * patch
+    across, down = 2.0 * usual_gap(bins, False), 2.0 * usual_gap(bins, True)
+    return Reach(max(even, min(across, gates.max_extent)), max(even, min(down, gates.max_extent)))
 
 
 @kernel
@@ -245,7 +287,7 @@ def support(
     row: int,
     own: int,
     reach: float,
-    wide: float,
+    wide: Reach,
     shown: Projected,
     lidar: PlanePoints,
     bins: Bins,
@@ -253,18 +295,18 @@ def support(
     """Do the LiDAR points round a pixel lie on plane `own`?
 
     Points on the plane and points off it within `reach` px (square), then how far points on the plane extend to the
-    left, right, top and bottom of the pixel, px, within `wide` px. Covered points do not count.
+    left, right, top and bottom of the pixel, px, as far as `wide`. Covered points do not count.
     """
     on, off, left, right, top, bottom = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     uvz, size, columns = shown.uvz, bins.size, bins.columns
-    first_row, last_row = int((row - wide + 0.5) / size), int((row + wide + 0.5) / size)
+    first_row, last_row = int((row - wide.down + 0.5) / size), int((row + wide.down + 0.5) / size)
     for i in range(max(first_row, 0), min(last_row, bins.rows - 1) + 1):
-        first = max(int((column - wide + 0.5) / size), 0)
-        last = min(int((column + wide + 0.5) / size), columns - 1)
+        first = max(int((column - wide.across + 0.5) / size), 0)
+        last = min(int((column + wide.across + 0.5) / size), columns - 1)
         for o in range(bins.offsets[i * columns + first], bins.offsets[i * columns + last + 1]):
             k = bins.order[o]
             du, dv = uvz[k, 0] - column, uvz[k, 1] - row
-            if abs(du) > wide or abs(dv) > wide or shown.hidden[k] == 2:
+            if abs(du) > wide.across or abs(dv) > wide.down or shown.hidden[k] == 2:
                 continue
             distance = off_plane(lidar, own, shown.point[k])
             inside = abs(du) <= reach and abs(dv) <= reach
@@ -329,16 +371,14 @@ def passes(
     shown: Projected,
     lidar: PlanePoints,
     bins: Bins,
+    wide: Reach,
     image: np.ndarray,
     world_from_camera: np.ndarray,
     intrinsics: Intrinsics,
     gates: PointGates,
 ) -> bool:
     """Whether projected point k makes a scene point. image: (H, W, C) uint8; world_from_camera: (4, 4) float64"""
-    height, width = image.shape[0], image.shape[1]
     half, depth, own = gates.half, shown.uvz[k, 2], lidar.plane[shown.point[k]]
-    spacing = math.sqrt(width * height / max(len(shown.uvz), 1))
-    wide = min(max(2.0, gates.extent_spacings * spacing / (half + 0.5)), 4.0) * (half + 0.5)
     column, row = math.floor(shown.uvz[k, 0] + 0.5), math.floor(shown.uvz[k, 1] + 0.5)
     met = meet(column, row, world_from_camera, intrinsics, lidar.center[own], lidar.normal[own])
     if met.cosine < gates.min_normal_cosine or met.depth < gates.min_depth:
@@ -382,6 +422,7 @@ def select_image(
     buffer = max(gates.min_buffer, min(gates.buffer_spacings * spacing, 2.0 * gates.half + 1))
     shown = Projected(uvz, index, hidden_points(uvz, index, lidar, width, height, buffer, gates.hiding))
     bins = bin_points(uvz, width, height, gates.bin)
+    wide = reach_of(shown, bins, width, height, gates)
     cells = bin_points(uvz, width, height, float(cell))
     value = np.zeros(len(uvz), np.float32)
     margin = gates.half + 1
@@ -404,7 +445,7 @@ def select_image(
                     best = k
             if best < 0:
                 break
-            if passes(best, shown, lidar, bins, image, world_from_camera, intrinsics, gates):
+            if passes(best, shown, lidar, bins, wide, image, world_from_camera, intrinsics, gates):
                 pixel[c, 0] = math.floor(uvz[best, 0] + 0.5)
                 pixel[c, 1] = math.floor(uvz[best, 1] + 0.5)
                 own[c] = lidar.plane[index[best]]

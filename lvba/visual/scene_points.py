@@ -133,6 +133,8 @@ MIN_SUPPORT = 4
 """Least number of LiDAR points on the plane within twice the patch: three make a plane by themselves."""
 EXTENT_SPACINGS = 3.0
 """The support must reach the patch's four sides, looked for within this many mean spacings of LiDAR points."""
+MAX_EXTENT = 0.045
+"""rad: and as far as this where they are sparse in one direction: rings of spinning LiDARs are up to 2 degrees apart."""
 MIN_DEPTH_M = 0.3
 """m, least distance of a scene point along the camera's axis: nearer things are the platform itself."""
 HIDDEN_M = 0.15
@@ -212,6 +214,7 @@ def point_gates(camera: Camera, rules: PatchRules, noise: float) -> patches.Poin
         min_support=float(MIN_SUPPORT),
         bin=half + 0.5,
         extent_spacings=EXTENT_SPACINGS,
+        max_extent=MAX_EXTENT * max(camera.fx, camera.fy),
         min_buffer=max(camera.width / 160, 1.0),
         buffer_spacings=OCCLUSION_SPACINGS,
         hiding=HIDDEN_M,

@@ -66,12 +66,20 @@ def _hides(q, k, uvz, points, plane, lidar, tolerance):
     return abs(off_plane(lidar, own, points[q])) > max(lidar.tolerance[own], 0.004 * z)
 
 
+def usual_gap(uvz, size, axis):
+    """px, median distance between neighboring occupied bins along an axis of the image."""
+    held = np.unique(np.floor((uvz[:, :2] + 0.5) / size).astype(int), axis=0)
+    gaps = [np.diff(np.sort(held[held[:, 1 - axis] == line, axis])) for line in np.unique(held[:, 1 - axis])]
+    gaps = np.sort(np.concatenate([*gaps, np.zeros(0, int)]))
+    return size * gaps[(len(gaps) - 1) // 2] if len(gaps) else 0.0
+
+
 def support(column, row, own, reach, wide, uvz, hidden_flags, points, lidar):
     du, dv = uvz[:, 0] - column, uvz[:, 1] - row
     on_plane = np.abs(off_plane(lidar, own, points)) <= np.maximum(lidar.tolerance[own], 0.004 * uvz[:, 2])
     counted = hidden_flags < 2
     inside = counted & (np.abs(du) <= reach) & (np.abs(dv) <= reach)
-    near = counted & on_plane & (np.abs(du) <= wide) & (np.abs(dv) <= wide)
+    near = counted & on_plane & (np.abs(du) <= wide[0]) & (np.abs(dv) <= wide[1])
     extent = [max((s * d[near]).max(initial=0), 0) for d, s in ((du, -1), (du, 1), (dv, -1), (dv, 1))]
     return [np.sum(inside & on_plane), np.sum(inside & ~on_plane), *extent]
 
@@ -96,7 +104,8 @@ def select_points(lidar, ranges, images, scores, poses, intrinsics, cell, gates)
         value[inside] = score[pixel[inside, 1], pixel[inside, 0]]
         value[(own < 0) | (flags > 0) | (value < gates.min_score)] = 0
         cells = np.floor((uvz[:, :2] + 0.5) / cell).astype(int)
-        wide = np.clip(gates.extent_spacings * spacing / (half + 0.5), 2, 4) * (half + 0.5)
+        even = np.clip(gates.extent_spacings * spacing / (half + 0.5), 2, 4) * (half + 0.5)
+        wide = [max(even, min(2 * usual_gap(uvz, gates.bin, axis), gates.max_extent)) for axis in (0, 1)]
         found = {}
         for column_row in np.unique(cells, axis=0):
             members = np.flatnonzero((cells == column_row).all(1) & (value > 0))

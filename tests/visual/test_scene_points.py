@@ -17,8 +17,11 @@ from rectangle_world import (
 )
 
 from lvba import geometry
+from lvba.camera import Camera
 from lvba.kernels import patches
 from lvba.kernels.scene import Intrinsics
+from lvba.lidar.plane import Surfaces
+from lvba.trajectory import Trajectory
 from lvba.visual import scene_points
 from lvba.visual.image import LevelImages, intrinsics_of
 from lvba.visual.scene_points import PatchRules, PointsConfig
@@ -207,6 +210,26 @@ def test_points_without_a_plane_are_no_candidates_but_count_as_off_the_plane():
     assert len(points) > 200
     assert (points.plane != len(rec.world) - 1).all()
     assert _whole_patch_on_one_rectangle(rec, points).mean() > 0.98
+
+
+@pytest.mark.parametrize("turned", [False, True], ids=["rings", "columns"])
+@pytest.mark.parametrize("points", [4_000, 60_000])
+def test_however_dense_a_ring_is_the_next_one_supports_its_patches(points, turned):
+    """Before, the mean spacing of 60,000 points ended the search before the next ring, 2 degrees above."""
+    wall = [rectangle([6, -6, -6], [0, 12, 0], [0, 0, 12], 3)]
+    rings = np.radians(np.arange(-20, 21, 2.0))
+    rng = np.random.default_rng(0)
+    along = np.tile(np.linspace(-0.8, 0.8, points // len(rings)), len(rings))
+    across = np.repeat(np.tan(rings), points // len(rings))
+    y, z = (across, along) if turned else (along, across)
+    points_world = 6.0 * np.column_stack([np.ones_like(y), y, z])
+    points_world[:, 0] += 0.01 * rng.standard_normal(len(points_world))
+    camera = Camera(640, 480, 420.0, 420.0, 319.5, 239.5)
+    image = render(wall, camera, FORWARD, samples=2, finest=0.15)[None]
+    seen = plane_points([(points_world, np.zeros(len(points_world), int))])
+    surfaces = Surfaces(planes_of(wall), seen, np.zeros(1))
+    cameras = Trajectory(np.zeros(1), FORWARD[None])
+    assert len(scene_points.select(LevelImages(image, camera, 1.0), cameras, surfaces)) > 100
 
 
 def test_few_points_widen_the_time_window(monkeypatch):
