@@ -16,7 +16,7 @@ X, XX, MASK, MASKED_X, MASKED_XX, MASKED_Y, MASKED_YY, MASKED_XY = range(8)
 _FIELDS = 8
 WINDOW = 11
 """Edge of the windows of SSIM, px."""
-REGIONS = 3
+REGIONS = 4
 """Bits of a region that are looked at. The first is the part of the image that is covered."""
 
 

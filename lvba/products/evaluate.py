@@ -29,8 +29,10 @@ _FIGURES = (
         for name in ("psnr", "ssim", "coverage", "psnr_full", "ssim_full")
         for suffix in _SUFFIX.values()
     ),
-    *("psnr_common", "ssim_common", "coverage_common"),
+    *(f"{name}_{pixels}" for name in ("psnr", "ssim", "coverage") for pixels in ("common", "compared")),
 )
+
+_COMPARED = ("psnr_compared", "ssim_compared", "coverage_compared")
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,8 @@ class Scores:
 
     psnr (dB), ssim, coverage (part of the image): paper protocol, over covered pixels; with _leave_one_out: pixels judged
     only by points of other images; with _full: over the whole image, holes black; with _common: leave-one-out over the
-    pixels that every compared state covers; with _held_out: images that colored nothing. Means over the images
+    pixels that every state covers, and with _compared over those that every state covers but the ones apart (see
+    `evaluate`), NaN for these; with _held_out: images that colored nothing. Means over the images
     judged; NaN where there is nothing to judge. map_entropy: nats, lower is crisper.
     per_image: the same by image, each (J,) float64; images: (J,) int32, the images judged
     """
@@ -78,6 +81,9 @@ class Scores:
     psnr_common: float
     ssim_common: float
     coverage_common: float
+    psnr_compared: float
+    ssim_compared: float
+    coverage_compared: float
     psnr_full: float
     ssim_full: float
     psnr_full_leave_one_out: float
@@ -115,6 +121,7 @@ def evaluate(
     held_out: Indices | None = None,
     entropies: Mapping[str, float] | None = None,
     brief: Collection[str] = (),
+    apart: Collection[str] = (),
     images: np.ndarray | None = None,
     enough: Callable[[dict[str, Scores]], bool] | None = None,
     few: int = FIRST_IMAGES,
@@ -129,6 +136,8 @@ def evaluate(
     held_out: indices of images that color nothing and are judged apart.
     entropies: mean map entropies by state that are known already.
     brief: states of which only the leave-one-out figures and coverage are wanted; the rest of their figures is NaN.
+    apart: states that are not compared with the others pixel by pixel: the less alike states are, the fewer pixels all
+        of them cover.
     images: (J,) int32, those to judge, ascending; None: chosen evenly.
     enough: whether the scores over a few of them, spread evenly, will do; None: all are judged.
     colors: paper: a point has the color of one image, eq. (10); blended: of several, as in the map (slow).
@@ -161,7 +170,7 @@ def evaluate(
         raw = {camera: metrics.prepare(views.load(image)) for camera, views in seen.items()}
         valid = np.logical_and.reduce([views.mask for views in seen.values()])
         by_state = {name: raw[state.views.camera] for name, state in states.items()}
-        return judge(by_state, renderings, valid, brief)
+        return judge(by_state, renderings, valid, brief, apart)
 
     entropy = _entropies(states, config, entropies or {})
     rows: dict[int, dict[str, dict[str, float]]] = {}
@@ -263,30 +272,38 @@ def judge(
     renderings: Mapping[str, Rendering],
     valid: np.ndarray,
     brief: Collection[str] = (),
+    apart: Collection[str] = (),
 ) -> dict[str, dict[str, float]]:
     """The figures of one image for each state's rendering of it.
 
     raw: the image, by state: each as its camera has it without distortion
     valid: (H, W) bool, pixels that hold a picture; brief: states judged by their leave-one-out figures alone
+    apart: states that are not compared with the others
     """
-    common = np.logical_and.reduce([rendering.covered[OTHERS] for rendering in renderings.values()]) & valid
+    covered_by = {name: rendering.covered[OTHERS] & valid for name, rendering in renderings.items()}
+    common = np.logical_and.reduce(list(covered_by.values()))
+    beside = [covered for name, covered in covered_by.items() if name not in apart]
+    compared = np.logical_and.reduce(beside) if beside else common
     pixels = max(int(np.count_nonzero(valid)), 1)
     rows = {}
     for name, rendering in renderings.items():
         row = dict.fromkeys(_FIGURES, float("nan"))
         row["coverage_common"] = int(np.count_nonzero(common)) / pixels
+        row["coverage_compared"] = int(np.count_nonzero(compared)) / pixels
         for variant in _SUFFIX:
             covered = rendering.covered[variant] & valid
             row[f"coverage{_SUFFIX[variant]}"] = int(np.count_nonzero(covered)) / pixels
-            bits = metrics.regions(covered, valid, common)
+            bits = metrics.regions(covered, valid, common, compared)
             if variant == OTHERS or name not in brief:
                 row |= _figures(metrics.compare(raw[name], rendering.color[variant], bits), variant)
+        if name in apart:
+            row |= dict.fromkeys(_COMPARED, float("nan"))
         rows[name] = row
     return rows
 
 
 def _figures(comparison: metrics.Comparison, variant: int) -> dict[str, float]:
-    """The figures of one variant of a rendering; regions: covered, valid, common."""
+    """The figures of one variant of a rendering; regions: covered, valid, common, compared."""
     suffix = _SUFFIX[variant]
     row = {
         f"psnr{suffix}": comparison.psnr[0],
@@ -295,7 +312,11 @@ def _figures(comparison: metrics.Comparison, variant: int) -> dict[str, float]:
         f"ssim_full{suffix}": comparison.ssim_whole[1],
     }
     if variant == OTHERS:
-        row |= {"psnr_common": comparison.psnr[2], "ssim_common": comparison.ssim_alone[2]}
+        for region, pixels in ((2, "common"), (3, "compared")):
+            row |= {
+                f"psnr_{pixels}": comparison.psnr[region],
+                f"ssim_{pixels}": comparison.ssim_alone[region],
+            }
     return {name: float(value) for name, value in row.items()}
 
 

@@ -41,7 +41,7 @@ class Comparison:
 
 
 def regions(covered: np.ndarray, *others: np.ndarray) -> np.ndarray:
-    """What `compare` takes, (H, W) uint8: the covered pixels and up to two more masks, (H, W) bool, as bits.
+    """What `compare` takes, (H, W) uint8: the covered pixels and up to three more masks, (H, W) bool, as bits.
 
     covered: (H, W) bool
     """

@@ -133,14 +133,14 @@ def entropy_figure(change: EntropyChange, config: GateConfig) -> Figure:
 _PSNR, _SSIM = "psnr_leave_one_out", "ssim_leave_one_out"
 LOSSES = {
     _PSNR: MIN_PSNR_LOSS,
-    "psnr_common": MIN_PSNR_LOSS,
+    "psnr_compared": MIN_PSNR_LOSS,
     _SSIM: MIN_SSIM_LOSS,
-    "ssim_common": MIN_SSIM_LOSS,
+    "ssim_compared": MIN_SSIM_LOSS,
 }
 
 
 def image_figures(before: Scores, after: Scores, config: GateConfig) -> tuple[Figure, ...]:
-    """What the images say: leave-one-out PSNR and SSIM, each over its own pixels and over those that all cover."""
+    """What the images say: leave-one-out PSNR and SSIM, over the pixels of each state and over those that all cover."""
     return tuple(_image_figure(before, after, name, config) for name in LOSSES)
 
 
@@ -252,12 +252,12 @@ def images_agree(entropy: Figure, images: Sequence[Figure]) -> bool:
 
 def _beyond(images: Sequence[Figure], errors: float) -> bool:
     """Whether PSNR gains by more than so many standard errors, over either kind of pixels."""
-    return all(each.gain > errors * each.error for each in images if each.name in (_PSNR, "psnr_common"))
+    return all(each.gain > errors * each.error for each in images if each.name in (_PSNR, "psnr_compared"))
 
 
 def _fall(images: Sequence[Figure]) -> bool:
     """Whether PSNR falls over either kind of pixels, by chance or not."""
-    return bool(images) and all(each.gain < 0 for each in images if each.name in (_PSNR, "psnr_common"))
+    return bool(images) and all(each.gain < 0 for each in images if each.name in (_PSNR, "psnr_compared"))
 
 
 def judge_cameras(
@@ -290,20 +290,20 @@ def judge_exposures(before: Scores, after: Scores, config: GateConfig) -> Verdic
 
 def _judge_by_images(before: Scores, after: Scores, what: str, config: GateConfig) -> Verdict:
     figures = image_figures(before, after, config)
-    own, common = figures[:2]
+    own, same = figures[:2]
     change = _words(*_leading(figures))
     if not config.enabled:
         return Verdict(True, "accepted unjudged (gate.enabled is false)", f"{change}", figures)
-    if "unknown" in (own.finding, common.finding):
+    if "unknown" in (own.finding, same.finding):
         few = "hardly a pixel is seen by two images, so nothing can be judged"
         return Verdict(False, f"input {what} kept", f"{few}", figures)
     # a state must not win by covering less: over all pixels covered, as reported, and over those that all cover
-    if not own.finding == common.finding == "better":
+    if not own.finding == same.finding == "better":
         return Verdict(
             False,
             f"input {what} kept",
             f"images are not predicted better, beyond chance ({change}; "
-            f"{common.before:.3f} -> {common.after:.3f} dB over the pixels covered by all)",
+            f"{same.before:.3f} -> {same.after:.3f} dB over the pixels covered by all)",
             figures,
         )
     if lost := _agreed(figures, "worse"):
@@ -349,13 +349,13 @@ _STAY = "scans stay where the LiDAR has them"
 
 
 def _agreed(figures: Sequence[Figure], finding: Finding) -> list[Figure]:
-    """Those of PSNR and SSIM for which the pixels of their own and the common ones agree on a finding."""
+    """Those of PSNR and SSIM for which the pixels of their own and those that all states cover agree on a finding."""
     by_name = {figure.name: figure for figure in figures}
-    pairs = ((_PSNR, "psnr_common"), (_SSIM, "ssim_common"))
+    pairs = ((_PSNR, "psnr_compared"), (_SSIM, "ssim_compared"))
     return [
         by_name[own]
-        for own, common in pairs
-        if own in by_name and by_name[own].finding == by_name[common].finding == finding
+        for own, same in pairs
+        if own in by_name and by_name[own].finding == by_name[same].finding == finding
     ]
 
 

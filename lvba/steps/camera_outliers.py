@@ -288,7 +288,7 @@ def _better(scores: Mapping[str, Scores], image: int, names: Sequence[str]) -> s
         if name in names
     }
     better = {
-        name: gain["psnr_common"]
+        name: gain["psnr_compared"]
         for name, gain in gains.items()
         if all(gain[figure] > least for figure, least in acceptance.LOSSES.items())
     }

@@ -97,6 +97,7 @@ def evaluate(
         config,
         entropies=entropies_of(states, scans, fused),
         brief=_brief(states),
+        apart={ROUGH},
         held_out=blank,
         images=core - part.images[0],
         enough=functools.partial(is_clear, scans=scans, fused=fused, visual=visual, config=gates)

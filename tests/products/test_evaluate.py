@@ -70,7 +70,9 @@ def test_true_poses_and_exposures_beat_wrong_ones(scores):
         "psnr_leave_one_out",
         "ssim_leave_one_out",
         "psnr_common",
+        "psnr_compared",
         "ssim_common",
+        "ssim_compared",
         "psnr_full",
     ):
         assert getattr(scores["true"], key) > getattr(scores["shaken"], key), key
@@ -81,6 +83,26 @@ def test_true_poses_and_exposures_beat_wrong_ones(scores):
 def test_common_pixels_are_those_of_every_state(scores):
     assert len({score.coverage_common for score in scores.values()}) == 1
     assert all(s.coverage_common <= s.coverage_leave_one_out <= s.coverage for s in scores.values())
+
+
+def test_states_apart_take_no_pixels_from_the_comparison_of_the_others(world):
+    rng = np.random.default_rng(1)
+    near, far = (
+        geometry.retract(world.world_from_camera, rng.normal(0, [size] * 3 + [2 * size] * 3, (6, 6)))
+        for size in (0.002, 0.05)
+    )
+    states = {
+        name: evaluate.State(world.cloud(), world.views(poses))
+        for name, poses in (("true", world.world_from_camera), ("near", near), ("far", far))
+    }
+    scores = evaluate.evaluate(states, apart={"far"})
+    two = evaluate.evaluate({name: states[name] for name in ("true", "near")})
+    for name in ("true", "near"):
+        assert scores[name].psnr_compared == two[name].psnr_common == two[name].psnr_compared
+        assert scores[name].ssim_compared == two[name].ssim_common
+        assert scores[name].coverage_common < scores[name].coverage_compared
+    assert np.isnan(scores["far"].psnr_compared)
+    assert np.isfinite(scores["far"].psnr_common)
 
 
 def test_facts_are_plain_numbers(scores):

@@ -63,7 +63,8 @@ def test_covered_pixels_alone_match_explicit_weighted_windows():
 
 def test_every_region_is_summed_by_itself():
     raw, color, covered = pair(5, 10, 0.3)
-    masks = covered, np.arange(80) < 40 + 0 * covered, np.arange(64)[:, None] < 30 + 0 * covered
+    column, row = np.arange(80) + 0 * covered, np.arange(64)[:, None] + 0 * covered
+    masks = covered, column < 40, row < 30, column + row < 50
     found = metrics.compare(metrics.prepare(raw), color, metrics.regions(*masks))
     error = ((color - raw) ** 2).mean(2)
     for psnr, mask in zip(found.psnr, masks, strict=True):

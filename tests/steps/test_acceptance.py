@@ -42,9 +42,9 @@ def scores(psnr, common=None, ssim=0.5):
     ssim = np.broadcast_to(np.asarray(ssim, float), psnr.shape)
     per_image = {
         "psnr_leave_one_out": psnr,
-        "psnr_common": common,
+        "psnr_compared": common,
         "ssim_leave_one_out": ssim,
-        "ssim_common": ssim,
+        "ssim_compared": ssim,
     }
     given = {name: _mean(values) for name, values in per_image.items()}
     given |= {"images": np.arange(len(psnr)), "per_image": per_image}
