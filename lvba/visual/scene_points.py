@@ -7,7 +7,7 @@ import numpy as np
 
 from lvba.arrays import Indices, Poses, Times, Vectors
 from lvba.camera import Camera
-from lvba.kernels import patches
+from lvba.kernels import patches, patches_support
 from lvba.lidar.plane import PlanePoints, Planes, Surfaces
 from lvba.parallel import in_order
 from lvba.settings import Group, setting
@@ -185,11 +185,11 @@ def near_ranges(
     return np.stack([start, stop, np.maximum(-(-(stop - start) // most), 1)], axis=1).astype(np.int64)
 
 
-def kernel_points(planes: Planes, points: PlanePoints) -> patches.PlanePoints:
+def kernel_points(planes: Planes, points: PlanePoints) -> patches_support.PlanePoints:
     """The points and planes as the kernels take them, each plane with the distance from which a point is off it."""
     thickness = np.sqrt(np.maximum(planes.eigenvalues[:, 0], 0))
     tolerance = np.clip(OFF_PLANE_SIGMA * thickness, OFF_PLANE_MIN_M, OFF_PLANE_MAX_M)
-    return patches.PlanePoints(
+    return patches_support.PlanePoints(
         position=points.points_world,
         plane=points.plane,
         center=np.ascontiguousarray(planes.center),
@@ -265,7 +265,7 @@ def _select_images(
     images: np.ndarray,
     camera: Camera,
     world_from_camera: np.ndarray,
-    lidar: patches.PlanePoints,
+    lidar: patches_support.PlanePoints,
     ranges: np.ndarray,
     gates: patches.PointGates,
     cell: int,

@@ -18,7 +18,7 @@ from rectangle_world import (
 
 from lvba import geometry
 from lvba.camera import Camera
-from lvba.kernels import patches
+from lvba.kernels import patches, patches_support
 from lvba.kernels.scene import Intrinsics
 from lvba.lidar.plane import Surfaces
 from lvba.trajectory import Trajectory
@@ -295,9 +295,9 @@ def test_points_config_refuses(bad):
 def test_a_point_at_the_very_border_stays_inside_the_cells(gap):
     width, height, size = 640, 480, 4.0
     points = np.array([[width - 0.5 - gap, 3.0, 1.0], [3.0, height - 0.5 - gap, 1.0]])
-    uvz, _ = patches.project_near(
+    uvz, _ = patches_support.project_near(
         points, 0, 2, 1, np.eye(4), Intrinsics(1.0, 1.0, 0.0, 0.0), width, height, 0.1
     )
     assert (uvz[:, 0] + 0.5 < width).all()
     assert (uvz[:, 1] + 0.5 < height).all()
-    assert patches.z_buffer(uvz, width, height, size).max(initial=-1) == len(uvz) - 1
+    assert patches_support.z_buffer(uvz, width, height, size).max(initial=-1) == len(uvz) - 1
