@@ -156,21 +156,23 @@ def evaluate(
             render.nearest(cloud, states[names[0]].views, image, config.render)
             for cloud, names in zip(clouds, geometries, strict=True)
         ]
-        renderings = {
-            name: render.shade(
-                *(entry, cloud, states[name].views.log_exposure, image),
+        group = {name: number for number, names in enumerate(geometries) for name in names}
+        covers = [render.covered(entry) for entry in entries]
+
+        def rendering(name: str) -> Rendering:
+            return render.shade(
+                *(entries[group[name]], clouds[group[name]], states[name].views.log_exposure, image),
                 only_others=name in brief,
                 light=states[name].views.light,
                 curve=states[name].views.curve,
             )
-            for entry, cloud, names in zip(entries, clouds, geometries, strict=True)
-            for name in names
-        }
+
         seen = {state.views.camera: state.views for state in states.values()}
         raw = {camera: metrics.prepare(views.load(image)) for camera, views in seen.items()}
         valid = np.logical_and.reduce([views.mask for views in seen.values()])
         by_state = {name: raw[state.views.camera] for name, state in states.items()}
-        return judge(by_state, renderings, valid, brief, apart)
+        covered = {name: covers[number] for name, number in group.items()}
+        return judge(by_state, covered, rendering, valid, brief, apart)
 
     entropy = _entropies(states, config, entropies or {})
     rows: dict[int, dict[str, dict[str, float]]] = {}
@@ -269,7 +271,8 @@ def color_by_paper(
 
 def judge(
     raw: Mapping[str, metrics.RawImage],
-    renderings: Mapping[str, Rendering],
+    covered: Mapping[str, np.ndarray],
+    rendering: Callable[[str], Rendering],
     valid: np.ndarray,
     brief: Collection[str] = (),
     apart: Collection[str] = (),
@@ -277,25 +280,27 @@ def judge(
     """The figures of one image for each state's rendering of it.
 
     raw: the image, by state: each as its camera has it without distortion
+    covered: by state, (2, H, W) bool, ALL and OTHERS; rendering: of a state by its name, one at a time: of large images,
+        those of all states together are gigabytes
     valid: (H, W) bool, pixels that hold a picture; brief: states judged by their leave-one-out figures alone
     apart: states that are not compared with the others
     """
-    covered_by = {name: rendering.covered[OTHERS] & valid for name, rendering in renderings.items()}
-    common = np.logical_and.reduce(list(covered_by.values()))
-    beside = [covered for name, covered in covered_by.items() if name not in apart]
-    compared = np.logical_and.reduce(beside) if beside else common
+    common = np.logical_and.reduce([valid, *(each[OTHERS] for each in covered.values())])
+    beside = [each[OTHERS] for name, each in covered.items() if name not in apart]
+    compared = np.logical_and.reduce([valid, *beside]) if beside else common
     pixels = max(int(np.count_nonzero(valid)), 1)
     rows = {}
-    for name, rendering in renderings.items():
+    for name in covered:
+        shaded = rendering(name)
         row = dict.fromkeys(_FIGURES, float("nan"))
         row["coverage_common"] = int(np.count_nonzero(common)) / pixels
         row["coverage_compared"] = int(np.count_nonzero(compared)) / pixels
         for variant in _SUFFIX:
-            covered = rendering.covered[variant] & valid
-            row[f"coverage{_SUFFIX[variant]}"] = int(np.count_nonzero(covered)) / pixels
-            bits = metrics.regions(covered, valid, common, compared)
+            held = covered[name][variant] & valid
+            row[f"coverage{_SUFFIX[variant]}"] = int(np.count_nonzero(held)) / pixels
+            bits = metrics.regions(held, valid, common, compared)
             if variant == OTHERS or name not in brief:
-                row |= _figures(metrics.compare(raw[name], rendering.color[variant], bits), variant)
+                row |= _figures(metrics.compare(raw[name], shaded.color[variant], bits), variant)
         if name in apart:
             row |= dict.fromkeys(_COMPARED, float("nan"))
         rows[name] = row

@@ -141,6 +141,11 @@ def nearest(
     return entries
 
 
+def covered(entries: np.ndarray) -> np.ndarray:
+    """Whether a pixel sees anything, (2, H, W) bool, as `shade` has it. entries: (2, H, W) int64, of `nearest`"""
+    return np.asarray(entries != kernels.EMPTY)
+
+
 def shade(
     entries: np.ndarray,
     cloud: ColoredCloud,
