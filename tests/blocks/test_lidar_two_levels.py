@@ -10,6 +10,7 @@ from lvba import geometry
 from lvba.blocks import lidar_block, lidar_joint
 from lvba.kernels.lidar import TILE
 from lvba.lidar.config import STAGES, LidarConfig
+from lvba.lidar.odometry_factor import odometry_prior
 from lvba.lidar.rounds import OBLIQUE
 from lvba.optim import two_level
 from lvba.trajectory import pose_error
@@ -25,6 +26,10 @@ def world():
     """Scans of a courtyard, true and rough poses, and the cells of three shares."""
     scans, truth, rough = plane_world.recording("courtyard", scans=SCANS, points=3200, seed=3)
     return truth, rough, shares(scans, truth)
+
+
+def odometry_of(rough):
+    return odometry_prior(rough, CONFIG.prior_rotation, CONFIG.prior_translation)
 
 
 def shares(scans, poses):
@@ -79,7 +84,7 @@ def test_rounds_at_two_levels_end_where_all_pairs_of_scans_do(world):
     truth, rough, cells = world
     rng = np.random.default_rng(1)
     start = geometry.retract(truth, rng.normal(size=(SCANS, 6)) * np.repeat([5e-4, 3e-3], 3))
-    state = lidar_joint.begin(rough, start, CONFIG)
+    state = lidar_joint.begin(odometry_of(rough), start)
     whole, found = rounds(cells, state, 5)
     grouped, summed = rounds(cells, replace(state, group_size=TILE), 5)
     assert summed.bodies is not None
@@ -103,7 +108,7 @@ def test_a_step_at_two_levels_is_not_the_whole_way(world):
     truth, rough, cells = world
     rng = np.random.default_rng(1)
     start = geometry.retract(truth, rng.normal(size=(SCANS, 6)) * np.repeat([5e-4, 3e-3], 3))
-    state = lidar_joint.begin(rough, start, CONFIG)
+    state = lidar_joint.begin(odometry_of(rough), start)
     whole, grouped = (rounds(cells, replace(state, group_size=size), 8)[0] for size in (0, TILE))
     for each, needed in ((whole, 1), (grouped, 2)):
         small = [entry.small for entry in each.history]
@@ -124,7 +129,7 @@ def test_what_planes_leave_open_stays_at_the_odometry_at_two_levels():
     rng = np.random.default_rng(2)
     start = geometry.retract(truth, rng.normal(size=(2 * TILE, 6)) * np.repeat([3e-4, 2e-3], 3))
     cells = shares(scans, truth)
-    state = replace(lidar_joint.begin(start, start, CONFIG), group_size=TILE)
+    state = replace(lidar_joint.begin(odometry_of(start), start), group_size=TILE)
     first, _ = rounds(cells, state, 1)
     assert first.projector is not None
     assert np.array_equal(first.world_from_scan, start)
@@ -144,5 +149,5 @@ def test_scans_are_grouped_where_too_many_see_each_other(monkeypatch):
     assert lidar_joint.group_size(street, 500.0) == TILE
     monkeypatch.setattr(lidar_joint, "MOST_GROUPS", 20)
     assert lidar_joint.group_size(street, 500.0) == 2 * TILE
-    assert lidar_joint.begin(street, street, CONFIG).groups is None
-    assert lidar_joint.begin(street, street, CONFIG, 500.0).groups.count == 17
+    assert lidar_joint.begin(odometry_of(street), street).groups is None
+    assert lidar_joint.begin(odometry_of(street), street, 500.0).groups.count == 17
