@@ -1,5 +1,6 @@
 """`lvba batch`: one that fails does not stop the others, and the same command continues."""
 
+import contextlib
 import csv
 import json
 import os
@@ -81,8 +82,18 @@ def kill_when_two_are_done(manifest, out):
 
 def has_ended(out, name):
     said = (out / f"{name}.log").read_text()
-    # stopped, or refused by then
-    return said.startswith("lvba: ") or "\nlvba: " in said or (out / name / "report.json").exists()
+    # stopped, or refused by then; one that had just been started says nothing
+    spoke = said.startswith("lvba: ") or "\nlvba: " in said
+    return spoke or (out / name / "report.json").exists() or not is_running(out / name)
+
+
+def is_running(folder):
+    """Whether a process has this result folder in its command."""
+    for command in Path("/proc").glob("[0-9]*/cmdline"):
+        with contextlib.suppress(OSError):
+            if os.fsencode(folder) in command.read_bytes().split(b"\0"):
+                return True
+    return False
 
 
 def manifests(out):

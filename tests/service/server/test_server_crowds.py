@@ -54,7 +54,11 @@ def test_half_requests_stop_neither_answers_nor_jobs_and_the_log_stays_short(nar
     dataset = upload(narrow.http, tiny_recording)
     with ExitStack() as stack:
         half_requests(narrow, PORTS, stack)
-        job = submit(narrow.http, dataset)
+        # over a connection of its own: one that has been idle is closed for others that come
+        client = stack.enter_context(
+            httpx.Client(base_url=narrow.url, headers=narrow.http.headers, timeout=20)
+        )
+        job = submit(client, dataset)
         for _ in range(20):
             # each over a connection of its own, as others would come
             assert httpx.get(narrow.url + "/readyz", timeout=20).status_code == 200
