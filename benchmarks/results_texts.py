@@ -10,8 +10,9 @@ Lengths in millimeters and angles in degrees are root mean squares over all fram
 the first rows compile, too); for what a run takes by itself see [benchmarks.md](benchmarks.md).
 
 Recordings but kitti360_suburb, hard difficulty, of medium difficulty the courtyard and the rooms with a spinning LiDAR
-with seed 119, and disturbed rooms with seed 801 are of this version, which looks for surface as far as rings are apart and judges cameras over the pixels
-that compared states cover. The disturbed courtyard with seed 801 and what each model brings are of the one just before.
+with seed 119, and disturbed rooms with seed 801 are of this version, which looks for surface as far as rings are apart
+and judges cameras over the pixels that compared states cover. The disturbed courtyard with seed 801 and what each model
+brings are of the one just before; what all models cost is of this one.
 kitti360_suburb, gates, poses of any method, medium difficulty with seeds 104 to 109 and 119 and
 of the street with seed 121, loops, recordings in parts, ablations, degenerate directions, and disturbed scenes with
 seeds 701 and 702 are of the version whose promises of cameras leave out what cancels between images, before the
