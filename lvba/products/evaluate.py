@@ -23,16 +23,16 @@ FIRST_IMAGES = 40
 """Images judged first, where the rest is judged only if these leave something open: a gain of many standard errors needs
 no more."""
 _SUFFIX = {ALL: "", OTHERS: "_leave_one_out"}
+_COMPARED = ("psnr_compared", "ssim_compared", "coverage_compared")
 _FIGURES = (
     *(
         f"{name}{suffix}"
         for name in ("psnr", "ssim", "coverage", "psnr_full", "ssim_full")
         for suffix in _SUFFIX.values()
     ),
-    *(f"{name}_{pixels}" for name in ("psnr", "ssim", "coverage") for pixels in ("common", "compared")),
+    *("psnr_common", "ssim_common", "coverage_common"),
+    *_COMPARED,
 )
-
-_COMPARED = ("psnr_compared", "ssim_compared", "coverage_compared")
 
 
 @dataclass(frozen=True)
@@ -289,12 +289,14 @@ def judge(
     beside = [each[OTHERS] for name, each in covered.items() if name not in apart]
     compared = np.logical_and.reduce([valid, *beside]) if beside else common
     pixels = max(int(np.count_nonzero(valid)), 1)
+    shared = {
+        "coverage_common": int(np.count_nonzero(common)) / pixels,
+        "coverage_compared": int(np.count_nonzero(compared)) / pixels,
+    }
     rows = {}
     for name in covered:
         shaded = rendering(name)
-        row = dict.fromkeys(_FIGURES, float("nan"))
-        row["coverage_common"] = int(np.count_nonzero(common)) / pixels
-        row["coverage_compared"] = int(np.count_nonzero(compared)) / pixels
+        row = dict.fromkeys(_FIGURES, float("nan")) | shared
         for variant in _SUFFIX:
             held = covered[name][variant] & valid
             row[f"coverage{_SUFFIX[variant]}"] = int(np.count_nonzero(held)) / pixels
