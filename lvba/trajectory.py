@@ -1,4 +1,4 @@
-"""Timed poses: looking them up between samples, carrying corrections over, aligning and comparing."""
+"""Timed poses: looking them up between samples, interpolating corrections, aligning and comparing."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -50,33 +50,6 @@ def interpolate_corrections(rough: Trajectory, refined: Poses, times: Times) -> 
 
 JUMP_M, JUMP_DEG = 0.25, 3.0
 """A rough motion from frame to frame that is wrong by more has jumped: what is between the two was before it or after."""
-
-
-def carry(rough: Trajectory, refined: Poses, others: Trajectory) -> np.ndarray:
-    """Poses of another sensor moved along with refined ones, (I, 4, 4). Source: Li et al., eq. (1).
-
-    rough: of the first sensor; refined: (N, 4, 4), poses at rough.times; others: rough poses of the other sensor
-    Where the rough poses jump, the other sensor follows the frame on its own side of the jump: the one with which it
-    stays mounted as it is elsewhere.
-    """
-    corrections = interpolate_corrections(rough, refined, others.times)
-    carried = corrections @ others.world_from_sensor
-    before, _ = bracket(rough.times, others.times)
-    beside = np.zeros(len(others), bool)
-    if len(rough) > 1:
-        beside = motions_differ(rough.world_from_sensor, refined, JUMP_M, JUMP_DEG)[before]
-    if not beside.any() or beside.all():
-        return np.asarray(carried)
-    steady, there = np.flatnonzero(~beside), np.flatnonzero(beside)
-    mounted = geometry.inverse(sample(Trajectory(rough.times, refined), others.times))
-    like = steady[np.abs(others.times[there][:, None] - others.times[steady]).argmin(axis=1)]
-    expected = mounted[like] @ carried[like]
-    by_frame = refined @ geometry.inverse(rough.world_from_sensor)
-    sides = np.stack([by_frame[before[there] + k] @ others.world_from_sensor[there] for k in (0, 1)])
-    off = geometry.log(geometry.inverse(expected) @ mounted[there] @ sides)
-    nearer = np.linalg.norm(off / np.repeat([np.radians(JUMP_DEG), JUMP_M], 3), axis=-1).argmin(axis=0)
-    carried[there] = sides[nearer, np.arange(len(there))]
-    return np.asarray(carried)
 
 
 def motions_differ(one: Poses, other: Poses, meters: float, degrees: float) -> np.ndarray:

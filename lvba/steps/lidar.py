@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from lvba import geometry, trajectory
+from lvba import geometry
 from lvba.arrays import Indices, Poses
 from lvba.blocks.decoded import Pieces, ScanPoints, ScanReader
 from lvba.blocks.split import Part
+from lvba.carried import carry
 from lvba.dataset import Dataset
 from lvba.errors import DegenerateProblemError
 from lvba.inertial.readings import Imu
@@ -97,7 +98,7 @@ def _confirmed(surfels: Sequence[Patch | None], rough: Trajectory, refined: Traj
 
 def carry_cameras(dataset: Dataset, world_from_scan: Poses) -> np.ndarray:
     """Rough camera poses moved along with the scans, (I, 4, 4). Source: Li et al., eq. (1)."""
-    return geometry.orthonormalize(trajectory.carry(dataset.scans, world_from_scan, dataset.images))
+    return geometry.orthonormalize(carry(dataset.scans, world_from_scan, dataset.images).world_from_sensor)
 
 
 def cloud_of(

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lvba import trajectory
 from lvba.arrays import Images, Poses
 from lvba.camera import Camera
+from lvba.carried import carry
 from lvba.errors import DegenerateProblemError
 from lvba.lidar import covariance as covariances
 from lvba.lidar.covariance import Covariance
@@ -303,7 +303,7 @@ def scene_of(given: Inputs, config: VisualConfig, variant: Variant = PRODUCT) ->
     prior = trajectory_prior.build(
         scans, given.refined_scans, given.images, given.camera_from_scan, config.prior, local_covariance
     )
-    start = trajectory.carry(scans, given.refined_scans, given.images)[given.keyframes]
+    start = carry(scans, given.refined_scans, given.images).world_from_sensor[given.keyframes]
     sensors = (given.refined_scans @ np.append(given.sensor_position_scan, 1.0))[:, :3]
     return Scene(
         pyramid=given.pyramid,

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from lvba import geometry, spline, trajectory
 from lvba.arrays import Indices, Pose, PoseBlocks, Poses, Times
+from lvba.carried import carry
 from lvba.optim import normal_equations
 from lvba.optim.normal_equations import Border, NormalEquations
 from lvba.optim.shared_parameters import SharedPrior
@@ -23,6 +24,8 @@ from lvba.visual.calibration_prior import Evidence
 from lvba.visual.states import Calibration, VisualState
 
 _FRAME_HUBER = 2.5
+_NOTHING = 1e3
+"""A standard deviation that is so much larger makes an expectation count for nothing."""
 _RATE_STEP_S = 0.02
 
 
@@ -146,13 +149,14 @@ def build(
     neighbors. Which of the two is better depends on the motion, so both count, each by its own sigma.
     """
     scan_from_camera = geometry.inverse(camera_from_scan)
-    carried = trajectory.carry(scans, refined, images)
-    count = len(images)
+    carried = carry(scans, refined, images)
+    # what rough motions do not tell counts for nothing
+    unknown = np.where(carried.by_rough, 1.0, _NOTHING)
     scan_rotation, scan_position = _scan_sigmas(scans.times, scan_covariance, images.times)
     by_eq1 = Source(
-        world_from_scan=carried @ camera_from_scan,
-        sigma_rotation=np.full(count, np.radians(SIGMA_ROTATION_DEG)),
-        sigma_position=np.full(count, SIGMA_POSITION_M),
+        world_from_scan=carried.world_from_sensor @ camera_from_scan,
+        sigma_rotation=np.radians(SIGMA_ROTATION_DEG) * unknown,
+        sigma_position=SIGMA_POSITION_M * unknown,
         scan_rotation=scan_rotation,
         scan_position=scan_position,
     )
@@ -218,23 +222,33 @@ def fill(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Poses (I, 4, 4) of all images from those of the keyframes, and the covariance (I, 6, 6) that this adds.
 
-    Between keyframes an image is where the best source puts it, moved by the deviations of the keyframes about it.
+    Between keyframes an image is where the best source puts it, moved by the deviations of the keyframes about it. Where
+    the best tells nothing, another does.
     prior: of all I images; solved: of the K keyframes, with the sigmas found; times: (I,) s
     """
     order = [float(np.median(s.sigma_rotation)) + float(np.median(s.sigma_position)) for s in solved.sources]
-    best = int(np.argmin(order))
-    source = prior.sources[best]
-    predicted = predict(prior, source, state.calibration)
-    deviation = geometry.log(geometry.inverse(predicted[keyframes]) @ state.cameras.world_from_camera)
-    moved = np.stack([np.interp(times, times[keyframes], deviation[:, n]) for n in range(6)], axis=1)
-    poses = geometry.retract(predicted, moved)
-    poses[keyframes] = state.cameras.world_from_camera
+    by_order = np.argsort(order, kind="stable")
+    predicted = np.stack([predict(prior, prior.sources[n], state.calibration) for n in by_order])
     # the sigmas were rescaled in the solve: so are those of the images between
-    scale = np.median(sigmas(solved.sources[best]) / sigmas(source)[keyframes], axis=0)
+    spread = np.stack([_rescaled(prior.sources[n], solved.sources[n], keyframes) for n in by_order])
+    size = spread.sum(axis=2)
+    silent = size[0] > _NOTHING / 10 * size.min(axis=0)
+    used = np.where(silent, size.argmin(axis=0), 0), np.arange(len(times))
+    expected = predicted[used]
+    deviation = geometry.log(geometry.inverse(expected[keyframes]) @ state.cameras.world_from_camera)
+    moved = np.stack([np.interp(times, times[keyframes], deviation[:, n]) for n in range(6)], axis=1)
+    poses = geometry.retract(expected, moved)
+    poses[keyframes] = state.cameras.world_from_camera
     added = np.zeros((len(times), 6, 6))
-    added[:, np.arange(6), np.arange(6)] = np.square(scale * sigmas(source))
+    added[:, np.arange(6), np.arange(6)] = np.square(spread[used])
     added[keyframes] = 0.0
     return poses, added
+
+
+def _rescaled(source: Source, solved: Source, keyframes: Indices) -> np.ndarray:
+    """(I, 6), rad and m: sigmas of all images, as much larger as those of the keyframes (K,) were found to be."""
+    scale = np.median(sigmas(solved) / sigmas(source)[keyframes], axis=0)
+    return np.asarray(scale * sigmas(source))
 
 
 def _scan_sigmas(
@@ -261,7 +275,7 @@ def _spline_sigmas(scans: Trajectory, times: Times) -> tuple[np.ndarray, np.ndar
     left_out = spline.leave_one_out_error(scans, times)
     within = BETWEEN_SCANS * left_out + [np.radians(FLOOR_ROTATION_DEG), FLOOR_POSITION_M]
     # beyond the scans there is nothing to interpolate: what is extrapolated counts for nothing
-    within[spline.outside(scans, times)] *= 1e3
+    within[spline.outside(scans, times)] *= _NOTHING
     return within, AT_ENDS * spline.boundary_error(scans, times)[:, None] * left_out
 
 

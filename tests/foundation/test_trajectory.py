@@ -138,29 +138,3 @@ def test_bracket_clamps_at_the_ends():
     before, fraction = trajectory.bracket(np.array([0.0, 1, 3]), np.array([-1.0, 0, 2, 3, 9]))
     assert before.tolist() == [0, 0, 1, 1, 1]
     assert fraction.tolist() == [0, 0, 0.5, 1, 1]
-
-
-def test_where_rough_poses_jump_another_sensor_follows_its_own_side():
-    times = np.arange(12.0)
-    twist = np.array([0.0, 0.02, 0.1, 0.5, 0.05, 0.0])
-    true = geometry.exp(times[:, None] * twist)
-    image_times = np.arange(0.3, 11.0, 0.45)
-    mounted = geometry.exp(np.array([0.1, -0.2, 0.3, 0.2, 0.0, -0.1]))
-    images = geometry.exp(image_times[:, None] * twist) @ mounted
-    jump = geometry.exp(np.array([0.0, 0.0, 0.05, 0.6, -0.7, 0.2]))
-    moment = 5.5
-    rough = Trajectory(times, np.where((times > moment)[:, None, None], jump @ true, true))
-    others = Trajectory(image_times, np.where((image_times > moment)[:, None, None], jump @ images, images))
-    carried = trajectory.carry(rough, true, others)
-    assert np.abs(carried - images).max() < 1e-9
-    straight = trajectory.interpolate_corrections(rough, true, image_times) @ others.world_from_sensor
-    assert np.abs(straight - images).max() > 0.1
-
-
-def test_where_nothing_jumps_another_sensor_moves_by_the_interpolated_correction():
-    times = np.arange(8.0)
-    true = geometry.exp(times[:, None] * np.array([0.0, 0.02, 0.1, 0.5, 0.05, 0.0]))
-    rough = Trajectory(times, true @ geometry.exp(0.02 * np.sin(times)[:, None] * np.ones(6)))
-    others = Trajectory(times[:-1] + 0.4, true[:-1])
-    straight = trajectory.interpolate_corrections(rough, true, others.times) @ others.world_from_sensor
-    assert np.array_equal(trajectory.carry(rough, true, others), straight)

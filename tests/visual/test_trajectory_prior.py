@@ -1,5 +1,7 @@
 """The prior: its Jacobians, its prediction, what it estimates, and how it treats frames that are off."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -284,3 +286,32 @@ def test_cameras_tell_how_fast_one_turns_between_scans_that_are_far_apart():
     np.testing.assert_array_equal(*rates[0.1])  # near scans tell it themselves
     half = trajectory_prior.take(prior, np.arange(0, len(times), 2))
     assert len(half.times) == len(half) == (len(times) + 1) // 2
+
+
+def test_an_image_that_rough_motions_tell_nothing_of_follows_the_spline_and_not_without_bound():
+    scan_times = np.arange(0, 10.05, 0.5)
+    scans = Trajectory(scan_times, handheld(scan_times))
+    times = scan_times[:-1] + 0.2
+    rough_scans, rough = handheld(scan_times), handheld(times) @ EXTRINSIC
+    lost = 9
+    rough[lost] = rough[lost] @ geometry.exp(np.array([0, 0, 0.1, 0.4, -0.3, 0]))
+    rough_scans[lost + 1 :] = geometry.exp(np.array([0, 0, 0, 0.0, 0.3, 0.4])) @ rough_scans[lost + 1 :]
+    rough[lost + 1 :] = geometry.exp(np.array([0, 0, 0, 0.0, 0.3, 0.4])) @ rough[lost + 1 :]
+    prior = trajectory_prior.build(
+        Trajectory(scan_times, rough_scans), scans.world_from_sensor, Trajectory(times, rough),
+        geometry.inverse(EXTRINSIC),
+    )  # fmt: skip
+    silent = prior.sources[0].sigma_position > 1
+    assert silent.nonzero()[0].tolist() == [lost]
+    keyframes = np.delete(np.arange(len(times)), [4, lost])
+    truth = handheld(times) @ EXTRINSIC
+    state = VisualState(CameraStates(truth[keyframes], np.zeros(len(keyframes))), prior.calibration.reference)
+    solved = trajectory_prior.take(prior, keyframes)
+    for first in (prior, replace(prior, sources=prior.sources[::-1])):
+        own = solved if first is prior else replace(solved, sources=solved.sources[::-1])
+        poses, added = trajectory_prior.fill(first, own, state, keyframes, times)
+        off = np.linalg.norm((poses - truth)[:, :3, 3], axis=1)
+        assert off[4] < 0.005
+        assert off[lost] < 0.02
+        assert np.sqrt(added[lost, 3, 3]) < 0.05
+        assert not added[keyframes].any()
