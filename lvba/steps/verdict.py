@@ -81,7 +81,7 @@ class Figures:
     fusion_variance_factor: how many times scans and cameras are further apart, squared, than both promise
     vague_scans, vague_cameras: frames expected to be off by VAGUE times the median and more, or by nobody knows what
     vague_exposures: numbers of the images whose exposures are, and to worse than can be seen
-    white_balance: percent, root mean square, by which it changes between images, where exposures are used
+    white_balance: percent, root mean square, by which it changes between images that joint rounds take as they are
     moved_m: how far a scan moved at most in the last round that did not settle; scan_p95_m: what 95 % of the scans are
         expected to be off by less
     range_errors: systematic errors of the range sensor that are in the points
@@ -324,9 +324,9 @@ def _frames(figures: Figures) -> Iterator[Reason]:
         )
     if figures.white_balance is not None:
         yield Reason(
-            f"The white balance changes between images by {figures.white_balance:.1f} % (root mean square): exposures "
-            "are means over red, green and blue.",
-            "Nothing to do; a fixed white balance makes better maps.",
+            f"The white balance changes between images by {figures.white_balance:.1f} % (root mean square): in parts, "
+            "exposures and cameras depend a little on the colors that images show.",
+            "A fixed white balance makes better maps; so does a run in one part, where memory allows.",
         )
     few = [
         f"{count} {kind}"

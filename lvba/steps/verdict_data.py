@@ -95,7 +95,7 @@ def figures(facts: Facts) -> Figures:
         vague_scans=_vague(expected.get("scans")),
         vague_cameras=_vague(expected.get("cameras")),
         vague_exposures=tuple(visual.get("vague_exposures") or ()),
-        white_balance=balance.get("change_percent") if balance.get("used") else None,
+        white_balance=balance.get("change_percent") if balance.get("used") and facts.get("merge") else None,
         moved_m=history[-1].get("moved") if used and lidar.get("converged") is False else None,
         scan_p95_m=(expected.get("scans") or {}).get("position_p95_m"),
         cameras_converged=last.get("converged") is not False,

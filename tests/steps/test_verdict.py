@@ -164,6 +164,7 @@ def blurred(facts):
 
 def balanced(facts):
     facts["visual"]["white_balance"] = {"used": True, "change_percent": 7.31}
+    facts["merge"] = {"parts": []}
 
 
 def lost(facts):
@@ -204,6 +205,13 @@ def test_what_a_report_tells_reaches_the_verdict(spoil, words):
     found = verdict_data.add(given)["verdict"]
     assert found["level"] == "check"
     assert words in found["reasons"][0]["text"].replace("Not used", "not used")
+
+
+def test_a_white_balance_that_was_taken_out_of_all_images_needs_no_look():
+    given = facts()
+    balanced(given)
+    del given["merge"]
+    assert verdict_data.add(given)["verdict"]["reasons"] == []
 
 
 def kept(**more):
