@@ -48,7 +48,7 @@ def colored_map(dataset: Dataset, poses: Path) -> map_file.PointMap:
         sensor_position=dataset.sensor_position_scan,
     )
     views = replace(views_of(dataset), world_from_camera=cameras, log_exposure=log_exposure)
-    return map_file.build(cloud, views)
+    return map_file.build(cloud, views, camera=dataset.camera)
 
 
 def judge(dataset_folder: Path, poses: Path) -> dict[str, Any]:

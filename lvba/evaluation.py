@@ -134,7 +134,7 @@ def report(
         "schema": 1,
         "dataset": {"path": dataset.root, **report_data.of_dataset(dataset)},
         "config": settings.to_dict(config),
-        "evaluation": report_data.of_evaluation(scans, scores, VISUAL),
+        "evaluation": report_data.of_evaluation(dataset, scans, scores, VISUAL),
         "warnings": [*dataset.warnings, *given.warnings, *report_data.warnings_of_errors(errors)],
     }
     if errors is not None:

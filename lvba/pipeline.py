@@ -149,7 +149,7 @@ class _Chain:
         self.survey = add("survey", survey.survey, self.dataset, config.lidar, config.visual.keyframes)
         measured = config.refine_scans and self.variant.scan_errors
         self.errors = add("scan-errors", scan_errors.measure, self.dataset, config.lidar, measured)
-        self.photos, self.keyframes = list[Made](), list[Made]()
+        self.photos, self.judging, self.keyframes = list[Made](), list[Made](), list[Made]()
         self.points = self._decode("scans", decoded.decode_scans, cores, self.errors)
 
     def add(self, reference: Reference | None) -> None:
@@ -181,17 +181,16 @@ class _Chain:
         return made
 
     def _each(self, one: str, function: Any, *arguments: Any, photos: bool = True) -> list[Ref]:
-        """A step for each part, given the part's frames, the part, and its scans and, if asked for, images, decoded."""
+        """A step for each part, given the part's frames, the part, and its scans and, if asked for, images that judge."""
         return [
             self.plan.add(self._name(part, one), function, *self._of(part, photos), *arguments)
             for part in self.parts
         ]
 
     def _of(self, part: Part, photos: bool = True) -> tuple[Any, ...]:
-        """A part's frames, the part, and its scans and images, decoded."""
-        scans = given(self.points, part.scan_numbers)
-        images = (given(self.photos, part.image_numbers),) if photos else ()
-        return (self.frames[part.number], part, scans, *images)
+        """A part's frames, the part, and its scans and images that judge, decoded."""
+        images = (given(self.judging, part.image_numbers),) if photos else ()
+        return (self.frames[part.number], part, given(self.points, part.scan_numbers), *images)
 
     def _each_region(self, one: str, function: Any, *arguments: Any) -> list[Ref]:
         """A step for each region, given the recording, all regions, the number of this one, and the scans about it."""
@@ -220,10 +219,11 @@ class _Chain:
         entropies = self._each_region(
             "lidar-entropy", scan_acceptance.measure_entropy, solved, self.survey, config.evaluate.entropy
         )
-        photos = [
-            each for part in self.parts for each in decoded.photo_ranges(self.dataset, part.core_images)
-        ]
-        self.photos = self._decode("photos", decoded.decode_photos, photos)
+        cores = [part.core_images for part in self.parts]
+        full, judging = decoded.photo_ranges(self.dataset.camera, cores)
+        self.photos = self.judging = self._decode("photos", decoded.decode_photos, full)
+        if judging:
+            self.judging = self._decode("photos-judging", decoded.judging_photos, judging)
         compared = self._each(
             "lidar-images", scan_acceptance.compare,
             *(len(self.dataset.image_paths), solved, entropies, config.evaluate, config.gate),

@@ -24,6 +24,7 @@ from lvba.io import dataset as recordings
 from lvba.lidar.scan_errors import ScanErrors
 from lvba.parallel import in_order
 from lvba.plan import Ref, StreamedRef
+from lvba.products import judging_size
 from lvba.progress import Progress, silent
 from lvba.visual import image
 from lvba.visual.image import ImageConfig
@@ -137,14 +138,9 @@ def keyframes_of_photos(
         return Keyframes(chosen[:0], np.zeros((0, 1, 1, config.channels), np.uint8))
     held = _Reader(photos, keep=PIECES_HELD)
 
-    def read(index: int) -> np.ndarray:
-        number = int(chosen[index])
-        piece = held.find(number)
-        if piece is None:
-            raise IndexError(f"no piece holds image {number}")
-        return np.asarray(piece[1][number - piece[0]])
-
-    gathered = image.load_undistorted(read, len(chosen), dataset.camera, config, progress)
+    gathered = image.load_undistorted(
+        lambda index: held.frame(int(chosen[index])), len(chosen), dataset.camera, config, progress
+    )
     return Keyframes(chosen, gathered)
 
 
@@ -164,12 +160,37 @@ def decode_photos(dataset: Dataset, images: Range, progress: Progress = silent) 
     return photos
 
 
-def photo_ranges(dataset: Dataset, images: Range) -> list[Range]:
-    """Some images cut into ranges of about PIECE_BYTES of color each."""
+def judging_photos(
+    dataset: Dataset, images: Range, photos: Pieces[np.ndarray], progress: Progress = silent
+) -> np.ndarray:
+    """Some images in color as they judge a map (`products.judging_size`), still with their lens, (n, h, w, 3) uint8.
+
+    photos: pieces that hold these images, raw, in color
+    """
+    camera, held = judging_size.judging(dataset.camera), _Reader(photos)
+    smaller = np.empty((images[1] - images[0], camera.height, camera.width, 3), np.uint8)
+    for done, number in enumerate(range(*images)):
+        smaller[done] = judging_size.reduced(held.frame(number), dataset.camera)
+        progress("images", done + 1, len(smaller))
+    return smaller
+
+
+def photo_ranges(camera: Camera, cores: Sequence[Range]) -> tuple[list[Range], list[Range]]:
+    """The images of a camera, by the parts that they belong to, cut into ranges of about PIECE_BYTES of color: the full
+    ones, and those that judge, none where the full ones do."""
+    smaller = judging_size.judging(camera)
+    full, judging = (
+        [piece for core in cores for piece in _cut(core, 3 * each.width * each.height)]
+        for each in (camera, smaller)
+    )
+    return full, judging if smaller != camera else []
+
+
+def _cut(images: Range, size: int) -> list[Range]:
+    """Some images of so many bytes each in ranges of about PIECE_BYTES."""
     count = images[1] - images[0]
     if not count:
         return []
-    size = 3 * dataset.camera.width * dataset.camera.height
     pieces = max(1, -(-count * size // PIECE_BYTES))
     bounds = [images[0] + count * k // pieces for k in range(pieces + 1)]
     return [each for each in pairwise(bounds) if each[0] < each[1]]
@@ -195,6 +216,13 @@ class _Reader(Generic[T]):
                     self._kept.move_to_end(index)
                     return first, self._kept[index]
         return None
+
+    def frame(self: "_Reader[np.ndarray]", number: int) -> np.ndarray:
+        """One frame of pieces that are arrays of them."""
+        piece = self.find(number)
+        if piece is None:
+            raise IndexError(f"no piece holds image {number}")
+        return np.asarray(piece[1][number - piece[0]])
 
 
 class ScanReader:
@@ -242,32 +270,34 @@ class ScanReader:
 
 
 class PhotoReader:
-    """Images in color without distortion, as the camera has it.
+    """Images in color without distortion, as the camera has it, at the size at which they judge.
 
-    pieces: of raw images; camera: theirs, with its lens; first: number in the whole recording of the image called 0
+    pieces: of `judging_photos`; camera: that took the images, with its lens; first: number in the whole recording of the
+    image called 0
     """
 
     def __init__(self, pieces: Pieces[np.ndarray], camera: Camera, first: int = 0) -> None:
         self._reader, self._first = _Reader(pieces, keep=PIECES_HELD), first
-        self._undistort = image.Undistorter(camera)
+        self._undistort = _undistorter(camera)
         # several states that are looked at together ask for one image after each other
         self._last = threading.local()
 
     def seen_by(self, camera: Camera) -> "PhotoReader":
         """The same images as another camera has them; what is in memory of them is in it once."""
         other = copy.copy(self)
-        other._undistort, other._last = image.Undistorter(camera), threading.local()
+        other._undistort, other._last = _undistorter(camera), threading.local()
         return other
 
     def __call__(self, index: int) -> np.ndarray:
-        """(H, W, 3) uint8 RGB."""
+        """(h, w, 3) uint8 RGB."""
         if getattr(self._last, "index", None) != index:
-            held = self._reader.find(self._first + index)
-            if held is None:
-                raise IndexError(f"no piece holds image {self._first + index}")
-            self._last.image = self._undistort(held[1][self._first + index - held[0]])
+            self._last.image = self._undistort(self._reader.frame(self._first + index))
             self._last.index = index
         return np.asarray(self._last.image)
+
+
+def _undistorter(camera: Camera) -> image.Undistorter:
+    return image.Undistorter(judging_size.judging(camera))
 
 
 def blank_photos(pieces: Pieces[np.ndarray], images: Range) -> np.ndarray:

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from lvba.camera import Camera
 from lvba.products import colorize
 from lvba.products.cloud import Cloud, thin
 from lvba.products.colorize import ColorizeConfig
@@ -80,13 +81,17 @@ def build(
     config: MapConfig | None = None,
     progress: Progress = silent,
     gain: float | None = None,
+    camera: Camera | None = None,
 ) -> PointMap:
     """The map of a cloud, thinned, colored by the views, shown at their typical (median) exposure.
 
     gain: the exposure to show it at; None: that typical one
+    camera: whose pixels the voxels follow; None: that of the views
     """
     config = config or MapConfig()
-    voxel = 2 * pixel_footprint(cloud, views) if config.voxel_m < 0 else config.voxel_m
+    voxel = (
+        2 * pixel_footprint(cloud, views, camera or views.camera) if config.voxel_m < 0 else config.voxel_m
+    )
     kept = thin(cloud.points_world, voxel)
     points, scan, measured = cloud.points_world[kept], cloud.scan_of(kept), len(cloud)
     gain = colorize.display_gain(views.log_exposure) if gain is None else gain
@@ -137,8 +142,8 @@ def _error(point_map: PointMap) -> np.ndarray:
     return point_map.error.astype(np.float32, copy=False)
 
 
-def pixel_footprint(cloud: Cloud, views: Views) -> float:
-    """The edge, m, of what one pixel sees at the median distance of the cloud from the cameras; 0 without any.
+def pixel_footprint(cloud: Cloud, views: Views, camera: Camera) -> float:
+    """The edge, m, of what a camera's pixel sees at the median distance of the cloud from the cameras; 0 without any.
 
     Finer detail than this is in no image. The distance of a point is that from the camera nearest in time to its scan.
     """
@@ -149,7 +154,7 @@ def pixel_footprint(cloud: Cloud, views: Views) -> float:
     scan = np.searchsorted(cloud.scan_offsets, sample, side="right") - 1
     nearest = np.abs(views.times[None] - cloud.scan_times[:, None]).argmin(1)[scan]
     distance = np.linalg.norm(cloud.points_world[sample] - views.world_from_camera[nearest, :3, 3], axis=1)
-    return float(np.median(distance)) / max(views.camera.fx, views.camera.fy)
+    return float(np.median(distance)) / max(camera.fx, camera.fy)
 
 
 @dataclass(frozen=True)

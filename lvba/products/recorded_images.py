@@ -9,18 +9,23 @@ from lvba.camera import Camera
 from lvba.dataset import Dataset
 from lvba.io import calibration
 from lvba.io import dataset as recordings
+from lvba.products import judging_size
 from lvba.products.views import Views
 from lvba.visual import image, radiometry, response, vignetting
 from lvba.visual.radiometry import Radiometry
 
 
 class Undistorted:
-    """Undistorted images by index; the first ones that fit are kept in memory, the rest read again each time."""
+    """Undistorted images by index; the first ones that fit are kept in memory, the rest read again each time.
 
-    def __init__(self, dataset: Dataset, kept_bytes: int = 1 << 28) -> None:
-        self._dataset = dataset
-        self._undistort = image.Undistorter(dataset.camera)
-        size = max(1, dataset.camera.width * dataset.camera.height * 3)
+    full: as large as they were taken; else at the size at which they judge
+    """
+
+    def __init__(self, dataset: Dataset, kept_bytes: int = 1 << 28, *, full: bool = True) -> None:
+        self._dataset, self._full = dataset, full
+        camera = dataset.camera if full else judging_size.judging(dataset.camera)
+        self._undistort = image.Undistorter(camera)
+        size = max(1, camera.width * camera.height * 3)
         self._capacity = kept_bytes // size
         self._kept: dict[int, np.ndarray] = {}
 
@@ -31,6 +36,7 @@ class Undistorted:
         return self._keep(index, recordings.load_image(self._dataset, index))
 
     def _keep(self, index: int, raw: np.ndarray) -> np.ndarray:
+        raw = raw if self._full else judging_size.reduced(raw, self._dataset.camera)
         picture = np.ascontiguousarray(self._undistort(raw))
         if len(self._kept) < self._capacity:
             self._kept[index] = picture
@@ -50,15 +56,20 @@ def radiometry_of(result: str | Path) -> Radiometry:
 
 
 def views_of(
-    dataset: Dataset, load: Callable[[int], np.ndarray] | None = None, supposed: Radiometry = radiometry.NONE
+    dataset: Dataset,
+    load: Callable[[int], np.ndarray] | None = None,
+    supposed: Radiometry = radiometry.NONE,
+    *,
+    full: bool = False,
 ) -> Views:
     """The undistorted images at their rough poses, all equally exposed, by the camera that the dataset has.
 
     load: gives image i as (H, W, 3) uint8 RGB, undistorted; None: from the files; supposed: their radiometry
+    full: as large as they were taken; else at the size at which they judge (`judging_size`)
     """
-    camera = dataset.camera
+    camera = dataset.camera if full else judging_size.judging(dataset.camera)
     return Views(
-        load=load or Undistorted(dataset),
+        load=load or Undistorted(dataset, full=full),
         camera=camera.undistorted(),
         times=dataset.images.times,
         world_from_camera=dataset.images.world_from_sensor,

@@ -124,7 +124,7 @@ def _write_pictures(
     """Writes the pictures and returns the indices of their images."""
     for kind in KINDS:
         files.make_folder(folder / kind)
-    rough = views_of(dataset)
+    rough = views_of(dataset, full=True)
     log_exposure = np.log(exposures.read_exposures(result / "exposures.csv").relative)
     supposed = radiometry_of(result)
     refined = Views(

@@ -12,7 +12,7 @@ from lvba.blocks.split import Part
 from lvba.camera import Camera
 from lvba.dataset import Dataset
 from lvba.products import evaluate as evaluation
-from lvba.products import recorded_images
+from lvba.products import judging_size, recorded_images
 from lvba.products.evaluate import EvaluateConfig, Scores, State
 from lvba.products.recorded_images import views_of
 from lvba.products.views import Views
@@ -221,7 +221,7 @@ def views_at(views: Views, cameras: Cameras) -> Views:
         views,
         world_from_camera=cameras.world_from_camera,
         log_exposure=cameras.log_exposure,
-        light=recorded_images.light_in(cameras.radiometry, cameras.camera),
+        light=recorded_images.light_in(cameras.radiometry, judging_size.judging(cameras.camera)),
         curve=cameras.radiometry.response,
     )
 

@@ -11,7 +11,7 @@ from lvba.blocks.regions import in_region, regions
 from lvba.blocks.split import Part
 from lvba.blocks.survey import Survey
 from lvba.dataset import Dataset
-from lvba.products import colorize, map_error, map_file, pictures
+from lvba.products import colorize, judging_size, map_error, map_file, pictures
 from lvba.products.cloud import Cloud, thin
 from lvba.products.evaluate import EvaluateConfig, Scores, State
 from lvba.products.map_file import MapConfig, PointMap
@@ -112,7 +112,8 @@ def colored_map(
         white_balance=accepted.white_balance,
     )
     return map_file.build(
-        cloud_of(dataset, accepted.world_from_scan, progress, read), views, config, progress, gain
+        cloud_of(dataset, accepted.world_from_scan, progress, read),
+        *(views, config, progress, gain, dataset.camera),
     )
 
 
@@ -171,7 +172,7 @@ def show_images(
         views,
         world_from_camera=state.world_from_camera,
         log_exposure=state.log_exposure,
-        light=light_in(accepted.radiometry, _seen_by(dataset, accepted).camera),
+        light=light_in(accepted.radiometry, judging_size.judging(_seen_by(dataset, accepted).camera)),
         curve=accepted.radiometry.response,
     )
     return pictures.show(

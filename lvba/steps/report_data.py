@@ -15,6 +15,7 @@ from lvba.lidar.range_errors import RangeErrors
 from lvba.lidar.row_times import RowClock
 from lvba.lidar.scan_errors import ScanErrors
 from lvba.lidar.scan_motion import MotionLeft
+from lvba.products import judging_size
 from lvba.products.evaluate import Scores
 from lvba.products.map_file import PointMap
 from lvba.products.reference import matched
@@ -66,7 +67,7 @@ def collect(
         "fusion": of_fusion(fused, accepted),
         "trajectory": of_trajectories(dataset, accepted),
         "exposure": of_exposure(dataset, accepted, visual, reference),
-        "evaluation": of_evaluation(scans, scores, accepted.state),
+        "evaluation": of_evaluation(dataset, scans, scores, accepted.state),
     }
     if reference is not None:
         facts["reference"] = reference_data.collect(dataset, lidar, scans, visual, fused, accepted, reference)
@@ -350,7 +351,9 @@ def of_exposure(
     return facts
 
 
-def of_evaluation(scans: ScanPoses, scores: Mapping[str, Scores], state: str) -> dict[str, Any]:
+def of_evaluation(
+    dataset: Dataset, scans: ScanPoses, scores: Mapping[str, Scores], state: str
+) -> dict[str, Any]:
     """Scores of the input and of the result, and of the states between them."""
     if not scores:
         return {
@@ -358,7 +361,9 @@ def of_evaluation(scans: ScanPoses, scores: Mapping[str, Scores], state: str) ->
             "refined": {**_NOTHING, "map_entropy": scans.entropy},
         }
     judged = {name: score.facts() for name, score in scores.items()}
-    return {"rough": judged[ROUGH], "refined": judged[state], "states": judged}
+    camera = judging_size.judging(dataset.camera)
+    size = {"width": camera.width, "height": camera.height}
+    return {"rough": judged[ROUGH], "refined": judged[state], "states": judged, "image_size": size}
 
 
 _NOTHING = dict.fromkeys(("psnr", "ssim", "coverage", "psnr_leave_one_out", "ssim_leave_one_out"))

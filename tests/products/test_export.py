@@ -157,7 +157,7 @@ def test_the_rectangle_that_is_kept_holds_valid_pixels_only():
 
 def test_thinned_maps_keep_the_pixel_footprint_by_default():
     world = box_world.make(images=3)
-    footprint = map_file.pixel_footprint(world.cloud(), world.views())
+    footprint = map_file.pixel_footprint(world.cloud(), world.views(), world.views().camera)
     assert 1 / 60 < footprint < 4 / 60
     point_map = map_file.build(world.cloud(), world.views())
     assert point_map.voxel_m == pytest.approx(2 * footprint)

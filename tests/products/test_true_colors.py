@@ -52,7 +52,7 @@ def made(folder, scene, lidar, beams):
     )  # fmt: skip
     exposure = np.log(true.exposures.relative)
     views = replace(views_of(dataset), world_from_camera=cameras, log_exposure=exposure)
-    kept = clouds.thin(cloud.points_world, map_file.pixel_footprint(cloud, views))
+    kept = clouds.thin(cloud.points_world, map_file.pixel_footprint(cloud, views, views.camera))
     scan, points = cloud.scan_of(kept), cloud.points_world[kept].astype(float)
     quad, place, off = np.full(len(kept), -1), np.zeros((len(kept), 3)), np.full(len(kept), np.inf)
     for s in range(len(scans)):

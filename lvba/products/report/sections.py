@@ -174,7 +174,12 @@ def _scores(facts: Facts) -> str:
 
 
 def _quality(facts: Facts) -> str:
-    return f"How well the colored map predicts the photos, image by image and on average. {formats.verdict(facts)}"
+    lead = "How well the colored map predicts the photos, image by image and on average."
+    judged = (facts.get("evaluation") or {}).get("image_size") or {}
+    camera = (facts.get("dataset") or {}).get("camera") or {}
+    if judged and camera and judged["width"] < camera["width"]:
+        lead += f" Figures are of photos and renderings of {judged['width']} x {judged['height']} px."
+    return f"{lead} {formats.verdict(facts)}"
 
 
 _STATES = {
