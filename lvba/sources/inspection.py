@@ -1,6 +1,6 @@
 """What is in a source, its clocks and conventions, and what is missing: by its index and a few records."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import Any
@@ -10,7 +10,7 @@ import numpy as np
 from lvba.camera import Camera
 from lvba.errors import InputError
 from lvba.lidar.point_times import find_clock
-from lvba.sources import presets
+from lvba.sources import packets, presets
 from lvba.sources.choosing import Choice, choose
 from lvba.sources.source import (
     CameraInfo,
@@ -115,7 +115,7 @@ def by_names(description: SourceDescription) -> Inspection:
         description=description,
         streams=facts,
         choice=choice,
-        missing=tuple(_absent({stream.kind for stream in description.streams}, choice)),
+        missing=tuple(_absent(description.streams, choice)),
         notes=tuple(_notes(description, (), choice, deskewed=True)),
         presets=tuple(each.name for each in presets.fitting(description)),
     )
@@ -282,7 +282,7 @@ def camera_infos_of(image: str, facts: tuple[StreamFacts, ...]) -> list[StreamFa
 
 
 def _missing(source: Source, facts: tuple[StreamFacts, ...], choice: Choice) -> Iterator[str]:
-    yield from _absent({each.stream.kind for each in facts}, choice)
+    yield from _absent([each.stream for each in facts], choice)
     if not choice.image:
         return
     known = source.geometry()
@@ -293,15 +293,14 @@ def _missing(source: Source, facts: tuple[StreamFacts, ...], choice: Choice) -> 
         yield "where the camera is on the LiDAR is not said: give the extrinsic, --calibration FILE"
 
 
-def _absent(kinds: set[Kind], choice: Choice) -> Iterator[str]:
+def _absent(streams: Iterable[Stream], choice: Choice) -> Iterator[str]:
     """What no stream has."""
     if not choice.lidar:
-        mend = (
-            "convert its packets by the sensor's driver"
-            if Kind.PACKETS in kinds
-            else "nothing can be imported"
-        )
-        yield f"no scans: {mend}"
+        stream = packets.only(streams)
+        why = "nothing can be imported"
+        if stream is not None:
+            why = f"{packets.problem(stream)}: {packets.mend(stream.message_type)}"
+        yield f"no scans: {why}"
     if not choice.odometry:
         yield "no poses: estimate them by the scans, --odometry auto, or give a trajectory (TUM), --odometry FILE"
     if not choice.image:

@@ -9,7 +9,13 @@ from lvba import geometry
 from lvba.camera import Camera
 from lvba.errors import InputError
 from lvba.lens import Lens
+from lvba.sources import packets
+from lvba.sources.bags.decoders import kind_of
+from lvba.sources.importing.importer import import_source
+from lvba.sources.importing.options import ImportOptions
+from lvba.sources.inspection import inspect
 from lvba.sources.opening import open_source
+from lvba.sources.source import Kind
 
 RNG = np.random.default_rng(0)
 XYZ = np.round(RNG.normal(0, 10, (12, 3)), 2)
@@ -438,10 +444,25 @@ def test_raw_packets_and_other_messages_say_what_to_do(messages, tmp_path):
     (tmp_path / "b").mkdir()
     scan = messages.make("pandar_msgs/msg/PandarScan", header=messages.header(T0))
     source = source_of(tmp_path / "b", messages, [scan], "pandar_msgs/msg/PandarScan")
-    with pytest.raises(
-        InputError, match=r"raw packets .* convert them to point clouds by the sensor's driver"
-    ):
+    said = r"/a has raw packets .*, which are not read.* HesaiLidar_General_ROS, and record /hesai/pandar"
+    with pytest.raises(InputError, match=said):
         list(source.records({"/a"}))
+    for options in (ImportOptions(), ImportOptions(lidar="/a"), ImportOptions(odometry="auto")):
+        with pytest.raises(InputError, match=said):
+            import_source(source, tmp_path / "out", options)
+    [missing, *_] = inspect(source).missing
+    assert "/a has raw packets" in missing
+    assert "record /hesai/pandar (sensor_msgs/PointCloud2)" in missing
+
+
+@pytest.mark.parametrize("name", sorted(packets.DRIVERS))
+def test_the_driver_of_each_kind_of_packets_is_named(name):
+    driver, topic = packets.DRIVERS[name]
+    package, _, message = name.partition("/")
+    for text in (name, f"{package}/msg/{message}"):
+        assert driver in packets.mend(text)
+        assert topic in packets.mend(text)
+        assert kind_of(text) is (Kind.SCANS if package == "velodyne_msgs" else Kind.PACKETS)
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from typing import Any
 
 from lvba.errors import InputError
 from lvba.io import files
+from lvba.sources import packets
 from lvba.sources.bags import decoders, point_clouds, poses, velodyne_packets
 from lvba.sources.bags.bag_files import container_at, topics_said
 from lvba.sources.bags.container import MAX_MESSAGE, Container, Contents, Losses, Message, Topic
@@ -27,7 +28,6 @@ _WRONG = (KeyError, TypeError, ValueError, OverflowError, IndexError, AttributeE
 """What comes of fields that are not those of the type's name."""
 _NUMBERS_OF = ("poses",)
 """Of paths, which hold all poses so far in each message."""
-PACKETS_MEND = "convert them to point clouds by the sensor's driver, and record those"
 
 
 def open_bag(path: Path) -> "BagSource | None":
@@ -193,7 +193,7 @@ class BagSource:
                 raise InputError(self._path, f"has no topic {name}", f"give one of its topics: {known}")
             stream = by_name[name]
             if stream.kind is Kind.PACKETS:
-                raise InputError(self._path, f"{name} has raw packets ({stream.message_type})", PACKETS_MEND)
+                raise InputError(self._path, packets.problem(stream), packets.mend(stream.message_type))
             if stream.kind is Kind.OTHER:
                 problem = f"{name} has messages that are not read ({stream.message_type})"
                 raise InputError(self._path, problem, "choose another topic: lvba inspect lists them")
@@ -202,7 +202,9 @@ class BagSource:
     def _useless(self, name: str, tally: _Tally) -> InputError:
         reason, _ = tally.reasons.most_common(1)[0]
         problem = f"{tally.lost} of {tally.lost + tally.read} messages of {name} cannot be decoded: {reason}"
-        return InputError(self._path, problem, "choose another topic, or record it anew")
+        kind = next(each.message_type for each in self.describe().streams if each.name == name)
+        mend = packets.mend(kind) if "packets are of" in reason else "choose another topic, or record it anew"
+        return InputError(self._path, problem, mend)
 
     def _streams(self, contents: Contents) -> Iterator[Stream]:
         """One for each name: several publishers may have written to it."""

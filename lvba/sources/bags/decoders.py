@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from lvba.sources import packets
 from lvba.sources.bags import camera_info, images, point_clouds, poses, velodyne_packets
 from lvba.sources.bags.definitions import short
 from lvba.sources.source import CameraInfo, Kind, Record
@@ -36,17 +37,6 @@ _DECODERS: dict[str, tuple[Kind, Decoder]] = {
     "sensor_msgs/CameraInfo": (Kind.CAMERA_INFO, _camera_info),
 }
 _TREES = ("tf2_msgs/TFMessage", "tf/tfMessage")
-_PACKETS = {
-    "ouster_ros/PacketMsg",
-    "ouster_sensor_msgs/PacketMsg",
-    "ouster_msgs/PacketMsg",
-    "hesai_ros_driver/UdpFrame",
-    "hesai_lidar/PandarScan",
-    "pandar_msgs/PandarScan",
-    "rslidar_msgs/rslidarScan",
-    "rslidar_msg/RslidarPacket",
-    "nebula_msgs/NebulaPackets",
-}
 
 
 def kind_of(message_type: str) -> Kind:
@@ -56,7 +46,7 @@ def kind_of(message_type: str) -> Kind:
         return _DECODERS[name][0]
     if name in _TREES:
         return Kind.TRANSFORMS
-    return Kind.PACKETS if name in _PACKETS else Kind.OTHER
+    return Kind.PACKETS if name in packets.DRIVERS else Kind.OTHER
 
 
 def decoder_of(message_type: str, topic: str, *, rectified: bool) -> Decoder | None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from lvba.errors import InputError
-from lvba.sources import choosing
+from lvba.sources import choosing, packets
 from lvba.sources.importing.options import AUTO, NONE, ImportOptions
 from lvba.sources.odometry import external
 from lvba.sources.source import Kind, SourceDescription, Stream
@@ -54,15 +54,16 @@ def choose(
 
     Raises InputError: one that is needed is missing or not there, or several fit.
     """
+    lidar, image, imu = (getattr(options, name) or topics.get(name, "") for name in ("lidar", "image", "imu"))
+    lidar = _one(description, Kind.SCANS, lidar, "--lidar", needed=True)
     odometry = odometry_file = odometry_command = ""
     if external.is_command(options.odometry):
         odometry_command = options.odometry
     elif options.odometry != AUTO:
         odometry, odometry_file = _odometry(description, options)
     gnss = topics.get("gnss") or next((each.name for each in _of_kind(description, Kind.GNSS)), "")
-    lidar, image, imu = (getattr(options, name) or topics.get(name, "") for name in ("lidar", "image", "imu"))
     return Streams(
-        lidar=_one(description, Kind.SCANS, lidar, "--lidar", needed=True),
+        lidar=lidar,
         image=_one(description, Kind.IMAGES, image, "--image"),
         imu=_one(description, Kind.IMU, imu, "--imu"),
         gnss=gnss,
@@ -88,6 +89,9 @@ def _one(description: SourceDescription, kind: Kind, asked: str, option: str, ne
     if asked:
         if asked in [stream.name for stream in fitting]:
             return asked
+        named = packets.only(stream for stream in description.streams if stream.name == asked)
+        if named is not None:
+            raise InputError(f"{option} {asked}", packets.problem(named), packets.mend(named.message_type))
         raise InputError(
             f"{option} {asked}", f"{description.path} has no such stream of {kind}", _listed(fitting)
         )
@@ -99,6 +103,9 @@ def _one(description: SourceDescription, kind: Kind, asked: str, option: str, ne
             f"choose by {option}: {_listed(fitting)}{_likely(description, kind)}",
         )
     if not fitting and needed:
+        raw = packets.only(description.streams)
+        if raw is not None:
+            raise InputError(description.path, packets.problem(raw), packets.mend(raw.message_type))
         raise InputError(description.path, f"has no {kind}", _others(description))
     return fitting[0].name if fitting else ""
 
