@@ -113,6 +113,9 @@ def imu_cases() -> Iterator[Case]:
 
         return reading
 
+    def gyroscope(signs: list[float]) -> Callable[[ImuSample], ImuSample]:
+        return lambda sample: replace(sample, gyroscope=sample.gyroscope * signs)
+
     def scaled(rate: float, force: float) -> Callable[[ImuSample], ImuSample]:
         return lambda sample: replace(
             sample, gyroscope=rate * sample.gyroscope, accelerometer=force * sample.accelerometer
@@ -123,6 +126,8 @@ def imu_cases() -> Iterator[Case]:
 
     yield Case("none, IMU mounted apart", apart)
     yield Case("IMU: axes y, z, x in place of x, y, z", apart, reading=turned([1, 2, 0], [1, 1, 1]))
+    yield Case("IMU: turned by 90 degrees", apart, reading=turned([1, 0, 2], [1, -1, 1]))
+    yield Case("IMU: axes of the gyroscope forward, right, down", apart, reading=gyroscope([1, -1, -1]))
     yield Case("IMU: axes forward, right, down", apart, reading=turned([0, 1, 2], [1, -1, -1]))
     yield Case("IMU from body in place of body from IMU", apart, mounting_inverse=True)
     yield Case("IMU: gyroscope in deg/s", apart, reading=scaled(np.degrees(1), 1))
@@ -288,6 +293,8 @@ def _state(report: ImportReport, made: Outcome, reference: Outcome | None, unuse
     fine = all(one <= MOST_OFF * other for one, other in frames)
     if fine and all(one <= MOST_OFF * other for one, other in zip(made.imu, reference.imu, strict=True)):
         return "mended, with a warning" if report.warnings else "mended"
+    if report.facts["applied"].get("imu") == "left out" and report.warnings:
+        return "left out, with a warning" if made.scans <= MOST_OFF * reference.scans else "warned"
     if report.warnings:
         return "warned"
     return "left out later" if fine and unused else "SILENT"
@@ -314,7 +321,7 @@ _HEAD = """\
 of 5 mm and 0.05 degrees), each with one convention that is not the usual one. Errors (rms) are against the truth: of
 points, where they were measured; of cameras, where images were taken. Mended: at most {most} times the error of the
 recording without a wrong convention. Refused: an error that says so. Warned: worse, with a warning. SILENT: worse,
-without one.
+without one. Left out: the import does not write the IMU, with a warning.
 
 Of the IMU (turned and shifted on the body): errors (rms) of rates and forces in the axes of the scans, at their
 times, less what is the same all the time. Left out later: the import says nothing, but the refinement finds that it

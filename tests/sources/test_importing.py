@@ -260,4 +260,47 @@ def test_an_imu_that_is_mounted_otherwise_than_is_said_is_a_warning(tmp_path, tr
         for name, record in source.items
     ]
     report = import_source(replace(source, items=tuple(turned)), tmp_path / "out")
-    assert any("imu: its axes are turned by" in words for words in report.warnings)
+    assert any("axes are turned by" in words for words in report.warnings)
+
+
+def rewritten(source, change):
+    """The source with other readings of its IMU."""
+    items = [(name, change(record) if name == raw.IMU else record) for name, record in source.items]
+    return replace(source, items=tuple(items))
+
+
+def test_an_imu_of_other_units_and_sign_is_written_as_it_is_meant(tmp_path, truth):
+    """Three seconds are too short to find the sign."""
+    source = written(truth)
+    other = rewritten(
+        source,
+        lambda read: replace(read, gyroscope=np.degrees(read.gyroscope), accelerometer=-read.accelerometer),
+    )
+    import_source(source, tmp_path / "right")
+    said = ImportOptions(conventions=parse_conventions(["accelerometer=down"]))
+    report = import_source(other, tmp_path / "mended", said)
+    assert yaml.safe_load((tmp_path / "mended" / "recording.yaml").read_text()) == report.facts
+    assert report.facts["applied"]["imu_rates_times"] == pytest.approx(np.pi / 180)
+    assert report.facts["applied"]["imu_forces_times"] == -1.0
+    assert any("taken for degrees per second" in words for words in report.warnings)
+    right, mended = (imu.read(tmp_path / name / "imu.csv") for name in ("right", "mended"))
+    np.testing.assert_allclose(mended.rates, right.rates, atol=1e-8)
+    np.testing.assert_allclose(mended.forces, right.forces, atol=1e-8)
+
+
+def test_an_imu_of_another_mounting_is_not_written(tmp_path, truth):
+    order, signs = [1, 0, 2], [1, -1, 1]
+    other = rewritten(
+        written(truth, imu=APART),
+        lambda read: replace(
+            read,
+            gyroscope=read.gyroscope[order] * signs,
+            accelerometer=read.accelerometer[order] * signs,
+        ),
+    )
+    report = import_source(other, tmp_path / "out")
+    assert report.facts["applied"]["imu"] == "left out"
+    assert any("it is left out" in words for words in report.warnings)
+    assert not (tmp_path / "out" / "imu.csv").exists()
+    assert not open_dataset(tmp_path / "out").imu_path
+    assert report.facts["conventions"]["motion"]["taken"] in ("poses", "smooth")

@@ -17,11 +17,10 @@ OFFSETS = {"+0": 0.0, "+0.1": 0.1, "-0.1": -0.1}
 
 
 def world_from_imu(times: np.ndarray) -> np.ndarray:
-    """A hand that looks around."""
+    """A hand that looks around and moves."""
     angles = 0.4 * np.sin(times[:, None] * [0.9, 1.7, 1.3] + np.arange(3))
-    return geometry.from_rotation_translation(
-        Rotation.from_euler("ZYX", angles).as_matrix(), np.zeros((len(times), 3))
-    )
+    positions = 0.4 * np.sin(times[:, None] * [1.6, 2.1, 2.9] + np.arange(3))
+    return geometry.from_rotation_translation(Rotation.from_euler("ZYX", angles).as_matrix(), positions)
 
 
 @pytest.fixture(scope="module")
@@ -38,12 +37,14 @@ def imu() -> ImuReadings:
     rng, times, step = np.random.default_rng(1), np.arange(0.0, 12.5, 5e-3), 1e-4
     turned = geometry.log(geometry.inverse(world_from_imu(times - step)) @ world_from_imu(times + step))
     rates = turned[:, :3] / (2 * step) + 5e-3 + rng.normal(0, 2e-3, (len(times), 3))
-    forces = world_from_imu(times)[:, 2, :3] * 9.81
+    before, at, after = (world_from_imu(times + late) for late in (-1e-3, 0.0, 1e-3))
+    accelerations = (before - 2 * at + after)[:, :3, 3] / 1e-3**2 + [0, 0, 9.81]
+    forces = np.einsum("nji,nj->ni", at[:, :3, :3], accelerations)
     return ImuReadings(times, rates, forces)
 
 
 def found(poses: Track, imu: ImuReadings, mounted: np.ndarray = IMU_FROM_LIDAR) -> ImuRead:
-    return imu_clock.find(poses, imu, mounted, OFFSETS, "", "source")
+    return imu_clock.find(poses, imu, mounted, OFFSETS, {}, "source")
 
 
 def turned_by(degrees: float) -> np.ndarray:

@@ -100,7 +100,7 @@ def decide(
     scorer = Scorer(odometry, mounts, readings.pairs_of(segments, odometry))
     scans_read = readings.find(scorer, choices, clock.sweep, where)
     imu = _imu(scorer, scans_read.reading, survey, rig, clock, options, where, guess)
-    survey = replace(survey, imu=imu_clock.shifted(survey.imu, imu.offset))
+    survey = replace(survey, imu=imu.mended(survey.imu))
     lidar, motion = _motion(scorer, scans_read.reading, survey, rig, options, where)
     warnings = [*scans_read.warnings, *imu.warnings]
     if guess.by and choices.known_by.get("time") == guess.by:
@@ -154,7 +154,9 @@ def _imu(
         offsets[said] = float(said)
     poses = readings.lidar_track(scorer.odometry, reading, scorer.mounts)
     known_by = guess.by if first else ""
-    read = imu_clock.find(poses, survey.imu, rig.imu_from_lidar, offsets, said, where, known_by)
+    read = imu_clock.find(
+        poses, survey.imu, rig.imu_from_lidar, offsets, options.conventions, where, known_by
+    )
     against = read.decisions[0].against(f"{first:+.4g}", known_by) if read.decisions else ""
     return replace(read, warnings=(*read.warnings, against)) if against else read
 

@@ -20,6 +20,7 @@ from lvba.progress import Progress, silent
 from lvba.sources.importing import conventions as deciding
 from lvba.sources.importing import data_set, folder, imu_clock, own_odometry, rig, streams, survey, thinning
 from lvba.sources.importing.conventions import Conventions, Origin
+from lvba.sources.importing.imu_clock import ImuRead
 from lvba.sources.importing.options import Guess, ImportOptions
 from lvba.sources.importing.own_odometry import OwnOdometry
 from lvba.sources.importing.rig import RigFacts
@@ -267,7 +268,7 @@ def _write_texts(
 
 def _body_from_imu(facts: RigFacts, decided: Conventions) -> np.ndarray | None:
     """(4, 4), of the frame that scans are written in; None: it is the IMU, not known, or there is no IMU."""
-    if facts.imu_from_lidar is None:
+    if facts.imu_from_lidar is None or decided.imu.left_out:
         return None
     mounted = np.asarray(decided.body_from_lidar @ geometry.inverse(facts.imu_from_lidar))
     return None if np.allclose(mounted, np.eye(4), rtol=0, atol=1e-12) else mounted
@@ -305,6 +306,7 @@ def _evidence(
             "poses_hold_after_their_stamp_s": round(reading.reading.shift, 6),
             "added_to_stamps_of_images_s": round(decided.image_offset, 6),
             "added_to_stamps_of_imu_s": round(decided.imu.offset, 6),
+            **_applied_to_imu(decided.imu),
         },
         "evidence": {
             "pairs_of_scans": reading.pairs,
@@ -323,6 +325,14 @@ def _evidence(
         "warnings": list(decided.warnings),
     }
     return result
+
+
+def _applied_to_imu(read: ImuRead) -> dict[str, Any]:
+    """What is done to its readings, where anything is."""
+    if read.left_out:
+        return {"imu": "left out"}
+    factors = {"imu_rates_times": read.rates, "imu_forces_times": read.forces}
+    return {name: round(factor, 9) for name, factor in factors.items() if factor != 1.0}
 
 
 def _of_images(decided: Conventions) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """How far the stamps of an IMU are off the clock of the points: by when its gyroscope turns, and when the poses do."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from lvba import geometry
 from lvba.arrays import Pose
 from lvba.inertial import readings
-from lvba.sources.importing import decision, offset
+from lvba.sources.importing import decision, imu_axes, offset
 from lvba.sources.importing import turning as turnings
 from lvba.sources.importing.decision import Answer, Decision
 from lvba.sources.importing.survey import ImuReadings
@@ -30,6 +31,8 @@ _SEARCHED = np.linspace(-1.0, 1.0, 21)
 """s: offsets that no convention gives, tried where one of them fits better than all that conventions give."""
 _TURNED_DEG, _SCALED = 3.0, 1.1
 """Errors of axes and of scale that are named: what is less is left to the bundle adjustment, too."""
+_WRONG_DEG = 30.0
+"""Axes that are turned by more are those of another mounting: the IMU is left out."""
 _DEGREES, _LIKE_DEGREES = np.degrees(1.0), 2.0
 """Scale of a gyroscope in deg/s, and the factor that it may be off by: noise of poses adds to their turns."""
 
@@ -39,6 +42,8 @@ class ImuRead:
     """What was found. offset: s, added to stamps of the IMU; decisions: none where nothing could be compared
 
     measured, measured_sigma: s, how long after their stamps readings were taken, as measured, and how uncertain that is
+    rates, forces: by what readings are multiplied: rad/s of degrees, and the sign of the accelerometer
+    left_out: the poses contradict its axes, so that it must not be used
     """
 
     offset: float = 0.0
@@ -46,6 +51,17 @@ class ImuRead:
     measured: float = 0.0
     measured_sigma: float = float("inf")
     warnings: tuple[str, ...] = ()
+    rates: float = 1.0
+    forces: float = 1.0
+    left_out: bool = False
+
+    def mended(self, imu: ImuReadings | None) -> ImuReadings | None:
+        """The readings as they are meant, when they were taken; None: there are none that may be used."""
+        if imu is None or self.left_out:
+            return None
+        return replace(
+            imu, times=imu.times + self.offset, rates=self.rates * imu.rates, forces=self.forces * imu.forces
+        )
 
 
 def find(
@@ -53,28 +69,68 @@ def find(
     imu: ImuReadings | None,
     imu_from_lidar: Pose | None,
     offsets: dict[str, float],
-    said: str,
+    said: Mapping[str, str],
     where: object,
     known_by: str = "",
 ) -> ImuRead:
-    """The offset by which the gyroscope turns as poses do.
+    """The offset by which the gyroscope turns as poses do, and whether units, signs and axes are what is said.
 
     poses: world from LiDAR; imu_from_lidar: (4, 4), None: not known
-    offsets: s, by name, the first is taken where data cannot tell; said: the answer that an option gives, ""
+    offsets: s, by name, the first is taken where data cannot tell; said: answers that options give, by question
     known_by: what says the first one, beside the data
     Raises InputError: data contradict what an option says.
     """
     if imu is None:
         return ImuRead()
-    first = said or next(iter(offsets))
+    first = said.get(QUESTION, "") or next(iter(offsets))
     turning, steps = turnings.turning(imu, imu_from_lidar), _steps(poses)
-    if turning is None or len(steps) <= _FEWEST * _TURNS:
+    if imu_from_lidar is None or turning is None or len(steps) <= _FEWEST * _TURNS:
         return ImuRead(offsets[first])
     turns = _Turns(Track(poses.times[steps], poses.poses[steps]), turning)
     answers = [Answer(name, turns.scores(value)) for name, value in offsets.items()]
     if not all(np.isfinite(answer.scores).all() for answer in answers):
         words = "imu: there are no readings while most poses are taken: its clock is another one, or it was switched off"
         return ImuRead(offsets[first], warnings=(words,))
+    read = _when(turns, answers, offsets, said.get(QUESTION, ""), where, known_by)
+    fit = turns.fit(read.offset)
+    if fit is not None and fit.counts_degrees:
+        in_radians = replace(imu, rates=np.radians(imu.rates))
+        again = find(poses, in_radians, imu_from_lidar, offsets, said, where, known_by)
+        words = f"imu: {fit.words()}: its rates are taken for degrees per second"
+        return replace(again, rates=float(np.radians(1.0)), warnings=(words, *again.warnings))
+    axes = imu_axes.find(
+        poses,
+        replace(imu, times=imu.times + read.offset),
+        imu_from_lidar,
+        turns.of_axes(read.offset, imu_from_lidar),
+        said.get(imu_axes.QUESTION, ""),
+        where,
+    )
+    why = list(axes.contradictions)
+    if fit is not None and fit.degrees > _WRONG_DEG:
+        # by how much, also where that is along no axis
+        why = [fit.words(), *(each for each in why if imu_axes.GYROSCOPE not in each)]
+    if why:
+        words = f"imu: {'; '.join(why)}: it is left out: check its mounting (--calibration) and its units"
+        return replace(read, left_out=True, warnings=(*read.warnings, words))
+    warnings = (*read.warnings, turns.otherwise(read.offset), _unit(imu), *axes.warnings)
+    return replace(
+        read,
+        forces=axes.sign,
+        decisions=(*read.decisions, *axes.decisions),
+        warnings=tuple(words for words in warnings if words),
+    )
+
+
+def _when(
+    turns: "_Turns",
+    answers: list[Answer],
+    offsets: dict[str, float],
+    said: str,
+    where: object,
+    known_by: str,
+) -> ImuRead:
+    """The offset, of answers with their scores, or as measured."""
     start = turns.near(offsets, min(answers, key=lambda answer: answer.score))
     left, sigma = offset.measure(lambda by: turns.scores(start + by), _STEP_S, 2)
     place = start + left
@@ -88,8 +144,13 @@ def find(
         words = f"{QUESTION}: the IMU turns {size} after its stamps: that is taken"
         taken = round(place, 4)
         decided = decided.measured(f"{taken:+.4g}", decision.mean(turns.scores(taken)), words)
-    warnings = [decided.warning, turns.otherwise(taken), _unit(imu)]
-    return ImuRead(taken, (decided,), place, sigma, tuple(words for words in warnings if words))
+    return ImuRead(
+        offset=taken,
+        decisions=(decided,),
+        measured=place,
+        measured_sigma=sigma,
+        warnings=(decided.warning,) if decided.warning else (),
+    )
 
 
 def _unit(imu: ImuReadings) -> str:
@@ -130,10 +191,7 @@ class _Turns:
         late: s, how long after their stamps readings were taken
         NaN in parts that the readings do not cover.
         """
-        off = self._off(late)
-        groups = min(_GROUPS, len(off) // _TURNS)
-        squares = [np.mean(np.sum(part**2, axis=1)) for part in np.array_split(off, groups)]
-        return np.asarray(np.sqrt(np.array(squares)))
+        return self._parts(self._off(late))
 
     def _off(self, late: float) -> np.ndarray:
         """(N, 3), rad/s, less what is the same all the time (the bias); NaN where readings cover too little."""
@@ -161,7 +219,8 @@ class _Turns:
         off = float(np.sqrt(np.mean(self.scores(late) ** 2)))
         if max(size, off) < _TURNING:
             return ""
-        if why := self._fit(late):
+        fit = self.fit(late)
+        if fit is not None and (why := fit.words()):
             return f"imu: {why}: check its mounting (--calibration) and its units"
         if off < _OTHERWISE * size:
             return ""
@@ -170,30 +229,65 @@ class _Turns:
             "(--calibration), its units and its clock"
         )
 
-    def _fit(self, late: float) -> str:
-        """With which axes and which scale it would turn as the poses; "" where that is no better beyond chance."""
+    def of_axes(self, late: float, imu_from_lidar: Pose) -> imu_axes.Scores:
+        """Scores, rad/s, of rotations (3, 3) of the IMU's axes. late: as of `scores`; imu_from_lidar: (4, 4)"""
+        felt, true = self._rates(late)
+        lidar_from_imu = imu_from_lidar[:3, :3].T
+
+        def scores(rotation: np.ndarray) -> np.ndarray:
+            turn = lidar_from_imu @ rotation @ lidar_from_imu.T
+            return self._parts(felt @ turn.T - true)
+
+        return scores
+
+    def fit(self, late: float) -> "_Fit | None":
+        """With which axes and which scale it would turn as the poses; None where that is no better beyond chance.
+
+        Also None where it hardly turns.
+        """
+        felt, true = self._rates(late)
+        if np.sqrt(max(np.mean(np.sum(each**2, axis=1)) for each in (felt, true))) < _TURNING:
+            return None
+        turn = geometry.closest_rotation(true.T @ felt)
+        scale = float(np.sum(felt**2) / max(np.sum(true * (felt @ turn.T)), 1e-12))
+        fitted = felt @ turn.T / scale
+        if not decision.better(Answer("", self._parts(fitted - true)), Answer("", self._parts(felt - true))):
+            return None
+        return _Fit(float(np.degrees(Rotation.from_matrix(turn).magnitude())), scale)
+
+    def _rates(self, late: float) -> tuple[np.ndarray, np.ndarray]:
+        """Of the gyroscope and of the poses, (N, 3) rad/s, LiDAR axes, where readings cover them, less the medians."""
         begin, end = self._begin - late, self._end - late
         covered, seconds = self._turning.covers(begin, end), (end - begin)[:, None]
         # mean rates: turns would be counted past half a turn, of a gyroscope that is far too fast
         felt = (self._turning.sum(end) - self._turning.sum(begin)) / seconds
         true = self._turned.as_rotvec() / seconds
         felt, true = (rates[covered] - np.median(rates[covered], axis=0) for rates in (felt, true))
-        turn = geometry.closest_rotation(true.T @ felt)
-        scale = float(np.sum(felt**2) / max(np.sum(true * (felt @ turn.T)), 1e-12))
-        fitted = felt @ turn.T / scale
-        groups = min(_GROUPS, len(true) // _TURNS)
+        return felt, true
 
-        def answer(rates: np.ndarray) -> Answer:
-            squares = np.sum((rates - true) ** 2, axis=1)
-            return Answer("", np.sqrt([part.mean() for part in np.array_split(squares, groups)]))
+    def _parts(self, off: np.ndarray) -> np.ndarray:
+        """(P,) rad/s: root mean square of off (N, 3) in each part of the recording."""
+        groups = min(_GROUPS, len(off) // _TURNS)
+        return np.sqrt([np.mean(np.sum(part**2, axis=1)) for part in np.array_split(off, groups)])
 
-        if not decision.better(answer(fitted), answer(felt)):
-            return ""
-        angle = float(np.degrees(Rotation.from_matrix(turn).magnitude()))
-        if abs(np.log(scale / _DEGREES)) < np.log(_LIKE_DEGREES):
-            return f"its gyroscope turns {scale:.0f} times as fast as the poses, as one that counts degrees would"
-        if angle > _TURNED_DEG:
-            return f"its axes are turned by {angle:.0f} degrees from what is said"
-        if abs(np.log(scale)) > np.log(_SCALED):
-            return f"its gyroscope turns {scale:.3g} times as fast as the poses"
+
+@dataclass(frozen=True)
+class _Fit:
+    """How the gyroscope turns beside the poses. degrees: by which its axes are turned; scale: times as fast"""
+
+    degrees: float
+    scale: float
+
+    @property
+    def counts_degrees(self) -> bool:
+        return bool(abs(np.log(self.scale / _DEGREES)) < np.log(_LIKE_DEGREES))
+
+    def words(self) -> str:
+        """What is named of it, "": it is little."""
+        if self.counts_degrees:
+            return f"its gyroscope turns {self.scale:.0f} times as fast as the poses, as one that counts degrees would"
+        if self.degrees > _TURNED_DEG:
+            return f"its gyroscope's axes are turned by {self.degrees:.0f} degrees from what is said"
+        if abs(np.log(self.scale)) > np.log(_SCALED):
+            return f"its gyroscope turns {self.scale:.3g} times as fast as the poses"
         return ""

@@ -18,6 +18,7 @@ QUESTIONS = {
     "extrinsic": ("camera_from_lidar", "lidar_from_camera"),
     "image_offset": (),
     "imu_offset": (),
+    "accelerometer": ("up", "down"),
 }
 """What is decided, with the names of its answers; `time`, `image_offset` and `imu_offset` may also be seconds."""
 IN_SECONDS = ("time", "image_offset", "imu_offset")

@@ -18,6 +18,7 @@ from lvba.progress import Progress
 from lvba.sources import placing
 from lvba.sources.importing import folder
 from lvba.sources.importing.conventions import Conventions
+from lvba.sources.importing.imu_clock import ImuRead
 from lvba.sources.importing.options import ImportOptions
 from lvba.sources.importing.selection import Selection
 from lvba.sources.importing.survey import Survey
@@ -143,16 +144,19 @@ class Writer:
             self._submit(pool, partial(_write_image, path, image))
 
     def _line(self, record: ImuSample | GnssFix, small: dict[type, BinaryIO], stack: ExitStack) -> None:
-        if not self._rest.inside(record.stamp):
-            return
         kind = type(record)
+        if not self._rest.inside(record.stamp) or (kind is ImuSample and self.conventions.imu.left_out):
+            return
         if kind not in small:
             name, header = (imu.NAME, imu.HEADER) if kind is ImuSample else ("gnss.csv", GNSS_HEADER)
             small[kind] = stack.enter_context(stream.writer(self.out / name))
             small[kind].write(header.encode())
         stamp = record.stamp
         if isinstance(record, ImuSample):
-            stamp, values = stamp + round(self.conventions.imu.offset * 1e9), _imu_values(record)
+            stamp, values = (
+                stamp + round(self.conventions.imu.offset * 1e9),
+                _imu_values(record, self.conventions.imu),
+            )
         else:
             values = _gnss_values(record)
         small[kind].write(f"{stamp_text(stamp)},{','.join(values)}\n".encode())
@@ -172,8 +176,9 @@ def _write_image(path: Path, image: RawImage) -> None:
     files.write_bytes(path, encoded.tobytes())
 
 
-def _imu_values(sample: ImuSample) -> list[str]:
-    return [f"{value:.9g}" for value in (*sample.gyroscope, *sample.accelerometer)]
+def _imu_values(sample: ImuSample, read: ImuRead) -> list[str]:
+    values = (*(read.rates * sample.gyroscope), *(read.forces * sample.accelerometer))
+    return [f"{value:.9g}" for value in values]
 
 
 def _gnss_values(fix: GnssFix) -> list[str]:
