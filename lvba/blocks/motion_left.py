@@ -6,7 +6,7 @@ poses of all windows tell how the sensor moved.
 """
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from lvba.blocks import scan_windows
 from lvba.blocks.scan_windows import Window
 from lvba.dataset import Dataset
 from lvba.lidar import point_times, row_times, scan_motion
-from lvba.lidar.bundle_adjustment import LidarResult
+from lvba.lidar.bundle_adjustment import Aligned
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.point_times import PointClock
 from lvba.lidar.range_errors import Beams, RangeErrors
@@ -59,7 +59,9 @@ def measure(
         return None
     if isinstance(known, str):
         return _not_corrected(None, problem=known)
-    return _Measurement(dataset, known, config, ranges, progress).of(probes)
+    return _Measurement(dataset=dataset, clock=known, config=config, ranges=ranges, progress=progress).of(
+        probes
+    )
 
 
 def _not_corrected(
@@ -92,13 +94,14 @@ def rows(dataset: Dataset, points: list[np.ndarray]) -> RowClock | None:
 
 @dataclass
 class _Measurement:
-    """Finds poses, planes and the part in turn."""
+    """Finds poses, planes and the part in turn. poses: of windows of these scans, as they were found last"""
 
     dataset: Dataset
     clock: PointClock | RowClock
     config: LidarConfig
     ranges: RangeErrors | None
     progress: Progress
+    poses: dict[tuple[int, ...], Poses] = field(default_factory=dict)
 
     def of(self, probes: list[Window]) -> MotionLeft:
         """By some windows; only where they tell of a part, by more of the recording."""
@@ -116,9 +119,7 @@ class _Measurement:
             part += changes[-1]
             if abs(changes[-1]) < _CONVERGED:
                 break
-        return self._judged(
-            part, float(evidence.sigma[0]), changes, scan_windows.cores(len(self.dataset.scan_paths))
-        )
+        return self._judged(part, float(evidence.sigma[0]), changes, sampled)
 
     def _nothing(self, part: float, sigma: float) -> MotionLeft:
         """Of a part that may be chance."""
@@ -135,9 +136,7 @@ class _Measurement:
         _log.info("motion left: %.4f and %.5f more, +- %.5f", part, evidence.change[0], evidence.sigma[0])
         return evidence, [twist for _, twist in pairs]
 
-    def _judged(
-        self, part: float, sigma: float, changes: list[float], windows: list[tuple[int, int]]
-    ) -> MotionLeft:
+    def _judged(self, part: float, sigma: float, changes: list[float], sampled: list[Window]) -> MotionLeft:
         if np.isfinite(sigma) and not abs(part) >= max(_LEAST, _SURE * sigma):
             return self._nothing(part, sigma)
         if not np.isfinite(sigma) or abs(part) > _MOST or abs(changes[-1]) > _FALLS * abs(changes[0]):
@@ -145,7 +144,7 @@ class _Measurement:
             return _not_corrected(self.clock, round(part, 6), problem=problem)
         # digits that sums in another order would not give are left out
         part = round(part, 5)
-        motions, pose_covariance = self._motions(part, windows)
+        motions, pose_covariance = self._motions(part, sampled)
         return MotionLeft(
             clock=self.clock,
             part=part,
@@ -154,18 +153,20 @@ class _Measurement:
             pose_covariance=pose_covariance,
         )
 
-    def _motions(self, part: float, windows: list[tuple[int, int]]) -> tuple[np.ndarray, np.ndarray]:
+    def _motions(self, part: float, sampled: list[Window]) -> tuple[np.ndarray, np.ndarray]:
         """(S, 6), rad/s and m/s: by what points of all scans are moved, from the poses of all windows, and what its
         uncertainty adds to the covariances of their poses, (S, 6, 6).
 
         The motion of the path between scans first; then what each scan's own points tell beside it, which is much where
         scans are further apart than the sensor takes to change its motion.
+        sampled: windows whose points are corrected already
         """
         count = len(self.dataset.scan_paths)
+        windows, corrected = scan_windows.cores(count), {each.own: each for each in sampled}
         motions, known = np.zeros((count, 6)), scan_motion.Deviations.unseen(count)
         for number, core in enumerate(windows):
             self.progress("motion during scans", number, len(windows))
-            window = Window.of(self.dataset, core).corrected(self.ranges)
+            window = corrected.get(core) or Window.of(self.dataset, core).corrected(self.ranges)
             own, inside, rough = slice(*core), window.core, self._rough_twists(window)
             motions[own] = part * rough[inside]
             _, twist = self._solved(window, part, rough)
@@ -191,7 +192,7 @@ class _Measurement:
         points, tau = self._corrected(window, part, twist)
         return scan_motion.evidence(self._view(points, result), np.concatenate(tau), own), own
 
-    def _view(self, points: list[np.ndarray], result: LidarResult) -> View:
+    def _view(self, points: list[np.ndarray], result: Aligned) -> View:
         return View.of(
             *(gather(points), result.world_from_scan, result.planes, result.plane_points),
             self.dataset.sensor_position_scan,
@@ -199,9 +200,14 @@ class _Measurement:
 
     def _solved(
         self, window: Window, part: float, twist: np.ndarray
-    ) -> tuple[LidarResult | None, np.ndarray | None]:
-        result = window.refined(self.dataset, self._corrected(window, part, twist)[0], self.config)
-        return (None, None) if result is None else (result, self._twists(window, result.world_from_scan))
+    ) -> tuple[Aligned | None, np.ndarray | None]:
+        scans = tuple(window.numbers.tolist())
+        points, start = self._corrected(window, part, twist)[0], self.poses.get(scans)
+        result = window.refined(self.dataset, points, self.config, start)
+        if result is None:
+            return None, None
+        self.poses[scans] = result.world_from_scan
+        return result, self._twists(window, result.world_from_scan)
 
     def _corrected(
         self, window: Window, part: float, twist: np.ndarray

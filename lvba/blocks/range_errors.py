@@ -9,11 +9,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from lvba.arrays import Poses
 from lvba.blocks import motion_left, scan_windows
 from lvba.blocks.scan_windows import Window
 from lvba.dataset import Dataset
 from lvba.lidar import incidence, range_errors, scan_evidence, scan_motion
-from lvba.lidar.bundle_adjustment import LidarResult
+from lvba.lidar.bundle_adjustment import Aligned
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.point_times import PointClock
 from lvba.lidar.range_errors import Beams, RangeErrors
@@ -64,7 +65,10 @@ def _usual_brightness(probes: list[Window], beams: Beams) -> float | None:
 
 @dataclass
 class _Measurement:
-    """Finds poses, planes and the errors in turn. cosines: of each window, of its points on planes"""
+    """Finds poses, planes and the errors in turn.
+
+    cosines: of each window, of its points on planes; poses: of its scans, in the round before
+    """
 
     dataset: Dataset
     beams: Beams
@@ -72,6 +76,7 @@ class _Measurement:
     config: LidarConfig
     progress: Progress
     cosines: dict[int, np.ndarray] = field(default_factory=dict)
+    poses: dict[int, Poses] = field(default_factory=dict)
 
     def of(self, probes: list[Window]) -> RangeErrors:
         """By some windows; only where they tell of an error, by larger ones."""
@@ -93,6 +98,7 @@ class _Measurement:
     def _closer(self, windows: list[Window], least: np.ndarray, points: np.ndarray) -> RangeErrors:
         errors = first = np.zeros(self.size)
         self.cosines.clear()
+        self.poses.clear()
         for turn in range(_ROUNDS):
             self.progress("errors of ranges", turn, _ROUNDS)
             total = self._total(windows, errors)
@@ -193,9 +199,10 @@ class _Measurement:
 
     def _evidence(self, number: int, window: Window, errors: np.ndarray, size: int) -> ScanEvidence:
         points = self._corrected(number, window, errors)
-        result = window.refined(self.dataset, points, self.config)
+        result = window.refined(self.dataset, points, self.config, self.poses.get(number))
         if result is None:
             return scan_evidence.nothing(size)
+        self.poses[number] = result.world_from_scan
         view = View.of(
             *(gather(points), result.world_from_scan, result.planes, result.plane_points),
             self.dataset.sensor_position_scan,
@@ -220,7 +227,7 @@ class _Measurement:
         intensities = [scan.intensity for scan in window.scans]
         return [ranges.points(*each) for each in zip(points, cosines, intensities, strict=True)]
 
-    def _by_shared(self, window: Window, result: LidarResult, brighter: np.ndarray | None) -> ByShared:
+    def _by_shared(self, window: Window, result: Aligned, brighter: np.ndarray | None) -> ByShared:
         terms = [range_errors.by_errors(self.beams, brighter)]
         if self.clock is not None:
             stamps = self.dataset.scans.times[window.numbers]

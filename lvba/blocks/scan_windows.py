@@ -10,7 +10,7 @@ from lvba.dataset import Dataset, Scan
 from lvba.errors import DegenerateProblemError
 from lvba.io import dataset as recordings
 from lvba.lidar import bundle_adjustment
-from lvba.lidar.bundle_adjustment import LidarResult
+from lvba.lidar.bundle_adjustment import Aligned
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.range_errors import RangeErrors
 from lvba.parallel import in_order
@@ -58,6 +58,12 @@ class Window:
         return _windows(dataset, [_with_margin(dataset, core)], _MOST_POINTS)[0]
 
     @property
+    def own(self) -> tuple[int, int]:
+        """The scans that no other window has, half-open."""
+        own = self.numbers[self.core]
+        return int(own[0]), int(own[-1]) + 1
+
+    @property
     def intensity(self) -> np.ndarray | None:
         """(M,) float32, of the points of all its scans; None where one of these has none."""
         known = [scan.intensity for scan in self.scans if scan.intensity is not None]
@@ -72,12 +78,18 @@ class Window:
         ]
         return replace(self, scans=scans)
 
-    def refined(self, dataset: Dataset, points: list[np.ndarray], config: LidarConfig) -> LidarResult | None:
-        """Poses and planes by points (N, 3) m of each scan; None where planes do not tell."""
+    def refined(
+        self, dataset: Dataset, points: list[np.ndarray], config: LidarConfig, start: Poses | None = None
+    ) -> Aligned | None:
+        """Poses and planes by points (N, 3) m of each scan; None where planes do not tell.
+
+        start: (n, 4, 4), of its scans, by points that were corrected otherwise
+        """
         try:
-            return bundle_adjustment.refine(
+            return bundle_adjustment.align(
                 points,
                 self.rough(dataset),
+                start,
                 sensor_position=dataset.sensor_position_scan,
                 config=config,
             )

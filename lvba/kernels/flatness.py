@@ -1,4 +1,4 @@
-"""How far points lie from the plane through their neighbors."""
+"""How far points lie from the plane through their neighbors, and which way such planes face."""
 
 import numpy as np
 from numba import prange
@@ -12,6 +12,9 @@ FLAT = 0.15
 """Largest ratio of the least to the middle eigenvalue of a plane."""
 WIDE = 0.02
 """Least ratio of the middle to the greatest: points along a line have no plane."""
+
+_LEAST_SPREAD, _LEAST_COSINE = 1e-12, 1e-6
+"""m^2, and a squared cosine: nothing is divided by less."""
 
 
 @parallel_kernel
@@ -54,3 +57,36 @@ def plane_error(position: np.ndarray, starts: np.ndarray, scale: float) -> np.nd
                 away += n[a] * (position[i, a] - mean[a])
             out[i] = sign * away
     return out
+
+
+@parallel_kernel
+def flattest(
+    points: np.ndarray, near: np.ndarray, beam: np.ndarray, normal: np.ndarray, flatness: np.ndarray
+) -> None:
+    """Replaces normals by those of other neighborhoods, in place, where these are flatter along the beam.
+
+    points: (N, 3) float64, m; near: (M, K) int64, the neighbors of M places; beam: (M, 3) float64, unit
+    normal: (M, 3) float64; flatness: (M,) float64, 0: a plane; least variance of points along the beam, over their middle
+        one across
+    """
+    for m in prange(len(near)):
+        mean, sums, values, vectors = np.zeros(3), np.zeros(6), np.empty(3), np.empty((3, 3))
+        for k in range(near.shape[1]):
+            for a in range(3):
+                mean[a] += points[near[m, k], a] / near.shape[1]
+        for k in range(near.shape[1]):
+            at = near[m, k]
+            x, y, z = points[at, 0] - mean[0], points[at, 1] - mean[1], points[at, 2] - mean[2]
+            sums[0] += x * x
+            sums[1] += x * y
+            sums[2] += x * z
+            sums[3] += y * y
+            sums[4] += y * z
+            sums[5] += z * z
+        eigen3(sums, values, vectors)
+        along = vectors[0, 0] * beam[m, 0] + vectors[0, 1] * beam[m, 1] + vectors[0, 2] * beam[m, 2]
+        flat = values[0] / max(values[1], _LEAST_SPREAD) / max(along * along, _LEAST_COSINE)
+        if flat < flatness[m]:
+            flatness[m] = flat
+            for a in range(3):
+                normal[m, a] = vectors[0, a]

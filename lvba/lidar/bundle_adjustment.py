@@ -26,7 +26,7 @@ from lvba.lidar.scan import Scans, gather
 from lvba.lidar.weights import observation_weights
 from lvba.progress import Progress, silent
 
-__all__ = ["LidarConfig", "LidarResult", "Round", "Stage", "find_planes", "refine"]
+__all__ = ["Aligned", "LidarConfig", "LidarResult", "Round", "Stage", "align", "find_planes", "refine"]
 
 
 @dataclass(frozen=True)
@@ -154,6 +154,43 @@ def refine(
         + inertial_rounds.warnings(inertial)
         + _warnings_of_dependence(covariance.odometry_dependence, directions, problem.prior),
     )
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """world_from_scan: (S, 4, 4) float64, refined poses; planes: of the map that they make; plane_points: its points"""
+
+    world_from_scan: np.ndarray
+    planes: Planes
+    plane_points: PlanePoints
+
+
+def align(
+    scans: Sequence[np.ndarray],
+    world_from_scan: Poses,
+    start: Poses | None = None,
+    *,
+    sensor_position: Vector,
+    config: LidarConfig,
+) -> Aligned:
+    """What `refine` gives without saying how certain it is, also by the last stage alone.
+
+    scans: S arrays (N, 3) float32, m, scan frame; world_from_scan: (S, 4, 4), rough; sensor_position: (3,), m
+    start: (S, 4, 4), as refined with about the same points, from where the last stage goes on; None: nothing is known
+    Raises DegenerateProblemError: no plane is seen by two scans.
+    """
+    points = gather(scans)
+    stages = density.adapted(config.stages, points, config.dense_points)
+    rough = np.array(world_from_scan, float)
+    prior = odometry_prior(rough, config.prior_rotation, config.prior_translation)
+    poses = rough if start is None else np.array(start, float)
+    rounds = Rounds(points=points, sensor=sensor_position, config=config, poses=poses, prior=prior)
+    for stage in stages[:-1] if start is None else ():
+        rounds.of_stage(stage, silent, 0, 1)
+    rounds.last(stages[-1], silent, 0, 1)
+    poses = rounds.poses
+    del rounds
+    return Aligned(poses, *_planes_of_stage(points, poses, sensor_position, stages[-1]))
 
 
 def find_planes(

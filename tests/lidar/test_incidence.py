@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from lvba.kernels import flatness as kernels
 from lvba.lidar import incidence
 
 
@@ -63,3 +64,37 @@ def test_few_points_and_no_points():
     cosine = incidence.cosines(holed, np.zeros(3))
     assert cosine[7] == 1.0
     np.testing.assert_allclose(np.delete(cosine, 7), 0.99, atol=0.05)
+
+
+def test_the_kernel_takes_the_flattest_neighborhoods_as_its_plain_twin_does():
+    rng = np.random.default_rng(6)
+    points = rng.normal(size=(400, 3)) * [2.0, 1.0, 0.2]
+    beam = rng.normal(size=(50, 3))
+    beam /= np.linalg.norm(beam, axis=1)[:, None]
+    normal, flatness = np.zeros((50, 3)), np.full(50, np.inf)
+    best = np.full(50, np.inf)
+    for _ in range(3):
+        near = rng.integers(0, 400, (50, 12))
+        kernels.flattest(points, near, beam, normal, flatness)
+        for m in range(50):
+            off = points[near[m]] - points[near[m]].mean(axis=0)
+            spread, axes = np.linalg.eigh(off.T @ off)
+            flat = spread[0] / spread[1] / (axes[:, 0] @ beam[m]) ** 2
+            if flat < best[m]:
+                best[m] = flat
+                assert abs(axes[:, 0] @ normal[m]) == pytest.approx(1.0)
+    np.testing.assert_allclose(flatness, best)
+
+
+def test_places_at_one_of_many_points_tell_what_all_points_would(monkeypatch):
+    rng = np.random.default_rng(7)
+    across = np.c_[np.full(9000, 4.0), rng.uniform(-2, 2, 9000), rng.uniform(-1, 1, 9000)]
+    beside = np.c_[rng.uniform(0.5, 4, 9000), np.full(9000, -2.0), rng.uniform(-1, 1, 9000)]
+    true = np.concatenate([across, beside])
+    rays = true / np.linalg.norm(true, axis=1)[:, None]
+    points = (true + 0.01 * rng.normal(size=(18000, 1)) * rays).astype(np.float32)
+    cosine = np.abs(np.concatenate([rays[:9000, 0], rays[9000:, 1]]))
+    few = incidence.cosines(points, np.zeros(3)) - cosine
+    monkeypatch.setattr(incidence, "_POINTS_OF_PLACE", 1)
+    every = incidence.cosines(points, np.zeros(3)) - cosine
+    assert np.sqrt(np.mean(few**2)) < 1.2 * np.sqrt(np.mean(every**2)) + 0.002
