@@ -10,6 +10,7 @@ import numpy as np
 from lvba import lens
 from lvba.arrays import Images, Picture
 from lvba.camera import Camera
+from lvba.kernels.noise import block_residuals
 from lvba.kernels.patches_pyramid import halve
 from lvba.kernels.scene import Intrinsics
 from lvba.lens import Lens, widest_angle
@@ -269,31 +270,20 @@ def build_pyramid(full: Images, camera: Camera, levels: int) -> Pyramid:
 
 
 def sensor_noise(images: Images, samples: int = 24) -> float:
-    """Standard deviation of white noise in (I, H, W, C) images, grey values, from the calmest parts of some of them.
+    """Standard deviation of white noise in (I, H, W, C) uint8 images, grey values, from the calmest parts of some.
 
     The residual is the second difference in both directions (Immerkaer 1996), blind to edges along rows and columns;
     each block of 16 x 16 gives a mean absolute residual, and a low quantile over blocks leaves texture out.
     """
     chosen = images[np.unique(np.linspace(0, len(images) - 1, min(samples, len(images))).astype(int))]
-    blocks = np.concatenate([_block_noise(image.astype(np.float32)) for image in np.moveaxis(chosen, -1, 1)])
+    blocks = np.concatenate([_block_noise(image) for image in chosen])
     if len(blocks) == 0:
         return _MIN_NOISE
     return max(float(np.quantile(blocks, _NOISE_QUANTILE)) / _NOISE_BIAS, _MIN_NOISE)
 
 
-def _block_noise(channels: np.ndarray) -> np.ndarray:
-    """Noise estimate of every block without masked pixels, (B,), of one (C, H, W) float32 image."""
-    b = _NOISE_BLOCK
-    rows, columns = (channels.shape[1] - 2) // b, (channels.shape[2] - 2) // b
-    if rows < 1 or columns < 1:
-        return np.empty(0, np.float32)
-    second = channels[:, :-2] - 2 * channels[:, 1:-1] + channels[:, 2:]
-    residual = np.abs(second[:, :, :-2] - 2 * second[:, :, 1:-1] + second[:, :, 2:])
-    masked = (channels <= 0) | (channels >= SATURATED)
-
-    def blocks(values: np.ndarray) -> np.ndarray:
-        cut = values[:, : rows * b, : columns * b].reshape(-1, rows, b, columns, b)
-        return cut.transpose(0, 1, 3, 2, 4).reshape(-1, b * b)
-
-    good = ~blocks(masked[:, 1:-1, 1:-1]).any(axis=1)
-    return np.asarray(blocks(residual)[good].mean(axis=1) / (6 * np.sqrt(2 / np.pi)))
+def _block_noise(image: Picture) -> np.ndarray:
+    """Noise estimate of every block without masked pixels, (B,), of one (H, W, C) uint8 image, channel by channel."""
+    channels = (np.ascontiguousarray(image[..., channel]) for channel in range(image.shape[-1]))
+    residuals = [block_residuals(channel, _NOISE_BLOCK, SATURATED) for channel in channels]
+    return np.asarray(np.concatenate(residuals) / (6 * np.sqrt(2 / np.pi)))

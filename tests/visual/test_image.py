@@ -5,6 +5,7 @@ from naive_points import halve as naive_halve
 
 from lvba import lens
 from lvba.camera import Camera
+from lvba.kernels.noise import block_residuals
 from lvba.kernels.patches_pyramid import blank_masked, halve
 from lvba.visual import image
 from lvba.visual.image import ImageConfig
@@ -245,3 +246,27 @@ def test_usable_levels_stop_before_images_get_tiny():
 def test_image_config_refuses(bad):
     with pytest.raises(ValueError, match=next(iter(bad))):
         ImageConfig(**bad)
+
+
+def naive_block_residuals(picture, block, saturated):
+    """By the definition, block by block."""
+    values, kept = picture.astype(float), []
+    for top in range(1, picture.shape[0] - block, block):
+        for left in range(1, picture.shape[1] - block, block):
+            inner = picture[top : top + block, left : left + block]
+            if inner.shape != (block, block) or (inner == 0).any() or (inner >= saturated).any():
+                continue
+            outer = values[top - 1 : top + block + 1, left - 1 : left + block + 1]
+            kept.append(np.abs(np.diff(np.diff(outer, 2, axis=0), 2, axis=1)).mean())
+    return np.array(kept)
+
+
+@pytest.mark.parametrize("shape", [(18, 18), (17, 40), (50, 67), (80, 35), (1, 30), (40, 0)])
+def test_residuals_of_blocks_are_as_by_the_definition(shape):
+    rng = np.random.default_rng(shape[1])
+    picture = rng.integers(1, 250, shape, np.uint8)
+    picture[rng.random(shape) < 0.001] = 0
+    picture[rng.random(shape) < 0.001] = 252
+    blocks = block_residuals(picture, 16, image.SATURATED)
+    assert blocks.dtype == np.float32
+    assert np.array_equal(blocks, naive_block_residuals(picture, 16, image.SATURATED).astype(np.float32))
