@@ -331,7 +331,7 @@ class _Chain:
         return self.plan.add(
             self._name(part, "visual", "visual-part"), visual.solve_finest,
             *(images.dataset, images.frames, images.keyframes, lidar, images.planes, level),
-            *(config.visual, self.variant, given(self.photos, part.image_numbers)),
+            *(config.visual, self.variant, *(given(each, part.image_numbers) for each in (self.photos, self.judging))),
         )  # fmt: skip
 
     def _solve_cameras_jointly(

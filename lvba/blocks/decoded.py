@@ -333,13 +333,12 @@ def keyframe_images(pieces: Pieces[Keyframes], numbers: Indices) -> np.ndarray:
 
 
 def color_of_keyframes(
-    pieces: Pieces[np.ndarray], numbers: Indices, camera: Camera, color: int
+    pieces: Pieces[np.ndarray], numbers: Indices, camera: Camera, pinhole: Camera, color: int
 ) -> np.ndarray:
-    """Red (0), green or blue of some keyframes (k,), (k, H, W, 1) uint8, as `image.measuring_camera` sees it.
+    """Red (0), green or blue of some keyframes (k,), (k, H, W, 1) uint8, as a pinhole camera sees it.
 
     pieces: of raw images; camera: theirs, with its lens; numbers: ascending, in the whole recording
     """
-    pinhole = image.measuring_camera(camera)
     undistort = image.Undistorter(camera, pinhole)
     gathered = np.zeros((len(numbers), pinhole.height, pinhole.width, 1), np.uint8)
     for (first, end), read in pieces:

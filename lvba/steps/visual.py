@@ -12,6 +12,7 @@ from lvba.dataset import Dataset
 from lvba.errors import DegenerateProblemError
 from lvba.lidar import bundle_adjustment as lidar_ba
 from lvba.lidar.covariance import Covariance
+from lvba.products import judging_size
 from lvba.progress import Progress, silent
 from lvba.steps.outcomes import LidarStage, MapPlanes, ScanPoses, VisualLevel, VisualStage
 from lvba.visual import image, refine
@@ -109,11 +110,12 @@ def solve_finest(
     config: VisualConfig,
     variant: Variant = PRODUCT,
     photos: Pieces[np.ndarray] = (),
+    judging: Pieces[np.ndarray] = (),
     progress: Progress = silent,
 ) -> VisualStage:
     """Camera poses and exposures of one part, from the finest level. Arguments as of `solve_level`.
 
-    photos: raw images in color; none: white balance is taken to be the same in all of them
+    photos: raw images in color; none: white balance is taken to be the same in all of them; judging: those that judge
     """
     problem = _why_not(dataset, planes) or coarser.problem
     if problem:
@@ -122,7 +124,12 @@ def solve_finest(
         given = inputs(dataset, frames, keyframes, lidar, planes, config)
         if len(photos):
             numbers, camera = frames.images[planes.keyframes], dataset.camera
-            given = replace(given, colors=partial(color_of_keyframes, photos, numbers, camera))
+            pinhole = image.measuring_camera(camera)
+            given = replace(given, colors=partial(color_of_keyframes, photos, numbers, camera, pinhole))
+            if level := judging_size.level(camera):
+                own, small = camera.at_level(level), pinhole.at_level(level)
+                smaller = partial(color_of_keyframes, judging, numbers, own, small)
+                given = replace(given, smaller_colors=(smaller, small))
         result, last = refine.finest(given, coarser.solution, config, progress, variant)
     except DegenerateProblemError as error:
         return VisualStage(None, str(error))

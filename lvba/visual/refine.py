@@ -133,7 +133,7 @@ class Inputs:
     camera_from_scan: (4, 4) calibrated extrinsic; sensor_position_scan: (3,) m
     scan_covariance: of refined_scans; None: not known
     camera: of the raw images, with its lens; None: they had none, and their camera is not refined
-    colors: red (0), green or blue of the keyframes, (K, H, W, 1) uint8; None: not at hand
+    colors: red (0), green or blue of the keyframes, (K, H, W, 1) uint8; None: not at hand; smaller_colors: of large ones
     """
 
     pyramid: Pyramid
@@ -148,6 +148,7 @@ class Inputs:
     scan_covariance: Covariance | None = None
     camera: Camera | None = None
     colors: Callable[[int], Images] | None = None
+    smaller_colors: white_balance.SmallerColors | None = None
 
 
 @dataclass(frozen=True)
@@ -219,8 +220,7 @@ def finest(
     """The result, and the solution of the finest level by the images as they are. Raises DegenerateProblemError as
     `refine` does.
 
-    Where the white balance changes from image to image, the result is by images without that: patches of several colors
-    differ from image to image else.
+    Where the white balance changes, the result is by images without that: patches of several colors differ else.
     """
     scene = scene_of(given, config, variant)
     coarser = coarser or _none_yet(scene)
@@ -234,8 +234,8 @@ def finest(
         exposed = _exposed(scene, 0, state, depth, points)
         state, sigma, light = exposed.state, exposed.sigma, exposed.radiometry
         if variant.white_balance and given.colors is not None:
-            seen = scene.pyramid.camera, *where[1:], scene.seen
-            balance = white_balance.solve(given.colors, *seen, light, scene.camera, depth, points)
+            seen = (scene.pyramid.camera, *where[1:], scene.seen, light, scene.camera, depth, points)
+            balance = white_balance.solve(given.colors, *seen, given.smaller_colors)
     if balance is not None and given.colors is not None:
         pyramid = white_balance.taken_out_of(scene.pyramid, given.colors, balance, light.response)
         again = replace(

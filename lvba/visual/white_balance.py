@@ -22,6 +22,9 @@ from lvba.visual.response import Response
 from lvba.visual.scene_points import ScenePoints, take
 from lvba.visual.visibility import DepthBuffers, VisibilityMap
 
+SmallerColors = tuple[Callable[[int], Images], Camera]
+"""Red (0), green or blue of all undistorted images, (I, h, w, 1) uint8, and the camera of these."""
+
 COLORS = 3
 _LUMA = (0.299, 0.587, 0.114)
 """Weights of red, green and blue in a grey value."""
@@ -56,15 +59,18 @@ def solve(
     raw: Camera | None,
     depth: DepthBuffers | None = None,
     points: ScenePoints | None = None,
+    smaller: SmallerColors | None = None,
 ) -> WhiteBalance | None:
     """The white balance of all images; None where it does not change, or where images have no color.
 
     colors: red (0), green or blue of all undistorted images, (I, H, W, 1) uint8; camera: of these; raw: before they were
     undistorted; light: radiometry of the images; other arguments as of `exposure.ratios_at`
+    smaller: the same images, by which few patches are asked first; None: they are asked in the full ones
     """
 
-    def by_color(one_in: int) -> tuple[np.ndarray, np.ndarray] | None:
-        nonlocal points
+    def by_color(
+        one_in: int, colors: Callable[[int], Images], camera: Camera, points: ScenePoints | None
+    ) -> tuple[np.ndarray, np.ndarray] | None:
         log_exposure, sigma = np.empty((len(cameras), COLORS)), np.empty((len(cameras), COLORS))
         first: np.ndarray | None = None
         for color in range(COLORS):
@@ -81,10 +87,10 @@ def solve(
             log_exposure[:, color], sigma[:, color] = solved.log_exposure, solved.sigma
         return log_exposure, sigma
 
-    few = by_color(_FEW)
+    few = by_color(_FEW, *((colors, camera, points) if smaller is None else (*smaller, None)))
     if few is None or _stays(*few):
         return None
-    every = by_color(1)
+    every = by_color(1, colors, camera, points)
     return None if every is None else judged(*every)
 
 

@@ -55,6 +55,27 @@ def test_images_without_color_are_seen_at_once():
     assert solve(rec, np.zeros((3, 3))) is None
 
 
+@pytest.mark.parametrize(("size", "full"), [(0.0, []), (0.08, [0, 1, 2])])
+def test_large_images_are_asked_in_full_only_where_smaller_ones_see_a_change(size, full):
+    rec, asked = room_with_screen(count=5), []
+    gain = np.add(balances(len(rec.times), size), [0.0, 0.2, -0.2])
+
+    def smaller(color):
+        images = rec.images * np.exp(gain[:, color])[:, None, None, None]
+        return np.clip(np.rint(images), 0, 255).astype(np.uint8)
+
+    def colors(color):
+        asked.append(color)
+        return smaller(color).repeat(2, axis=1).repeat(2, axis=2)
+
+    given = colors, CAMERA.scaled(2.0), rec.cameras, rec.surfaces, None, radiometry.NONE, None
+    solved = white_balance.solve(*given, smaller=(smaller, CAMERA))
+    assert asked == full
+    assert (solved is None) == (size == 0.0)
+    if solved is not None:
+        assert np.abs(solved.log_gain - gain + gain.mean(axis=0)).max() < 0.006
+
+
 @pytest.mark.parametrize(("size", "solves"), [(0.0, 3), (0.08, 6)])
 def test_all_patches_are_asked_only_where_few_see_a_change(monkeypatch, size, solves):
     rec, asked, real = room_with_screen(count=3), [], white_balance.exposure.solve
