@@ -284,6 +284,8 @@ def _write_group(folder: Path, value: Any) -> None:
             chunks=_chunks(array),
             compressors=None,
             filters=None,
+            # else each chunk is looked through for whether it is all zeros, which takes longer than to write it
+            config={"write_empty_chunks": True},
         )
         if array.size:
             created[...] = array
