@@ -204,9 +204,10 @@ def blended(
     samples = collect(
         points, blocks, views, config, origins=origins, held_out=held_out, progress=progress, batch=batch
     )
+    colors = blend(samples, views.log_exposure, config)
+    del samples  # most of what is held
     back = np.empty(len(blocks.order), np.int64)
     back[blocks.order] = np.arange(len(blocks.order))
-    colors = blend(samples, views.log_exposure, config)
     return BlendedColors(colors.radiance[back], colors.views[back], colors.spread[back])
 
 

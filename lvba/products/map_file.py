@@ -9,7 +9,7 @@ import numpy as np
 
 from lvba.camera import Camera
 from lvba.products import colorize
-from lvba.products.cloud import Cloud, thin
+from lvba.products.cloud import Cloud, Origins, thin
 from lvba.products.colorize import ColorizeConfig
 from lvba.products.views import Views
 from lvba.progress import Progress, silent
@@ -93,7 +93,8 @@ def build(
         2 * pixel_footprint(cloud, views, camera or views.camera) if config.voxel_m < 0 else config.voxel_m
     )
     kept = thin(cloud.points_world, voxel)
-    points, scan, measured = cloud.points_world[kept], cloud.scan_of(kept), len(cloud)
+    points, scan = cloud.points_world[kept], cloud.scan_of(kept)
+    logger.info("map: %d of %d points kept at %.4f m", len(kept), len(cloud), voxel)
     gain = colorize.display_gain(views.log_exposure) if gain is None else gain
     if config.colors == "paper":
         one = colorize.paper(cloud, views, progress=progress)
@@ -101,14 +102,13 @@ def build(
         number = (one.source[kept] >= 0).astype(np.uint8)
         spread = np.zeros(len(kept), np.float32)
     else:
-        origins = cloud.origins(kept)
-        del cloud  # as large as all scans, while blending takes most memory
+        origins = None if cloud.sensor_world is None else Origins(scan, cloud.sensor_world)
+        del cloud, kept  # as large as all scans, while blending takes most memory
         several = colorize.blended(points, views, config.blend, origins=origins, progress=progress)
         radiance, number, spread = several.radiance, several.views, several.spread
     rgb = colorize.to_rgb8(radiance, gain, views.curve)
     rgb[number == 0] = UNCOLORED
     wanted = slice(None) if config.keep_uncolored or not len(views) else number > 0
-    logger.info("map: %d of %d points kept at %.4f m", len(kept), measured, voxel)
     gray_spread = spread * np.float32(gain) * colorize.contrast(radiance, gain, views.curve)
     return PointMap(
         points_world=points[wanted],

@@ -113,7 +113,11 @@ def colored_map(
     )
     return map_file.build(
         cloud_of(dataset, accepted.world_from_scan, progress, read),
-        *(views, config, progress, gain, dataset.camera),
+        views,
+        config,
+        progress,
+        gain,
+        dataset.camera,
     )
 
 

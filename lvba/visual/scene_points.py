@@ -16,7 +16,8 @@ from lvba.visual.image import DARK, SATURATED, LevelImages, intrinsics_of
 
 DOG_NOISE = 0.146
 """Standard deviation of the difference of Gaussians (sigma 1.0 and 1.6) of white noise of standard deviation 1."""
-_CHUNK = 16
+_CHUNK, _CHUNK_PIXELS = 16, 24_000_000
+"""Most images whose scores are in memory at a time, and most pixels of these."""
 
 
 @dataclass(frozen=True)
@@ -272,13 +273,18 @@ def _select_images(
     score: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`patches.select_points` over all images, a few at a time so that the scores of few are in memory."""
-    parts = []
-    for start in range(0, len(images), _CHUNK):
-        part = slice(start, start + _CHUNK)
+    parts, size = [], (camera.height, camera.width)
+    chunk = max(1, min(_CHUNK, _CHUNK_PIXELS // (size[0] * size[1])))
+    # the same memory for all
+    held = np.empty((min(chunk, len(images)), *size), np.float32)
+    if score is not None:
+        held[:] = score
+    for start in range(0, len(images), chunk):
+        part = slice(start, start + chunk)
+        scores = held[: len(images[part])]
         if score is None:
-            scores = np.stack(list(in_order(difference_of_gaussians, images[part])))
-        else:
-            scores = np.repeat(score[None], len(images[part]), axis=0)  # the kernel compiles for one layout
+            for row, own in zip(scores, in_order(difference_of_gaussians, images[part]), strict=True):
+                row[:] = own
         poses = np.ascontiguousarray(world_from_camera[part])
         parts.append(
             patches.select_points(
