@@ -14,6 +14,7 @@ from lvba.sources import packets, presets
 from lvba.sources.choosing import Choice, choose
 from lvba.sources.source import (
     CameraInfo,
+    GnssFix,
     ImuSample,
     Kind,
     PathSample,
@@ -132,6 +133,8 @@ def _facts(source: Source, stream: Stream) -> StreamFacts:
     if not records:
         return replace(facts, problem=next(iter(source.losses()), "none of its records can be read"))
     first = records[0]
+    if not all(isinstance(record, _RECORDS[stream.kind]) for record in records):
+        return replace(facts, problem="it has messages of several types")
     return replace(
         facts,
         first_stamp=first.stamp,
@@ -269,6 +272,18 @@ _CONTENTS = {
     Kind.CAMERA_INFO: _camera_facts,
     Kind.TRANSFORMS: _transform_facts,
 }
+
+
+_RECORDS: dict[Kind, tuple[type, ...]] = {
+    Kind.SCANS: (RawScan,),
+    Kind.IMAGES: (RawImage,),
+    Kind.POSES: (PoseSample, PathSample, TransformSample),
+    Kind.IMU: (ImuSample,),
+    Kind.GNSS: (GnssFix,),
+    Kind.CAMERA_INFO: (CameraInfo,),
+    Kind.TRANSFORMS: (TransformSample,),
+}
+"""A bag may have a topic twice, with messages of another type."""
 
 
 def camera_infos_of(image: str, facts: tuple[StreamFacts, ...]) -> list[StreamFacts]:

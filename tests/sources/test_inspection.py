@@ -11,7 +11,16 @@ from lvba.sources.bags.writing import write_bag
 from lvba.sources.choosing import choose
 from lvba.sources.inspection import inspect
 from lvba.sources.opening import open_source
-from lvba.sources.source import ImuSample, Kind, ListSource, PoseSample, RawImage, SourceDescription, Stream
+from lvba.sources.source import (
+    GnssFix,
+    ImuSample,
+    Kind,
+    ListSource,
+    PoseSample,
+    RawImage,
+    SourceDescription,
+    Stream,
+)
 
 TOLD = {
     PointLayout.LIVOX_CUSTOM_1: ("offset_time", "ns", "from the stamp", "begin of the sweep"),
@@ -138,3 +147,13 @@ def test_clouds_of_an_odometry_are_not_taken_for_those_of_the_sensor():
     )
     choice = choose(SourceDescription("", "", 0, streams))
     assert (choice.lidar, choice.odometry, choice.image) == ("/livox/lidar", "/aft_mapped_to_init", "/image")
+
+
+def test_a_topic_with_messages_of_two_types_is_named():
+    """As in a bag that has the topic twice."""
+    fix = GnssFix(stamp=1, frame="", latitude=1.0, longitude=2.0, altitude=3.0, covariance=None, status=0)
+    reading = ImuSample(2, "imu", np.ones(3), np.ones(3))
+    stream = Stream("/fix", Kind.GNSS, "sensor_msgs/msg/NavSatFix", 2)
+    source = ListSource(SourceDescription("made", "made", 0, (stream,)), (("/fix", reading), ("/fix", fix)))
+    [facts] = inspect(source).streams
+    assert facts.problem == "it has messages of several types"
