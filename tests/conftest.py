@@ -30,8 +30,11 @@ PAGE = "tests/service/page/"
 FEW_KERNELS = ("tests", "io", "foundation", "fuzz", "sources", "steps", "plan")
 """Folders of tests that need few kernels, ..."""
 MANY_KERNELS = (
+    "test_blank_images.py",
+    "test_camera_outliers.py",
     "test_evaluation.py",
     "test_importing.py",
+    "test_judging_size_run.py",
     "test_odometry.py",
     "test_settings_have_effects.py",
     "test_turning.py",

@@ -120,10 +120,11 @@ def collect_views(
     surface: (M, 8) float32, see `facing.surfaces`; poses: (B, 4, 4) float32, world_from_camera; intrinsics: float32
     pictures: (B, H, W, 3) uint8; numbers: (B,) int32, image numbers; valid: (H, W) bool, pixels that hold a picture
     seen_first: of the same images
-    samples: in and out. A better view takes the place of the worst, so that the K best remain; of equal ones the
-    earlier stays.
+    samples: in and out, of the points of these blocks alone. A better view takes the place of the worst, so that the K
+    best remain; of equal ones the earlier stays.
     """
     points, start, cell = cloud.position, cloud.start, seen_first.cell
+    base = start[0]
     first_seen, front = seen_first.point, seen_first.front
     ranks, colors, images = samples.ranks, samples.colors, samples.images
     height, width, columns = pictures.shape[1], pictures.shape[2], first_seen.shape[2]
@@ -148,12 +149,13 @@ def collect_views(
                     if not valid[row, column]:
                         continue
                     i = first + k
-                    slot = _worst(ranks[i])
+                    own_ranks = ranks[i - base]
+                    slot = _worst(own_ranks)
                     # no view ranks higher than one that is no nearer and faces the surface
-                    if ranks[i, slot] * twice * depth[k] * depth[k] >= 1:
+                    if own_ranks[slot] * twice * depth[k] * depth[k] >= 1:
                         continue
                     rank = _rank(points, surface, i, pose, pixel)
-                    if not rank > ranks[i, slot]:
+                    if not rank > own_ranks[slot]:
                         continue
                     r, c = cell_of[row], cell_of[column]
                     other = front[image, r, c, half_of[row], half_of[column]]
@@ -166,11 +168,11 @@ def collect_views(
                     high = _bilinear(pictures[image], x, y, color)
                     if high >= usable.bright or high <= usable.dark:
                         rank *= _CLIPPED_RANK
-                        if not rank > ranks[i, slot]:
+                        if not rank > own_ranks[slot]:
                             continue
-                    ranks[i, slot], images[i, slot] = rank, numbers[image]
+                    own_ranks[slot], images[i - base, slot] = rank, numbers[image]
                     for channel in range(3):
-                        colors[i, slot, channel] = np.uint8(color[channel] + half)
+                        colors[i - base, slot, channel] = np.uint8(color[channel] + half)
 
 
 @kernel

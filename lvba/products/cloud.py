@@ -76,6 +76,16 @@ class Blocks:
         """The points (3, M) float32, m, world, in this order, as kernels take them."""
         return BlockPoints(points, self.start, self.spheres)
 
+    def spans(self, most: int) -> list[slice]:
+        """All blocks, in order, in about equal pieces of at most so many points, or of one block that has more."""
+        spans, first, count = list[slice](), 0, int(self.start[-1])
+        most = -(-count // max(1, -(-count // most)))
+        while first < len(self.spheres):
+            last = int(np.searchsorted(self.start, self.start[first] + most, side="right")) - 1
+            spans.append(slice(first, max(last, first + 1)))
+            first = spans[-1].stop
+        return spans
+
 
 def assemble(
     load_scan: Callable[[int], np.ndarray],

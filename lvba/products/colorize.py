@@ -6,6 +6,7 @@ Colors are radiances: gray values 0..255 divided by the image's relative exposur
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -57,6 +58,8 @@ CELL_PX = 4
 BRIGHTEST = float(SATURATED)
 """Samples that touch a channel value of this or more are left out as saturated, those whose brightest channel is at most
 DARK as black."""
+_MOST_SAMPLES = 40_000_000
+"""Samples that are collected at a time, of 11 bytes each. Beyond that points take turns, and images are read for each."""
 NOISE = 2.0
 """Noise of a gray value (0..255): differences below it never count as outliers."""
 
@@ -201,14 +204,22 @@ def blended(
     config = config or ColorizeConfig()
     blocks = sort_into_blocks(points_world)
     points = np.ascontiguousarray(points_world[blocks.order].T)
-    samples = collect(
-        points, blocks, views, config, origins=origins, held_out=held_out, progress=progress, batch=batch
-    )
-    colors = blend(samples, views.log_exposure, config)
-    del samples  # most of what is held
-    back = np.empty(len(blocks.order), np.int64)
-    back[blocks.order] = np.arange(len(blocks.order))
-    return BlendedColors(colors.radiance[back], colors.views[back], colors.spread[back])
+    scene = _Scene(points, surfaces(points, blocks, origins, np.radians(config.max_angle_deg)), blocks, views)
+    usable, spans = _usable(views, held_out), blocks.spans(_MOST_SAMPLES // config.max_views)
+    radiance = np.zeros((len(points_world), 3), np.float32)
+    number, spread = np.zeros(len(points_world), np.uint8), np.zeros(len(points_world), np.float32)
+    for turn, span in enumerate(spans):
+        of_span = partial(_progress_of_piece, progress, turn, len(spans))
+        samples = _samples(scene, span, usable, config.max_views, of_span, batch)
+        colors = blend(samples, views.log_exposure, config)
+        del samples  # most of what is held
+        into = blocks.order[blocks.start[span.start] : blocks.start[span.stop]]
+        radiance[into], number[into], spread[into] = colors.radiance, colors.views, colors.spread
+    return BlendedColors(radiance, number, spread)
+
+
+def _progress_of_piece(progress: Progress, turn: int, turns: int, what: str, done: int, total: int) -> None:
+    progress(what, turn * total + done, turns * total)
 
 
 def collect(
@@ -226,41 +237,56 @@ def collect(
 
     points: (3, M) float32, m, world, by axis; origins: of the points before they were sorted
     """
-    surface = surfaces(points, blocks, origins, np.radians(config.max_angle_deg))
-    slots = (points.shape[1], config.max_views)
+    scene = _Scene(points, surfaces(points, blocks, origins, np.radians(config.max_angle_deg)), blocks, views)
+    every = slice(0, len(blocks.spheres))
+    return _samples(scene, every, _usable(views, held_out), config.max_views, progress, batch)
+
+
+def _usable(views: Views, held_out: Indices | None) -> np.ndarray:
+    """(n,) int32: numbers of the images that may color."""
+    return np.setdiff1d(np.arange(len(views)), [] if held_out is None else held_out).astype(np.int32)
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """points: (3, M) float32, m, world, in the order of their blocks; surface: (M, 8) float32, as of `cloud.surfaces`"""
+
+    points: np.ndarray
+    surface: np.ndarray
+    blocks: Blocks
+    views: Views
+
+
+def _samples(
+    scene: _Scene, span: slice, usable: np.ndarray, most: int, progress: Progress, batch: int
+) -> Samples:
+    """The `most` best samples of the points of a span of blocks, which all points may hide."""
+    start, views = scene.blocks.start, scene.views
+    slots = (int(start[span.stop] - start[span.start]), most)
     samples = Samples(
         np.zeros(slots, np.float32), np.zeros((*slots, 3), np.uint8), np.full(slots, -1, np.int32)
     )
-    usable = np.setdiff1d(np.arange(len(views)), [] if held_out is None else held_out).astype(np.int32)
     pictures = in_order(views.load_even, map(int, usable))
     for first in range(0, len(usable), batch):
         numbers = usable[first : first + batch]
         stack = np.stack([next(pictures) for _ in numbers])
-        _collect(points, surface, blocks, views, numbers, stack, config, samples)
+        _collect(scene, span, numbers, stack, samples)
         progress("color map", first + len(numbers), len(usable))
     return samples
 
 
-def _collect(
-    points: np.ndarray,
-    surface: np.ndarray,
-    blocks: Blocks,
-    views: Views,
-    numbers: np.ndarray,
-    pictures: np.ndarray,
-    config: ColorizeConfig,
-    samples: Samples,
-) -> None:
+def _collect(scene: _Scene, span: slice, numbers: np.ndarray, pictures: np.ndarray, samples: Samples) -> None:
     """Adds the samples of some images to the lists of the best views, in place. numbers: of the pictures."""
+    views, blocks = scene.views, scene.blocks
     poses, mask = views.poses[numbers], views.mask
     tolerance = occlusion.Tolerance(np.float32(TOLERANCE), np.float32(_LOOSE))
-    cloud = blocks.holding(points)
+    cloud = blocks.holding(scene.points)
     seen_first = occlusion.first_points(
-        cloud, surface, tolerance, poses, views.intrinsics, CELL_PX, *mask.shape
+        cloud, scene.surface, tolerance, poses, views.intrinsics, CELL_PX, *mask.shape
     )
     kernels.collect_views(
-        cloud,
-        surface,
+        cloud._replace(start=blocks.start[span.start : span.stop + 1], spheres=blocks.spheres[span]),
+        scene.surface,
         tolerance,
         poses,
         views.intrinsics,

@@ -186,6 +186,31 @@ def test_hidden_points_take_no_color_from_what_hides_them(world):
     assert colors.views[-1] == 1
 
 
+@pytest.mark.parametrize("most", [1, 3000, 20000])
+def test_points_colored_in_turns_get_the_colors_of_all_at_once(world, monkeypatch, most):
+    cloud = world.cloud()
+    at_once = colorize.blended(cloud.points_world, world.views())
+    steps = []
+    monkeypatch.setattr(colorize, "_MOST_SAMPLES", most)
+    in_turns = colorize.blended(cloud.points_world, world.views(), progress=lambda *done: steps.append(done))
+    for name in ("radiance", "views", "spread"):
+        np.testing.assert_array_equal(getattr(in_turns, name), getattr(at_once, name))
+    assert steps[-1][2] > 6
+    assert [done for _, done, _ in steps] == sorted(done for _, done, _ in steps)
+    assert steps[-1][1] == steps[-1][2]
+
+
+def test_spans_hold_all_blocks_once_and_so_many_points_at_most(world):
+    blocks = clouds.sort_into_blocks(world.cloud().points_world)
+    for most in (1, 500, 10**9):
+        spans = blocks.spans(most)
+        assert [span.start for span in spans] == [0, *(span.stop for span in spans[:-1])]
+        assert spans[-1].stop == len(blocks.spheres)
+        for span in spans:
+            held = blocks.start[span.stop] - blocks.start[span.start]
+            assert held <= most or span.stop == span.start + 1
+
+
 def test_saturated_samples_are_left_out_where_there_are_others(world):
     pictures = world.pictures.copy()
     pictures[0] = 255
@@ -234,11 +259,11 @@ def test_the_rest_of_the_images_is_judged_only_where_the_first_do_not_do(world, 
     asked = []
     state = evaluate.State(world.cloud(), world.views())
 
-    def told(so_far):
+    def steps(so_far):
         asked.append(list(so_far["true"].images))
         return enough
 
-    found = evaluate.evaluate({"true": state}, enough=told, few=3)["true"]
+    found = evaluate.evaluate({"true": state}, enough=steps, few=3)["true"]
     assert asked == [[0, 2, 5]]
     assert list(found.images) == judged
     own = found.per_image["psnr_leave_one_out"]
