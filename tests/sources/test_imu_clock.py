@@ -91,6 +91,25 @@ def test_a_clock_that_no_convention_explains_is_measured(poses: Track, imu: ImuR
     assert "after its stamps: that is taken" in words
 
 
+@pytest.mark.parametrize(("turned", "taken"), [(0.01, False), (0.2, True)])
+def test_where_poses_hardly_turn_their_noise_is_no_clock(turned: float, taken: bool) -> None:
+    """Poses that err by turns of their own, as an odometry's do, seem to be late."""
+    times, at = np.arange(0.0, 12.5, 5e-3), np.arange(0.5, 12.0, 0.1)
+
+    def angles(when: np.ndarray) -> np.ndarray:
+        return turned * np.sin(when[:, None] * [0.9, 1.7, 1.3] + np.arange(3))
+
+    turns = Rotation.from_rotvec(angles(times - 5e-3)).inv() * Rotation.from_rotvec(angles(times + 5e-3))
+    forces = Rotation.from_rotvec(angles(times)).inv().apply([0.0, 0.0, 9.81])
+    imu = ImuReadings(times, turns.as_rotvec() / 0.01, forces)
+    rough = geometry.from_rotation_translation(
+        Rotation.from_rotvec(angles(at - 0.04)).as_matrix(), np.stack([at, 0 * at, 0 * at], axis=1)
+    )
+    read = found(Track(at, rough), imu, np.eye(4))
+    assert (read.offset != 0.0) == taken
+    assert any("after its stamps: that is taken" in words for words in read.warnings) == taken
+
+
 def test_a_clock_of_another_epoch_is_a_warning(poses: Track, imu: ImuReadings) -> None:
     [words] = found(poses, replace(imu, times=imu.times + 3600.0)).warnings
     assert "its clock is another one" in words

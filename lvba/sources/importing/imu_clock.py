@@ -26,7 +26,8 @@ _STEP_S = 0.01
 _ODD_S = 0.03
 """What is less is left to the bundle adjustment, which looks for it: poses may be late by as much, not the IMU."""
 _OTHERWISE, _TURNING = 0.5, 0.05
-"""Part of turn rates that poses may differ from the gyroscope by, and the rates (rad/s) from which on that is asked."""
+"""Part of turn rates that poses may differ from the gyroscope by, and the rates (rad/s) from which on that is asked, and
+an offset that no convention gives is taken as measured."""
 _SEARCHED = np.linspace(-1.0, 1.0, 21)
 """s: offsets that no convention gives, tried where one of them fits better than all that conventions give."""
 _TURNED_DEG, _SCALED = 3.0, 1.1
@@ -139,7 +140,8 @@ def _when(
         QUESTION, answers, said, next(iter(offsets)), "rad/s", where, excluded, known_by or _STAMPS
     )
     taken = offsets[decided.taken]
-    if abs(place - taken) > max(4 * sigma, _ODD_S) and not said:
+    # by turns that are as small as the noise of poses, chance seems to be an offset
+    if abs(place - taken) > max(4 * sigma, _ODD_S) and not said and turns.size >= _TURNING:
         size = f"{1000 * place:+.0f} ms (+- {1000 * sigma:.0f})"
         words = f"{QUESTION}: the IMU turns {size} after its stamps: that is taken"
         taken = round(place, 4)
@@ -212,10 +214,15 @@ class _Turns:
         other = min(others, key=lambda answer: answer.score, default=best)
         return float(other.name) if decision.better(other, best) else offsets[best.name]
 
+    @property
+    def size(self) -> float:
+        """rad/s: root mean square of how fast the poses turn, less what is the same all the time."""
+        rates = self._turned.as_rotvec() / (self._end - self._begin)[:, None]
+        return float(np.sqrt(np.mean(np.sum((rates - rates.mean(axis=0)) ** 2, axis=1))))
+
     def otherwise(self, late: float) -> str:
         """A warning where the gyroscope turns otherwise than the poses; "" where it does not."""
-        rates = self._turned.as_rotvec() / (self._end - self._begin)[:, None]
-        size = float(np.sqrt(np.mean(np.sum((rates - rates.mean(axis=0)) ** 2, axis=1))))
+        size = self.size
         off = float(np.sqrt(np.mean(self.scores(late) ** 2)))
         if max(size, off) < _TURNING:
             return ""
