@@ -205,7 +205,7 @@ def blended(
     blocks = sort_into_blocks(points_world)
     points = np.ascontiguousarray(points_world[blocks.order].T)
     scene = _Scene(points, surfaces(points, blocks, origins, np.radians(config.max_angle_deg)), blocks, views)
-    usable, spans = _usable(views, held_out), blocks.spans(_MOST_SAMPLES // config.max_views)
+    usable, spans = _usable(views, held_out), blocks.spans(max(1, _MOST_SAMPLES // config.max_views))
     radiance = np.zeros((len(points_world), 3), np.float32)
     number, spread = np.zeros(len(points_world), np.uint8), np.zeros(len(points_world), np.float32)
     for turn, span in enumerate(spans):
