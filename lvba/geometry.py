@@ -107,6 +107,25 @@ def exp(delta: Tangents) -> np.ndarray:
     return from_rotation_translation(rotation, (left_jacobian @ rho[..., None])[..., 0])
 
 
+def moved_along(points: np.ndarray, amounts: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+    """(N, 3) float64: `exp(amount * tangent)` of each point, without a transform for each of them.
+
+    points: (N, 3) float32 or float64, m; amounts: (N,) float64, of 1
+    tangent: (6,) float64 `[rotation | translation]`, rad and m
+    """
+    here, amount = np.asarray(points, float), np.asarray(amounts, float)[:, None]
+    phi, rho = np.asarray(tangent, float)[:3], np.asarray(tangent, float)[3:]
+    first, second, third = (each[..., 0] for each in _series(np.abs(amount[:, 0]) * np.linalg.norm(phi)))
+    # row vectors: `v @ across` is phi x v
+    across = -hat(phi)
+    turned = here @ across
+    there = here + amount * (first * turned + rho)
+    turned, shifted = turned @ across, rho @ across
+    there += amount**2 * (second * (turned + shifted))
+    there += amount**3 * (third * (shifted @ across))
+    return np.asarray(there)
+
+
 def log(transform: Transforms) -> np.ndarray:
     """The (..., 6) tangent vectors `[rotation | translation]` of (..., 4, 4) transforms; rotation below pi."""
     transform = np.asarray(transform, float)

@@ -24,8 +24,7 @@ def moved(points: np.ndarray, tau: Times, motion: np.ndarray) -> np.ndarray:
 
     tau: (N,) s; motion: (6,) float64, rad/s and m/s, scan frame
     """
-    there = geometry.exp(tau[:, None] * motion)
-    return np.asarray(np.einsum("nij,nj->ni", there[:, :3, :3], points) + there[:, :3, 3], np.float32)
+    return geometry.moved_along(points, tau, motion).astype(np.float32)
 
 
 @dataclass(frozen=True)

@@ -121,3 +121,15 @@ def test_a_covariance_in_turned_axes_is_that_of_turned_errors():
     np.testing.assert_allclose(
         geometry.turn_tangent(errors.T @ errors, rotation), turned.T @ turned, atol=1e-10
     )
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-3, 0.3, 4.0])
+def test_points_moved_along_a_tangent_are_where_its_exponentials_take_them(size):
+    rng = np.random.default_rng(8)
+    points, amounts = rng.normal(size=(50, 3)), rng.normal(size=50)
+    tangent = np.concatenate([size * np.array([0.6, -0.5, 0.6]), rng.normal(size=3)])
+    there = geometry.exp(amounts[:, None] * tangent)
+    expected = np.einsum("nij,nj->ni", there[:, :3, :3], points) + there[:, :3, 3]
+    np.testing.assert_allclose(geometry.moved_along(points, amounts, tangent), expected, atol=1e-12)
+    moved = geometry.moved_along(points, np.ones(50), tangent)
+    np.testing.assert_allclose(moved, geometry.transform_points(geometry.exp(tangent), points), atol=1e-12)
