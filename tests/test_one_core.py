@@ -45,6 +45,7 @@ LINEAR_ALGEBRA = {
     "lvba/loop_closure/scan_steps.py": (2, "two estimates of one step, directions that surfaces determine, 6 x 6"),
     "lvba/loop_closure/surfel_icp.py": (1, "6 x 6 information of an alignment"),
     "lvba/lidar/row_times.py": (1, "regression of the points' order on their directions"),
+    "lvba/lidar/scan_motion.py": (2, "6 x 6 information of single scans"),
     "lvba/lidar/scan_evidence.py": (4, "numbers that scans share, at most 11 x 11; poses and planes eliminated"),
     "lvba/steps/pose_fusion.py": (11, "6 x 6 covariances of single scans and of a chain's links"),
     "lvba/steps/uncertainty.py": (1, "normalized errors, 6 x 6"),
