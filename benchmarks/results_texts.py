@@ -9,16 +9,15 @@ Lengths in millimeters and angles in degrees are root mean squares over all fram
 [evaluation.md](evaluation.md). Seconds are wall time on two cores that had some other work beside (and
 the first rows compile, too); for what a run takes by itself see [benchmarks.md](benchmarks.md).
 
-Recordings but kitti360_suburb, hard difficulty, of medium difficulty the courtyard and the rooms with a spinning LiDAR
-with seed 119, and disturbed rooms with seed 801 are of this version, which looks for surface as far as rings are apart
-and judges cameras over the pixels that compared states cover. The disturbed courtyard with seed 801 and what each model
-brings are of the one just before; what all models cost is of this one.
-kitti360_suburb, gates, poses of any method, medium difficulty with seeds 104 to 109 and 119 and
-of the street with seed 121, loops, recordings in parts, ablations, degenerate directions, and disturbed scenes with
+Recordings, of medium difficulty rooms and street with seed 121, and what the model of errors of scans brings are of this
+version. Hard difficulty, loops, all other rows of medium difficulty but the rooms with a non-repetitive LiDAR and seed
+119, what all models cost, and disturbed rooms with seed 801 are of the one just before, which differs where rough motions
+are wrong by more than a decimeter or a degree, where images are large, and in how errors of scans are searched for. The
+disturbed courtyard with seed 801 and what the other models bring are of the one before that.
+Gates, poses of any method, those rooms, recordings in parts, ablations, degenerate directions, and disturbed scenes with
 seeds 701 and 702 are of the version whose promises of cameras leave out what cancels between images, before the
-motion during images was found from their rows, and single cameras that failed were put back. Other rows of medium
-difficulty with seeds 120 and 121 are of the version before it, which promises more. All other rows are older: their
-leave-one-out counts pixels that show what lies behind a surface
+motion during images was found from their rows, and single cameras that failed were put back. All other rows are older:
+their leave-one-out counts pixels that show what lies behind a surface
 ([evaluation.md](evaluation.md#which-figure-decides)), and is lower for it; the IMU is of a version that finds
 exposures by color.
 """
