@@ -42,11 +42,12 @@ def carry(rough: Trajectory, refined: Poses, others: Trajectory) -> Carried:
     """
     corrections = trajectory.interpolate_corrections(rough, refined, others.times)
     poses, by_rough = np.asarray(corrections @ others.world_from_sensor), np.ones(len(others), bool)
-    there = np.flatnonzero(_far(rough, refined, others, FAR_M, FAR_DEG))
+    far = _far(rough, refined, others)
+    there = np.flatnonzero(far)
     if len(there) == 0:
         return Carried(poses, by_rough)
     moving = Trajectory(rough.times, refined)
-    smooth = _between(moving, others) @ _extrinsic(rough, moving, others, poses)
+    smooth = _between(moving, others) @ _extrinsic(rough, moving, others, poses, ~far)
     choices = np.concatenate([poses[None, there], _sides(rough, refined, others, there)])
     off = geometry.log(geometry.inverse(smooth[there]) @ choices)
     size = np.linalg.norm(off.reshape(*off.shape[:2], 2, 3), axis=-1)
@@ -60,12 +61,12 @@ def carry(rough: Trajectory, refined: Poses, others: Trajectory) -> Carried:
     return Carried(poses, by_rough)
 
 
-def _far(rough: Trajectory, refined: Poses, others: Trajectory, meters: float, degrees: float) -> np.ndarray:
-    """(I,) bool: taken during rough motions that are wrong by more; beyond the ends nothing is."""
+def _far(rough: Trajectory, refined: Poses, others: Trajectory) -> np.ndarray:
+    """(I,) bool: taken during rough motions that are wrong by far; beyond the ends nothing is."""
     if len(rough) < 2:
         return np.zeros(len(others), bool)
     before, _ = trajectory.bracket(rough.times, others.times)
-    far = trajectory.motions_differ(rough.world_from_sensor, refined, meters, degrees)[before]
+    far = trajectory.motions_differ(rough.world_from_sensor, refined, FAR_M, FAR_DEG)[before]
     return np.asarray(far & ~spline.outside(rough, others.times))
 
 
@@ -76,9 +77,10 @@ def _between(samples: Trajectory, others: Trajectory) -> np.ndarray:
     return spline.through(samples, others.times)
 
 
-def _extrinsic(rough: Trajectory, moving: Trajectory, others: Trajectory, poses: Poses) -> np.ndarray:
-    """(4, 4) `sensor_from_other`: as poses (I, 4, 4) have it where no rough motion is wrong, else as rough poses do."""
-    steady = ~_far(rough, moving.world_from_sensor, others, FAR_M, FAR_DEG)
+def _extrinsic(
+    rough: Trajectory, moving: Trajectory, others: Trajectory, poses: Poses, steady: np.ndarray
+) -> np.ndarray:
+    """(4, 4) `sensor_from_other`: as poses (I, 4, 4) have it where the motion is steady (I,), else as rough poses do."""
     if steady.any():
         each = geometry.inverse(_between(moving, others)[steady]) @ poses[steady]
     else:

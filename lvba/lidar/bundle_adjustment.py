@@ -21,7 +21,7 @@ from lvba.lidar.config import LidarConfig, Stage
 from lvba.lidar.odometry_factor import OdometryPrior, odometry_prior
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.lidar.problem import Problem
-from lvba.lidar.rounds import Round, Rounds, build_grid, count_points, planes_in
+from lvba.lidar.rounds import Round, Rounds, Solved, build_grid, count_points, planes_in
 from lvba.lidar.scan import Scans, gather
 from lvba.lidar.weights import observation_weights
 from lvba.progress import Progress, silent
@@ -118,11 +118,7 @@ def refine(
     rough = np.array(world_from_scan, float)
     prior = odometry or odometry_prior(rough, config.prior_rotation, config.prior_translation)
     rounds = Rounds(points=points, sensor=sensor, config=config, poses=rough, prior=prior)
-    total, done = sum(stage.rounds for stage in stages), 0
-    for stage in stages[:-1]:
-        rounds.of_stage(stage, progress, done, total)
-        done += stage.rounds
-    solved = rounds.last(stages[-1], progress, done, total)
+    solved, total = _through(rounds, stages, progress), sum(stage.rounds for stage in stages)
     inertial = None
     if imu is not None:
         rounds, solved, inertial = inertial_rounds.with_imu(rounds, imu, stages[-1], solved, progress)
@@ -156,6 +152,15 @@ def refine(
     )
 
 
+def _through(rounds: Rounds, stages: tuple[Stage, ...], progress: Progress) -> Solved:
+    """All stages, one after the other: what the last one leaves."""
+    total, done = sum(stage.rounds for stage in stages), 0
+    for stage in stages[:-1]:
+        rounds.of_stage(stage, progress, done, total)
+        done += stage.rounds
+    return rounds.last(stages[-1], progress, done, total)
+
+
 @dataclass(frozen=True)
 class Aligned:
     """world_from_scan: (S, 4, 4) float64, refined poses; planes: of the map that they make; plane_points: its points"""
@@ -185,9 +190,7 @@ def align(
     prior = odometry_prior(rough, config.prior_rotation, config.prior_translation)
     poses = rough if start is None else np.array(start, float)
     rounds = Rounds(points=points, sensor=sensor_position, config=config, poses=poses, prior=prior)
-    for stage in stages[:-1] if start is None else ():
-        rounds.of_stage(stage, silent, 0, 1)
-    rounds.last(stages[-1], silent, 0, 1)
+    _through(rounds, stages if start is None else stages[-1:], silent)
     poses = rounds.poses
     del rounds
     return Aligned(poses, *_planes_of_stage(points, poses, sensor_position, stages[-1]))

@@ -117,15 +117,10 @@ def _turned(sensor: str, best: tuple[int, int], scores: Sequence[Answer]) -> str
     figures = f"({scores[0].score:.2g} against {scores[1].score:.2g} {_BESIDE[sensor]})"
     if scores[0].score > _EXPLAINED * scores[1].score:
         return f"its {sensor}'s axes are others than is said {figures}"
-    angle = round(float(np.degrees(np.linalg.norm(geometry.log(_pose(ROTATIONS[best[0]]))[:3]))))
+    turn = geometry.from_rotation_translation(ROTATIONS[best[0]], np.zeros(3))
+    angle = round(float(geometry.rotation_angle_deg(turn)))
     sign = " and its sign is the other one" if best[1] < 0 else ""
     return f"its {sensor}'s axes are turned by {angle} degrees from what is said{sign} {figures}"
-
-
-def _pose(rotation: np.ndarray) -> np.ndarray:
-    pose = np.eye(4)
-    pose[:3, :3] = rotation
-    return pose
 
 
 def _axes_are_open(sensor: str, answers: Sequence[Answer]) -> list[str]:
@@ -155,7 +150,7 @@ class _Forces:
     def of(poses: Track, imu: ImuReadings, imu_from_lidar: Pose) -> "_Forces | None":
         """None where too few windows have readings, or these are in no known unit."""
         given = readings.in_si_units(readings.ordered(imu.times, imu.rates, imu.forces))
-        knots = _knots(poses.times)
+        knots = poses.apart(_APART_S - 1e-6)
         if given is None or len(knots) < 3:
             return None
         inside = (given.times > poses.times[knots[0]]) & (given.times < poses.times[knots[-1]])
@@ -197,15 +192,6 @@ class _Forces:
         off = np.einsum("nijk,jk->ni", self.felt, matrix) - self.accelerations
         squares = np.sum((off - off.mean(axis=0)) ** 2, axis=1)
         return np.array([np.sqrt(squares[group].mean()) for group in self.groups])
-
-
-def _knots(times: np.ndarray) -> np.ndarray:
-    """(M,) int64: numbers of poses at least so far apart."""
-    kept = [0]
-    for number, time in enumerate(times):
-        if time - times[kept[-1]] >= _APART_S - 1e-6:
-            kept.append(number)
-    return np.array(kept)
 
 
 def _sums(interval: np.ndarray, weights: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:

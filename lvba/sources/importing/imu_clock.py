@@ -84,7 +84,7 @@ def find(
     if imu is None:
         return ImuRead()
     first = said.get(QUESTION, "") or next(iter(offsets))
-    turning, steps = turnings.turning(imu, imu_from_lidar), _steps(poses)
+    turning, steps = turnings.turning(imu, imu_from_lidar), poses.apart(_APART_S)
     if imu_from_lidar is None or turning is None or len(steps) <= _FEWEST * _TURNS:
         return ImuRead(offsets[first])
     turns = _Turns(Track(poses.times[steps], poses.poses[steps]), turning)
@@ -114,7 +114,7 @@ def find(
     if why:
         words = f"imu: {'; '.join(why)}: it is left out: check its mounting (--calibration) and its units"
         return replace(read, left_out=True, warnings=(*read.warnings, words))
-    warnings = (*read.warnings, turns.otherwise(read.offset), _unit(imu), *axes.warnings)
+    warnings = (*read.warnings, turns.otherwise(read.offset, fit), _unit(imu), *axes.warnings)
     return replace(
         read,
         forces=axes.sign,
@@ -168,15 +168,6 @@ def shifted(imu: ImuReadings | None, by: float) -> ImuReadings | None:
     return imu if imu is None or not by else replace(imu, times=imu.times + by)
 
 
-def _steps(poses: Track) -> np.ndarray:
-    """(M,) int64: numbers of poses at least so far apart."""
-    kept = [0]
-    for number, time in enumerate(poses.times):
-        if time - poses.times[kept[-1]] >= _APART_S:
-            kept.append(number)
-    return np.array(kept)
-
-
 class _Turns:
     """Turns from pose to pose, beside a gyroscope."""
 
@@ -220,13 +211,12 @@ class _Turns:
         rates = self._turned.as_rotvec() / (self._end - self._begin)[:, None]
         return float(np.sqrt(np.mean(np.sum((rates - rates.mean(axis=0)) ** 2, axis=1))))
 
-    def otherwise(self, late: float) -> str:
-        """A warning where the gyroscope turns otherwise than the poses; "" where it does not."""
+    def otherwise(self, late: float, fit: "_Fit | None") -> str:
+        """A warning where the gyroscope turns otherwise than the poses; "" where it does not. fit: that of `fit(late)`"""
         size = self.size
         off = float(np.sqrt(np.mean(self.scores(late) ** 2)))
         if max(size, off) < _TURNING:
             return ""
-        fit = self.fit(late)
         if fit is not None and (why := fit.words()):
             return f"imu: {why}: check its mounting (--calibration) and its units"
         if off < _OTHERWISE * size:

@@ -27,6 +27,14 @@ class Track:
         after = np.minimum(before + 1, len(self) - 1)
         return geometry.interpolate(self.poses[before], self.poses[after], fraction)
 
+    def apart(self, seconds: float) -> np.ndarray:
+        """(M,) int64: numbers of poses that are at least so many seconds apart, the first among them."""
+        kept = [0]
+        for number, time in enumerate(self.times):
+            if time - self.times[kept[-1]] >= seconds:
+                kept.append(number)
+        return np.array(kept)
+
     def covers(self, first: float, last: float) -> bool:
         """Whether there are poses around and between two times (s), no gap of which is too long."""
         if not (self.times[0] <= first and last <= self.times[-1]):
