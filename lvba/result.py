@@ -95,6 +95,7 @@ class Result:
             used.get("sigma", {}),
             self.radiometry.vignetting.numbers if self.radiometry.vignetting else None,
             self.radiometry.response.table if self.radiometry.response else None,
+            (used["clock_rate"], used["clock_epoch"]) if "clock_rate" in used else None,
         )
 
     def _write_map(self, path: Path) -> None:

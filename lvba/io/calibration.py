@@ -26,6 +26,7 @@ def write(
     sigma: dict[str, list[float]],
     vignetting: np.ndarray | None = None,
     response: np.ndarray | None = None,
+    clock: tuple[float, float] | None = None,
 ) -> None:
     """Writes the calibration; its `cam_model` may be put in place of that of a recording.
 
@@ -33,6 +34,7 @@ def write(
     sigma: standard deviations by parameter; empty: not refined
     vignetting: (5,) float64, numbers of a `visual.vignetting.Vignetting`; None: none was found
     response: (2, K) float64, grey values, and the slope of log light over log grey value there; None: none was found
+    clock: rate of the camera's clock, s a second, and the stamp, s, that it counts from; None: none was found
     Raises InputError: it cannot be written.
     """
     facts: dict[str, Any] = {
@@ -42,12 +44,15 @@ def write(
         "rolling_shutter_readout_s": float(readout_s),
         "standard_deviations": sigma,
     }
+    head = "# The camera as the run used it; px, m and s. Image time + time_offset_s = LiDAR time.\n"
+    if clock is not None:
+        facts |= {"clock_rate": float(clock[0]), "clock_epoch_s": float(clock[1])}
+        head = head.replace("_s =", "_s + clock_rate * (image time - clock_epoch_s) =")
     if vignetting is not None:
         numbers = [float(value) for value in vignetting]
         facts["vignetting"] = {"coefficients": numbers[:3], "center": numbers[3:]}
     if response is not None:
         facts["response"] = dict(zip(("grey_values", "slopes"), response.tolist(), strict=True))
-    head = "# The camera as the run used it; px, m and s. Image time + time_offset_s = LiDAR time.\n"
     text = yaml.safe_dump(facts, sort_keys=False, default_flow_style=None, width=120)
     files.write_text(files.make_folder(folder) / NAME, head + text, durable=True)
 

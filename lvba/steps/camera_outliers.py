@@ -117,7 +117,7 @@ def _expectations(dataset: Dataset, scans: ScanPoses, result: VisualResult) -> t
     everywhere = np.ones(len(result.keyframes), bool)
     expected = [("carried", carry_cameras(dataset, scans.world_from_scan), everywhere)]
     if len(samples) >= spline.FEWEST_SAMPLES:
-        moments = times + result.time_offset
+        moments = result.moments(times)
         inside = (moments >= samples.times[1]) & (moments <= samples.times[-2])
         poses = spline.through(samples, moments) @ result.scan_from_camera
         expected.append(("spline", poses, inside[result.keyframes]))

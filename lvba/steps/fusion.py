@@ -27,10 +27,9 @@ def solve_fusion(
     result, known = visual.result, visual.result.keyframes
     cameras = pose_fusion.scan_poses_from_cameras(
         result.world_from_camera[known],
-        dataset.images.times[known],
+        result.moments(dataset.images.times)[known],
         result.local_covariance[known],
         result.scan_from_camera,
-        result.time_offset,
         result.extrinsic_sigma,
     )
     fused = pose_fusion.fuse(

@@ -15,13 +15,14 @@ from lvba.blocks.survey import Survey, keyframes_of
 from lvba.blocks.visual_block import CameraBlock, CameraPoints
 from lvba.blocks.visual_joint import JointCameras
 from lvba.dataset import Dataset
-from lvba.optim.shared_parameters import common_sigma, weighted_mean
+from lvba.optim.shared_parameters import common_sigma
 from lvba.products.views import nearest_in_time
 from lvba.steps.lidar import carry_cameras
 from lvba.steps.outcomes import LidarStage, MapPlanes, ScanPoses, VisualStage
 from lvba.steps.visual import inputs
 from lvba.trajectory import Trajectory
 from lvba.visual import calibration_prior, covariance, fixed_calibration, radiometry, trajectory_prior
+from lvba.visual.clock import clock_drifts, common_calibration, evidence_from
 from lvba.visual.exposure_graph import Edges
 from lvba.visual.image import measuring_camera
 from lvba.visual.refine import VisualConfig, VisualResult
@@ -84,11 +85,11 @@ def merge_cameras(
         log_exposure[mine] = part.result.log_exposure[own] + shift
         sigma[mine] = part.result.log_exposure_sigma[own]
     keyframes = survey.keyframes
+    prior = _prior(dataset, cores, stages, lidar, scans, survey, config)
     state = VisualState(
         CameraStates(poses[keyframes], log_exposure[keyframes] - log_exposure[keyframes[0]]),
-        _common_calibration([part.result for part in solved if part.result is not None]),
+        common_calibration(_results(solved), prior.epoch),
     )
-    prior = _prior(dataset, cores, stages, lidar, scans, survey, config)
     converged = all(part.result is not None and len(part.result.degenerate_common) for part in solved)
     return MergedCameras(
         JointCameras(
@@ -97,12 +98,14 @@ def merge_cameras(
             prior=prior,
             exposure_sigma=sigma[keyframes],
             converged=converged,
-            radiometry=radiometry.mean(
-                [part.result.radiometry for part in solved if part.result is not None]
-            ),
+            radiometry=radiometry.mean([result.radiometry for result in _results(solved)]),
         ),
         seams,
     )
+
+
+def _results(stages: Sequence[VisualStage]) -> list[VisualResult]:
+    return [part.result for part in stages if part.result is not None]
 
 
 def _exposure_scales(
@@ -143,12 +146,6 @@ def _exposure_scales(
         return np.zeros(len(stages)), ()
     scale = np.linalg.lstsq(np.array(rows), np.array(values), rcond=None)[0]
     return scale - scale[0], tuple(seams)
-
-
-def _common_calibration(results: Sequence[VisualResult]) -> Calibration:
-    """The mean of the parts' calibrations, each number weighed by what its part knows of it."""
-    calibrations = [result.calibration for result in results]
-    return weighted_mean(calibrations[0], calibrations, [result.calibration_sigma for result in results])
 
 
 def _prior_of_all(dataset: Dataset, lidar: LidarStage, scans: ScanPoses, config: VisualConfig) -> Prior:
@@ -203,13 +200,25 @@ def _prior(
                 correlation_inflation=(factor[0], factor[1]),
             )
         )
-    tunings = [part.tuning for part in stages if part.tuning is not None]
-    said = [tuning.evidence for tuning in tunings if tuning.evidence is not None]
+    known = [
+        (part.tuning, part.result) for part in stages if part.tuning is not None and part.result is not None
+    ]
+    drifting = any(tuning.drifting for tuning, _ in known) or clock_drifts(_results(stages))
+    said = [
+        evidence_from(tuning.evidence, prior.epoch - result.clock_epoch if drifting else 0.0)
+        for tuning, result in known
+        if tuning.evidence is not None
+    ]
     counted = None
     if said:
         whole = functools.reduce(operator.add, said)
         counted = calibration_prior.weighed(whole.information, whole.spread, prior.calibration.claimed)
-    prior = replace(prior, sources=tuple(sources), calibration=replace(prior.calibration, counted=counted))
+    prior = replace(
+        prior,
+        sources=tuple(sources),
+        calibration=replace(prior.calibration, counted=counted),
+        drifting=drifting,
+    )
     return trajectory_prior.with_fixed(prior, _fixed(stages))
 
 
@@ -321,7 +330,7 @@ def finish_cameras(
     solved = now.prior if now.prior is not None else trajectory_prior.take(prior, keyframes)
     poses, _ = trajectory_prior.fill(prior, solved, now.state, keyframes, times)
     log_exposure = np.interp(times, times[keyframes], now.state.cameras.log_exposure)
-    results = [part.result for part in stages if part.result is not None]
+    results = _results(stages)
     spread, local_covariance = _of_parts(cores, stages, len(times))
     if lidar.result is not None and scans.verdict.accepted:
         where = Trajectory(dataset.scans.times, scans.world_from_scan)
@@ -358,6 +367,7 @@ def finish_cameras(
             extrinsic_change=calibration_prior.extrinsic_change(
                 calibration, prior.calibration, np.diag(sigma**2)
             ),
+            clock_epoch=prior.epoch,
         )
     )
 

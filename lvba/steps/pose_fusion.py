@@ -83,21 +83,20 @@ class Fused:
 
 def scan_poses_from_cameras(
     world_from_camera: Poses,
-    times: Times,
+    moments: Times,
     covariance: PoseBlocks,
     scan_from_camera: Pose,
-    time_offset: float,
     extrinsic_sigma: np.ndarray,
 ) -> Cameras:
-    """Where cameras (K, 4, 4) with stamps (K,), ascending, have the LiDAR; those without a covariance are left out.
+    """Where cameras (K, 4, 4) have the LiDAR; those without a covariance are left out.
 
-    time_offset: s, image time + offset = LiDAR time; covariance: (K, 6, 6), relative to the map, in the camera's tangent
+    moments: (K,) s, ascending, on the LiDAR's clock; covariance: (K, 6, 6), relative to the map, in the camera's tangent
     extrinsic_sigma: (7,) float64, as in `VisualResult`
     """
     known = np.isfinite(covariance).all((1, 2)) & (np.trace(covariance, axis1=1, axis2=2) > 0)
     carry = geometry.adjoint(scan_from_camera)
     return Cameras(
-        Trajectory(times[known] + time_offset, world_from_camera[known] @ geometry.inverse(scan_from_camera)),
+        Trajectory(moments[known], world_from_camera[known] @ geometry.inverse(scan_from_camera)),
         carry @ covariance[known] @ carry.T,
         carry @ np.diag(np.square(extrinsic_sigma[:6])) @ carry.T,
         float(extrinsic_sigma[6]),

@@ -219,7 +219,7 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
         but=(
             *("world_from_camera", "covariance", "local_covariance"),
             *("scan_from_camera", "degenerate", "log_exposure", "log_exposure_sigma"),
-            *("calibration_sigma", "radiometry", "extrinsic_change", "white_balance"),
+            *("calibration_sigma", "radiometry", "extrinsic_change", "white_balance", "clock_epoch"),
         ),
     )
     if accepted.exposures.accepted:
@@ -229,7 +229,8 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
         facts["white_balance"] = {"used": accepted.exposures.accepted, "change_percent": size}
     facts["history"] = _history(visual)
     facts["iterations"] = len(facts["history"])
-    facts["time_offset"] = {"seconds": result.time_offset, "sigma": float(result.extrinsic_sigma[6])}
+    offset = result.calibration.time_offset
+    facts["time_offset"] = {"seconds": offset, "sigma": float(result.extrinsic_sigma[6])}
     facts["calibration"] = _calibration(dataset, result, accepted)
     facts |= _radiometry(result.radiometry, accepted)
     facts["extrinsic"] = {
@@ -263,7 +264,9 @@ def _calibration(dataset: Dataset, result: VisualResult, accepted: Accepted) -> 
     names = ["time_offset"]
     if camera != dataset.camera or refined.readout:
         names += intrinsics
-    return {
+    clock = {"clock_epoch": result.clock_epoch} if refined.clock_rate else {}
+    names += ["clock_rate"] if clock else []
+    return clock | {
         "used": accepted.cameras.accepted,
         "calibrated_camera": dataset.camera,
         "camera": camera,

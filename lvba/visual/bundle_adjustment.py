@@ -71,6 +71,14 @@ class LevelSolution:
     history: tuple[Iteration, ...]
     converged: bool
 
+    @property
+    def corrected(self) -> bool:
+        """Whether the calibration is not as it was given, but for what is always refined."""
+        if self.prior is None:
+            return False
+        camera = self.problem.shifts is not None and not set(fixed_calibration.CORRECTIONS) <= set(self.fixed)
+        return camera or self.prior.drifting
+
 
 @dataclass(frozen=True)
 class LevelConfig:
@@ -133,6 +141,8 @@ def solve(
             one_left = turn == config.rounds - 2
             if shifts is not None and prior is not None and one_left:
                 fixed = _fixed(problem, wall_clusters, prior, at, linearization, free)
+            if config.finest and prior is not None and one_left:
+                prior, at = _with_clock(problem, wall_clusters, prior, at, linearization, free)
             keep = config.finest and one_left
             problem, prior = _reweighted(problem, wall_clusters, prior, at, linearization, free, keep)
             # not by a readout that may be chance
@@ -354,3 +364,26 @@ def _fixed(
         per_pixel=noise.per_pixel(problem.information, linearization.sums),
     )
     return fixed_calibration.insignificant(at.calibration.deviation(prior.calibration.reference), known)
+
+
+def _with_clock(
+    problem: Problem,
+    wall_clusters: WallClusters,
+    prior: Prior,
+    at: _State,
+    linearization: Linearization,
+    free: np.ndarray,
+) -> tuple[Prior, _State]:
+    """Prior and state with a rate of the camera's clock where images call for one: a step from here, were it free, must
+    not be chance."""
+    asked = replace(prior, drifting=True)
+    total = joint(linearization.equations, asked, at.visual)
+    step = linear_solver.solve_step(total, 0.0, free)
+    if step is None:
+        return prior, at
+    spread = _covariance_of_calibration(problem, wall_clusters, asked, at, linearization, free, total)
+    moved = at.calibration.deviation(prior.calibration.reference) + step.shared
+    drifting = fixed_calibration.beyond_chance(moved, spread, "clock_rate")
+    if not drifting:
+        at = replace(at, calibration=replace(at.calibration, clock_rate=0.0))
+    return replace(prior, drifting=drifting), at

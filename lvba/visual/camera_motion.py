@@ -162,7 +162,7 @@ def _moving(prior: Prior, state: VisualState) -> tuple[Trajectory | None, np.nda
     """What tells how the LiDAR moves, scans and the cameras between them that help, and the images' moments (I,), s."""
     if prior.scans is None or prior.times is None:
         return None, np.zeros(len(prior))
-    moments = prior.times + state.calibration.time_offset
+    moments = state.calibration.moments(prior.times, prior.epoch)
     used = _between(prior.scans.times, moments)
     if not used.any():
         return prior.scans, moments

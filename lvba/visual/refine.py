@@ -32,7 +32,6 @@ from lvba.visual import (
 from lvba.visual import result as results
 from lvba.visual.bundle_adjustment import ROUNDS, SOLVER, LevelConfig, LevelSolution
 from lvba.visual.degeneracy import DegenerateDirections
-from lvba.visual.fixed_calibration import CORRECTIONS
 from lvba.visual.image import ImageConfig, LevelImages, Pyramid
 from lvba.visual.keyframes import KeyframeConfig
 from lvba.visual.radiometry import Radiometry
@@ -376,14 +375,13 @@ def _exposed(
 def _solve_level(
     scene: Scene, level: int, coarser: Coarser, config: VisualConfig, progress: Progress
 ) -> LevelSolution:
-    """One level's solution; at the finest, once more with points found anew if that corrected the camera.
+    """One level's solution; at the finest, once more with points found anew if that corrected camera or clock.
 
     With a camera that is pixels off in the corners, patches there match nothing: what is left are those that tell least.
     The same holds for rows that the camera moved otherwise at than was known, as often as that still changes.
     """
     solution = _solved_once(scene, level, coarser, config, progress)
-    free = level == 0 and config.calibrate and scene.camera is not None and solution.prior is not None
-    if not free or scene.variant.reference_pixels != "fixed" or set(CORRECTIONS) <= set(solution.fixed):
+    if level > 0 or scene.variant.reference_pixels != "fixed" or not solution.corrected:
         return solution
     for _ in range(_MOST_SOLVES):
         again = replace(

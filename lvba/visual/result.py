@@ -65,6 +65,7 @@ class VisualResult:
     white_balance: (I, 3) float64, log of how much brighter red, green and blue of an image are than its exposure says,
         each 0 on average, and exposures are means over the colors; None: it does not change
     substituted: (r,) int64, images whose poses are their neighbors' (`lvba.steps.camera_outliers`)
+    clock_epoch: s, the stamp that the rate of the camera's clock counts from
     """
 
     world_from_camera: np.ndarray
@@ -86,16 +87,16 @@ class VisualResult:
     extrinsic_change: ExtrinsicChange = NO_CHANGE
     white_balance: np.ndarray | None = None
     substituted: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    clock_epoch: float = 0.0
 
     @property
     def scan_from_camera(self) -> np.ndarray:
         """(4, 4), the extrinsic found."""
         return self.calibration.scan_from_camera
 
-    @property
-    def time_offset(self) -> float:
-        """s: image time + offset = LiDAR time."""
-        return self.calibration.time_offset
+    def moments(self, times: Times) -> Times:
+        """(I,) s on the LiDAR's clock, at which images with these stamps (I,), s, were taken."""
+        return self.calibration.moments(times, self.clock_epoch)
 
     @property
     def extrinsic_sigma(self) -> np.ndarray:
@@ -170,6 +171,7 @@ def collect(
         converged=all(report.converged for report in levels),
         warnings=_warnings(last, levels, directions, own, keyframes),
         extrinsic_change=_extrinsic_change(state, last.prior, known),
+        clock_epoch=prior.epoch,
     )
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from lvba.arrays import Times
 from lvba.optim.shared_parameters import Pose, Scalar, SharedParameters, Vector, parameter
 
 
@@ -32,6 +33,8 @@ class Calibration(SharedParameters):
     principal_point: (2,) float64, px of the raw image, by how much cx and cy are larger
     distortion: (4,) float64, by how much the first four coefficients of the lens are larger
     readout: s, from the first to the last row of an image
+    clock_rate: s a second by which the camera's clock loses on the LiDAR's: an image stamped t was taken at
+        t + time_offset + clock_rate (t - epoch) there (`moments`)
     """
 
     scan_from_camera: np.ndarray = field(metadata=parameter(Pose()))
@@ -42,6 +45,13 @@ class Calibration(SharedParameters):
     )
     distortion: np.ndarray = field(default_factory=lambda: np.zeros(4), metadata=parameter(Vector(4, "")))
     readout: float = field(default=0.0, metadata=parameter(Scalar("s")))
+    clock_rate: float = field(default=0.0, metadata=parameter(Scalar("")))
+
+    def moments(self, times: Times, epoch: float) -> Times:
+        """(I,) s on the LiDAR's clock, at which images with these stamps (I,) were taken; epoch: s, a stamp."""
+        if not self.clock_rate:
+            return np.asarray(times + self.time_offset)
+        return np.asarray(times + (self.time_offset + self.clock_rate * (times - epoch)))
 
 
 @dataclass(frozen=True)

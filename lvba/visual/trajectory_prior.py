@@ -69,6 +69,7 @@ class PriorConfig(Group):
             "principal_point": PRINCIPAL_POINT_PX,
             "distortion": np.array(DISTORTION),
             "readout": READOUT_S,
+            "clock_rate": self.time_offset_s / CLOCKS_PART_S,
         }
 
 
@@ -76,6 +77,8 @@ FOCAL, PRINCIPAL_POINT_PX, DISTORTION, READOUT_S = (0.01, 0.001), 5.0, (0.02, 0.
 """How far a calibration may be off, one standard deviation: relative, both focal lengths and their ratio (pixels are
 square); px; k1 k2 p1 p2; s. Real ones are wrong by 0.1 to 0.5 %, 1 to 4 px and .003 to .02 of k1, and consumer cameras
 read out in 5 to 30 ms."""
+CLOCKS_PART_S = 20.0
+"""s, in which clocks part by as much as they may be apart: by default .001 of the time. Quartz parts by .0001 at most."""
 SIGMA_POSITION_M, SIGMA_ROTATION_DEG = 0.02, 0.3
 """First guess of how far eq. (1) is off in a frame, m and degrees; estimated from the data afterwards."""
 BETWEEN_SCANS = 0.3
@@ -116,6 +119,7 @@ class Prior:
     calibration: what is known of the calibration itself; it counts beside the images as `calibration_prior.weighed` has
         it; evidence: of the images, by which it was weighed last, None: it was not
     scans: as refined; times: (I,) s, of the images; None: not known
+    epoch: s, the stamp that the rate of the camera's clock counts from; drifting: whether that rate is solved for
     """
 
     sources: tuple[Source, ...]
@@ -125,6 +129,8 @@ class Prior:
     evidence: Evidence | None = None
     scans: Trajectory | None = None
     times: np.ndarray | None = None
+    epoch: float = 0.0
+    drifting: bool = False
 
     def __len__(self) -> int:
         return len(self.velocity_world)
@@ -182,6 +188,7 @@ def build(
         calibration=known,
         scans=moving,
         times=images.times,
+        epoch=float(images.times[0] + images.times[-1]) / 2,
     )
 
 
@@ -293,11 +300,19 @@ def rates_of(scans: Trajectory, times: Times) -> tuple[np.ndarray, np.ndarray]:
 
 def predict(prior: Prior, source: Source, calibration: Calibration) -> np.ndarray:
     """world_from_camera of all images if they sat on the trajectory exactly, (I, 4, 4)."""
-    turn = Rotation.from_rotvec(prior.rate_scan * calibration.time_offset).as_matrix()
+    late: float | np.ndarray = calibration.time_offset
+    if calibration.clock_rate:
+        late = late + calibration.clock_rate * _since_epoch(prior)[:, None]
+    turn = Rotation.from_rotvec(prior.rate_scan * late).as_matrix()
     shifted = source.world_from_scan.copy()
     shifted[:, :3, :3] = shifted[:, :3, :3] @ turn
-    shifted[:, :3, 3] += prior.velocity_world * calibration.time_offset
+    shifted[:, :3, 3] += prior.velocity_world * late
     return np.asarray(shifted @ calibration.scan_from_camera)
+
+
+def _since_epoch(prior: Prior) -> np.ndarray:
+    """(I,) s; zero where stamps are not known."""
+    return np.zeros(len(prior)) if prior.times is None else prior.times - prior.epoch
 
 
 def residuals(prior: Prior, source: Source, state: VisualState) -> np.ndarray:
@@ -336,6 +351,8 @@ def jacobians(prior: Prior, source: Source, state: VisualState) -> tuple[np.ndar
     by_calibration = np.zeros((len(prior), 6, layout.size))
     by_calibration[:, :, layout["scan_from_camera"]] = by_extrinsic
     by_calibration[:, :, layout["time_offset"]] = by_offset[..., None]
+    if prior.drifting:
+        by_calibration[:, :, layout["clock_rate"]] = (_since_epoch(prior)[:, None] * by_offset)[..., None]
     return by_camera, by_calibration
 
 

@@ -20,6 +20,7 @@ class Tuning:
     correlation_inflation: (sources, 2), of rotation and position
     evidence: of the images about the calibration; None: there is no prior
     fixed: names of the parameters of the calibration that the images do not call to correct
+    drifting: whether they call for a rate of the camera's clock
     """
 
     noise: NoiseModel
@@ -30,6 +31,7 @@ class Tuning:
     correlation_inflation: np.ndarray
     evidence: Evidence | None
     fixed: tuple[str, ...] = ()
+    drifting: bool = False
 
 
 def tuning(solution: LevelSolution) -> Tuning:
@@ -48,4 +50,5 @@ def tuning(solution: LevelSolution) -> Tuning:
         correlation_inflation=np.array([source.correlation_inflation for source in sources]),
         evidence=None if solution.prior is None else solution.prior.evidence,
         fixed=solution.fixed,
+        drifting=solution.prior is not None and solution.prior.drifting,
     )

@@ -209,6 +209,16 @@ def test_calibration_of_a_result_is_read_again(tmp_path):
     assert (rig.camera_time_offset_s, rig.clock) == (0.004, "LiDAR")
 
 
+def test_a_clock_that_loses_is_in_the_calibration_of_a_result(tmp_path):
+    camera = Camera(640, 480, 500.5, 501.5, 320.25, 239.75)
+    result_calibration.write(tmp_path, camera, CAMERA_FROM_LIDAR, 0.004, 0.0, {}, clock=(1e-3, 1.7e9))
+    path = tmp_path / "calibration.yaml"
+    facts = yaml.safe_load(path.read_text())
+    assert (facts["clock_rate"], facts["clock_epoch_s"]) == (1e-3, 1.7e9)
+    assert "time_offset_s + clock_rate * (image time - clock_epoch_s) = LiDAR time" in path.read_text()
+    assert calibrations.read([path]).camera_time_offset_s == 0.004
+
+
 def test_images_may_be_scaled_by_one_factor_only(tmp_path):
     rig = calibrations.read([writers.fast_livo(tmp_path, RADIAL, False, CAMERA_FROM_LIDAR, BODY_FROM_LIDAR)])
     half = rig.camera_for(ImageSize(640, 512))

@@ -81,6 +81,7 @@ class Walk:
             "local_covariance": small,
             "keyframes": np.setdiff1d(np.arange(COUNT), np.arange(1, COUNT, 3)),
             "calibration": Calibration(np.eye(4)),
+            "clock_epoch": 0.0,
             "warnings": (),
             "substituted": np.zeros(0, np.int64),
         }

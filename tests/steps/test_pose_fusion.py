@@ -52,7 +52,7 @@ def cameras(rng, sigma=TIGHT, extrinsic_sigma=None):
     poses = geometry.retract(truth, rng.normal(size=spread.shape) * spread)
     extrinsic_sigma = np.zeros(7) if extrinsic_sigma is None else extrinsic_sigma
     return pose_fusion.scan_poses_from_cameras(
-        poses, IMAGE_TIMES, blocks(spread), MOUNT, OFFSET, extrinsic_sigma
+        poses, IMAGE_TIMES + OFFSET, blocks(spread), MOUNT, extrinsic_sigma
     )
 
 
@@ -282,7 +282,7 @@ def test_too_few_cameras_tell_nothing():
     spread = blocks(np.tile(TIGHT, (6, 1)))
     spread[:3] = np.nan
     few = pose_fusion.scan_poses_from_cameras(
-        path(IMAGE_TIMES[:6]) @ MOUNT, IMAGE_TIMES[:6], spread, MOUNT, OFFSET, np.zeros(7)
+        path(IMAGE_TIMES[:6]) @ MOUNT, IMAGE_TIMES[:6] + OFFSET, spread, MOUNT, np.zeros(7)
     )
     assert len(few.world_from_scan) == 3
     assert pose_fusion.fuse(given, covariance, few) is None

@@ -57,7 +57,8 @@ def test_the_account_of_the_levels_goes_from_coarse_to_fine(refined):
         assert 1.0 < level.sigma < 4.0
     assert refined.degenerate.shape == (COUNT,)
     assert len(refined.degenerate_common) == 0
-    assert abs(refined.time_offset) < 0.005
+    assert abs(refined.calibration.time_offset) < 0.005
+    assert refined.calibration.clock_rate == 0.0
 
 
 def test_the_same_input_gives_the_same_bytes(room, refined):

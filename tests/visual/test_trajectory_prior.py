@@ -60,8 +60,10 @@ def test_cameras_on_the_trajectory_have_no_residual():
     assert np.abs(stacked(prior, state, 1)).max() < 1e-4  # splines; second order in the time offset
 
 
-def test_the_jacobians_agree_with_differences():
+@pytest.mark.parametrize("drifting", [False, True])
+def test_the_jacobians_agree_with_differences(drifting):
     prior, state = problem()
+    prior = replace(prior, drifting=drifting)
     rng = np.random.default_rng(1)
     state = moved(state, 0.1 * rng.normal(size=(30, 6)), 0.1 * rng.normal(size=SIZE))
     by_camera, by_calibration = trajectory_prior.jacobians(prior, prior.sources[1], state)
@@ -74,12 +76,31 @@ def test_the_jacobians_agree_with_differences():
             stacked(prior, moved(state, -step, np.zeros(SIZE))),
         )
         assert by_camera[:, :, n] == pytest.approx((ahead - behind) / (2 * h), abs=1e-7)
+    clock = Calibration.layout()["clock_rate"].start
+    assert by_calibration[:, :, clock].any() == drifting
     for n in range(SIZE):
+        if n == clock and not drifting:
+            continue
         step = np.zeros(SIZE)
         step[n] = h
         still = np.zeros((30, 6))
         ahead, behind = stacked(prior, moved(state, still, step)), stacked(prior, moved(state, still, -step))
         assert by_calibration[:, :, n] == pytest.approx((ahead - behind) / (2 * h), abs=1e-6)
+
+
+def test_a_clock_that_loses_is_behind_by_more_and_more():
+    """Cameras where stamps, an offset and a rate have them are where they are expected."""
+    prior, state = problem()
+    calibration = replace(state.calibration, clock_rate=0.004)
+    moments = calibration.moments(prior.times, prior.epoch)
+    assert moments[-1] - prior.times[-1] > calibration.time_offset + 0.015
+    assert moments[0] - prior.times[0] < calibration.time_offset - 0.015
+    expected = trajectory_prior.predict(prior, prior.sources[1], calibration)
+    # to second order in what stamps are off
+    wrong = geometry.log(geometry.inverse(handheld(moments) @ EXTRINSIC) @ expected)
+    assert np.abs(wrong).max() < 1e-3
+    before = trajectory_prior.predict(prior, prior.sources[1], state.calibration)
+    assert np.abs(geometry.log(geometry.inverse(before) @ expected)).max() > 0.01
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 5e-4, 2e-3, 0.7, 3.0])
@@ -99,6 +120,7 @@ def test_the_inverse_right_jacobian_agrees_with_differences(angle):
 
 def test_the_normal_equations_are_the_derivatives_of_the_cost():
     prior, state = problem(scatter=0.004)
+    prior = replace(prior, drifting=True)
     equations = trajectory_prior.linearize(prior, state)
     assert equations.gradient.shape == (30, 7)
     assert equations.border is not None

@@ -229,6 +229,7 @@ _CALIBRATED = (
     ("principal_point", 1, "Principal point down by", 1.0, 2, "px"),
     ("distortion", 0, "k1 larger by", 1.0, 5, ""),
     ("readout", 0, "Readout time of the image rows", 1000.0, 2, "ms"),
+    ("clock_rate", 0, "Clock of the camera slower by", 1000.0, 3, "ms a second"),
 )
 """Key in the facts, index, name, scale, digits and unit."""
 
