@@ -38,6 +38,14 @@ _PASSES = 2
 """Where the odometry is decimeters off everywhere, what is open is laid out again beside the poses that came of it."""
 _GAIN = 0.1
 """Part of a scan's surfels by which the agreement must grow: what overlaps little could be anything."""
+_FAR_GAIN = 0.3
+"""The same where neither scan sees through surfaces of the other: a narrow sensor that moves along a wall sees again only
+part of what it saw, and the wall agrees with more of itself a meter further back."""
+_IN_SIGHT = 0.05
+"""Part of what two scans say that contradicts the odometry's motion, where they determine another one in all directions:
+of motions that were right it was .01 at most, of jumps by a meter at which much still agrees .1 and more."""
+_MORE = 0.1
+"""Part of what scans on either side say by which more may contradict a motion that replaces the odometry's."""
 _SAME_M, _SAME_DEG = 0.1, 1.0
 """Motions that differ by less are the same: two thin scans do not tell it better."""
 _BESIDE = (1, 4)
@@ -146,18 +154,15 @@ def contradicted(patches: Sequence[Patch | None], world_from_scan: Poses) -> np.
 
     Tested are the steps by which surfaces agree least.
     """
-    steps = geometry.inverse(world_from_scan[:-1]) @ world_from_scan[1:]
+    steps = _steps_of(world_from_scan)
     agree = np.full(len(steps), np.inf)
     for k, (first, second) in enumerate(pairwise(patches)):
         if first is not None and second is not None:
             agree[k] = scan_steps.overlap(Target.of(first), second, steps[k])
     wrong = []
     for k in np.argsort(agree, kind="stable")[:_TESTED]:
-        first, second = patches[k], patches[k + 1]
-        if first is None or second is None:
-            continue
-        step = _registered(Target.of(first), second, steps[k])
-        if _far(step.correction(steps[k])) and step.overlap > agree[k] + _GAIN:
+        step = _registered(patches, world_from_scan, k)
+        if step is not None and _far(step.correction(steps[k])) and step.overlap > agree[k] + _GAIN:
             wrong.append(int(k))
     return np.array(sorted(wrong), np.int64)
 
@@ -175,11 +180,9 @@ def confirmed(
     sure = []
     for k in np.unique(after):
         motion = geometry.inverse(world_from_scan[k]) @ world_from_scan[k + 1]
-        for beside in _BESIDE:
-            before, behind = slice(max(0, k + 1 - beside), k + 1), slice(k + 1, k + 1 + beside)
-            first = scan_steps.together(patches[before], world_from_scan[before], -1)
-            second = scan_steps.together(patches[behind], world_from_scan[behind], 0)
-            if first is not None and second is not None and _agreed(first, second, motion, expected[k]):
+        for most in _BESIDE:
+            pair = _beside(patches, world_from_scan, k, most)
+            if pair is not None and _agreed(*pair, motion, expected[k]):
                 sure.append(int(k))
                 break
     return np.array(sure, np.int64)
@@ -196,16 +199,51 @@ def _agreed(first: Patch, second: Patch, motion: np.ndarray, expected: np.ndarra
     return same or not rival.aligned or rival.overlap < step.overlap - _GAIN
 
 
-def _registered(first: Target, second: Patch, rough: np.ndarray) -> Step:
-    """As `scan_steps.register`; nothing is known where that is far from the odometry's (4, 4) without good reason.
+def _steps_of(world_from_scan: np.ndarray) -> np.ndarray:
+    """(S - 1, 4, 4), from each of the poses (S, 4, 4) to the next."""
+    return np.asarray(geometry.inverse(world_from_scan[:-1]) @ world_from_scan[1:])
+
+
+def _registered(patches: Sequence[Patch | None], world_from_scan: np.ndarray, k: int) -> Step | None:
+    """Scan k + 1 as `scan_steps.register` has it beside scan k; None: one of them sees too little. Nothing is known where
+    that is far from what the odometry (S, 4, 4) has, without good reason.
 
     Scans that overlap little, as of a narrow sensor that turns, fit together in several ways: any wall fits any other
-    one. Where surfaces leave directions open, they speak against an odometry only if they contradict it in sight.
+    one. Surfaces speak against an odometry if they contradict it in sight, or determine another motion in all directions,
+    by which far more of them agree, and which those of the scans before and behind do not contradict any more than it.
     """
-    step = scan_steps.register(first, second, rough)
-    if not step.open or not _far(step.correction(rough)) or scan_steps.contradicts(first, second, rough):
+    first, second = patches[k], patches[k + 1]
+    if first is None or second is None:
+        return None
+    rough, target = _steps_of(world_from_scan[k : k + 2])[0], Target.of(first)
+    step = scan_steps.register(target, second, rough)
+    if not _far(step.correction(rough)) or scan_steps.contradicts(target, second, rough):
         return step
+    if not step.open:
+        if scan_steps.contradicting(target, second, rough) > _IN_SIGHT:
+            return step
+        around = _beside(patches, world_from_scan, k, _BESIDE[-1])
+        more = step.overlap > scan_steps.overlap(target, second, rough) + _FAR_GAIN
+        if more and not (around and _more_against(*around, step.first_from_second, rough)):
+            return step
     return replace(step, first_from_second=rough, information=np.zeros((6, 6)), open=6)
+
+
+def _beside(
+    patches: Sequence[Patch | None], world_from_scan: np.ndarray, k: int, most: int
+) -> tuple[Patch, Patch] | None:
+    """Surfels of scan k and so many before it, in its frame, and of those behind it in that of the first; None: none."""
+    before, behind = slice(max(0, k + 1 - most), k + 1), slice(k + 1, k + 1 + most)
+    first = scan_steps.together(patches[before], world_from_scan[before], -1)
+    second = scan_steps.together(patches[behind], world_from_scan[behind], 0)
+    return None if first is None or second is None else (first, second)
+
+
+def _more_against(first: Patch, second: Patch, motion: np.ndarray, rough: np.ndarray) -> bool:
+    """Whether surfaces contradict a motion (4, 4) by more than the odometry's (4, 4)."""
+    target = Target.of(first)
+    against, by_rough = (scan_steps.contradicting(target, second, each) for each in (motion, rough))
+    return against > by_rough + _MORE
 
 
 def _far(off: np.ndarray) -> bool:
@@ -274,14 +312,11 @@ class _Odometry:
 
     @staticmethod
     def of(patches: Sequence[Patch | None], world_from_scan: np.ndarray, progress: Progress) -> "_Odometry":
-        rough = geometry.inverse(world_from_scan[:-1]) @ world_from_scan[1:]
+        rough = _steps_of(world_from_scan)
         steps: list[Step | None] = []
-        for k, (first, second) in enumerate(pairwise(patches)):
+        for k in range(len(rough)):
             progress("registering scans", k, 2 * len(rough))
-            if first is None or second is None:
-                steps.append(None)
-            else:
-                steps.append(_registered(Target.of(first), second, rough[k]))
+            steps.append(_registered(patches, world_from_scan, k))
         off = np.array(
             [
                 each.correction(motion) if each is not None else np.zeros(6)
@@ -379,7 +414,7 @@ class _Group:
 
 def _steps(groups: Sequence[_Group], chain: _Chain) -> Edges:
     """From each scan to the next: inside a group as it has them, from group to group as the chain has them."""
-    measured = geometry.inverse(chain.world_from_scan[:-1]) @ chain.world_from_scan[1:]
+    measured = _steps_of(chain.world_from_scan)
     information = chain.information.copy()
     for group in groups:
         inside = group.members[:-1]

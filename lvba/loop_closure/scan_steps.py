@@ -103,10 +103,15 @@ def overlap(first: Target, second: Patch, first_from_second: Pose) -> float:
     return float(np.mean(verification.agreeing(first, second, first_from_second, _NEAR_M)))
 
 
+def contradicting(first: Target, second: Patch, first_from_second: Pose) -> float:
+    """Part of what surfels say of a motion that contradicts it, 0 to 1: one scan sees through surfaces of the other; 0 if
+    they have nothing in common."""
+    return verification.evidence(first, Target.of(second), first_from_second, _NEAR_M).contradicting
+
+
 def contradicts(first: Target, second: Patch, first_from_second: Pose) -> bool:
     """Whether one scan sees through surfaces of the other where a motion has them; not if they have nothing in common."""
-    said = verification.evidence(first, Target.of(second), first_from_second, _NEAR_M)
-    return said.contradicting > 1 - _LEAST_AGREEING
+    return contradicting(first, second, first_from_second) > 1 - _LEAST_AGREEING
 
 
 def register(first: Target, second: Patch, rough: Pose, prior: np.ndarray = JUMP) -> Step:

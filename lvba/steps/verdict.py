@@ -260,6 +260,7 @@ def _registered(figures: Figures) -> Iterator[Reason]:
         f"{lengths.text(figures.rough_m)} and {figures.rough_deg:.1f} degrees from scan to scan, or jumps): scans were "
         "registered to each other first.",
         "Look at the map for double surfaces; mend the odometry if you can.",
+        more=figures.odometry_dependent_steps > 0,  # on one that has proved to be wrong
     )
 
 

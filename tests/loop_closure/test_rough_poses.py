@@ -5,11 +5,14 @@ import plane_world
 import pytest
 
 from lvba import geometry
+from lvba.io.dataset import load_scans, open_dataset
 from lvba.lidar import bundle_adjustment
 from lvba.lidar.config import LidarConfig
 from lvba.loop_closure import rough_poses, scan_steps
 from lvba.loop_closure.rough_poses import RoughError
 from lvba.loop_closure.surfel_icp import Target
+from lvba.simulate import simulate
+from lvba.simulate.disturbances import Disturbances
 from lvba.steps import trajectory_jumps
 from lvba.trajectory import Trajectory, pose_error
 
@@ -219,6 +222,26 @@ def test_scans_of_a_narrow_sensor_that_turns_do_not_contradict_it_by_another_wal
     assert step.open
     assert np.linalg.norm(step.correction(motion)[3:]) > 1.0  # this is what surfaces fit by
     assert len(rough_poses.contradicted([first, second], poses)) == 0
+
+
+def test_a_narrow_sensor_that_moves_along_a_wall_is_not_contradicted_by_the_same_wall(tmp_path):
+    """More of two scans lies on one another 90 cm from where they belong, in all directions, and neither sees through the
+    other; no more of the scans around them does there than where the odometry has them."""
+    disturb = Disturbances(clock_drift=0.05)
+    sizes = {"frames": 40, "scans": 40, "width": 64, "height": 48, "points_per_scan": 12000}
+    simulate("rooms", tmp_path / "rooms", seed=5034, lidar="non_repetitive", disturb=disturb, **sizes)
+    dataset = open_dataset(tmp_path / "rooms")
+    near = slice(6, 14)
+    patches = rough_poses.surfels_of(load_scans(dataset)[near], dataset.sensor_position_scan)
+    poses = dataset.scans.world_from_sensor[near]
+    motion = geometry.inverse(poses[3]) @ poses[4]
+    target, second = Target.of(patches[3]), patches[4]
+    step = scan_steps.register(target, second, motion)
+    assert not step.open
+    assert np.linalg.norm(step.correction(motion)[3:]) > 0.8
+    assert step.overlap > scan_steps.overlap(target, second, motion) + 0.1
+    assert not scan_steps.contradicts(target, second, motion)
+    assert len(rough_poses.contradicted(patches, poses)) == 0
 
 
 def test_a_single_scan_is_not_contradicted(courtyard):

@@ -56,6 +56,8 @@ KEPT = (Truth("scans", "m", 0.001, 0.07, 0.0009), Truth("cameras", "degrees", 0.
         ({"range_errors": 1}, "check", True),
         ({"registered": True, "rough_m": 0.3}, "check", False),
         ({"registered": True, "open_steps": 1}, "bad", True),
+        ({"registered": True}, "check", False),
+        ({"registered": True, "odometry_dependent_steps": 1}, "check", True),
         ({"registered": True, "left_steps": 1}, "bad", True),
         ({"registered": True, "left_steps": 1, "scan_poses": NOT_USED}, "check", False),
         ({"extrinsic_sigmas": 3.1}, "check", False),
