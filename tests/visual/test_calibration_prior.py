@@ -26,7 +26,7 @@ def told(seed: int, strength: float) -> np.ndarray:
 def test_claims_are_the_inverse_variances():
     mounting = [np.radians(0.3)] * 3 + [0.01] * 3 + [0.02]
     intrinsics = [0.01, 0.001, 5.0, 5.0, 0.02, 0.02, 0.002, 0.002]
-    sigma = np.array([*mounting, *intrinsics, 0.02])
+    sigma = np.array([*mounting, *intrinsics, 0.02, 0.001])
     assert np.diag(CLAIMS) == pytest.approx(1 / sigma**2)
     assert np.count_nonzero(CLAIMS) == SIZE
 
@@ -91,6 +91,7 @@ def test_images_that_tell_nothing_in_some_directions_leave_finite_weights():
 
 def test_a_calibration_that_counts_more_keeps_derivatives_and_tells_the_spread_it_claims():
     prior, state = problem(scatter=0.004)
+    prior = replace(prior, drifting=True)
     known = prior.calibration
     weighed = replace(prior, calibration=replace(known, counted=50 * known.claimed))
     rng = np.random.default_rng(5)
