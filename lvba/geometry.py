@@ -10,7 +10,7 @@ Source of the closed forms: Sola et al. 2018, "A micro Lie theory", appendix D.
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lvba.arrays import Pose, Rotations, Tangents, Transforms
+from lvba.arrays import Pose, Poses, Rotations, Tangents, Transforms
 
 _SMALL_ANGLE = 1e-5
 
@@ -51,6 +51,11 @@ def inverse(a_from_b: Transforms) -> np.ndarray:
     rotation_t = np.swapaxes(a_from_b[..., :3, :3], -1, -2)
     translation = -(rotation_t @ a_from_b[..., :3, 3:])[..., 0]
     return from_rotation_translation(rotation_t, translation)
+
+
+def steps(world_from_sensor: Poses) -> np.ndarray:
+    """(N - 1, 4, 4), from each of the poses (N, 4, 4) to the next, in the frame of the earlier."""
+    return np.asarray(inverse(world_from_sensor[:-1]) @ world_from_sensor[1:])
 
 
 def transform_points(a_from_b: Pose, points_b: np.ndarray) -> np.ndarray:

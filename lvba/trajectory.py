@@ -57,7 +57,7 @@ def motions_differ(one: Poses, other: Poses, meters: float, degrees: float) -> n
 
     meters: m; degrees: deg
     """
-    steps = [geometry.inverse(poses[:-1]) @ poses[1:] for poses in (one, other)]
+    steps = [geometry.steps(poses) for poses in (one, other)]
     off = geometry.log(geometry.inverse(steps[0]) @ steps[1])
     far = np.linalg.norm(off[:, 3:], axis=1) > meters
     return np.asarray(far | (np.linalg.norm(off[:, :3], axis=1) > np.radians(degrees)))
@@ -168,9 +168,7 @@ def pose_error(estimate: Poses, reference: Poses, *, aligned: Pose | None = None
     error = geometry.inverse(reference) @ (reference_from_estimate @ estimate)
     position = np.linalg.norm((reference_from_estimate @ estimate)[:, :3, 3] - reference[:, :3, 3], axis=1)
     angle = geometry.rotation_angle_deg(error)
-    step = geometry.inverse(geometry.inverse(reference[:-1]) @ reference[1:]) @ (
-        geometry.inverse(estimate[:-1]) @ estimate[1:]
-    )
+    step = geometry.inverse(geometry.steps(reference)) @ geometry.steps(estimate)
     return PoseError(
         ate_m=_rms(position),
         rotation_deg=_rms(angle),

@@ -173,7 +173,7 @@ def merge(
 def _steps(part: PartPoses) -> Edges:
     """From each scan of a part to its next."""
     poses = part.world_from_scan
-    measured = geometry.inverse(poses[:-1]) @ poses[1:]
+    measured = geometry.steps(poses)
     information = pose_graph.information_of(part.step_covariance)
     return Edges(part.scans[:-1], part.scans[1:], measured, information, np.zeros(len(measured), bool))
 
@@ -211,7 +211,7 @@ def _seam(first: int, second: int, earlier: np.ndarray, later: np.ndarray, merge
 
 def _step_differences(poses: np.ndarray, merged: np.ndarray) -> tuple[float, float]:
     """Largest difference (m, degrees) of the steps between neighbors (n, 4, 4) in two trajectories."""
-    steps, others = (geometry.inverse(p[:-1]) @ p[1:] for p in (poses, merged))
+    steps, others = (geometry.steps(p) for p in (poses, merged))
     difference = geometry.inverse(steps) @ others
     meters = np.linalg.norm(difference[:, :3, 3], axis=1).max(initial=0.0)
     return float(meters), float(geometry.rotation_angle_deg(difference).max(initial=0.0))

@@ -44,15 +44,16 @@ def write(
         "rolling_shutter_readout_s": float(readout_s),
         "standard_deviations": sigma,
     }
-    head = "# The camera as the run used it; px, m and s. Image time + time_offset_s = LiDAR time.\n"
+    offset = "time_offset_s"
     if clock is not None:
         facts |= {"clock_rate": float(clock[0]), "clock_epoch_s": float(clock[1])}
-        head = head.replace("_s =", "_s + clock_rate * (image time - clock_epoch_s) =")
+        offset += " + clock_rate * (image time - clock_epoch_s)"
     if vignetting is not None:
         numbers = [float(value) for value in vignetting]
         facts["vignetting"] = {"coefficients": numbers[:3], "center": numbers[3:]}
     if response is not None:
         facts["response"] = dict(zip(("grey_values", "slopes"), response.tolist(), strict=True))
+    head = f"# The camera as the run used it; px, m and s. Image time + {offset} = LiDAR time.\n"
     text = yaml.safe_dump(facts, sort_keys=False, default_flow_style=None, width=120)
     files.write_text(files.make_folder(folder) / NAME, head + text, durable=True)
 

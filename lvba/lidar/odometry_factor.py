@@ -71,7 +71,7 @@ class OdometryPrior:
 def odometry_prior(world_from_scan: Poses, sigma_rotation: float, sigma_translation: float) -> OdometryPrior:
     """The prior of rough poses (S, 4, 4) with standard deviations (rad, m) of one step."""
     sigmas = np.repeat([sigma_rotation, sigma_translation], 3)
-    steps = geometry.inverse(world_from_scan[:-1]) @ world_from_scan[1:]
+    steps = geometry.steps(world_from_scan)
     return OdometryPrior(steps, np.broadcast_to(np.diag(sigmas**-2), (len(steps), 6, 6)).copy(), sigmas)
 
 

@@ -154,7 +154,7 @@ def contradicted(patches: Sequence[Patch | None], world_from_scan: Poses) -> np.
 
     Tested are the steps by which surfaces agree least.
     """
-    steps = _steps_of(world_from_scan)
+    steps = geometry.steps(world_from_scan)
     agree = np.full(len(steps), np.inf)
     for k, (first, second) in enumerate(pairwise(patches)):
         if first is not None and second is not None:
@@ -199,11 +199,6 @@ def _agreed(first: Patch, second: Patch, motion: np.ndarray, expected: np.ndarra
     return same or not rival.aligned or rival.overlap < step.overlap - _GAIN
 
 
-def _steps_of(world_from_scan: np.ndarray) -> np.ndarray:
-    """(S - 1, 4, 4), from each of the poses (S, 4, 4) to the next."""
-    return np.asarray(geometry.inverse(world_from_scan[:-1]) @ world_from_scan[1:])
-
-
 def _registered(patches: Sequence[Patch | None], world_from_scan: np.ndarray, k: int) -> Step | None:
     """Scan k + 1 as `scan_steps.register` has it beside scan k; None: one of them sees too little. Nothing is known where
     that is far from what the odometry (S, 4, 4) has, without good reason.
@@ -215,11 +210,14 @@ def _registered(patches: Sequence[Patch | None], world_from_scan: np.ndarray, k:
     first, second = patches[k], patches[k + 1]
     if first is None or second is None:
         return None
-    rough, target = _steps_of(world_from_scan[k : k + 2])[0], Target.of(first)
+    rough, target = geometry.steps(world_from_scan[k : k + 2])[0], Target.of(first)
     step = scan_steps.register(target, second, rough)
-    if not _far(step.correction(rough)) or scan_steps.contradicts(target, second, rough):
+    if not _far(step.correction(rough)):
         return step
-    if not step.open:
+    if step.open:
+        if scan_steps.contradicts(target, second, rough):
+            return step
+    else:
         if scan_steps.contradicting(target, second, rough) > _IN_SIGHT:
             return step
         around = _beside(patches, world_from_scan, k, _BESIDE[-1])
@@ -312,7 +310,7 @@ class _Odometry:
 
     @staticmethod
     def of(patches: Sequence[Patch | None], world_from_scan: np.ndarray, progress: Progress) -> "_Odometry":
-        rough = _steps_of(world_from_scan)
+        rough = geometry.steps(world_from_scan)
         steps: list[Step | None] = []
         for k in range(len(rough)):
             progress("registering scans", k, 2 * len(rough))
@@ -414,11 +412,11 @@ class _Group:
 
 def _steps(groups: Sequence[_Group], chain: _Chain) -> Edges:
     """From each scan to the next: inside a group as it has them, from group to group as the chain has them."""
-    measured = _steps_of(chain.world_from_scan)
+    measured = geometry.steps(chain.world_from_scan)
     information = chain.information.copy()
     for group in groups:
         inside = group.members[:-1]
-        measured[inside] = geometry.inverse(group.poses[:-1]) @ group.poses[1:]
+        measured[inside] = geometry.steps(group.poses)
         information[inside] = group.information
     first = np.arange(len(measured))
     return Edges(first, first + 1, measured, information, np.zeros(len(first), bool))

@@ -68,8 +68,8 @@ def merge_cameras(
     align: bool = True,
 ) -> MergedCameras:
     """Each keyframe as the part has it whose core it is in; one scale of exposures; the parts' mean calibration."""
-    solved = [part for part in stages if part.result is not None]
-    if not solved:
+    results = _results(stages)
+    if not results:
         return MergedCameras(None, (), stages[0].problem)
     scale, seams = _exposure_scales(cores, stages)
     if not align:
@@ -88,9 +88,9 @@ def merge_cameras(
     prior = _prior(dataset, cores, stages, lidar, scans, survey, config)
     state = VisualState(
         CameraStates(poses[keyframes], log_exposure[keyframes] - log_exposure[keyframes[0]]),
-        common_calibration(_results(solved), prior.epoch),
+        common_calibration(results, prior.epoch),
     )
-    converged = all(part.result is not None and len(part.result.degenerate_common) for part in solved)
+    converged = all(len(result.degenerate_common) for result in results)
     return MergedCameras(
         JointCameras(
             state=state,
@@ -98,7 +98,7 @@ def merge_cameras(
             prior=prior,
             exposure_sigma=sigma[keyframes],
             converged=converged,
-            radiometry=radiometry.mean([result.radiometry for result in _results(solved)]),
+            radiometry=radiometry.mean([result.radiometry for result in results]),
         ),
         seams,
     )

@@ -56,7 +56,7 @@ def _swings(trajectory: Trajectory) -> np.ndarray:
     between sparse frames nothing shows how it came to.
     """
     poses, interval = trajectory.world_from_sensor, np.diff(trajectory.times)
-    turned = geometry.rotation_angle_deg(geometry.inverse(poses[:-1]) @ poses[1:])
+    turned = geometry.rotation_angle_deg(geometry.steps(poses))
     return np.asarray(2.0 * np.quantile(turned / interval, _FAST) * interval)
 
 
@@ -64,7 +64,7 @@ def expected(trajectory: Trajectory) -> np.ndarray:
     """(N - 1, 4, 4): motions to the next frame by the median speed of the two before and the two after; as they are of
     the first two and the last two, which have none on one side."""
     poses, interval = trajectory.world_from_sensor, np.diff(trajectory.times)
-    steps = geometry.inverse(poses[:-1]) @ poses[1:]
+    steps = geometry.steps(poses)
     if len(interval) < _FEWEST_STEPS:
         return np.asarray(steps)
     usual = _usual(geometry.log(steps) / interval[:, None]) * interval[:, None]
@@ -76,7 +76,7 @@ def unexpected(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     poses, interval = trajectory.world_from_sensor, np.diff(trajectory.times)
     if len(interval) < _FEWEST_STEPS:
         return np.zeros(len(interval)), np.zeros(len(interval))
-    rate = geometry.log(geometry.inverse(poses[:-1]) @ poses[1:]) / interval[:, None]
+    rate = geometry.log(geometry.steps(poses)) / interval[:, None]
     off = (rate - _usual(rate)) * interval[:, None]
     return np.linalg.norm(off[:, 3:], axis=1), np.degrees(np.linalg.norm(off[:, :3], axis=1))
 

@@ -139,12 +139,13 @@ def solve(
         sums = linearization.sums
         if not last:
             one_left = turn == config.rounds - 2
+            solved = _Turn(problem, wall_clusters, at, linearization, free)
             if shifts is not None and prior is not None and one_left:
-                fixed = _fixed(problem, wall_clusters, prior, at, linearization, free)
+                fixed = _fixed(solved, prior)
             if config.finest and prior is not None and one_left:
-                prior, at = _with_clock(problem, wall_clusters, prior, at, linearization, free)
+                prior, at = _with_clock(solved, prior)
             keep = config.finest and one_left
-            problem, prior = _reweighted(problem, wall_clusters, prior, at, linearization, free, keep)
+            problem, prior = _reweighted(replace(solved, at=at), prior, keep)
             # not by a readout that may be chance
             if shifts is not None and prior is not None and (one_left or state.calibration.readout):
                 at = _with_motion(problem, prior, at, sums, fixed)
@@ -209,6 +210,17 @@ class _State:
         return VisualState(self.photometric.cameras, self.calibration, self.motion)
 
 
+@dataclass(frozen=True)
+class _Turn:
+    """What a solve ended with. free: (I, 7) bool"""
+
+    problem: Problem
+    wall_clusters: WallClusters
+    at: _State
+    linearization: Linearization
+    free: np.ndarray
+
+
 class _Model:
     """Linearizes and retracts for the solver; remembers the last two linearizations, which both steps need."""
 
@@ -260,28 +272,21 @@ def _free(problem: Problem, with_prior: bool, solve_exposures: bool) -> np.ndarr
     return free
 
 
-def _reweighted(
-    problem: Problem,
-    wall_clusters: WallClusters,
-    prior: Prior | None,
-    at: _State,
-    linearization: Linearization,
-    free: np.ndarray,
-    keep: bool,
-) -> tuple[Problem, Prior | None]:
+def _reweighted(solved: _Turn, prior: Prior | None, keep: bool) -> tuple[Problem, Prior | None]:
     """The variance factor, plane offsets' sigma and the prior's sigmas estimated anew (variance components)."""
+    problem, at, linearization = solved.problem, solved.at, solved.linearization
     if problem.offset_sigma is not None:
         scale = covariance.offset_scale(problem, at.photometric.offset, linearization.offset_hessian)
         problem = replace(problem, offset_sigma=problem.offset_sigma * scale)
-    clusters = covariance.cluster_gradients(problem, linearization, wall_clusters)
+    clusters = covariance.cluster_gradients(problem, linearization, solved.wall_clusters)
     ratio = covariance.variance_factor(linearization.equations, clusters)
     variance_factor = max(problem.variance_factor * ratio, 1.0)
     if prior is not None:
         total = joint(linearization.equations, prior, at.visual)
-        known = linear_solver.covariance(total, free)
+        known = linear_solver.covariance(total, solved.free)
         undecided = tuple(_undecided(prior, source, at.visual, known) for source in prior.sources)
         clusters = covariance.bias_reduced_gradients(
-            problem, linearization, at.photometric, wall_clusters, total
+            problem, linearization, at.photometric, solved.wall_clusters, total
         )
         said = _evidence(prior, at, clusters, known, problem.variance_factor / variance_factor)
         counts = calibration_prior.weighed(said.information, said.spread, prior.calibration.claimed, keep)
@@ -324,66 +329,46 @@ def covariance_of(solution: LevelSolution) -> Covariance:
         problem, linearization, at.photometric, solution.wall_clusters, total
     )
     poses = linear_solver.sandwich(total, clusters, _gradient_variance(prior, at), solution.free)
-    shared = _covariance_of_calibration(
-        problem, solution.wall_clusters, prior, at, linearization, solution.free, total
-    )
-    return replace(poses, shared=shared)
+    solved = _Turn(problem, solution.wall_clusters, at, linearization, solution.free)
+    return replace(poses, shared=_covariance_of_calibration(solved, prior, total))
 
 
-def _covariance_of_calibration(
-    problem: Problem,
-    wall_clusters: WallClusters,
-    prior: Prior | None,
-    at: _State,
-    linearization: Linearization,
-    free: np.ndarray,
-    total: NormalEquations,
-) -> np.ndarray:
+def _covariance_of_calibration(solved: _Turn, prior: Prior | None, total: NormalEquations) -> np.ndarray:
     """(k, k); total: `joint`, at this state."""
-    clusters = covariance.bias_reduced_gradients(problem, linearization, at.photometric, wall_clusters, total)
-    return linear_solver.shared_sandwich(total, clusters, _gradient_variance(prior, at), free)
+    clusters = covariance.bias_reduced_gradients(
+        solved.problem, solved.linearization, solved.at.photometric, solved.wall_clusters, total
+    )
+    return linear_solver.shared_sandwich(total, clusters, _gradient_variance(prior, solved.at), solved.free)
 
 
 def _gradient_variance(prior: Prior | None, at: _State) -> NormalEquations | None:
     return None if prior is None else trajectory_prior.gradient_variance(prior, at.visual)
 
 
-def _fixed(
-    problem: Problem,
-    wall_clusters: WallClusters,
-    prior: Prior,
-    at: _State,
-    linearization: Linearization,
-    free: np.ndarray,
-) -> tuple[str, ...]:
+def _fixed(solved: _Turn, prior: Prior) -> tuple[str, ...]:
     """The parameters of the calibration that the images do not call to correct."""
-    total = joint(linearization.equations, prior, at.visual)
+    linearization, calibration = solved.linearization, solved.at.calibration
+    total = joint(linearization.equations, prior, solved.at.visual)
     known = fixed_calibration.Precision(
-        covariance=_covariance_of_calibration(problem, wall_clusters, prior, at, linearization, free, total),
-        plain=linear_solver.covariance(total, free).shared,
-        per_pixel=noise.per_pixel(problem.information, linearization.sums),
+        covariance=_covariance_of_calibration(solved, prior, total),
+        plain=linear_solver.covariance(total, solved.free).shared,
+        per_pixel=noise.per_pixel(solved.problem.information, linearization.sums),
     )
-    return fixed_calibration.insignificant(at.calibration.deviation(prior.calibration.reference), known)
+    return fixed_calibration.insignificant(calibration.deviation(prior.calibration.reference), known)
 
 
-def _with_clock(
-    problem: Problem,
-    wall_clusters: WallClusters,
-    prior: Prior,
-    at: _State,
-    linearization: Linearization,
-    free: np.ndarray,
-) -> tuple[Prior, _State]:
+def _with_clock(solved: _Turn, prior: Prior) -> tuple[Prior, _State]:
     """Prior and state with a rate of the camera's clock where images call for one: a step from here, were it free, must
     not be chance."""
-    asked = replace(prior, drifting=True)
-    total = joint(linearization.equations, asked, at.visual)
-    step = linear_solver.solve_step(total, 0.0, free)
+    at, asked = solved.at, replace(prior, drifting=True)
+    total = joint(solved.linearization.equations, asked, at.visual)
+    step = linear_solver.solve_step(total, 0.0, solved.free)
     if step is None:
         return prior, at
-    spread = _covariance_of_calibration(problem, wall_clusters, asked, at, linearization, free, total)
-    moved = at.calibration.deviation(prior.calibration.reference) + step.shared
-    drifting = fixed_calibration.beyond_chance(moved, spread, "clock_rate")
+    column = Calibration.layout()["clock_rate"].start
+    variance = _covariance_of_calibration(solved, asked, total)[column, column]
+    rate = at.calibration.clock_rate + step.shared[column]
+    drifting = fixed_calibration.beyond_chance(rate, float(np.sqrt(variance)))
     if not drifting:
         at = replace(at, calibration=replace(at.calibration, clock_rate=0.0))
     return replace(prior, drifting=drifting), at

@@ -59,10 +59,7 @@ def clock_drifts(results: Sequence[VisualResult]) -> bool:
         np.array([result.calibration.time_offset for result in results]),
         np.array([result.calibration_sigma[offset] for result in results]),
     )
-    deviation, covariance = np.zeros(Calibration.layout().size), np.eye(Calibration.layout().size)
-    at = Calibration.layout()["clock_rate"]
-    deviation[at], covariance[at, at] = rate, sigma**2
-    return beyond_chance(deviation, covariance, "clock_rate")
+    return beyond_chance(rate, sigma)
 
 
 def slope(times: Times, values: np.ndarray, sigma: np.ndarray) -> tuple[float, float]:

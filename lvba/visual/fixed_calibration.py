@@ -81,13 +81,9 @@ def insignificant(deviation: np.ndarray, known: Precision) -> tuple[str, ...]:
     return tuple(name for name in CORRECTIONS if name in fixed)
 
 
-def beyond_chance(deviation: np.ndarray, covariance: np.ndarray, name: str) -> bool:
-    """Whether one parameter deviates by more than CHANCE. Arguments as of `insignificant`, and of `Precision`.
-
-    deviation: (k,) float64; covariance: (k, k) float64
-    """
-    layout = Calibration.layout()
-    return _chance(deviation, covariance, np.arange(layout.size)[layout[name]]) < CHANCE
+def beyond_chance(deviation: float, sigma: float) -> bool:
+    """Whether one number deviates by more than CHANCE, in units of its standard deviation."""
+    return float(chdtrc(1, (deviation / sigma) ** 2)) < CHANCE
 
 
 def with_fixed(prior: SharedPrior[Calibration], names: Collection[str]) -> SharedPrior[Calibration]:

@@ -49,9 +49,11 @@ class Calibration(SharedParameters):
 
     def moments(self, times: Times, epoch: float) -> Times:
         """(I,) s on the LiDAR's clock, at which images with these stamps (I,) were taken; epoch: s, a stamp."""
-        if not self.clock_rate:
-            return np.asarray(times + self.time_offset)
-        return np.asarray(times + (self.time_offset + self.clock_rate * (times - epoch)))
+        return np.asarray(times + self.lateness(times - epoch))
+
+    def lateness(self, since: Times) -> np.ndarray:
+        """(I,) s, by which images were taken after their stamps, so many s (I,) after the epoch."""
+        return np.asarray(self.time_offset + self.clock_rate * since)
 
 
 @dataclass(frozen=True)

@@ -300,9 +300,7 @@ def rates_of(scans: Trajectory, times: Times) -> tuple[np.ndarray, np.ndarray]:
 
 def predict(prior: Prior, source: Source, calibration: Calibration) -> np.ndarray:
     """world_from_camera of all images if they sat on the trajectory exactly, (I, 4, 4)."""
-    late: float | np.ndarray = calibration.time_offset
-    if calibration.clock_rate:
-        late = late + calibration.clock_rate * _since_epoch(prior)[:, None]
+    late = calibration.lateness(_since_epoch(prior))[:, None]
     turn = Rotation.from_rotvec(prior.rate_scan * late).as_matrix()
     shifted = source.world_from_scan.copy()
     shifted[:, :3, :3] = shifted[:, :3, :3] @ turn
