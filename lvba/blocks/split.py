@@ -149,9 +149,9 @@ class Load:
 
 BASE_BYTES = 350e6
 """What a process holds before any data: libraries and compiled kernels."""
-BYTES_PER_POINT = 200.0
-"""Of all LiDAR points at once: coloring the map takes most, LiDAR bundle adjustment two thirds. Measured on 12 million
-points, as the figures below on 400 images of 640 x 480."""
+BYTES_PER_POINT = 250.0
+"""Of all LiDAR points at once: judging takes most, which colors them for up to four states, with vignetting; LiDAR bundle
+adjustment takes half. Measured on 15 million points, as the figures below on 400 images of 640 x 480."""
 BYTES_PER_PAIR_OF_SCANS = 3 * 36 * 8.0
 """The dense Hessian of a part, its factor or inverse, and what is copied of them."""
 VISUAL_BYTES_PER_POINT = 50.0

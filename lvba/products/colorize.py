@@ -7,6 +7,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise, starmap
 
 import numpy as np
 
@@ -179,7 +180,11 @@ class _Coloring:
 
     def result(self) -> PaperColors:
         """The colors so far."""
-        even = None if self._part is None else self._views.curve.light(self._gray) / self._part
+        even = self._part
+        if even is not None:
+            # in place and scan by scan: of dense scans, what this takes beside would be most of an evaluation
+            for span in starmap(slice, pairwise(map(int, self._cloud.scan_offsets))):
+                even[span] = self._views.curve.light(self._gray[span]) / even[span]
         return PaperColors(self._gray, self._source, even)
 
 

@@ -1,6 +1,6 @@
 """Images of a colored cloud: the nearest point of every pixel, times the image's exposure."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -77,16 +77,24 @@ class Rendering:
 
 def colored_cloud(points_world: CloudPoints, colors: PaperColors) -> ColoredCloud:
     """The colored ones of the points (M, 3), sorted into blocks."""
-    colored = np.flatnonzero(colors.source >= 0)
-    blocks = sort_into_blocks(points_world[colored])
-    order = colored[blocks.order]
+    order = np.flatnonzero(colors.source >= 0).astype(np.int32)
+    blocks = sort_into_blocks(points_world[order])
+    order = order[blocks.order]
     return ColoredCloud(
-        points_world=np.ascontiguousarray(points_world[order].T),
+        points_world=_by_axis(points_world, order),
         gray=colors.gray[order],
         source=colors.source[order],
-        blocks=blocks,
+        blocks=replace(blocks, order=np.empty(0, np.int32)),  # which is not needed any more
         even=None if colors.even is None else colors.even[order],
     )
+
+
+def _by_axis(points_world: CloudPoints, order: np.ndarray) -> np.ndarray:
+    """(3, K) float32: points (M, 3) in an order (K,), without a copy beside."""
+    by_axis = np.empty((3, len(order)), np.float32)
+    for axis, values in enumerate(by_axis):
+        np.take(points_world[:, axis], order, out=values)
+    return by_axis
 
 
 def blended_cloud(

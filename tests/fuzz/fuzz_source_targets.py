@@ -34,6 +34,7 @@ _CALIBRATIONS = (
 )
 _FOLDERS: tuple[Callable[[Path], object], ...] = (
     *(rgbd_writers.tum, rgbd_writers.replica, rgbd_writers.scannet, rgbd_writers.stray, rgbd_writers.polycam),
+    *(rgbd_writers.seven_scenes, rgbd_writers.bundle_fusion),
     *(
         rgbd_writers.record3d,
         lidar_writers.hba,

@@ -16,6 +16,8 @@ CASES = {
     "tum": (writers.tum, "depth", "rgb", "groundtruth", 2e-4, 0.2),
     "replica": (writers.replica, "depth", "images", "poses", 2e-4, 0.3),
     "scannet": (writers.scannet, "depth", "color", "pose", 1e-3, 0.3),
+    "7-scenes": (writers.seven_scenes, "depth", "color", "pose", 1e-3, 0.3),
+    "bundle fusion": (writers.bundle_fusion, "depth", "color", "pose", 1e-3, 0.3),
     "stray": (writers.stray, "depth", "rgb", "odometry", 1e-3, 0.5),
 }
 
@@ -73,6 +75,30 @@ def test_lost_poses_of_scannet_are_left_out_and_told(tmp_path):
     assert "1 of 5 poses are not finite" in " ".join(folders.find(tmp_path).describe().notes)
 
 
+def test_lost_poses_of_numbered_frames_and_pixels_that_say_nothing_are_left_out(tmp_path):
+    writers.seven_scenes(tmp_path)
+    source = folders.find(tmp_path)
+    assert "1 of 5 poses are not finite" in " ".join(source.describe().notes)
+    scan = next(record for _, record in source.records(["depth"]))
+    assert len(scan.points) == writers.SMALL[0] * writers.SMALL[1] - 2
+
+
+def test_a_kinect_without_calibration_has_the_usual_one_and_says_so(tmp_path):
+    writers.seven_scenes(tmp_path)
+    for name in ("camera.yaml", "camera-intrinsics.txt"):
+        (tmp_path / name).unlink()
+    with pytest.raises(InputError, match="are not those of a Kinect"):
+        folders.find(tmp_path)
+    for file in tmp_path.glob("*.png"):
+        channels = (3,) if "color" in file.name else ()
+        writers.png(file, np.ones((480, 640, *channels), np.uint8 if channels else np.uint16))
+    source = folders.find(tmp_path)
+    known = source.geometry()
+    assert known.camera.fx == 525
+    np.testing.assert_allclose(known.camera_from_lidar[:3, 3], [-0.025, 0, 0])
+    assert "as of any Kinect: no file has it" in " ".join(source.describe().notes)
+
+
 def test_one_damaged_depth_image_is_counted_and_most_are_an_error(tmp_path):
     writers.tum(tmp_path)
     whole = (tmp_path / "depth/1.png").read_bytes()
@@ -118,6 +144,10 @@ DAMAGES = [
         "is not the identity",
     ),
     (writers.scannet, "pose/9.txt", "1 2\n", r"9\.txt: is no 4x4 matrix"),
+    (writers.seven_scenes, "camera-intrinsics.txt", "1 2\n", r"camera-intrinsics\.txt: is no 3x3 matrix"),
+    (writers.seven_scenes, "camera.yaml", "x: 1\n", r"camera\.yaml"),
+    (writers.seven_scenes, "frame-000009.pose.txt", "1 2\n", r"000009\.pose\.txt: is no 4x4 matrix"),
+    (writers.bundle_fusion, "info.txt", "m_depthShift = 1000\n", r"info\.txt: not 16 finite numbers"),
     (writers.stray, "odometry.csv", "1, 2\n", r"odometry\.csv:1: not 9 finite numbers"),
     (writers.stray, "odometry.csv", "1, 0, 0, 0, 0, 0, 0, 0, 3\n", "length 3 instead of 1"),
     (writers.stray, "camera_matrix.csv", "1, 2, 3\n", r"camera_matrix\.csv: is no 3x3 matrix"),
@@ -139,6 +169,7 @@ def test_a_damaged_folder_is_refused_in_one_line(tmp_path, write, name, text, me
     [
         (writers.tum, ("depth/0.png", "rgb/0.png")),
         (writers.scannet, ("depth/9.png", "color/9.jpg")),
+        (writers.seven_scenes, ("frame-000009.depth.png", "frame-000009.color.png")),
         (writers.stray, ("depth/000000.png",)),
     ],
 )

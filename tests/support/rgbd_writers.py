@@ -75,6 +75,36 @@ def scannet(path):
     (path / "intrinsic" / "extrinsic_color.txt").write_text(matrix_text(np.eye(4)))
 
 
+def seven_scenes(path):
+    path.mkdir(exist_ok=True)
+    for i, pose in enumerate(view.poses()):
+        name = f"frame-{9 + i:06}"  # numbers, not places in the list
+        depth = view.depth_image(SMALL, SMALL_FOCAL, SMALL_CENTER, pose, 1000)
+        depth[0, :2] = 65535, 0
+        png(path / f"{name}.depth.png", depth)
+        png(path / f"{name}.color.png", view.color_image(SIZE, FOCAL, CENTER, pose))
+        (path / f"{name}.pose.txt").write_text(matrix_text(pose))
+    (path / "frame-000013.pose.txt").write_text("-1.#IND -1.#IND -1.#IND -1.#IND\n" * 4)
+    (path / "camera-intrinsics.txt").write_text(matrix_text(k_matrix(SMALL_FOCAL, SMALL_CENTER)))
+    camera = {"cam_width": SIZE[0], "cam_height": SIZE[1], "cam_fx": FOCAL[0], "cam_fy": FOCAL[1]}
+    camera |= {"cam_cx": CENTER[0], "cam_cy": CENTER[1]}
+    extrinsic = {"Rcl": np.eye(3).ravel().tolist(), "Pcl": [0.0, 0.0, 0.0]}
+    (path / "camera.yaml").write_text(json.dumps({"cam_model": camera, "extrin_calib": extrinsic}))
+
+
+def bundle_fusion(path):
+    seven_scenes(path)
+    for name in ("camera.yaml", "camera-intrinsics.txt"):
+        (path / name).unlink()
+    numbers = {
+        "ColorIntrinsic": k_matrix(FOCAL, CENTER, 4),
+        "DepthIntrinsic": k_matrix(SMALL_FOCAL, SMALL_CENTER, 4),
+        "DepthExtrinsic": np.eye(4),
+    }
+    lines = [f"m_calibration{name} = " + " ".join(map(str, value.ravel())) for name, value in numbers.items()]
+    (path / "info.txt").write_text("\n".join(["m_versionNumber = 4", "m_depthShift = 1000", *lines, ""]))
+
+
 def stray(path):
     path.mkdir(exist_ok=True)
     video = cv2.VideoWriter(str(path / "rgb.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 30, SIZE)

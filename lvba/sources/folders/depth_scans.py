@@ -20,11 +20,12 @@ IMAGE_FRAME = "camera"
 class DepthCamera:
     """The rays of the pixels of a depth image, made once.
 
-    camera: of the depth images, at the size that files have; meters: of one unit of the files
+    camera: of the depth images, at the size that files have; meters: of one unit of the files; nothing: a value beside 0
+    of pixels that measured nothing
     """
 
-    def __init__(self, camera: Camera, meters: float) -> None:
-        self._camera, self._meters = camera, meters
+    def __init__(self, camera: Camera, meters: float, nothing: int = 0) -> None:
+        self._camera, self._meters, self._nothing = camera, meters, nothing
         columns, rows = np.meshgrid(
             np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float)
         )
@@ -56,9 +57,9 @@ class DepthCamera:
         Raises: InputError if there is no depth.
         """
         flat = values.ravel()
-        measured = np.flatnonzero(flat)
+        measured = np.flatnonzero((flat != 0) & (flat != self._nothing))
         if not len(measured):
-            raise InputError(path, "measured nothing: all its values are 0", "remove the file")
+            raise InputError(path, "measured nothing: none of its values is a depth", "remove the file")
         distance = flat[measured].astype(np.float32) * np.float32(self._meters)
         points = np.empty((len(measured), 3), np.float32)
         points[:, :2] = self._rays[measured] * distance[:, None]

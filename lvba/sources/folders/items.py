@@ -136,8 +136,8 @@ def need_folder(path: Path, mend: str) -> None:
         raise InputError(path, "there is no such folder", mend)
 
 
-def numbered(folder: Path, suffixes: tuple[str, ...], prefix: str = "") -> dict[int, Path]:
-    """Files whose names begin so, by the last number in them, in the order of the numbers.
+def numbered(folder: Path, suffixes: tuple[str, ...], prefix: str = "", part: str = "") -> dict[int, Path]:
+    """Files whose names begin so and have that part, by the last number in them, in the order of the numbers.
 
     Raises: InputError if the folder cannot be read.
     """
@@ -145,7 +145,8 @@ def numbered(folder: Path, suffixes: tuple[str, ...], prefix: str = "") -> dict[
     for name in files.names_in(folder):
         stem, suffix = os.path.splitext(name)
         digits = _last_digits(stem)
-        if digits and name.startswith(prefix) and suffix.lower() in suffixes and not name.startswith("."):
+        wanted = name.startswith(prefix) and part in name and not name.startswith(".")
+        if digits and wanted and suffix.lower() in suffixes:
             paths.setdefault(int(digits), folder / name)
     return dict(sorted(paths.items()))
 
