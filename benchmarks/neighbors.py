@@ -1,16 +1,18 @@
 """How far relative poses of neighboring images are from what matched features and depths say: a witness of its own.
 
     python benchmarks/neighbors.py DATASET POSES [POSES ...]
+    python benchmarks/neighbors.py DATASET POSES [POSES ...] --apart 6
 
 POSES: folders with image_poses.txt: results, a recording's `reference`, or DATASET itself for its input poses.
+`--apart N`: of pairs that are N or more images apart, instead, 3,000 at random: whether a place has one place.
 For each pair of successive images: SIFT features (Lowe 2004) matched both ways, depths of the first image's features
 from the scan nearest in time (by the calibrated extrinsic), the pose of the second image by PnP with RANSAC (OpenCV).
 It shares nothing with the bundle adjustments, and nothing with the reference. Prints one JSON object: for each folder
 the median and root mean square of the differences, degrees and mm, over the pairs that could be measured.
 """
 
+import argparse
 import json
-import sys
 from pathlib import Path
 
 import cv2
@@ -23,6 +25,8 @@ from lvba.io.reference import of_cameras, read_reference
 from lvba.lens import Lens
 from lvba.products.views import nearest_in_time
 
+_MOST_APART = 3000
+"""Pairs of images far apart that are tried."""
 _RATIO = 0.75
 """The best match must be this much nearer than the second best."""
 _LEAST_INLIERS = 40
@@ -78,7 +82,7 @@ def depths(dataset: Dataset, index: int, directions: np.ndarray) -> np.ndarray:
 
 
 def measured(dataset: Dataset, index: int, one: tuple, other: tuple) -> np.ndarray | None:
-    """next_from_this (4, 4) of the cameras of two successive images; None: too few features agree."""
+    """other_from_one (4, 4) of the cameras of two images, `index` being the one; None: too few features agree."""
     if one[1] is None or other[1] is None:
         return None
     matcher = cv2.BFMatcher()
@@ -111,18 +115,28 @@ def measured(dataset: Dataset, index: int, one: tuple, other: tuple) -> np.ndarr
     return geometry.from_rotation_translation(cv2.Rodrigues(turn)[0], shift.ravel())
 
 
-def differences(world_from_camera: np.ndarray, pairs: dict[int, np.ndarray]) -> dict[str, float]:
-    """Of relative poses from those measured, by the first image of each pair."""
-    index = np.array(sorted(pairs))
-    relative = geometry.inverse(world_from_camera[index + 1]) @ world_from_camera[index]
-    off = geometry.inverse(np.stack([pairs[i] for i in index])) @ relative
+def differences(world_from_camera: np.ndarray, pairs: dict[tuple[int, int], np.ndarray]) -> dict[str, float]:
+    """Of relative poses from those measured, by the numbers of the images of each pair."""
+    first, second = np.array(sorted(pairs)).T
+    relative = geometry.inverse(world_from_camera[second]) @ world_from_camera[first]
+    off = geometry.inverse(np.stack([pairs[key] for key in sorted(pairs)])) @ relative
     degrees, mm = geometry.rotation_angle_deg(off), 1e3 * np.linalg.norm(off[:, :3, 3], axis=1)
     return {
         "deg_median": float(np.median(degrees)),
         "deg_rms": float(np.sqrt(np.mean(degrees**2))),
         "mm_median": float(np.median(mm)),
         "mm_rms": float(np.sqrt(np.mean(mm**2))),
+        "mm_p90": float(np.percentile(mm, 90)),
     }
+
+
+def tried(images: int, apart: int) -> list[tuple[int, int]]:
+    """Successive images, or those of a random choice that are so many apart."""
+    if not apart:
+        return [(index, index + 1) for index in range(images - 1)]
+    every = [(i, j) for i in range(images) for j in range(i + apart, images)]
+    chosen = np.random.default_rng(0).permutation(len(every))[:_MOST_APART]
+    return [every[index] for index in np.sort(chosen)]
 
 
 def cameras(dataset: Dataset, folder: Path) -> np.ndarray:
@@ -136,17 +150,24 @@ def cameras(dataset: Dataset, folder: Path) -> np.ndarray:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("dataset", type=Path)
+    parser.add_argument("poses", type=Path, nargs="+")
+    parser.add_argument(
+        "--apart", type=int, default=0, help="images from one to the other of a pair, at least"
+    )
+    given = parser.parse_args()
     cv2.setRNGSeed(0)
-    folder, *poses = (Path(word) for word in sys.argv[1:])
-    dataset = open_dataset(folder)
-    pairs, before = {}, features(dataset, 0)
-    for index in range(len(dataset.image_paths) - 1):
-        after = features(dataset, index + 1)
-        if (relative := measured(dataset, index, before, after)) is not None:
-            pairs[index] = relative
-        before = after
-    judged = {str(each): differences(cameras(dataset, each), pairs) for each in poses}
-    print(json.dumps({"pairs": len(pairs), "of": len(dataset.image_paths) - 1, **judged}, indent=1))
+    dataset = open_dataset(given.dataset)
+    of_image = [features(dataset, index) for index in range(len(dataset.image_paths))]
+    chosen, pairs = tried(len(of_image), given.apart), {}
+    for one, other in chosen:
+        if (relative := measured(dataset, one, of_image[one], of_image[other])) is not None:
+            pairs[one, other] = relative
+    judged = {str(each): differences(cameras(dataset, each), pairs) for each in given.poses}
+    print(json.dumps({"pairs": len(pairs), "of": len(chosen), **judged}, indent=1))
 
 
 if __name__ == "__main__":

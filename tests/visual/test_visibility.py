@@ -178,6 +178,39 @@ def test_union_is_sorted_without_duplicates_and_marks_what_only_the_map_found():
     assert len(pairs.point) == len(pairs.target) == len(pairs)
 
 
+def test_points_that_are_not_the_best_of_their_voxel_try_some_far_cameras_and_together_all():
+    offsets, cameras = np.array([0, 40, 43]), np.r_[np.arange(40), [0, 7, 30]].astype(np.int32)
+    seen = visibility.VisibilityMap(np.array([1, 2]), offsets, cameras, 0.5)
+    reference = np.full(300, 10, np.int32)
+    rows = np.r_[np.zeros(200, int), np.ones(50, int), np.full(50, -1)]
+    wanted = np.arange(300) % 2 == 0
+    point, target = visibility.far_pairs(wanted, rows, reference, seen, window=3)
+    assert (np.diff(point.astype(np.int64) * 100 + target) > 0).all(), "sorted, no pair twice"
+    assert wanted[point].all()
+    assert rows[point].min() == 0, "none where the map has no voxel"
+    assert (np.abs(target - 10) > 3).all()
+    in_first = rows[point] == 0
+    assert np.bincount(point[in_first]).max() <= 16
+    assert np.bincount(point[in_first])[np.flatnonzero(wanted[:200])].min() >= 12
+    np.testing.assert_array_equal(np.unique(target[in_first]), np.r_[:7, 14:40])
+    in_second = point[~in_first]
+    assert np.unique(target[~in_first]).tolist() == [0, 30], "all of few, but for those near the reference"
+    assert np.bincount(in_second)[np.flatnonzero(wanted & (rows == 1))].tolist() == [2] * 25
+
+
+def test_far_views_of_all_points_tie_a_small_place():
+    rec = room_with_screen()
+    points, seen = local_points(rec, 400), global_map(rec)
+    kept, pairs = find(rec, points, seen, window=2)
+    rows = seen.rows(points.position_world)
+    voxels = len(np.unique(rows[rows >= 0]))
+    with_far = len(np.unique(pairs.point[pairs.is_global]))
+    assert with_far > 2 * voxels
+    far = np.bincount(pairs.point[pairs.is_global], minlength=len(kept))
+    assert far.max() > 3
+    assert np.sort(far)[-voxels - 1] <= 3, "of points that are not the best of their voxel, half as many"
+
+
 def test_without_global_points_only_the_window_is_left():
     rec = room_with_screen()
     points, seen = local_points(rec), global_map(rec)
