@@ -281,7 +281,7 @@ def choose(
     together = FUSED if exposures.accepted else FUSED_POSED
     images = acceptance.image_figures(scores[after], scores[together], config)
     fusion = acceptance.judge_fusion(
-        scan_acceptance.rough_gain(scans), fused.verdict.figures[0], images, config
+        scan_acceptance.rough_gain(scans), fused.verdict.figures[0], images, config, cameras.figures
     )
     return Choice(together if fusion.accepted else after, cameras, exposures, fusion)
 

@@ -3,7 +3,7 @@
 A narrow LiDAR before one wall leaves its scan half open: planes may hold it to centimetres only, while images hold the
 cameras just before and after it to millimetres. So each scan becomes the mean of its own pose and of where a spline
 through the refined cameras has it, through the extrinsic and the time offset found, each weighed by what is known of it.
-Both count relative to the map around them: its own errors move scans and cameras alike, and are no news to either.
+What is common to all cameras (extrinsic, time offset) is found with the errors of the scans, and moves none of them.
 Source: Barfoot and Furgale 2014, for fusing poses in the tangent space; Li et al. leave the scans as they are.
 """
 
@@ -28,6 +28,8 @@ _FLOOR = np.array([np.radians(1e-3), 1e-4])
 _RATE_STEP_S = 0.02
 
 
+_ALIKE = 4.0
+"""Neighbors among the cameras share most of their patches, and err alike: so many of them count as one."""
 CONTRADICTION = 5.0
 """A scan and the cameras about it that are further apart than this many standard deviations contradict each other, and
 the scan stays."""
@@ -122,19 +124,32 @@ def fuse(
     leave_one_out_error = spline.leave_one_out_error(path, scans.times)
     differences = geometry.log(geometry.inverse(scans.world_from_sensor) @ spline.through(path, scans.times))
     differences = _without_common(differences, scans.world_from_sensor, common, prior_sigmas)
-    known = _of_neighbors(cameras, scans.times) + _of_extrinsic(cameras, scans.times)
+    shared = _shared(cameras, scans.times)
+    alone = _of_neighbors(cameras, scans.times)
+    known = alone + shared @ np.swapaxes(shared, -1, -2)
     known += _interpolated(leave_one_out_error, spline.boundary_error(path, scans.times))
     own = local_covariance(covariance, scans.world_from_sensor)
     interpolation_error_scale = _interpolation_error_scale(
         differences[inside], (own + known)[inside], leave_one_out_error[inside]
     )
-    of_cameras = known + _interpolated(leave_one_out_error, np.full(len(scans), interpolation_error_scale))
+    interpolated = _interpolated(leave_one_out_error, np.full(len(scans), interpolation_error_scale))
+    of_cameras = known + interpolated
     distance = _distance(differences, own + of_cameras)
     variance_factor = max(1.0, float(np.median(distance[inside])) / _MEDIAN) if inside.any() else 1.0
     contradicted = inside & (distance > CONTRADICTION**2 * variance_factor)
     used = inside & ~contradicted
     camera_information = np.linalg.inv(of_cameras) * used[:, None, None]
-    step = _chained(own, covariance.step, scans.world_from_sensor, camera_information, differences)
+    step = _chained(
+        # where motions are known, a group of scans may be off as far as it is uncertain within the trajectory: cameras
+        # far apart in time see it beside others
+        covariance.marginal + LEAST * np.eye(6) if len(covariance.step) else own,
+        covariance.step,
+        scans.world_from_sensor,
+        # what both do not promise is the cameras': the scans' own share in it is in what groups are off
+        np.linalg.inv(_ALIKE * variance_factor * alone + interpolated) * used[:, None, None],
+        differences,
+        shared,
+    )
     # promised is only what each scan gains against the map around it: cameras that see no more than a group of scans does
     # are off with it, and that they agree with it is no proof
     conditional = covariance.conditional + LEAST * np.eye(6)
@@ -158,21 +173,32 @@ def _chained(
     world_from_scan: np.ndarray,
     camera_information: np.ndarray,
     differences: np.ndarray,
+    shared: np.ndarray,
 ) -> np.ndarray:
     """The most likely errors (S, 6) of the scans.
 
     own: (S, 6, 6), of the errors, none on average; step: (S - 1, 6, 6), of the motion from each to the next, empty:
         errors are independent; camera_information: (S, 6, 6), 0: none; differences: (S, 6), what they say
+    shared: (S, 6, 7), what one standard deviation of each number that all cameras share does to the differences
     Errors of neighbors go together as far as the motion between them is more certain than they are: a group of scans
     moves as one. Beyond neighbors only through them: a Markov chain, whose information is block-tridiagonal.
     """
-    if len(step) == 0:
-        both = np.linalg.inv(own) + camera_information
-        return np.asarray(np.linalg.solve(both, (camera_information @ differences[..., None]))[..., 0])
-    diagonal, upper = _chain(own, step, world_from_scan)
-    return _solve_chain(
+    if len(step):
+        diagonal, upper = _chain(own, step, world_from_scan)
+    else:
+        diagonal, upper = np.linalg.inv(own), np.zeros((max(len(own) - 1, 0), 6, 6))
+    # the numbers that are shared are eliminated last: [A B; B' C] [errors; numbers] = [a; c]
+    weighed = camera_information @ shared
+    by_shared = [
+        _solve_chain(diagonal + camera_information, upper, column) for column in np.moveaxis(weighed, -1, 0)
+    ]
+    alone = _solve_chain(
         diagonal + camera_information, upper, np.einsum("sij,sj->si", camera_information, differences)
     )
+    reply = np.stack(by_shared, axis=-1)
+    left = np.eye(shared.shape[-1]) + np.einsum("sia,sib->ab", shared, weighed - camera_information @ reply)
+    right = np.einsum("sia,si->a", weighed, differences - alone)
+    return np.asarray(alone - reply @ np.linalg.solve(left, right))
 
 
 _MOST_COMMON = 0.999
@@ -219,13 +245,15 @@ def _of_neighbors(cameras: Cameras, times: np.ndarray) -> np.ndarray:
     return np.asarray(cameras.covariance[np.where(size[before] > size[after], before, after)])
 
 
-def _of_extrinsic(cameras: Cameras, times: np.ndarray) -> np.ndarray:
-    """(S, 6, 6): what extrinsic and time offset add at each time."""
+def _shared(cameras: Cameras, times: np.ndarray) -> np.ndarray:
+    """(S, 6, 7): what one standard deviation of extrinsic and time offset, of all cameras alike, does at each time."""
     path = cameras.world_from_scan
     middle = np.clip(times, path.times[0] + _RATE_STEP_S, path.times[-1] - _RATE_STEP_S)
     ends = [trajectory.sample(path, middle + step) for step in (-_RATE_STEP_S, _RATE_STEP_S)]
     rate = geometry.log(geometry.inverse(ends[0]) @ ends[1]) / (2 * _RATE_STEP_S) * cameras.offset_sigma
-    return np.asarray(cameras.extrinsic_covariance + rate[:, :, None] * rate[:, None, :])
+    values, vectors = np.linalg.eigh(cameras.extrinsic_covariance)
+    of_extrinsic = np.broadcast_to(vectors * np.sqrt(np.maximum(values, 0.0)), (len(times), 6, 6))
+    return np.concatenate([of_extrinsic, rate[:, :, None]], axis=2)
 
 
 def _interpolated(leave_one_out_error: np.ndarray, part: np.ndarray) -> np.ndarray:

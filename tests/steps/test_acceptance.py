@@ -194,6 +194,15 @@ def test_scans_that_cameras_moved_may_be_contradicted_by_images():
     assert not acceptance.judge_fusion(0.4, entropy(-3.0, -3.0), told, CONFIG).accepted
 
 
+@pytest.mark.parametrize(("gained", "accepted"), [(5.0, False), (20.0, True)])
+def test_a_tenth_of_what_cameras_gained_may_be_given_back(gained, accepted):
+    told = images(scores(BASE), scores(BASE - 1))
+    of_cameras = images(scores(BASE - gained), scores(BASE))
+    assert {each.finding for each in told} >= {"worse"}
+    verdict = acceptance.judge_fusion(0.4, entropy(-3.0, -3.0), told, CONFIG, of_cameras)
+    assert verdict.accepted is accepted
+
+
 def poses(figures=(), accepted=False):
     blocks = EntropyBlocks(np.arange(2), np.array([[-3.0, 1.0], [-3.0, 1.0]]))
     return ScanPoses(np.eye(4)[None], Verdict(accepted, "", "", figures), -2.6, -3.0, blocks)
