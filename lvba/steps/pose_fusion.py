@@ -17,6 +17,7 @@ from lvba.arrays import Pose, PoseBlocks, Poses, StepSigmas, Times
 from lvba.lidar.covariance import LEAST, Covariance, local_covariance, positive
 from lvba.lidar.degeneracy import DegenerateDirection
 from lvba.optim import linear_solver, normal_equations
+from lvba.optim.normal_equations import Border
 from lvba.settings import setting
 from lvba.trajectory import Trajectory
 
@@ -187,18 +188,14 @@ def _chained(
         diagonal, upper = _chain(own, step, world_from_scan)
     else:
         diagonal, upper = np.linalg.inv(own), np.zeros((max(len(own) - 1, 0), 6, 6))
-    # the numbers that are shared are eliminated last: [A B; B' C] [errors; numbers] = [a; c]
     weighed = camera_information @ shared
-    by_shared = [
-        _solve_chain(diagonal + camera_information, upper, column) for column in np.moveaxis(weighed, -1, 0)
-    ]
-    alone = _solve_chain(
-        diagonal + camera_information, upper, np.einsum("sij,sj->si", camera_information, differences)
+    border = Border(
+        coupling=weighed,
+        hessian=np.eye(shared.shape[-1]) + np.einsum("sia,sib->ab", shared, weighed),
+        gradient=-np.einsum("sia,si->a", weighed, differences),
     )
-    reply = np.stack(by_shared, axis=-1)
-    left = np.eye(shared.shape[-1]) + np.einsum("sia,sib->ab", shared, weighed - camera_information @ reply)
-    right = np.einsum("sia,si->a", weighed, differences - alone)
-    return np.asarray(alone - reply @ np.linalg.solve(left, right))
+    right = np.einsum("sij,sj->si", camera_information, differences)
+    return _solve_chain(diagonal + camera_information, upper, right, border)
 
 
 _MOST_COMMON = 0.999
@@ -227,12 +224,17 @@ def _chain(own: np.ndarray, step: np.ndarray, world_from_scan: np.ndarray) -> tu
     return diagonal, -np.swapaxes(last, -1, -2) @ ((noise * values)[:, :, None] * next_)
 
 
-def _solve_chain(diagonal: np.ndarray, upper: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """The solution (S, 6) of block-tridiagonal equations with positive blocks (S, 6, 6) and (S - 1, 6, 6)."""
+def _solve_chain(
+    diagonal: np.ndarray, upper: np.ndarray, right: np.ndarray, border: Border | None = None
+) -> np.ndarray:
+    """The solution (S, 6) of block-tridiagonal equations with positive blocks (S, 6, 6) and (S - 1, 6, 6).
+
+    border: of numbers that all share, found beside
+    """
     here = np.arange(len(diagonal))
     rows, columns = np.concatenate([here, here[:-1]]), np.concatenate([here, here[1:]])
     blocks = np.concatenate([diagonal, upper])
-    equations = normal_equations.from_blocks(rows, columns, blocks, -right, 0.0)
+    equations = normal_equations.from_blocks(rows, columns, blocks, -right, 0.0, border)
     solution = linear_solver.solve_step(equations, 0.0)
     return np.zeros_like(right) if solution is None else solution.blocks
 

@@ -1,7 +1,6 @@
 """Who sees a scene point: neighbours in time, and through the global visibility voxel map cameras anywhere."""
 
 import logging
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -76,15 +75,13 @@ NEAR_TIME_S = 0.5
 """A camera sees what a scan saw within this time, s (and `NEAR_TIME_M`)."""
 NEAR_TIME_M = 3.0
 """But not when it was further than this from the scan, m (the camera closest in time always does)."""
+NEAR_SPACE_M = 0.4
+"""A camera sees what a scan saw from within this distance at any time, m; less than a wall and a step."""
 _FAR_TRIED = 16
 """Cameras of its voxel that each scene point is compared with, beside those near its reference. The best point of a voxel
 alone, which is compared with all, ties little of a small place: of 100 images of a kitchen, 100 pairs of 70,000 were far
 apart in time, and poses of images that see the same were 30 mm off what matched features say; now they are 19."""
-_OTHERS_GLOBAL = 0.5
-"""Part of `max_global` that is kept of any other point."""
 _GOLDEN = 0.6180339887
-NEAR_SPACE_M = 0.4
-"""A camera sees what a scan saw from within this distance at any time, m; less than a wall and a step."""
 
 
 @dataclass(frozen=True)
@@ -339,7 +336,7 @@ def find(
     of_chosen = passing(candidates, config.max_global)
     others = passing(
         far_pairs(~chosen, rows, points.reference, seen, config.window),
-        math.ceil(config.max_global * _OTHERS_GLOBAL),
+        (config.max_global + 1) // 2,
     )
     chosen[others[0]] = True
     far = (np.append(of_chosen[0], others[0]), np.append(of_chosen[1], others[1]))

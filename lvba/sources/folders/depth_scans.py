@@ -1,6 +1,6 @@
 """Depth images as scans in the frame of the depth camera: x right, y down, z forward, points in the order of rows."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from itertools import islice
 from pathlib import Path
 
@@ -10,8 +10,9 @@ from lvba.camera import Camera
 from lvba.errors import InputError
 from lvba.io import depth, files, image_header
 from lvba.lens import undistort
-from lvba.sources.folders.items import Item
-from lvba.sources.source import RawImage, RawScan
+from lvba.sources.folders import tables
+from lvba.sources.folders.items import Item, at_hand
+from lvba.sources.source import PoseSample, RawImage, RawScan
 
 FRAME = "depth"
 IMAGE_FRAME = "camera"
@@ -73,6 +74,31 @@ class DepthCamera:
         return Item(
             stamp, stream, lambda: self.scan(path, stamp, None if trusted is None else trusted()), str(path)
         )
+
+
+PERIOD_NS = 1_000_000_000 // 30
+"""From frame to frame where a folder has no times."""
+NO_TIMES = "it has no times: 30 frames a second are assumed."
+
+
+def pose_items(
+    files_by_number: Mapping[int, Path], read: Callable[[Path], np.ndarray | None]
+) -> tuple[list[Item], list[str]]:
+    """Poses of frames, PERIOD_NS apart, and notes on those that were lost.
+
+    read: the pose (4, 4), world from depth camera, that a file holds; None: tracking was lost
+    Raises: InputError of `read`, or if a pose is none.
+    """
+    items, lost = list[Item](), 0
+    for number, file in files_by_number.items():
+        matrix = read(file)
+        if matrix is None:
+            lost += 1
+            continue
+        sample = PoseSample(number * PERIOD_NS, "world", FRAME, tables.pose(file, matrix))
+        items.append(at_hand(sample.stamp, "pose", sample))
+    count = f"{lost} of {lost + len(items)} poses"
+    return items, [f"{count} are not finite (tracking was lost): they are left out."] if lost else []
 
 
 def image_item(stream: str, path: Path, stamp: int, frame: str = IMAGE_FRAME) -> Item:

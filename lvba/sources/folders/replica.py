@@ -19,11 +19,10 @@ from lvba.errors import InputError
 from lvba.io import json_files
 from lvba.io.camera_keys import as_float
 from lvba.sources.folders import tables
-from lvba.sources.folders.depth_scans import FRAME, DepthCamera, image_item
+from lvba.sources.folders.depth_scans import FRAME, NO_TIMES, PERIOD_NS, DepthCamera, image_item
 from lvba.sources.folders.items import XYZ, FolderSource, Item, StreamKind, at_hand, numbered
 from lvba.sources.source import Kind, KnownGeometry, PoseSample
 
-_PERIOD_NS = 1_000_000_000 // 30
 _IMAGES = (".jpg", ".jpeg", ".png")
 _PARAMETERS = "cam_params.json"
 
@@ -44,14 +43,14 @@ def open_folder(path: Path) -> FolderSource:
     colors, depths = numbered(results, _IMAGES, "frame"), numbered(results, (".png",), "depth")
     if not colors or not depths:
         raise InputError(results, "holds no frame*.jpg or no depth*.png", "copy the folder again")
-    items: list[Item] = [image_item("images", file, number * _PERIOD_NS) for number, file in colors.items()]
-    items += [depth_camera.item("depth", file, number * _PERIOD_NS) for number, file in depths.items()]
+    items: list[Item] = [image_item("images", file, number * PERIOD_NS) for number, file in colors.items()]
+    items += [depth_camera.item("depth", file, number * PERIOD_NS) for number, file in depths.items()]
     poses = _poses(path / "traj.txt")
     if len(poses) <= max(depths):
         problem = f"has {len(poses)} poses, but results has frame {max(depths)}"
         raise InputError(path / "traj.txt", problem, "copy it again")
     for number, pose in enumerate(poses):
-        stamp = number * _PERIOD_NS
+        stamp = number * PERIOD_NS
         items.append(at_hand(stamp, "poses", PoseSample(stamp, "world", FRAME, pose)))
     streams = [
         StreamKind("images", Kind.IMAGES, "JPEG files"),
@@ -62,7 +61,7 @@ def open_folder(path: Path) -> FolderSource:
         camera=camera, camera_from_lidar=np.eye(4), body_from_lidar=np.eye(4), deskewed=True
     )
     notes = [
-        "it has no times: 30 frames a second are assumed.",
+        NO_TIMES,
         "it is rendered: its poses and depths are exact.",
     ]
     return FolderSource(path, "Replica folder (NICE-SLAM)", streams, items, known, notes)

@@ -18,11 +18,17 @@ from lvba.camera import Camera
 from lvba.errors import InputError
 from lvba.io.image_header import ImageSize
 from lvba.sources.folders import tables
-from lvba.sources.folders.depth_scans import FRAME, DepthCamera, image_item, size_of_first
-from lvba.sources.folders.items import XYZ, FolderSource, Item, StreamKind, at_hand, need_folder, numbered
-from lvba.sources.source import Kind, KnownGeometry, PoseSample
+from lvba.sources.folders.depth_scans import (
+    NO_TIMES,
+    PERIOD_NS,
+    DepthCamera,
+    image_item,
+    pose_items,
+    size_of_first,
+)
+from lvba.sources.folders.items import XYZ, FolderSource, Item, StreamKind, need_folder, numbered
+from lvba.sources.source import Kind, KnownGeometry
 
-_PERIOD_NS = 1_000_000_000 // 30
 _MM = 1e-3
 
 
@@ -45,15 +51,13 @@ def open_folder(path: Path) -> FolderSource:
     camera = _camera(path / "intrinsic" / "intrinsic_color.txt", size_of_first(colors.values()))
     depth_size = size_of_first(depths.values())
     depth_camera = DepthCamera(_camera(path / "intrinsic" / "intrinsic_depth.txt", depth_size), _MM)
-    items: list[Item] = [image_item("color", file, number * _PERIOD_NS) for number, file in colors.items()]
-    items += [depth_camera.item("depth", file, number * _PERIOD_NS) for number, file in depths.items()]
-    poses, lost = _poses(path / "pose")
+    items: list[Item] = [image_item("color", file, number * PERIOD_NS) for number, file in colors.items()]
+    items += [depth_camera.item("depth", file, number * PERIOD_NS) for number, file in depths.items()]
+    poses, lost = pose_items(numbered(path / "pose", (".txt",)), _pose)
+    if not poses:
+        raise InputError(path / "pose", "holds no pose that is finite", "export the poses again")
     items += poses
-    notes = ["it has no times: 30 frames a second are assumed."]
-    if lost:
-        notes.append(
-            f"{lost} of {lost + len(poses)} poses are not finite (tracking was lost): they are left out."
-        )
+    notes = [NO_TIMES, *lost]
     streams = [
         StreamKind("color", Kind.IMAGES, "JPEG files"),
         StreamKind("depth", Kind.SCANS, "depth images, mm", XYZ),
@@ -81,18 +85,8 @@ def _check_extrinsics(folder: Path) -> None:
                 )
 
 
-def _poses(folder: Path) -> tuple[list[Item], int]:
-    """Poses that are finite, and how many are not."""
-    items, lost = [], 0
-    for number, file in numbered(folder, (".txt",)).items():
-        matrix = tables.matrix_file(file)
-        if matrix.shape != (4, 4):
-            raise InputError(file, "is no 4x4 matrix", "export it again")
-        if not np.isfinite(matrix).all():
-            lost += 1
-            continue
-        sample = PoseSample(number * _PERIOD_NS, "world", FRAME, tables.pose(file, matrix))
-        items.append(at_hand(sample.stamp, "pose", sample))
-    if not items:
-        raise InputError(folder, "holds no pose that is finite", "export the poses again")
-    return items, lost
+def _pose(file: Path) -> np.ndarray | None:
+    matrix = tables.matrix_file(file)
+    if matrix.shape != (4, 4):
+        raise InputError(file, "is no 4x4 matrix", "export it again")
+    return matrix if np.isfinite(matrix).all() else None

@@ -12,7 +12,6 @@ calibration, only the intrinsics that its poses were made with; color and depth 
 Source: Shotton et al. 2013, Zeng et al. 2017, Dai et al. 2017 and the pages of their data.
 """
 
-import math
 import os
 from pathlib import Path
 
@@ -24,13 +23,20 @@ from lvba.io import files
 from lvba.io.image_header import ImageSize
 from lvba.sources import calibrations
 from lvba.sources.folders import tables
-from lvba.sources.folders.depth_scans import FRAME, DepthCamera, image_item, size_of_first
-from lvba.sources.folders.items import XYZ, FolderSource, Item, StreamKind, at_hand, numbered
-from lvba.sources.source import Kind, KnownGeometry, PoseSample
+from lvba.sources.folders.depth_scans import (
+    NO_TIMES,
+    PERIOD_NS,
+    DepthCamera,
+    image_item,
+    pose_items,
+    size_of_first,
+)
+from lvba.sources.folders.items import XYZ, FolderSource, Item, StreamKind, numbered
+from lvba.sources.source import Kind, KnownGeometry
 
-_PERIOD_NS = 1_000_000_000 // 30
 _MM = 1e-3
 _NOTHING = 65535
+_PREFIX, _IMAGES = "frame-", (".png", ".jpg", ".jpeg")
 _KINECT = ImageSize(640, 480)
 _KINECT_DEPTH, _KINECT_COLOR = 585.0, 525.0
 """Focal lengths in px: of the depth camera as 7-Scenes says it, of the color camera as the driver takes it by default."""
@@ -42,7 +48,7 @@ def is_one(path: Path) -> bool:
     """Whether a folder has this layout, by the names of its files."""
     names = files.names_in(path)
     return all(
-        any(name.startswith("frame-") and kind in name for name in names) for kind in (".color.", ".depth.")
+        any(name.startswith(_PREFIX) and kind in name for name in names) for kind in (".color.", ".depth.")
     )
 
 
@@ -51,19 +57,18 @@ def open_folder(path: Path) -> FolderSource:
 
     Raises: InputError if a file is missing or malformed, or the cameras are not known.
     """
-    colors, depths = _frames(path, ".color.", (".png", ".jpg", ".jpeg")), _frames(path, ".depth.", (".png",))
+    colors, depths = (
+        numbered(path, _IMAGES, _PREFIX, ".color."),
+        numbered(path, (".png",), _PREFIX, ".depth."),
+    )
     known, depth_camera, origin = _cameras(
         path, size_of_first(colors.values()), size_of_first(depths.values())
     )
-    items: list[Item] = [image_item("color", file, number * _PERIOD_NS) for number, file in colors.items()]
-    items += [depth_camera.item("depth", file, number * _PERIOD_NS) for number, file in depths.items()]
-    poses, lost = _poses(path)
+    items: list[Item] = [image_item("color", file, number * PERIOD_NS) for number, file in colors.items()]
+    items += [depth_camera.item("depth", file, number * PERIOD_NS) for number, file in depths.items()]
+    poses, lost = pose_items(numbered(path, (".txt",), _PREFIX, ".pose."), _pose)
     items += poses
-    notes = ["it has no times: 30 frames a second are assumed.", *origin]
-    if lost:
-        notes.append(
-            f"{lost} of {lost + len(poses)} poses are not finite (tracking was lost): they are left out."
-        )
+    notes = [NO_TIMES, *origin, *lost]
     streams = [
         StreamKind("color", Kind.IMAGES, "image files"),
         StreamKind("depth", Kind.SCANS, "depth images, mm", XYZ),
@@ -71,11 +76,6 @@ def open_folder(path: Path) -> FolderSource:
     if poses:
         streams.append(StreamKind("pose", Kind.POSES, "4x4 matrices"))
     return FolderSource(path, "folder of numbered RGB-D frames (7-Scenes)", streams, items, known, notes)
-
-
-def _frames(path: Path, kind: str, suffixes: tuple[str, ...]) -> dict[int, Path]:
-    """Files of a kind by the numbers of their frames."""
-    return numbered(path, suffixes, "frame-", kind)
 
 
 def _cameras(
@@ -161,25 +161,15 @@ def _matrix(file: Path, rows: dict[str, list[str]], name: str) -> np.ndarray:
     return tables.numbers(file, rows.get(name, []), 16, f"{name}, 16 numbers").reshape(4, 4)
 
 
-def _poses(folder: Path) -> tuple[list[Item], int]:
-    """Poses that are finite, and how many are not."""
-    items, lost = [], 0
-    for number, file in _frames(folder, ".pose.", (".txt",)).items():
-        matrix = _pose_matrix(file)
-        if matrix is None:
-            lost += 1
-            continue
-        sample = PoseSample(number * _PERIOD_NS, "world", FRAME, tables.pose(file, matrix))
-        items.append(at_hand(sample.stamp, "pose", sample))
-    return items, lost
-
-
-def _pose_matrix(file: Path) -> np.ndarray | None:
+def _pose(file: Path) -> np.ndarray | None:
     """(4, 4); None where a number is none, as Windows programs write it (-1.#IND)."""
     words = files.read_text(file, 64 * 1024).split()
     if len(words) != 16:
         raise InputError(file, "is no 4x4 matrix", "copy the file again")
     if any("#" in word for word in words):
         return None
-    matrix = tables.matrix_file(file)
-    return matrix if all(math.isfinite(value) for value in matrix.ravel()) else None
+    try:
+        matrix = np.array([float(word) for word in words]).reshape(4, 4)
+    except ValueError as error:
+        raise InputError(file, "not only numbers", "copy the file again") from error
+    return matrix if np.isfinite(matrix).all() else None
