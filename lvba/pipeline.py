@@ -1,33 +1,29 @@
-"""The settings of a run, and its sequence of steps: the only place that says what follows what.
+"""The sequence of steps of a run: the only place that says what follows what.
 
 A recording is refined in parts, and most have one: then what that part gives is the result, and the steps that merge
 parts and solve them jointly are not in the plan.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, ClassVar
 
 import numpy as np
 
-from lvba.blocks import decoded, scan_errors, split, survey
-from lvba.blocks.decoded import Given, Made, Range, about_region, given
-from lvba.blocks.merge import MergeConfig
-from lvba.blocks.split import Frames, Load, Part, SplitConfig
+from lvba.blocks import decoded, split, survey
+from lvba.blocks.decoded import Given, given
+from lvba.blocks.split import Frames, Load, Part
+from lvba.chain import Chain
 from lvba.dataset import Dataset
 from lvba.io.reference import Reference, of_cameras
-from lvba.lidar.bundle_adjustment import LidarConfig
 from lvba.lidar.config import STAGES
 from lvba.loop_closure import candidates
 from lvba.plan import LazyRef, Plan, Ref, one_at_a_time
-from lvba.products.evaluate import EvaluateConfig
-from lvba.products.map_file import MapConfig
-from lvba.settings import setting
+from lvba.run_settings import Config as Config
 from lvba.steps import (
     camera_outliers,
     evaluate,
     expected_error,
+    fused_cameras,
     fusion,
     joint_cameras,
     joint_scans,
@@ -40,38 +36,8 @@ from lvba.steps import (
     seams,
     visual,
 )
-from lvba.steps.acceptance import GateConfig
 from lvba.steps.outcomes import VisualLevel
-from lvba.steps.pose_fusion import FusionConfig
-from lvba.visual.refine import VisualConfig
 from lvba.visual.variant import PRODUCT, Variant
-
-
-@dataclass(frozen=True)
-class Config:
-    """Every setting of a run, stage by stage."""
-
-    KNOWS_RETIRED: ClassVar[bool] = True
-    """Settings of version 0.1 that were removed are ignored, see `lvba.retired_settings`."""
-
-    refine_scans: bool = setting(
-        True,
-        meaning="Do the LiDAR bundle adjustment. false: scan poses stay as they are.",
-        change_when="The scan poses are better than a LiDAR bundle adjustment could make them, as from a total station.",
-    )
-    refine_cameras: bool = setting(
-        True,
-        meaning="Do the visual bundle adjustment. false: cameras only move along with the scans.",
-        change_when="Only the LiDAR map is wanted: this saves most of the time.",
-    )
-    split: SplitConfig = field(default_factory=SplitConfig)
-    merge: MergeConfig = field(default_factory=MergeConfig)
-    lidar: LidarConfig = field(default_factory=LidarConfig)
-    visual: VisualConfig = field(default_factory=VisualConfig)
-    fusion: FusionConfig = field(default_factory=FusionConfig)
-    gate: GateConfig = field(default_factory=GateConfig)
-    map: MapConfig = field(default_factory=MapConfig)
-    evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
 
 
 def refine(
@@ -127,30 +93,8 @@ class _Merged:
     cameras: Ref | None = None
 
 
-@dataclass
-class _Chain:
-    """Adds the steps of one recording to a plan. parts, regions: the same tuples for all steps: each is sent once."""
-
-    plan: Plan
-    dataset: Dataset
-    parts: tuple[Part, ...]
-    regions: tuple[Part, ...]
-    config: Config
-    variant: Variant
-    align: bool
-
-    def __post_init__(self) -> None:
-        self.many = len(self.parts) > 1
-        self.frames = [
-            split.subset(self.dataset, part.scan_numbers, part.image_numbers) if self.many else self.dataset
-            for part in self.parts
-        ]
-        add, config, cores = self.plan.add, self.config, [part.core_scans for part in self.parts]
-        self.survey = add("survey", survey.survey, self.dataset, config.lidar, config.visual.keyframes)
-        measured = config.refine_scans and self.variant.scan_errors
-        self.errors = add("scan-errors", scan_errors.measure, self.dataset, config.lidar, measured)
-        self.photos, self.judging, self.keyframes = list[Made](), list[Made](), list[Made]()
-        self.points = self._decode("scans", decoded.decode_scans, cores, self.errors)
+class _Chain(Chain):
+    """The steps of one recording."""
 
     def add(self, reference: Reference | None) -> None:
         """All steps: the sequence of a run."""
@@ -159,7 +103,9 @@ class _Chain:
         solved, merged = self.solve_cameras(lidar, scans, merged)
         cameras = self.mend_cameras(scans, solved)
         learned, fused = self.fuse(lidar, scans, cameras)
+        cameras = self.solve_over_fused(lidar, learned, fused, cameras)
         scores, accepted = self.choose(scans, fused, cameras)
+        cameras = add("cameras-in-use", evaluate.cameras_in_use, cameras, accepted)
         expected = add("expected-error", expected_error.of_result, lidar, learned, cameras, accepted)
         pieces = self.color_map(accepted, expected)
         planes = self.measure_planes(accepted)
@@ -170,41 +116,6 @@ class _Chain:
             *(self.dataset, lidar, scans, cameras, learned, scores, accepted),
             *(expected, one_at_a_time(pieces), planes, reference, facts, self.errors),
         )  # fmt: skip
-
-    def _decode(self, name: str, function: Any, ranges: Sequence[Range], *arguments: Any) -> list[Made]:
-        """A step for each range of frames, given those of its images that were decoded before, where any were."""
-        made: list[Made] = []
-        for number, each in enumerate(ranges):
-            held = [given(self.photos, np.arange(*each))] if self.photos else []
-            own = f"{name}-{number}" if len(ranges) > 1 else name
-            made.append((each, self.plan.add(own, function, self.dataset, each, *held, *arguments)))
-        return made
-
-    def _each(self, one: str, function: Any, *arguments: Any, photos: bool = True) -> list[Ref]:
-        """A step for each part, given the part's frames, the part, and its scans and, if asked for, images that judge."""
-        return [
-            self.plan.add(self._name(part, one), function, *self._of(part, photos), *arguments)
-            for part in self.parts
-        ]
-
-    def _of(self, part: Part, photos: bool = True) -> tuple[Any, ...]:
-        """A part's frames, the part, and its scans and images that judge, decoded."""
-        images = (given(self.judging, part.image_numbers),) if photos else ()
-        return (self.frames[part.number], part, given(self.points, part.scan_numbers), *images)
-
-    def _each_region(self, one: str, function: Any, *arguments: Any) -> list[Ref]:
-        """A step for each region, given the recording, all regions, the number of this one, and the scans about it."""
-        return [
-            self.plan.add(
-                self._name(region, one), function,
-                *(self.dataset, self.regions, region.number),
-                *(about_region(self.dataset, region, self.points), *arguments),
-            )
-            for region in self.regions
-        ]  # fmt: skip
-
-    def _name(self, part: Part, one: str, many: str = "") -> str:
-        return f"{many or one}-{part.number}" if self.many else one
 
     def solve_scans(self) -> tuple[Ref, Ref, _Merged | None]:
         """The scans of the whole recording, as they were found and as they are used."""
@@ -294,28 +205,42 @@ class _Chain:
         options = self.survey, self.config.visual.images, self.config.refine_cameras
         cores = [part.core_images for part in self.parts if self.dataset.image_paths]
         self.keyframes = self._decode("images", decoded.keyframes_of_photos, cores, *options)
-        images, solved = [], []
-        for frames, part in zip(self.frames, self.parts, strict=True):
-            images.append(self._images(self._name(part, ""), frames, part.frames, lidar, scans))
-            solved.append(self._solve_part(part, images[-1], lidar))
+        wanted = self.config.refine_cameras
+        images = [self._images_of(part, lidar, scans, wanted) for part in self.parts]
+        self.solved = solved = [
+            self._solve_part(part, own, lidar) for part, own in zip(self.parts, images, strict=True)
+        ]
         if merged is None:
             return solved[0], None
         tied = self.plan.add(
             "visual-merge", joint_cameras.merge_cameras,
             *(self.dataset, self.parts, solved, lidar, scans, self.survey, self.config.visual, self.align),
         )  # fmt: skip
-        tied = self._solve_cameras_jointly(images, solved, tied, lidar, scans)
+        tied = self._solve_cameras_jointly(images, tied, lidar, scans, wanted)
         cameras = self.plan.add(
             "visual", joint_cameras.finish_cameras,
             *(self.dataset, self.parts, solved, tied, lidar, scans, self.survey, self.config.visual),
         )  # fmt: skip
         return cameras, replace(merged, cameras=tied)
 
-    def _images(self, name: str, dataset: Dataset, frames: Frames, lidar: Ref, scans: Ref) -> _Images:
+    def _images_of(
+        self, part: Part, lidar: Ref, scans: Ref, wanted: Ref | bool, over: str = "visual"
+    ) -> _Images:
+        return self._images(
+            f"{over}-planes{self._name(part, '')}",
+            self.frames[part.number],
+            part.frames,
+            lidar,
+            scans,
+            wanted,
+        )
+
+    def _images(
+        self, name: str, dataset: Dataset, frames: Frames, lidar: Ref, scans: Ref, wanted: Ref | bool
+    ) -> _Images:
         planes = self.plan.add(
-            f"visual-planes{name}", visual.find_planes,
-            *(dataset, frames, given(self.points, frames.scans)),
-            *(lidar, scans, self.survey, self.config.refine_cameras),
+            name, visual.find_planes,
+            *(dataset, frames, given(self.points, frames.scans), lidar, scans, self.survey, wanted),
         )  # fmt: skip
         return _Images(dataset, frames, given(self.keyframes, frames.images), planes)
 
@@ -335,19 +260,26 @@ class _Chain:
         )  # fmt: skip
 
     def _solve_cameras_jointly(
-        self, images: list[_Images], solved: list[Ref], merged: Ref, lidar: Ref, scans: Ref
+        self,
+        images: list[_Images],
+        merged: Ref,
+        lidar: Ref,
+        scans: Ref,
+        wanted: Ref | bool,
+        over: str = "visual",
     ) -> Ref:
-        """The cameras of all parts, solved in rounds."""
+        """The cameras of all parts, solved in rounds. over: which planes these are over, in the names of steps"""
         add, config = self.plan.add, self.config
         if config.merge.image_rounds == 0:
             return merged
         near = [
-            self._with_near(part, own, lidar, scans) for part, own in zip(self.parts, images, strict=True)
+            self._with_near(part, own, lidar, scans, wanted, over)
+            for part, own in zip(self.parts, images, strict=True)
         ]
-        numbered = list(enumerate(zip(near, solved, strict=True)))
+        numbered = list(enumerate(zip(near, self.solved, strict=True)))
         points = [
             add(
-                f"visual-points-{number}", joint_cameras.select_points,
+                f"{over}-points-{number}", joint_cameras.select_points,
                 *(seen.dataset, seen.frames, seen.keyframes, lidar, seen.planes, part, merged),
                 *(self.survey, config.visual),
             )
@@ -355,29 +287,32 @@ class _Chain:
         ]  # fmt: skip
         # apart from the points: of those only one part's are in memory at a time
         pairs = [
-            add(f"visual-exposure-pairs-{number}", joint_cameras.exposure_pairs, each)
+            add(f"{over}-exposure-pairs-{number}", joint_cameras.exposure_pairs, each)
             for number, each in enumerate(points)
         ]
-        merged = add("visual-exposures", joint_cameras.solve_exposures, merged, pairs)
+        merged = add(f"{over}-exposures", joint_cameras.solve_exposures, merged, pairs)
         for turn in range(config.merge.image_rounds):
             equations = [
                 add(
-                    f"visual-linearize-{turn}-{number}", joint_cameras.linearize_cameras,
+                    f"{over}-linearize-{turn}-{number}", joint_cameras.linearize_cameras,
                     *(seen.dataset, seen.keyframes, part, LazyRef(points[number].key), merged),
                     *(self.survey, config.visual),
                 )
                 for number, (seen, part) in numbered
             ]  # fmt: skip
-            merged = add(f"visual-step-{turn}", joint_cameras.step_cameras, merged, equations)
+            merged = add(f"{over}-step-{turn}", joint_cameras.step_cameras, merged, equations)
         return merged
 
-    def _with_near(self, part: Part, own: _Images, lidar: Ref, scans: Ref) -> _Images:
+    def _with_near(
+        self, part: Part, own: _Images, lidar: Ref, scans: Ref, wanted: Ref | bool, over: str
+    ) -> _Images:
         """A part's frames with those that others took at the same place, and the planes of all of them."""
         frames = split.with_near(self.dataset, part, self.config.merge.near_m)
         if len(frames.images) == len(part.image_numbers):
             return own
         dataset = split.subset(self.dataset, frames.scans, frames.images)
-        return self._images(f"-with-near-{part.number}", dataset, frames, lidar, scans)
+        name = f"{over}-planes-with-near-{part.number}"
+        return self._images(name, dataset, frames, lidar, scans, wanted)
 
     def mend_cameras(self, scans: Ref, solved: Ref) -> Ref:
         """The cameras without outliers."""
@@ -397,6 +332,24 @@ class _Chain:
         )  # fmt: skip
         fused = add("fusion-gate", scan_acceptance.judge_fusion, scans, learned, entropies, config.gate)
         return learned, fused
+
+    def solve_over_fused(self, lidar: Ref, learned: Ref, fused: Ref, cameras: Ref) -> Ref:
+        """The cameras, solved further over the planes at the scans that learned from them."""
+        if self.variant != PRODUCT:  # rounds solve the full problem only
+            return cameras
+        add, options = self.plan.add, (self.survey, self.config.visual)
+        merged = add(
+            "fused-start", fused_cameras.start,
+            *(self.dataset, self.parts, self.solved, cameras, lidar, learned, fused, *options),
+        )  # fmt: skip
+        wanted = add("fused-wanted", fused_cameras.are_solved, merged)
+        bare = add("fused-lidar", fused_cameras.without_planes, lidar)
+        images = [self._images_of(part, bare, fused, wanted, "fused") for part in self.parts]
+        merged = self._solve_cameras_jointly(images, merged, bare, fused, wanted, "fused")
+        return add(
+            "fused-cameras", fused_cameras.finish,
+            *(self.dataset, self.solved, cameras, merged, lidar, fused, *options),
+        )  # fmt: skip
 
     def choose(self, scans: Ref, fused: Ref, cameras: Ref) -> tuple[Ref, Ref]:
         """The scores over all images, and the state that is the result."""

@@ -53,6 +53,34 @@ def leave_one_out_error(samples: Trajectory, times: Times) -> np.ndarray:
     return np.asarray(around)
 
 
+def leave_one_out_error_by_axis(samples: Trajectory, times: Times) -> np.ndarray:
+    """(Q, 6): `leave_one_out_error` along each axis of the sensor, `[rotation | translation]`, rad and m.
+
+    How large it is, the samples about each time tell; how it is shared among the axes, many more before and after: who
+    walks sways about one axis much more than about the others, and does so all the way.
+    """
+    return np.asarray(
+        np.repeat(leave_one_out_error(samples, times), 3, axis=1) * _axis_fractions(samples, times)
+    )
+
+
+_WAY = 12
+"""Samples before and after a time that tell how errors are shared among the axes."""
+_LEAST_FRACTION = 0.1
+
+
+def _axis_fractions(samples: Trajectory, times: np.ndarray) -> np.ndarray:
+    """(Q, 6): sizes of errors along each axis, over that of the mean axis: their squares are 1 on average."""
+    off = _off(samples).reshape(-1, 2, 3)
+    square = np.square(off / np.maximum(np.linalg.norm(off, axis=2, keepdims=True), 1e-12)).reshape(-1, 6)
+    summed = np.concatenate([np.zeros((1, 6)), np.cumsum(square, axis=0)])
+    middle = np.searchsorted(samples.times[2:-2], times)
+    first = np.clip(middle - _WAY, 0, max(len(off) - 2 * _WAY, 0))
+    last = np.minimum(first + 2 * _WAY, len(off))
+    fraction = np.sqrt(3 * (summed[last] - summed[first]) / (last - first)[:, None])
+    return np.asarray(np.maximum(fraction, _LEAST_FRACTION))
+
+
 def leave_one_out_rates(samples: Trajectory, times: Times, floor: np.ndarray) -> np.ndarray:
     """(Q, 2): what rates by the splines differ by where samples are left out, rad/s and m/s, of one component.
 
@@ -73,16 +101,22 @@ def outside(samples: Trajectory, times: np.ndarray) -> np.ndarray:
 
 def _leave_one_out(samples: Trajectory) -> np.ndarray:
     """(N, 2): by how much (rad, m) each pose differs from the cubic through its two neighbors on either side."""
+    off = _off(samples)
+    size = np.stack([np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(off[:, 3:], axis=1)], axis=1)
+    # of the two at each end nothing tells: they are as bad as the worse of the nearest two that are known
+    each = np.pad(size, ((2, 2), (0, 0)), mode="maximum", stat_length=2)
+    return np.asarray(each / np.sqrt(3.0))
+
+
+def _off(samples: Trajectory) -> np.ndarray:
+    """(N - 4, 6): of all but two poses at either end, the cubic through their two neighbors on either side, in their
+    tangents."""
     count = len(samples)
     index = np.arange(2, count - 2)[:, None] + [-2, -1, 1, 2]
     middle = geometry.inverse(samples.world_from_sensor[2:-2])
     around = geometry.log(middle[:, None] @ samples.world_from_sensor[index])
     weight = _cubic_weights(samples.times[index] - samples.times[2:-2, None])
-    off = np.einsum("sa,saj->sj", weight, around)
-    size = np.stack([np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(off[:, 3:], axis=1)], axis=1)
-    # of the two at each end nothing tells: they are as bad as the worse of the nearest two that are known
-    each = np.pad(size, ((2, 2), (0, 0)), mode="maximum", stat_length=2)
-    return np.asarray(each / np.sqrt(3.0))
+    return np.asarray(np.einsum("sa,saj->sj", weight, around))
 
 
 def _cubic_weights(offset: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ from lvba.errors import DegenerateProblemError
 from lvba.kernels.lidar import TILE
 from lvba.lidar import degeneracy
 from lvba.lidar.config import LidarConfig, Stage
+from lvba.lidar.covariance import MAP_M
 from lvba.lidar.degeneracy import DegenerateDirections
 from lvba.lidar.dense_covariance import alignment
 from lvba.lidar.odometry_factor import OdometryPrior, reestimated
@@ -212,6 +213,7 @@ class JointCovariance:
 
     marginal: np.ndarray
     conditional: np.ndarray
+    in_map: np.ndarray
     directions: DegenerateDirections
 
 
@@ -237,10 +239,20 @@ def covariance(
     if factors is None:
         raise DegenerateProblemError("the planes and the odometry do not determine the scans")
 
-    motion, pick = alignment(poses)
-    through = variance_factor * factors.solve(pick)
-    lever = (motion @ np.linalg.inv(pick.T @ motion)).reshape(scans, 6, 6)
-    cross = lever @ np.swapaxes(through.reshape(scans, 6, 6), 1, 2)
+    blocks = factors.covariance().blocks
+    marginal, in_map = (
+        variance_factor * _aligned(factors, blocks, poses, lever_m) for lever_m in (0.0, MAP_M)
+    )
+    return JointCovariance(marginal, conditional, in_map, directions)
+
+
+def _aligned(
+    factors: linear_solver.Factors | TwoLevelFactors, blocks: np.ndarray, poses: np.ndarray, lever_m: float
+) -> np.ndarray:
+    """(S, 6, 6), of each pose after an alignment, as by `dense_covariance.aligned`. blocks: (S, 6, 6), before it"""
+    motion, pick = alignment(poses, lever_m)
+    through = factors.solve(pick)
+    lever = (motion @ np.linalg.inv(pick.T @ motion)).reshape(-1, 6, 6)
+    cross = lever @ np.swapaxes(through.reshape(-1, 6, 6), 1, 2)
     own = lever @ (pick.T @ through) @ np.swapaxes(lever, 1, 2)
-    marginal = variance_factor * factors.covariance().blocks - cross - np.swapaxes(cross, 1, 2) + own
-    return JointCovariance(marginal, conditional, directions)
+    return np.asarray(blocks - cross - np.swapaxes(cross, 1, 2) + own)

@@ -38,7 +38,8 @@ class LidarResult:
         (what is left after aligning it with the truth)
     conditional_covariance: (S, 6, 6) float64, the same of each pose if all others were known: how far it may be off the
         map around it
-    step_covariance: (S - 1, 6, 6) float64, the same of the motion from each scan to the next, in the later one's tangent
+    map_covariance: (S, 6, 6) float64, as `covariance`, but after aligning the map (`lidar.covariance.Covariance.in_map`)
+    step_covariance: (S - 1, 6, 6) float64, of the motion from each scan to the next, in the later one's tangent
     variance_factor: actual over modeled variance of the planes' gradients; the covariances are multiplied by it
     shared_factor: what `covariance` is to be multiplied by for what is promised, see `lidar.covariance.Covariance`
     own_covariance: (S, 6, 6) float64, local tangent, rad and m, of what each scan is off by itself beside that, because
@@ -55,6 +56,7 @@ class LidarResult:
     world_from_scan: np.ndarray
     covariance: np.ndarray
     conditional_covariance: np.ndarray
+    map_covariance: np.ndarray
     step_covariance: np.ndarray
     variance_factor: float
     planes: Planes
@@ -79,6 +81,7 @@ class LidarResult:
         return uncertainty.Covariance(
             marginal=self.covariance,
             conditional=self.conditional_covariance,
+            in_map=self.map_covariance,
             step=self.step_covariance,
             shared_factor=self.shared_factor,
         )
@@ -132,6 +135,7 @@ def refine(
         world_from_scan=poses,
         covariance=covariance.marginal,
         conditional_covariance=covariance.conditional,
+        map_covariance=covariance.in_map,
         step_covariance=covariance.step,
         variance_factor=covariance.variance_factor,
         shared_factor=covariance.shared_factor,

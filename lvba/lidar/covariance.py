@@ -28,6 +28,8 @@ class Covariance:
         positions as close to the truth as it can. So the first pose has one too, and no pose is worse for being far from
         the first.
     conditional: (S, 6, 6), of each pose if all others were known: how far it may be off the map around it
+    in_map: (S, 6, 6), as `marginal`, but after the rigid motion that brings the points about all scanners as close as it
+        can, so that orientations count too: of who turns in one place, positions say nothing about how the map is turned
     step: (S - 1, 6, 6), of the motion from each scan to the next, in the later one's tangent
     variance_factor: actual over modeled variance of the gradients, at least 1
     shared_factor: what errors that planes close to each other share multiply `marginal` by, at least 1. It is for what is
@@ -38,6 +40,7 @@ class Covariance:
 
     marginal: np.ndarray
     conditional: np.ndarray
+    in_map: np.ndarray
     step: np.ndarray = field(default_factory=lambda: np.zeros((0, 6, 6)))
     variance_factor: float = 1.0
     shared_factor: float = 1.0
@@ -51,9 +54,17 @@ class Covariance:
         if len(step):
             carry = geometry.adjoint(geometry.inverse(world_from_scan[1:]) @ world_from_scan[:-1])
             step = step + own[1:] + carry @ own[:-1] @ np.swapaxes(carry, -1, -2)
-        return replace(self, marginal=self.marginal + own, conditional=self.conditional + own, step=step)
+        return replace(
+            self,
+            marginal=self.marginal + own,
+            conditional=self.conditional + own,
+            in_map=self.in_map + own,
+            step=step,
+        )
 
 
+MAP_M = 2.0
+"""m: points this far from a scanner are where the map is. Where it moves by more than that, the positions decide."""
 MOST_NOISE_SCANS = 400
 """Scans: the noise information about more of them together is not looked at, for it takes an eigenproblem of all."""
 
@@ -84,6 +95,7 @@ def estimate(problem: Problem, world_from_scan: Poses) -> Covariance:
     return Covariance(
         marginal=dense_covariance.aligned(inverse, world_from_scan),
         conditional=conditional,
+        in_map=dense_covariance.aligned(inverse, world_from_scan, MAP_M),
         step=step,
         variance_factor=variance_factor,
         shared_factor=shared_factor,
@@ -131,12 +143,12 @@ def local_covariance(covariance: Covariance, world_from_scan: Poses) -> np.ndarr
     """
     conditional = covariance.conditional + LEAST * np.eye(6)
     rotation = world_from_scan[:, :3, :3]
-    marginal = geometry.turn_tangent(covariance.marginal, rotation) + LEAST * np.eye(6)
-    information = np.concatenate([np.zeros((1, 6, 6)), np.cumsum(np.linalg.inv(marginal), axis=0)])
-    here = np.arange(len(marginal))
-    first, last = np.maximum(here - _WAY, 0), np.minimum(here + _WAY + 1, len(marginal))
+    in_map = geometry.turn_tangent(covariance.in_map, rotation) + LEAST * np.eye(6)
+    information = np.concatenate([np.zeros((1, 6, 6)), np.cumsum(np.linalg.inv(in_map), axis=0)])
+    here = np.arange(len(in_map))
+    first, last = np.maximum(here - _WAY, 0), np.minimum(here + _WAY + 1, len(in_map))
     mean = (information[last] - information[first]) / (last - first)[:, None, None]
-    beyond = geometry.turn_tangent(marginal - _ORDINARY * np.linalg.inv(mean), np.swapaxes(rotation, -1, -2))
+    beyond = geometry.turn_tangent(in_map - _ORDINARY * np.linalg.inv(mean), np.swapaxes(rotation, -1, -2))
     return np.asarray(conditional + positive(beyond - conditional))
 
 

@@ -44,13 +44,13 @@ def _mirrored(matrix: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def aligned(covariance: np.ndarray, world_from_scan: Poses) -> np.ndarray:
+def aligned(covariance: np.ndarray, world_from_scan: Poses, lever_m: float = 0.0) -> np.ndarray:
     """(S, 6, 6), of each pose (S, 4, 4) after the rigid motion that brings all positions closest to where they were:
     diagonal blocks of (I - M Q) C (I - M Q)', M rigid motions of all poses and Q what finds them.
 
-    covariance: (6 S - 6, 6 S - 6) float64, C, of all poses but the first
+    covariance: (6 S - 6, 6 S - 6) float64, C, of all poses but the first; lever_m: as of `alignment`
     """
-    motion, pick = alignment(world_from_scan)
+    motion, pick = alignment(world_from_scan, lever_m)
     finds = np.linalg.solve(pick.T @ motion, pick.T)[:, 6:]
     common = finds @ covariance
     none = np.zeros((1, 6, 6))
@@ -62,8 +62,11 @@ def aligned(covariance: np.ndarray, world_from_scan: Poses) -> np.ndarray:
     return np.asarray(each - cross - np.swapaxes(cross, -1, -2) + own)
 
 
-def alignment(world_from_scan: Poses) -> tuple[np.ndarray, np.ndarray]:
-    """Rigid motions (6 S, 6) of all poses, local tangents, and what picks them out of a motion of all poses, (6 S, 6)."""
+def alignment(world_from_scan: Poses, lever_m: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Rigid motions (6 S, 6) of all poses, local tangents, and what picks them out of a motion of all poses, (6 S, 6).
+
+    lever_m: m, how far from each position a point is that counts as much as the position itself, and so the orientation
+    """
     arm = world_from_scan[:, :3, 3] - world_from_scan[:, :3, 3].mean(0)
     rigid = np.zeros((len(arm), 6, 6))
     rigid[:, :3, :3] = rigid[:, 3:, 3:] = np.eye(3)
@@ -71,7 +74,7 @@ def alignment(world_from_scan: Poses) -> tuple[np.ndarray, np.ndarray]:
     seen = np.zeros_like(rigid)
     seen[:, 3:] = rigid[:, 3:]
     # positions on a line leave the rotation about it open: the orientations decide, as in `trajectory.align`
-    lever = max(1e-3 * float(np.sqrt((arm**2).sum(1).mean())), 1e-6)
+    lever = max(1e-3 * float(np.sqrt((arm**2).sum(1).mean())), 1e-6, lever_m)
     seen[:, :3, :3] = lever**2 * np.eye(3)
     turn = np.zeros_like(rigid)
     turn[:, :3, :3] = turn[:, 3:, 3:] = np.swapaxes(world_from_scan[:, :3, :3], -1, -2)

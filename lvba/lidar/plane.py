@@ -56,3 +56,12 @@ class Surfaces:
     planes: Planes
     points: PlanePoints
     scan_times: np.ndarray
+
+
+def no_planes() -> Planes:
+    """None at all."""
+    none = np.zeros(0)
+    return Planes(
+        center=np.zeros((0, 3)), normal=np.zeros((0, 3)), eigenvalues=np.zeros((0, 3)), axes=np.zeros((0, 3, 3)),
+        count=none.astype(np.int64), scans=none.astype(np.int32), size=none, sigma_offset=none,
+    )  # fmt: skip

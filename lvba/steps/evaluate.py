@@ -153,19 +153,24 @@ def of_part(
     scans: ScanPoses, fused: ScanPoses, visual: VisualStage, part: Part
 ) -> tuple[ScanPoses, ScanPoses, VisualStage]:
     """What was found, for the frames of one part only."""
-    mine = slice(*part.images)
-    if visual.result is not None:
-        cameras = dataclasses.replace(
-            visual.result,
-            world_from_camera=visual.result.world_from_camera[mine],
-            log_exposure=visual.result.log_exposure[mine],
-        )
-        visual = VisualStage(cameras)
+    visual = VisualStage(
+        _of_images(visual.result, part), visual.problem, over_fused=_of_images(visual.over_fused, part)
+    )
     own, with_cameras = (
         dataclasses.replace(poses, world_from_scan=poses.world_from_scan[slice(*part.scans)])
         for poses in (scans, fused)
     )
     return own, with_cameras, visual
+
+
+def _of_images(result: VisualResult | None, part: Part) -> VisualResult | None:
+    """Poses and exposures of a part's images only."""
+    if result is None:
+        return None
+    mine = slice(*part.images)
+    return dataclasses.replace(
+        result, world_from_camera=result.world_from_camera[mine], log_exposure=result.log_exposure[mine]
+    )
 
 
 def _judged(images: int, part: Part, config: EvaluateConfig) -> np.ndarray:
@@ -243,8 +248,16 @@ def camera_states(
         VISUAL: refined,
     }
     if fused.verdict.accepted:
-        states |= {FUSED_POSED: states[POSED], FUSED: states[VISUAL]}
+        moved = refined if visual.over_fused is None else refined_cameras(camera, visual.over_fused)
+        states |= {FUSED_POSED: Cameras(moved.world_from_camera, equal, moved.camera), FUSED: moved}
     return states
+
+
+def cameras_in_use(visual: VisualStage, accepted: Accepted) -> VisualStage:
+    """The cameras that belong to the scans of the result."""
+    if accepted.state not in (FUSED, FUSED_POSED) or visual.over_fused is None:
+        return visual
+    return dataclasses.replace(visual, result=visual.over_fused)
 
 
 def refined_cameras(camera: Camera, result: VisualResult) -> Cameras:

@@ -1,7 +1,5 @@
 """The steps that make the cameras of all parts one: merged, then one joint problem in rounds."""
 
-import functools
-import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -11,18 +9,19 @@ from lvba import geometry
 from lvba.blocks import visual_block, visual_joint
 from lvba.blocks.decoded import Keyframes, Pieces, keyframe_images
 from lvba.blocks.split import Frames, Part
-from lvba.blocks.survey import Survey, keyframes_of
+from lvba.blocks.survey import Survey
 from lvba.blocks.visual_block import CameraBlock, CameraPoints
 from lvba.blocks.visual_joint import JointCameras
 from lvba.dataset import Dataset
 from lvba.optim.shared_parameters import common_sigma
 from lvba.products.views import nearest_in_time
+from lvba.steps import joint_prior
 from lvba.steps.lidar import carry_cameras
 from lvba.steps.outcomes import LidarStage, MapPlanes, ScanPoses, VisualStage
 from lvba.steps.visual import inputs
 from lvba.trajectory import Trajectory
 from lvba.visual import calibration_prior, covariance, fixed_calibration, radiometry, trajectory_prior
-from lvba.visual.clock import clock_drifts, common_calibration, evidence_from
+from lvba.visual.clock import common_calibration
 from lvba.visual.exposure_graph import Edges
 from lvba.visual.image import measuring_camera
 from lvba.visual.refine import VisualConfig, VisualResult
@@ -68,7 +67,7 @@ def merge_cameras(
     align: bool = True,
 ) -> MergedCameras:
     """Each keyframe as the part has it whose core it is in; one scale of exposures; the parts' mean calibration."""
-    results = _results(stages)
+    results = joint_prior.results_of(stages)
     if not results:
         return MergedCameras(None, (), stages[0].problem)
     scale, seams = _exposure_scales(cores, stages)
@@ -85,10 +84,11 @@ def merge_cameras(
         log_exposure[mine] = part.result.log_exposure[own] + shift
         sigma[mine] = part.result.log_exposure_sigma[own]
     keyframes = survey.keyframes
-    prior = _prior(dataset, cores, stages, lidar, scans, survey, config)
+    prior = joint_prior.prior_of_keyframes(dataset, cores, stages, lidar, scans, survey, config)
     state = VisualState(
         CameraStates(poses[keyframes], log_exposure[keyframes] - log_exposure[keyframes[0]]),
         common_calibration(results, prior.epoch),
+        joint_prior.motion_of_keyframes(cores, stages, survey),
     )
     converged = all(len(result.degenerate_common) for result in results)
     return MergedCameras(
@@ -102,10 +102,6 @@ def merge_cameras(
         ),
         seams,
     )
-
-
-def _results(stages: Sequence[VisualStage]) -> list[VisualResult]:
-    return [part.result for part in stages if part.result is not None]
 
 
 def _exposure_scales(
@@ -148,86 +144,6 @@ def _exposure_scales(
     return scale - scale[0], tuple(seams)
 
 
-def _prior_of_all(dataset: Dataset, lidar: LidarStage, scans: ScanPoses, config: VisualConfig) -> Prior:
-    """Of all images, with sigmas as first guessed."""
-    local_covariance = None
-    if lidar.result is not None and scans.verdict.accepted:
-        local_covariance = lidar.result.conditional_covariance
-    return trajectory_prior.build(
-        dataset.scans,
-        scans.world_from_scan,
-        dataset.images,
-        dataset.camera_from_scan,
-        config.prior,
-        local_covariance,
-    )
-
-
-def _prior(
-    dataset: Dataset,
-    cores: Sequence[Part],
-    stages: Sequence[VisualStage],
-    lidar: LidarStage,
-    scans: ScanPoses,
-    survey: Survey,
-    config: VisualConfig,
-) -> Prior:
-    """Of all keyframes, with the sigmas that the parts found."""
-    prior = trajectory_prior.take(_prior_of_all(dataset, lidar, scans, config), survey.keyframes)
-    sources = []
-    for number, source in enumerate(prior.sources):
-        rotation, position = source.sigma_rotation.copy(), source.sigma_position.copy()
-        of_parts = []
-        for core, part in zip(cores, stages, strict=True):
-            if part.tuning is None or number >= len(part.tuning.correlation_inflation):
-                continue
-            local = core.image_numbers[keyframes_of(survey, core.frames)]
-            inside = (local >= core.core_images[0]) & (local < core.core_images[1])
-            mine = np.searchsorted(survey.keyframes, local[inside])
-            rotation[mine] = part.tuning.sigma_rotation[number][inside]
-            position[mine] = part.tuning.sigma_position[number][inside]
-            of_parts.append(part.tuning.correlation_inflation[number])
-        factor = (
-            tuple(float(value) for value in np.mean(of_parts, axis=0))
-            if of_parts
-            else source.correlation_inflation
-        )
-        sources.append(
-            replace(
-                source,
-                sigma_rotation=rotation,
-                sigma_position=position,
-                correlation_inflation=(factor[0], factor[1]),
-            )
-        )
-    known = [
-        (part.tuning, part.result) for part in stages if part.tuning is not None and part.result is not None
-    ]
-    drifting = any(tuning.drifting for tuning, _ in known) or clock_drifts(_results(stages))
-    said = [
-        evidence_from(tuning.evidence, prior.epoch - result.clock_epoch if drifting else 0.0)
-        for tuning, result in known
-        if tuning.evidence is not None
-    ]
-    counted = None
-    if said:
-        whole = functools.reduce(operator.add, said)
-        counted = calibration_prior.weighed(whole.information, whole.spread, prior.calibration.claimed)
-    prior = replace(
-        prior,
-        sources=tuple(sources),
-        calibration=replace(prior.calibration, counted=counted),
-        drifting=drifting,
-    )
-    return trajectory_prior.with_fixed(prior, _fixed(stages))
-
-
-def _fixed(stages: Sequence[VisualStage]) -> list[str]:
-    """The parameters of the calibration that no part corrects: a value that one proves wrong is wrong in all."""
-    fixed = [set(part.tuning.fixed) for part in stages if part.tuning is not None]
-    return sorted(set.intersection(*fixed)) if fixed else []
-
-
 def select_points(
     dataset: Dataset,
     frames: Frames,
@@ -257,9 +173,11 @@ def select_points(
 
 
 def _state_of(now: JointCameras, images: np.ndarray) -> VisualState:
-    cameras = now.state.cameras
+    cameras, motion = now.state.cameras, now.state.motion
     return VisualState(
-        CameraStates(cameras.world_from_camera[images], cameras.log_exposure[images]), now.state.calibration
+        CameraStates(cameras.world_from_camera[images], cameras.log_exposure[images]),
+        now.state.calibration,
+        None if motion is None else motion[images],
     )
 
 
@@ -326,11 +244,11 @@ def finish_cameras(
     if now is None:
         return VisualStage(None, merged.problem)
     times, keyframes = dataset.images.times, survey.keyframes
-    prior = _prior_of_all(dataset, lidar, scans, config)
+    prior = joint_prior.prior_of_all(dataset, lidar, scans, config)
     solved = now.prior if now.prior is not None else trajectory_prior.take(prior, keyframes)
     poses, _ = trajectory_prior.fill(prior, solved, now.state, keyframes, times)
     log_exposure = np.interp(times, times[keyframes], now.state.cameras.log_exposure)
-    results = _results(stages)
+    results = joint_prior.results_of(stages)
     spread, local_covariance = _of_parts(cores, stages, len(times))
     if lidar.result is not None and scans.verdict.accepted:
         where = Trajectory(dataset.scans.times, scans.world_from_scan)
@@ -374,7 +292,7 @@ def finish_cameras(
 
 def _calibration(now: JointCameras, prior: Prior, stages: Sequence[VisualStage]) -> Calibration:
     reference = prior.calibration.reference
-    return fixed_calibration.restored(now.state.calibration, reference, _fixed(stages))
+    return fixed_calibration.restored(now.state.calibration, reference, joint_prior.fixed_in_all(stages))
 
 
 def _of_parts(

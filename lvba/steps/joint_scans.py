@@ -15,7 +15,7 @@ from lvba.blocks.split import Part
 from lvba.blocks.survey import Survey
 from lvba.dataset import Dataset
 from lvba.lidar.bundle_adjustment import LidarConfig, LidarResult, Round
-from lvba.lidar.plane import PlanePoints, Planes
+from lvba.lidar.plane import PlanePoints, no_planes
 from lvba.lidar.rounds import OBLIQUE
 from lvba.lidar.scan_errors import ScanErrors
 from lvba.loop_closure import registration, rough_poses, submap
@@ -257,10 +257,11 @@ def finish_scans(
         world_from_scan=state.world_from_scan,
         covariance=uncertainty.marginal,
         conditional_covariance=uncertainty.conditional,
+        map_covariance=uncertainty.in_map,
         step_covariance=np.zeros((0, 6, 6)),
         variance_factor=variance_factor,
         shared_factor=shared_factor,
-        planes=_no_planes(),
+        planes=no_planes(),
         plane_points=PlanePoints(np.zeros((0, 3), np.float32), np.zeros(0, np.int32), np.zeros(1, np.int64)),
         history=(*(entry for part in parts for entry in part.history[:1]), *_rounds(state)),
         cost_initial=float(np.mean([part.history[0].cost_before for part in parts if part.history])),
@@ -292,14 +293,6 @@ def _rounds(state: JointState) -> Iterator[Round]:
             steps=1,
             degenerate_scans=each.degenerate_scans,
         )
-
-
-def _no_planes() -> Planes:
-    none = np.zeros(0)
-    return Planes(
-        center=np.zeros((0, 3)), normal=np.zeros((0, 3)), eigenvalues=np.zeros((0, 3)), axes=np.zeros((0, 3, 3)),
-        count=none.astype(np.int64), scans=none.astype(np.int32), size=none, sigma_offset=none,
-    )  # fmt: skip
 
 
 def _warnings(

@@ -76,11 +76,13 @@ class VisualStage:
     """What the visual stage found; nothing where there are no images or it could not be solved.
 
     tuning: what the finest level was solved with; None: of all parts together, or not solved
+    over_fused: the same cameras solved further over planes at fused scan poses; None: not solved
     """
 
     result: VisualResult | None
     problem: str = ""
     tuning: Tuning | None = None
+    over_fused: VisualResult | None = None
 
 
 @dataclass(frozen=True)

@@ -23,14 +23,14 @@ from lvba.trajectory import Trajectory
 
 _MEDIAN = 5.348 / 6
 """Median of a chi-square of six degrees of freedom, over six."""
-_LEAST_BETWEEN = 0.01
-_FLOOR = np.array([np.radians(1e-3), 1e-4])
+_MEDIAN_OF_ONE = 0.4549
+"""Median of a chi-square of one degree of freedom."""
+_LEAST_BETWEEN = 0.1
+"""Of smooth motion, a cubic spline misses 0.08 of what leaving a sample out changes: less is chance."""
+_FLOOR = np.repeat([np.radians(1e-3), 1e-4], 3)
 """rad and m: nothing is interpolated better than this."""
 _RATE_STEP_S = 0.02
 
-
-_ALIKE = 4.0
-"""Neighbors among the cameras share most of their patches, and err alike: so many of them count as one."""
 CONTRADICTION = 5.0
 """A scan and the cameras about it that are further apart than this many standard deviations contradict each other, and
 the scan stays."""
@@ -71,7 +71,7 @@ class Fused:
     world_from_scan: (S, 4, 4) float64; covariance: (S, 6, 6), as `lidar.covariance.Covariance.marginal`
     moved_m: (S,) from where the LiDAR had them
     interpolation_error_scale: error of the spline between cameras over the leave-one-out error of the cameras, as
-        the distances of the scans from the spline explain it
+        the distances of the scans from the spline explain it; the median of the six axes
     variance_factor: how many times scans and cameras are further apart (squared) than both promise, at least 1
     contradicted: scans that stayed because the cameras contradict them
     """
@@ -122,18 +122,18 @@ def fuse(
     if len(path) < spline.FEWEST_SAMPLES:
         return None
     inside = ~spline.outside(path, scans.times)
-    leave_one_out_error = spline.leave_one_out_error(path, scans.times)
+    leave_one_out_error = spline.leave_one_out_error_by_axis(path, scans.times)
     differences = geometry.log(geometry.inverse(scans.world_from_sensor) @ spline.through(path, scans.times))
     differences = _without_common(differences, scans.world_from_sensor, common, prior_sigmas)
     shared = _shared(cameras, scans.times)
     alone = _of_neighbors(cameras, scans.times)
     known = alone + shared @ np.swapaxes(shared, -1, -2)
-    known += _interpolated(leave_one_out_error, spline.boundary_error(path, scans.times))
+    known += _interpolated(leave_one_out_error, spline.boundary_error(path, scans.times)[:, None])
     own = local_covariance(covariance, scans.world_from_sensor)
     interpolation_error_scale = _interpolation_error_scale(
         differences[inside], (own + known)[inside], leave_one_out_error[inside]
     )
-    interpolated = _interpolated(leave_one_out_error, np.full(len(scans), interpolation_error_scale))
+    interpolated = _interpolated(leave_one_out_error, interpolation_error_scale)
     of_cameras = known + interpolated
     distance = _distance(differences, own + of_cameras)
     variance_factor = max(1.0, float(np.median(distance[inside])) / _MEDIAN) if inside.any() else 1.0
@@ -143,11 +143,11 @@ def fuse(
     step = _chained(
         # where motions are known, a group of scans may be off as far as it is uncertain within the trajectory: cameras
         # far apart in time see it beside others
-        covariance.marginal + LEAST * np.eye(6) if len(covariance.step) else own,
+        covariance.in_map + LEAST * np.eye(6) if len(covariance.step) else own,
         covariance.step,
         scans.world_from_sensor,
         # what both do not promise is the cameras': the scans' own share in it is in what groups are off
-        np.linalg.inv(_ALIKE * variance_factor * alone + interpolated) * used[:, None, None],
+        np.linalg.inv(variance_factor * alone + interpolated) * used[:, None, None],
         differences,
         shared,
     )
@@ -162,7 +162,7 @@ def fuse(
         world_from_scan=np.where(still[:, None, None], scans.world_from_sensor, moved),
         covariance=posterior + positive(covariance.marginal - covariance.conditional),
         moved_m=np.linalg.norm(step[:, 3:], axis=1),
-        interpolation_error_scale=interpolation_error_scale,
+        interpolation_error_scale=float(np.median(interpolation_error_scale)),
         variance_factor=variance_factor,
         contradicted=int(np.count_nonzero(contradicted)),
     )
@@ -260,24 +260,24 @@ def _shared(cameras: Cameras, times: np.ndarray) -> np.ndarray:
 
 def _interpolated(leave_one_out_error: np.ndarray, part: np.ndarray) -> np.ndarray:
     """(S, 6, 6): what a spline adds that is off by a part (S,) of what is missed (S, 2) of a sample that is left out."""
-    variance = np.square(part[:, None] * leave_one_out_error) + np.square(_FLOOR)
-    return np.asarray(np.repeat(variance, 3, axis=1)[:, :, None] * np.eye(6))
+    variance = np.square(part * leave_one_out_error) + np.square(_FLOOR)
+    return np.asarray(variance[:, :, None] * np.eye(6))
 
 
 def _interpolation_error_scale(
     differences: np.ndarray, known: np.ndarray, leave_one_out_error: np.ndarray
-) -> float:
-    """The part of what is missed that makes half of the scans closer to the spline than the covariances promise."""
-    low, high = np.log(_LEAST_BETWEEN), 0.0
+) -> np.ndarray:
+    """(6,): for each axis, the part of what is missed that makes half of the scans closer to the spline than promised."""
+    low, high = np.full(6, np.log(_LEAST_BETWEEN)), np.zeros(6)
+    if not len(differences):
+        return np.exp(high)
+    variance = np.diagonal(known, axis1=1, axis2=2)
     for _ in range(12):
         middle = 0.5 * (low + high)
-        part = np.full(len(leave_one_out_error), np.exp(middle))
-        distance = _distance(differences, known + _interpolated(leave_one_out_error, part))
-        if len(distance) and np.median(distance) > _MEDIAN:
-            low = middle
-        else:
-            high = middle
-    return float(np.exp(high))
+        total = variance + np.square(np.exp(middle) * leave_one_out_error)
+        short = np.median(np.square(differences) / total, axis=0) > _MEDIAN_OF_ONE
+        low, high = np.where(short, middle, low), np.where(short, high, middle)
+    return np.exp(high)
 
 
 def _distance(differences: np.ndarray, covariance: np.ndarray) -> np.ndarray:

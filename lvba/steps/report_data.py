@@ -136,8 +136,8 @@ def of_lidar(lidar: LidarStage, scans: ScanPoses, accepted: Accepted) -> dict[st
         facts |= _fields(
             lidar.result,
             but=(
-                *("world_from_scan", "planes", "plane_points"),
-                *("covariance", "conditional_covariance", "step_covariance", "own_covariance", "inertial"),
+                *("world_from_scan", "planes", "plane_points", "covariance", "conditional_covariance"),
+                *("map_covariance", "step_covariance", "own_covariance", "inertial"),
             ),
         )
         if lidar.result.inertial is not None:

@@ -72,7 +72,10 @@ def _uncertainty(lidar: LidarStage, scans: np.ndarray) -> Covariance:
     assert lidar.result is not None
     known = lidar.result.pose_covariance
     steps = known.step if len(scans) == len(known.marginal) else np.zeros((0, 6, 6))
-    return replace(known, marginal=known.marginal[scans], conditional=known.conditional[scans], step=steps)
+    marginal, conditional, in_map = (
+        each[scans] for each in (known.marginal, known.conditional, known.in_map)
+    )
+    return replace(known, marginal=marginal, conditional=conditional, in_map=in_map, step=steps)
 
 
 def solve_level(

@@ -96,9 +96,9 @@ class Source:
     """One way to tell from the LiDAR trajectory where each camera is.
 
     world_from_scan: (I, 4, 4) float64, the LiDAR at the images' stamps
-    sigma_rotation, sigma_position: (I,) of one component of what a frame deviates by itself, rad and m
-    scan_rotation, scan_position: (I,) of one component of what does not depend on the frames' deviations, the error of
-        the scans' poses, rad and m
+    sigma_rotation, sigma_position: (I, 3) of what a frame deviates by itself, along the LiDAR's axes, rad and m
+    scan_rotation, scan_position: (I, 3) of what does not depend on the frames' deviations, the error of the scans' poses,
+        along the LiDAR's axes, rad and m
     correlation_inflation: by what the variances of the latter (rotation, position) grow as neighboring frames share them
     """
 
@@ -157,7 +157,7 @@ def build(
     scan_from_camera = geometry.inverse(camera_from_scan)
     carried = carry(scans, refined, images)
     # what rough motions do not tell counts for nothing
-    unknown = np.where(carried.by_rough, 1.0, _NOTHING)
+    unknown = np.repeat(np.where(carried.by_rough, 1.0, _NOTHING)[:, None], 3, axis=1)
     scan_rotation, scan_position = _scan_sigmas(scans.times, scan_covariance, images.times)
     by_eq1 = Source(
         world_from_scan=carried.world_from_sensor @ camera_from_scan,
@@ -173,10 +173,10 @@ def build(
         by_spline = replace(
             by_eq1,
             world_from_scan=spline.through(moving, images.times),
-            sigma_rotation=within[:, 0],
-            sigma_position=within[:, 1],
-            scan_rotation=np.hypot(scan_rotation, at_ends[:, 0]),
-            scan_position=np.hypot(scan_position, at_ends[:, 1]),
+            sigma_rotation=within[:, :3],
+            sigma_position=within[:, 3:],
+            scan_rotation=np.hypot(scan_rotation, at_ends[:, :3]),
+            scan_position=np.hypot(scan_position, at_ends[:, 3:]),
         )
         sources = (by_eq1, by_spline)
     known = calibration_prior.build(Calibration(scan_from_camera), config.sigma)
@@ -247,7 +247,10 @@ def fill(
     poses = geometry.retract(expected, moved)
     poses[keyframes] = state.cameras.world_from_camera
     added = np.zeros((len(times), 6, 6))
-    added[:, np.arange(6), np.arange(6)] = np.square(spread[used])
+    turn = prior.calibration.reference.scan_from_camera[:3, :3]
+    variance = np.square(spread[used])
+    for part in (slice(3), slice(3, 6)):
+        added[:, part, part] = turn.T @ (variance[:, part, None] * turn)
     added[keyframes] = 0.0
     return poses, added
 
@@ -261,26 +264,27 @@ def _rescaled(source: Source, solved: Source, keyframes: Indices) -> np.ndarray:
 def _scan_sigmas(
     scan_times: np.ndarray, covariance: np.ndarray | None, times: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(I,) rad and (I,) m: how far the less certain of the scans about each image may be off, in its worst direction."""
+    """(I, 3) rad and (I, 3) m: how far the less certain of the scans about each image may be off along each axis."""
     if covariance is None:
         return (
-            np.full(len(times), np.radians(CEILING_ROTATION_DEG)),
-            np.full(len(times), CEILING_POSITION_M),
+            np.full((len(times), 3), np.radians(CEILING_ROTATION_DEG)),
+            np.full((len(times), 3), CEILING_POSITION_M),
         )
     before, _ = trajectory.bracket(scan_times, times)
     after = np.minimum(before + 1, len(scan_times) - 1)
-    worst = [np.linalg.eigvalsh(covariance[:, part, part])[:, -1] for part in (slice(3), slice(3, 6))]
-    rotation, position = (np.sqrt(np.maximum(np.maximum(w[before], w[after]), 0.0)) for w in worst)
-    return rotation, position
+    variance = np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0)
+    sigma = np.sqrt(np.maximum(variance[before], variance[after]))
+    return sigma[:, :3], sigma[:, 3:]
 
 
 def _spline_sigmas(scans: Trajectory, times: Times) -> tuple[np.ndarray, np.ndarray]:
-    """(I, 2), rad and m: what splines through the scans may miss at the images, and what they miss more near their ends.
+    """(I, 6), rad and m: what splines through the scans may miss at the images along the axes of the LiDAR, and what they
+    miss more near their ends.
 
     The second is not scaled by what frames deviate: these are nearly all between scans on both sides.
     """
-    left_out = spline.leave_one_out_error(scans, times)
-    within = BETWEEN_SCANS * left_out + [np.radians(FLOOR_ROTATION_DEG), FLOOR_POSITION_M]
+    left_out = spline.leave_one_out_error_by_axis(scans, times)
+    within = BETWEEN_SCANS * left_out + np.repeat([np.radians(FLOOR_ROTATION_DEG), FLOOR_POSITION_M], 3)
     # beyond the scans there is nothing to interpolate: what is extrapolated counts for nothing
     within[spline.outside(scans, times)] *= _NOTHING
     return within, AT_ENDS * spline.boundary_error(scans, times)[:, None] * left_out
@@ -314,18 +318,28 @@ def _since_epoch(prior: Prior) -> np.ndarray:
 
 
 def residuals(prior: Prior, source: Source, state: VisualState) -> np.ndarray:
-    """(I, 6): deviation of each camera from its prediction, in the predicted camera's axes, rad and m."""
+    """(I, 6): deviation of each camera from its prediction, along the LiDAR's axes as calibrated, rad and m."""
+    rotation, position = _in_camera(prior, source, state)
+    return _turned(prior, np.concatenate([rotation, position], axis=1)[..., None])[..., 0]
+
+
+def _in_camera(prior: Prior, source: Source, state: VisualState) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation and position (I, 3) of each camera from its prediction, in the predicted camera's axes."""
     predicted, actual = predict(prior, source, state.calibration), state.cameras.world_from_camera
     back = np.swapaxes(predicted[:, :3, :3], 1, 2)
     rotation = Rotation.from_matrix(back @ actual[:, :3, :3]).as_rotvec()
-    position = (back @ (actual[:, :3, 3:] - predicted[:, :3, 3:]))[..., 0]
-    return np.concatenate([rotation, position], axis=1)
+    return rotation, (back @ (actual[:, :3, 3:] - predicted[:, :3, 3:]))[..., 0]
+
+
+def _turned(prior: Prior, derivatives: np.ndarray) -> np.ndarray:
+    """Rows `[rotation | position]` (I, 6, n) in the camera's axes, along the LiDAR's as calibrated."""
+    turn = prior.calibration.reference.scan_from_camera[:3, :3]
+    return np.concatenate([turn @ derivatives[:, :3], turn @ derivatives[:, 3:]], axis=1)
 
 
 def jacobians(prior: Prior, source: Source, state: VisualState) -> tuple[np.ndarray, np.ndarray]:
-    """Of `[rotation | position]` residuals: (I, 6, 6) by the camera's pose, (I, 6, k) by the calibration."""
-    deviation = residuals(prior, source, state)
-    rotation, position = deviation[:, :3], deviation[:, 3:]
+    """Of the residuals `[rotation | position]`: (I, 6, 6) by the camera's pose, (I, 6, k) by the calibration."""
+    rotation, position = _in_camera(prior, source, state)
     predicted, actual = predict(prior, source, state.calibration), state.cameras.world_from_camera
     back = np.swapaxes(predicted[:, :3, :3], 1, 2)
     by_camera = np.zeros((len(prior), 6, 6))
@@ -351,7 +365,7 @@ def jacobians(prior: Prior, source: Source, state: VisualState) -> tuple[np.ndar
     by_calibration[:, :, layout["time_offset"]] = by_offset[..., None]
     if prior.drifting:
         by_calibration[:, :, layout["clock_rate"]] = (_since_epoch(prior)[:, None] * by_offset)[..., None]
-    return by_camera, by_calibration
+    return _turned(prior, by_camera), _turned(prior, by_calibration)
 
 
 def linearize(prior: Prior, state: VisualState) -> NormalEquations:
@@ -399,14 +413,14 @@ def _linearize_source(prior: Prior, source: Source, state: VisualState) -> Norma
 
 
 def sigmas(source: Source) -> np.ndarray:
-    """(I, 6), of `[rotation | position]`: a frame's own deviation and the scans' errors together."""
+    """(I, 6), of residuals `[rotation | position]`: a frame's own deviation and the scans' errors together."""
     rotation = np.hypot(
         source.sigma_rotation, np.sqrt(source.correlation_inflation[0]) * source.scan_rotation
     )
     position = np.hypot(
         source.sigma_position, np.sqrt(source.correlation_inflation[1]) * source.scan_position
     )
-    return by_component(rotation, position)
+    return np.concatenate([rotation, position], axis=1)
 
 
 def by_component(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:

@@ -18,7 +18,6 @@ from lvba.visual.trajectory_prior import (
     FLOOR_ROTATION_DEG,
     Prior,
     Source,
-    by_component,
     residuals,
     sigmas,
 )
@@ -41,7 +40,7 @@ def reestimated(prior: Prior, state: VisualState, undecided: tuple[np.ndarray, .
 
 
 def _rescaled(source: Source, deviation: np.ndarray, posterior: np.ndarray) -> Source:
-    own = by_component(source.sigma_rotation, source.sigma_position)
+    own = np.concatenate([source.sigma_rotation, source.sigma_position], axis=1)
     fraction = np.clip(1 - posterior / sigmas(source) ** 2, 0.0, 1.0)
     rotation, position = (_own_scale(deviation, own, fraction, part) for part in (slice(3), slice(3, 6)))
     return replace(

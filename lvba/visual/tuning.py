@@ -21,6 +21,7 @@ class Tuning:
     evidence: of the images about the calibration; None: there is no prior
     fixed: names of the parameters of the calibration that the images do not call to correct
     drifting: whether they call for a rate of the camera's clock
+    motion: (k, 6), as of `states.VisualState`; None: all rows are read at once
     """
 
     noise: NoiseModel
@@ -32,6 +33,7 @@ class Tuning:
     evidence: Evidence | None
     fixed: tuple[str, ...] = ()
     drifting: bool = False
+    motion: np.ndarray | None = None
 
 
 def tuning(solution: LevelSolution) -> Tuning:
@@ -51,4 +53,5 @@ def tuning(solution: LevelSolution) -> Tuning:
         evidence=None if solution.prior is None else solution.prior.evidence,
         fixed=solution.fixed,
         drifting=solution.prior is not None and solution.prior.drifting,
+        motion=solution.state.motion,
     )

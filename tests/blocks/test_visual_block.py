@@ -58,7 +58,7 @@ def test_tuning_is_what_the_solve_found(solved):
     assert known.noise.shift > 0
     assert known.variance_factor == last.problem.variance_factor
     assert known.offset_scale > 0
-    assert known.sigma_rotation.shape == (len(last.prior.sources), COUNT)
+    assert known.sigma_rotation.shape == (len(last.prior.sources), COUNT, 3)
 
 
 def test_the_equations_of_all_shares_add_up_to_those_of_the_whole(solved):

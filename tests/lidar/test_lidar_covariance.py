@@ -26,7 +26,7 @@ def yard():
 
 
 def dense(problem, poses, with_noise):
-    """(marginal, conditional, step, variance_factor) by whole matrices."""
+    """(marginal, conditional, in_map, step, variance_factor) by whole matrices."""
     scans = len(poses)
     fits = fit(problem.features, poses)
     information = problem.linearize(poses, exact=False, fits=fits).dense()
@@ -46,9 +46,11 @@ def dense(problem, poses, with_noise):
         noise = noise_information.linearize(problem.features, fits, poses, SIGMA).dense()[6:, 6:]
         certain = noise_information.certain(planes[6:, 6:], noise, odometry)
         whole[6:, 6:] = np.linalg.inv(certain / variance_factor + odometry)
-    motion, pick = dense_covariance.alignment(poses)
-    free = np.eye(6 * scans) - motion @ np.linalg.inv(pick.T @ motion) @ pick.T
-    aligned = free @ whole @ free.T
+    aligned = []
+    for lever_m in (0.0, covariance.MAP_M):
+        motion, pick = dense_covariance.alignment(poses, lever_m)
+        free = np.eye(6 * scans) - motion @ np.linalg.inv(pick.T @ motion) @ pick.T
+        aligned.append(free @ whole @ free.T)
     own = scipy.linalg.block_diag(
         *(np.linalg.inv(information[6 * i : 6 * i + 6, 6 * i : 6 * i + 6]) for i in range(scans))
     )
@@ -57,7 +59,7 @@ def dense(problem, poses, with_noise):
     def blocks(matrix):
         return [matrix[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i in range(scans)]
 
-    return blocks(aligned), blocks(conditional), step, variance_factor
+    return blocks(aligned[0]), blocks(conditional), blocks(aligned[1]), step, variance_factor
 
 
 @pytest.mark.parametrize("with_noise", [False, True])
@@ -65,13 +67,14 @@ def test_covariance_against_whole_matrices(yard, with_noise, monkeypatch):
     poses, problem = yard
     monkeypatch.setattr(covariance, "MOST_NOISE_SCANS", len(poses) if with_noise else 0)
     got = covariance.estimate(problem, poses)
-    marginal, conditional, step, variance_factor = dense(problem, poses, with_noise)
+    marginal, conditional, in_map, step, variance_factor = dense(problem, poses, with_noise)
     assert got.variance_factor == pytest.approx(variance_factor, rel=1e-9)
     assert variance_factor > 1.0, "or it is not seen to be multiplied in"
     assert len(got.odometry_dependence) == (len(poses) - 1 if with_noise else 0)
     for name, found, want in (
         ("marginal", got.marginal, marginal),
         ("conditional", got.conditional, conditional),
+        ("in_map", got.in_map, in_map),
         ("step", got.step, step),
     ):
         np.testing.assert_allclose(found, want, atol=1e-7 * np.abs(want).max(), err_msg=name)
@@ -95,3 +98,21 @@ def test_inverse_where_rounding_made_an_eigenvalue_negative():
     inverse = dense_covariance.inverse(matrix)
     assert turn[:, 0] @ inverse @ turn[:, 0] == pytest.approx(0.25)
     assert turn[:, 4] @ inverse @ turn[:, 4] == pytest.approx(1e9 / 4.0, rel=1e-3)
+
+
+def test_who_turns_in_one_place_does_not_leave_the_map_turned():
+    """A common turn moves no position there, so an alignment of positions leaves all of it; the map shows it."""
+    poses = geometry.exp(
+        np.concatenate([np.eye(3)[[0, 1, 2, 0, 1]] * 0.4, 1e-3 * np.eye(3)[[0, 1, 2, 1, 0]]], axis=1)
+    )
+    rigid, _ = dense_covariance.alignment(poses)
+    each = 1e-8 * np.eye(30)
+    whole = (rigid @ np.diag([1e-4] * 3 + [0.0] * 3) @ rigid.T + each)[6:, 6:]
+    positions, in_map = (
+        dense_covariance.aligned(whole, poses, lever_m) for lever_m in (0.0, covariance.MAP_M)
+    )
+    turned, held = (
+        np.sqrt(np.diagonal(found, axis1=1, axis2=2)[1:, :3].max()) for found in (positions, in_map)
+    )
+    assert turned > 0.05
+    assert held < 0.05 * turned

@@ -43,7 +43,7 @@ def scans(rng, loose=(), along=5, off=0.03):
         sigma[index, along] = off
         error[index, along] = off * np.sign(error[index, along])
     found = geometry.retract(truth, error)
-    return Trajectory(SCAN_TIMES, found), Covariance(blocks(sigma), blocks(sigma)), truth
+    return Trajectory(SCAN_TIMES, found), Covariance(*[blocks(sigma)] * 3), truth
 
 
 def cameras(rng, sigma=TIGHT, extrinsic_sigma=None):
@@ -93,13 +93,13 @@ def test_a_group_that_is_off_together_goes_where_its_cameras_have_it():
     marginal = covariance.marginal.copy()
     marginal[group] += np.diag([0, 0, 0, 0, 0, 0.02**2])
     given = replace(given, world_from_sensor=poses)
-    found = pose_fusion.fuse(given, Covariance(marginal, covariance.conditional), cameras(rng))
+    found = pose_fusion.fuse(given, Covariance(marginal, covariance.conditional, marginal), cameras(rng))
     assert errors(found.world_from_scan, truth)[group].max() < 0.003 < errors(poses, truth)[group].min()
     # what grows slowly along a path is no group: relative to the map around them these scans are as certain as ever
     drifting = covariance.conditional * np.linspace(1, 8, len(SCAN_TIMES))[:, None, None]
     usual = pose_fusion.fuse(given, covariance, cameras(np.random.default_rng(1)))
     slow = pose_fusion.fuse(
-        given, Covariance(drifting, covariance.conditional), cameras(np.random.default_rng(1))
+        given, Covariance(drifting, covariance.conditional, drifting), cameras(np.random.default_rng(1))
     )
     np.testing.assert_allclose(slow.world_from_scan, usual.world_from_scan, atol=1e-6)
 
@@ -179,7 +179,7 @@ def test_a_group_moves_as_one():
         vague = cameras(rng, np.repeat([2e-3, 5e-3], 3))
         given = replace(given, world_from_sensor=poses)
         found = [
-            pose_fusion.fuse(given, Covariance(marginal, covariance.conditional, steps), vague)
+            pose_fusion.fuse(given, Covariance(marginal, covariance.conditional, marginal, steps), vague)
             for steps in (np.zeros((0, 6, 6)), step)
         ]
         scatter.append([(each.world_from_scan - truth)[group, 2, 3].std() for each in found])
@@ -261,7 +261,9 @@ def test_groups_that_cameras_see_beside_each_other_move_to_each_other():
     step[29] += np.diag([0, 0, 0, 0, 0, 0.04**2])
     seen = cameras(rng, extrinsic_sigma=np.array([0, 0, 0, 0.01, 0.01, 0.01, 0]))
     found = pose_fusion.fuse(
-        replace(given, world_from_sensor=poses), Covariance(marginal, covariance.conditional, step), seen
+        replace(given, world_from_sensor=poses),
+        Covariance(marginal, covariance.conditional, marginal, step),
+        seen,
     )
     after = (found.world_from_scan - truth)[:, 2, 3]
     assert abs(after[32:57].mean() - after[3:28].mean()) < 0.001
@@ -279,8 +281,8 @@ def test_what_all_scans_leave_open_stays_at_the_odometry():
     slid = replace(slid, world_from_scan=replace(slid.world_from_scan, world_from_sensor=poses))
     prior = np.repeat([0.01, 0.05], 3)
     along = DegenerateDirection(np.array([0, 0, 0, 1.0, 0, 0]), 0.1)
-    free = pose_fusion.fuse(given, Covariance(wide, wide), slid)
-    held = pose_fusion.fuse(given, Covariance(wide, wide), slid, [along], prior)
+    free = pose_fusion.fuse(given, Covariance(wide, wide, wide), slid)
+    held = pose_fusion.fuse(given, Covariance(wide, wide, wide), slid, [along], prior)
     change = held.world_from_scan[:, :3, 3] - given.world_from_sensor[:, :3, 3]
     assert np.abs(change[:, 0]).max() < 1e-4
     assert (free.world_from_scan[5:-5, 0, 3] - given.world_from_sensor[5:-5, 0, 3]).min() > 0.02
@@ -289,7 +291,7 @@ def test_what_all_scans_leave_open_stays_at_the_odometry():
 def test_covariances_that_promise_too_much_are_widened():
     rng = np.random.default_rng(6)
     given, covariance, truth = scans(rng)
-    sure = Covariance(covariance.marginal / 400, covariance.conditional / 400)
+    sure = Covariance(*[covariance.marginal / 400] * 3)
     good = cameras(rng)
     found = pose_fusion.fuse(given, sure, replace(good, covariance=good.covariance / 400))
     assert found.interpolation_error_scale > 0.9
@@ -317,7 +319,8 @@ def test_few_scans_that_alignment_leaves_no_error_are_no_trouble(count):
     given, covariance, _ = scans(rng)
     few = slice(20, 20 + count)
     given = Trajectory(SCAN_TIMES[few], given.world_from_sensor[few])
-    none = Covariance(np.zeros((count, 6, 6)), covariance.conditional[few], np.zeros((count - 1, 6, 6)))
+    none = np.zeros((count, 6, 6))
+    none = Covariance(none, covariance.conditional[few], none, np.zeros((count - 1, 6, 6)))
     found = pose_fusion.fuse(given, none, cameras(rng))
     assert np.isfinite(found.world_from_scan).all()
     assert np.isfinite(found.covariance).all()
@@ -348,6 +351,46 @@ def test_splines_are_off_by_a_part_of_what_is_missed_and_by_more_at_their_ends()
         off = np.linalg.norm(wrong[:, part], axis=1) / np.sqrt(3.0)
         for where, share in ((end > 0.2, 1.0), (end < 0.001, 0.1)):
             assert off[where].max() < share * leave_one_out_error[where, column].max()
+
+
+def swaying(times):
+    """Somebody who rolls from side to side faster than samples follow, and does nothing else in a hurry."""
+    roll = np.zeros((len(times), 6))
+    roll[:, 0] = 0.02 * np.sin(23.0 * np.asarray(times))
+    return path(times) @ geometry.exp(roll)
+
+
+def test_samples_that_are_left_out_tell_about_which_axis_the_sensor_sways():
+    samples = Trajectory(SCAN_TIMES, swaying(SCAN_TIMES))
+    times = SCAN_TIMES[5:-5] + 0.05
+    by_axis, mean = (
+        spline.leave_one_out_error_by_axis(samples, times), spline.leave_one_out_error(samples, times)
+    )  # fmt: skip
+    assert (by_axis[:, 0] > 4 * by_axis[:, 1:3].max(axis=1)).all()
+    total = np.sqrt(np.square(by_axis[:, :3]).mean(axis=1))
+    np.testing.assert_allclose(total, mean[:, 0], rtol=0.02)
+    wrong = geometry.log(geometry.inverse(swaying(times)) @ spline.through(samples, times))
+    assert np.sqrt((wrong[:, 0] ** 2).mean()) < np.sqrt((by_axis[:, 0] ** 2).mean())
+
+
+def test_a_sway_between_images_turns_no_scan_though_other_axes_agree_better_than_promised():
+    """Scans are surer than promised, as in a street: so is the roll of cameras, but not between them."""
+    rng = np.random.default_rng(21)
+    truth = swaying(SCAN_TIMES)
+    sigma = np.tile(TIGHT, (len(SCAN_TIMES), 1))
+    given = Trajectory(SCAN_TIMES, geometry.retract(truth, 0.2 * rng.normal(size=sigma.shape) * sigma))
+    spread = np.tile(TIGHT, (len(IMAGE_TIMES), 1)) * [0.25, 1, 1, 1, 1, 1]
+    careful = spread * [1, 10, 10, 10, 10, 10]
+    seen = pose_fusion.scan_poses_from_cameras(
+        geometry.retract(swaying(IMAGE_TIMES), rng.normal(size=spread.shape) * spread),
+        IMAGE_TIMES, blocks(careful), np.eye(4), np.zeros(7),
+    )  # fmt: skip
+    found = pose_fusion.fuse(given, Covariance(*[blocks(sigma)] * 3), seen)
+    before, after = (
+        np.sqrt(np.square(geometry.log(geometry.inverse(truth) @ poses)[3:-3, 0]).mean())
+        for poses in (given.world_from_sensor, found.world_from_scan)
+    )
+    assert after < 1.2 * before
 
 
 def test_splines_meet_their_samples_and_stand_still_beyond_the_ends():

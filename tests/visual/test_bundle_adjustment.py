@@ -33,11 +33,8 @@ def scene():
 def still(world_from_camera: np.ndarray, sigma_m: float = 0.02, sigma_deg: float = 0.3) -> Prior:
     """A prior that expects the cameras at these poses."""
     count = len(world_from_camera)
-    none = np.zeros((count, 3))
-    exact = np.zeros(count)
-    source = Source(
-        world_from_camera, np.full(count, np.radians(sigma_deg)), np.full(count, sigma_m), exact, exact
-    )
+    each, none = np.ones((count, 3)), np.zeros((count, 3))
+    source = Source(world_from_camera, np.radians(sigma_deg) * each, sigma_m * each, none, none)
     return Prior((source,), none, none, calibration_prior.build(Calibration(np.eye(4)), PriorConfig().sigma))
 
 

@@ -91,7 +91,8 @@ def test_points_in_one_place_leave_all_but_the_motion_along_their_normal(scene, 
 def prior_at(poses: np.ndarray) -> Prior:
     count = len(poses)
     none = np.zeros((count, 3))
-    source = Source(poses, np.full(count, 0.002), np.full(count, 0.01), np.zeros(count), np.zeros(count))
+    each, exact = np.ones((count, 3)), np.zeros((count, 3))
+    source = Source(poses, 0.002 * each, 0.01 * each, exact, exact)
     return Prior((source,), none, none, calibration_prior.build(Calibration(np.eye(4)), PriorConfig().sigma))
 
 

@@ -139,7 +139,8 @@ def scene():
     sigma = {**PriorConfig().sigma, "center": 2.0}
     known = SharedPrior(start, shared_parameters.information(start.layout(), sigma))
     none = np.zeros((COUNT, 3))
-    tight = np.full(COUNT, np.radians(0.05)), np.full(COUNT, 0.003), np.zeros(COUNT), np.zeros(COUNT)
+    each, exact = np.ones((COUNT, 3)), np.zeros((COUNT, 3))
+    tight = np.radians(0.05) * each, 0.003 * each, exact, exact
     prior = Prior((Source(poses, *tight),), none, none, known)
     rough = textured_planes.disturbed(poses, 0.003, 0.05)
     return Photometric(problem), prior, VisualState(CameraStates(rough, np.zeros(COUNT)), start)

@@ -133,7 +133,7 @@ def torn(problem: dict, levels: int) -> refine.Inputs:
     images[COUNT // 2 :] = off @ images[COUNT // 2 :]
     well = np.diag([1e-4] * 3 + [1e-3] * 3) ** 2
     marginal = np.repeat([well, np.diag([1e-4] * 3 + [0.08] * 3) ** 2], COUNT, axis=0)
-    known = Covariance(marginal, np.repeat(well[None], 2 * COUNT, axis=0))
+    known = Covariance(marginal, np.repeat(well[None], 2 * COUNT, axis=0), marginal)
     pyramid = problem["pyramid"]
     return refine.Inputs(
         **(problem | {

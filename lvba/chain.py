@@ -1,0 +1,76 @@
+"""What all steps of a run share: its frames in parts, what is decoded of them, and a step for each part or region."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lvba.blocks import decoded, scan_errors, split, survey
+from lvba.blocks.decoded import Made, Range, about_region, given
+from lvba.blocks.split import Part
+from lvba.dataset import Dataset
+from lvba.plan import Plan, Ref
+from lvba.run_settings import Config
+from lvba.visual.variant import Variant
+
+
+@dataclass
+class Chain:
+    """Adds the steps of one recording to a plan. parts, regions: the same tuples for all steps: each is sent once."""
+
+    plan: Plan
+    dataset: Dataset
+    parts: tuple[Part, ...]
+    regions: tuple[Part, ...]
+    config: Config
+    variant: Variant
+    align: bool
+
+    def __post_init__(self) -> None:
+        self.many = len(self.parts) > 1
+        self.frames = [
+            split.subset(self.dataset, part.scan_numbers, part.image_numbers) if self.many else self.dataset
+            for part in self.parts
+        ]
+        add, config, cores = self.plan.add, self.config, [part.core_scans for part in self.parts]
+        self.survey = add("survey", survey.survey, self.dataset, config.lidar, config.visual.keyframes)
+        measured = config.refine_scans and self.variant.scan_errors
+        self.errors = add("scan-errors", scan_errors.measure, self.dataset, config.lidar, measured)
+        self.photos, self.judging, self.keyframes = list[Made](), list[Made](), list[Made]()
+        self.points = self._decode("scans", decoded.decode_scans, cores, self.errors)
+
+    def _decode(self, name: str, function: Any, ranges: Sequence[Range], *arguments: Any) -> list[Made]:
+        """A step for each range of frames, given those of its images that were decoded before, where any were."""
+        made: list[Made] = []
+        for number, each in enumerate(ranges):
+            held = [given(self.photos, np.arange(*each))] if self.photos else []
+            own = f"{name}-{number}" if len(ranges) > 1 else name
+            made.append((each, self.plan.add(own, function, self.dataset, each, *held, *arguments)))
+        return made
+
+    def _each(self, one: str, function: Any, *arguments: Any, photos: bool = True) -> list[Ref]:
+        """A step for each part, given the part's frames, the part, and its scans and, if asked for, images that judge."""
+        return [
+            self.plan.add(self._name(part, one), function, *self._of(part, photos), *arguments)
+            for part in self.parts
+        ]
+
+    def _of(self, part: Part, photos: bool = True) -> tuple[Any, ...]:
+        """A part's frames, the part, and its scans and images that judge, decoded."""
+        images = (given(self.judging, part.image_numbers),) if photos else ()
+        return (self.frames[part.number], part, given(self.points, part.scan_numbers), *images)
+
+    def _each_region(self, one: str, function: Any, *arguments: Any) -> list[Ref]:
+        """A step for each region, given the recording, all regions, the number of this one, and the scans about it."""
+        return [
+            self.plan.add(
+                self._name(region, one), function,
+                *(self.dataset, self.regions, region.number),
+                *(about_region(self.dataset, region, self.points), *arguments),
+            )
+            for region in self.regions
+        ]  # fmt: skip
+
+    def _name(self, part: Part, one: str, many: str = "") -> str:
+        return f"{many or one}-{part.number}" if self.many else one

@@ -1,0 +1,105 @@
+"""The steps that solve cameras further over the planes at scan poses that these cameras had moved.
+
+Cameras are found over the planes of the LiDAR bundle adjustment. Where scans then learn from them by millimeters and more
+(a narrow LiDAR, a depth camera), the map moves, and the cameras belong to the one before: the joint problem of all parts
+goes on over the new one, in rounds that begin at these cameras.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lvba.blocks.split import Part
+from lvba.blocks.survey import Survey
+from lvba.blocks.visual_joint import JointCameras
+from lvba.dataset import Dataset
+from lvba.lidar import plane
+from lvba.steps import joint_prior
+from lvba.steps.joint_cameras import MergedCameras
+from lvba.steps.outcomes import FusionStage, LidarStage, ScanPoses, VisualStage
+from lvba.visual import fixed_calibration, trajectory_prior
+from lvba.visual.refine import VisualConfig
+from lvba.visual.states import CameraStates, VisualState
+
+LEAST_M = 1e-3
+"""m, root mean square over the scans: cameras over a map that moved less are as good as they were."""
+
+
+def start(
+    dataset: Dataset,
+    cores: Sequence[Part],
+    stages: Sequence[VisualStage],
+    cameras: VisualStage,
+    lidar: LidarStage,
+    learned: FusionStage,
+    fused: ScanPoses,
+    survey: Survey,
+    config: VisualConfig,
+) -> MergedCameras:
+    """What the rounds begin with; no cameras: there is nothing to solve.
+
+    stages: of the parts; cameras: of all images, without outliers
+    """
+    result = cameras.result
+    if result is None or learned.result is None or not fused.verdict.accepted:
+        return MergedCameras(None, (), "no scan learned from the cameras")
+    if np.sqrt(np.square(learned.result.moved_m).mean()) < LEAST_M:
+        return MergedCameras(None, (), f"scans moved by less than {1e3 * LEAST_M:g} mm")
+    prior = joint_prior.prior_of_keyframes(dataset, cores, stages, lidar, fused, survey, config)
+    at = survey.keyframes
+    state = VisualState(
+        CameraStates(result.world_from_camera[at], result.log_exposure[at] - result.log_exposure[at[0]]),
+        result.calibration,
+        joint_prior.motion_of_keyframes(cores, stages, survey),
+    )
+    return MergedCameras(
+        JointCameras(
+            state=state,
+            before=state,
+            prior=prior,
+            exposure_sigma=result.log_exposure_sigma[at],
+            converged=bool(len(result.degenerate_common)),
+            radiometry=result.radiometry,
+        ),
+        (),
+    )
+
+
+def are_solved(merged: MergedCameras) -> bool:
+    """Whether there is anything to solve."""
+    return merged.cameras is not None and not merged.cameras.converged
+
+
+def without_planes(lidar: LidarStage) -> LidarStage:
+    """What is known of the scans, but not the planes where they were: those are found anew."""
+    if lidar.result is None:
+        return lidar
+    return replace(lidar, result=replace(lidar.result, planes=plane.no_planes()))
+
+
+def finish(
+    dataset: Dataset,
+    stages: Sequence[VisualStage],
+    cameras: VisualStage,
+    merged: MergedCameras,
+    lidar: LidarStage,
+    fused: ScanPoses,
+    survey: Survey,
+    config: VisualConfig,
+) -> VisualStage:
+    """The cameras of all images with those over the fused scans beside them. Arguments as of `start`.
+
+    Exposures stay: poses change by millimeters. So does what poses are uncertain by.
+    """
+    now, result = merged.cameras, cameras.result
+    if now is None or result is None or not now.history:
+        return cameras
+    times = dataset.images.times
+    prior = joint_prior.prior_of_all(dataset, lidar, fused, config)
+    solved = now.prior if now.prior is not None else trajectory_prior.take(prior, survey.keyframes)
+    poses, _ = trajectory_prior.fill(prior, solved, now.state, survey.keyframes, times)
+    calibration = fixed_calibration.restored(
+        now.state.calibration, prior.calibration.reference, joint_prior.fixed_in_all(stages)
+    )
+    return replace(cameras, over_fused=replace(result, world_from_camera=poses, calibration=calibration))
