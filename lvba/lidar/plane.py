@@ -65,3 +65,8 @@ def no_planes() -> Planes:
         center=np.zeros((0, 3)), normal=np.zeros((0, 3)), eigenvalues=np.zeros((0, 3)), axes=np.zeros((0, 3, 3)),
         count=none.astype(np.int64), scans=none.astype(np.int32), size=none, sigma_offset=none,
     )  # fmt: skip
+
+
+def no_plane_points() -> PlanePoints:
+    """Points of no scan."""
+    return PlanePoints(np.zeros((0, 3), np.float32), np.zeros(0, np.int32), np.zeros(1, np.int64))

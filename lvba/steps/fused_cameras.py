@@ -75,7 +75,8 @@ def without_planes(lidar: LidarStage) -> LidarStage:
     """What is known of the scans, but not the planes where they were: those are found anew."""
     if lidar.result is None:
         return lidar
-    return replace(lidar, result=replace(lidar.result, planes=plane.no_planes()))
+    bare = replace(lidar.result, planes=plane.no_planes(), plane_points=plane.no_plane_points())
+    return replace(lidar, result=bare)
 
 
 def finish(

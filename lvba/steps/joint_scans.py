@@ -15,7 +15,7 @@ from lvba.blocks.split import Part
 from lvba.blocks.survey import Survey
 from lvba.dataset import Dataset
 from lvba.lidar.bundle_adjustment import LidarConfig, LidarResult, Round
-from lvba.lidar.plane import PlanePoints, no_planes
+from lvba.lidar.plane import no_plane_points, no_planes
 from lvba.lidar.rounds import OBLIQUE
 from lvba.lidar.scan_errors import ScanErrors
 from lvba.loop_closure import registration, rough_poses, submap
@@ -262,7 +262,7 @@ def finish_scans(
         variance_factor=variance_factor,
         shared_factor=shared_factor,
         planes=no_planes(),
-        plane_points=PlanePoints(np.zeros((0, 3), np.float32), np.zeros(0, np.int32), np.zeros(1, np.int64)),
+        plane_points=no_plane_points(),
         history=(*(entry for part in parts for entry in part.history[:1]), *_rounds(state)),
         cost_initial=float(np.mean([part.history[0].cost_before for part in parts if part.history])),
         cost_final=2.0 * final.equations.cost / max(final.points, 1.0),
