@@ -105,7 +105,6 @@ class _Chain(Chain):
         learned, fused = self.fuse(lidar, scans, cameras)
         cameras = self.solve_over_fused(lidar, learned, fused, cameras)
         scores, accepted = self.choose(scans, fused, cameras)
-        cameras = add("cameras-in-use", evaluate.cameras_in_use, cameras, accepted)
         expected = add("expected-error", expected_error.of_result, lidar, learned, cameras, accepted)
         pieces = self.color_map(accepted, expected)
         planes = self.measure_planes(accepted)
@@ -206,7 +205,7 @@ class _Chain(Chain):
         cores = [part.core_images for part in self.parts if self.dataset.image_paths]
         self.keyframes = self._decode("images", decoded.keyframes_of_photos, cores, *options)
         wanted = self.config.refine_cameras
-        images = [self._images_of(part, lidar, scans, wanted) for part in self.parts]
+        self.images = images = [self._images_of(part, lidar, scans, wanted) for part in self.parts]
         self.solved = solved = [
             self._solve_part(part, own, lidar) for part, own in zip(self.parts, images, strict=True)
         ]
@@ -338,6 +337,13 @@ class _Chain(Chain):
         if self.variant != PRODUCT:  # rounds solve the full problem only
             return cameras
         add, options = self.plan.add, (self.survey, self.config.visual)
+        if not self.many:
+            [own], [stage], [part] = self.images, self.solved, self.parts
+            return add(
+                "fused-cameras", fused_cameras.solve,
+                *(own.dataset, own.frames, given(self.points, own.frames.scans), own.keyframes, stage),
+                *(cameras, lidar, learned, fused, part, *options, self.config.merge.image_rounds),
+            )  # fmt: skip
         merged = add(
             "fused-start", fused_cameras.start,
             *(self.dataset, self.parts, self.solved, cameras, lidar, learned, fused, *options),

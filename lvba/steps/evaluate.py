@@ -253,13 +253,6 @@ def camera_states(
     return states
 
 
-def cameras_in_use(visual: VisualStage, accepted: Accepted) -> VisualStage:
-    """The cameras that belong to the scans of the result."""
-    if accepted.state not in (FUSED, FUSED_POSED) or visual.over_fused is None:
-        return visual
-    return dataclasses.replace(visual, result=visual.over_fused)
-
-
 def refined_cameras(camera: Camera, result: VisualResult) -> Cameras:
     """The cameras as the visual stage has them. camera: of the raw images, as calibrated"""
     refined = self_calibration.corrected(camera, result.calibration)

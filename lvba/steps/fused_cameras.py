@@ -10,14 +10,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from lvba.blocks.split import Part
+from lvba.blocks.decoded import Keyframes, Pieces, ScanPoints
+from lvba.blocks.split import Frames, Part
 from lvba.blocks.survey import Survey
 from lvba.blocks.visual_joint import JointCameras
 from lvba.dataset import Dataset
 from lvba.lidar import plane
-from lvba.steps import joint_prior
+from lvba.progress import Progress, silent
+from lvba.steps import joint_cameras, joint_prior, visual
+from lvba.steps.acceptance import FUSED, FUSED_POSED
 from lvba.steps.joint_cameras import MergedCameras
-from lvba.steps.outcomes import FusionStage, LidarStage, ScanPoses, VisualStage
+from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, ScanPoses, VisualStage
 from lvba.visual import fixed_calibration, trajectory_prior
 from lvba.visual.refine import VisualConfig
 from lvba.visual.states import CameraStates, VisualState
@@ -66,6 +69,46 @@ def start(
     )
 
 
+def solve(
+    dataset: Dataset,
+    frames: Frames,
+    points: Pieces[ScanPoints],
+    keyframes: Pieces[Keyframes],
+    stage: VisualStage,
+    cameras: VisualStage,
+    lidar: LidarStage,
+    learned: FusionStage,
+    fused: ScanPoses,
+    part: Part,
+    survey: Survey,
+    config: VisualConfig,
+    rounds: int,
+    progress: Progress = silent,
+) -> VisualStage:
+    """All steps at once, of a recording that is one part: `start`, its planes and scene points, rounds, `finish`.
+
+    points, keyframes: of all frames; stage: of the part; other arguments as of `start`
+    """
+    merged = start(dataset, [part], [stage], cameras, lidar, learned, fused, survey, config)
+    if not are_solved(merged) or rounds == 0:
+        return cameras
+    progress("fused cameras", 0, rounds + 1)
+    bare = without_planes(lidar)
+    planes = visual.find_planes(dataset, frames, points, bare, fused, survey)
+    seen = joint_cameras.select_points(
+        dataset, frames, keyframes, bare, planes, stage, merged, survey, config
+    )
+    merged = joint_cameras.solve_exposures(merged, [joint_cameras.exposure_pairs(seen)])
+    for turn in range(rounds):
+        progress("fused cameras", turn + 1, rounds + 1)
+        block = joint_cameras.linearize_cameras(
+            dataset, keyframes, stage, lambda: seen, merged, survey, config
+        )
+        merged = joint_cameras.step_cameras(merged, [block])
+    progress("fused cameras", rounds + 1, rounds + 1)
+    return finish(dataset, [stage], cameras, merged, lidar, fused, survey, config)
+
+
 def are_solved(merged: MergedCameras) -> bool:
     """Whether there is anything to solve."""
     return merged.cameras is not None and not merged.cameras.converged
@@ -104,3 +147,10 @@ def finish(
         now.state.calibration, prior.calibration.reference, joint_prior.fixed_in_all(stages)
     )
     return replace(cameras, over_fused=replace(result, world_from_camera=poses, calibration=calibration))
+
+
+def in_use(cameras: VisualStage, accepted: Accepted) -> VisualStage:
+    """The cameras that belong to the scans of the result."""
+    if accepted.state not in (FUSED, FUSED_POSED) or cameras.over_fused is None:
+        return cameras
+    return replace(cameras, result=cameras.over_fused)

@@ -21,6 +21,7 @@ from lvba.products.map_file import PointMap
 from lvba.products.reference import matched
 from lvba.steps import (
     expected_error,
+    fused_cameras,
     plane_thickness,
     reference_data,
     trajectory_jumps,
@@ -60,6 +61,7 @@ def collect(
     pieces: read the map, one piece at a time; planes: of all regions of space; merge: facts of a run in parts
     errors: of the scans; None: not measured
     """
+    visual = fused_cameras.in_use(visual, accepted)
     facts: dict[str, Any] = {
         "dataset": of_dataset(dataset),
         "lidar": of_lidar(lidar, scans, accepted) | of_scan_errors(errors),

@@ -10,7 +10,7 @@ from lvba.blocks import split, survey
 from lvba.io.dataset import open_dataset
 from lvba.io.reference import read_reference
 from lvba.pipeline import Config
-from lvba.steps import evaluate, fused_cameras, joint_prior
+from lvba.steps import fused_cameras, joint_prior
 from lvba.steps.acceptance import FUSED, VISUAL
 from lvba.trajectory import align
 
@@ -63,8 +63,8 @@ def test_cameras_are_nearer_to_the_truth_over_the_map_that_learned_from_them(run
 def test_only_the_result_with_fused_scans_has_the_cameras_that_follow_them(run):
     _, _, found = run
     cameras, accepted = found["fused-cameras"], found["visual-gate"]
-    assert evaluate.cameras_in_use(cameras, accepted).result is cameras.over_fused
-    assert evaluate.cameras_in_use(cameras, replace(accepted, state=VISUAL)).result is cameras.result
+    assert fused_cameras.in_use(cameras, accepted).result is cameras.over_fused
+    assert fused_cameras.in_use(cameras, replace(accepted, state=VISUAL)).result is cameras.result
 
 
 def test_nothing_is_solved_again_where_the_map_stays(run):
