@@ -340,7 +340,7 @@ class _Chain(Chain):
         if not self.many:
             [own], [stage], [part] = self.images, self.solved, self.parts
             return add(
-                "fused-cameras", fused_cameras.solve,
+                "fused-cameras", fused_cameras.solve_alone,
                 *(own.dataset, own.frames, given(self.points, own.frames.scans), own.keyframes, stage),
                 *(cameras, lidar, learned, fused, part, *options, self.config.merge.image_rounds),
             )  # fmt: skip

@@ -69,7 +69,7 @@ def start(
     )
 
 
-def solve(
+def solve_alone(
     dataset: Dataset,
     frames: Frames,
     points: Pieces[ScanPoints],

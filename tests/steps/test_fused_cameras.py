@@ -10,7 +10,7 @@ from lvba.blocks import split, survey
 from lvba.io.dataset import open_dataset
 from lvba.io.reference import read_reference
 from lvba.pipeline import Config
-from lvba.steps import fused_cameras, joint_prior
+from lvba.steps import fused_cameras, joint_cameras, joint_prior, visual
 from lvba.steps.acceptance import FUSED, VISUAL
 from lvba.trajectory import align
 
@@ -65,6 +65,32 @@ def test_only_the_result_with_fused_scans_has_the_cameras_that_follow_them(run):
     cameras, accepted = found["fused-cameras"], found["visual-gate"]
     assert fused_cameras.in_use(cameras, accepted).result is cameras.over_fused
     assert fused_cameras.in_use(cameras, replace(accepted, state=VISUAL)).result is cameras.result
+
+
+def test_one_step_gives_what_the_steps_of_many_parts_give(run):
+    arguments = given(run)
+    dataset, _, found = run
+    [core], [stage] = arguments["cores"], arguments["stages"]
+    survey, config, fused = (arguments[name] for name in ("survey", "config", "fused"))
+    scans, images = ([((0, 20), lambda each=each: found[each])] for each in ("scans", "images"))
+    merged = fused_cameras.start(**arguments)
+    assert fused_cameras.are_solved(merged)
+    bare = fused_cameras.without_planes(arguments["lidar"])
+    assert len(bare.result.planes) == 0
+    planes = visual.find_planes(dataset, core.frames, scans, bare, fused, survey)
+    about = (dataset, core.frames, images, bare, planes, stage)
+    points = joint_cameras.select_points(*about, merged, survey, config)
+    merged = joint_cameras.solve_exposures(merged, [joint_cameras.exposure_pairs(points)])
+    for _ in range(Config().merge.image_rounds):
+        block = joint_cameras.linearize_cameras(
+            dataset, images, stage, lambda: points, merged, survey, config
+        )
+        merged = joint_cameras.step_cameras(merged, [block])
+    left = {name: each for name, each in arguments.items() if name not in {"cores", "learned"}}
+    expected = fused_cameras.finish(**(left | {"merged": merged})).over_fused
+    np.testing.assert_array_equal(
+        found["fused-cameras"].over_fused.world_from_camera, expected.world_from_camera
+    )
 
 
 def test_nothing_is_solved_again_where_the_map_stays(run):
