@@ -205,20 +205,20 @@ class _Chain(Chain):
         cores = [part.core_images for part in self.parts if self.dataset.image_paths]
         self.keyframes = self._decode("images", decoded.keyframes_of_photos, cores, *options)
         wanted = self.config.refine_cameras
-        self.images = images = [self._images_of(part, lidar, scans, wanted) for part in self.parts]
-        self.solved = solved = [
-            self._solve_part(part, own, lidar) for part, own in zip(self.parts, images, strict=True)
+        self.images = [self._images_of(part, lidar, scans, wanted) for part in self.parts]
+        self.solved = [
+            self._solve_part(part, own, lidar) for part, own in zip(self.parts, self.images, strict=True)
         ]
         if merged is None:
-            return solved[0], None
+            return self.solved[0], None
         tied = self.plan.add(
             "visual-merge", joint_cameras.merge_cameras,
-            *(self.dataset, self.parts, solved, lidar, scans, self.survey, self.config.visual, self.align),
+            *(self.dataset, self.parts, self.solved, lidar, scans, self.survey, self.config.visual, self.align),
         )  # fmt: skip
-        tied = self._solve_cameras_jointly(images, tied, lidar, scans, wanted)
+        tied = self._solve_cameras_jointly(self.images, tied, lidar, scans, wanted)
         cameras = self.plan.add(
             "visual", joint_cameras.finish_cameras,
-            *(self.dataset, self.parts, solved, tied, lidar, scans, self.survey, self.config.visual),
+            *(self.dataset, self.parts, self.solved, tied, lidar, scans, self.survey, self.config.visual),
         )  # fmt: skip
         return cameras, replace(merged, cameras=tied)
 

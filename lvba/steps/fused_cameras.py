@@ -21,7 +21,6 @@ from lvba.steps import joint_cameras, joint_prior, visual
 from lvba.steps.acceptance import FUSED, FUSED_POSED
 from lvba.steps.joint_cameras import MergedCameras
 from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, ScanPoses, VisualStage
-from lvba.visual import fixed_calibration, trajectory_prior
 from lvba.visual.refine import VisualConfig
 from lvba.visual.states import CameraStates, VisualState
 
@@ -139,12 +138,9 @@ def finish(
     now, result = merged.cameras, cameras.result
     if now is None or result is None or not now.history:
         return cameras
-    times = dataset.images.times
     prior = joint_prior.prior_of_all(dataset, lidar, fused, config)
-    solved = now.prior if now.prior is not None else trajectory_prior.take(prior, survey.keyframes)
-    poses, _ = trajectory_prior.fill(prior, solved, now.state, survey.keyframes, times)
-    calibration = fixed_calibration.restored(
-        now.state.calibration, prior.calibration.reference, joint_prior.fixed_in_all(stages)
+    poses, calibration = joint_cameras.cameras_of_all(
+        now, prior, stages, survey.keyframes, dataset.images.times
     )
     return replace(cameras, over_fused=replace(result, world_from_camera=poses, calibration=calibration))
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lvba import geometry
+from lvba.arrays import Indices, Times
 from lvba.blocks import visual_block, visual_joint
 from lvba.blocks.decoded import Keyframes, Pieces, keyframe_images
 from lvba.blocks.split import Frames, Part
@@ -245,8 +246,7 @@ def finish_cameras(
         return VisualStage(None, merged.problem)
     times, keyframes = dataset.images.times, survey.keyframes
     prior = joint_prior.prior_of_all(dataset, lidar, scans, config)
-    solved = now.prior if now.prior is not None else trajectory_prior.take(prior, keyframes)
-    poses, _ = trajectory_prior.fill(prior, solved, now.state, keyframes, times)
+    poses, calibration = cameras_of_all(now, prior, stages, keyframes, times)
     log_exposure = np.interp(times, times[keyframes], now.state.cameras.log_exposure)
     results = joint_prior.results_of(stages)
     spread, local_covariance = _of_parts(cores, stages, len(times))
@@ -260,7 +260,6 @@ def finish_cameras(
     for core, part in zip(cores, stages, strict=True):
         if part.result is not None:
             degenerate[slice(*core.core_images)] = part.result.degenerate[core.core_of_images]
-    calibration = _calibration(now, prior, stages)
     sigma = common_sigma([result.calibration_sigma for result in results])
     balance = _white_balance(cores, stages, len(times))
     fewest = min(results, key=lambda result: len(result.degenerate_common))
@@ -290,9 +289,19 @@ def finish_cameras(
     )
 
 
-def _calibration(now: JointCameras, prior: Prior, stages: Sequence[VisualStage]) -> Calibration:
+def cameras_of_all(
+    now: JointCameras, prior: Prior, stages: Sequence[VisualStage], keyframes: Indices, times: Times
+) -> tuple[np.ndarray, Calibration]:
+    """Poses (I, 4, 4) of all images, and the calibration, after the last round.
+
+    prior: of all I images; keyframes: (K,); times: (I,) s
+    """
+    solved = now.prior if now.prior is not None else trajectory_prior.take(prior, keyframes)
+    poses, _ = trajectory_prior.fill(prior, solved, now.state, keyframes, times)
     reference = prior.calibration.reference
-    return fixed_calibration.restored(now.state.calibration, reference, joint_prior.fixed_in_all(stages))
+    return poses, fixed_calibration.restored(
+        now.state.calibration, reference, joint_prior.fixed_in_all(stages)
+    )
 
 
 def _of_parts(

@@ -259,7 +259,8 @@ def _shared(cameras: Cameras, times: np.ndarray) -> np.ndarray:
 
 
 def _interpolated(leave_one_out_error: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """(S, 6, 6): what a spline adds that is off by a part (S,) of what is missed (S, 2) of a sample that is left out."""
+    """(S, 6, 6): what a spline adds that is off by a part of what is missed of a sample that is left out, (S, 6); part:
+    (6,) or (S, 1)"""
     variance = np.square(part * leave_one_out_error) + np.square(_FLOOR)
     return np.asarray(variance[:, :, None] * np.eye(6))
 

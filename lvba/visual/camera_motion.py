@@ -61,7 +61,7 @@ def rate_sigmas(prior: Prior, state: VisualState) -> np.ndarray | None:
         return None
     floor = np.array([np.radians(FLOOR_ROTATION_DEG), FLOOR_POSITION_M])
     sigma = RATES * spline.leave_one_out_rates(moving, moments, floor)
-    return trajectory_prior.by_component(sigma[:, 0], sigma[:, 1])
+    return np.repeat(sigma, 3, axis=1)
 
 
 def by_rows(

@@ -246,11 +246,8 @@ def fill(
     moved = np.stack([np.interp(times, times[keyframes], deviation[:, n]) for n in range(6)], axis=1)
     poses = geometry.retract(expected, moved)
     poses[keyframes] = state.cameras.world_from_camera
-    added = np.zeros((len(times), 6, 6))
-    turn = prior.calibration.reference.scan_from_camera[:3, :3]
-    variance = np.square(spread[used])
-    for part in (slice(3), slice(3, 6)):
-        added[:, part, part] = turn.T @ (variance[:, part, None] * turn)
+    camera_from_scan = prior.calibration.reference.scan_from_camera[:3, :3].T
+    added = geometry.turn_tangent(np.square(spread[used])[:, :, None] * np.eye(6), camera_from_scan)
     added[keyframes] = 0.0
     return poses, added
 
@@ -421,14 +418,6 @@ def sigmas(source: Source) -> np.ndarray:
         source.sigma_position, np.sqrt(source.correlation_inflation[1]) * source.scan_position
     )
     return np.concatenate([rotation, position], axis=1)
-
-
-def by_component(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """(I, 6), of `[rotation | position]`, from sigmas (I,) of one component each.
-
-    rotation: (I,) float64, rad; position: (I,) float64, m
-    """
-    return np.repeat(np.stack([rotation, position], axis=1), 3, axis=1)
 
 
 def _robust(normalized: np.ndarray) -> tuple[np.ndarray, float]:
