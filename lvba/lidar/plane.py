@@ -17,6 +17,7 @@ class Planes:
     scans: (K,) int32, number of scans that saw it
     size: (K,) float64, m, edge of the voxel it fills
     sigma_offset: (K,) float64, m, standard deviation of the offset along the normal at the centre
+    unevenness: (K,) float64, m, root mean square of what the surface is off its plane, beyond the noise of its points
     """
 
     center: np.ndarray
@@ -27,6 +28,7 @@ class Planes:
     scans: np.ndarray
     size: np.ndarray
     sigma_offset: np.ndarray
+    unevenness: np.ndarray
 
     def __len__(self) -> int:
         return len(self.count)
@@ -64,6 +66,7 @@ def no_planes() -> Planes:
     return Planes(
         center=np.zeros((0, 3)), normal=np.zeros((0, 3)), eigenvalues=np.zeros((0, 3)), axes=np.zeros((0, 3, 3)),
         count=none.astype(np.int64), scans=none.astype(np.int32), size=none, sigma_offset=none,
+        unevenness=none,
     )  # fmt: skip
 
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from lvba.arrays import Poses, Vector
 from lvba.kernels import voxel as kernel
+from lvba.lidar import plane_refit
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
 from lvba.lidar.scan import Scans
@@ -28,19 +29,24 @@ def extract(
     planes = _planes(features, fits, weights, world_from_scan, sensor_position)
     feature = features.feature
     plane_of_pair = np.where(association.observation >= 0, feature[association.observation], np.int32(-1))
-    thickness = np.sqrt(np.maximum(fits.eigenvalues[:, 0], weights.sigma**2))
-    world, plane = kernel.label(
-        points.points,
-        points.offsets,
-        np.ascontiguousarray(world_from_scan),
-        grid.pair,
-        grid.pair_starts,
-        plane_of_pair.astype(np.int32),
-        planes.center,
-        planes.normal,
-        GATE * thickness,
-    )
-    return planes, PlanePoints(world, plane, points.offsets)
+    gate = GATE * np.sqrt(np.maximum(fits.eigenvalues[:, 0], weights.sigma**2))
+
+    def labeled(planes: Planes) -> PlanePoints:
+        world, plane = kernel.label(
+            points.points,
+            points.offsets,
+            np.ascontiguousarray(world_from_scan),
+            grid.pair,
+            grid.pair_starts,
+            plane_of_pair.astype(np.int32),
+            planes.center,
+            planes.normal,
+            gate,
+        )
+        return PlanePoints(world, plane, points.offsets)
+
+    planes = plane_refit.refit(planes, labeled(planes), grid, association, weights, gate)
+    return planes, labeled(planes)
 
 
 def _planes(
@@ -71,4 +77,5 @@ def _planes(
         scans=np.diff(features.offsets).astype(np.int32),
         size=features.size,
         sigma_offset=np.sqrt(fits.eigenvalues[:, 0] / np.maximum(fits.total, 1.0) + offset),
+        unevenness=np.zeros(len(features)),
     )

@@ -193,10 +193,12 @@ def offset_sigma(points: ScenePoints, floor_m: float) -> np.ndarray:
     """(P,) m: how far the plane at each point may be off, so that a plane's points together know what one does.
 
     The points of a plane share its error. Each has an offset of its own here, so each gets the variance times the
-    number of points on the plane: then their sum carries the information of one measurement of the plane.
+    number of points on the plane: then their sum carries the information of one measurement of the plane. What the
+    surface is off its plane differs from point to point.
     """
     _, plane, count = np.unique(points.plane, return_inverse=True, return_counts=True)
-    return np.asarray(np.maximum(points.sigma_plane, floor_m) * np.sqrt(count[plane]))
+    shared = np.maximum(points.sigma_plane, floor_m) * np.sqrt(count[plane])
+    return np.asarray(np.hypot(shared, points.unevenness))
 
 
 @dataclass(frozen=True)

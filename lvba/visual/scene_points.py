@@ -27,6 +27,7 @@ class ScenePoints:
     position_world: (P, 3) float64, m: where the ray of `pixel` met the plane when the point was made
     normal_world: (P, 3) float64, unit, turned towards the reference camera
     sigma_plane: (P,) float64, m: standard deviation of the plane's offset at the point
+    unevenness: (P,) float64, m: how far, root mean square, the surface is off the plane
     reference: (P,) int32, image index (into the arrays of keyframes handed to the solve)
     pixel: (P, 2) int32, (column, row) at this level
     plane: (P,) int32, index of the LiDAR plane
@@ -36,6 +37,7 @@ class ScenePoints:
     position_world: np.ndarray
     normal_world: np.ndarray
     sigma_plane: np.ndarray
+    unevenness: np.ndarray
     reference: np.ndarray
     pixel: np.ndarray
     plane: np.ndarray
@@ -319,6 +321,7 @@ def make_points(
         position_world=position,
         normal_world=normal * facing[:, None],
         sigma_plane=offset_sigma(planes, plane, position),
+        unevenness=planes.unevenness[plane],
         reference=reference.astype(np.int32),
         pixel=pixel.astype(np.int32),
         plane=plane.astype(np.int32),

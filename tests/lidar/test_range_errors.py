@@ -85,6 +85,7 @@ def room(beams, errors, seed=0, noise=0.0, bright=None):
         scans=np.full(len(normals), 8, np.int32),
         size=np.ones(len(normals)),
         sigma_offset=np.full(len(normals), 1e-3),
+        unevenness=np.zeros(len(normals)),
     )
     scans, plane = gather(points), np.concatenate(labels).astype(np.int32)
     return View.of(scans, poses, planes, PlanePoints(scans.points, plane, scans.offsets), beams.position)

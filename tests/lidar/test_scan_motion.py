@@ -46,6 +46,7 @@ def made(part, seed=0, noise=1e-4, scan_count=SCANS):
         scans=np.full(PLANES, scan_count, np.int32),
         size=np.ones(PLANES),
         sigma_offset=np.full(PLANES, 1e-3),
+        unevenness=np.zeros(PLANES),
     )
     scans = gather(points)
     points_world = np.concatenate(world).astype(np.float32)

@@ -107,7 +107,7 @@ def scene_points(world, poses, camera, step=12, radius=4, targets=6) -> tuple[Sc
     position, normal = np.concatenate(position), np.concatenate(normal)
     reference, plane = np.concatenate(reference), np.concatenate(plane)
     points = ScenePoints(
-        position, normal, np.zeros(len(position)), reference.astype(np.int32),
+        position, normal, np.zeros(len(position)), np.zeros(len(position)), reference.astype(np.int32),
         np.concatenate(pixel).astype(np.int32), plane.astype(np.int32), np.zeros(len(position), bool),
     )  # fmt: skip
     pairs = []

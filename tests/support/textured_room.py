@@ -42,7 +42,7 @@ def make():
     axes[:, :, 0] *= facing[:, None]
     lidar = Planes(
         world.points, axes[:, :, 0].copy(), np.tile([1e-4, 1.0, 1.0], (6, 1)), axes, np.bincount(planes, minlength=6),
-        np.full(6, 2 * COUNT, np.int32), np.full(6, 4.0), np.full(6, 3e-4),
+        np.full(6, 2 * COUNT, np.int32), np.full(6, 4.0), np.full(6, 3e-4), np.zeros(6),
     )  # fmt: skip
     rough = textured_planes.disturbed(images, 0.006, 0.15, seed=3)
     return (

@@ -126,6 +126,7 @@ def planes_of(world, thickness=0.01):
         scans=np.full(k, 3, np.int32),
         size=np.ones(k),
         sigma_offset=np.full(k, thickness / np.sqrt(1000)),
+        unevenness=np.zeros(k),
     )
 
 

@@ -22,7 +22,7 @@ def planes_of(world: textured_planes.PlaneWorld) -> Planes:
     axes = np.stack([world.normals, world.axes[:, 0], world.axes[:, 1]], axis=2)
     return Planes(
         world.points, world.normals, np.tile([1e-4, 0.1, 0.1], (count, 1)), axes, np.full(count, 1000),
-        np.full(count, 10, np.int32), np.ones(count), np.full(count, 5e-4),
+        np.full(count, 10, np.int32), np.ones(count), np.full(count, 5e-4), np.zeros(count),
     )  # fmt: skip
 
 

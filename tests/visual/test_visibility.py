@@ -122,7 +122,7 @@ def test_walls_hide_in_the_global_map():
 def _points(position, normal, reference):
     n = len(reference)
     return ScenePoints(
-        np.asarray(position, float), np.asarray(normal, float), np.ones(n), np.asarray(reference, np.int32),
+        np.asarray(position, float), np.asarray(normal, float), np.ones(n), np.zeros(n), np.asarray(reference, np.int32),
         np.zeros((n, 2), np.int32), np.zeros(n, np.int32), np.zeros(n, bool),
     )  # fmt: skip
 
