@@ -83,8 +83,7 @@ def select_scene_points(
         shifts=calibration_shifts.of_pairs(given.camera, camera, prior, state, config.calibrate),
     )  # fmt: skip
     mine = core[points.reference]
-    off = bundle_adjustment.offset_sigma(points, bundle_adjustment.PLANE_FLOOR_M)
-    off = (off * known.offset_scale)[mine]
+    off = bundle_adjustment.offset_sigma(points, bundle_adjustment.PLANE_FLOOR_M, known.offset_scale)[mine]
     points, observations = _of_points(points, observations, mine)
     problem = photometric.prepare(full, camera, points, observations, config.patch)
     problem = _with_shifts(problem, given.camera, state, prior, config)

@@ -189,15 +189,16 @@ def _with_motion(
     return replace(at, calibration=state.calibration, motion=state.motion)
 
 
-def offset_sigma(points: ScenePoints, floor_m: float) -> np.ndarray:
+def offset_sigma(points: ScenePoints, floor_m: float, scale: float = 1.0) -> np.ndarray:
     """(P,) m: how far the plane at each point may be off, so that a plane's points together know what one does.
 
     The points of a plane share its error. Each has an offset of its own here, so each gets the variance times the
     number of points on the plane: then their sum carries the information of one measurement of the plane. What the
     surface is off its plane differs from point to point.
+    scale: how many times further than the LiDAR says planes are off
     """
     _, plane, count = np.unique(points.plane, return_inverse=True, return_counts=True)
-    shared = np.maximum(points.sigma_plane, floor_m) * np.sqrt(count[plane])
+    shared = scale * np.maximum(points.sigma_plane, floor_m) * np.sqrt(count[plane])
     return np.asarray(np.hypot(shared, points.unevenness))
 
 
@@ -278,8 +279,10 @@ def _reweighted(solved: _Turn, prior: Prior | None, keep: bool) -> tuple[Problem
     """The variance factor, plane offsets' sigma and the prior's sigmas estimated anew (variance components)."""
     problem, at, linearization = solved.problem, solved.at, solved.linearization
     if problem.offset_sigma is not None:
-        scale = covariance.offset_scale(problem, at.photometric.offset, linearization.offset_hessian)
-        problem = replace(problem, offset_sigma=problem.offset_sigma * scale)
+        more = covariance.offset_scale(problem, at.photometric.offset, linearization.offset_hessian)
+        scale = more * problem.offset_scale
+        sigma = offset_sigma(problem.points, PLANE_FLOOR_M, scale)
+        problem = replace(problem, offset_sigma=sigma, offset_scale=scale)
     clusters = covariance.cluster_gradients(problem, linearization, solved.wall_clusters)
     ratio = covariance.variance_factor(linearization.equations, clusters)
     variance_factor = max(problem.variance_factor * ratio, 1.0)

@@ -20,6 +20,8 @@ from lvba.visual import photometric
 from lvba.visual.photometric import Linearization, PhotometricState, Problem
 from lvba.visual.scene_points import ScenePoints
 
+_FEWEST_VOTES = 10
+"""Planes from which on their offsets are judged."""
 _GREATEST_LEVERAGE = 0.96
 _CLUSTER_M = 1.0
 """Planes that face the same way within cells of this size share their errors (a bulge, the poses of their scans)."""
@@ -177,20 +179,31 @@ def bias_reduced(
 
 
 def offset_scale(problem: Problem, offset: np.ndarray, hessian: np.ndarray) -> float:
-    """By what factor the plane offsets scatter more than expected (variance component, robust), 0.3 to 10.
+    """By what factor planes are off more than expected (variance component, robust), 0.3 to 10.
 
-    offset: (P,) float64 m, solved; hessian: (P,) float64 their information with the prior's. Points whose offset only the
-    prior decides have no vote.
+    A plane has one vote, by what the images of all its points say of its offset: the points of a large plane agree, and
+    are no evidence that small ones are as well known.
+    offset: (P,) float64 m, solved; hessian: (P,) float64 their information with the prior's
     """
     assert problem.offset_sigma is not None
-    precision = 1 / problem.offset_sigma**2
-    redundancy = np.clip(1 - precision / hessian, 0, 1)
-    normalized = np.square(offset) * precision / np.maximum(redundancy, 1e-6)
-    voting = redundancy > 0.3
-    if voting.sum() < 30:
+    _, plane, count = np.unique(problem.points.plane, return_inverse=True, return_counts=True)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.asarray(np.bincount(plane, values) / count)
+
+    variance, uneven = problem.offset_sigma**2, problem.points.unevenness**2
+    seen = np.maximum(hessian - 1 / variance, 0.0)
+    information = np.maximum(mean(seen) * count, 1e-30)
+    # the prior draws each offset to zero by seen / hessian
+    own = mean(offset * hessian) * count / information
+    expected = mean(variance - uneven) / count
+    other = 1 / information + mean(uneven) / count
+    voting = expected > other
+    if voting.sum() < _FEWEST_VOTES:
         return 1.0
     # the median of a chi-square of one degree of freedom is 0.4549
-    return float(np.clip(np.sqrt(np.median(normalized[voting]) / 0.4549), 0.3, 10.0))
+    normalized = own[voting] ** 2 / (expected + other)[voting]
+    return float(np.clip(np.sqrt(np.median(normalized) / 0.4549), 0.3, 10.0))
 
 
 def variance_factor(equations: NormalEquations, clusters: csr_matrix) -> float:

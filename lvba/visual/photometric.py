@@ -61,7 +61,7 @@ class Problem:
     images: (I, H, W, C) uint8, contiguous
     starts: (P + 1,) int64, point p owns observations starts[p] to starts[p + 1]
     pairs: the observations grouped by pair of images
-    offset_sigma: (P,) m, how far the plane at each point may be off along its normal; None: planes are exact
+    offset_sigma: (P,) m, how far planes may be off at points; None: they are exact; offset_scale: more than LiDAR says
     sigma: (O,) float64, standard deviation of the residuals of each observation, of 255
     variance_factor: actual over modeled variance of the pixels; the cost is divided by it
     patch: side of a patch, pixels, odd; reference_pixels: see `visual.variant.Variant`
@@ -77,6 +77,7 @@ class Problem:
     pairs: ImagePairs
     sigma: np.ndarray
     offset_sigma: np.ndarray | None = None
+    offset_scale: float = 1.0
     elimination: Elimination | None = None
     variance_factor: float = 1.0
     reference_pixels: Literal["fixed", "moving"] = "fixed"

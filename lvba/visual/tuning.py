@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lvba.visual import bundle_adjustment
 from lvba.visual.bundle_adjustment import LevelSolution
 from lvba.visual.calibration_prior import Evidence
 from lvba.visual.noise import NoiseModel
@@ -39,14 +38,10 @@ class Tuning:
 def tuning(solution: LevelSolution) -> Tuning:
     """The tuning that a level was solved with last."""
     problem, sources = solution.problem, () if solution.prior is None else solution.prior.sources
-    scale = 1.0
-    if problem.offset_sigma is not None and len(problem.points):
-        first = bundle_adjustment.offset_sigma(problem.points, bundle_adjustment.PLANE_FLOOR_M)
-        scale = float(problem.offset_sigma[0] / first[0])
     return Tuning(
         noise=solution.noise,
         variance_factor=problem.variance_factor,
-        offset_scale=scale,
+        offset_scale=problem.offset_scale,
         sigma_rotation=np.array([source.sigma_rotation for source in sources]),
         sigma_position=np.array([source.sigma_position for source in sources]),
         correlation_inflation=np.array([source.correlation_inflation for source in sources]),

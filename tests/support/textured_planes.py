@@ -60,6 +60,14 @@ def cast(world: PlaneWorld, pose: np.ndarray, camera: Camera, u: np.ndarray, v: 
     return plane, pose[:3, 3] + rays * depth.min(axis=-1)[..., None]
 
 
+def in_cells(world: PlaneWorld, plane: np.ndarray, point: np.ndarray, size: float = 1.0) -> np.ndarray:
+    """Of points (N, 3) on planes (N,): which cell of so many meters of its plane each is in, (N,) from 0, as a LiDAR map
+    has pieces of walls."""
+    along = np.einsum("nai,ni->na", world.axes[plane], point - world.points[plane])
+    place = np.column_stack([plane, np.floor(along / size).astype(int)])
+    return np.unique(place, axis=0, return_inverse=True)[1].ravel()
+
+
 def radiance(world: PlaneWorld, plane: np.ndarray, point: np.ndarray) -> np.ndarray:
     """The texture's value at points on planes."""
     value = np.zeros(plane.shape)

@@ -36,14 +36,26 @@ def make():
     pictures = textured_planes.render(world, images, CAMERA, np.exp(log_exposure), noise=2.0, supersample=1)
     found = [scan(world, pose, rng) for pose in truth]
     points = np.concatenate([p for p, _ in found])
-    planes = np.concatenate([k for _, k in found])
-    axes = np.stack([world.normals, world.axes[:, 0], world.axes[:, 1]], axis=2)
-    facing = np.sign(((truth[0, :3, 3] - world.points) * world.normals).sum(axis=1))
-    axes[:, :, 0] *= facing[:, None]
+    walls = np.concatenate([k for _, k in found])
+    planes = textured_planes.in_cells(world, walls, points).astype(np.int32)
+    _, first, seen = np.unique(planes, return_index=True, return_counts=True)
+    wall, count = walls[first], len(first)
+    axes = np.stack([world.normals, world.axes[:, 0], world.axes[:, 1]], axis=2)[wall]
+    middle = np.stack([points[planes == k].mean(axis=0) for k in range(count)])
+    height = ((middle - world.points[wall]) * world.normals[wall]).sum(axis=1)
+    center = middle - height[:, None] * world.normals[wall]
+    axes[:, :, 0] *= np.sign(((truth[0, :3, 3] - center) * world.normals[wall]).sum(axis=1))[:, None]
     lidar = Planes(
-        world.points, axes[:, :, 0].copy(), np.tile([1e-4, 1.0, 1.0], (6, 1)), axes, np.bincount(planes, minlength=6),
-        np.full(6, 2 * COUNT, np.int32), np.full(6, 4.0), np.full(6, 3e-4), np.zeros(6),
-    )  # fmt: skip
+        center=center,
+        normal=axes[:, :, 0].copy(),
+        eigenvalues=np.tile([1e-4, 1 / 12, 1 / 12], (count, 1)),
+        axes=axes,
+        count=seen,
+        scans=np.full(count, 2 * COUNT, np.int32),
+        size=np.ones(count),
+        sigma_offset=np.full(count, 3e-4),
+        unevenness=np.zeros(count),
+    )
     rough = textured_planes.disturbed(images, 0.006, 0.15, seed=3)
     return (
         {

@@ -66,6 +66,9 @@ def test_poses_and_exposures_are_found_in_a_room_without_any_prior(scene):
 
 def test_a_prior_with_a_wrong_extrinsic_does_not_pull_and_the_extrinsic_is_found(scene):
     images, points, observations, poses, _ = scene
+    points = replace(
+        points, plane=textured_planes.in_cells(textured_planes.room(), points.plane, points.position_world)
+    )
     wrong = geometry.exp(np.array([0.01, -0.02, 0.01, 0.01, 0.02, -0.01]))
     rough = start(poses)
     found = bundle_adjustment.solve(
