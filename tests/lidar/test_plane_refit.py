@@ -169,3 +169,13 @@ def test_no_planes_stay_none():
     _, grid, association, weights = parts(wall(np.random.default_rng(6), 2000)[0])
     refitted = plane_refit.refit(nothing, no_plane_points(), grid, association, weights, np.zeros(0))
     assert refitted is nothing
+
+
+def test_a_part_of_very_many_points_says_the_same():
+    rng = np.random.default_rng(7)
+    scans, normal, distance = wall(rng, 1_500_000)
+    planes, _ = surface.extract(*parts(scans), POSES, SENSOR)
+    assert 4 * planes.count.max() > 2 * kernel.MOST_POINTS  # with those of the cells around
+    off, turned = errors(planes, normal, distance)
+    assert np.median(off) < 0.02 * NOISE
+    assert np.median(turned) < 0.002
