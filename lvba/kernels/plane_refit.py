@@ -72,7 +72,7 @@ class RoughPlanes(NamedTuple):
 class Refits(NamedTuple):
     """K planes, world frame. center: (K, 3) float64, m; eigenvalues: (K, 3) float64, m^2, ascending, 0: no points;
     eigenvectors: (K, 3, 3) float64, unit, rows, the first along the old normal; height: (K,) float64, m, root mean square
-    of the heights of patches, less what noise makes; excess: (K,) float64, their squares over those that noise makes,
+    of the heights of patches, less what noise makes; over_noise: (K,) float64, their squares over those that noise makes,
     NaN: too few patches to tell
     """
 
@@ -80,7 +80,7 @@ class Refits(NamedTuple):
     eigenvalues: np.ndarray
     eigenvectors: np.ndarray
     height: np.ndarray
-    excess: np.ndarray
+    over_noise: np.ndarray
 
 
 @kernel
@@ -277,7 +277,7 @@ def _fit(over: np.ndarray, gate: float, plane: np.ndarray, values: np.ndarray, v
 
 @kernel
 def _heights(over: np.ndarray, gate: float, plane: np.ndarray, patches: _Patches) -> tuple[float, float]:
-    """`height` and `excess` of `Refits` for the plane (6,), by points (n, 4) within the gate, m, of it."""
+    """`height` and `over_noise` of `Refits` for the plane (6,), by points (n, 4) within the gate, m, of it."""
     sides = patches.used.shape
     sums = np.zeros((sides[0] * sides[1], 3))
     for i in range(len(over)):
@@ -314,7 +314,7 @@ def refit(points: LabeledPoints, near: CellPoints, planes: RoughPlanes) -> Refit
     """Each plane fitted to all points over its patches, in its cells and those that touch them."""
     count = len(planes.center)
     center, values = planes.center.copy(), np.zeros((count, 3))
-    vectors, height, excess = np.zeros((count, 3, 3)), np.zeros(count), np.full(count, np.nan)
+    vectors, height, over_noise = np.zeros((count, 3, 3)), np.zeros(count), np.full(count, np.nan)
     for k in prange(count):
         own = planes.cells[planes.starts[k] : planes.starts[k + 1]]
         axes, gate = planes.axes[k], planes.gate[k]
@@ -327,7 +327,7 @@ def refit(points: LabeledPoints, near: CellPoints, planes: RoughPlanes) -> Refit
             total = _fit(over, gate, plane, own_values, own_vectors)
         if total <= 0.0:
             continue
-        height[k], excess[k] = _heights(over, gate, plane, patches)
+        height[k], over_noise[k] = _heights(over, gate, plane, patches)
         values[k] = own_values
         for a in range(3):
             center[k, a] += axes[a, 0] * plane[0] + axes[a, 1] * plane[1] + axes[a, 2] * plane[2]
@@ -339,4 +339,4 @@ def refit(points: LabeledPoints, near: CellPoints, planes: RoughPlanes) -> Refit
                     + axes[a, 1] * own_vectors[row, 1]
                     + axes[a, 2] * own_vectors[row, 2]
                 )
-    return Refits(center, values, vectors, height, excess)
+    return Refits(center, values, vectors, height, over_noise)

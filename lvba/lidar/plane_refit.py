@@ -51,7 +51,7 @@ def refit(
         eigenvalues=eigenvalues,
         axes=axes,
         sigma_offset=_sigma_offset(planes, eigenvalues),
-        unevenness=_unevenness(fits.height, fits.excess, gate),
+        unevenness=_unevenness(fits.height, fits.over_noise, gate),
     )
 
 
@@ -62,11 +62,11 @@ def _sigma_offset(planes: Planes, eigenvalues: np.ndarray) -> np.ndarray:
     return np.asarray(np.sqrt(variance))
 
 
-def _unevenness(height: np.ndarray, excess: np.ndarray, gate: np.ndarray) -> np.ndarray:
+def _unevenness(height: np.ndarray, over_noise: np.ndarray, gate: np.ndarray) -> np.ndarray:
     """(K,) m; where a plane is two surfaces, either is anywhere in the layer that its points are from."""
-    judged = np.isfinite(excess)
+    judged = np.isfinite(over_noise)
     typical = float(np.median(height[judged])) if judged.any() else 0.0
-    mixed = judged & (excess > SIGNIFICANT) & (height > OUTLYING * typical)
+    mixed = judged & (over_noise > SIGNIFICANT) & (height > OUTLYING * typical)
     return np.where(mixed, gate, height)
 
 

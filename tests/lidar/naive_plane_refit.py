@@ -6,7 +6,7 @@ from lvba.kernels import plane_refit as kernel
 
 
 def refit(points, cell_of_point, plane_of_point, weight, k, center, axes, gate):
-    """center, eigenvalues, eigenvectors (rows), height, excess of plane k, from the points themselves.
+    """center, eigenvalues, eigenvectors (rows), height, over_noise of plane k, from the points themselves.
 
     cell_of_point: (M, 3) integers; axes: of all planes, (K, 3, 3), columns; center, gate: of plane k
     """

@@ -73,13 +73,15 @@ def test_kernel_against_its_twin(monkeypatch):
         seen = slice(features.offsets[k], features.offsets[k + 1])
         own = dict(zip(features.scan[seen], weights.weight[seen], strict=True))
         weight = np.array([own.get(s, weights.weight[seen].mean()) for s in scan])
-        center, values, normal, height, excess = naive.refit(
+        center, values, normal, height, over_noise = naive.refit(
             world, cell, on_planes.plane, weight, k, planes.center[k], planes.axes, gate[k]
         )
         np.testing.assert_allclose(fits.center[k], center, atol=1e-9)
         np.testing.assert_allclose(fits.eigenvalues[k], values, rtol=1e-7, atol=1e-12)
         np.testing.assert_allclose(fits.eigenvectors[k, 0], normal, atol=1e-8)
-        np.testing.assert_allclose([fits.height[k], fits.excess[k]], [height, excess], rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(
+            [fits.height[k], fits.over_noise[k]], [height, over_noise], rtol=1e-6, atol=1e-9
+        )
 
 
 @pytest.mark.parametrize("tilt", [0.05, 0.15, 0.3])
