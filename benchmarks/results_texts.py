@@ -9,16 +9,16 @@ Lengths in millimeters and angles in degrees are root mean squares over all fram
 [evaluation.md](evaluation.md). Seconds are wall time on two cores that had some other work beside (and
 the first rows compile, too); for what a run takes by itself see [benchmarks.md](benchmarks.md).
 
-Real recordings, hard difficulty, and medium difficulty with seeds 119 to 121 are of this version. All others are of
+Real recordings, hard and medium difficulty are of this version. All others are of
 versions before it, whose planes were those of voxels, cut where faces of voxels cut them and even by assumption, and
 whose small planes were trusted for the agreement of large ones: cameras in rooms and courtyards are better by a quarter
 to a half since. Those versions also looked for the best point of each voxel alone in images far apart in time, let
 groups of scans learn less from cameras, knew what lies between scans as one number for all axes, and did not solve
 cameras further where scans had learned from them. Of them, disturbed scenes with seeds 701 and 702, and with a clock that
-drifts, are of the newest. Poses of any method, gates of recordings and of seeds 119 and 121, medium difficulty
-elsewhere, loops, recordings in parts, ablations, degenerate directions, colors of the map, and what the model of errors
-of scans brings are of the one just before that, which knows no rate of the camera's clock and takes rough poses for
-wrong sooner: where clocks agree, and no motion is contested, it gives the same. What all models cost, and other
+drifts, are of the newest. Poses of any method, gates of recordings and of seeds 119 and 121, loops, recordings in
+parts, ablations, degenerate directions, colors of the map, and what the model of errors of scans brings are of the one
+just before that, which knows no rate of the camera's clock and takes rough poses for wrong sooner: where clocks
+agree, and no motion is contested, it gives the same. What all models cost, and other
 disturbed rooms with seed 801 are of the one before that, which differs where rough motions are wrong by more than a
 decimeter or a degree, where images are large, and in how errors of scans are searched for. The disturbed courtyard
 with seed 801 and what the other models bring are of the one before that. Gates of other seeds are of the version
