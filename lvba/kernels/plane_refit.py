@@ -148,41 +148,45 @@ class _Patches(NamedTuple):
 
 
 @kernel
-def _own_patches(
+def _own_points(
     points: LabeledPoints, near: CellPoints, own: np.ndarray, k: int, center: np.ndarray, axes: np.ndarray
-) -> _Patches:
-    """The patches that points of plane k lie in. own: (N,) int64, its cells; center: (3,), m; axes: (3, 3), columns"""
-    low, high, count = np.full(2, np.inf), np.full(2, -np.inf), 0
+) -> np.ndarray:
+    """(n, 2) m, along its axes from its center: the points of plane k. own: (N,) int64, its cells; center: (3,), m; axes:
+    (3, 3), columns"""
+    most = 0
+    for c in own:
+        most += near.first[near.starts[c + 1]] - near.first[near.starts[c]]
+    out, n = np.zeros((most, 2)), 0
     for c in own:
         for j in range(near.first[near.starts[c]], near.first[near.starts[c + 1]]):
             i = near.order[j]
             if points.plane[i] != k:
                 continue
-            count += 1
             for a in range(2):
-                at = 0.0
                 for b in range(3):
-                    at += axes[b, a + 1] * (points.world[i, b] - center[b])
-                low[a], high[a] = min(low[a], at), max(high[a], at)
+                    out[n, a] += axes[b, a + 1] * (points.world[i, b] - center[b])
+            n += 1
+    return out[:n]
+
+
+@kernel
+def _patches_of(own: np.ndarray) -> _Patches:
+    """The patches that points (n, 2), of `_own_points`, lie in."""
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for i in range(len(own)):
+        for a in range(2):
+            low[a], high[a] = min(low[a], own[i, a]), max(high[a], own[i, a])
     size, sides = np.zeros(2), np.ones(2, np.int64)
-    if count > 0:
+    if len(own) > 0:
         area = max(high[0] - low[0], PATCH_MIN_M) * max(high[1] - low[1], PATCH_MIN_M)
-        edge = max(np.sqrt(area * PATCH_POINTS / count), PATCH_MIN_M)
+        edge = max(np.sqrt(area * PATCH_POINTS / len(own)), PATCH_MIN_M)
         for a in range(2):
             sides[a] = min(max(int((high[a] - low[a]) / edge), 1), MOST_PATCHES)
             # a little wider, so that the furthest point is in the last patch
             size[a] = max((high[a] - low[a]) / sides[a], 1e-6) * (1.0 + 1e-9)
     used = np.zeros((sides[0], sides[1]), np.bool_)
-    for c in own:
-        for j in range(near.first[near.starts[c]], near.first[near.starts[c + 1]]):
-            i = near.order[j]
-            if points.plane[i] == k:
-                at0 = at1 = 0.0
-                for b in range(3):
-                    d = points.world[i, b] - center[b]
-                    at0 += axes[b, 1] * d
-                    at1 += axes[b, 2] * d
-                used[int((at0 - low[0]) / size[0]), int((at1 - low[1]) / size[1])] = True
+    for i in range(len(own)):
+        used[int((own[i, 0] - low[0]) / size[0]), int((own[i, 1] - low[1]) / size[1])] = True
     return _Patches(low, size, used)
 
 
@@ -235,6 +239,15 @@ def _points_over(
     return out[:n]
 
 
+@kernel(inline=True)
+def _away(point: np.ndarray, plane: np.ndarray) -> float:
+    """How far a point (4,), of `_points_over`, is off a plane (6,), of a point on it and its unit normal, m."""
+    away = 0.0
+    for a in range(3):
+        away += plane[3 + a] * (point[a] - plane[a])
+    return away
+
+
 @kernel
 def _fit(over: np.ndarray, gate: float, plane: np.ndarray, values: np.ndarray, vectors: np.ndarray) -> float:
     """The plane of the points (n, 4) within `gate` of a plane, which it replaces; returns their weight.
@@ -245,10 +258,7 @@ def _fit(over: np.ndarray, gate: float, plane: np.ndarray, values: np.ndarray, v
     total, mean, scatter = 0.0, np.zeros(3), np.zeros(6)
     for turn in range(2):
         for i in range(len(over)):
-            away = 0.0
-            for a in range(3):
-                away += plane[3 + a] * (over[i, a] - plane[a])
-            if abs(away) > gate:
+            if abs(_away(over[i], plane)) > gate:
                 continue
             w = over[i, 3]
             if turn == 0:
@@ -281,9 +291,7 @@ def _heights(over: np.ndarray, gate: float, plane: np.ndarray, patches: _Patches
     sides = patches.used.shape
     sums = np.zeros((sides[0] * sides[1], 3))
     for i in range(len(over)):
-        away = 0.0
-        for a in range(3):
-            away += plane[3 + a] * (over[i, a] - plane[a])
+        away = _away(over[i], plane)
         if abs(away) > gate:
             continue
         at0 = int((over[i, 1] - patches.low[0]) / patches.edge[0])
@@ -318,7 +326,7 @@ def refit(points: LabeledPoints, near: CellPoints, planes: RoughPlanes) -> Refit
     for k in prange(count):
         own = planes.cells[planes.starts[k] : planes.starts[k + 1]]
         axes, gate = planes.axes[k], planes.gate[k]
-        patches = _own_patches(points, near, own, k, planes.center[k], axes)
+        patches = _patches_of(_own_points(points, near, own, k, planes.center[k], axes))
         over = _points_over(points, near, _cells_about(near.key, own), k, planes, patches)
         plane, own_values, own_vectors = np.zeros(6), np.zeros(3), np.zeros((3, 3))
         plane[3] = 1.0

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lvba.arrays import Vectors
+
 
 @dataclass(frozen=True)
 class Planes:
@@ -58,6 +60,17 @@ class Surfaces:
     planes: Planes
     points: PlanePoints
     scan_times: np.ndarray
+
+
+def axes_of(eigenvectors: np.ndarray, normal: Vectors) -> np.ndarray:
+    """The right-handed axes (K, 3, 3), columns, of planes with these normals (K, 3).
+
+    eigenvectors: (K, 3, 3) float64, rows, the first along the normal, up to its sign
+    """
+    axes = np.swapaxes(eigenvectors, 1, 2).copy()
+    axes[:, :, 0] = normal
+    axes[np.linalg.det(axes) < 0, :, 2] *= -1
+    return axes
 
 
 def no_planes() -> Planes:

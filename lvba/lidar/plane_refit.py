@@ -11,7 +11,7 @@ import numpy as np
 
 from lvba.kernels import plane_refit as kernels
 from lvba.kernels.plane_refit import CellPoints, LabeledPoints, RoughPlanes
-from lvba.lidar.plane import PlanePoints, Planes
+from lvba.lidar.plane import PlanePoints, Planes, axes_of
 from lvba.lidar.voxel_map import Association, VoxelMap
 from lvba.lidar.weights import Weights
 
@@ -40,8 +40,7 @@ def refit(
     rough = _rough(planes, grid, association, gate, weights)
     near = _points_by_cell(points, grid)
     fits = kernels.refit(LabeledPoints(points.points_world, points.plane), near, rough)
-    eigenvalues, axes = fits.eigenvalues, np.swapaxes(fits.eigenvectors, 1, 2).copy()
-    axes[np.linalg.det(axes) < 0, :, 2] *= -1
+    eigenvalues, axes = fits.eigenvalues, axes_of(fits.eigenvectors, fits.eigenvectors[:, 0])
     none = eigenvalues[:, 1] <= 0
     eigenvalues[none], axes[none] = planes.eigenvalues[none], planes.axes[none]
     return replace(

@@ -5,7 +5,7 @@ import numpy as np
 from lvba.arrays import Poses, Vector
 from lvba.kernels import voxel as kernel
 from lvba.lidar import plane_refit
-from lvba.lidar.plane import PlanePoints, Planes
+from lvba.lidar.plane import PlanePoints, Planes, axes_of
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
 from lvba.lidar.scan import Scans
 from lvba.lidar.voxel_map import Association, VoxelMap
@@ -61,10 +61,6 @@ def _planes(
     height = np.einsum("oi,oi->o", fits.normal[feature], sensor[features.scan] - fits.center[feature])
     up = np.bincount(feature, height * features.clusters.count, len(features)) >= 0
     normal = np.where(up[:, None], fits.normal, -fits.normal)
-    axes = np.swapaxes(fits.eigenvectors, 1, 2).copy()
-    axes[:, :, 0] = normal
-    flip = np.linalg.det(axes) < 0
-    axes[flip, :, 2] *= -1
     count = np.bincount(feature, features.clusters.count, len(features))
     fraction = features.clusters.count * features.weight / np.maximum(fits.total, 1e-300)[feature]
     offset = np.bincount(feature, (fraction * weights.offset_sigma) ** 2, len(features))
@@ -72,7 +68,7 @@ def _planes(
         center=fits.center,
         normal=normal,
         eigenvalues=fits.eigenvalues,
-        axes=axes,
+        axes=axes_of(fits.eigenvectors, normal),
         count=np.round(count).astype(np.int64),
         scans=np.diff(features.offsets).astype(np.int32),
         size=features.size,

@@ -188,16 +188,16 @@ def offset_scale(problem: Problem, offset: np.ndarray, hessian: np.ndarray) -> f
     assert problem.offset_sigma is not None
     _, plane, count = np.unique(problem.points.plane, return_inverse=True, return_counts=True)
 
-    def mean(values: np.ndarray) -> np.ndarray:
-        return np.asarray(np.bincount(plane, values) / count)
+    def total(values: np.ndarray) -> np.ndarray:
+        return np.bincount(plane, values)
 
     variance, uneven = problem.offset_sigma**2, problem.points.unevenness**2
     seen = np.maximum(hessian - 1 / variance, 0.0)
-    information = np.maximum(mean(seen) * count, 1e-30)
+    information = np.maximum(total(seen), 1e-30)
     # the prior draws each offset to zero by seen / hessian
-    own = mean(offset * hessian) * count / information
-    expected = mean(variance - uneven) / count
-    other = 1 / information + mean(uneven) / count
+    own = total(offset * hessian) / information
+    expected = total(variance - uneven) / count**2
+    other = 1 / information + total(uneven) / count**2
     voting = expected > other
     if voting.sum() < _FEWEST_VOTES:
         return 1.0
