@@ -71,10 +71,11 @@ def flattest(
 ) -> None:
     """Replaces normals by those of other neighborhoods, in place, where these are flatter along the beam.
 
-    points: (N, 3) float64, m; near: (M, K) int64, the neighbors of M places; beam: (M, 3) float64, unit
+    points: (N, 3) float64, m; near: (M, K) int64, K > 3, the neighbors of M places; beam: (M, 3) float64, unit
     normal: (M, 3) float64; flatness: (M,) float64, 0: a plane; least variance of points along the beam, over their middle
-        one across
+        one across. The plane lies nearest to its own points: few of them, which three fix, seem flatter than they are
     """
+    unbiased = near.shape[1] / (near.shape[1] - 3)
     for m in prange(len(near)):
         mean, sums, values, vectors = np.zeros(3), np.zeros(6), np.empty(3), np.empty((3, 3))
         for k in range(near.shape[1]):
@@ -86,7 +87,7 @@ def flattest(
             _add_squares(sums, x, y, z)
         eigen3(sums, values, vectors)
         along = vectors[0, 0] * beam[m, 0] + vectors[0, 1] * beam[m, 1] + vectors[0, 2] * beam[m, 2]
-        flat = values[0] / max(values[1], _LEAST_SPREAD) / max(along * along, _LEAST_COSINE)
+        flat = unbiased * values[0] / max(values[1], _LEAST_SPREAD) / max(along * along, _LEAST_COSINE)
         if flat < flatness[m]:
             flatness[m] = flat
             for a in range(3):

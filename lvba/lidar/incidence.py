@@ -2,7 +2,8 @@
 
 Few near points are not enough: where points are closer to each other than their noise, a plane through them is turned
 towards the beam or away from it at random (surfaces 1 m away seemed to be met at 37 degrees instead of straight on). Many
-are too many at edges, and where surfaces are small. So each place takes the flattest of several neighborhoods, each twice
+are too many at edges, and where surfaces are small or far away: of a projection 1 m wide, 30 m down a street, a scan has
+ten. So each place takes the flattest of several neighborhoods, each twice
 as large as the one before; and each point, the nearest place that is on a plane. How flat one is counts along the beam,
 as the noise does: points of one ring of a sensor that turns lie on a plane through the sensor, whatever they are on.
 """
@@ -14,13 +15,17 @@ from lvba.arrays import Vector
 from lvba.kernels import flatness as kernels
 
 _NEIGHBORS = 20
-_STEPS = (2, 4, 8, 16, 32, 64)
+_STEPS = (1, 2, 4, 8, 16, 32, 64)
 """A neighborhood has _NEIGHBORS of every n-th point."""
-_PLANAR = 0.1
+_FEW = (8, 12)
+"""Of all points, neighborhoods of so many are tried as well."""
+_PLANAR = 0.12
 """The most that points of a plane are off it along the beam, as part of the lesser spread along it, in squares."""
-_PLACES, _POINTS_OF_PLACE = 4096, 8
-"""Planes are looked for at so many points of a scan, or at one of so many. At all of them, angles differ less from those
-than these do from such as other draws of every n-th point give."""
+_FEWEST = 80
+"""Points of a scan without which no surface is looked for."""
+_PLACES = 0.125
+"""Planes are looked for at this part of the points, or more: of those that are as far away as half of them, and further
+away of more, as there are fewer on each surface."""
 
 
 def cosines(points: np.ndarray, position: Vector) -> np.ndarray:
@@ -30,12 +35,12 @@ def cosines(points: np.ndarray, position: Vector) -> np.ndarray:
     """
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
     cosine = np.ones(len(points))
-    if len(finite) < 2 * _STEPS[0] * _NEIGHBORS:
+    if len(finite) < _FEWEST:
         return cosine
     here = np.asarray(points, float)[finite]
     # in order, every n-th would be of one ring of a sensor that turns
     drawn = here[np.random.default_rng(0).permutation(len(here))]
-    places = drawn[: max(_PLACES, len(drawn) // _POINTS_OF_PLACE)]
+    places = _places(drawn, position)
     normal, flatness = _flattest(drawn, places, _beams(places, position))
     planar = flatness < _PLANAR
     if not planar.any():
@@ -43,6 +48,14 @@ def cosines(points: np.ndarray, position: Vector) -> np.ndarray:
     nearest = cKDTree(places[planar]).query(here)[1]
     cosine[finite] = np.abs(np.einsum("ni,ni->n", normal[planar][nearest], _beams(here, position)))
     return cosine
+
+
+def _places(drawn: np.ndarray, position: Vector) -> np.ndarray:
+    """(M, 3): those of the points (N, 3) about which planes are looked for."""
+    square = np.square(drawn - position).sum(axis=1)
+    part = np.clip(_PLACES * square / max(float(np.median(square)), 1e-9), _PLACES, 1.0)
+    count = np.cumsum(part)
+    return np.asarray(drawn[np.floor(count) > np.floor(count - part)])
 
 
 def _beams(points: np.ndarray, position: Vector) -> np.ndarray:
@@ -62,5 +75,6 @@ def _flattest(drawn: np.ndarray, places: np.ndarray, beam: np.ndarray) -> tuple[
         if len(some) < 2 * _NEIGHBORS:
             break
         near = cKDTree(some).query(places, k=_NEIGHBORS)[1]
-        kernels.flattest(some, near, beam, normal, flatness)
+        for count in (*(_FEW if step == 1 else ()), _NEIGHBORS):
+            kernels.flattest(some, np.ascontiguousarray(near[:, :count]), beam, normal, flatness)
     return normal, flatness

@@ -47,6 +47,36 @@ def test_the_sensor_need_not_be_where_the_scan_frame_is():
     np.testing.assert_allclose(moved, true, atol=0.05)
 
 
+def street(rng, width):
+    """Points (N, 3) of a sensor that turns, 5 m from the wall of a street with two projections, and true cosines, (N,);
+    which points are on faces of projections that look along the street, (N,) bool."""
+    azimuth, elevation = np.radians(np.arange(0.0, 60.0, 0.5)), np.radians(np.arange(-20.0, 8.0, 0.5))
+    flat, up = np.meshgrid(azimuth + rng.uniform(0, 0.01), elevation + rng.uniform(0, 0.01))
+    rays = np.stack([np.cos(up) * np.cos(flat), np.cos(up) * np.sin(flat), np.sin(up)], -1).reshape(-1, 3)
+    ahead, beside, down = rays[:, 0], np.maximum(rays[:, 1], 1e-3), np.maximum(-rays[:, 2], 1e-3)
+    length, cosine = np.minimum(5 / beside, 2 / down), np.where(5 / beside < 2 / down, beside, down)
+    for begins in (20.0, 30.0):
+        face, side = begins / ahead, (5 - width) / beside
+        on_face = (face * beside > 5 - width) & (face * beside < 5) & (face < length)
+        on_side = (side * ahead > begins) & (side * ahead < begins + 1) & (side < length)
+        length = np.where(on_face, face, np.where(on_side, side, length))
+        cosine = np.where(on_face, ahead, np.where(on_side, beside, cosine))
+    near = length < 60
+    points = rays * (length + 0.02 * rng.normal(size=len(length)))[:, None]
+    return points[near].astype(np.float32), cosine[near], ((cosine > 0.8) & (length > 15))[near]
+
+
+@pytest.mark.parametrize("width", [0.7, 1.0, 2.0])
+def test_small_surfaces_far_down_a_street_are_seen_for_themselves(width):
+    """They hold scans along the street. Neighborhoods that reach beyond them see one oblique plane through all there is."""
+    off = []
+    for seed in range(4):
+        points, cosine, face = street(np.random.default_rng(seed), width)
+        off.append((incidence.cosines(points, np.zeros(3)) - cosine)[face])
+    assert len(np.concatenate(off)) > 300
+    assert abs(np.concatenate(off).mean()) < 0.03
+
+
 def test_points_without_a_surface_take_that_of_the_nearest():
     rng = np.random.default_rng(4)
     points, true = wall(rng, 2000, 5.0, 2.0, 40.0, 0.003)
@@ -79,7 +109,7 @@ def test_the_kernel_takes_the_flattest_neighborhoods_as_its_plain_twin_does():
         for m in range(50):
             off = points[near[m]] - points[near[m]].mean(axis=0)
             spread, axes = np.linalg.eigh(off.T @ off)
-            flat = spread[0] / spread[1] / (axes[:, 0] @ beam[m]) ** 2
+            flat = 12 / 9 * spread[0] / spread[1] / (axes[:, 0] @ beam[m]) ** 2
             if flat < best[m]:
                 best[m] = flat
                 assert abs(axes[:, 0] @ normal[m]) == pytest.approx(1.0)
@@ -95,6 +125,6 @@ def test_places_at_one_of_many_points_tell_what_all_points_would(monkeypatch):
     points = (true + 0.01 * rng.normal(size=(18000, 1)) * rays).astype(np.float32)
     cosine = np.abs(np.concatenate([rays[:9000, 0], rays[9000:, 1]]))
     few = incidence.cosines(points, np.zeros(3)) - cosine
-    monkeypatch.setattr(incidence, "_POINTS_OF_PLACE", 1)
+    monkeypatch.setattr(incidence, "_PLACES", 1.0)
     every = incidence.cosines(points, np.zeros(3)) - cosine
     assert np.sqrt(np.mean(few**2)) < 1.2 * np.sqrt(np.mean(every**2)) + 0.002
