@@ -117,7 +117,7 @@ class _Measurement:
             first = first if turn else estimate
             if (np.abs(last) <= _CONVERGED * np.abs(errors)).all():
                 break
-        if (by_direction := self._by_direction(total, points)) > 0:
+        if (by_direction := self._by_direction(total, points))[1] > 0:
             return self._beside_others(total, errors, least, by_direction)
         if (np.abs(last) > _FALLS * np.abs(first))[kept].any():
             text = "no error of the sensor explains what is left"
@@ -125,7 +125,7 @@ class _Measurement:
         return self._errors(np.where(kept, errors, errors + change), covariance, kept)
 
     def _beside_others(
-        self, total: ScanEvidence, errors: np.ndarray, least: np.ndarray, by_direction: float
+        self, total: ScanEvidence, errors: np.ndarray, least: np.ndarray, by_direction: tuple[float, float]
     ) -> RangeErrors:
         """What is significant whatever else depends on the direction of a beam, which is free and stays as it is."""
         change, covariance = self._estimate(total)
@@ -135,8 +135,8 @@ class _Measurement:
         else:
             kept, estimate = self._significant(errors + change, covariance, least, range_errors.CHANCE)
         judged = self._errors(np.where(kept, estimate, errors + change), covariance, kept)
-        values = {**judged.values, range_errors.DIRECTION: round(by_direction, 4)}
-        return replace(judged, values=values, noticed=(range_errors.DIRECTION,))
+        values = {**judged.values, range_errors.DIRECTION: round(by_direction[1], 4)}
+        return replace(judged, values=values, noticed=(range_errors.DIRECTION,), by_direction=by_direction)
 
     @property
     def size(self) -> int:
@@ -157,19 +157,19 @@ class _Measurement:
         """The change (k,) of the errors, and its covariance (k, k)."""
         return own.change[: self.size], own.covariance[: self.size, : self.size]
 
-    def _by_direction(self, total: ScanEvidence, points: np.ndarray) -> float:
-        """m, root mean square: how far points (N, 3) are off by what else depends on the direction; 0: by chance.
+    def _by_direction(self, total: ScanEvidence, points: np.ndarray) -> tuple[float, float]:
+        """As `RangeErrors.by_direction`, of points (N, 3) m; zeros: what is seen of it may be chance.
 
         Less the common scale in it, which planes do not tell: where beams are level, it looks like a harmonic.
         """
         if total.chance(self.others) > range_errors.CHANCE:
-            return 0.0
+            return 0.0, 0.0
         likely = total.likely(self.others, range_errors.HARMONIC_SIGMA)
         part = range_errors.harmonics(self.beams, points) @ likely
         length = np.linalg.norm(points - self.beams.position, axis=1)
-        scale = float(np.average(part, weights=length**2))
-        off = float(np.sqrt(np.mean(((part - scale) * length) ** 2)))
-        return off if off > range_errors.LEAST_M else 0.0
+        part -= float(np.average(part, weights=length**2))
+        off = float(np.sqrt(np.mean((part * length) ** 2)))
+        return (float(np.sqrt(np.mean(part**2))), off) if off > range_errors.LEAST_M else (0.0, 0.0)
 
     def _significant(
         self, estimate: np.ndarray, covariance: np.ndarray, least: np.ndarray, chance: float

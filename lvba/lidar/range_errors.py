@@ -183,6 +183,8 @@ class RangeErrors:
     corrected: the names of those that are taken out of the points
     noticed: of those that are no chance, but stay
     problem: why what is significant was not corrected
+    by_direction: how far points stay off by what else depends on the beam's direction, root mean square: as a part of the
+        range, and in m
     """
 
     beams: Beams
@@ -191,6 +193,7 @@ class RangeErrors:
     corrected: tuple[str, ...] = ()
     problem: str = ""
     noticed: tuple[str, ...] = ()
+    by_direction: tuple[float, float] = (0.0, 0.0)
 
     def points(
         self, points: np.ndarray, cosine: np.ndarray | None = None, intensity: np.ndarray | None = None

@@ -23,6 +23,11 @@ class ScanErrors:
         """Whether points are moved."""
         return any(each is not None and each.corrected for each in (self.ranges, self.motion))
 
+    @property
+    def by_direction(self) -> tuple[float, float]:
+        """As `RangeErrors.by_direction`."""
+        return (0.0, 0.0) if self.ranges is None else self.ranges.by_direction
+
     def points(self, scan: Scan, index: int, stamp: float) -> np.ndarray:
         """(N, 3) float32, m: where the points of a scan belong. index: its number; stamp: s"""
         ranges = self.ranges

@@ -12,7 +12,7 @@ from lvba.blocks.survey import Survey, keyframes_of
 from lvba.dataset import Dataset
 from lvba.lidar import covariance
 from lvba.steps.outcomes import LidarStage, ScanPoses, VisualStage
-from lvba.visual import calibration_prior, trajectory_prior
+from lvba.visual import trajectory_prior
 from lvba.visual.clock import clock_drifts, evidence_from
 from lvba.visual.refine import VisualConfig, VisualResult
 from lvba.visual.trajectory_prior import Prior
@@ -35,6 +35,7 @@ def prior_of_all(dataset: Dataset, lidar: LidarStage, scans: ScanPoses, config: 
         dataset.camera_from_scan,
         config.prior,
         local_covariance,
+        lidar.by_direction,
     )
 
 
@@ -82,16 +83,9 @@ def prior_of_keyframes(
         for tuning, result in known
         if tuning.evidence is not None
     ]
-    counted = None
+    prior = replace(prior, sources=tuple(sources), drifting=drifting)
     if said:
-        whole = functools.reduce(operator.add, said)
-        counted = calibration_prior.weighed(whole.information, whole.spread, prior.calibration.claimed)
-    prior = replace(
-        prior,
-        sources=tuple(sources),
-        calibration=replace(prior.calibration, counted=counted),
-        drifting=drifting,
-    )
+        prior = trajectory_prior.weighed(prior, functools.reduce(operator.add, said))
     return trajectory_prior.with_fixed(prior, fixed_in_all(stages))
 
 

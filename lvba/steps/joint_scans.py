@@ -276,7 +276,12 @@ def finish_scans(
     errors = [part.rough_error for part in parts if part.rough_error is not None]
     confirmed = np.unique(np.concatenate([part.confirmed for part in parts]))
     result = with_motion(result, scan_errors, np.arange(len(result.covariance)))
-    stage = LidarStage(result, rough_error=rough_poses.of_all(errors), confirmed=confirmed)
+    stage = LidarStage(
+        result,
+        rough_error=rough_poses.of_all(errors),
+        confirmed=confirmed,
+        by_direction=(0.0, 0.0) if scan_errors is None else scan_errors.by_direction,
+    )
     return JointScans(stage, merged.merged, state.history)
 
 

@@ -171,5 +171,6 @@ def inputs(
         planes=plane_set,
         plane_points=points,
         scan_covariance=planes.uncertainty,
+        range_errors=lidar.by_direction,
         camera=dataset.camera,
     )

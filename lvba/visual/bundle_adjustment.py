@@ -14,7 +14,6 @@ from lvba.optim.levenberg_marquardt import Iteration, SolverConfig
 from lvba.optim.linear_solver import Covariance
 from lvba.optim.normal_equations import NormalEquations, Step
 from lvba.visual import (
-    calibration_prior,
     camera_motion,
     covariance,
     fixed_calibration,
@@ -294,8 +293,7 @@ def _reweighted(solved: _Turn, prior: Prior | None, keep: bool) -> tuple[Problem
             problem, linearization, at.photometric, solved.wall_clusters, total
         )
         said = _evidence(prior, at, clusters, known, problem.variance_factor / variance_factor)
-        counts = calibration_prior.weighed(said.information, said.spread, prior.calibration.claimed, keep)
-        prior = replace(prior, calibration=replace(prior.calibration, counted=counts), evidence=said)
+        prior = trajectory_prior.weighed(prior, said, keep)
         prior = trajectory_sigmas.reestimated(prior, at.visual, undecided)
     return replace(problem, variance_factor=variance_factor), prior
 

@@ -40,6 +40,16 @@ class Evidence:
     def __add__(self, other: "Evidence") -> "Evidence":
         return Evidence(self.information + other.information, self.spread + other.spread)
 
+    def by_range_errors(self, errors: tuple[float, float]) -> np.ndarray:
+        """(k, k): variance of the gradient by errors of ranges that planes share. errors: as `RangeErrors.by_direction`
+
+        Planes that are off by so much, all in some way together, look to the images as a camera that sits elsewhere on
+        the LiDAR. How far pieces of wall contradict each other shows nothing of it.
+        """
+        extrinsic = Calibration.layout()["scan_from_camera"]
+        by_extrinsic = self.information[:, extrinsic]
+        return np.asarray(by_extrinsic * np.repeat(np.square(errors), 3) @ by_extrinsic.T)
+
 
 @dataclass(frozen=True)
 class ExtrinsicChange:

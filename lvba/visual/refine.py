@@ -130,7 +130,7 @@ class Inputs:
     pyramid: of the keyframes only; keyframes: (K,) their indices among the images
     images, scans: rough trajectories; refined_scans: (S, 4, 4), poses the planes were made with
     camera_from_scan: (4, 4) calibrated extrinsic; sensor_position_scan: (3,) m
-    scan_covariance: of refined_scans; None: not known
+    scan_covariance: of refined_scans; None: not known; range_errors: left in points, as `RangeErrors.by_direction`
     camera: of the raw images, with its lens; None: they had none, and their camera is not refined
     colors: red (0), green or blue of the keyframes, (K, H, W, 1) uint8; None: not at hand; smaller_colors: of large ones
     """
@@ -145,6 +145,7 @@ class Inputs:
     planes: Planes
     plane_points: PlanePoints
     scan_covariance: Covariance | None = None
+    range_errors: tuple[float, float] = (0.0, 0.0)
     camera: Camera | None = None
     colors: Callable[[int], Images] | None = None
     smaller_colors: white_balance.SmallerColors | None = None
@@ -300,8 +301,9 @@ def scene_of(given: Inputs, config: VisualConfig, variant: Variant = PRODUCT) ->
     known = given.scan_covariance
     local_covariance = None if known is None else covariances.local_covariance(known, given.refined_scans)
     prior = trajectory_prior.build(
-        scans, given.refined_scans, given.images, given.camera_from_scan, config.prior, local_covariance
-    )
+        scans, given.refined_scans, given.images, given.camera_from_scan, config.prior, local_covariance,
+        given.range_errors,
+    )  # fmt: skip
     start = carry(scans, given.refined_scans, given.images).world_from_sensor[given.keyframes]
     sensors = (given.refined_scans @ np.append(given.sensor_position_scan, 1.0))[:, :3]
     return Scene(

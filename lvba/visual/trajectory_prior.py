@@ -120,6 +120,7 @@ class Prior:
         it; evidence: of the images, by which it was weighed last, None: it was not
     scans: as refined; times: (I,) s, of the images; None: not known
     epoch: s, the stamp that the rate of the camera's clock counts from; drifting: whether that rate is solved for
+    range_errors: left in points, alike on all planes, as `RangeErrors.by_direction` of the LiDAR
     """
 
     sources: tuple[Source, ...]
@@ -131,6 +132,7 @@ class Prior:
     times: np.ndarray | None = None
     epoch: float = 0.0
     drifting: bool = False
+    range_errors: tuple[float, float] = (0.0, 0.0)
 
     def __len__(self) -> int:
         return len(self.velocity_world)
@@ -143,11 +145,13 @@ def build(
     camera_from_scan: Pose,
     config: PriorConfig = PriorConfig(),
     scan_covariance: PoseBlocks | None = None,
+    range_errors: tuple[float, float] = (0.0, 0.0),
 ) -> Prior:
     """The prior of I images from the rough trajectories and the (S, 4, 4) refined scan poses.
 
     scan_covariance: (S, 6, 6), how far each refined pose may be off the map around it, tangent `[rotation |
         translation]`, rad and m; None: as far as a frame may be at most
+    range_errors: left in the points of the scans, as `Prior` has them
 
     Two sources. The rough camera carried by the interpolated LiDAR correction (Li et al., eq. 1) follows every motion,
     but has the odometry's noise of each frame. A spline through the refined scans has none, but does not know what
@@ -189,6 +193,7 @@ def build(
         scans=moving,
         times=images.times,
         epoch=float(images.times[0] + images.times[-1]) / 2,
+        range_errors=range_errors,
     )
 
 
@@ -215,6 +220,14 @@ def take(prior: Prior, index: np.ndarray) -> Prior:
         rate_scan=prior.rate_scan[index],
         times=None if prior.times is None else prior.times[index],
     )
+
+
+def weighed(prior: Prior, said: Evidence, keep: bool = True) -> Prior:
+    """The prior with a calibration that counts as it shall beside what images say of it. keep: as of
+    `calibration_prior.weighed`"""
+    spread = said.spread + said.by_range_errors(prior.range_errors)
+    counted = calibration_prior.weighed(said.information, spread, prior.calibration.claimed, keep)
+    return replace(prior, calibration=replace(prior.calibration, counted=counted), evidence=said)
 
 
 def with_fixed(prior: Prior, names: Collection[str]) -> Prior:
@@ -377,7 +390,8 @@ def linearize(prior: Prior, state: VisualState) -> NormalEquations:
 
 
 def gradient_variance(prior: Prior, state: VisualState) -> NormalEquations:
-    """What the prior's gradient varies by: its Hessian, but for a calibration that counts for more than is claimed.
+    """What the prior's gradient varies by: its Hessian, but for a calibration that counts for more than is claimed; and
+    what errors of ranges make the images say of the calibration.
 
     Blocks as in `linearize`; cost and gradient mean nothing.
     """
@@ -385,6 +399,8 @@ def gradient_variance(prior: Prior, state: VisualState) -> NormalEquations:
     assert equations.border is not None
     known = prior.calibration
     more = known.gradient_variance(state.calibration) - known.hessian(state.calibration)
+    if prior.evidence is not None:
+        more += prior.evidence.by_range_errors(prior.range_errors)
     return replace(equations, border=replace(equations.border, hessian=equations.border.hessian + more))
 
 

@@ -87,6 +87,7 @@ def test_a_right_sensor_is_left_alone(tmp_path, lidar):
     assert not errors.ranges.problem
     sigma = np.array(list(errors.ranges.sigma.values()))
     assert (np.abs(list(errors.ranges.values.values())) < 4 * sigma).all()
+    assert errors.by_direction == (0.0, 0.0)
     piece = decoded.decode_scans(dataset, (0, 3), errors)
     np.testing.assert_array_equal(piece.points, np.concatenate(recordings.load_scans(dataset)[:3]))
     assert piece.errors is None
@@ -99,6 +100,10 @@ def test_an_error_of_another_form_is_noticed_and_not_taken_for_one_that_is_known
     assert errors.ranges.noticed == (DIRECTION,)
     assert not errors.corrected
     assert errors.ranges.values[DIRECTION] > 5e-3
+    part, off = errors.by_direction
+    assert off == pytest.approx(errors.ranges.values[DIRECTION], abs=1e-4)
+    # of ranges of a courtyard
+    assert off / 20 < part < off / 2
     assert "depends on the beam's direction" in report_data.warnings_of_errors(errors)[0]
 
 

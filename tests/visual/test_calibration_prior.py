@@ -8,6 +8,7 @@ from scipy.stats import chi2, norm
 from test_trajectory_prior import moved, problem
 
 from lvba.visual import calibration_prior, trajectory_prior
+from lvba.visual.calibration_prior import Evidence
 from lvba.visual.states import Calibration
 from lvba.visual.trajectory_prior import PriorConfig
 
@@ -78,6 +79,41 @@ def test_no_direction_of_the_extrinsic_is_less_certain_than_calibrated(seed):
     variance = back @ (spread + counts @ np.linalg.inv(CLAIMS) @ counts) @ back
     root = np.sqrt(CLAIMS)
     assert np.linalg.eigvalsh((root @ variance @ root)[:6, :6]).max() < 1.02
+
+
+def test_errors_of_ranges_that_planes_share_leave_the_extrinsic_to_its_calibration():
+    """Images that know the extrinsic ten times better than its calibration, over planes that are off together by
+    twice as much as that claims: what is left of their word is that of planes 2 cm off, so a fifth of the way is gone."""
+    prior, _ = problem()
+    extrinsic = Calibration.layout()["scan_from_camera"]
+    said = Evidence(100 * CLAIMS, 100 * CLAIMS)
+    off = (2 * float(np.radians(0.3)), 0.02)
+    alone = trajectory_prior.weighed(prior, said).calibration
+    shared = trajectory_prior.weighed(replace(prior, range_errors=off), said).calibration
+    wants = np.zeros(SIZE)
+    wants[extrinsic] = 1.0
+    for known, part in ((alone, 100 / 101), (shared, 0.2)):
+        found = np.linalg.solve(said.information + known.information, said.information @ wants)
+        assert found[extrinsic] == pytest.approx(np.full(6, part), rel=0.02)
+    others = np.setdiff1d(np.arange(SIZE), np.arange(SIZE)[extrinsic])
+    assert shared.information[np.ix_(others, others)] == pytest.approx(CLAIMS[np.ix_(others, others)])
+
+
+def test_what_errors_of_ranges_make_images_say_is_in_the_variance_of_the_gradient():
+    """The covariance that comes of it is what a least-squares estimate has whose planes are off so much, together."""
+    prior, state = problem()
+    state = replace(state, calibration=prior.calibration.reference)
+    said = Evidence(100 * CLAIMS, 0 * CLAIMS)
+    off = (0.004, 0.03)
+    weighed = trajectory_prior.weighed(replace(prior, range_errors=off), said)
+    plain = trajectory_prior.gradient_variance(
+        replace(weighed, range_errors=(0.0, 0.0)), state
+    ).border.hessian
+    more = trajectory_prior.gradient_variance(weighed, state).border.hessian - plain
+    extrinsic = Calibration.layout()["scan_from_camera"]
+    planes = np.zeros((SIZE, SIZE))
+    planes[extrinsic, extrinsic] = np.diag(np.repeat(np.square(off), 3))
+    assert more == pytest.approx(said.information @ planes @ said.information)
 
 
 def test_images_that_tell_nothing_in_some_directions_leave_finite_weights():
