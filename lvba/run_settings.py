@@ -11,7 +11,7 @@ from lvba.products.map_file import MapConfig
 from lvba.settings import setting
 from lvba.steps.acceptance import GateConfig
 from lvba.steps.pose_fusion import FusionConfig
-from lvba.visual.refine import VisualConfig
+from lvba.visual.config import VisualConfig
 
 
 @dataclass(frozen=True)

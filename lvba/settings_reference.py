@@ -20,7 +20,7 @@ _HEAD = """\
 Every setting has a default that is meant for all recordings. Set one by `--set visual.levels=3`, by a file for
 `--config`, in the `config` of a job, or in Python:
 
-    from lvba.visual.refine import VisualConfig
+    from lvba.visual.config import VisualConfig
     lvba.refine(dataset, lvba.Config(visual=VisualConfig(levels=3)))
 
 A result's `config.yaml` holds all of them with their values, and can be given as `--config`. Everything else that the

@@ -12,11 +12,12 @@ from lvba.camera import Camera
 from lvba.optim.normal_equations import NormalEquations, Step
 from lvba.visual import bundle_adjustment, calibration_shifts, exposure, photometric, scene_points, visibility
 from lvba.visual import noise as noise_models
+from lvba.visual.config import VisualConfig
 from lvba.visual.exposure_graph import Edges
 from lvba.visual.image import LevelImages
 from lvba.visual.photometric import PhotometricState, Problem
 from lvba.visual.radiometry import Radiometry
-from lvba.visual.refine import Inputs, VisualConfig, scene_of
+from lvba.visual.scene import Inputs, scene_of
 from lvba.visual.scene_points import Observations, PatchRules, ScenePoints
 from lvba.visual.states import VisualState
 from lvba.visual.trajectory_prior import Prior

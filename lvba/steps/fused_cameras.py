@@ -21,7 +21,7 @@ from lvba.steps import joint_cameras, joint_prior, visual
 from lvba.steps.acceptance import FUSED, FUSED_POSED
 from lvba.steps.joint_cameras import MergedCameras
 from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, ScanPoses, VisualStage
-from lvba.visual.refine import VisualConfig
+from lvba.visual.config import VisualConfig
 from lvba.visual.states import CameraStates, VisualState
 
 LEAST_M = 1e-3

@@ -23,10 +23,10 @@ from lvba.steps.visual import inputs
 from lvba.trajectory import Trajectory
 from lvba.visual import calibration_prior, covariance, fixed_calibration, radiometry, trajectory_prior
 from lvba.visual.clock import common_calibration
+from lvba.visual.config import VisualConfig
 from lvba.visual.exposure_graph import Edges
 from lvba.visual.image import measuring_camera
-from lvba.visual.refine import VisualConfig, VisualResult
-from lvba.visual.result import LevelReport
+from lvba.visual.result import LevelReport, VisualResult
 from lvba.visual.states import Calibration, CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior
 

@@ -14,7 +14,8 @@ from lvba.lidar import covariance
 from lvba.steps.outcomes import LidarStage, ScanPoses, VisualStage
 from lvba.visual import trajectory_prior
 from lvba.visual.clock import clock_drifts, evidence_from
-from lvba.visual.refine import VisualConfig, VisualResult
+from lvba.visual.config import VisualConfig
+from lvba.visual.result import VisualResult
 from lvba.visual.trajectory_prior import Prior
 
 

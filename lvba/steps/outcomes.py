@@ -14,7 +14,7 @@ from lvba.steps.acceptance import Verdict
 from lvba.steps.pose_fusion import Fused
 from lvba.visual import refine as visual_refine
 from lvba.visual.radiometry import NONE, Radiometry
-from lvba.visual.refine import VisualResult
+from lvba.visual.result import VisualResult
 from lvba.visual.tuning import Tuning
 
 

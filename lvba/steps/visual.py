@@ -16,7 +16,8 @@ from lvba.products import judging_size
 from lvba.progress import Progress, silent
 from lvba.steps.outcomes import LidarStage, MapPlanes, ScanPoses, VisualLevel, VisualStage
 from lvba.visual import image, refine
-from lvba.visual.refine import Inputs, VisualConfig
+from lvba.visual.config import VisualConfig
+from lvba.visual.scene import Inputs
 from lvba.visual.tuning import tuning
 from lvba.visual.variant import PRODUCT, Variant
 

@@ -1,20 +1,12 @@
 """The visual stage: from rough camera poses and refined scans to refined cameras, coarse to fine over the pyramid."""
 
 import logging
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lvba.arrays import Images, Poses
-from lvba.camera import Camera
-from lvba.carried import carry
 from lvba.errors import DegenerateProblemError
-from lvba.lidar import covariance as covariances
-from lvba.lidar.covariance import Covariance
-from lvba.lidar.plane import PlanePoints, Planes, Surfaces
 from lvba.progress import Progress, silent
-from lvba.settings import Group, setting
 from lvba.trajectory import Trajectory
 from lvba.visual import (
     bundle_adjustment,
@@ -31,16 +23,17 @@ from lvba.visual import (
 )
 from lvba.visual import result as results
 from lvba.visual.bundle_adjustment import ROUNDS, SOLVER, LevelConfig, LevelSolution
+from lvba.visual.config import DEFAULTS, VisualConfig
 from lvba.visual.degeneracy import DegenerateDirections
-from lvba.visual.image import ImageConfig, LevelImages, Pyramid
-from lvba.visual.keyframes import KeyframeConfig
+from lvba.visual.image import LevelImages
 from lvba.visual.radiometry import Radiometry
 from lvba.visual.result import LevelReport, VisualResult
-from lvba.visual.scene_points import PatchRules, PointsConfig, ScenePoints
+from lvba.visual.scene import Inputs, Scene, scene_of
+from lvba.visual.scene_points import PatchRules, ScenePoints
 from lvba.visual.states import CameraStates, VisualState
-from lvba.visual.trajectory_prior import Prior, PriorConfig
+from lvba.visual.trajectory_prior import Prior
 from lvba.visual.variant import PRODUCT, Variant
-from lvba.visual.visibility import DepthBuffers, VisibilityConfig, VisibilityMap
+from lvba.visual.visibility import DepthBuffers
 
 __all__ = [
     "Coarser",
@@ -74,84 +67,6 @@ _COARSEST_EXPOSED = 5
 
 
 @dataclass(frozen=True)
-class VisualConfig(Group):
-    """Visual bundle adjustment: how camera poses and exposures are refined."""
-
-    levels: int = setting(
-        4,
-        meaning="Pyramid levels; the finest is the full image. Fewer are used where the coarsest would be narrower than "
-        "80 px. Images of 160 px forgive 5 cm between neighbors, but a group of scans may be further off the others.",
-        low=1,
-        high=6,
-        change_when="The rough poses are good to a few pixels (fewer: faster), or very rough (more).",
-    )
-    patch: int = setting(
-        9,
-        meaning="Side of the square patches that images are compared over.",
-        unit="px",
-        low=3,
-        high=21,
-        odd=True,
-        change_when="Images are noisy or blurred (larger), or planes are small in them (smaller).",
-    )
-    iterations: int = setting(
-        12,
-        meaning="Most steps of the solver in one solve; it ends sooner where the cost hardly falls any more.",
-        unit="steps",
-        low=1,
-        high=1000,
-        change_when="The report says that cameras had not converged (more).",
-        advanced=True,
-    )
-    calibrate: bool = setting(
-        True,
-        meaning="Refine focal lengths, principal point, lens and readout time of the rows with the poses, at the finest "
-        "level, each only where its correction cannot be chance.",
-        change_when="The intrinsics are known to be exact and the shutter is global (false).",
-    )
-    vignetting: bool = setting(
-        True,
-        meaning="Find how light falls off towards the corners of images, and the curve that grey values pass, and take "
-        "both out of them.",
-        change_when="Images were corrected for both before (false).",
-        advanced=True,
-    )
-    images: ImageConfig = field(default_factory=ImageConfig)
-    keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
-    points: PointsConfig = field(default_factory=PointsConfig)
-    visibility: VisibilityConfig = field(default_factory=VisibilityConfig)
-    prior: PriorConfig = field(default_factory=PriorConfig)
-
-
-@dataclass(frozen=True)
-class Inputs:
-    """What the visual stage works on, the same at every level.
-
-    pyramid: of the keyframes only; keyframes: (K,) their indices among the images
-    images, scans: rough trajectories; refined_scans: (S, 4, 4), poses the planes were made with
-    camera_from_scan: (4, 4) calibrated extrinsic; sensor_position_scan: (3,) m
-    scan_covariance: of refined_scans; None: not known; range_errors: left in points, as `RangeErrors.by_direction`
-    camera: of the raw images, with its lens; None: they had none, and their camera is not refined
-    colors: red (0), green or blue of the keyframes, (K, H, W, 1) uint8; None: not at hand; smaller_colors: of large ones
-    """
-
-    pyramid: Pyramid
-    keyframes: np.ndarray
-    images: Trajectory
-    scans: Trajectory
-    refined_scans: np.ndarray
-    camera_from_scan: np.ndarray
-    sensor_position_scan: np.ndarray
-    planes: Planes
-    plane_points: PlanePoints
-    scan_covariance: Covariance | None = None
-    range_errors: tuple[float, float] = (0.0, 0.0)
-    camera: Camera | None = None
-    colors: Callable[[int], Images] | None = None
-    smaller_colors: white_balance.SmallerColors | None = None
-
-
-@dataclass(frozen=True)
 class Coarser:
     """What the levels done so far leave to the next finer one.
 
@@ -168,7 +83,7 @@ class Coarser:
 
 def refine(
     given: Inputs,
-    config: VisualConfig = VisualConfig(),
+    config: VisualConfig = DEFAULTS,
     progress: Progress = silent,
     variant: Variant = PRODUCT,
 ) -> VisualResult:
@@ -185,7 +100,7 @@ def refine(
 def refine_level(
     given: Inputs,
     coarser: Coarser | None,
-    config: VisualConfig = VisualConfig(),
+    config: VisualConfig = DEFAULTS,
     progress: Progress = silent,
     variant: Variant = PRODUCT,
 ) -> Coarser:
@@ -202,7 +117,7 @@ def refine_level(
 def refine_finest(
     given: Inputs,
     coarser: Coarser | None,
-    config: VisualConfig = VisualConfig(),
+    config: VisualConfig = DEFAULTS,
     progress: Progress = silent,
     variant: Variant = PRODUCT,
 ) -> VisualResult:
@@ -213,7 +128,7 @@ def refine_finest(
 def finest(
     given: Inputs,
     coarser: Coarser | None,
-    config: VisualConfig = VisualConfig(),
+    config: VisualConfig = DEFAULTS,
     progress: Progress = silent,
     variant: Variant = PRODUCT,
 ) -> tuple[VisualResult, LevelSolution]:
@@ -260,67 +175,6 @@ def _of_map(given: Inputs, world_from_camera: np.ndarray) -> np.ndarray:
     scans = Trajectory(given.scans.times, given.refined_scans)
     known = given.scan_covariance.shared_factor * given.scan_covariance.marginal
     return covariance.of_map(world_from_camera, given.images.times, scans, known)
-
-
-@dataclass(frozen=True)
-class Scene:
-    """What all levels share.
-
-    start: carried rough poses, all equally exposed; prior: of all images
-    """
-
-    pyramid: Pyramid
-    image_times: np.ndarray
-    surfaces: Surfaces
-    keyframes: np.ndarray
-    start: VisualState
-    prior: Prior
-    seen: VisibilityMap | None
-    """Which cameras are near a scan: that does not change by centimetres, so the rough poses will do."""
-    variant: Variant
-    points: PointsConfig
-    camera: Camera | None = None
-    vignetting: bool = False
-    """Whether it is asked for."""
-
-    def cameras(self, world_from_camera: Poses) -> Trajectory:
-        """The images where these poses (I, 4, 4) have them."""
-        return Trajectory(self.image_times, world_from_camera)
-
-    def depth_buffers(self, camera: Camera, world_from_camera: Poses, time_window_s: float) -> DepthBuffers:
-        """What hides what from a camera at poses (I, 4, 4); time_window_s: s, as of `visibility.depth_buffers`."""
-        surfaces = self.surfaces
-        return visibility.depth_buffers(
-            camera, world_from_camera, self.image_times, surfaces.points, surfaces.scan_times, time_window_s
-        )
-
-
-def scene_of(given: Inputs, config: VisualConfig, variant: Variant = PRODUCT) -> Scene:
-    """What all levels share, from the inputs."""
-    times, scans = given.images.times[given.keyframes], given.scans
-    known = given.scan_covariance
-    local_covariance = None if known is None else covariances.local_covariance(known, given.refined_scans)
-    prior = trajectory_prior.build(
-        scans, given.refined_scans, given.images, given.camera_from_scan, config.prior, local_covariance,
-        given.range_errors,
-    )  # fmt: skip
-    start = carry(scans, given.refined_scans, given.images).world_from_sensor[given.keyframes]
-    sensors = (given.refined_scans @ np.append(given.sensor_position_scan, 1.0))[:, :3]
-    return Scene(
-        pyramid=given.pyramid,
-        image_times=times,
-        surfaces=Surfaces(given.planes, given.plane_points, scans.times),
-        keyframes=given.keyframes,
-        start=VisualState(CameraStates(start, np.zeros(len(times))), prior.calibration.reference),
-        prior=prior,
-        seen=visibility.map_near_scans(scans.times, sensors, times, start, given.plane_points)
-        if variant.global_points
-        else None,
-        variant=variant,
-        points=scene_points.over(config.points, given.pyramid.camera, given.camera),
-        camera=given.camera,
-        vignetting=config.vignetting,
-    )
 
 
 def _solved(

@@ -11,8 +11,9 @@ from lvba import geometry
 from lvba.blocks import visual_block, visual_joint
 from lvba.blocks.visual_joint import JointCameras
 from lvba.visual import image, refine, trajectory_prior, vignetting
+from lvba.visual.config import VisualConfig
 from lvba.visual.radiometry import NONE
-from lvba.visual.refine import Inputs, VisualConfig
+from lvba.visual.scene import Inputs
 from lvba.visual.states import CameraStates, VisualState
 from lvba.visual.tuning import tuning
 from lvba.visual.vignetting import Vignetting

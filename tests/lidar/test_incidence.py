@@ -68,7 +68,7 @@ def street(rng, width):
 
 @pytest.mark.parametrize("width", [0.7, 1.0, 2.0])
 def test_small_surfaces_far_down_a_street_are_seen_for_themselves(width):
-    """They hold scans along the street. Neighborhoods that reach beyond them see one oblique plane through all there is."""
+    """They hold scans along the street. Neighborhoods that reach beyond them see one oblique plane through all of it."""
     off = []
     for seed in range(4):
         points, cosine, face = street(np.random.default_rng(seed), width)
