@@ -16,6 +16,7 @@ from lvba.visual import (
     degeneracy,
     exposure,
     radiometry,
+    relocalization,
     scene_points,
     trajectory_prior,
     visibility,
@@ -187,6 +188,8 @@ def _solved(
     prior, state = solution.prior, solution.state
     if prior is not None:
         state = degeneracy.return_to_prior(state, prior, directions)
+    if level == 1:
+        state = relocalization.relocalized(solution.problem, scene.pyramid, state)
     report = results.level_report(level, solution)
     logger.info("%s", report)
     left = Coarser(
@@ -275,6 +278,8 @@ def _solved_once(
         shown, poses, points, scene.seen, config.visibility, depth,
         patch=config.patch, score=scene.variant.score, shifts=moved,
     )  # fmt: skip
+    if level == 0:
+        points, observations = relocalization.without_chance(points, observations, len(poses))
     if len(observations) == 0:
         size = "full size" if level == 0 else f"1/{2**level} of their size"
         raise DegenerateProblemError(

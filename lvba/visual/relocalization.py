@@ -1,0 +1,231 @@
+"""Images that were lost: put where features say they are, so that patches can find them again.
+
+Patches find an image that is a few pixels off at the coarsest level. Where the sensor turns by 40 degrees a second, or
+stamps have a gap, the trajectory may leave a single image 3 degrees off: no patch of it looks like its neighbors' then,
+and it stays wrong where all others come to a tenth of a millimeter. Such an image has hardly any pairs where others have
+hundreds. Features that match at any distance (SIFT: Lowe 2004) with places on LiDAR planes from the images about it give
+its pose (perspective n-point in RANSAC, OpenCV); the levels that follow say what it is worth.
+"""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from lvba import geometry
+from lvba.arrays import Indices, Pose, Poses
+from lvba.camera import Camera
+from lvba.visual.image import Pyramid
+from lvba.visual.photometric import Problem
+from lvba.visual.scene_points import Observations, ScenePoints, take
+from lvba.visual.states import VisualState
+
+logger = logging.getLogger(__name__)
+
+_FEW = 0.05
+"""An image is lost that has less than this part of the pairs that half of the images have ..."""
+_ENOUGH = 100
+"""... where that half has as many as this: else pairs are few anyway."""
+_BY_CHANCE = 12
+"""Pairs that an image has by chance: of a thousand patches that see something else, so many may look alike."""
+_NEIGHBORS = 8
+"""Images whose places are matched with those of a lost one."""
+_TURN_DEG, _STEP_M = 30.0, 1.0
+"""They are those that look the same way from the same place: a turn counts as much as a step."""
+_FEATURES = 2000
+_MOST_PIXELS = 1_500_000
+_RATIO = 0.75
+"""The best match must be this much nearer than the second best (Lowe 2004)."""
+_NEAR_POINT = 0.05
+"""A feature is on the plane of a scene point so near in the image, as a part of its width."""
+_REPROJECTION_PX = 2.0
+_FEWEST_INLIERS = 30
+"""Chance brings five."""
+_LEAST_AGREEING = 0.3
+"""Part of the matches that must be inliers."""
+_FARTHEST_DEG, _FARTHEST_M = 30.0, 1.0
+"""The trajectory is not off by more: what says so is another place that looks alike."""
+_LEAST_DEPTH_M = 0.2
+
+
+def lost(points: ScenePoints, observations: Observations, images: int) -> np.ndarray:
+    """(n,) int64, images that hardly any other is compared with, where others are with many."""
+    pairs = _pairs(points, observations, images)
+    return np.flatnonzero(pairs < _FEW * _usual(pairs))
+
+
+def _pairs(points: ScenePoints, observations: Observations, images: int) -> np.ndarray:
+    """(I,) int64, how many patches of an image are compared with one of another."""
+    ends = np.concatenate([points.reference[observations.point], observations.target])
+    return np.bincount(ends, minlength=images)
+
+
+def _usual(pairs: np.ndarray) -> float:
+    """What half of the images have; 0: so few that no image is missing any."""
+    usual = float(np.median(pairs))
+    return usual if usual >= _ENOUGH else 0.0
+
+
+def without_chance(
+    points: ScenePoints, observations: Observations, images: int
+) -> tuple[ScenePoints, Observations]:
+    """Points and pairs without those of images that have no more than chance brings, where others have many.
+
+    Three patches that look alike by chance hold an image to a millimeter, wherever it is.
+    """
+    pairs = _pairs(points, observations, images)
+    chance = pairs < min(_BY_CHANCE, _FEW * _usual(pairs))
+    kept = ~chance[points.reference[observations.point]] & ~chance[observations.target]
+    if kept.all():
+        return points, observations
+    used = np.zeros(len(points), bool)
+    used[observations.point[kept]] = True
+    number = (np.cumsum(used) - 1).astype(np.int32)
+    return take(points, used), Observations(
+        number[observations.point[kept]], observations.target[kept], observations.is_global[kept]
+    )
+
+
+def relocalized(problem: Problem, pyramid: Pyramid, state: VisualState) -> VisualState:
+    """The state with lost images where features have them; as it is where there are none, or features do not say.
+
+    problem: solved to this state, at any level of the pyramid
+    """
+    missing = lost(problem.points, problem.observations, len(problem.images))
+    if not len(missing):
+        return state
+    level = _level(pyramid)
+    images, camera = pyramid.levels[level], pyramid.camera.at_level(level)
+    poses = state.cameras.world_from_camera.copy()
+    others = np.setdiff1d(np.arange(len(images)), missing)
+    look = _remembered(lambda index: _features(images[index]))
+    for image in missing:
+        near = _nearest(poses, int(image), others)
+        places = [_places(problem.points, int(each), poses[each], camera, look(int(each))) for each in near]
+        pose = _pose(look(int(image)), [each for each in places if len(each.descriptor) > 1], camera)
+        if pose is None or _far(pose, poses[image]):
+            logger.info("image %d is lost, and features do not say where it is", image)
+            continue
+        logger.info("image %d was lost; features put it %s", image, _apart(pose, poses[image]))
+        poses[image] = pose
+    return replace(state, cameras=replace(state.cameras, world_from_camera=poses))
+
+
+def _level(pyramid: Pyramid) -> int:
+    """The finest level whose images are no larger than features need."""
+    sizes = [each.shape[1] * each.shape[2] for each in pyramid.levels]
+    return next((level for level, size in enumerate(sizes) if size <= _MOST_PIXELS), len(sizes) - 1)
+
+
+@dataclass(frozen=True)
+class _Features:
+    """pixel: (N, 2) float64; descriptor: (N, 128) float32"""
+
+    pixel: np.ndarray
+    descriptor: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Features of known images. position_world: (N, 3) m; descriptor: (N, 128) float32"""
+
+    position_world: np.ndarray
+    descriptor: np.ndarray
+
+
+def _remembered(make: Callable[[int], _Features]) -> Callable[[int], _Features]:
+    known: dict[int, _Features] = {}
+
+    def get(index: int) -> _Features:
+        if index not in known:
+            known[index] = make(index)
+        return known[index]
+
+    return get
+
+
+def _features(image: np.ndarray) -> _Features:
+    """Of one image (H, W, C) uint8."""
+    grey = image[..., 0] if image.shape[2] == 1 else image.mean(axis=2).astype(np.uint8)
+    keys, descriptor = cv2.SIFT.create(_FEATURES).detectAndCompute(np.ascontiguousarray(grey), None)
+    if descriptor is None:
+        return _Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
+    # threads may find them in any order
+    table = np.array([(*key.pt, key.size, key.angle) for key in keys])
+    order = np.lexsort(table.T)
+    return _Features(table[order, :2], descriptor[order])
+
+
+def _nearest(poses: Poses, image: int, others: Indices) -> np.ndarray:
+    """(n,) int64: the others that look the same way from the same place as an image."""
+    off = geometry.inverse(poses[image]) @ poses[others]
+    angle = np.degrees(np.arccos(np.clip(off[:, 2, 2], -1.0, 1.0)))
+    order = np.argsort(angle / _TURN_DEG + np.linalg.norm(off[:, :3, 3], axis=1) / _STEP_M, kind="stable")
+    return np.asarray(others[order[:_NEIGHBORS]])
+
+
+def _places(points: ScenePoints, image: int, pose: Pose, camera: Camera, seen: _Features) -> _Places:
+    """The features of an image that are near one of its scene points, on the plane of that."""
+    mine = points.reference == image
+    inside = geometry.transform_points(geometry.inverse(pose), points.position_world[mine])
+    inside = inside[:, :2] / inside[:, 2:]
+    if not len(inside) or not len(seen.pixel):
+        return _Places(np.zeros((0, 3)), np.zeros((0, 128), np.float32))
+    distance, nearest = cKDTree(inside * [camera.fx, camera.fy] + [camera.cx, camera.cy]).query(seen.pixel)
+    ray = np.column_stack([*camera.normalized(seen.pixel), np.ones(len(seen.pixel))]) @ pose[:3, :3].T
+    normal = points.normal_world[mine][nearest]
+    away = np.einsum("ni,ni->n", normal, points.position_world[mine][nearest] - pose[:3, 3])
+    along = np.einsum("ni,ni->n", normal, ray)
+    depth = away / np.where(np.abs(along) > 1e-6, along, np.inf)
+    good = (distance < _NEAR_POINT * camera.width) & (depth > _LEAST_DEPTH_M)
+    return _Places((pose[:3, 3] + depth[:, None] * ray)[good], seen.descriptor[good])
+
+
+def _pose(seen: _Features, places: list[_Places], camera: Camera) -> Pose | None:
+    """world_from_camera (4, 4) of the image with these features; None: too few of them agree on one."""
+    if len(seen.pixel) < _FEWEST_INLIERS:
+        return None
+    matches = [_matched(seen, each) for each in places]
+    if sum(len(pixel) for pixel, _ in matches) < _FEWEST_INLIERS:
+        return None
+    pixel = np.concatenate([each for each, _ in matches])
+    position = np.concatenate([each for _, each in matches])
+    middle = position.mean(axis=0)
+    solved, turn, shift, agreed = cv2.solvePnPRansac(
+        position - middle, pixel, camera.matrix, None, reprojectionError=_REPROJECTION_PX,
+        iterationsCount=1000, confidence=0.9999,
+    )  # fmt: skip
+    if not solved or agreed is None or len(agreed) < max(_FEWEST_INLIERS, _LEAST_AGREEING * len(pixel)):
+        return None
+    index = agreed.ravel()
+    turn, shift = cv2.solvePnPRefineLM(
+        (position - middle)[index], pixel[index], camera.matrix, None, turn, shift
+    )
+    rotation = np.asarray(cv2.Rodrigues(turn)[0], float)
+    camera_from_middle = geometry.from_rotation_translation(rotation, np.asarray(shift, float).ravel())
+    pose = geometry.inverse(camera_from_middle)
+    pose[:3, 3] += middle
+    return np.asarray(pose) if np.isfinite(pose).all() else None
+
+
+def _matched(seen: _Features, places: _Places) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (N, 2) of features, and the places (N, 3) of those of a known image that they match."""
+    pairs = cv2.BFMatcher().knnMatch(seen.descriptor, places.descriptor, k=2)
+    good = [(one.queryIdx, one.trainIdx) for one, other in pairs if one.distance < _RATIO * other.distance]
+    here, there = np.array(good, np.int64).reshape(-1, 2).T
+    return seen.pixel[here], places.position_world[there]
+
+
+def _far(pose: Pose, before: Pose) -> bool:
+    off = geometry.inverse(before) @ pose
+    turn = float(geometry.rotation_angle_deg(off[None])[0])
+    return turn > _FARTHEST_DEG or float(np.linalg.norm(off[:3, 3])) > _FARTHEST_M
+
+
+def _apart(pose: Pose, before: Pose) -> str:
+    off = geometry.inverse(before) @ pose
+    turn = float(geometry.rotation_angle_deg(off[None])[0])
+    return f"{1e3 * np.linalg.norm(off[:3, 3]):.0f} mm and {turn:.2f} degrees from where it was"
