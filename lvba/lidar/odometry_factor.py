@@ -14,6 +14,10 @@ from lvba.optim.normal_equations import NormalEquations
 from lvba.optim.pose_graph import Edges
 
 _FEWEST_STEPS = 10
+_KINDS = 3
+"""Steps that turn alike are a part of all: one of so many."""
+_CEILING = 4.0
+"""Times what is expected of a step that its standard deviation is estimated at most."""
 _FLOOR_ROTATION, _FLOOR_TRANSLATION = 2e-4, 1e-3
 """rad and m: no odometry is taken for better than this from scan to scan."""
 JUMP = np.diag(np.repeat([np.radians(4.0), 0.6], 3) ** -2.0)
@@ -72,7 +76,8 @@ def odometry_prior(world_from_scan: Poses, sigma_rotation: float, sigma_translat
     """The prior of rough poses (S, 4, 4) with standard deviations (rad, m) of one step."""
     sigmas = np.repeat([sigma_rotation, sigma_translation], 3)
     steps = geometry.steps(world_from_scan)
-    return OdometryPrior(steps, np.broadcast_to(np.diag(sigmas**-2), (len(steps), 6, 6)).copy(), sigmas)
+    information = np.broadcast_to(np.diag(sigmas**-2), (len(steps), 6, 6)).copy()
+    return OdometryPrior(steps, information, _CEILING * sigmas)
 
 
 def with_jumps(prior: OdometryPrior, jumps: Indices, world_from_scan: Poses) -> OdometryPrior:
@@ -86,16 +91,33 @@ def with_jumps(prior: OdometryPrior, jumps: Indices, world_from_scan: Poses) -> 
 def reestimated(prior: OdometryPrior, world_from_scan: Poses, held: np.ndarray) -> OdometryPrior:
     """The prior with the standard deviations that its errors at refined poses (S, 4, 4) show; robust (median).
 
+    An odometry errs more where the sensor turns more, which is where scans lose planes and depend on it: each step has
+    the standard deviations of the steps with turns like its own.
     held: (S,) bool, scans that planes hold in every direction: only steps between two of these tell how wrong the
         odometry is; where they are few the prior stays as it is
     """
     ordinary = np.ones(len(prior.information), bool)
     ordinary[prior.jumps] = False
-    error = np.abs(prior.residuals(world_from_scan))[held[1:] & held[:-1] & ordinary]
-    if len(error) < _FEWEST_STEPS:
+    telling = held[1:] & held[:-1] & ordinary
+    if np.count_nonzero(telling) < _FEWEST_STEPS:
         return prior
-    rotation, translation = (1.4826 * float(np.median(error[:, part])) for part in (slice(3), slice(3, 6)))
-    sigma = np.repeat([max(rotation, _FLOOR_ROTATION), max(translation, _FLOOR_TRANSLATION)], 3)
+    # not of the rough poses: where these hardly turn, their errors would be taken for turns
+    turn = geometry.rotation_angle_deg(geometry.steps(world_from_scan))
+    error = np.abs(prior.residuals(world_from_scan))
+    sigma = np.minimum(_by_turn(turn, turn[telling], error[telling]), prior.ceiling)
     information = prior.information.copy()
-    information[ordinary] = np.diag(np.minimum(sigma, prior.ceiling) ** -2)
+    information[ordinary] = (sigma**-2)[ordinary][:, :, None] * np.eye(6)
     return replace(prior, information=information)
+
+
+def _by_turn(turn: np.ndarray, known: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """(S - 1, 6), rad and m: standard deviations of steps that turn by so much (S - 1,) degrees.
+
+    known: (n,) degrees, turns of steps with these errors (n, 6), sizes
+    """
+    order = np.argsort(known, kind="stable")
+    like = max(_FEWEST_STEPS, len(known) // _KINDS)
+    first = np.clip(np.searchsorted(known[order], turn) - like // 2, 0, len(known) - like)
+    around = error[order][first[:, None] + np.arange(like)]
+    parts = [1.4826 * np.median(around[:, :, part], axis=(1, 2)) for part in (slice(3), slice(3, 6))]
+    return np.repeat(np.maximum(np.stack(parts, axis=1), [_FLOOR_ROTATION, _FLOOR_TRANSLATION]), 3, axis=1)

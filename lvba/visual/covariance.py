@@ -233,7 +233,8 @@ def of_map(
     """(I, 6, 6): how far the map about each camera may be off, in the camera's tangent `[rotation | translation]`.
 
     No residual shows it: planes and cameras move together with the scans that made the planes. Scans about a camera
-    are off together, so it is their mean information that counts, not the sum.
+    are off together, so it is their mean information that counts, not the sum. A few of them, from outside a group that
+    came off, know its place by no means as well as their own: where most are less certain, so is the map.
 
     scans: refined; scan_covariance: (S, 6, 6) of their poses
     """
@@ -244,4 +245,15 @@ def of_map(
     camera_from_scan = geometry.inverse(world_from_camera)[:, None] @ scans.world_from_sensor[near]
     carry = geometry.adjoint(camera_from_scan)
     spread = carry @ scan_covariance[near] @ np.swapaxes(carry, -1, -2)
-    return np.asarray(np.linalg.inv(np.linalg.inv(spread).mean(axis=1)))
+    together = np.linalg.inv(np.linalg.inv(spread).mean(axis=1))
+    return np.asarray(together * _typical_excess(spread, together)[:, None, None])
+
+
+def _typical_excess(spread: np.ndarray, together: np.ndarray) -> np.ndarray:
+    """(I,), 1 or more: by what factor positions of half of some scans (I, n, 6, 6) vary more than `together` (I, 6, 6).
+
+    In most directions: what each scan leaves open in another direction, the others hold.
+    """
+    whitening = np.linalg.inv(np.linalg.cholesky(together[:, None, 3:, 3:]))
+    each = np.linalg.eigvalsh(whitening @ spread[:, :, 3:, 3:] @ np.swapaxes(whitening, -1, -2))
+    return np.maximum(np.median(each[..., 1], axis=1), 1.0)
