@@ -245,15 +245,9 @@ def of_map(
     camera_from_scan = geometry.inverse(world_from_camera)[:, None] @ scans.world_from_sensor[near]
     carry = geometry.adjoint(camera_from_scan)
     spread = carry @ scan_covariance[near] @ np.swapaxes(carry, -1, -2)
-    together = np.linalg.inv(np.linalg.inv(spread).mean(axis=1))
-    return np.asarray(together * _typical_excess(spread, together)[:, None, None])
-
-
-def _typical_excess(spread: np.ndarray, together: np.ndarray) -> np.ndarray:
-    """(I,), 1 or more: by what factor positions of half of some scans (I, n, 6, 6) vary more than `together` (I, 6, 6).
-
-    In most directions: what each scan leaves open in another direction, the others hold.
-    """
-    whitening = np.linalg.inv(np.linalg.cholesky(together[:, None, 3:, 3:]))
-    each = np.linalg.eigvalsh(whitening @ spread[:, :, 3:, 3:] @ np.swapaxes(whitening, -1, -2))
-    return np.maximum(np.median(each[..., 1], axis=1), 1.0)
+    root = np.linalg.cholesky(np.linalg.inv(spread).mean(axis=1))
+    each = np.swapaxes(root, 1, 2)[:, None] @ spread @ root[:, None]
+    axes = np.linalg.eigh(each.mean(axis=1))[1]
+    along = np.einsum("iak,inab,ibk->ink", axes, each, axes)
+    back = np.swapaxes(np.linalg.inv(root), 1, 2) @ axes
+    return np.asarray((back * np.maximum(np.median(along, axis=1), 1.0)[:, None]) @ np.swapaxes(back, -1, -2))
