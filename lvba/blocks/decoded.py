@@ -73,12 +73,14 @@ class ScanPoints:
     points: (M, 3) float32, m, scan frame, all finite; offsets: (n + 1,) int64, where each scan begins
     intensity: (M,) float32, NaN where the file has none; None: not kept
     errors: by which points were moved; None: they are as in their files
+    cosine: (M,) float16, of the angles of incidence that they were moved by; None: by none
     """
 
     points: np.ndarray
     offsets: np.ndarray
     intensity: np.ndarray | None = None
     errors: ScanErrors | None = None
+    cosine: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -98,10 +100,13 @@ def decode_scans(
     Raises InputError: a scan cannot be read.
     """
     errors = errors if errors is not None and errors.corrected else None
-    points, intensity = [], []
+    points, intensity, cosines = [], [], []
     loaded = in_order(lambda number: recordings.load_scan(dataset, number), range(*scans))
     for number, scan in enumerate(loaded, scans[0]):
-        points.append(placed(dataset, number, scan, errors))
+        cosine = None if errors is None else errors.cosines(scan)
+        points.append(placed(dataset, number, scan, errors, cosine))
+        if cosine is not None:
+            cosines.append(cosine.astype(np.float16))
         if not dataset.image_paths:
             known = scan.intensity
             intensity.append(np.full(len(scan), np.nan, np.float32) if known is None else known)
@@ -111,12 +116,17 @@ def decode_scans(
         np.concatenate([[0], np.cumsum([len(each) for each in points])]).astype(np.int64),
         np.concatenate(intensity).astype(np.float32) if intensity else None,
         errors,
+        np.concatenate(cosines) if cosines else None,
     )
 
 
-def placed(dataset: Dataset, number: int, scan: Scan, errors: ScanErrors | None) -> np.ndarray:
-    """The points (N, 3) float32, m, of a scan where they belong."""
-    return scan.points if errors is None else errors.points(scan, number, float(dataset.scans.times[number]))
+def placed(
+    dataset: Dataset, number: int, scan: Scan, errors: ScanErrors | None, cosine: np.ndarray | None = None
+) -> np.ndarray:
+    """The points (N, 3) float32, m, of a scan where they belong. cosine: as of `ScanErrors.points`"""
+    if errors is None:
+        return scan.points
+    return errors.points(scan, number, float(dataset.scans.times[number]), cosine)
 
 
 def keyframes_of_photos(
@@ -255,6 +265,18 @@ class ScanReader:
         """The points of some scans, copied where a view would hold more than one piece in memory."""
         many = len(self._pieces) > 1
         return [self(int(scan)).copy() if many else self(int(scan)) for scan in scans]
+
+    def cosines(self, scans: Sequence[int] | np.ndarray) -> np.ndarray | None:
+        """Of the angles of incidence that the points of some scans were moved by, one after another, (M,) float64; None:
+        those of some are not known."""
+        gathered = []
+        for scan in map(int, scans):
+            held = self._reader.find(self._first + scan)
+            if held is None or held[1].cosine is None:
+                return None
+            index = self._first + scan - held[0]
+            gathered.append(held[1].cosine[held[1].offsets[index] : held[1].offsets[index + 1]])
+        return np.concatenate(gathered).astype(float) if gathered else None
 
     def intensities(self, scans: Sequence[int] | np.ndarray) -> np.ndarray:
         """Of the points of some scans, one after another, (M,) float32, NaN where not known."""

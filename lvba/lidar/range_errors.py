@@ -205,14 +205,29 @@ class RangeErrors:
         """
         if not self.corrected or not len(points):
             return points
-        if cosine is None and not {INCIDENCE, BRIGHTNESS}.isdisjoint(self.corrected):
-            cosine = incidence.cosines(points, self.beams.position)
+        cosine = self.cosines(points) if cosine is None else cosine
         straight = np.ones(len(points)) if cosine is None else cosine
         brighter = self.beams.brighter(straight, intensity) if BRIGHTNESS in self.corrected else None
         shifts = [
             self.values[name] * self.beams.shift(name, points, straight, brighter) for name in self.corrected
         ]
         return np.asarray(sum(shifts, np.asarray(points, float)), np.float32)
+
+    def cosines(self, points: np.ndarray) -> np.ndarray | None:
+        """(N,) float64, of the angles of incidence of points (N, 3) of a scan, by what is about each; None: no need."""
+        if not len(points) or {INCIDENCE, BRIGHTNESS}.isdisjoint(self.corrected):
+            return None
+        return incidence.cosines(points, self.beams.position)
+
+    def met_at(self, points: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """(N, 3) float32, m: where points of a scan belong that meet their surfaces at other angles than was taken.
+
+        points: (N, 3) float32, m, corrected; before, after: (N,) float64, cosines of incidence, as taken and as they are
+        """
+        if INCIDENCE not in self.corrected:
+            return points
+        moved = self.beams.shift(INCIDENCE, points, after) - self.beams.shift(INCIDENCE, points, before)
+        return np.asarray(points + self.values[INCIDENCE] * moved, np.float32)
 
     def facts(self) -> dict[str, Any]:
         """As report.json has it (`lidar.range_errors`)."""

@@ -28,10 +28,17 @@ class ScanErrors:
         """As `RangeErrors.by_direction`."""
         return (0.0, 0.0) if self.ranges is None else self.ranges.by_direction
 
-    def points(self, scan: Scan, index: int, stamp: float) -> np.ndarray:
-        """(N, 3) float32, m: where the points of a scan belong. index: its number; stamp: s"""
+    def cosines(self, scan: Scan) -> np.ndarray | None:
+        """(N,) float64, of the angles of incidence of its points; None: nothing depends on them."""
+        return None if self.ranges is None else self.ranges.cosines(scan.points)
+
+    def points(self, scan: Scan, index: int, stamp: float, cosine: np.ndarray | None = None) -> np.ndarray:
+        """(N, 3) float32, m: where the points of a scan belong. index: its number; stamp: s
+
+        cosine: (N,) float64, as `cosines` has them; None: found here
+        """
         ranges = self.ranges
-        points = scan.points if ranges is None else ranges.points(scan.points, intensity=scan.intensity)
+        points = scan.points if ranges is None else ranges.points(scan.points, cosine, scan.intensity)
         return points if self.motion is None else self.motion.points(points, scan.time, index, stamp)
 
     @staticmethod

@@ -5,16 +5,18 @@ import math
 import numpy as np
 import pytest
 
-from lvba.blocks import decoded, scan_errors, scan_windows
+from lvba.blocks import decoded, scan_errors, scan_windows, split
+from lvba.blocks.split import SplitConfig
 from lvba.io import dataset as recordings
 from lvba.io import reference
 from lvba.io.dataset import open_dataset
-from lvba.lidar import bundle_adjustment
+from lvba.lidar import bundle_adjustment, incidence
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.range_errors import DIRECTION
 from lvba.simulate.disturbances import Disturbances
 from lvba.simulate.simulation import simulate
 from lvba.steps import report_data
+from lvba.steps.lidar import solve_lidar
 from lvba.trajectory import pose_error
 
 SMALL = {"frames": 2, "scans": 36, "seed": 11, "width": 64, "height": 48}
@@ -122,6 +124,28 @@ def test_an_error_that_no_sensor_has_is_not_corrected(tmp_path):
     dataset = recorded(tmp_path / "off", "spinning", incidence_bias=0.2)
     errors = scan_errors.measure(dataset, LidarConfig())
     assert "incidence" not in errors.ranges.corrected
+
+
+def test_points_meet_the_planes_of_the_map_whatever_a_single_scan_shows(tmp_path, monkeypatch):
+    """Small surfaces far away are met at an angle that a single scan shows wrongly; here, all are."""
+    dataset = recorded(tmp_path / "off", "spinning", 10000, incidence_bias=0.03)
+    [part] = split.parts(dataset, SplitConfig(), split.Load(10_000, 0.0))
+    errors = scan_errors.measure(dataset, LidarConfig())
+    assert errors.ranges.corrected == ("incidence",)
+    monkeypatch.setattr(incidence, "cosines", lambda points, _: np.linspace(0.1, 1.0, len(points)))
+    piece = decoded.decode_scans(dataset, (0, 36), errors)
+    assert piece.cosine.dtype == np.float16
+    truth = reference.read_reference(f"{dataset.root}/reference").scans.world_from_sensor
+
+    def solved():
+        stage = solve_lidar(dataset, part, [((0, 36), lambda: piece)], LidarConfig(), True, errors)
+        return pose_error(stage.result.world_from_scan, truth).ate_m
+
+    after = solved()
+    best = error(recorded(tmp_path / "clean", "spinning", 10000))
+    monkeypatch.setattr(decoded.ScanReader, "cosines", lambda reader, scans: None)
+    assert after < 1.6 * best.ate_m
+    assert solved() > 2 * after
 
 
 def test_nothing_is_measured_where_scans_stay(tmp_path, monkeypatch):

@@ -114,6 +114,18 @@ def test_points_go_back_where_they_belong(beams, name, value):
     np.testing.assert_allclose(back, true, atol=0.06 * np.abs(off - true).max())
 
 
+def test_angles_that_are_known_later_move_points_to_where_they_would_have_been():
+    rng = np.random.default_rng(3)
+    points = (rng.normal(size=(300, 3)) * 8).astype(np.float32)
+    guessed, true = rng.uniform(0.1, 1.0, (2, 300))
+    errors = RangeErrors(AROUND, {INCIDENCE: 0.03, ELEVATION: 0.002}, {}, (INCIDENCE, ELEVATION))
+    moved = errors.met_at(errors.points(points, guessed), guessed, true)
+    np.testing.assert_allclose(moved, errors.points(points, true), atol=1e-4)
+    other = RangeErrors(AROUND, {ELEVATION: 0.002}, {}, (ELEVATION,))
+    assert other.met_at(points, guessed, true) is points
+    assert other.cosines(points) is None
+
+
 @pytest.mark.parametrize("beams", [AROUND, AHEAD, MATT])
 def test_derivatives_against_differences(beams):
     view = room(beams, {})
