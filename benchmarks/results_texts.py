@@ -10,8 +10,10 @@ Lengths in millimeters and angles in degrees are root mean squares over all fram
 the first rows compile, too); for what a run takes by itself see [benchmarks.md](benchmarks.md).
 
 Real recordings, hard and medium difficulty are of this version. All others are of
-versions before it, whose planes were those of voxels, cut where faces of voxels cut them and even by assumption, and
-whose small planes were trusted for the agreement of large ones: cameras in rooms and courtyards are better by a quarter
+versions before it, which left single images wrong that the trajectory had degrees off, took the odometry for as good in
+turns as elsewhere, and corrected ranges that depend on the angle of incidence by what single scans show. Their planes
+were those of voxels, cut where faces of voxels cut them and even by assumption, and
+their small planes were trusted for the agreement of large ones: cameras in rooms and courtyards are better by a quarter
 to a half since. Those versions also looked for the best point of each voxel alone in images far apart in time, let
 groups of scans learn less from cameras, knew what lies between scans as one number for all axes, and did not solve
 cameras further where scans had learned from them. Of them, disturbed scenes with seeds 701 and 702, and with a clock that

@@ -10,7 +10,15 @@ import numpy as np
 
 from lvba.camera import Camera
 from lvba.optim.normal_equations import NormalEquations, Step
-from lvba.visual import bundle_adjustment, calibration_shifts, exposure, photometric, scene_points, visibility
+from lvba.visual import (
+    bundle_adjustment,
+    calibration_shifts,
+    exposure,
+    photometric,
+    relocalization,
+    scene_points,
+    visibility,
+)
 from lvba.visual import noise as noise_models
 from lvba.visual.config import VisualConfig
 from lvba.visual.exposure_graph import Edges
@@ -83,6 +91,7 @@ def select_scene_points(
         level, poses, points, scene.seen, config.visibility, depth, patch=config.patch,
         shifts=calibration_shifts.of_pairs(given.camera, camera, prior, state, config.calibrate),
     )  # fmt: skip
+    points, observations = relocalization.without_chance(points, observations, len(poses))
     mine = core[points.reference]
     off = bundle_adjustment.offset_sigma(points, bundle_adjustment.PLANE_FLOOR_M, known.offset_scale)[mine]
     points, observations = _of_points(points, observations, mine)

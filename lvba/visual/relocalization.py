@@ -8,8 +8,8 @@ its pose (perspective n-point in RANSAC, OpenCV); the levels that follow say wha
 """
 
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -101,7 +101,7 @@ def relocalized(problem: Problem, pyramid: Pyramid, state: VisualState) -> Visua
     images, camera = pyramid.levels[level], pyramid.camera.at_level(level)
     poses = state.cameras.world_from_camera.copy()
     others = np.setdiff1d(np.arange(len(images)), missing)
-    look = _remembered(lambda index: _features(images[index]))
+    look = cache(lambda index: _features(images[index]))
     for image in missing:
         near = _nearest(poses, int(image), others)
         places = [_places(problem.points, int(each), poses[each], camera, look(int(each))) for each in near]
@@ -134,17 +134,6 @@ class _Places:
 
     position_world: np.ndarray
     descriptor: np.ndarray
-
-
-def _remembered(make: Callable[[int], _Features]) -> Callable[[int], _Features]:
-    known: dict[int, _Features] = {}
-
-    def get(index: int) -> _Features:
-        if index not in known:
-            known[index] = make(index)
-        return known[index]
-
-    return get
 
 
 def _features(image: np.ndarray) -> _Features:
