@@ -228,8 +228,8 @@ def _alarms(figures: Figures) -> Iterator[Reason]:
 def _ranges(figures: Figures) -> Iterator[Reason]:
     if figures.range_errors and figures.scan_poses.accepted is not False:
         yield Reason(
-            "Ranges have systematic errors that were not corrected (see the warnings): errors are likely larger than the "
-            "expected ones.",
+            "Ranges have systematic errors that were not corrected, or only as single scans show them (see the "
+            "warnings): errors are likely larger than the expected ones.",
             "Calibrate the range sensor.",
             more=True,
         )

@@ -99,7 +99,7 @@ def figures(facts: Facts) -> Figures:
         moved_m=history[-1].get("moved") if used and lidar.get("converged") is False else None,
         scan_p95_m=(expected.get("scans") or {}).get("position_p95_m"),
         cameras_converged=last.get("converged") is not False,
-        range_errors=len(ranges.get("noticed") or []) + bool(ranges.get("problem")),
+        range_errors=_left_ranges(ranges, in_parts=bool(facts.get("merge"))),
         **_rough_poses(odometry),
         extrinsic_sigmas=extrinsic.get("sigmas") if visual.get("accepted") is not False else None,
         extrinsic_m=extrinsic.get("change_m") or 0.0,
@@ -113,6 +113,12 @@ def figures(facts: Facts) -> Figures:
             lidar, visual, planes, bool(odometry.get("too_far_off")), degenerate_scans + dependent_steps
         ),
     )
+
+
+def _left_ranges(ranges: Facts, in_parts: bool) -> int:
+    """How many errors of ranges are in the points; by the planes of the map, joint rounds correct none."""
+    by_single_scans = in_parts and "incidence" in (ranges.get("corrected") or [])
+    return len(ranges.get("noticed") or []) + bool(ranges.get("problem")) + by_single_scans
 
 
 def _rough_poses(odometry: Facts) -> dict[str, Any]:

@@ -313,3 +313,19 @@ def test_cameras_are_alarmed_about_where_scans_are_not_used():
         for used in (True, False)
     ]
     assert [any("190.0 times" in text for text in each) for each in texts] == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("ranges", "parts", "count"),
+    [
+        ({"corrected": ["incidence"]}, False, 0),
+        ({"corrected": ["incidence", "offset"]}, True, 1),
+        ({"corrected": ["elevation"]}, True, 0),
+        ({"corrected": ["elevation"], "noticed": ["direction"]}, False, 1),
+        ({"problem": "no error of the sensor explains what is left"}, False, 1),
+        ({}, True, 0),
+    ],
+)
+def test_errors_of_ranges_that_joint_rounds_correct_by_single_scans_are_told(ranges, parts, count):
+    facts = {"lidar": {"range_errors": ranges}} | ({"merge": {"seams": []}} if parts else {})
+    assert verdict_data.figures(facts).range_errors == count
