@@ -9,9 +9,11 @@ Lengths in millimeters and angles in degrees are root mean squares over all fram
 [evaluation.md](evaluation.md). Seconds are wall time on two cores that had some other work beside (and
 the first rows compile, too); for what a run takes by itself see [benchmarks.md](benchmarks.md).
 
-Real recordings, hard and medium difficulty are of this version. All others are of
-versions before it, which left single images wrong that the trajectory had degrees off, took the odometry for as good in
-turns as elsewhere, and corrected ranges that depend on the angle of incidence by what single scans show. Their planes
+Hard and medium difficulty are of this version, but for rooms with the non-repetitive LiDAR. Those and real recordings
+are of the version just before it, which left single images wrong that the trajectory had degrees off, promised too much
+where scans hang on the odometry in turns, and took what images say of the extrinsic for certain however far ranges are
+off. All others are of versions before that one, which also corrected ranges that depend on the angle of incidence by what
+single scans show, as that one did. Their planes
 were those of voxels, cut where faces of voxels cut them and even by assumption, and
 their small planes were trusted for the agreement of large ones: cameras in rooms and courtyards are better by a quarter
 to a half since. Those versions also looked for the best point of each voxel alone in images far apart in time, let

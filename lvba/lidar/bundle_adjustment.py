@@ -8,7 +8,7 @@ contradict them, weights from each plane's own noise, degenerate directions held
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from lvba.inertial.readings import Imu
 from lvba.lidar import covariance as uncertainty
 from lvba.lidar import degeneracy, density, inertial_rounds, surface
 from lvba.lidar.config import LidarConfig, Stage
-from lvba.lidar.odometry_factor import OdometryPrior, odometry_prior
+from lvba.lidar.odometry_factor import OdometryPrior, by_turns, odometry_prior
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.lidar.problem import Problem
 from lvba.lidar.rounds import Round, Rounds, Solved, build_grid, count_points, planes_in
@@ -130,6 +130,8 @@ def refine(
     del rounds
     progress("aligning scans", total, total)
     planes, plane_points = _planes_of_stage(points, poses, sensor, stages[-1])
+    if problem.prior is not None:
+        problem = replace(problem, prior=by_turns(problem.prior, poses, directions.count == 0))
     covariance = uncertainty.estimate(problem, poses)
     return LidarResult(
         world_from_scan=poses,

@@ -214,7 +214,10 @@ class RangeErrors:
         return np.asarray(sum(shifts, np.asarray(points, float)), np.float32)
 
     def cosines(self, points: np.ndarray) -> np.ndarray | None:
-        """(N,) float64, of the angles of incidence of points (N, 3) of a scan, by what is about each; None: no need."""
+        """(N,) float64, of the angles of incidence of the points of a scan, by what is about each; None: no need.
+
+        points: (N, 3) float32, m, scan frame
+        """
         if not len(points) or {INCIDENCE, BRIGHTNESS}.isdisjoint(self.corrected):
             return None
         return incidence.cosines(points, self.beams.position)

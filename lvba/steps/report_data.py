@@ -32,6 +32,7 @@ from lvba.steps.acceptance import ROUGH
 from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, ScanPoses, VisualStage
 from lvba.steps.plane_thickness import PlaneChange
 from lvba.steps.uncertainty import Expected
+from lvba.trajectory import Trajectory
 from lvba.visual import self_calibration
 from lvba.visual.radiometry import Radiometry
 from lvba.visual.response import GREY_VALUES
@@ -77,21 +78,24 @@ def collect(
     noise = lidar.result.history[-1].sigma if lidar.result is not None and lidar.result.history else None
     facts["expected_error"] = expected_error.collect(expected, pieces, noise)
     facts["planes"] = plane_thickness.facts(planes)
-    facts["odometry"] = of_odometry(dataset, accepted, lidar)
+    facts["odometry"] = of_odometry(dataset, accepted, lidar, visual)
     if merge is not None:
         facts["merge"] = merge
     return verdict_data.add(plain(facts))
 
 
-def of_odometry(dataset: Dataset, accepted: Accepted, lidar: LidarStage) -> dict[str, Any]:
-    """Where the rough scan poses jump, and where surfaces do not say how scans after it are to those before."""
+def of_odometry(
+    dataset: Dataset, accepted: Accepted, lidar: LidarStage, visual: VisualStage
+) -> dict[str, Any]:
+    """Where the rough scan poses jump, and where nothing says how scans after it are to those before."""
     rough = trajectory_jumps.find(dataset.scans)
     rough = rough.without(_confirmed(dataset.scans.world_from_sensor, lidar))
+    surfaces = _confirmed(accepted.world_from_scan, lidar)
     return {
         "jumps_after": rough.after,
         "jumps_m": rough.meters,
         "jumps_deg": rough.degrees,
-        "untied_after": rough.without(_confirmed(accepted.world_from_scan, lidar)).after,
+        "untied_after": rough.without(surfaces).without(_tied(dataset, accepted, visual)).after,
         "too_far_off": lidar.rough_error,
     }
 
@@ -103,6 +107,14 @@ def _confirmed(world_from_scan: Poses, lidar: LidarStage) -> np.ndarray:
         return np.zeros(0, np.int64)
     other = trajectory_jumps.differ(lidar.result.world_from_scan, world_from_scan)
     return np.asarray(lidar.confirmed[~other[lidar.confirmed]])
+
+
+def _tied(dataset: Dataset, accepted: Accepted, visual: VisualStage) -> np.ndarray:
+    """(K,) int64, scans after which images say how the next is to it, and agree with the poses in use."""
+    if visual.result is None or not accepted.cameras.accepted:
+        return np.zeros(0, np.int64)
+    scans = Trajectory(dataset.scans.times, accepted.world_from_scan)
+    return trajectory_jumps.tied_by_images(scans, visual.result, dataset.images.times)
 
 
 def of_dataset(dataset: Dataset) -> dict[str, Any]:

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lvba import geometry, trajectory
-from lvba.arrays import Poses
+from lvba import geometry, spline, trajectory
+from lvba.arrays import Poses, Times
 from lvba.trajectory import Trajectory
+from lvba.visual.result import VisualResult
 
 _NEIGHBORS = 2
 _FEWEST_STEPS = 2 * _NEIGHBORS + 1
@@ -15,6 +16,8 @@ _ORDINARY = 6.0
 people and cars speed up, brake and shake."""
 LEAST_M, LEAST_DEG = 0.15, 1.8
 """Smaller ones are within three standard deviations of what is expected of an odometry from frame to frame."""
+_MANY_PAIRS = 100
+"""Of patches, that say how images are to each other beyond any chance."""
 _FAST = 0.9
 """Part of the motions that are slower than the speed at which a sensor is turned now and then: jumps are fewer."""
 
@@ -88,6 +91,30 @@ def _usual(rate: np.ndarray) -> np.ndarray:
     usual = rate.copy()
     usual[inner] = np.median(rate[inner[:, None] + offsets], axis=1)
     return usual
+
+
+def tied_by_images(scans: Trajectory, images: VisualResult, times: Times) -> np.ndarray:
+    """(K,) int64, scans after which the motion to the next is as images on both sides of it have it, by many patches.
+
+    scans: refined; images: times (I,) s of them, and what they were refined to
+    """
+    keyframes = images.keyframes
+    if not len(images.ties) or len(scans) < spline.FEWEST_SAMPLES:
+        return np.zeros(0, np.int64)
+    moments, cameras = images.moments(times)[keyframes], images.world_from_camera[keyframes]
+    before = np.searchsorted(moments, scans.times[:-1], side="right") - 1
+    after = np.searchsorted(moments, scans.times[1:])
+    within = np.flatnonzero((before >= 0) & (after < len(moments)) & (before < after))
+    first, last = before[within], after[within]
+    by_scans = spline.through(scans, moments) @ images.scan_from_camera
+    off = geometry.inverse(geometry.inverse(by_scans[first]) @ by_scans[last]) @ (
+        geometry.inverse(cameras[first]) @ cameras[last]
+    )
+    agree = np.linalg.norm(off[:, :3, 3], axis=1) < LEAST_M
+    agree &= geometry.rotation_angle_deg(off) < LEAST_DEG
+    gaps = zip(keyframes[first], keyframes[last], strict=True)
+    many = [images.ties[a:b].min() >= _MANY_PAIRS for a, b in gaps]
+    return np.asarray(within[agree & np.array(many, bool)])
 
 
 def differ(one: Poses, other: Poses) -> np.ndarray:

@@ -11,7 +11,7 @@ from lvba.visual import bundle_adjustment, calibration_prior, degeneracy, photom
 from lvba.visual.bundle_adjustment import LevelSolution
 from lvba.visual.calibration_prior import NO_CHANGE, ExtrinsicChange
 from lvba.visual.degeneracy import DegenerateDirections
-from lvba.visual.photometric import PhotometricState
+from lvba.visual.photometric import PhotometricState, Problem
 from lvba.visual.radiometry import NONE, Radiometry
 from lvba.visual.states import Calibration, CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior
@@ -66,6 +66,7 @@ class VisualResult:
         each 0 on average, and exposures are means over the colors; None: it does not change
     substituted: (r,) int64, images whose poses are their neighbors' (`lvba.steps.camera_outliers`)
     clock_epoch: s, the stamp that the rate of the camera's clock counts from
+    ties: (I - 1,) int64, pairs of patches that tie images up to each to those after it; empty: not counted
     """
 
     world_from_camera: np.ndarray
@@ -88,6 +89,7 @@ class VisualResult:
     white_balance: np.ndarray | None = None
     substituted: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     clock_epoch: float = 0.0
+    ties: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @property
     def scan_from_camera(self) -> np.ndarray:
@@ -172,7 +174,17 @@ def collect(
         warnings=_warnings(last, levels, directions, own, keyframes),
         extrinsic_change=_extrinsic_change(state, last.prior, known),
         clock_epoch=prior.epoch,
+        ties=_ties(last.problem, keyframes, len(times)),
     )
+
+
+def _ties(problem: Problem, keyframes: Indices, images: int) -> np.ndarray:
+    """As `VisualResult.ties`, of so many images. keyframes: (K,)"""
+    one, other = problem.points.reference[problem.observations.point], problem.observations.target
+    change = np.zeros(images, np.int64)
+    np.add.at(change, keyframes[np.minimum(one, other)], 1)
+    np.add.at(change, keyframes[np.maximum(one, other)], -1)
+    return np.cumsum(change)[:-1]
 
 
 def with_white_balance(result: VisualResult, balance: WhiteBalance, times: Times) -> VisualResult:

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lvba import geometry
+from lvba import geometry, spline
 from lvba.steps import report_data, trajectory_jumps
 from lvba.steps.outcomes import LidarStage
 from lvba.trajectory import Trajectory
@@ -78,12 +78,26 @@ def test_few_frames_have_none(frames):
     assert len(trajectory_jumps.find(Trajectory(times, drive(times))).after) == 0
 
 
-def odometry(rough, refined, accepted, confirmed):
+MOUNT = geometry.exp(np.array([1.2, -1.1, 1.0, 0.05, -0.1, 0.08]))
+
+
+def seen(times, scans, pairs):
+    """Images a little after each scan, refined to where these scans have them, and pairs that tie each to the next."""
+    moments = times + 0.03
+    cameras = spline.through(Trajectory(times, scans), moments) @ MOUNT
+    return SimpleNamespace(
+        keyframes=np.arange(len(times)), world_from_camera=cameras, scan_from_camera=MOUNT, moments=lambda t: t,
+        ties=np.asarray(pairs),
+    )  # fmt: skip
+
+
+def odometry(rough, refined, accepted, confirmed, images=None, used=True):
     """What the report says of poses every tenth of a second."""
     times = np.arange(len(rough)) / 10
-    dataset = SimpleNamespace(scans=Trajectory(times, rough))
+    dataset = SimpleNamespace(scans=Trajectory(times, rough), images=SimpleNamespace(times=times + 0.03))
     stage = LidarStage(SimpleNamespace(world_from_scan=refined), confirmed=np.array(confirmed, np.int64))
-    told = report_data.of_odometry(dataset, SimpleNamespace(world_from_scan=accepted), stage)
+    state = SimpleNamespace(world_from_scan=accepted, cameras=SimpleNamespace(accepted=used))
+    told = report_data.of_odometry(dataset, state, stage, SimpleNamespace(result=images))
     return told["jumps_after"].tolist(), told["untied_after"].tolist()
 
 
@@ -100,6 +114,23 @@ def test_what_surfaces_confirm_is_no_jump_and_only_where_poses_go_as_they_say():
     assert odometry(jumped, true, jumped, [12]) == ([12], [12])
     # no jump to be seen any more is no tie: planes of one side may have pulled scans of the other anywhere
     assert odometry(jumped, true, true, []) == ([12], [12])
+
+
+def test_a_jump_that_many_images_agree_with_is_tied():
+    times = np.arange(30) / 10
+    true = drive(times)
+    jump = np.eye(4)
+    jump[:2, 3] = 0.9, 0.4
+    jumped = np.concatenate([true[:13], jump @ true[13:]])
+    right, wrong = seen(times, true, np.full(29, 400)), seen(times, jumped, np.full(29, 400))
+    assert odometry(jumped, true, true, [], right) == ([12], [])
+    # images that have the scans elsewhere, that say too little, or that are not used
+    assert odometry(jumped, true, true, [], wrong) == ([12], [12])
+    few = np.where(np.arange(29) == 12, 30, 400)
+    assert odometry(jumped, true, true, [], seen(times, true, few)) == ([12], [12])
+    assert odometry(jumped, true, true, [], right, used=False) == ([12], [12])
+    right.ties = np.zeros(0, np.int64)
+    assert odometry(jumped, true, true, [], right) == ([12], [12])
 
 
 def test_expected_motions_are_those_around():
