@@ -9,7 +9,8 @@ Lengths in millimeters and angles in degrees are root mean squares over all fram
 [evaluation.md](evaluation.md). Seconds are wall time on two cores that had some other work beside (and
 the first rows compile, too); for what a run takes by itself see [benchmarks.md](benchmarks.md).
 
-Hard and medium difficulty are of this version, but for rooms with the non-repetitive LiDAR. Those and real recordings
+Hard and medium difficulty are of this version (but that the odometry had weights by turns in the solution, too, which
+matters where scans hang on it), except rooms with the non-repetitive LiDAR. Those and real recordings
 are of the version just before it, which left single images wrong that the trajectory had degrees off, promised too much
 where scans hang on the odometry in turns, and took what images say of the extrinsic for certain however far ranges are
 off. All others are of versions before that one, which also corrected ranges that depend on the angle of incidence by what
