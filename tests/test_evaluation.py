@@ -19,7 +19,7 @@ from lvba.steps.lidar import cloud_of
 class Stretched(ScanErrors):
     """Scans that are too long by as many thousandths as their number says."""
 
-    def points(self, scan, index, stamp):
+    def points(self, scan, index, stamp, cosine=None):
         return scan.points * np.float32(1 + 1e-3 * index)
 
 

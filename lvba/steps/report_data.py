@@ -233,7 +233,7 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
         but=(
             *("world_from_camera", "covariance", "local_covariance"),
             *("scan_from_camera", "degenerate", "log_exposure", "log_exposure_sigma"),
-            *("calibration_sigma", "radiometry", "extrinsic_change", "white_balance", "clock_epoch"),
+            *("calibration_sigma", "radiometry", "extrinsic_change", "white_balance", "clock_epoch", "ties"),
         ),
     )
     if accepted.exposures.accepted:
