@@ -251,10 +251,9 @@ class ScanReader:
 
         Raises InputError: it is in no piece, and its file cannot be read.
         """
-        held = self._reader.find(self._first + scan)
+        held = self._held(scan)
         if held is not None:
-            index = self._first + scan - held[0]
-            return held[1].points[held[1].offsets[index] : held[1].offsets[index + 1]]
+            return held[0].points[held[1]]
         if self._whole is None:
             raise IndexError(f"no piece holds scan {self._first + scan}")
         number = self._first + scan
@@ -271,24 +270,30 @@ class ScanReader:
         those of some are not known."""
         gathered = []
         for scan in map(int, scans):
-            held = self._reader.find(self._first + scan)
-            if held is None or held[1].cosine is None:
+            held = self._held(scan)
+            if held is None or held[0].cosine is None:
                 return None
-            index = self._first + scan - held[0]
-            gathered.append(held[1].cosine[held[1].offsets[index] : held[1].offsets[index + 1]])
+            gathered.append(held[0].cosine[held[1]])
         return np.concatenate(gathered).astype(float) if gathered else None
 
     def intensities(self, scans: Sequence[int] | np.ndarray) -> np.ndarray:
         """Of the points of some scans, one after another, (M,) float32, NaN where not known."""
         gathered = []
         for scan in map(int, scans):
-            held = self._reader.find(self._first + scan)
-            if held is None or held[1].intensity is None:
+            held = self._held(scan)
+            if held is None or held[0].intensity is None:
                 gathered.append(np.full(len(self(scan)), np.nan, np.float32))
                 continue
-            index = self._first + scan - held[0]
-            gathered.append(held[1].intensity[held[1].offsets[index] : held[1].offsets[index + 1]])
+            gathered.append(held[0].intensity[held[1]])
         return np.concatenate(gathered)
+
+    def _held(self, scan: int) -> tuple[ScanPoints, slice] | None:
+        """The piece that holds a scan, and which of its points are the scan's; None: no piece does."""
+        held = self._reader.find(self._first + scan)
+        if held is None:
+            return None
+        begin, end = held[1].offsets[self._first + scan - held[0] :][:2]
+        return held[1], slice(begin, end)
 
 
 class PhotoReader:

@@ -94,7 +94,7 @@ def select_scene_points(
     points, observations = relocalization.without_chance(points, observations, len(poses))
     mine = core[points.reference]
     off = bundle_adjustment.offset_sigma(points, bundle_adjustment.PLANE_FLOOR_M, known.offset_scale)[mine]
-    points, observations = _of_points(points, observations, mine)
+    points, observations = scene_points.take_observed(points, observations, mine)
     problem = photometric.prepare(full, camera, points, observations, config.patch)
     problem = _with_shifts(problem, given.camera, state, prior, config)
     sums = photometric.sums(problem, PhotometricState(state.cameras, np.zeros(len(points))))
@@ -150,18 +150,6 @@ def _with_shifts(
         camera, problem.camera, problem.points, problem.observations, prior, config.calibrate
     )
     return problem if shifts is None else replace(problem, shifts=shifts(state))
-
-
-def _of_points(
-    points: ScenePoints, observations: Observations, mine: np.ndarray
-) -> tuple[ScenePoints, Observations]:
-    kept = mine[observations.point]
-    number = np.cumsum(mine) - 1
-    return scene_points.take(points, mine), Observations(
-        number[observations.point[kept]].astype(np.int32),
-        observations.target[kept],
-        observations.is_global[kept],
-    )
 
 
 def _of_core(ratios: exposure.Ratios, core: np.ndarray) -> exposure.Ratios:

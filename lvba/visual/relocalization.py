@@ -20,7 +20,7 @@ from lvba.arrays import Indices, Pose, Poses
 from lvba.camera import Camera
 from lvba.visual.image import Pyramid
 from lvba.visual.photometric import Problem
-from lvba.visual.scene_points import Observations, ScenePoints, take
+from lvba.visual.scene_points import Observations, ScenePoints, take_observed
 from lvba.visual.states import VisualState
 
 logger = logging.getLogger(__name__)
@@ -83,10 +83,8 @@ def without_chance(
         return points, observations
     used = np.zeros(len(points), bool)
     used[observations.point[kept]] = True
-    number = (np.cumsum(used) - 1).astype(np.int32)
-    return take(points, used), Observations(
-        number[observations.point[kept]], observations.target[kept], observations.is_global[kept]
-    )
+    left = Observations(observations.point[kept], observations.target[kept], observations.is_global[kept])
+    return take_observed(points, left, used)
 
 
 def relocalized(problem: Problem, pyramid: Pyramid, state: VisualState) -> VisualState:
@@ -106,10 +104,11 @@ def relocalized(problem: Problem, pyramid: Pyramid, state: VisualState) -> Visua
         near = _nearest(poses, int(image), others)
         places = [_places(problem.points, int(each), poses[each], camera, look(int(each))) for each in near]
         pose = _pose(look(int(image)), [each for each in places if len(each.descriptor) > 1], camera)
-        if pose is None or _far(pose, poses[image]):
+        meters, degrees = (np.inf, np.inf) if pose is None else _apart(pose, poses[image])
+        if pose is None or meters > _FARTHEST_M or degrees > _FARTHEST_DEG:
             logger.info("image %d is lost, and features do not say where it is", image)
             continue
-        logger.info("image %d was lost; features put it %s", image, _apart(pose, poses[image]))
+        logger.info("image %d was lost by %.0f mm and %.2f degrees", image, 1e3 * meters, degrees)
         poses[image] = pose
     return replace(state, cameras=replace(state.cameras, world_from_camera=poses))
 
@@ -208,13 +207,7 @@ def _matched(seen: _Features, places: _Places) -> tuple[np.ndarray, np.ndarray]:
     return seen.pixel[here], places.position_world[there]
 
 
-def _far(pose: Pose, before: Pose) -> bool:
-    off = geometry.inverse(before) @ pose
-    turn = float(geometry.rotation_angle_deg(off[None])[0])
-    return turn > _FARTHEST_DEG or float(np.linalg.norm(off[:3, 3])) > _FARTHEST_M
-
-
-def _apart(pose: Pose, before: Pose) -> str:
-    off = geometry.inverse(before) @ pose
-    turn = float(geometry.rotation_angle_deg(off[None])[0])
-    return f"{1e3 * np.linalg.norm(off[:3, 3]):.0f} mm and {turn:.2f} degrees from where it was"
+def _apart(one: Pose, other: Pose) -> tuple[float, float]:
+    """m and degrees."""
+    off = geometry.inverse(other) @ one
+    return float(np.linalg.norm(off[:3, 3])), float(geometry.rotation_angle_deg(off))

@@ -72,6 +72,19 @@ def take(points: ScenePoints, index: np.ndarray) -> ScenePoints:
     return ScenePoints(**{field.name: getattr(points, field.name)[index] for field in fields(points)})
 
 
+def take_observed(
+    points: ScenePoints, observations: Observations, mine: np.ndarray
+) -> tuple[ScenePoints, Observations]:
+    """Some of the scene points, and the observations of these. mine: (P,) bool"""
+    kept = mine[observations.point]
+    number = np.cumsum(mine) - 1
+    return take(points, mine), Observations(
+        number[observations.point[kept]].astype(np.int32),
+        observations.target[kept],
+        observations.is_global[kept],
+    )
+
+
 @dataclass(frozen=True)
 class PointsConfig(Group):
     """Which LiDAR points become scene points of an image."""
