@@ -5,6 +5,7 @@ with poses and planes free. What cannot be chance is taken out of the points, un
 """
 
 import logging
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from lvba.arrays import Poses
 from lvba.blocks import motion_left, scan_windows
 from lvba.blocks.scan_windows import Window
 from lvba.dataset import Dataset
-from lvba.lidar import incidence, range_errors, scan_evidence, scan_motion
+from lvba.lidar import beam_depth, incidence, range_errors, scan_evidence, scan_motion
 from lvba.lidar.bundle_adjustment import Aligned
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.point_times import PointClock
@@ -68,6 +69,7 @@ class _Measurement:
     """Finds poses, planes and the errors in turn.
 
     cosines: of each window, of its points on planes; poses: of its scans, in the round before
+    depths: of each window, as `beam_depth.Depths.squares`
     """
 
     dataset: Dataset
@@ -77,9 +79,13 @@ class _Measurement:
     progress: Progress
     cosines: dict[int, np.ndarray] = field(default_factory=dict)
     poses: dict[int, Poses] = field(default_factory=dict)
+    depths: dict[int, np.ndarray] = field(default_factory=dict)
 
     def of(self, probes: list[Window]) -> RangeErrors:
         """By some windows; only where they tell of an error, by larger ones."""
+        return self._with_depth(self._of(probes))
+
+    def _of(self, probes: list[Window]) -> RangeErrors:
         scans = [scan for window in probes for scan in window.scans]
         together = np.concatenate([scan.points for scan in scans]) if scans else np.zeros((0, 3))
         known = [each for window in probes if (each := window.intensity) is not None]
@@ -99,6 +105,7 @@ class _Measurement:
         errors = first = np.zeros(self.size)
         self.cosines.clear()
         self.poses.clear()
+        self.depths.clear()
         for turn in range(_ROUNDS):
             self.progress("errors of ranges", turn, _ROUNDS)
             total = self._total(windows, errors)
@@ -124,6 +131,24 @@ class _Measurement:
             return replace(self._errors(errors, covariance, kept & False), problem=text)
         return self._errors(np.where(kept, errors, errors + change), covariance, kept)
 
+    @property
+    def _depth(self) -> float:
+        """m, root mean square over points, that beams go into surfaces."""
+        squares, points = sum(self.depths.values(), np.zeros(2))
+        return math.sqrt(squares / max(points, 1.0))
+
+    def _with_depth(self, errors: RangeErrors) -> RangeErrors:
+        """The errors, with how deep beams go into surfaces, if they do."""
+        if (depth := self._depth) < range_errors.LEAST_M:
+            return errors
+        part, off = errors.by_direction
+        return replace(
+            errors,
+            values={**errors.values, range_errors.DEPTH: round(depth, 4)},
+            noticed=(*errors.noticed, range_errors.DEPTH),
+            by_direction=(part, math.hypot(off, depth)),
+        )
+
     def _beside_others(
         self, total: ScanEvidence, errors: np.ndarray, least: np.ndarray, by_direction: tuple[float, float]
     ) -> RangeErrors:
@@ -145,8 +170,8 @@ class _Measurement:
 
     @property
     def own(self) -> slice:
-        """Of the shared numbers, the errors and the motion left in scans."""
-        return slice(0, self.size + (self.clock is not None))
+        """Of the shared numbers, the errors, the motion left in scans, and how deep beams go into surfaces."""
+        return slice(0, self.size + (self.clock is not None) + 1)
 
     @property
     def others(self) -> slice:
@@ -155,7 +180,8 @@ class _Measurement:
 
     def _estimate(self, own: ScanEvidence) -> tuple[np.ndarray, np.ndarray]:
         """The change (k,) of the errors, and its covariance (k, k)."""
-        return own.change[: self.size], own.covariance[: self.size, : self.size]
+        beside = _BESIDE if self._depth >= range_errors.LEAST_M else 1.0
+        return own.change[: self.size], beside**2 * own.covariance[: self.size, : self.size]
 
     def _by_direction(self, total: ScanEvidence, points: np.ndarray) -> tuple[float, float]:
         """As `RangeErrors.by_direction`, of points (N, 3) m; zeros: what is seen of it may be chance.
@@ -211,7 +237,10 @@ class _Measurement:
         brighter = None
         if self.beams.usual is not None and window.intensity is not None:
             brighter = range_errors.brighter_on_planes(view, self.beams, window.intensity, cosine)
-        return scan_evidence.evidence(view, self._by_shared(window, result, brighter), size)
+        depths = beam_depth.of_planes(view, self.beams.position)
+        self.depths[number] = depths.squares
+        by_depth = beam_depth.by_depth(self.beams, depths.of_points(view.labels.plane))
+        return scan_evidence.evidence(view, self._by_shared(window, result, brighter, by_depth), size)
 
     def _corrected(self, number: int, window: Window, errors: np.ndarray) -> list[np.ndarray]:
         """Points of each scan; angles of incidence are those on the planes of the round before."""
@@ -227,14 +256,16 @@ class _Measurement:
         intensities = [scan.intensity for scan in window.scans]
         return [ranges.points(*each) for each in zip(points, cosines, intensities, strict=True)]
 
-    def _by_shared(self, window: Window, result: Aligned, brighter: np.ndarray | None) -> ByShared:
+    def _by_shared(
+        self, window: Window, result: Aligned, brighter: np.ndarray | None, by_depth: ByShared
+    ) -> ByShared:
         terms = [range_errors.by_errors(self.beams, brighter)]
         if self.clock is not None:
             stamps = self.dataset.scans.times[window.numbers]
             tau = motion_left.point_times_of(window, stamps, self.clock)
             twist = motion_left.sweep_twists(stamps, result.world_from_scan, self.clock)
             terms.append(scan_motion.by_part(np.concatenate(tau), twist))
-        terms.append(range_errors.by_directions(self.beams))
+        terms += [by_depth, range_errors.by_directions(self.beams)]
 
         def derivative(points: OnPlanes) -> np.ndarray:
             return np.concatenate([each(points) for each in terms], axis=1)

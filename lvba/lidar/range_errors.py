@@ -7,6 +7,7 @@ elevation: rad, the beams of a sensor that turns go this much higher about its a
 distortion: ranges of a sensor that looks ahead are too long by this part 45 degrees off its axis, and in proportion to
     the squared tangent of the angle elsewhere, as those of depth cameras
 
+How deep beams go into surfaces such as leaves is looked for beside them, too, and never corrected (see `beam_depth`).
 Whatever else depends on the direction of a beam is looked for beside them as a part of the range, by spherical harmonics:
 it is not corrected, but an error that it explains as well is none of the above.
 
@@ -32,6 +33,8 @@ INCIDENCE, ELEVATION, DISTORTION = "incidence", "elevation", "distortion"
 OFFSET, BRIGHTNESS = "offset", "brightness"
 DIRECTION = "direction"
 """Of what depends on the direction in another way: m, how far points are off by it, root mean square."""
+DEPTH = "depth"
+"""Of how far beams go into surfaces such as leaves (see `beam_depth`): m, root mean square over all points."""
 HARMONICS = 8
 """Of first and second degree; that of degree zero is the scale, which planes do not tell."""
 HARMONIC_SIGMA = 0.01
@@ -183,8 +186,8 @@ class RangeErrors:
     corrected: the names of those that are taken out of the points
     noticed: of those that are no chance, but stay
     problem: why what is significant was not corrected
-    by_direction: how far points stay off by what else depends on the beam's direction, root mean square: as a part of the
-        range, and in m
+    by_direction: how far points stay off by what else depends on the beam's direction or goes into surfaces, root mean
+        square: as a part of the range, and in m
     """
 
     beams: Beams
@@ -286,6 +289,8 @@ def sentence(name: str, value: float) -> str:
         return (
             f"Ranges are off by {size} in a way that depends on the beam's direction, as no known error does"
         )
+    if name == DEPTH:
+        return f"Beams go into surfaces, as into leaves: points are off by {1e3 * value:.0f} mm"
     return f"Surfaces 45 degrees off the sensor's axis are measured {abs(100 * value):.2f} % {farther} than ahead"
 
 

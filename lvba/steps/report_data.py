@@ -173,6 +173,12 @@ def warnings_of_errors(errors: ScanErrors | None) -> list[str]:
     return [] if errors is None else [*warnings_of_ranges(errors.ranges), *warnings_of_motion(errors.motion)]
 
 
+_MENDS = {
+    range_errors.DIRECTION: "Calibrate the sensor",
+    range_errors.DEPTH: "The map and the cameras are as uncertain there",
+}
+
+
 def warnings_of_ranges(ranges: RangeErrors | None) -> list[str]:
     """What the sensor's calibration should have."""
     if ranges is None:
@@ -183,7 +189,7 @@ def warnings_of_ranges(ranges: RangeErrors | None) -> list[str]:
         f"{range_errors.sentence(name, ranges.values[name])}: points were corrected. Calibrate the sensor to spare that"
         for name in ranges.corrected
     ] + [
-        f"{range_errors.sentence(name, ranges.values[name])}: points were not corrected. Calibrate the sensor"
+        f"{range_errors.sentence(name, ranges.values[name])}: points were not corrected. {_MENDS[name]}"
         for name in ranges.noticed
     ]
 

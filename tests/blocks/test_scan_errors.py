@@ -12,7 +12,7 @@ from lvba.io import reference
 from lvba.io.dataset import open_dataset
 from lvba.lidar import bundle_adjustment, incidence
 from lvba.lidar.config import LidarConfig
-from lvba.lidar.range_errors import DIRECTION
+from lvba.lidar.range_errors import DEPTH, DIRECTION
 from lvba.simulate.disturbances import Disturbances
 from lvba.simulate.simulation import simulate
 from lvba.steps import report_data
@@ -118,6 +118,19 @@ def test_a_known_error_is_taken_out_beside_one_of_another_form(tmp_path):
     assert errors.ranges.values["elevation"] == pytest.approx(
         expected, abs=5 * errors.ranges.sigma["elevation"] + 0.03 * expected
     )
+
+
+def test_beams_that_go_into_surfaces_are_noticed_and_not_taken_for_a_known_error(tmp_path):
+    """As leaves; taken for plain surfaces, they seem to be beams that go lower."""
+    dataset = recorded(tmp_path / "off", "spinning", 10000, foliage=0.05)
+    errors = scan_errors.measure(dataset, LidarConfig())
+    assert not errors.corrected
+    assert errors.ranges.noticed == (DEPTH,)
+    # into half of the surfaces, or more where most points are on those
+    depth = errors.ranges.values[DEPTH]
+    assert 0.01 < depth < 0.05
+    assert errors.by_direction == (0.0, pytest.approx(depth, abs=1e-4))
+    assert "go into surfaces" in report_data.warnings_of_errors(errors)[0]
 
 
 def test_an_error_that_no_sensor_has_is_not_corrected(tmp_path):
