@@ -297,7 +297,7 @@ def _calibration(dataset: Dataset, result: VisualResult, accepted: Accepted) -> 
 
 
 def _radiometry(light: Radiometry, accepted: Accepted) -> dict[str, Any]:
-    """How the light falls off in the images, and the curve that it passes."""
+    """How the light falls off in the images, the curve that it passes, and what nearer views seem brighter by."""
     vignette, curve = light.vignetting, light.response
     falloff = {
         "used": bool(vignette) and accepted.exposures.accepted,
@@ -312,7 +312,12 @@ def _radiometry(light: Radiometry, accepted: Accepted) -> dict[str, Any]:
         "slopes": curve.slopes,
         "sigma": curve.sigma,
     }
-    return {"vignetting": falloff, "response": response}
+    nearer = {
+        "used": bool(light.nearness) and accepted.exposures.accepted,
+        "log_ratio": light.nearness.value,
+        "sigma": light.nearness.sigma,
+    }
+    return {"vignetting": falloff, "response": response, "nearness": nearer}
 
 
 def of_fusion(fused: FusionStage, accepted: Accepted) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from lvba.kernels.patches_mean import REFERENCE_MEAN, SPREAD, TARGET_MEAN
 from lvba.kernels.patches_pyramid import blank_masked, halve
 from lvba.lidar.plane import Surfaces
 from lvba.trajectory import Trajectory
-from lvba.visual import radiometry, response, scene_points, vignetting, visibility
+from lvba.visual import nearness, radiometry, response, scene_points, vignetting, visibility
 from lvba.visual.edge_means import edge_means, medians, pieces_of_means, shared_errors, weighted_means
 from lvba.visual.exposure_graph import BLOCKS, Edges, Exposures, robust_std, solve_edges
 from lvba.visual.image import DARK, SATURATED, LevelImages, Pyramid, intrinsics_of
@@ -104,6 +104,7 @@ class Ratios:
     level: np.ndarray
     patch: np.ndarray
     places: PairPlaces | None = None
+    nearer: np.ndarray | None = None
     curve: Response = LINEAR
 
     def by_numbers(self, present: Radiometry, light: np.ndarray) -> np.ndarray:
@@ -113,13 +114,22 @@ class Ratios:
         """
         assert self.places is not None
         falloff = self.places.by_numbers(present.vignetting)
-        return np.concatenate([falloff, response.by_slopes(present.response, self.level, light)], axis=1)
+        slopes = response.by_slopes(present.response, self.level, light)
+        return np.concatenate([falloff, self._nearer[:, None], slopes], axis=1)
 
     def of_surfaces(self, present: Radiometry) -> np.ndarray:
         """(N,) float64: log ratios of light as if all of it had arrived."""
-        assert self.places is not None
         light = present.response.log_ratio(self.level, self.value)
-        return np.asarray(light - self.places.log_ratio(present.vignetting))
+        return np.asarray(light - self.of_views(present))
+
+    def of_views(self, present: Radiometry) -> np.ndarray:
+        """(N,) float64: log ratios of the light by where a patch is in both images, and by how near it is."""
+        assert self.places is not None
+        return np.asarray(self.places.log_ratio(present.vignetting) + present.nearness.value * self._nearer)
+
+    @property
+    def _nearer(self) -> np.ndarray:
+        return np.zeros(len(self.value)) if self.nearer is None else self.nearer
 
 
 def solve(
@@ -294,9 +304,19 @@ def measure(
         block=surface_blocks(points.position_world)[point],
         stretch=surface_blocks(points.position_world, STRETCH_M)[point],
         places=places,
+        nearer=_nearer(world_from_camera, points, point, target),
         level=0.5 * np.log(means[good, TARGET_MEAN] * means[good, REFERENCE_MEAN]),
         patch=point.astype(np.int64),
     )
+
+
+def _nearer(
+    world_from_camera: np.ndarray, points: ScenePoints, point: np.ndarray, target: np.ndarray
+) -> np.ndarray:
+    """(N,): log of how many times nearer points (N,) are to targets (N,) than to their reference images."""
+    position, camera = points.position_world[point], world_from_camera[:, :3, 3]
+    to_reference = np.linalg.norm(position - camera[points.reference[point]], axis=1)
+    return nearness.log_nearer(to_reference, np.linalg.norm(position - camera[target], axis=1))
 
 
 def _places(
@@ -357,9 +377,7 @@ def edges_of(ratios: Ratios, images: int, start: Radiometry = radiometry.NONE) -
         light = radiometry.solve(known, response.TAKEN_OUT if ratios.curve else None)
         value = sign * ratios.of_surfaces(light)
         expected = sign * edge_means(edge, value, ratios.sigma, len(codes))[0][edge]
-        by_numbers = sign[:, None] * ratios.by_numbers(
-            light, expected + ratios.places.log_ratio(light.vignetting)
-        )
+        by_numbers = sign[:, None] * ratios.by_numbers(light, expected + ratios.of_views(light))
     mean, sigma, weight = edge_means(edge, value, ratios.sigma, len(codes))
     sharing, correlation = shared_errors(edge, ratios.patch, sign * weight * ratios.sigma)
     count = np.bincount(edge, minlength=len(codes))
@@ -397,11 +415,11 @@ def radiometry_sums(
         edge, ratios.block, ratios.value, weight, np.zeros((count, radiometry.NUMBERS)), BLOCKS
     )
     for _ in range(_RADIOMETRY_ROUNDS if count else 0):
-        falloff = ratios.places.log_ratio(present.vignetting)
-        by_numbers = sign[:, None] * ratios.by_numbers(present, falloff + sign * mean[edge])
-        # linear about the present center; in the slopes it is linear anyway
-        left = sign * (ratios.value - falloff) + np.einsum(
-            "nk,k->n", by_numbers[:, : vignetting.NUMBERS], present.vignetting.numbers
+        by_views = ratios.of_views(present)
+        by_numbers = sign[:, None] * ratios.by_numbers(present, by_views + sign * mean[edge])
+        # linear about the present center; in the other numbers it is linear anyway
+        left = sign * (ratios.value - ratios.places.log_ratio(present.vignetting)) + np.einsum(
+            "nk,k->n", by_numbers[:, radiometry.FALLOFF], present.vignetting.numbers
         )
         rest = left - np.einsum("nk,k->n", by_numbers, present.numbers)
         residual = (rest - mean[edge]) / ratios.sigma

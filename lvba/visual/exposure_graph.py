@@ -129,7 +129,16 @@ def _by_held_response(edges: Edges) -> np.ndarray:
     if edges.known is None or edges.radiometry.response or edges.curve:
         return np.zeros(len(edges.mean))
     numbers = radiometry.best(edges.known).response.numbers
-    return np.asarray(edges.by_radiometry[:, -len(numbers) :] @ numbers)
+    return np.asarray(edges.by_radiometry[:, radiometry.CURVE] @ numbers)
+
+
+def _by_held_nearness(edges: Edges) -> np.ndarray:
+    """(E,): changes of the means if nearer views seemed brighter by what fits best; 0 where that is taken out."""
+    if edges.known is None or edges.radiometry.nearness:
+        return np.zeros(len(edges.mean))
+    return np.asarray(
+        edges.by_radiometry[:, radiometry.NEARER] @ radiometry.best(edges.known).numbers[radiometry.NEARER]
+    )
 
 
 def robust_std(values: np.ndarray) -> float:
@@ -293,6 +302,7 @@ class _Graph:
         most = max(small[joined].mean(), large[joined].mean())
         shared = self._jackknife(factor.values(_by_radiometry(edges)))
         shared += self._held_response(factor, edges, solution) ** 2
+        shared += self._centered(factor.values(_by_held_nearness(edges)[:, None]))[:, 0] ** 2
         if edges.radiometry.vignetting:
             shared += self._centered(factor.values(_FALLOFF_FLOOR * edges.by_radiometry[:, :1]))[:, 0] ** 2
         variance_factor = max(most / own[joined].mean(), 1.0) * contradiction

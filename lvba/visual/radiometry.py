@@ -1,7 +1,8 @@
-"""What grey values say of the light, alike in all images of a camera: its vignetting and its response, found together.
+"""What grey values say of the light, alike in all images of a camera: its vignetting, its response, and what nearer views
+of a surface seem brighter by, found together.
 
-Both are told by how ratios of brightness differ among the patches of one pair of images, by where these are in the
-images and by how bright they are: taken one after the other, each would take up some of the other.
+All are told by how ratios of brightness differ among the patches of one pair of images, by where these are in the images,
+by how bright and by how far away they are: taken one after the other, each would take up some of the others.
 """
 
 from collections.abc import Sequence
@@ -12,21 +13,29 @@ import numpy as np
 from lvba.arrays import Images, Indices
 from lvba.camera import Camera
 from lvba.kernels import edge_sums
-from lvba.visual import response, vignetting
+from lvba.visual import nearness, response, vignetting
 from lvba.visual.image import DARK, SATURATED
+from lvba.visual.nearness import Nearness
 from lvba.visual.response import LINEAR, SLOPES, Response
 from lvba.visual.vignetting import Vignetting
 
-NUMBERS = vignetting.NUMBERS + SLOPES
-"""Those of the vignetting, then slopes of the response less 1."""
+NUMBERS = vignetting.NUMBERS + 1 + SLOPES
+FALLOFF, NEARER, CURVE = (
+    slice(0, vignetting.NUMBERS), slice(vignetting.NUMBERS, vignetting.NUMBERS + 1), slice(NUMBERS - SLOPES, NUMBERS)
+)  # fmt: skip
+"""Which of them are those of the vignetting, of what nearer views seem brighter by, and slopes of the response less 1."""
 
 
 @dataclass(frozen=True)
 class Radiometry:
-    """vignetting: of the light in the images' own units, that is, to the power that the response leaves open"""
+    """vignetting: of the light in the images' own units, that is, to the power that the response leaves open
+
+    True if images differ from the light by it: what nearer views seem brighter by is in ratios, not in an image.
+    """
 
     vignetting: Vignetting = vignetting.NONE
     response: Response = LINEAR
+    nearness: Nearness = nearness.NONE
 
     def __bool__(self) -> bool:
         return bool(self.vignetting) or bool(self.response)
@@ -34,7 +43,7 @@ class Radiometry:
     @property
     def numbers(self) -> np.ndarray:
         """(NUMBERS,) float64."""
-        return np.concatenate([self.vignetting.numbers, self.response.numbers])
+        return np.concatenate([self.vignetting.numbers, [self.nearness.value], self.response.numbers])
 
     def taken_out_of(self, images: Images, camera: Camera | None, pinhole: Camera) -> np.ndarray:
         """Undistorted images (I, H, W, C) uint8 as if all light had arrived, in proportion to the light; themselves where
@@ -101,7 +110,8 @@ def best(known: RadiometrySums) -> Radiometry:
 
 
 def solve(known: RadiometrySums, curve: Response | None = None) -> Radiometry:
-    """What the sums tell: no response where that is not significant, and the vignetting that goes with the response.
+    """What the sums tell: no response where that is not significant, the vignetting that goes with the response, and what
+    nearer views seem brighter by.
 
     curve: the response, where it is known
     """
@@ -109,43 +119,73 @@ def solve(known: RadiometrySums, curve: Response | None = None) -> Radiometry:
     if not information.any():
         return NONE
     if curve is None:
-        sigma = np.sqrt(np.diag(_covariance(known))[vignetting.NUMBERS :])
+        sigma = np.sqrt(np.diag(_covariance(known, np.ones(NUMBERS, bool)))[CURVE])
         together = _solved(information, gradient, _prior(information))
-        curve = response.judged(together[vignetting.NUMBERS :], sigma)
-    own, rest = slice(0, vignetting.NUMBERS), slice(vignetting.NUMBERS, NUMBERS)
-    explained = np.einsum("bkl,l->bk", known.information[:, own, rest], curve.numbers)
-    return Radiometry(
-        vignetting.solve(
-            vignetting.FalloffSums(known.information[:, own, own], known.gradient[:, own] - explained)
-        ),
-        curve,
+        curve = response.judged(together[CURVE], sigma)
+    known = _given(known, CURVE, curve.numbers)
+    falloff = _vignetting(known)
+    nearer = _nearness(known, bool(falloff))
+    if nearer and falloff:
+        falloff = _vignetting(_given(known, NEARER, np.array([nearer.value])))
+    return Radiometry(falloff, curve, nearer)
+
+
+def _vignetting(known: RadiometrySums) -> Vignetting:
+    """With the other numbers as they are."""
+    return vignetting.solve(
+        vignetting.FalloffSums(known.information[:, FALLOFF, FALLOFF], known.gradient[:, FALLOFF])
     )
+
+
+def _given(known: RadiometrySums, part: slice, numbers: np.ndarray) -> RadiometrySums:
+    """The sums of the other numbers where these are known."""
+    explained = np.einsum("bkl,l->bk", known.information[:, :, part], numbers)
+    return RadiometrySums(known.information, known.gradient - explained)
+
+
+def _nearness(known: RadiometrySums, vignetted: bool) -> Nearness:
+    """With the response as it is, and the vignetting free where there is one.
+
+    What comes nearer moves outward in images that look ahead: beside a vignetting that none has, nothing is told of it.
+    """
+    free = np.zeros(NUMBERS, bool)
+    free[FALLOFF], free[NEARER] = vignetted, True
+    mine, own = np.ix_(free, free), np.flatnonzero(free) == NEARER.start
+    information, gradient = known.information.sum(axis=0), known.gradient.sum(axis=0)
+    numbers = _solved(information[mine], gradient[free], _prior(information)[mine])
+    change = _jackknife(known, free)[:, own]
+    sigma = np.sqrt((len(change) - 1) / len(change) * np.sum(change**2))
+    return nearness.judged(float(numbers[own][0]), float(sigma))
 
 
 def mean(parts: Sequence[Radiometry]) -> Radiometry:
     """Of several parts of a recording, each weighed by what it knows; of the first where none knows anything."""
     weights = np.array([each.response.sigma**-2.0 for each in parts])
     falloff = vignetting.mean([each.vignetting for each in parts])
+    nearer = nearness.mean([each.nearness for each in parts])
     if not weights.sum() > 0:
-        return Radiometry(falloff, parts[0].response)
+        return Radiometry(falloff, parts[0].response, nearer)
     numbers = np.einsum(
         "n,nk->k", weights / weights.sum(), np.array([each.response.numbers for each in parts])
     )
-    return Radiometry(falloff, response.of_numbers(numbers, float(weights.sum() ** -0.5)))
+    return Radiometry(falloff, response.of_numbers(numbers, float(weights.sum() ** -0.5)), nearer)
 
 
 def of_numbers(numbers: np.ndarray) -> Radiometry:
     """numbers: (NUMBERS,) float64"""
-    own, rest = numbers[: vignetting.NUMBERS], numbers[vignetting.NUMBERS :]
-    return Radiometry(vignetting.of_numbers(own), response.of_numbers(rest))
+    return Radiometry(
+        vignetting.of_numbers(numbers[FALLOFF]),
+        response.of_numbers(numbers[CURVE]),
+        Nearness(float(numbers[NEARER][0])),
+    )
 
 
 def _prior(information: np.ndarray) -> np.ndarray:
     """(NUMBERS, NUMBERS): what is known without patches; information: of the patches, same shape."""
-    known = np.diag(np.append(vignetting.PRIOR_SIGMA**-2, np.zeros(SLOPES)))
-    known[vignetting.NUMBERS :, vignetting.NUMBERS :] = response.prior(
-        information[vignetting.NUMBERS :, vignetting.NUMBERS :]
-    )
+    known = np.zeros((NUMBERS, NUMBERS))
+    known[FALLOFF, FALLOFF] = np.diag(vignetting.PRIOR_SIGMA**-2)
+    known[NEARER, NEARER] = nearness.PRIOR_SIGMA**-2
+    known[CURVE, CURVE] = response.prior(information[CURVE, CURVE])
     return known
 
 
@@ -156,20 +196,23 @@ def _solved(information: np.ndarray, gradient: np.ndarray, prior: np.ndarray) ->
 def changes(known: RadiometrySums, used: Radiometry) -> np.ndarray:
     """(B, NUMBERS): of the numbers that are used, when one block of the surface is left out; 0 of those that are not."""
     free = np.zeros(NUMBERS, bool)
-    free[: vignetting.NUMBERS] = bool(used.vignetting)
+    free[FALLOFF] = bool(used.vignetting)
     free[: vignetting.TERMS] &= np.array(used.vignetting.coefficients) != 0
-    free[vignetting.NUMBERS :] = bool(used.response)
+    free[NEARER] = bool(used.nearness)
+    free[CURVE] = bool(used.response)
     change = np.zeros((len(known.information), NUMBERS))
     change[:, free] = _jackknife(known, free)
     return change
 
 
-def _covariance(known: RadiometrySums) -> np.ndarray:
-    """(NUMBERS, NUMBERS): by leaving out one block of the surface in turn: patches on one surface err alike."""
-    change = _jackknife(known, np.ones(NUMBERS, bool))
+def _covariance(known: RadiometrySums, free: np.ndarray) -> np.ndarray:
+    """(F, F): of the numbers in `free` (NUMBERS,) bool, the others known, by leaving out one block of the surface in
+    turn: patches on one surface err alike."""
+    change = _jackknife(known, free)
     count, information = len(change), known.information.sum(axis=0)
     spread = (count - 1) / count * np.einsum("bk,bl->kl", change, change)
-    return np.asarray(spread + np.linalg.inv(information + _prior(information)))
+    own = (information + _prior(information))[np.ix_(free, free)]
+    return np.asarray(spread + np.linalg.inv(own))
 
 
 def _jackknife(known: RadiometrySums, free: np.ndarray) -> np.ndarray:
