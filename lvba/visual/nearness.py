@@ -42,8 +42,8 @@ NONE = Nearness()
 
 
 def judged(value: float, sigma: float) -> Nearness:
-    """Of an estimate; none where it is not significant."""
-    significant = max(SIGNIFICANCE * sigma, SMALLEST) < abs(value) < LARGEST
+    """Of an estimate; none where it is not significant, or nearer views are brighter: no camera's grey values bend so."""
+    significant = max(SIGNIFICANCE * sigma, SMALLEST) < -value < LARGEST
     return Nearness(value if significant else 0.0, sigma)
 
 

@@ -92,10 +92,11 @@ def test_what_is_too_uncertain_to_be_taken_out_is_promised():
 
 
 def test_what_contrast_does_not_make_is_refused():
-    assert not nearness.judged(0.02, 1e-4)
-    assert not nearness.judged(0.0004, 1e-6)
-    assert not nearness.judged(0.002, 5e-4)
-    assert nearness.judged(0.002, 1e-4).value == 0.002
+    assert not nearness.judged(-0.02, 1e-4)
+    assert not nearness.judged(-0.0004, 1e-6)
+    assert not nearness.judged(-0.002, 5e-4)
+    assert not nearness.judged(0.002, 1e-4)
+    assert nearness.judged(-0.002, 1e-4).value == -0.002
 
 
 def test_a_mean_weighs_what_each_part_knows():
