@@ -9,28 +9,29 @@ Lengths in millimeters and angles in degrees are root mean squares over all fram
 [evaluation.md](evaluation.md). Seconds are wall time on two cores that had some other work beside (and
 the first rows compile, too); for what a run takes by itself see [benchmarks.md](benchmarks.md).
 
-Hard and medium difficulty are of this version (but that the odometry had weights by turns in the solution, too, which
-matters where scans hang on it), except rooms with the non-repetitive LiDAR. Those and real recordings
-are of the version just before it, which left single images wrong that the trajectory had degrees off, promised too much
-where scans hang on the odometry in turns, and took what images say of the extrinsic for certain however far ranges are
-off. All others are of versions before that one, which also corrected ranges that depend on the angle of incidence by what
-single scans show, as that one did. Their planes
-were those of voxels, cut where faces of voxels cut them and even by assumption, and
-their small planes were trusted for the agreement of large ones: cameras in rooms and courtyards are better by a quarter
-to a half since. Those versions also looked for the best point of each voxel alone in images far apart in time, let
-groups of scans learn less from cameras, knew what lies between scans as one number for all axes, and did not solve
-cameras further where scans had learned from them. Of them, disturbed scenes with seeds 701 and 702, and with a clock that
-drifts, are of the newest. Poses of any method, gates of recordings and of seeds 119 and 121, loops, recordings in
-parts, ablations, degenerate directions, colors of the map, and what the model of errors of scans brings are of the one
-just before that, which knows no rate of the camera's clock and takes rough poses for wrong sooner: where clocks
-agree, and no motion is contested, it gives the same. What all models cost, and other
-disturbed rooms with seed 801 are of the one before that, which differs where rough motions are wrong by more than a
-decimeter or a degree, where images are large, and in how errors of scans are searched for. The disturbed courtyard
-with seed 801 and what the other models bring are of the one before that. Gates of other seeds are of the version
-whose promises of cameras leave out what cancels between images, before the motion during images was found from their
-rows, and single cameras that failed were put back: their leave-one-out counts pixels that show what lies behind a
-surface ([evaluation.md](evaluation.md#which-figure-decides)), and is lower for it. The IMU is of a version that finds
-exposures by color. Rows with poses of any method to colors of the map ran two at a time, as did all of this version.
+Which version the tables are of:
+
+- **This one:** real recordings, medium and hard difficulty, and the disturbed scenes with leaves. They ran two at a
+  time.
+- **Disturbed scenes with seeds 701 and 702, or with a clock that drifts:** the one whose planes were those of voxels,
+  cut where faces of voxels cut them and even by assumption, and whose small planes were trusted for the agreement of
+  large ones. Cameras in rooms and courtyards are better by a quarter to a half since. It also corrected ranges by the
+  incidence that single scans show, left single images wrong that the trajectory had degrees off, promised too much
+  where scans hang on the odometry in turns, and took what images say of the extrinsic for certain however far ranges
+  are off, and leaves for an offset.
+- **Poses of any method, gates of recordings and of seeds 119 and 121, loops, recordings in parts, ablations,
+  degenerate directions, colors of the map, and what the model of errors of scans brings:** one before, which knows no
+  rate of the camera's clock and takes rough poses for wrong sooner. It looked for the best point of each voxel alone
+  in images far apart in time, and did not solve cameras further where scans had learned from them. They ran two at a
+  time.
+- **What all models cost, and other disturbed rooms with seed 801:** one before, which differs where rough motions are
+  wrong by more than a decimeter or a degree, where images are large, and in how errors of scans are searched for.
+- **The disturbed courtyard with seed 801 and what the other models bring:** one before.
+- **Gates of other seeds:** the one whose promises of cameras leave out what cancels between images, before the motion
+  during images was found from their rows, and single cameras that failed were put back: their leave-one-out counts
+  pixels that show what lies behind a surface ([evaluation.md](evaluation.md#which-figure-decides)), and is lower for
+  it.
+- **The IMU:** one that finds exposures by color.
 """
 
 NOTES = {

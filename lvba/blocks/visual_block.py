@@ -30,7 +30,6 @@ from lvba.visual.scene_points import Observations, PatchRules, ScenePoints
 from lvba.visual.states import VisualState
 from lvba.visual.trajectory_prior import Prior
 from lvba.visual.tuning import Tuning
-from lvba.visual.vignetting import PairPlaces
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,7 @@ def select_scene_points(
     ratios = exposure.ratios_at(
         scene.pyramid, cameras, scene.surfaces, scene.seen, depth=depth, raw=raw, curve=light.response
     )
-    edges = exposure.edges_of(_of_core(ratios, core), len(images))
+    edges = exposure.edges_of(ratios.of_images(core), len(images))
     edges = replace(edges, first=images[edges.first], second=images[edges.second])
     return CameraPoints(
         images=images, points=points, observations=observations, sigma=sigma, offset_sigma=off, edges=edges
@@ -150,23 +149,3 @@ def _with_shifts(
         camera, problem.camera, problem.points, problem.observations, prior, config.calibrate
     )
     return problem if shifts is None else replace(problem, shifts=shifts(state))
-
-
-def _of_core(ratios: exposure.Ratios, core: np.ndarray) -> exposure.Ratios:
-    """The ratios of patches that were placed in core images."""
-    mine = core[ratios.first]
-    places = ratios.places
-    if places is not None:
-        places = PairPlaces(places.reference[mine], places.target[mine])
-    return exposure.Ratios(
-        first=ratios.first[mine],
-        second=ratios.second[mine],
-        value=ratios.value[mine],
-        sigma=ratios.sigma[mine],
-        block=ratios.block[mine],
-        stretch=ratios.stretch[mine],
-        level=ratios.level[mine],
-        patch=ratios.patch[mine],
-        places=places,
-        curve=ratios.curve,
-    )

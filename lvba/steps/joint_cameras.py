@@ -285,6 +285,7 @@ def finish_cameras(
                 calibration, prior.calibration, np.diag(sigma**2)
             ),
             clock_epoch=prior.epoch,
+            ties=_ties(cores, stages, len(times)),
         )
     )
 
@@ -316,6 +317,16 @@ def _of_parts(
             spread[mine] = part.result.covariance[own]
             local_covariance[mine] = part.result.local_covariance[own]
     return spread, local_covariance
+
+
+def _ties(cores: Sequence[Part], stages: Sequence[VisualStage], images: int) -> np.ndarray:
+    """As `VisualResult.ties`: each gap as the part that has most pairs over it; what others add may be the same pairs."""
+    ties = np.zeros(images - 1, np.int64)
+    for core, part in zip(cores, stages, strict=True):
+        if part.result is not None and len(part.result.ties):
+            inside = slice(core.images[0], core.images[1] - 1)
+            ties[inside] = np.maximum(ties[inside], part.result.ties)
+    return ties
 
 
 def _levels(results: Sequence[VisualResult]) -> tuple[LevelReport, ...]:

@@ -10,7 +10,7 @@ the contrast, by more the more the curve bends where the image is.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from lvba.visual.edge_means import edge_means, medians, pieces_of_means, shared_
 from lvba.visual.exposure_graph import BLOCKS, Edges, Exposures, robust_std, solve_edges
 from lvba.visual.image import DARK, SATURATED, LevelImages, Pyramid, intrinsics_of
 from lvba.visual.radiometry import Radiometry, RadiometrySums
+from lvba.visual.ratios import Ratios
 from lvba.visual.response import LINEAR, Response
 from lvba.visual.scene_points import HIDDEN_M, PatchRules, PointsConfig, ScenePoints
 from lvba.visual.vignetting import PairPlaces, Vignetting
@@ -80,56 +81,6 @@ _RADIOMETRY_ROUNDS = 20
 """Most times that patches are weighed anew while vignetting and response are found."""
 _RADIOMETRY_TOLERANCE = 1e-4
 """Change of all numbers below which they are not weighed again: a hundredth of a percent of the light."""
-
-
-@dataclass(frozen=True)
-class Ratios:
-    """Log ratios of brightness, one per comparison of a patch: log(mean in `second` / mean in `first`).
-
-    first, second: (N,) int32, images; value, sigma: (N,) float64
-    block: (N,) int64, 0 to BLOCKS - 1: which part of the surface the patch lies on
-    stretch: (N,) int64, the same in pieces of STRETCH_M
-    level: (N,) float64, mean of the logs of both mean grey values
-    patch: (N,) int64, which patch is compared: all comparisons of one share the error of its own view
-    curve: that was taken out of the images before; LINEAR: none
-    places: of the patches in both images, where vignetting and response are asked for; None: they are not
-    """
-
-    first: np.ndarray
-    second: np.ndarray
-    value: np.ndarray
-    sigma: np.ndarray
-    block: np.ndarray
-    stretch: np.ndarray
-    level: np.ndarray
-    patch: np.ndarray
-    places: PairPlaces | None = None
-    nearer: np.ndarray | None = None
-    curve: Response = LINEAR
-
-    def by_numbers(self, present: Radiometry, light: np.ndarray) -> np.ndarray:
-        """(N, NUMBERS) float64: derivative of the log ratios by the numbers of a radiometry.
-
-        light: (N,) float64, expected log ratio of the light of each
-        """
-        assert self.places is not None
-        falloff = self.places.by_numbers(present.vignetting)
-        slopes = response.by_slopes(present.response, self.level, light)
-        return np.concatenate([falloff, self._nearer[:, None], slopes], axis=1)
-
-    def of_surfaces(self, present: Radiometry) -> np.ndarray:
-        """(N,) float64: log ratios of light as if all of it had arrived."""
-        light = present.response.log_ratio(self.level, self.value)
-        return np.asarray(light - self.of_views(present))
-
-    def of_views(self, present: Radiometry) -> np.ndarray:
-        """(N,) float64: log ratios of the light by where a patch is in both images, and by how near it is."""
-        assert self.places is not None
-        return np.asarray(self.places.log_ratio(present.vignetting) + present.nearness.value * self._nearer)
-
-    @property
-    def _nearer(self) -> np.ndarray:
-        return np.zeros(len(self.value)) if self.nearer is None else self.nearer
 
 
 def solve(

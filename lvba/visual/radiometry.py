@@ -152,7 +152,11 @@ def _nearness(known: RadiometrySums, vignetted: bool) -> Nearness:
     free[FALLOFF], free[NEARER] = vignetted, True
     mine, own = np.ix_(free, free), np.flatnonzero(free) == NEARER.start
     information, gradient = known.information.sum(axis=0), known.gradient.sum(axis=0)
-    numbers = _solved(information[mine], gradient[free], _prior(information)[mine])
+    prior = _prior(information)
+    if information[NEARER, NEARER] <= prior[NEARER, NEARER]:
+        # leaving out patches that tell little changes little
+        return Nearness(sigma=nearness.PRIOR_SIGMA)
+    numbers = _solved(information[mine], gradient[free], prior[mine])
     change = _jackknife(known, free)[:, own]
     sigma = np.sqrt((len(change) - 1) / len(change) * np.sum(change**2))
     return nearness.judged(float(numbers[own][0]), float(sigma))

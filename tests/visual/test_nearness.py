@@ -1,15 +1,16 @@
 """What nearer views of a surface seem brighter by: found, taken out of ratios, and not found where there is none."""
 
+import dataclasses
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from lvba.visual import exposure, nearness, radiometry, vignetting
-from lvba.visual.exposure import Ratios
 from lvba.visual.exposure_graph import BLOCKS
 from lvba.visual.nearness import NONE, Nearness
 from lvba.visual.radiometry import Radiometry
+from lvba.visual.ratios import Ratios
 from lvba.visual.vignetting import PairPlaces, Vignetting
 
 TRUE = -0.0015
@@ -91,6 +92,13 @@ def test_what_is_too_uncertain_to_be_taken_out_is_promised():
     assert error < 2 * promised
 
 
+def test_patches_that_come_nearer_alike_tell_nothing():
+    """However well they agree: as those of a camera that looks sideways."""
+    _, ratios = drive()
+    found = exposure.solve_ratios(replace(ratios, nearer=1e-6 * ratios.nearer), STRETCH)
+    assert found.radiometry.nearness == Nearness(0.0, nearness.PRIOR_SIGMA)
+
+
 def test_what_contrast_does_not_make_is_refused():
     assert not nearness.judged(-0.02, 1e-4)
     assert not nearness.judged(-0.0004, 1e-6)
@@ -121,3 +129,15 @@ def test_how_much_nearer():
     found = nearness.log_nearer(np.array([4.0, 3.0, 0.0]), np.array([2.0, 3.0, 1.0]))
     np.testing.assert_allclose(found[:2], [np.log(2), 0.0])
     assert np.isfinite(found).all()
+
+
+def test_ratios_of_some_images_keep_all_that_is_known_of_them():
+    _, ratios = drive(per_pair=5)
+    kept = np.arange(STRETCH) % 3 == 0
+    mine, some = kept[ratios.first], ratios.of_images(kept)
+    for name in ("first", "second", "value", "sigma", "block", "stretch", "level", "patch", "nearer"):
+        np.testing.assert_array_equal(getattr(some, name), getattr(ratios, name)[mine])
+    np.testing.assert_array_equal(some.places.target, ratios.places.target[mine])
+    assert {each.name for each in dataclasses.fields(Ratios)} == {
+        "first", "second", "value", "sigma", "block", "stretch", "level", "patch", "nearer", "places", "curve",
+    }  # fmt: skip

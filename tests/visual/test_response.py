@@ -6,9 +6,9 @@ from rectangle_world import CAMERA, room_with_screen
 
 from lvba.simulate.camera import filmic_curve, srgb_curve
 from lvba.visual import exposure, image, radiometry, response, vignetting
-from lvba.visual.exposure import Ratios
 from lvba.visual.exposure_graph import BLOCKS
 from lvba.visual.radiometry import Radiometry
+from lvba.visual.ratios import Ratios
 from lvba.visual.response import KNOTS, LINEAR, Response
 from lvba.visual.vignetting import PairPlaces, Vignetting
 

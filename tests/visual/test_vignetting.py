@@ -8,9 +8,9 @@ from rectangle_world import CAMERA, room_with_screen
 from lvba.camera import Camera
 from lvba.lens import Lens
 from lvba.visual import exposure, image, radiometry, vignetting
-from lvba.visual.exposure import Ratios
 from lvba.visual.exposure_graph import BLOCKS
 from lvba.visual.image import Undistorter
+from lvba.visual.ratios import Ratios
 from lvba.visual.vignetting import NONE, PairPlaces, Vignetting
 
 TRUE = Vignetting((-0.3, -0.2, 0.05), (0.01, -0.015))
