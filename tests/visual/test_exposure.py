@@ -15,9 +15,10 @@ from lvba.kernels.scene import PlanePatches
 from lvba.lidar.plane import Surfaces
 from lvba.trajectory import Trajectory
 from lvba.visual import edge_means, exposure, exposure_graph, image, visibility
+from lvba.visual.exposure import solve_ratios
 from lvba.visual.exposure_graph import BLOCKS
 from lvba.visual.image import Pyramid, intrinsics_of
-from lvba.visual.ratios import Ratios, solve_ratios
+from lvba.visual.ratios import Ratios
 
 
 def _solve(rec, images=None, levels=2):
