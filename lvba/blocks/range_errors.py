@@ -69,7 +69,7 @@ class _Measurement:
     """Finds poses, planes and the errors in turn.
 
     cosines: of each window, of its points on planes; poses: of its scans, in the round before
-    depths: of each window, as `beam_depth.Depths.squares`
+    depths: of each window, as `beam_depth.Depths.squares`; poses_by_depth: as of `RangeErrors`
     """
 
     dataset: Dataset
@@ -80,6 +80,7 @@ class _Measurement:
     cosines: dict[int, np.ndarray] = field(default_factory=dict)
     poses: dict[int, Poses] = field(default_factory=dict)
     depths: dict[int, np.ndarray] = field(default_factory=dict)
+    poses_by_depth: tuple[float, float] = (0.0, 0.0)
 
     def of(self, probes: list[Window]) -> RangeErrors:
         """By some windows; only where they tell of an error, by larger ones."""
@@ -147,6 +148,7 @@ class _Measurement:
             values={**errors.values, range_errors.DEPTH: round(depth, 4)},
             noticed=(*errors.noticed, range_errors.DEPTH),
             by_direction=(part, math.hypot(off, depth)),
+            poses_by_depth=self.poses_by_depth,
         )
 
     def _beside_others(
@@ -221,6 +223,7 @@ class _Measurement:
         total = scan_evidence.nothing(self.others.stop)
         for number, window in enumerate(windows):
             total += self._evidence(number, window, errors, len(total.gradient))
+        self.poses_by_depth = total.poses_by(self.own.stop - 1)
         return total
 
     def _evidence(self, number: int, window: Window, errors: np.ndarray, size: int) -> ScanEvidence:

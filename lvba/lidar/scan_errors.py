@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from lvba.arrays import Indices
 from lvba.dataset import Scan
 from lvba.lidar.range_errors import RangeErrors
 from lvba.lidar.scan_motion import MotionLeft
@@ -27,6 +28,15 @@ class ScanErrors:
     def by_direction(self) -> tuple[float, float]:
         """As `RangeErrors.by_direction`."""
         return (0.0, 0.0) if self.ranges is None else self.ranges.by_direction
+
+    def pose_covariance(self, scans: Indices) -> np.ndarray:
+        """(n, 6, 6) float64, local tangent, rad and m: what errors in the points of some scans (n,) int64 add to that of
+        their poses; (0, 6, 6): nothing."""
+        own = [] if self.motion is None else [self.motion.pose_covariance]
+        added = [each[scans] for each in own if len(each)]
+        if self.ranges is not None and (left := self.ranges.pose_covariance) is not None:
+            added.append(np.broadcast_to(left, (len(scans), 6, 6)))
+        return np.sum(added, axis=0) if added else np.zeros((0, 6, 6))
 
     def cosines(self, scan: Scan) -> np.ndarray | None:
         """(N,) float64, of the angles of incidence of its points; None: nothing depends on them."""

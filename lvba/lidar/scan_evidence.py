@@ -55,12 +55,16 @@ class ScanEvidence:
     information: (k, k), second derivative of half the sum of squared normalized distances by the numbers
     gradient: (k,), minus the first derivative
     own: (P, k), the first derivative of each plane's part of the sum; curvature: (P, k, k), the second
+    by_number: (2, k), of how far poses turn, rad, and move, m, by a unit of each number, about the mean of the scans:
+        sums of squares over scans; scans: how many
     """
 
     information: np.ndarray
     gradient: np.ndarray
     own: np.ndarray
     curvature: np.ndarray
+    by_number: np.ndarray
+    scans: int = 0
 
     @property
     def change(self) -> np.ndarray:
@@ -101,7 +105,14 @@ class ScanEvidence:
             self.gradient[columns],
             self.own[:, columns],
             self.curvature[:, columns, columns],
+            self.by_number[:, columns],
+            self.scans,
         )
+
+    def poses_by(self, number: int) -> tuple[float, float]:
+        """rad and m, root mean square over scans, that poses turn and move by a unit of a number that is not known of."""
+        turn, shift = np.sqrt(self.by_number[:, number] / max(self.scans, 1))
+        return float(turn), float(shift)
 
     def chance(self, columns: slice) -> float:
         """How often some of the numbers are estimated so far off together if they are zero, the others whatever they are
@@ -125,13 +136,19 @@ class ScanEvidence:
             self.gradient + other.gradient,
             np.concatenate([self.own, other.own]),
             np.concatenate([self.curvature, other.curvature]),
+            self.by_number + other.by_number,
+            self.scans + other.scans,
         )
 
 
 def nothing(size: int) -> ScanEvidence:
     """Of so many numbers."""
     return ScanEvidence(
-        np.zeros((size, size)), np.zeros(size), np.zeros((0, size)), np.zeros((0, size, size))
+        np.zeros((size, size)),
+        np.zeros(size),
+        np.zeros((0, size)),
+        np.zeros((0, size, size)),
+        np.zeros((2, size)),
     )
 
 
@@ -172,7 +189,7 @@ class View:
 def evidence(view: View, by_shared: ByShared, size: int) -> ScanEvidence:
     """What the planes tell of so many shared numbers."""
     sums = [each for scan in range(len(view.scans)) if (each := _of_scan(view, scan, by_shared)) is not None]
-    return _eliminated(sums, len(view.scans), len(view.planes), size) if sums else nothing(size)
+    return _eliminated(sums, view.world_from_scan, len(view.planes), size) if sums else nothing(size)
 
 
 def terms(view: View, scan: int, by_shared: ByShared, met: bool = True) -> tuple[np.ndarray, ...] | None:
@@ -244,8 +261,9 @@ def _of_scan(view: View, scan: int, by_shared: ByShared) -> _Sums | None:
     )
 
 
-def _eliminated(sums: list[_Sums], scans: int, planes: int, size: int) -> ScanEvidence:
+def _eliminated(sums: list[_Sums], world_from_scan: Poses, planes: int, size: int) -> ScanEvidence:
     """The sums by the shared numbers alone."""
+    scans = len(world_from_scan)
     plane = np.concatenate([each.plane for each in sums])
     scan = np.concatenate([np.full(len(each.plane), each.scan) for each in sums])
     xx, xy, xr = (np.concatenate([getattr(each, name) for each in sums]) for name in ("xx", "xy", "xr"))
@@ -274,7 +292,21 @@ def _eliminated(sums: list[_Sums], scans: int, planes: int, size: int) -> ScanEv
     own -= np.einsum("pik,pi->pk", met, right)
     curvature -= np.einsum("pik,pil->pkl", met, met)
     information = np.einsum("in,nj->ij", normal[free:], through)
-    return ScanEvidence((information + information.T) / 2, -own.sum(axis=0), own, curvature)
+    return ScanEvidence(
+        (information + information.T) / 2,
+        -own.sum(axis=0),
+        own,
+        curvature,
+        _by_number(poses.reshape(scans, 6, size), world_from_scan),
+        scans,
+    )
+
+
+def _by_number(poses: np.ndarray, world_from_scan: Poses) -> np.ndarray:
+    """As of `ScanEvidence`. poses: (S, 6, k), change of each, local tangent, by a unit of each number"""
+    rotation = world_from_scan[:, :3, :3]
+    world = np.stack([rotation @ poses[:, part] for part in (slice(3), slice(3, 6))])
+    return np.asarray(np.sum((world - world.mean(axis=1, keepdims=True)) ** 2, axis=(1, 2)))
 
 
 def _by_plane(

@@ -24,7 +24,7 @@ from lvba.loop_closure.registration import Loop
 from lvba.loop_closure.rough_poses import RoughError
 from lvba.loop_closure.submap import Submap
 from lvba.progress import Progress, silent
-from lvba.steps.lidar import solve_lidar, with_motion
+from lvba.steps.lidar import solve_lidar, with_errors
 from lvba.steps.outcomes import LidarStage
 
 
@@ -275,7 +275,7 @@ def finish_scans(
     )
     errors = [part.rough_error for part in parts if part.rough_error is not None]
     confirmed = np.unique(np.concatenate([part.confirmed for part in parts]))
-    result = with_motion(result, scan_errors, np.arange(len(result.covariance)))
+    result = with_errors(result, scan_errors, np.arange(len(result.covariance)))
     stage = LidarStage(
         result,
         rough_error=rough_poses.of_all(errors),

@@ -72,7 +72,7 @@ def solve_lidar(
         return LidarStage(None, str(error))
     poses = result.world_from_scan
     return LidarStage(
-        with_motion(result, errors, part.scan_numbers),
+        with_errors(result, errors, part.scan_numbers),
         rough_error=None if begin is None else begin.judged(surfels, poses),
         confirmed=_confirmed(surfels, dataset.scans, Trajectory(dataset.scans.times, poses)),
         by_direction=(0.0, 0.0) if errors is None else errors.by_direction,
@@ -95,15 +95,13 @@ def _met_at_planes(
     return np.split(ranges.met_at(points.points, cosine, known), points.offsets[1:-1])
 
 
-def with_motion(result: LidarResult, errors: ScanErrors | None, scans: Indices) -> LidarResult:
-    """The result of some scans (n,) that knows how uncertain the motion is that was taken out of their points.
+def with_errors(result: LidarResult, errors: ScanErrors | None, scans: Indices) -> LidarResult:
+    """The result of some scans (n,) that knows what errors that stay in their points, or are known too little, make of
+    their poses.
 
     errors: of the scans of the recording
     """
-    motion = None if errors is None else errors.motion
-    if motion is None or not len(motion.pose_covariance):
-        return result
-    return replace(result, own_covariance=motion.pose_covariance[scans])
+    return result if errors is None else replace(result, own_covariance=errors.pose_covariance(scans))
 
 
 def _imu(dataset: Dataset) -> Imu | None:

@@ -18,7 +18,7 @@ from lvba.lidar.scan_motion import MotionLeft
 from lvba.simulate.disturbances import Disturbances
 from lvba.simulate.simulation import simulate
 from lvba.steps import report_data, uncertainty
-from lvba.steps.lidar import with_motion
+from lvba.steps.lidar import with_errors
 from lvba.trajectory import Trajectory, pose_error
 
 SMALL = {"frames": 2, "scans": 36, "seed": 5, "width": 64, "height": 48, "points_per_scan": 4000}
@@ -79,7 +79,7 @@ def test_what_is_left_is_found_and_taken_out(recording, found):
     after = pose_error(result.world_from_scan, truth).ate_m
     assert before > 4 * best
     assert after < 2 * best
-    knowing = with_motion(result, ScanErrors(None, motion), np.arange(36))
+    knowing = with_errors(result, ScanErrors(None, motion), np.arange(36))
     # cameras are held by what neighboring scans share
     np.testing.assert_array_equal(knowing.covariance, result.covariance)
     np.testing.assert_array_equal(knowing.conditional_covariance, result.conditional_covariance)

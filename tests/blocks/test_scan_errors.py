@@ -131,6 +131,10 @@ def test_beams_that_go_into_surfaces_are_noticed_and_not_taken_for_a_known_error
     assert 0.01 < depth < 0.05
     assert errors.by_direction == (0.0, pytest.approx(depth, abs=1e-4))
     assert "go into surfaces" in report_data.warnings_of_errors(errors)[0]
+    turn, shift = errors.ranges.poses_by_depth
+    off = error(dataset)
+    assert off.ate_m < 3 * shift
+    assert off.rotation_deg < 3 * math.degrees(turn)
 
 
 def test_an_error_that_no_sensor_has_is_not_corrected(tmp_path):

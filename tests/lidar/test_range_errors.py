@@ -272,8 +272,34 @@ def test_facts_bring_errors_back():
 def test_what_planes_leave_open_is_taken_to_be_as_large_as_expected():
     """One number known to 0.001, one to 1: estimates of 0.02 and 3, expected to be off by 0.01."""
     own = np.diag([1e3, 1.0])
-    evidence = ScanEvidence(np.diag([1e6, 1.0]), np.array([2e4, 3.0]), own, np.zeros((2, 2, 2)))
+    evidence = ScanEvidence(
+        np.diag([1e6, 1.0]), np.array([2e4, 3.0]), own, np.zeros((2, 2, 2)), np.zeros((2, 2))
+    )
     spread = evidence.covariance
     expected = 1e-4 * np.linalg.solve(1e-4 * np.eye(2) + spread, evidence.change)
     np.testing.assert_allclose(evidence.likely(slice(0, 2), 0.01), expected, rtol=1e-9)
     assert abs(expected[1]) < 0.01 < abs(evidence.change[1])
+
+
+def test_how_far_poses_go_by_a_number_that_is_not_known_of():
+    """One that moves the points of a single scan upward moves that scan downward, and no other."""
+    view = room(AROUND, {}, noise=0.01)
+    upward = view.world_from_scan[:, :3, :3].transpose(0, 2, 1) @ [0.0, 0.0, 1.0]
+
+    def by_shared(points):
+        return np.where(points.scan == 3, points.normal @ upward[3], 0.0)[:, None]
+
+    turn, shift = scan_evidence.evidence(view, by_shared, 1).poses_by(0)
+    # of eight scans, about their mean
+    assert shift == pytest.approx(np.sqrt(7) / 8, rel=0.03)
+    assert turn < 1e-3
+    assert scan_evidence.nothing(1).poses_by(0) == (0.0, 0.0)
+
+
+def test_what_beams_that_go_into_surfaces_make_of_poses_is_in_their_covariances():
+    left = RangeErrors(AROUND, poses_by_depth=(0.001, 0.003))
+    covariance = ScanErrors(left, None).pose_covariance(np.arange(4))
+    assert covariance.shape == (4, 6, 6)
+    assert np.sqrt(np.trace(covariance[2, 3:, 3:])) == pytest.approx(0.003)
+    assert np.sqrt(np.trace(covariance[2, :3, :3])) == pytest.approx(0.001)
+    assert ScanErrors(RangeErrors(AROUND), None).pose_covariance(np.arange(4)).shape == (0, 6, 6)
