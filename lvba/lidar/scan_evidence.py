@@ -101,12 +101,12 @@ class ScanEvidence:
     def of(self, columns: slice) -> "ScanEvidence":
         """Of some of the numbers, the others known to be zero."""
         return ScanEvidence(
-            self.information[columns, columns],
-            self.gradient[columns],
-            self.own[:, columns],
-            self.curvature[:, columns, columns],
-            self.by_number[:, columns],
-            self.scans,
+            information=self.information[columns, columns],
+            gradient=self.gradient[columns],
+            own=self.own[:, columns],
+            curvature=self.curvature[:, columns, columns],
+            by_number=self.by_number[:, columns],
+            scans=self.scans,
         )
 
     def poses_by(self, number: int) -> tuple[float, float]:
@@ -132,23 +132,23 @@ class ScanEvidence:
 
     def __add__(self, other: "ScanEvidence") -> "ScanEvidence":
         return ScanEvidence(
-            self.information + other.information,
-            self.gradient + other.gradient,
-            np.concatenate([self.own, other.own]),
-            np.concatenate([self.curvature, other.curvature]),
-            self.by_number + other.by_number,
-            self.scans + other.scans,
+            information=self.information + other.information,
+            gradient=self.gradient + other.gradient,
+            own=np.concatenate([self.own, other.own]),
+            curvature=np.concatenate([self.curvature, other.curvature]),
+            by_number=self.by_number + other.by_number,
+            scans=self.scans + other.scans,
         )
 
 
 def nothing(size: int) -> ScanEvidence:
     """Of so many numbers."""
     return ScanEvidence(
-        np.zeros((size, size)),
-        np.zeros(size),
-        np.zeros((0, size)),
-        np.zeros((0, size, size)),
-        np.zeros((2, size)),
+        information=np.zeros((size, size)),
+        gradient=np.zeros(size),
+        own=np.zeros((0, size)),
+        curvature=np.zeros((0, size, size)),
+        by_number=np.zeros((2, size)),
     )
 
 
@@ -293,12 +293,12 @@ def _eliminated(sums: list[_Sums], world_from_scan: Poses, planes: int, size: in
     curvature -= np.einsum("pik,pil->pkl", met, met)
     information = np.einsum("in,nj->ij", normal[free:], through)
     return ScanEvidence(
-        (information + information.T) / 2,
-        -own.sum(axis=0),
-        own,
-        curvature,
-        _by_number(poses.reshape(scans, 6, size), world_from_scan),
-        scans,
+        information=(information + information.T) / 2,
+        gradient=-own.sum(axis=0),
+        own=own,
+        curvature=curvature,
+        by_number=_by_number(poses.reshape(scans, 6, size), world_from_scan),
+        scans=scans,
     )
 
 
