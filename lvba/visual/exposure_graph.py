@@ -136,9 +136,7 @@ def _by_held_nearness(edges: Edges) -> np.ndarray:
     """(E,): changes of the means if nearer views seemed brighter by what fits best; 0 where that is taken out."""
     if edges.known is None or edges.radiometry.nearness:
         return np.zeros(len(edges.mean))
-    return np.asarray(
-        edges.by_radiometry[:, radiometry.NEARER] @ radiometry.best(edges.known).numbers[radiometry.NEARER]
-    )
+    return np.asarray(edges.by_radiometry[:, radiometry.NEARER.start] * radiometry.best_nearness(edges.known))
 
 
 def robust_std(values: np.ndarray) -> float:

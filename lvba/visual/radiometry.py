@@ -24,6 +24,8 @@ FALLOFF, NEARER, CURVE = (
     slice(0, vignetting.NUMBERS), slice(vignetting.NUMBERS, vignetting.NUMBERS + 1), slice(NUMBERS - SLOPES, NUMBERS)
 )  # fmt: skip
 """Which of them are those of the vignetting, of what nearer views seem brighter by, and slopes of the response less 1."""
+_IMAGES = np.arange(NUMBERS) != NEARER.start
+"""Those that images differ from the light by."""
 
 
 @dataclass(frozen=True)
@@ -104,9 +106,16 @@ def sums(
 
 
 def best(known: RadiometrySums) -> Radiometry:
-    """What fits the sums best, whatever it is."""
-    information, gradient = known.information.sum(axis=0), known.gradient.sum(axis=0)
-    return of_numbers(_solved(information, gradient, _prior(information)))
+    """The vignetting and the response that fit the sums best, whatever they are, if nearer views seem no brighter.
+
+    Where patches hardly tell of nearness, as those of a camera that turns in a room, it would take up anything.
+    """
+    return of_numbers(_fitted(known, _IMAGES))
+
+
+def best_nearness(known: RadiometrySums) -> float:
+    """What nearer views seem brighter by that fits best, whatever it is, beside the vignetting and response that do."""
+    return float(_fitted(known, np.ones(NUMBERS, bool))[NEARER][0])
 
 
 def solve(known: RadiometrySums, curve: Response | None = None) -> Radiometry:
@@ -115,13 +124,11 @@ def solve(known: RadiometrySums, curve: Response | None = None) -> Radiometry:
 
     curve: the response, where it is known
     """
-    information, gradient = known.information.sum(axis=0), known.gradient.sum(axis=0)
-    if not information.any():
+    if not known.information.any():
         return NONE
     if curve is None:
-        sigma = np.sqrt(np.diag(_covariance(known, np.ones(NUMBERS, bool)))[CURVE])
-        together = _solved(information, gradient, _prior(information))
-        curve = response.judged(together[CURVE], sigma)
+        sigma = np.sqrt(np.diag(_covariance(known, _IMAGES)))[-SLOPES:]
+        curve = response.judged(_fitted(known, _IMAGES)[CURVE], sigma)
     known = _given(known, CURVE, curve.numbers)
     falloff = _vignetting(known)
     nearer = _nearness(known, bool(falloff))
@@ -150,16 +157,12 @@ def _nearness(known: RadiometrySums, vignetted: bool) -> Nearness:
     """
     free = np.zeros(NUMBERS, bool)
     free[FALLOFF], free[NEARER] = vignetted, True
-    mine, own = np.ix_(free, free), np.flatnonzero(free) == NEARER.start
-    information, gradient = known.information.sum(axis=0), known.gradient.sum(axis=0)
-    prior = _prior(information)
-    if information[NEARER, NEARER] <= prior[NEARER, NEARER]:
+    if known.information[:, NEARER, NEARER].sum() <= nearness.PRIOR_SIGMA**-2:
         # leaving out patches that tell little changes little
         return Nearness(sigma=nearness.PRIOR_SIGMA)
-    numbers = _solved(information[mine], gradient[free], prior[mine])
-    change = _jackknife(known, free)[:, own]
+    change = _jackknife(known, free)[:, np.flatnonzero(free) == NEARER.start]
     sigma = np.sqrt((len(change) - 1) / len(change) * np.sum(change**2))
-    return nearness.judged(float(numbers[own][0]), float(sigma))
+    return nearness.judged(float(_fitted(known, free)[NEARER][0]), float(sigma))
 
 
 def mean(parts: Sequence[Radiometry]) -> Radiometry:
@@ -191,6 +194,14 @@ def _prior(information: np.ndarray) -> np.ndarray:
     known[NEARER, NEARER] = nearness.PRIOR_SIGMA**-2
     known[CURVE, CURVE] = response.prior(information[CURVE, CURVE])
     return known
+
+
+def _fitted(known: RadiometrySums, free: np.ndarray) -> np.ndarray:
+    """(NUMBERS,): the numbers in `free` (NUMBERS,) bool that fit best, the others 0."""
+    information, gradient = known.information.sum(axis=0), known.gradient.sum(axis=0)
+    mine, numbers = np.ix_(free, free), np.zeros(NUMBERS)
+    numbers[free] = _solved(information[mine], gradient[free], _prior(information)[mine])
+    return numbers
 
 
 def _solved(information: np.ndarray, gradient: np.ndarray, prior: np.ndarray) -> np.ndarray:
