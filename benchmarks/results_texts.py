@@ -11,8 +11,8 @@ the first rows compile, too); for what a run takes by itself see [benchmarks.md]
 
 Which version the tables are of:
 
-- **This one:** real recordings, medium and hard difficulty, and the disturbed scenes with leaves of 5 cm. They ran two at a
-  time.
+- **This one:** real recordings, medium and hard difficulty, and the disturbed scenes with leaves of 5 cm. They ran two
+  at a time.
 - **Disturbed scenes with seeds 701 and 702, or with a clock that drifts:** the one whose planes were those of voxels,
   cut where faces of voxels cut them and even by assumption, and whose small planes were trusted for the agreement of
   large ones. Cameras in rooms and courtyards are better by a quarter to a half since. It also corrected ranges by the
