@@ -15,7 +15,7 @@ import numpy as np
 
 from lvba import geometry
 from lvba.arrays import Vector
-from lvba.lidar.range_errors import OFFSET, Beams
+from lvba.lidar.range_errors import OFFSET, Beams, directions
 from lvba.lidar.scan_evidence import ByShared, OnPlanes, View
 
 _FEWEST_POINTS = 100
@@ -86,8 +86,7 @@ def _along(view: View, position: Vector) -> tuple[np.ndarray, np.ndarray]:
         pose = view.world_from_scan[scan]
         point = view.scans.points[number].astype(float)
         normal, center = view.planes.normal[plane], view.planes.center[plane]
-        beam = point - position
-        beam /= np.maximum(np.linalg.norm(beam, axis=1), 1e-9)[:, None]
+        beam, _ = directions(point, position)
         cosine = np.einsum("ni,ni->n", normal @ pose[:3, :3], beam)
         distance = np.einsum("ni,ni->n", normal, geometry.transform_points(pose, point) - center)
         seen = np.abs(cosine) > _LEAST_COSINE

@@ -86,7 +86,7 @@ class Beams:
 
         position: (3,) float64, m; axes: (3, 3) float64, columns: the sensor's own, in the scan frame
         """
-        seen = [_directions(each, position)[0] for each in points if len(each)]
+        seen = [directions(each, position)[0] for each in points if len(each)]
         if not seen:
             return Beams(position, None, False)
         local = np.concatenate(seen) @ axes
@@ -117,7 +117,7 @@ class Beams:
         cosine: (N,) float64, of the angle of incidence
         brighter: (N,) float64, as `Beams.brighter`; None: not known, nothing moves by it
         """
-        ray, length = _directions(points, self.position)
+        ray, length = directions(points, self.position)
         if name == INCIDENCE:
             return np.asarray(-ray * (1 - cosine)[:, None])
         if name == OFFSET:
@@ -172,7 +172,11 @@ def usual_brightness(intensity: np.ndarray | None, cosine: np.ndarray) -> float 
     return usual
 
 
-def _directions(points: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def directions(points: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 3) float64, unit vectors of the beams that meet points, and (N,) float64, m, how far away these are.
+
+    points: (N, 3) float32 or float64, m; position: (3,) float64, m, where the beams begin
+    """
     away = np.asarray(points, float) - position
     length = np.linalg.norm(away, axis=1)
     return away / np.maximum(length, 1e-9)[:, None], length
@@ -310,7 +314,7 @@ def by_errors(beams: Beams, brighter: np.ndarray | None = None) -> ByShared:
     """
 
     def derivative(points: OnPlanes) -> np.ndarray:
-        ray, _ = _directions(points.place, beams.position)
+        ray, _ = directions(points.place, beams.position)
         cosine = np.abs(np.einsum("ni,ni->n", ray, points.normal))
         own = None if brighter is None else brighter[points.chosen]
         shifts = [beams.shift(name, points.place, cosine, own) for name in beams.names]
@@ -321,7 +325,7 @@ def by_errors(beams: Beams, brighter: np.ndarray | None = None) -> ByShared:
 
 def harmonics(beams: Beams, points: Vectors) -> np.ndarray:
     """(N, 8): spherical harmonics of first and second degree of the directions of points (N, 3) m, scan frame."""
-    x, y, z = _directions(points, beams.position)[0].T
+    x, y, z = directions(points, beams.position)[0].T
     return np.stack([x, y, z, x * y, y * z, z * x, x * x - y * y, (3 * z * z - 1) / 2], axis=1)
 
 
@@ -329,7 +333,7 @@ def by_directions(beams: Beams) -> ByShared:
     """Derivative of points' distances from their planes by parts of the range that go with the harmonics."""
 
     def derivative(points: OnPlanes) -> np.ndarray:
-        ray, length = _directions(points.place, beams.position)
+        ray, length = directions(points.place, beams.position)
         along = -length * np.einsum("ni,ni->n", points.normal, ray)
         return np.asarray(along[:, None] * harmonics(beams, points.place))
 
@@ -385,7 +389,7 @@ def cosines_on_planes(view: View, beams: Beams) -> np.ndarray:
         if known is None:
             continue
         normal = view.planes.normal[known[0]] @ view.world_from_scan[scan][:3, :3]
-        ray, _ = _directions(view.scans.points[known[1]], beams.position)
+        ray, _ = directions(view.scans.points[known[1]], beams.position)
         cosine[known[1]] = np.abs(np.einsum("ni,ni->n", normal, ray))
     seen = np.isfinite(cosine)
     return np.where(seen, cosine, cosine[seen].mean() if seen.any() else 1.0)

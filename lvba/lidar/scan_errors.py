@@ -32,11 +32,12 @@ class ScanErrors:
     def pose_covariance(self, scans: Indices) -> np.ndarray:
         """(n, 6, 6) float64, local tangent, rad and m: what errors in the points of some scans (n,) int64 add to that of
         their poses; (0, 6, 6): nothing."""
-        own = [] if self.motion is None else [self.motion.pose_covariance]
-        added = [each[scans] for each in own if len(each)]
-        if self.ranges is not None and (left := self.ranges.pose_covariance) is not None:
-            added.append(np.broadcast_to(left, (len(scans), 6, 6)))
-        return np.sum(added, axis=0) if added else np.zeros((0, 6, 6))
+        motion = None if self.motion is None else self.motion.pose_covariance
+        left = None if self.ranges is None else self.ranges.pose_covariance
+        own = np.zeros((0, 6, 6)) if motion is None or not len(motion) else motion[scans]
+        if left is None:
+            return own
+        return own + left if len(own) else np.tile(left, (len(scans), 1, 1))
 
     def cosines(self, scan: Scan) -> np.ndarray | None:
         """(N,) float64, of the angles of incidence of its points; None: nothing depends on them."""

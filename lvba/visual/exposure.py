@@ -255,7 +255,7 @@ def measure(
         block=surface_blocks(points.position_world)[point],
         stretch=surface_blocks(points.position_world, STRETCH_M)[point],
         places=places,
-        nearer=_nearer(world_from_camera, points, point, target),
+        nearer=None if raw is None else _nearer(world_from_camera, points, point, target),
         level=0.5 * np.log(means[good, TARGET_MEAN] * means[good, REFERENCE_MEAN]),
         patch=point.astype(np.int64),
     )

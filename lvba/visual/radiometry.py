@@ -160,9 +160,8 @@ def _nearness(known: RadiometrySums, vignetted: bool) -> Nearness:
     if known.information[:, NEARER, NEARER].sum() <= nearness.PRIOR_SIGMA**-2:
         # leaving out patches that tell little changes little
         return Nearness(sigma=nearness.PRIOR_SIGMA)
-    change = _jackknife(known, free)[:, np.flatnonzero(free) == NEARER.start]
-    sigma = np.sqrt((len(change) - 1) / len(change) * np.sum(change**2))
-    return nearness.judged(float(_fitted(known, free)[NEARER][0]), float(sigma))
+    variance = np.diag(_spread(known, free))[np.flatnonzero(free) == NEARER.start]
+    return nearness.judged(float(_fitted(known, free)[NEARER][0]), float(np.sqrt(variance[0])))
 
 
 def mean(parts: Sequence[Radiometry]) -> Radiometry:
@@ -223,11 +222,15 @@ def changes(known: RadiometrySums, used: Radiometry) -> np.ndarray:
 def _covariance(known: RadiometrySums, free: np.ndarray) -> np.ndarray:
     """(F, F): of the numbers in `free` (NUMBERS,) bool, the others known, by leaving out one block of the surface in
     turn: patches on one surface err alike."""
-    change = _jackknife(known, free)
-    count, information = len(change), known.information.sum(axis=0)
-    spread = (count - 1) / count * np.einsum("bk,bl->kl", change, change)
+    information = known.information.sum(axis=0)
     own = (information + _prior(information))[np.ix_(free, free)]
-    return np.asarray(spread + np.linalg.inv(own))
+    return np.asarray(_spread(known, free) + np.linalg.inv(own))
+
+
+def _spread(known: RadiometrySums, free: np.ndarray) -> np.ndarray:
+    """(F, F): of `_covariance`, what patches on different blocks of the surface contradict each other by."""
+    change = _jackknife(known, free)
+    return np.asarray((len(change) - 1) / len(change) * np.einsum("bk,bl->kl", change, change))
 
 
 def _jackknife(known: RadiometrySums, free: np.ndarray) -> np.ndarray:

@@ -21,6 +21,7 @@ class Ratios:
     patch: (N,) int64, which patch is compared: all comparisons of one share the error of its own view
     curve: that was taken out of the images before; LINEAR: none
     places: of the patches in both images, where vignetting and response are asked for; None: they are not
+    nearer: (N,) float64, log of how many times nearer patches are in `second`; None: all alike
     """
 
     first: np.ndarray
