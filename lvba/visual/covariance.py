@@ -109,8 +109,11 @@ def _with_shared(
 ) -> csr_matrix:
     """Gradients by the images, (clusters, 7 I), and those by the shared parameters beside them."""
     by_shared = np.zeros((images.shape[0], known.shared))
-    if linearization.shared is not None:
-        np.add.at(by_shared, walls.wall[walls.of[:, 0]], linearization.shared.single)
+    shared = linearization.shared
+    if shared is not None:
+        summed = np.zeros((len(by_shared), len(shared.columns)))
+        np.add.at(summed, walls.wall[walls.of[:, 0]], shared.single)
+        by_shared[:, shared.columns] = summed
     return hstack([images, csr_matrix(by_shared)]).tocsr()
 
 

@@ -9,22 +9,23 @@ import numpy as np
 class Shifts:
     """How shared parameters move the patches in their target images, linear about their values at that time.
 
-    at: (O, 2) float64, px of the level, what the values themselves move; by: (O, 2, m) float64, px per step of m
-    parameters; columns: (m,) int64, which of the `size` numbers of a step of all shared parameters these are
+    at: (O, 2) float64, px of the level, what the values themselves move
+    jacobian: (O, 3, m) float64, target pixel, px, and log exposure difference (none), per step of m parameters
+    columns: (m,) int64, which of the `size` numbers of a step of all shared parameters these are
     rows: (O, 2) float64, when each patch is read in its reference and in its target, parts of the readout time after the
         middle of the image
     """
 
     at: np.ndarray
-    by: np.ndarray
+    jacobian: np.ndarray
     columns: np.ndarray
     size: int
     rows: np.ndarray
 
     @property
-    def jacobian(self) -> np.ndarray:
-        """(O, 3, m) float64: target pixel, px, and log exposure difference (none), by the m parameters."""
-        return np.concatenate([self.by, np.zeros_like(self.by[:, :1])], axis=1)
+    def by(self) -> np.ndarray:
+        """(O, 2, m) float64, px per step of m parameters."""
+        return self.jacobian[:, :2]
 
     def spread(self, values: np.ndarray) -> np.ndarray:
         """(..., size) float64: values of all parameters, zero where these are not.

@@ -172,15 +172,17 @@ class PhotometricState:
 
 @dataclass(frozen=True)
 class SharedTerms:
-    """The photometric cost by k shared parameters.
+    """The photometric cost by shared parameters.
 
-    border: of the normal equations, plane offsets not eliminated; single: (O, k) gradient of each observation;
-    entry: (P, k) couplings of the plane offsets
+    border: of the normal equations, plane offsets not eliminated
+    single: (O, m) gradient of each observation by m of the parameters; entry: (P, m) couplings of the plane offsets
+    columns: (m,) int64, which of the parameters these are
     """
 
     border: Border
     single: np.ndarray
     entry: np.ndarray
+    columns: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -299,7 +301,7 @@ def _spread(at: Linearization, shifts: Shifts) -> Linearization:
     assert at.shared is not None
     assert at.equations.border is not None
     border, own = (_spread_border(each, shifts) for each in (at.equations.border, at.shared.border))
-    shared = SharedTerms(own, shifts.spread(at.shared.single), shifts.spread(at.shared.entry))
+    shared = replace(at.shared, border=own, columns=shifts.columns)
     return replace(at, equations=replace(at.equations, border=border), shared=shared)
 
 
@@ -329,7 +331,7 @@ def _shared_terms(
     entry = np.zeros((len(problem.points), by_shared.shape[2], 1))
     offset_kernels.add_blocks(entry, problem.observations.point, with_offset[..., None])
     border = Border(by_image, hessian.sum(axis=0), single.sum(axis=0))
-    return SharedTerms(border, single, entry[..., 0])
+    return SharedTerms(border, single, entry[..., 0], np.arange(single.shape[1]))
 
 
 def _explained_border(
@@ -435,7 +437,7 @@ def retract(problem: Problem, state: PhotometricState, at: Linearization, step: 
     far = np.einsum("ok,ok->o", at.entry[count:], step.blocks[observations.target])
     pull += np.bincount(observations.point, far, count)
     if at.shared is not None and len(step.shared):
-        pull += at.shared.entry @ step.shared
+        pull += at.shared.entry @ step.shared[at.shared.columns]
     offset = state.offset - (at.offset_gradient + pull) / at.offset_hessian
     return PhotometricState(cameras, offset, shared)
 

@@ -1,0 +1,127 @@
+"""Where the rows of images are that are read one after another while the camera moves.
+
+A camera that is `T` at its middle row is `T exp(s v)` at a row that is read a part s of the readout time later, v being
+how far it moves during all of it. Vectors are turned by the series of Rodrigues' formula, without a matrix for each row.
+"""
+
+import math
+
+import numpy as np
+from numba import prange
+
+from lvba.kernels.compiled import kernel, parallel_kernel
+from lvba.kernels.scene import Intrinsics, PlanePatches
+
+_CHUNK = 256
+_SMALL_ANGLE = 1e-2
+"""rad, below which the series take the place of differences of nearly equal numbers: their next term is 1e-14 there."""
+
+
+@parallel_kernel
+def onto_planes(
+    point: np.ndarray,
+    poses: np.ndarray,
+    over: np.ndarray,
+    part: np.ndarray,
+    intrinsics: Intrinsics,
+    patches: PlanePatches,
+) -> np.ndarray:
+    """(O, 3) float64, m, world: what the pixels of patches show on their planes, each row read where the camera was then.
+
+    point: (O,) int32, patches; poses: (I, 4, 4) float64, world_from_camera at the middle rows
+    over: (I, 6) float64 `[rotation | translation]`, rad and m, the motion of each camera during its readout
+    part: (O,) float64, of the readout time, when the row of each is read after the middle one; patches: `pixel` float64
+    """
+    world = np.empty((len(point), 3))
+    for chunk in prange(-(-len(point) // _CHUNK)):
+        turn, shift, ray, along, origin = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+        for o in range(chunk * _CHUNK, min(len(point), (chunk + 1) * _CHUNK)):
+            p = point[o]
+            r = patches.reference[p]
+            _motion(over[r], part[o], turn, shift)
+            ray[0] = (patches.pixel[p, 0] - intrinsics.cx) / intrinsics.fx
+            ray[1] = (patches.pixel[p, 1] - intrinsics.cy) / intrinsics.fy
+            ray[2] = 1.0
+            _turned(turn, 1.0, ray, along)
+            above, slant = 0.0, 0.0
+            pose = poses[r]
+            for i in range(3):
+                origin[i] = pose[i, 3] + pose[i, 0] * shift[0] + pose[i, 1] * shift[1] + pose[i, 2] * shift[2]
+                ray[i] = pose[i, 0] * along[0] + pose[i, 1] * along[1] + pose[i, 2] * along[2]
+                above += patches.normal[p, i] * (patches.position[p, i] - origin[i])
+                slant += patches.normal[p, i] * ray[i]
+            for i in range(3):
+                world[o, i] = origin[i] + ray[i] * (above / slant)
+    return world
+
+
+@parallel_kernel
+def into_images(
+    world: np.ndarray,
+    image: np.ndarray,
+    poses: np.ndarray,
+    over: np.ndarray,
+    part: np.ndarray,
+    intrinsics: Intrinsics,
+) -> np.ndarray:
+    """(O, 2) float64, px: where points are in images of which each row is read where the camera was then.
+
+    world: (O, 3) float64, m; image: (O,) int32; poses, over, part: as in `onto_planes`, part of the row that shows it
+    """
+    place = np.empty((len(world), 2))
+    for chunk in prange(-(-len(world) // _CHUNK)):
+        turn, shift, away, local = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+        for o in range(chunk * _CHUNK, min(len(world), (chunk + 1) * _CHUNK)):
+            pose = poses[image[o]]
+            _motion(over[image[o]], part[o], turn, shift)
+            for i in range(3):
+                away[i] = -shift[i]
+                for j in range(3):
+                    away[i] += pose[j, i] * (world[o, j] - pose[j, 3])
+            _turned(turn, -1.0, away, local)
+            place[o, 0] = local[0] / local[2] * intrinsics.fx + intrinsics.cx
+            place[o, 1] = local[1] / local[2] * intrinsics.fy + intrinsics.cy
+    return place
+
+
+@kernel
+def _motion(over: np.ndarray, part: float, turn: np.ndarray, shift: np.ndarray) -> None:
+    """Fills the turn (3,), rad, and the translation (3,), m, of exp(part * over)."""
+    for i in range(3):
+        turn[i] = part * over[i]
+    square = turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2
+    angle = math.sqrt(square)
+    if angle < _SMALL_ANGLE:
+        second = 0.5 - square / 24 + square**2 / 720
+        third = 1 / 6 - square / 120 + square**2 / 5040
+    else:
+        second = 2 * (math.sin(angle / 2) / angle) ** 2
+        third = (angle - math.sin(angle)) / (square * angle)
+    _with_crosses(turn, second, third, over[3:], shift)
+    for i in range(3):
+        shift[i] *= part
+
+
+@kernel
+def _turned(turn: np.ndarray, sign: float, vector: np.ndarray, out: np.ndarray) -> None:
+    """Fills `exp(sign * turn) @ vector` (3,)."""
+    square = turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2
+    angle = math.sqrt(square)
+    if angle < _SMALL_ANGLE:
+        first = 1 - square / 6 + square**2 / 120
+        second = 0.5 - square / 24 + square**2 / 720
+    else:
+        first = math.sin(angle) / angle
+        second = 2 * (math.sin(angle / 2) / angle) ** 2
+    _with_crosses(turn, sign * first, second, vector, out)
+
+
+@kernel
+def _with_crosses(turn: np.ndarray, once: float, twice: float, vector: np.ndarray, out: np.ndarray) -> None:
+    """Fills v + once * (a x v) + twice * (a x (a x v)) (3,), a the turn."""
+    x = turn[1] * vector[2] - turn[2] * vector[1]
+    y = turn[2] * vector[0] - turn[0] * vector[2]
+    z = turn[0] * vector[1] - turn[1] * vector[0]
+    out[0] = vector[0] + once * x + twice * (turn[1] * z - turn[2] * y)
+    out[1] = vector[1] + once * y + twice * (turn[2] * x - turn[0] * z)
+    out[2] = vector[2] + once * z + twice * (turn[0] * y - turn[1] * x)
