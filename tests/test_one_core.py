@@ -55,7 +55,6 @@ LINEAR_ALGEBRA = {
     "lvba/visual/radiometry.py": (2, "vignetting and response of a camera: 12 x 12"),
     "lvba/visual/fixed_calibration.py": (2, "estimates given that some are fixed, Wald tests: at most 8 x 8"),
     "lvba/visual/covariance.py": (4, "6 x 6 blocks: whitening, size of a wall's error, mean of map covariances"),
-    "lvba/visual/self_calibration.py": (1, "derivative of the lens, 2 x 2"),
     "lvba/visual/exposure_graph.py": (1, "log exposures from ratios: linear, one unknown per image"),
 }  # fmt: skip
 """File: how many solves or inverses outside the core, and of what."""

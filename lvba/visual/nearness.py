@@ -6,7 +6,6 @@ anything are a little darker. Along a path that looks ahead all ratios err to th
 is told by no ratio (see `response`), but nearer and farther patches of the same pair of images tell of this.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,17 +44,6 @@ def judged(value: float, sigma: float) -> Nearness:
     """Of an estimate; none where it is not significant, or nearer views are brighter: no camera's grey values bend so."""
     significant = max(SIGNIFICANCE * sigma, SMALLEST) < -value < LARGEST
     return Nearness(value if significant else 0.0, sigma)
-
-
-def mean(parts: Sequence[Nearness]) -> Nearness:
-    """Of several parts of a recording, each weighed by what it knows; of the first where none knows anything."""
-    weights = np.array([each.sigma**-2.0 for each in parts])
-    if not weights.sum() > 0:
-        return parts[0]
-    return Nearness(
-        float(weights @ np.array([each.value for each in parts]) / weights.sum()),
-        float(weights.sum() ** -0.5),
-    )
 
 
 def log_nearer(reference_m: Vector, target_m: Vector) -> np.ndarray:

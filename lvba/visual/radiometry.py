@@ -165,16 +165,27 @@ def _nearness(known: RadiometrySums, vignetted: bool) -> Nearness:
 
 
 def mean(parts: Sequence[Radiometry]) -> Radiometry:
-    """Of several parts of a recording, each weighed by what it knows; of the first where none knows anything."""
-    weights = np.array([each.response.sigma**-2.0 for each in parts])
-    falloff = vignetting.mean([each.vignetting for each in parts])
-    nearer = nearness.mean([each.nearness for each in parts])
-    if not weights.sum() > 0:
-        return Radiometry(falloff, parts[0].response, nearer)
-    numbers = np.einsum(
-        "n,nk->k", weights / weights.sum(), np.array([each.response.numbers for each in parts])
+    """Of several parts of a recording, each number weighed by what each part knows of it; of the first part where none
+    knows anything."""
+    falloffs, curves = [each.vignetting for each in parts], [each.response for each in parts]
+    nearer = [each.nearness for each in parts]
+    falloff = _pooled([each.numbers for each in falloffs], [each.loss_sigma for each in falloffs])
+    curve = _pooled([each.numbers for each in curves], [each.sigma for each in curves])
+    near = _pooled([each.value for each in nearer], [each.sigma for each in nearer])
+    return Radiometry(
+        falloffs[0] if falloff is None else vignetting.of_numbers(*falloff),
+        curves[0] if curve is None else response.of_numbers(*curve),
+        nearer[0] if near is None else Nearness(float(near[0]), near[1]),
     )
-    return Radiometry(falloff, response.of_numbers(numbers, float(weights.sum() ** -0.5)), nearer)
+
+
+def _pooled(values: Sequence[np.ndarray | float], sigmas: Sequence[float]) -> tuple[np.ndarray, float] | None:
+    """The mean of parts' values, weighed by their standard deviations, and its own; None: nothing is known."""
+    weights = np.array(sigmas) ** -2.0
+    total = weights.sum()
+    if not total > 0:
+        return None
+    return np.tensordot(weights / total, np.array(values), axes=1), float(total**-0.5)
 
 
 def of_numbers(numbers: np.ndarray) -> Radiometry:

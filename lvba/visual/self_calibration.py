@@ -76,14 +76,15 @@ def displacement(camera: Camera, pinhole: Camera, pixels: np.ndarray) -> np.ndar
             for sign in (1, -1)
         ]
         by_step[:, :, 4 + number] = focal * (ends[0] - ends[1]) / (2 * _STEP)
-    return np.array([pinhole.fx, pinhole.fy])[:, None] * _solved(by_ray, by_step)
+    return np.asarray(np.array([pinhole.fx, pinhole.fy])[:, None] * _solved(by_ray, by_step))
 
 
 def _solved(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
     """(N, 2, k): matrices (N, 2, 2) times these are right (N, 2, k); written out, a tenth of the time of LAPACK."""
     a, b, c, d = (matrices[:, row, column, None] for row in (0, 1) for column in (0, 1))
     first, second = right[:, 0], right[:, 1]
-    return np.stack([d * first - b * second, a * second - c * first], axis=1) / (a * d - b * c)[:, None]
+    solved = np.stack([d * first - b * second, a * second - c * first], axis=1)
+    return np.asarray(solved / (a * d - b * c)[:, None])
 
 
 def _difference(camera: Camera, x: np.ndarray, y: np.ndarray, along_x: float, along_y: float) -> np.ndarray:

@@ -5,7 +5,6 @@ differences between patches of the same pair of images count: how much brighter 
 open, so that an exposure that drifts is not taken for vignetting, nor vignetting for that drift.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,15 +66,6 @@ class Vignetting:
 
 
 NONE = Vignetting()
-
-
-def mean(parts: Sequence[Vignetting]) -> Vignetting:
-    """Of several parts of a recording, each weighed by what it knows; of the first where none knows anything."""
-    weights = np.array([each.loss_sigma**-2.0 for each in parts])
-    if not weights.sum() > 0:
-        return parts[0]
-    numbers = np.einsum("n,nk->k", weights / weights.sum(), np.array([each.numbers for each in parts]))
-    return of_numbers(numbers, float(weights.sum() ** -0.5))
 
 
 def of_numbers(numbers: np.ndarray | None, loss_sigma: float = float("inf")) -> Vignetting:

@@ -110,7 +110,7 @@ def test_what_contrast_does_not_make_is_refused():
 def test_a_mean_weighs_what_each_part_knows():
     sure, vague = Radiometry(nearness=Nearness(TRUE, 1e-4)), Radiometry(nearness=Nearness(0.0, 1e-2))
     assert radiometry.mean([sure, vague]).nearness.value == pytest.approx(TRUE, rel=1e-3)
-    assert nearness.mean([NONE, NONE]) == NONE
+    assert radiometry.mean([radiometry.NONE, radiometry.NONE]).nearness == NONE
 
 
 def test_images_are_not_changed_by_it():

@@ -10,6 +10,7 @@ from lvba.lens import Lens
 from lvba.visual import exposure, image, radiometry, vignetting
 from lvba.visual.exposure_graph import BLOCKS
 from lvba.visual.image import Undistorter
+from lvba.visual.radiometry import Radiometry
 from lvba.visual.ratios import Ratios
 from lvba.visual.vignetting import NONE, PairPlaces, Vignetting
 
@@ -159,9 +160,15 @@ def test_parts_add_up_to_the_whole():
 
 def test_a_mean_weighs_what_each_part_knows():
     sure, vague = replace(TRUE, loss_sigma=0.001), Vignetting((-1.0, 0.0, 0.0), (0.0, 0.0), 0.1)
-    assert vignetting.mean([sure, vague]).numbers == pytest.approx(TRUE.numbers, abs=2e-4)
-    assert vignetting.mean([NONE, sure]).numbers == pytest.approx(TRUE.numbers)
-    assert vignetting.mean([NONE, NONE]) == NONE
+    mean_of = {
+        "both": radiometry.mean([Radiometry(sure), Radiometry(vague)]).vignetting,
+        "one": radiometry.mean([Radiometry(NONE), Radiometry(sure)]).vignetting,
+        "none": radiometry.mean([Radiometry(NONE), Radiometry(NONE)]).vignetting,
+    }
+    assert mean_of["both"].numbers == pytest.approx(TRUE.numbers, abs=2e-4)
+    assert mean_of["one"].numbers == pytest.approx(TRUE.numbers)
+    assert mean_of["one"].loss_sigma == pytest.approx(0.001)
+    assert mean_of["none"] == NONE
 
 
 @pytest.mark.parametrize("name", LENSES)
