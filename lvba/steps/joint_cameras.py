@@ -30,6 +30,9 @@ from lvba.visual.result import LevelReport, VisualResult
 from lvba.visual.states import Calibration, CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior
 
+_NAMED = 8
+"""Parts that a warning names."""
+
 
 @dataclass(frozen=True)
 class ImageSeam:
@@ -351,16 +354,23 @@ def _level(rows: Sequence[LevelReport]) -> LevelReport:
 
 
 def _warnings(cores: Sequence[Part], stages: Sequence[VisualStage]) -> tuple[str, ...]:
-    warnings = []
+    """What the parts warn of; what several warn of, once."""
+    parts_of: dict[str, list[int]] = {}
     for core, part in zip(cores, stages, strict=True):
-        name = f"part {core.number + 1} of {len(cores)}"
-        if part.result is None:
-            warnings.append(
-                f"{name} has no visual solution ({part.problem}); its cameras move with the scans"
-            )
-        else:
-            warnings += [f"{name}: {warning}" for warning in part.result.warnings]
-    return tuple(warnings)
+        texts = (
+            [f"no visual solution ({part.problem}); cameras move with the scans there"]
+            if part.result is None
+            else part.result.warnings
+        )
+        for text in texts:
+            parts_of.setdefault(text, []).append(core.number + 1)
+    return tuple(f"{_parts(numbers)} of {len(cores)}: {text}" for text, numbers in parts_of.items())
+
+
+def _parts(numbers: Sequence[int]) -> str:
+    named = ", ".join(map(str, numbers[:_NAMED]))
+    more = f" and {len(numbers) - _NAMED} more" if len(numbers) > _NAMED else ""
+    return f"part{'s' if len(numbers) > 1 else ''} {named}{more}"
 
 
 def _white_balance(cores: Sequence[Part], stages: Sequence[VisualStage], images: int) -> np.ndarray:

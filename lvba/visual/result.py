@@ -171,7 +171,7 @@ def collect(
         cost_initial=_cost(last, start, state),
         cost_final=_cost(last, state.cameras.world_from_camera, state),
         converged=all(report.converged for report in levels),
-        warnings=_warnings(last, levels, directions, own, keyframes),
+        warnings=_warnings(last, levels, directions, own, times[keyframes]),
         extrinsic_change=_extrinsic_change(state, last.prior, known),
         clock_epoch=prior.epoch,
         ties=_ties(last.problem, keyframes, len(times)),
@@ -226,9 +226,9 @@ def _warnings(
     levels: tuple[LevelReport, ...],
     directions: DegenerateDirections,
     blocks: np.ndarray,
-    keyframes: np.ndarray,
+    times: np.ndarray,
 ) -> tuple[str, ...]:
-    """What the user should know, one sentence each."""
+    """What the user should know, one sentence each. times: (K,) s, stamps of the images that are solved for"""
     warnings = []
     open_levels = [str(report.level) for report in levels if not report.converged]
     if open_levels:
@@ -245,16 +245,17 @@ def _warnings(
     pairs, count = solution.problem.pairs, len(solution.problem.images)
     unseen = np.setdiff1d(np.arange(count), np.concatenate([pairs.reference, pairs.target]))
     if len(unseen):
-        warnings.append(f"{len(unseen)} images share no scene point with others: {_names(keyframes[unseen])}")
+        warnings.append(f"{len(unseen)} images share no scene point with others: {_stamps(times[unseen])}")
     spread = np.sqrt(np.trace(blocks[:, 3:6, 3:6], axis1=1, axis2=2))
     vague = np.flatnonzero(spread > 3 * np.median(spread))
     if len(vague):
         warnings.append(
-            f"{len(vague)} images are known 3 times less well than the others: {_names(keyframes[vague])}"
+            f"{len(vague)} images are known 3 times less well than the others: {_stamps(times[vague])}"
         )
     return tuple(warnings)
 
 
-def _names(images: np.ndarray) -> str:
-    text = ", ".join(f"image {index}" for index in images[:_NAMED])
-    return text if len(images) <= _NAMED else f"{text} and {len(images) - _NAMED} more"
+def _stamps(times: np.ndarray) -> str:
+    """Stamps (n,), s, as files of images and of poses have them: a part of a recording numbers its images anew."""
+    text = ", ".join(f"{time:.6f}" for time in times[:_NAMED])
+    return text if len(times) <= _NAMED else f"{text} and {len(times) - _NAMED} more"
