@@ -9,7 +9,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
-from lvba.visual import radiometry
+from lvba.visual import nearness, radiometry
 from lvba.visual.radiometry import NONE, Radiometry, RadiometrySums
 from lvba.visual.response import LINEAR, Response
 
@@ -132,11 +132,14 @@ def _by_held_response(edges: Edges) -> np.ndarray:
     return np.asarray(edges.by_radiometry[:, radiometry.CURVE] @ numbers)
 
 
-def _by_held_nearness(edges: Edges) -> np.ndarray:
-    """(E,): changes of the means if nearer views seemed brighter by what fits best; 0 where that is taken out."""
-    if edges.known is None or edges.radiometry.nearness:
+def _by_nearness(edges: Edges) -> np.ndarray:
+    """(E,): changes of the means by what nearer views may seem brighter, beside what is taken out: what fits best where
+    nothing is, else the least that an estimate is off."""
+    if edges.known is None:
         return np.zeros(len(edges.mean))
-    return np.asarray(edges.by_radiometry[:, radiometry.NEARER.start] * radiometry.best_nearness(edges.known))
+    used = edges.radiometry.nearness
+    off = nearness.FLOOR if used else radiometry.best_nearness(edges.known)
+    return np.asarray(edges.by_radiometry[:, radiometry.NEARER.start] * off)
 
 
 def robust_std(values: np.ndarray) -> float:
@@ -300,7 +303,7 @@ class _Graph:
         most = max(small[joined].mean(), large[joined].mean())
         shared = self._jackknife(factor.values(_by_radiometry(edges)))
         shared += self._held_response(factor, edges, solution) ** 2
-        shared += self._centered(factor.values(_by_held_nearness(edges)[:, None]))[:, 0] ** 2
+        shared += self._centered(factor.values(_by_nearness(edges)[:, None]))[:, 0] ** 2
         if edges.radiometry.vignetting:
             shared += self._centered(factor.values(_FALLOFF_FLOOR * edges.by_radiometry[:, :1]))[:, 0] ** 2
         variance_factor = max(most / own[joined].mean(), 1.0) * contradiction

@@ -53,8 +53,6 @@ __all__ = [
 logger = logging.getLogger(__name__)
 
 _FIRST_VARIANCE_FACTOR = 10.0
-_COARSE_DECREASE = 1e-4
-"""Relative decrease of the cost at which a coarse level stops: it only gives the next one its start."""
 _COARSE_DAMPING = 1e-4
 """First damping of a coarse level, which begins further off."""
 _COARSE_ROUNDS = 2
@@ -294,7 +292,7 @@ def _solved_once(
         )
     solver = SOLVER
     if level > 0:
-        solver = replace(SOLVER, initial_damping=_COARSE_DAMPING, relative_decrease=_COARSE_DECREASE)
+        solver = replace(SOLVER, initial_damping=_COARSE_DAMPING)
     how = LevelConfig(
         patch=config.patch,
         rounds=ROUNDS if level == 0 else _COARSE_ROUNDS,
