@@ -34,15 +34,15 @@ def onto_planes(
     """
     world = np.empty((len(point), 3))
     for chunk in prange(-(-len(point) // _CHUNK)):
-        turn, shift, ray, along, origin = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+        phi, shift, ray, along, origin = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
         for o in range(chunk * _CHUNK, min(len(point), (chunk + 1) * _CHUNK)):
             p = point[o]
             r = patches.reference[p]
-            _motion(over[r], part[o], turn, shift)
+            _motion(over[r], part[o], phi, shift)
             ray[0] = (patches.pixel[p, 0] - intrinsics.cx) / intrinsics.fx
             ray[1] = (patches.pixel[p, 1] - intrinsics.cy) / intrinsics.fy
             ray[2] = 1.0
-            _turned(turn, 1.0, ray, along)
+            _turned(phi, 1.0, ray, along)
             above, slant = 0.0, 0.0
             pose = poses[r]
             for i in range(3):
@@ -70,26 +70,26 @@ def into_images(
     """
     place = np.empty((len(world), 2))
     for chunk in prange(-(-len(world) // _CHUNK)):
-        turn, shift, away, local = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+        phi, shift, away, local = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
         for o in range(chunk * _CHUNK, min(len(world), (chunk + 1) * _CHUNK)):
             pose = poses[image[o]]
-            _motion(over[image[o]], part[o], turn, shift)
+            _motion(over[image[o]], part[o], phi, shift)
             for i in range(3):
                 away[i] = -shift[i]
                 for j in range(3):
                     away[i] += pose[j, i] * (world[o, j] - pose[j, 3])
-            _turned(turn, -1.0, away, local)
+            _turned(phi, -1.0, away, local)
             place[o, 0] = local[0] / local[2] * intrinsics.fx + intrinsics.cx
             place[o, 1] = local[1] / local[2] * intrinsics.fy + intrinsics.cy
     return place
 
 
 @kernel
-def _motion(over: np.ndarray, part: float, turn: np.ndarray, shift: np.ndarray) -> None:
-    """Fills the turn (3,), rad, and the translation (3,), m, of exp(part * over)."""
+def _motion(over: np.ndarray, part: float, phi: np.ndarray, shift: np.ndarray) -> None:
+    """Fills the rotation vector phi (3,), rad, and the translation (3,), m, of exp(part * over)."""
     for i in range(3):
-        turn[i] = part * over[i]
-    square = turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2
+        phi[i] = part * over[i]
+    square = phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2
     angle = math.sqrt(square)
     if angle < _SMALL_ANGLE:
         second = 0.5 - square / 24 + square**2 / 720
@@ -97,15 +97,15 @@ def _motion(over: np.ndarray, part: float, turn: np.ndarray, shift: np.ndarray) 
     else:
         second = 2 * (math.sin(angle / 2) / angle) ** 2
         third = (angle - math.sin(angle)) / (square * angle)
-    _with_crosses(turn, second, third, over[3:], shift)
+    _with_crosses(phi, second, third, over[3:], shift)
     for i in range(3):
         shift[i] *= part
 
 
 @kernel
-def _turned(turn: np.ndarray, sign: float, vector: np.ndarray, out: np.ndarray) -> None:
-    """Fills `exp(sign * turn) @ vector` (3,)."""
-    square = turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2
+def _turned(phi: np.ndarray, sign: float, vector: np.ndarray, out: np.ndarray) -> None:
+    """Fills `exp(sign * phi) @ vector` (3,)."""
+    square = phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2
     angle = math.sqrt(square)
     if angle < _SMALL_ANGLE:
         first = 1 - square / 6 + square**2 / 120
@@ -113,15 +113,15 @@ def _turned(turn: np.ndarray, sign: float, vector: np.ndarray, out: np.ndarray) 
     else:
         first = math.sin(angle) / angle
         second = 2 * (math.sin(angle / 2) / angle) ** 2
-    _with_crosses(turn, sign * first, second, vector, out)
+    _with_crosses(phi, sign * first, second, vector, out)
 
 
 @kernel
-def _with_crosses(turn: np.ndarray, once: float, twice: float, vector: np.ndarray, out: np.ndarray) -> None:
-    """Fills v + once * (a x v) + twice * (a x (a x v)) (3,), a the turn."""
-    x = turn[1] * vector[2] - turn[2] * vector[1]
-    y = turn[2] * vector[0] - turn[0] * vector[2]
-    z = turn[0] * vector[1] - turn[1] * vector[0]
-    out[0] = vector[0] + once * x + twice * (turn[1] * z - turn[2] * y)
-    out[1] = vector[1] + once * y + twice * (turn[2] * x - turn[0] * z)
-    out[2] = vector[2] + once * z + twice * (turn[0] * y - turn[1] * x)
+def _with_crosses(phi: np.ndarray, once: float, twice: float, vector: np.ndarray, out: np.ndarray) -> None:
+    """Fills v + once * (phi x v) + twice * (phi x (phi x v)) (3,)."""
+    x = phi[1] * vector[2] - phi[2] * vector[1]
+    y = phi[2] * vector[0] - phi[0] * vector[2]
+    z = phi[0] * vector[1] - phi[1] * vector[0]
+    out[0] = vector[0] + once * x + twice * (phi[1] * z - phi[2] * y)
+    out[1] = vector[1] + once * y + twice * (phi[2] * x - phi[0] * z)
+    out[2] = vector[2] + once * z + twice * (phi[0] * y - phi[1] * x)

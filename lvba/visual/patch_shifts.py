@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lvba.optim.normal_equations import Border
+
 
 @dataclass(frozen=True)
 class Shifts:
@@ -35,3 +37,8 @@ class Shifts:
         every = np.zeros((*values.shape[:-1], self.size))
         every[..., self.columns] = values
         return every
+
+    def spread_border(self, border: Border) -> Border:
+        """Of normal equations, by all parameters, zero where these are not. border: by these parameters"""
+        hessian = self.spread(self.spread(border.hessian).T)
+        return Border(self.spread(border.coupling), hessian, self.spread(border.gradient))

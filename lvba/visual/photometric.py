@@ -300,14 +300,9 @@ def _spread(at: Linearization, shifts: Shifts) -> Linearization:
     """The same, bordered by all shared parameters, of which the shifts know some."""
     assert at.shared is not None
     assert at.equations.border is not None
-    border, own = (_spread_border(each, shifts) for each in (at.equations.border, at.shared.border))
+    border, own = (shifts.spread_border(each) for each in (at.equations.border, at.shared.border))
     shared = replace(at.shared, border=own, columns=shifts.columns)
     return replace(at, equations=replace(at.equations, border=border), shared=shared)
-
-
-def _spread_border(border: Border, shifts: Shifts) -> Border:
-    hessian = shifts.spread(shifts.spread(border.hessian).T)
-    return Border(shifts.spread(border.coupling), hessian, shifts.spread(border.gradient))
 
 
 def _shared_terms(
