@@ -49,7 +49,9 @@ def test_a_dropped_mcap_is_looked_into_uploaded_and_its_topics_are_choices(watch
     assert page.get_by_role("radio", name="walk_mcap").is_checked()
     assert any(url.endswith(".mcap") for url in sent)
     choices = page.get_by_role("region", name="2. Import")
-    assert "/lidar/points" in choices.get_by_label("lidar", exact=True).locator("option").all_inner_texts()
+    # the form is built when the inspection of the upload has come
+    option = choices.get_by_label("lidar", exact=True).locator("option", has_text="/lidar/points")
+    option.first.wait_for(state="attached")
     assert page.get_by_role("button", name="Start").is_enabled()
     watched.check()
 
