@@ -17,6 +17,7 @@ from lvba import retired_settings, settings
 from lvba.errors import InputError
 from lvba.io import plain_yaml
 from lvba.settings import RangeError
+from lvba.wording import first_of
 
 Config = TypeVar("Config")
 _log = logging.getLogger(__name__)
@@ -110,13 +111,15 @@ def _without_retired(values: Mapping[str, Any], where: str) -> Mapping[str, Any]
 
 def _log_ignored(where: str, names: Sequence[str]) -> None:
     """One short warning; all names only where more than warnings is asked for."""
-    shown = ", ".join(names[:_NAMED])
+    shown = first_of(names, _NAMED)
     if len(names) <= _NAMED:
         _log.warning("%s: ignored, because they were removed: %s", where, shown)
         return
-    more = f"{shown} and {len(names) - _NAMED} more"
     _log.warning(
-        "%s: %d settings of an earlier version are ignored: %s (--verbose names all)", where, len(names), more
+        "%s: %d settings of an earlier version are ignored: %s (--verbose names all)",
+        where,
+        len(names),
+        shown,
     )
     _log.debug("%s: ignored settings: %s", where, ", ".join(names))
 

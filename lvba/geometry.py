@@ -165,13 +165,7 @@ def retract(a_from_b: Transforms, delta: Tangents) -> np.ndarray:
     """
     delta = np.asarray(delta, float)
     still = np.all(delta == 0, axis=-1)[..., None, None]
-    return np.asarray(np.where(still, a_from_b, orthonormalize(moved(a_from_b, delta))))
-
-
-def moved(a_from_b: Transforms, delta: Tangents) -> np.ndarray:
-    """`retract`, (..., 4, 4), for what no other motion follows: not made orthonormal again, which takes most of its
-    time, it is so to rounding."""
-    return np.asarray(a_from_b @ exp(delta))
+    return np.asarray(np.where(still, a_from_b, orthonormalize(a_from_b @ exp(delta))))
 
 
 def turn_tangent(blocks: np.ndarray, rotation: Rotations) -> np.ndarray:

@@ -38,11 +38,11 @@ def onto_planes(
         for o in range(chunk * _CHUNK, min(len(point), (chunk + 1) * _CHUNK)):
             p = point[o]
             r = patches.reference[p]
-            _motion(over[r], part[o], phi, shift)
+            first, second = _motion(over[r], part[o], phi, shift)
             ray[0] = (patches.pixel[p, 0] - intrinsics.cx) / intrinsics.fx
             ray[1] = (patches.pixel[p, 1] - intrinsics.cy) / intrinsics.fy
             ray[2] = 1.0
-            _turned(phi, 1.0, ray, along)
+            _with_crosses(phi, first, second, ray, along)
             above, slant = 0.0, 0.0
             pose = poses[r]
             for i in range(3):
@@ -73,47 +73,37 @@ def into_images(
         phi, shift, away, local = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
         for o in range(chunk * _CHUNK, min(len(world), (chunk + 1) * _CHUNK)):
             pose = poses[image[o]]
-            _motion(over[image[o]], part[o], phi, shift)
+            first, second = _motion(over[image[o]], part[o], phi, shift)
             for i in range(3):
                 away[i] = -shift[i]
                 for j in range(3):
                     away[i] += pose[j, i] * (world[o, j] - pose[j, 3])
-            _turned(phi, -1.0, away, local)
+            _with_crosses(phi, -first, second, away, local)
             place[o, 0] = local[0] / local[2] * intrinsics.fx + intrinsics.cx
             place[o, 1] = local[1] / local[2] * intrinsics.fy + intrinsics.cy
     return place
 
 
 @kernel
-def _motion(over: np.ndarray, part: float, phi: np.ndarray, shift: np.ndarray) -> None:
-    """Fills the rotation vector phi (3,), rad, and the translation (3,), m, of exp(part * over)."""
+def _motion(over: np.ndarray, part: float, phi: np.ndarray, shift: np.ndarray) -> tuple[float, float]:
+    """Fills the rotation vector phi (3,), rad, and the translation (3,), m, of exp(part * over). Returns what
+    `_with_crosses` turns vectors by phi with; the first one negative: back."""
     for i in range(3):
         phi[i] = part * over[i]
     square = phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2
     angle = math.sqrt(square)
     if angle < _SMALL_ANGLE:
+        first = 1 - square / 6 + square**2 / 120
         second = 0.5 - square / 24 + square**2 / 720
         third = 1 / 6 - square / 120 + square**2 / 5040
     else:
+        first = math.sin(angle) / angle
         second = 2 * (math.sin(angle / 2) / angle) ** 2
         third = (angle - math.sin(angle)) / (square * angle)
     _with_crosses(phi, second, third, over[3:], shift)
     for i in range(3):
         shift[i] *= part
-
-
-@kernel
-def _turned(phi: np.ndarray, sign: float, vector: np.ndarray, out: np.ndarray) -> None:
-    """Fills `exp(sign * phi) @ vector` (3,)."""
-    square = phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2
-    angle = math.sqrt(square)
-    if angle < _SMALL_ANGLE:
-        first = 1 - square / 6 + square**2 / 120
-        second = 0.5 - square / 24 + square**2 / 720
-    else:
-        first = math.sin(angle) / angle
-        second = 2 * (math.sin(angle / 2) / angle) ** 2
-    _with_crosses(phi, sign * first, second, vector, out)
+    return first, second
 
 
 @kernel

@@ -28,6 +28,7 @@ from lvba.steps.outcomes import ScanPoses, VisualStage
 from lvba.steps.part_scores import as_in_whole, in_core, together
 from lvba.trajectory import Trajectory
 from lvba.visual.result import VisualResult
+from lvba.wording import first_of
 
 SOLVED = "solved"
 """The state with the cameras as the visual stage left them; the others are named after their `Expectation`."""
@@ -363,8 +364,7 @@ def _widened(result: VisualResult, outliers: Outliers, times: Times, unclear: In
 
 def _warning(images: Sequence[str]) -> str:
     """images: their files"""
-    named = [PurePath(image).name for image in images]
-    listed = ", ".join(named[:_NAMED]) + (f" and {len(named) - _NAMED} more" if len(named) > _NAMED else "")
+    listed = first_of([PurePath(image).name for image in images], _NAMED)
     return (
         f"Cameras had left the trajectory, and their images ({listed}) do not speak for that: they were put where their "
         "neighbors have them, and their expected errors are larger. Look at these images: blur, a covered lens and "

@@ -29,6 +29,7 @@ from lvba.visual.image import measuring_camera
 from lvba.visual.result import LevelReport, VisualResult
 from lvba.visual.states import Calibration, CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior
+from lvba.wording import first_of
 
 _NAMED = 8
 """Parts that a warning names."""
@@ -368,9 +369,7 @@ def _warnings(cores: Sequence[Part], stages: Sequence[VisualStage]) -> tuple[str
 
 
 def _parts(numbers: Sequence[int]) -> str:
-    named = ", ".join(map(str, numbers[:_NAMED]))
-    more = f" and {len(numbers) - _NAMED} more" if len(numbers) > _NAMED else ""
-    return f"part{'s' if len(numbers) > 1 else ''} {named}{more}"
+    return f"part{'s' if len(numbers) > 1 else ''} {first_of([str(number) for number in numbers], _NAMED)}"
 
 
 def _white_balance(cores: Sequence[Part], stages: Sequence[VisualStage], images: int) -> np.ndarray:

@@ -16,6 +16,7 @@ from lvba.visual.radiometry import NONE, Radiometry
 from lvba.visual.states import Calibration, CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior
 from lvba.visual.white_balance import WhiteBalance
+from lvba.wording import first_of
 
 _NAMED = 12
 """At most so many frames are named in a warning."""
@@ -257,5 +258,4 @@ def _warnings(
 
 def _stamps(times: np.ndarray) -> str:
     """Stamps (n,), s, as files of images and of poses have them: a part of a recording numbers its images anew."""
-    text = ", ".join(f"{time:.6f}" for time in times[:_NAMED])
-    return text if len(times) <= _NAMED else f"{text} and {len(times) - _NAMED} more"
+    return first_of([f"{time:.6f}" for time in times], _NAMED)
