@@ -272,7 +272,8 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
 
 def _vague(log_exposure_sigma: np.ndarray) -> np.ndarray:
     """Images whose exposures are known verdict.VAGUE times less well than the others, and to worse than can be seen."""
-    typical = float(np.median(log_exposure_sigma))
+    known = log_exposure_sigma[np.isfinite(log_exposure_sigma)]
+    typical = float(np.median(known)) if len(known) else 0.0
     return np.flatnonzero(log_exposure_sigma > max(verdict.VAGUE * typical, _VISIBLE))
 
 

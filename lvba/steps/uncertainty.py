@@ -57,7 +57,8 @@ def of_exposures(
 ) -> dict[str, Any]:
     """The same for log exposures (I,) with standard deviations (I,), after one common scale. true: (E,) float64 relative.
 
-    sigma: (I,) float64, of the log exposures; after_power: after one power as well, which images leave open
+    sigma: (I,) float64, of the log exposures; predicted_frames: how many are known; after_power: after one power as
+        well, which images leave open
     """
     pairs = matched(times, true_times)
     pairs = pairs[(np.isfinite(sigma) & (sigma > 0))[pairs[:, 0]]]
@@ -66,6 +67,7 @@ def of_exposures(
     estimate, truth = log_exposure[pairs[:, 0]], np.log(true[pairs[:, 1]])
     spread = sigma[pairs[:, 0]]
     facts = {
+        "predicted_frames": len(pairs),
         "predicted_percent": float(100 * np.sqrt(np.mean(spread**2))),
         "nees": _squared_error(estimate - truth, spread),
     }

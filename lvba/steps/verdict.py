@@ -320,7 +320,7 @@ def _frames(figures: Figures) -> Iterator[Reason]:
     if vague := figures.vague_exposures:
         yield Reason(
             f"The exposures of {len(vague)} of {figures.images} images ({_named(vague)}) are known {VAGUE:.0f} times "
-            "less well than the others: few surfaces tie them to other images, or such as contradict each other.",
+            "less well than the others, or not at all: few surfaces tie them to others, or they contradict each other.",
             "Look at these images: people who walk by, glass and mirrors do that. Colors may differ there.",
         )
     if figures.white_balance is not None:

@@ -27,7 +27,8 @@ class Exposures:
 
     log_exposure: (I,) float64, natural log; the first image of the whole is 0. Where the images fall in several
         components, each further one starts where the image before its first one ended: a guess, nothing measures it
-    sigma: (I,) float64: standard deviation about the component's mean; inf for an image that nothing compares
+    sigma: (I,) float64: standard deviation about the mean of the largest group of images that stay together whichever
+        block of the surface is left out; inf for all others: a patch may be of another surface, and nothing tells then
     component: (I,) int32, connected component of the graph of compared images, by first image
     pairs: number of patch comparisons used
     spread: robust standard deviation of the log ratios of patches about the solution
@@ -94,23 +95,38 @@ class Edges:
 
 def solve_edges(edges: Edges, images: int) -> Exposures:
     """The exposures of all images that explain the edges best."""
-    links = sparse.coo_matrix((np.ones(len(edges.mean)), (edges.first, edges.second)), shape=(images, images))
-    component = _by_first_image(connected_components(links, directed=False)[1])
-    graph = _Graph(edges.first, edges.second, component)
+    component = _groups(edges, np.ones(len(edges.mean), bool), images)
+    group = _tied_groups(edges, images)
+    graph = _Graph(edges.first, edges.second, component, group)
     log_exposure, weight = graph.solve_robustly(edges.mean, edges.sigma)
     if common := graph.common_error(edges, log_exposure):
         edges = replace(edges, sigma=np.hypot(edges.sigma, common))
         log_exposure, weight = graph.solve_robustly(edges.mean, edges.sigma)
     contradiction = graph.contradiction(edges, log_exposure)
+    sigma = graph.sigma(edges, log_exposure, weight, contradiction)
+    largest = np.bincount(group).argmax() if images else 0
     return Exposures(
         log_exposure=_joined(log_exposure, component),
-        sigma=graph.sigma(edges, log_exposure, weight, contradiction),
+        sigma=np.where(group == largest, sigma, np.inf),
         component=component,
         pairs=edges.pairs,
         spread=edges.spread,
         contradiction=contradiction,
         radiometry=edges.images_radiometry,
     )
+
+
+def _groups(edges: Edges, some: np.ndarray, images: int) -> np.ndarray:
+    """(I,) int32: connected components of the graph that some of the edges (E,) make, by their first images."""
+    ends = edges.first[some], edges.second[some]
+    links = sparse.coo_matrix((np.ones(len(ends[0])), ends), shape=(images, images))
+    return _by_first_image(connected_components(links, directed=False)[1])
+
+
+def _tied_groups(edges: Edges, images: int) -> np.ndarray:
+    """(I,) int32: groups of images that stay together whichever small block of the surface is left out."""
+    without = [_groups(edges, edges.weight_fraction[:, b] <= 1 - _LITTLE, images) for b in range(BLOCKS)]
+    return _by_first_image(np.unique(without, axis=1, return_inverse=True)[1].ravel())
 
 
 def _by_radiometry(edges: Edges) -> np.ndarray:
@@ -174,28 +190,28 @@ _BISECTIONS = 50
 class _Factor:
     """The normal equations of edges between images, of which those in `free` may have any value and the others have 0.
 
-    component: (I,); free: (F,); weighted: (E, F), the edges' signs times their weights
+    group: (I,), each within one component; free: (F,); weighted: (E, F), the edges' signs times their weights
     """
 
-    component: np.ndarray
+    group: np.ndarray
     free: np.ndarray
     weighted: sparse.csr_matrix
     solver: SuperLU | None
 
     def values(self, differences: np.ndarray) -> np.ndarray:
         """Values of the images (I, K) that fit differences along the edges (E, K) best."""
-        values = np.zeros((len(self.component), *differences.shape[1:]))
+        values = np.zeros((len(self.group), *differences.shape[1:]))
         if self.solver is not None:
             values[self.free] = self.solver.solve(np.asarray(self.weighted.T @ differences))
         return values
 
     def by_edges(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Some images (n,) at a time, and (E, n): by what the value of each, about the mean of its component, grows as
+        """Some images (n,) at a time, and (E, n): by what the value of each, about the mean of its group, grows as
         the difference along an edge does."""
-        count = np.bincount(self.component)
-        for begin in range(0, len(self.component), _COLUMNS):
-            images = np.arange(begin, min(begin + _COLUMNS, len(self.component)))
-            about = (self.component[:, None] == self.component[images]) / -count[self.component[images]]
+        count = np.bincount(self.group)
+        for begin in range(0, len(self.group), _COLUMNS):
+            images = np.arange(begin, min(begin + _COLUMNS, len(self.group)))
+            about = (self.group[:, None] == self.group[images]) / -count[self.group[images]]
             about[images, images - begin] += 1.0
             solved = about[self.free] if self.solver is None else self.solver.solve(about[self.free])
             yield images, np.asarray(self.weighted @ solved)
@@ -203,11 +219,15 @@ class _Factor:
 
 @dataclass(frozen=True)
 class _Graph:
-    """Images joined by edges; the first image of every component stays at 0."""
+    """Images joined by edges; the first image of every component stays at 0.
+
+    component: (I,) that edges make of the images; group: (I,), parts of the components that are tied well
+    """
 
     first: np.ndarray
     second: np.ndarray
     component: np.ndarray
+    group: np.ndarray
 
     @cached_property
     def free(self) -> np.ndarray:
@@ -228,7 +248,7 @@ class _Graph:
         weighted = self.incidence.copy()
         weighted.data *= np.repeat(weight, np.diff(weighted.indptr))
         solver = splu((self.incidence.T @ weighted).tocsc()) if len(self.free) else None
-        return _Factor(self.component, self.free, weighted, solver)
+        return _Factor(self.group, self.free, weighted, solver)
 
     def solve_robustly(self, value: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The images' values (I,) that fit the edges' (E,) with standard deviations (E,), and the edges' weights.
@@ -282,7 +302,7 @@ class _Graph:
     def sigma(
         self, edges: Edges, solution: np.ndarray, weight: np.ndarray, contradiction: np.ndarray
     ) -> np.ndarray:
-        """Standard deviation (I,) of each image's value about the mean of its component; inf where it is alone.
+        """Standard deviation (I,) of each image's value about the mean of its group; inf where it is alone.
 
         solution: (I,), with edges of weight (E,); contradiction: (I,). Patches on one surface err together; by how much
         the variance grows by that is what the jackknife tells, over blocks of the size that tells more.
@@ -292,7 +312,7 @@ class _Graph:
         for images, by_edges in factor.by_edges():
             error = by_edges * edges.sigma[:, None]
             own[images] = np.einsum("ei,ei->i", error, correlations @ error)
-        joined = np.bincount(self.component)[self.component] > 1
+        joined = np.bincount(self.group)[self.group] > 1
         if not joined.any():
             return np.full(len(self.component), np.inf)
         blocks = [range(BLOCKS), range(BLOCKS, 2 * BLOCKS)]
@@ -323,14 +343,14 @@ class _Graph:
         return self.factor(weight * np.maximum(rest, _LEAST)).values(mean)
 
     def _jackknife(self, changes: np.ndarray) -> np.ndarray:
-        """(I,): variances of changes (I, BLOCKS) without one block each, about the mean of the component."""
+        """(I,): variances of changes (I, BLOCKS) without one block each, about the mean of the group."""
         return np.asarray((BLOCKS - 1) / BLOCKS * (self._centered(changes) ** 2).sum(axis=1))
 
     def _centered(self, values: np.ndarray) -> np.ndarray:
-        """Values (I, K) less the mean of their component."""
-        count = np.bincount(self.component)
-        members = sparse.csr_matrix((np.ones(len(values)), (self.component, np.arange(len(values)))))
-        return np.asarray(values - ((members @ values) / count[:, None])[self.component])
+        """Values (I, K) less the mean of their group."""
+        count = np.bincount(self.group)
+        members = sparse.csr_matrix((np.ones(len(values)), (self.group, np.arange(len(values)))))
+        return np.asarray(values - ((members @ values) / count[:, None])[self.group])
 
 
 def _joined(log_exposure: np.ndarray, component: np.ndarray) -> np.ndarray:

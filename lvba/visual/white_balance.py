@@ -140,8 +140,12 @@ def _stays(log_exposure: np.ndarray, sigma: np.ndarray) -> bool:
 
 
 def _apart(log_exposure: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What is common to the colors of each image (I,), and what each color is off that (I, 3); 0 on average."""
+    """What is common to the colors of each image (I,), and what each color is off that (I, 3); 0 on average, and for the
+    images that are not known, of which each color says only how they compare among themselves."""
     about = log_exposure - log_exposure[known].mean(axis=0)
+    if not known.all():
+        rest = about[~known]
+        about[~known] = rest - rest.mean(axis=0) + rest.mean()
     common = about.mean(axis=1)
     return common, about - common[:, None]
 

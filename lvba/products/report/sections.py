@@ -243,7 +243,10 @@ def _reference(facts: Facts) -> str:
             ]  # fmt: skip
     if error := reference.get("exposure"):
         old = before.get("exposure") or {}
-        rows.append(("Exposure, after one scale", *(formats.number(e.get("rms_percent"), 2, "%") for e in (old, error)),
+        name = "Exposure, after one scale"
+        if (promised := error.get("predicted_frames", 0)) < (frames := error.get("frames", 0)) and promised:
+            name += f" (expected: of {promised} of {frames} images)"
+        rows.append((name, *(formats.number(e.get("rms_percent"), 2, "%") for e in (old, error)),
                      formats.number(error.get("predicted_percent"), 2, "%")))  # fmt: skip
         if (after := error.get("rms_percent_after_power")) is not None and abs(error["power"] - 1) > _POWER:
             rows.append((f"Exposure, after one scale and the power {error['power']:.2f} of the light, which images "
