@@ -69,7 +69,7 @@ class _Measurement:
     """Finds poses, planes and the errors in turn.
 
     cosines: of each window, of its points on planes; poses: of its scans, in the round before
-    depths: of each window, as `beam_depth.Depths.squares`; poses_by_depth: as of `RangeErrors`
+    depths: of each window, as `beam_depth.Depths.squares`; poses_by_depth: as of `RangeErrors.poses_off`, by that
     """
 
     dataset: Dataset
@@ -142,13 +142,13 @@ class _Measurement:
         """The errors, with how deep beams go into surfaces, if they do."""
         if (depth := self._depth) < range_errors.LEAST_M:
             return errors
-        part, off = errors.by_direction
+        (part, off), (turn, shift), by_depth = errors.by_direction, errors.poses_off, self.poses_by_depth
         return replace(
             errors,
             values={**errors.values, range_errors.DEPTH: round(depth, 4)},
             noticed=(*errors.noticed, range_errors.DEPTH),
             by_direction=(part, math.hypot(off, depth)),
-            poses_by_depth=self.poses_by_depth,
+            poses_off=(math.hypot(turn, by_depth[0]), math.hypot(shift, by_depth[1])),
         )
 
     def _beside_others(
@@ -163,7 +163,13 @@ class _Measurement:
             kept, estimate = self._significant(errors + change, covariance, least, range_errors.CHANCE)
         judged = self._errors(np.where(kept, estimate, errors + change), covariance, kept)
         values = {**judged.values, range_errors.DIRECTION: round(by_direction[1], 4)}
-        return replace(judged, values=values, noticed=(range_errors.DIRECTION,), by_direction=by_direction)
+        return replace(
+            judged,
+            values=values,
+            noticed=(range_errors.DIRECTION,),
+            by_direction=by_direction,
+            poses_off=total.poses_by(self._likely(total)),
+        )
 
     @property
     def size(self) -> int:
@@ -192,12 +198,17 @@ class _Measurement:
         """
         if total.chance(self.others) > range_errors.CHANCE:
             return 0.0, 0.0
-        likely = total.likely(self.others, range_errors.HARMONIC_SIGMA)
-        part = range_errors.harmonics(self.beams, points) @ likely
+        part = range_errors.harmonics(self.beams, points) @ self._likely(total)[self.others]
         length = np.linalg.norm(points - self.beams.position, axis=1)
         part -= float(np.average(part, weights=length**2))
         off = float(np.sqrt(np.mean((part * length) ** 2)))
         return (float(np.sqrt(np.mean(part**2))), off) if off > range_errors.LEAST_M else (0.0, 0.0)
+
+    def _likely(self, total: ScanEvidence) -> np.ndarray:
+        """The shared numbers, of which only what else depends on the direction of a beam is not zero."""
+        numbers = np.zeros(self.others.stop)
+        numbers[self.others] = total.likely(self.others, range_errors.HARMONIC_SIGMA)
+        return numbers
 
     def _significant(
         self, estimate: np.ndarray, covariance: np.ndarray, least: np.ndarray, chance: float
@@ -223,7 +234,7 @@ class _Measurement:
         total = scan_evidence.nothing(self.others.stop)
         for number, window in enumerate(windows):
             total += self._evidence(number, window, errors, len(total.gradient))
-        self.poses_by_depth = total.poses_by(self.own.stop - 1)
+        self.poses_by_depth = total.poses_by(np.eye(self.others.stop)[self.own.stop - 1])
         return total
 
     def _evidence(self, number: int, window: Window, errors: np.ndarray, size: int) -> ScanEvidence:

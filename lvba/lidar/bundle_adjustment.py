@@ -43,8 +43,8 @@ class LidarResult:
     variance_factor: actual over modeled variance of the planes' gradients; the covariances are multiplied by it
     shared_factor: what `covariance` is to be multiplied by for what is promised, see `lidar.covariance.Covariance`
     own_covariance: (S, 6, 6) float64, local tangent, rad and m, of what each scan is off by itself beside that, because
-        the motion that was taken out of its points is uncertain, or beams go into surfaces; (0, 6, 6): nothing. Neighbors
-        do not share it, and the other covariances do not hold it
+        the motion that was taken out of its points is uncertain; (0, 6, 6): nothing. Neighbors do not share it, and the
+        other covariances do not hold it
     cost_initial, cost_final: squared normalized residuals per point, of the last association's planes at the
         rough poses and at the refined ones
     degenerate_directions: motions of all scans together that planes do not determine: kept at the odometry

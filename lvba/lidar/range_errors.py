@@ -192,7 +192,7 @@ class RangeErrors:
     problem: why what is significant was not corrected
     by_direction: how far points stay off by what else depends on the beam's direction or goes into surfaces, root mean
         square: as a part of the range, and in m
-    poses_by_depth: rad and m, root mean square, that poses are off because beams go into surfaces
+    poses_off: rad and m, root mean square, that poses are off because of that
     """
 
     beams: Beams
@@ -202,14 +202,7 @@ class RangeErrors:
     problem: str = ""
     noticed: tuple[str, ...] = ()
     by_direction: tuple[float, float] = (0.0, 0.0)
-    poses_by_depth: tuple[float, float] = (0.0, 0.0)
-
-    @property
-    def pose_covariance(self) -> np.ndarray | None:
-        """(6, 6) float64, local tangent, of what errors that stay in the points add to each pose; None: nothing."""
-        if not any(self.poses_by_depth):
-            return None
-        return np.diag(np.repeat(np.square(self.poses_by_depth) / 3, 3))
+    poses_off: tuple[float, float] = (0.0, 0.0)
 
     def points(
         self, points: np.ndarray, cosine: np.ndarray | None = None, intensity: np.ndarray | None = None

@@ -29,15 +29,18 @@ class ScanErrors:
         """As `RangeErrors.by_direction`."""
         return (0.0, 0.0) if self.ranges is None else self.ranges.by_direction
 
-    def pose_covariance(self, scans: Indices) -> np.ndarray:
-        """(n, 6, 6) float64, local tangent, rad and m: what errors in the points of some scans (n,) int64 add to that of
-        their poses; (0, 6, 6): nothing."""
-        motion = None if self.motion is None else self.motion.pose_covariance
-        left = None if self.ranges is None else self.ranges.pose_covariance
-        own = np.zeros((0, 6, 6)) if motion is None or not len(motion) else motion[scans]
-        if left is None:
-            return own
-        return own + left if len(own) else np.tile(left, (len(scans), 1, 1))
+    def own_covariance(self, scans: Indices) -> np.ndarray:
+        """(n, 6, 6) float64, local tangent, rad and m: what the motion taken out of some scans (n,) int64 adds to that of
+        each pose by itself, because it is uncertain; (0, 6, 6): nothing."""
+        known = None if self.motion is None else self.motion.pose_covariance
+        return np.zeros((0, 6, 6)) if known is None or not len(known) else np.asarray(known[scans])
+
+    @property
+    def shared_covariance(self) -> np.ndarray:
+        """(6, 6) float64, local tangent, rad and m: what errors that stay in the points of all scans add to that of their
+        poses. Neighbors are off alike, with the map about them."""
+        turn, shift = (0.0, 0.0) if self.ranges is None else self.ranges.poses_off
+        return np.diag(np.repeat(np.square([turn, shift]) / 3, 3))
 
     def cosines(self, scan: Scan) -> np.ndarray | None:
         """(N,) float64, of the angles of incidence of its points; None: nothing depends on them."""

@@ -55,15 +55,15 @@ class ScanEvidence:
     information: (k, k), second derivative of half the sum of squared normalized distances by the numbers
     gradient: (k,), minus the first derivative
     own: (P, k), the first derivative of each plane's part of the sum; curvature: (P, k, k), the second
-    by_number: (2, k), of how far poses turn, rad, and move, m, by a unit of each number, about the mean of the scans:
-        sums of squares over scans; scans: how many
+    by_numbers: (2, k, k), of how far poses turn, rad, and move, m, by a unit of each number, about the mean of the scans:
+        sums of products over scans; scans: how many
     """
 
     information: np.ndarray
     gradient: np.ndarray
     own: np.ndarray
     curvature: np.ndarray
-    by_number: np.ndarray
+    by_numbers: np.ndarray
     scans: int = 0
 
     @property
@@ -105,13 +105,16 @@ class ScanEvidence:
             gradient=self.gradient[columns],
             own=self.own[:, columns],
             curvature=self.curvature[:, columns, columns],
-            by_number=self.by_number[:, columns],
+            by_numbers=self.by_numbers[:, columns, columns],
             scans=self.scans,
         )
 
-    def poses_by(self, number: int) -> tuple[float, float]:
-        """rad and m, root mean square over scans, that poses turn and move by a unit of a number that is not known of."""
-        turn, shift = np.sqrt(self.by_number[:, number] / max(self.scans, 1))
+    def poses_by(self, numbers: np.ndarray) -> tuple[float, float]:
+        """rad and m, root mean square over scans, that poses turn and move by numbers that are not known of.
+
+        numbers: (k,) float64
+        """
+        turn, shift = np.sqrt(np.einsum("pij,i,j->p", self.by_numbers, numbers, numbers) / max(self.scans, 1))
         return float(turn), float(shift)
 
     def chance(self, columns: slice) -> float:
@@ -136,7 +139,7 @@ class ScanEvidence:
             gradient=self.gradient + other.gradient,
             own=np.concatenate([self.own, other.own]),
             curvature=np.concatenate([self.curvature, other.curvature]),
-            by_number=self.by_number + other.by_number,
+            by_numbers=self.by_numbers + other.by_numbers,
             scans=self.scans + other.scans,
         )
 
@@ -148,7 +151,7 @@ def nothing(size: int) -> ScanEvidence:
         gradient=np.zeros(size),
         own=np.zeros((0, size)),
         curvature=np.zeros((0, size, size)),
-        by_number=np.zeros((2, size)),
+        by_numbers=np.zeros((2, size, size)),
     )
 
 
@@ -297,16 +300,17 @@ def _eliminated(sums: list[_Sums], world_from_scan: Poses, planes: int, size: in
         gradient=-own.sum(axis=0),
         own=own,
         curvature=curvature,
-        by_number=_by_number(poses.reshape(scans, 6, size), world_from_scan),
+        by_numbers=_by_numbers(poses.reshape(scans, 6, size), world_from_scan),
         scans=scans,
     )
 
 
-def _by_number(poses: np.ndarray, world_from_scan: Poses) -> np.ndarray:
+def _by_numbers(poses: np.ndarray, world_from_scan: Poses) -> np.ndarray:
     """As of `ScanEvidence`. poses: (S, 6, k), change of each, local tangent, by a unit of each number"""
     rotation = world_from_scan[:, :3, :3]
     world = np.stack([rotation @ poses[:, part] for part in (slice(3), slice(3, 6))])
-    return np.asarray(np.sum((world - world.mean(axis=1, keepdims=True)) ** 2, axis=(1, 2)))
+    world -= world.mean(axis=1, keepdims=True)
+    return np.asarray(np.einsum("psik,psil->pkl", world, world))
 
 
 def _by_plane(

@@ -101,7 +101,14 @@ def with_errors(result: LidarResult, errors: ScanErrors | None, scans: Indices) 
 
     errors: of the scans of the recording
     """
-    return result if errors is None else replace(result, own_covariance=errors.pose_covariance(scans))
+    if errors is None:
+        return result
+    # what is promised is `shared_factor` times the covariance
+    return replace(
+        result,
+        covariance=result.covariance + errors.shared_covariance / result.shared_factor,
+        own_covariance=errors.own_covariance(scans),
+    )
 
 
 def _imu(dataset: Dataset) -> Imu | None:

@@ -1,5 +1,6 @@
 """Errors of the range sensor: derivatives against differences, elimination, and points that go back where they belong."""
 
+import itertools
 import json
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from lvba import geometry
 from lvba.dataset import Scan
 from lvba.lidar import range_errors, scan_evidence
+from lvba.lidar.bundle_adjustment import refine
 from lvba.lidar.plane import PlanePoints, Planes
 from lvba.lidar.point_times import PointClock
 from lvba.lidar.range_errors import (
@@ -25,6 +27,7 @@ from lvba.lidar.scan_errors import ScanErrors
 from lvba.lidar.scan_evidence import ScanEvidence, View
 from lvba.lidar.scan_motion import MotionLeft
 from lvba.steps import report_data
+from lvba.steps.lidar import with_errors
 
 AHEAD = Beams(np.array([0.1, -0.2, 0.3]), np.array([1.0, 0.0, 0.0]), True)
 AROUND = Beams(np.array([0.1, -0.2, 0.3]), np.array([0.0, 0.0, 1.0]), False)
@@ -289,17 +292,26 @@ def test_how_far_poses_go_by_a_number_that_is_not_known_of():
     def by_shared(points):
         return np.where(points.scan == 3, points.normal @ upward[3], 0.0)[:, None]
 
-    turn, shift = scan_evidence.evidence(view, by_shared, 1).poses_by(0)
+    turn, shift = scan_evidence.evidence(view, by_shared, 1).poses_by(np.ones(1))
     # of eight scans, about their mean
     assert shift == pytest.approx(np.sqrt(7) / 8, rel=0.03)
     assert turn < 1e-3
-    assert scan_evidence.nothing(1).poses_by(0) == (0.0, 0.0)
+    assert scan_evidence.nothing(1).poses_by(np.ones(1)) == (0.0, 0.0)
 
 
-def test_what_beams_that_go_into_surfaces_make_of_poses_is_in_their_covariances():
-    left = RangeErrors(AROUND, poses_by_depth=(0.001, 0.003))
-    covariance = ScanErrors(left, None).pose_covariance(np.arange(4))
-    assert covariance.shape == (4, 6, 6)
-    assert np.sqrt(np.trace(covariance[2, 3:, 3:])) == pytest.approx(0.003)
-    assert np.sqrt(np.trace(covariance[2, :3, :3])) == pytest.approx(0.001)
-    assert ScanErrors(RangeErrors(AROUND), None).pose_covariance(np.arange(4)).shape == (0, 6, 6)
+def test_what_errors_in_the_points_make_of_poses_is_promised_and_shared_by_neighbors():
+    view = room(AROUND, {}, noise=0.01)
+    scans = [view.scans.points[a:b] for a, b in itertools.pairwise(view.scans.offsets)]
+    plain = refine(scans, view.world_from_scan)
+    left = ScanErrors(RangeErrors(AROUND, poses_off=(0.001, 0.003)), None)
+    known = with_errors(plain, left, np.arange(len(scans)))
+    more = known.shared_factor * (known.whole_covariance.marginal - plain.whole_covariance.marginal)
+    assert np.sqrt(np.trace(more[2, 3:, 3:])) == pytest.approx(0.003)
+    assert np.sqrt(np.trace(more[2, :3, :3])) == pytest.approx(0.001)
+    # cameras, which see the map about a scan, could not tell
+    for name in ("conditional", "in_map", "step"):
+        np.testing.assert_array_equal(
+            getattr(known.whole_covariance, name), getattr(plain.whole_covariance, name)
+        )
+    nothing_left = with_errors(plain, ScanErrors(RangeErrors(AROUND), None), np.arange(len(scans)))
+    np.testing.assert_array_equal(nothing_left.covariance, plain.covariance)
