@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from lvba.products import lengths
+from lvba.wording import runs
 
 Level = Literal["good", "check", "bad"]
 
@@ -272,7 +273,7 @@ def _odometry(figures: Figures) -> Iterator[Reason]:
         words = f"The rough poses jump {times}, by {'up to ' * (figures.jumps > 1)}{size}"
         if untied := figures.untied_jumps:
             yield Reason(
-                f"{words}; after scan {_named(untied)}, surfaces do not say where scans are to those before.",
+                f"{words}; after scan {runs(untied, _NAMED)}, surfaces do not say where scans are to those before.",
                 "Run the odometry again, or cut the recording there.",
                 "bad",
                 more=True,
@@ -303,10 +304,6 @@ def _odometry(figures: Figures) -> Iterator[Reason]:
         )
 
 
-def _named(numbers: tuple[int, ...]) -> str:
-    return ", ".join(str(number) for number in numbers[:_NAMED]) + (", ..." if len(numbers) > _NAMED else "")
-
-
 def _frames(figures: Figures) -> Iterator[Reason]:
     for count, total, kind in (
         (figures.vague_scans, figures.scans, "scans"),
@@ -319,8 +316,9 @@ def _frames(figures: Figures) -> Iterator[Reason]:
             )
     if vague := figures.vague_exposures:
         yield Reason(
-            f"The exposures of {len(vague)} of {figures.images} images ({_named(vague)}) are known {VAGUE:.0f} times "
-            "less well than the others, or not at all: few surfaces tie them to others, or they contradict each other.",
+            f"The exposures of {len(vague)} of {figures.images} images ({runs(vague, _NAMED)}) are known {VAGUE:.0f} "
+            "times less well than the others, or not at all: few surfaces tie them to others, or they contradict each "
+            "other.",
             "Look at these images: people who walk by, glass and mirrors do that. Colors may differ there.",
         )
     if figures.white_balance is not None:
