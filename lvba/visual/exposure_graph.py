@@ -26,7 +26,8 @@ class Exposures:
     """Relative exposures of I images.
 
     log_exposure: (I,) float64, natural log; the first image of the whole is 0. Where the images fall in several
-        components, each further one starts where the image before its first one ended: a guess, nothing measures it
+        components, each further one starts where the image before its first one ended: a guess, nothing measures it. So
+        does a group of images that one block of the surface ties to others by a step that exposures do not make
     sigma: (I,) float64: standard deviation about the mean of the largest group of images that stay together whichever
         block of the surface is left out; inf for all others: a patch may be of another surface, and nothing tells then
     component: (I,) int32, connected component of the graph of compared images, by first image
@@ -106,7 +107,7 @@ def solve_edges(edges: Edges, images: int) -> Exposures:
     sigma = graph.sigma(edges, log_exposure, weight, contradiction)
     largest = np.bincount(group).argmax() if images else 0
     return Exposures(
-        log_exposure=_joined(log_exposure, component),
+        log_exposure=_continued(log_exposure, component, group),
         sigma=np.where(group == largest, sigma, np.inf),
         component=component,
         pairs=edges.pairs,
@@ -353,10 +354,30 @@ class _Graph:
         return np.asarray(values - ((members @ values) / count[:, None])[self.group])
 
 
-def _joined(log_exposure: np.ndarray, component: np.ndarray) -> np.ndarray:
-    """Every further component shifted so that it goes on from the image before its first one."""
-    joined = log_exposure.copy()
+_FEWEST_STEPS = 20
+"""From image to image within groups, to tell which are usual."""
+_MOST_STEP = 1.5
+"""Times the largest of these, beyond which a step to another group is not believed."""
+
+
+def _continued(log_exposure: np.ndarray, component: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """(I,): every further component goes on from the image before its first one, and so does a group that a single block
+    ties to another if exposures never change as that block says.
+
+    Of four such ties along 22 km, two were right to 0.4 %, and two, of patches behind other things, wrong by 36 and 50 %.
+    """
+    continued = log_exposure.copy()
     for label in range(1, component.max(initial=-1) + 1):
         members = np.flatnonzero(component == label)
-        joined[members] += joined[members[0] - 1]
-    return joined
+        continued[members] += continued[members[0] - 1]
+    inside = group[1:] == group[:-1]
+    if np.count_nonzero(inside) < _FEWEST_STEPS:
+        return continued
+    most = _MOST_STEP * np.abs(np.diff(continued))[inside].max()
+    for label in range(1, int(group.max()) + 1):
+        first = int(np.argmax(group == label))
+        step = continued[first] - continued[first - 1]
+        if abs(step) > most:
+            # groups are numbered by their first images: those behind hang on this one
+            continued[group >= label] -= step
+    return continued

@@ -174,31 +174,43 @@ def test_sigma_holds_where_all_patches_of_a_pair_of_images_err_alike():
     assert 0.4 < np.mean(nees) < 2.5
 
 
+def _bridged(truth, patches, off):
+    """Two halves of images that few patches tie, each in a block of its own, and off by so much."""
+    rng = np.random.default_rng(15)
+    _, ratios = _graph(rng, images=len(truth))
+    half = len(truth) // 2
+    low, high = np.minimum(ratios.first, ratios.second), np.maximum(ratios.first, ratios.second)
+    across = (low < half) & (high >= half)
+    bridge = np.flatnonzero(across)[:: np.count_nonzero(across) // 16]
+    value = truth[ratios.second] - truth[ratios.first] + 0.01 * rng.standard_normal(len(across))
+    value[bridge] += np.where(ratios.first[bridge] < half, off, -off)
+    block = ratios.block.copy()
+    block[bridge] = np.arange(len(bridge)) % patches
+    kept = np.sort(np.concatenate([np.flatnonzero(~across), bridge]))
+    names = ("first", "second", "sigma", "stretch", "level", "patch")
+    some = {name: getattr(ratios, name)[kept] for name in names}
+    return solve_ratios(Ratios(**some, value=value[kept], block=block[kept]), len(truth))
+
+
 @pytest.mark.parametrize("patches", [1, 2])
 def test_one_patch_alone_ties_no_images(patches):
     """It may be of another surface in some of them: images beyond it are known to nothing, whatever it says."""
-    rng = np.random.default_rng(15)
-    truth, ratios = _graph(rng)
-    low, high = np.minimum(ratios.first, ratios.second), np.maximum(ratios.first, ratios.second)
-    of_bridge = (low < 5) & (high >= 5)
-    bridge = np.flatnonzero(of_bridge)[:: np.count_nonzero(of_bridge) // 16]
-    kept = np.sort(np.concatenate([np.flatnonzero(~of_bridge), bridge]))
-    block = ratios.block.copy()
-    block[bridge] = np.arange(len(bridge)) % patches
-    some = {
-        name: getattr(ratios, name)[kept]
-        for name in ("first", "second", "value", "sigma", "stretch", "level", "patch")
-    }
-    value = some.pop("value")
-    value[np.isin(kept, bridge)] += 0.5 * (np.where(ratios.first < 5, 1, -1)[kept][np.isin(kept, bridge)])
-    found = solve_ratios(Ratios(**some, value=value, block=block[kept]), len(truth))
+    truth = np.cumsum(0.2 * np.random.default_rng(16).standard_normal(13))
+    found = _bridged(truth, patches, 0.5)
     assert (found.component == 0).all()
-    if patches == 1:
-        assert np.isinf(found.sigma[:5]).all()
-        assert np.isfinite(found.sigma[5:]).all()
-        assert np.abs(np.diff(found.log_exposure[5:]) - np.diff(truth[5:])).max() < 0.02
-    else:
-        assert np.isfinite(found.sigma).all()
+    assert np.isfinite(found.sigma[6:]).all()
+    assert np.isinf(found.sigma[:6]).all() == (patches == 1)
+    for part in (slice(0, 6), slice(6, 13)):
+        assert np.abs(np.diff(found.log_exposure[part]) - np.diff(truth[part])).max() < 0.02
+
+
+@pytest.mark.parametrize(("off", "believed"), [(0.0, True), (0.5, False)])
+def test_one_patch_is_believed_if_exposures_change_as_it_says(off, believed):
+    truth = np.cumsum(0.05 * np.random.default_rng(17).standard_normal(40))
+    found = _bridged(truth, 1, off)
+    step = found.log_exposure[20] - found.log_exposure[19]
+    assert step == pytest.approx(truth[20] - truth[19] if believed else 0.0, abs=0.02)
+    assert np.abs(np.diff(found.log_exposure[20:]) - np.diff(truth[20:])).max() < 0.02
 
 
 @pytest.mark.usefixtures("no_floors")
