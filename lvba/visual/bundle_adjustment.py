@@ -5,8 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import csr_matrix
 
 from lvba.camera import Camera
 from lvba.optim import levenberg_marquardt, linear_solver
@@ -24,6 +23,7 @@ from lvba.visual import (
 )
 from lvba.visual.calibration_prior import Evidence
 from lvba.visual.covariance import WallClusters
+from lvba.visual.exposure_graph import components
 from lvba.visual.noise import NoiseModel
 from lvba.visual.patch_shifts import Shifts
 from lvba.visual.photometric import Linearization, PhotometricState, Problem
@@ -251,15 +251,6 @@ class _Model:
 def joint(equations: NormalEquations, prior: Prior | None, state: VisualState) -> NormalEquations:
     """Photometric equations plus the prior's, over I blocks of 7, bordered by the calibration where there is a prior."""
     return equations if prior is None else equations + trajectory_prior.linearize(prior, state)
-
-
-def components(pair_reference: np.ndarray, pair_target: np.ndarray, images: int) -> np.ndarray:
-    """The connected component (I,) of the co-visibility graph each image belongs to.
-
-    pair_reference: (M,) int32, images; pair_target: (M,) int32, images
-    """
-    graph = coo_matrix((np.ones(len(pair_reference)), (pair_reference, pair_target)), shape=(images, images))
-    return np.asarray(connected_components(graph, directed=False)[1])
 
 
 def _free(problem: Problem, with_prior: bool, solve_exposures: bool) -> np.ndarray:

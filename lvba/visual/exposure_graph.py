@@ -9,6 +9,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
+from lvba.arrays import Indices
 from lvba.visual import nearness, radiometry
 from lvba.visual.radiometry import NONE, Radiometry, RadiometrySums
 from lvba.visual.response import LINEAR, Response
@@ -96,7 +97,7 @@ class Edges:
 
 def solve_edges(edges: Edges, images: int) -> Exposures:
     """The exposures of all images that explain the edges best."""
-    component = _groups(edges, np.ones(len(edges.mean), bool), images)
+    component = components(edges.first, edges.second, images)
     group = _tied_groups(edges, images)
     graph = _Graph(edges.first, edges.second, component, group)
     log_exposure, weight = graph.solve_robustly(edges.mean, edges.sigma)
@@ -117,16 +118,19 @@ def solve_edges(edges: Edges, images: int) -> Exposures:
     )
 
 
-def _groups(edges: Edges, some: np.ndarray, images: int) -> np.ndarray:
-    """(I,) int32: connected components of the graph that some of the edges (E,) make, by their first images."""
-    ends = edges.first[some], edges.second[some]
-    links = sparse.coo_matrix((np.ones(len(ends[0])), ends), shape=(images, images))
+def components(first: Indices, second: Indices, images: int) -> np.ndarray:
+    """(I,) int32: connected components of the graph that pairs of images make, by their first images.
+
+    first, second: (M,) int32 or int64, images of each pair
+    """
+    links = sparse.coo_matrix((np.ones(len(first)), (first, second)), shape=(images, images))
     return _by_first_image(connected_components(links, directed=False)[1])
 
 
 def _tied_groups(edges: Edges, images: int) -> np.ndarray:
     """(I,) int32: groups of images that stay together whichever small block of the surface is left out."""
-    without = [_groups(edges, edges.weight_fraction[:, b] <= 1 - _LITTLE, images) for b in range(BLOCKS)]
+    left = edges.weight_fraction[:, :BLOCKS].T <= 1 - _LITTLE
+    without = [components(edges.first[some], edges.second[some], images) for some in left]
     return _by_first_image(np.unique(without, axis=1, return_inverse=True)[1].ravel())
 
 

@@ -9,7 +9,7 @@ import textured_planes
 from lvba import geometry, trajectory
 from lvba.camera import Camera
 from lvba.optim.normal_equations import NormalEquations
-from lvba.visual import bundle_adjustment, calibration_prior, covariance, trajectory_prior
+from lvba.visual import bundle_adjustment, calibration_prior, covariance, exposure_graph, trajectory_prior
 from lvba.visual.states import Calibration, CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior, PriorConfig, Source
 from lvba.visual.variant import Variant
@@ -149,7 +149,7 @@ def test_exposures_that_are_not_to_be_solved_stay(scene):
 
 
 def test_every_component_of_the_graph_keeps_one_exposure():
-    component = bundle_adjustment.components(np.array([0, 1, 4]), np.array([1, 2, 3]), 6)
+    component = exposure_graph.components(np.array([0, 1, 4]), np.array([1, 2, 3]), 6)
     assert component[0] == component[1] == component[2]
     assert component[3] == component[4]
     assert len(set(component)) == 3

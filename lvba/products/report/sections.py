@@ -244,8 +244,9 @@ def _reference(facts: Facts) -> str:
     if error := reference.get("exposure"):
         old = before.get("exposure") or {}
         name = "Exposure, after one scale"
-        if (promised := error.get("predicted_frames", 0)) < (frames := error.get("frames", 0)) and promised:
-            name += f" (expected: of {promised} of {frames} images)"
+        promised = error.get("predicted_frames")
+        if promised and promised < error["frames"]:
+            name += f" (expected: of {promised} of {error['frames']} images)"
         rows.append((name, *(formats.number(e.get("rms_percent"), 2, "%") for e in (old, error)),
                      formats.number(error.get("predicted_percent"), 2, "%")))  # fmt: skip
         if (after := error.get("rms_percent_after_power")) is not None and abs(error["power"] - 1) > _POWER:
