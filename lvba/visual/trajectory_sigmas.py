@@ -2,8 +2,8 @@
 
 Two things make a camera deviate from where a scan pose puts it. One is its own: interpolation between scans, the noise
 of the odometry in a frame, jitter of the clocks. It shows in the differences between neighboring frames. The other is
-the error of the scans' poses, which neighbors fraction; how large that can be, the LiDAR bundle adjustment says. A slow
-deviation larger than both contradicts a rigid extrinsic: images alone drift, and then the prior must not give way.
+the error of the scans' poses, which neighbors have in common; how large that can be, the LiDAR bundle adjustment says. A
+slow deviation larger than both contradicts a rigid extrinsic: images alone drift, and then the prior must not give way.
 """
 
 from dataclasses import replace
@@ -21,6 +21,12 @@ from lvba.visual.trajectory_prior import (
     residuals,
     sigmas,
 )
+
+_ORDINARY = 4.0
+"""Times the variance of the scans' error that deviations which neighbors have in common are nothing special: it is not
+known to better."""
+_MEDIAN_OF_THREE = 2.366
+"""The median of the sum of squares of three standard normal variables."""
 
 
 def reestimated(prior: Prior, state: VisualState, undecided: tuple[np.ndarray, ...]) -> Prior:
@@ -56,8 +62,8 @@ def _rescaled(source: Source, deviation: np.ndarray, posterior: np.ndarray) -> S
             np.array([FLOOR_POSITION_M, CEILING_POSITION_M]),
         ),
         correlation_inflation=(
-            _correlation_inflation(deviation[:, :3] / own[:, :3]),
-            _correlation_inflation(deviation[:, 3:] / own[:, 3:]),
+            _correlation_inflation(deviation[:, :3], own[:, :3], source.scan_rotation),
+            _correlation_inflation(deviation[:, 3:], own[:, 3:], source.scan_position),
         ),
     )
 
@@ -77,18 +83,24 @@ def _within(sigma: np.ndarray, before: np.ndarray, limits: np.ndarray) -> np.nda
     return np.asarray(np.clip(sigma, limits[0], np.maximum(before, limits[1])))
 
 
-def _correlation_inflation(normalized: np.ndarray) -> float:
+def _correlation_inflation(deviation: np.ndarray, own: np.ndarray, of_scans: np.ndarray) -> float:
     """By what factor the variance of shared deviations grows, >= 1.
 
     N frames whose deviations have lag-one correlation r tell of their common part only what N (1 - r) / (1 + r)
-    independent ones do.
+    independent ones do. That holds for the error of the scans' poses. The further what most neighbors have in common is
+    beyond that, the less of it the scans explain, and the less the factor grows: images that drift would loosen what
+    holds them, and drift on.
+    deviation: (I, 3); own, of_scans: (I, 3), its standard deviations, of each frame by itself and by the scans' error
     """
-    clipped = np.clip(normalized, -3, 3)
+    clipped = np.clip(deviation / own, -3, 3)
     total = float(np.square(clipped).mean()) if clipped.size else 0.0
     if len(clipped) <= 10 or total == 0:
         return 1.0
     correlation = min(max(float((clipped[1:] * clipped[:-1]).mean()) / total, 0.0), 0.95)
-    return (1 + correlation) / (1 - correlation)
+    relative = deviation / of_scans
+    in_common = float(np.median((relative[1:] * relative[:-1]).sum(axis=1))) / _MEDIAN_OF_THREE
+    explained = _ORDINARY / max(in_common, _ORDINARY)
+    return 1 + explained * ((1 + correlation) / (1 - correlation) - 1)
 
 
 def _scale(normalized: np.ndarray, fraction: np.ndarray) -> float:

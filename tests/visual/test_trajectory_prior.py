@@ -197,6 +197,9 @@ def test_a_slow_deviation_is_allowed_only_as_far_as_the_scans_may_be_off(scan_m,
     for source in found.sources:
         assert source.sigma_position.max() < 0.004
         assert (trajectory_prior.sigmas(source)[:, 3].min() > 0.03) == free
+        # what the scans do not explain is no sign that they err together
+        assert (source.correlation_inflation[1] > 10) == free
+        assert (source.correlation_inflation[1] < 3) == (not free)
 
 
 def test_a_spline_is_sure_of_itself_at_the_scans():
