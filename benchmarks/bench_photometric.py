@@ -36,9 +36,15 @@ def problem(
     normal = rng.normal(size=position.shape) * 0.3 + [0, 0, -1.0]
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     scene = ScenePoints(
-        position, normal, np.zeros(len(pixel)), reference, pixel.astype(np.int32),
-        np.arange(len(pixel), dtype=np.int32), np.zeros(len(pixel), bool),
-    )  # fmt: skip
+        position_world=position,
+        normal_world=normal,
+        sigma_plane=np.zeros(len(pixel)),
+        unevenness=np.zeros(len(pixel)),
+        reference=reference,
+        pixel=pixel.astype(np.int32),
+        plane=np.arange(len(pixel), dtype=np.int32),
+        is_global=np.zeros(len(pixel), bool),
+    )
     offsets = np.concatenate([np.arange(-(targets // 2), 0), np.arange(1, targets - targets // 2 + 1)])
     target = reference[:, None] + offsets
     inside = (target >= 0) & (target < images)

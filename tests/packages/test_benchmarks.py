@@ -1,5 +1,6 @@
-"""Benchmarks find what they measure: each can be loaded by the present code."""
+"""Benchmarks find what they measure: each can be loaded by the present code, and what is timed most can be run."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -17,3 +18,11 @@ def test_benchmarks_load(group):
     command = [sys.executable, "-c", LOAD, *names]
     loaded = subprocess.run(command, cwd=BENCHMARKS, capture_output=True, text=True, check=False)
     assert loaded.returncode == 0, loaded.stderr
+
+
+def test_photometric_sums_can_be_timed():
+    call = "import bench_photometric as b; print(len(b.run(patches=(7,), channels=(1,))['rows']))"
+    path = {**os.environ, "PYTHONPATH": str(BENCHMARKS.parent)}
+    command = [sys.executable, "-c", call]
+    done = subprocess.run(command, cwd=BENCHMARKS, env=path, capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == "1", done.stderr
