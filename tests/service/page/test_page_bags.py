@@ -31,6 +31,7 @@ def test_a_bag_is_looked_into_uploaded_chosen_from_and_run_to_a_map(watched, ser
     assert page.get_by_role("radio", name="walk").is_checked()
 
     choices = page.get_by_role("region", name="2. Import")
+    choices.get_by_label("lidar", exact=True).wait_for()
     assert choices.get_by_label("lidar", exact=True).locator("option").all_inner_texts() == [
         "(default)",
         "/lidar/points",

@@ -1,6 +1,6 @@
 // What is in a bag, and the choices of its import.
 
-import { useEffect, useMemo } from "preact/hooks";
+import { useLayoutEffect, useMemo } from "preact/hooks";
 
 import { bytes, duration } from "../format";
 import type { Inspection, Options, Schema, StreamFacts } from "../types";
@@ -59,7 +59,8 @@ interface FormProps {
 
 /** The options of an import, with the topics and files of this bag to choose from. */
 export function ImportForm({ options, inspection, changes, set, errors }: FormProps) {
-  useEffect(() => { set(likely(inspection)); }, [inspection]);
+  // before the form can be seen: later, it would undo what somebody has just chosen
+  useLayoutEffect(() => { set(likely(inspection)); }, [inspection]);
   const offered = useMemo(() => offer(options, inspection), [options, inspection]);
   return <OptionsForm options={offered} changes={changes} set={set} errors={errors} kind="import" />;
 }
