@@ -38,7 +38,11 @@ class Ratios:
 
     def of_images(self, kept: np.ndarray) -> "Ratios":
         """Those of patches that were laid out in some images. kept: (I,) bool, of all images"""
-        mine, places = kept[self.first], self.places
+        return self.take(kept[self.first])
+
+    def take(self, mine: np.ndarray) -> "Ratios":
+        """Some of them. mine: (M,) integers, or (N,) bool"""
+        places = self.places
         return Ratios(
             first=self.first[mine],
             second=self.second[mine],

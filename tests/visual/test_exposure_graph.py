@@ -168,9 +168,7 @@ def _bridged(truth, patches, off):
     block = ratios.block.copy()
     block[bridge] = np.arange(len(bridge)) % patches
     kept = np.sort(np.concatenate([np.flatnonzero(~across), bridge]))
-    names = ("first", "second", "sigma", "stretch", "level", "patch")
-    some = {name: getattr(ratios, name)[kept] for name in names}
-    return solve_ratios(Ratios(**some, value=value[kept], block=block[kept]), len(truth))
+    return solve_ratios(replace(ratios, value=value, block=block).take(kept), len(truth))
 
 
 @pytest.mark.parametrize("patches", [1, 2])
@@ -232,13 +230,7 @@ def test_two_components_and_a_lone_image():
     rng = np.random.default_rng(3)
     truth, ratios = _graph(rng, images=13, skip=(5, 6))
     across = (np.minimum(ratios.first, ratios.second) < 5) & (np.maximum(ratios.first, ratios.second) > 6)
-    kept = Ratios(
-        *(
-            getattr(ratios, name)[~across]
-            for name in ("first", "second", "value", "sigma", "block", "stretch", "level", "patch")
-        )
-    )
-    found = solve_ratios(kept, 13)
+    found = solve_ratios(ratios.take(~across), 13)
     assert found.component.tolist() == [0] * 5 + [1, 2] + [3] * 6
     # nothing tells how the first images compare with the last, which are more
     assert np.isinf(found.sigma[:7]).all()
@@ -250,20 +242,8 @@ def test_two_components_and_a_lone_image():
 
 
 def test_nothing_to_compare():
-    none = np.empty(0)
-    found = solve_ratios(
-        Ratios(
-            none.astype(np.int32),
-            none.astype(np.int32),
-            none,
-            none,
-            none.astype(int),
-            none.astype(int),
-            none,
-            none.astype(int),
-        ),
-        3,
-    )
+    _, ratios = _graph(np.random.default_rng(0))
+    found = solve_ratios(ratios.take(np.zeros(0, int)), 3)
     assert found.log_exposure.tolist() == [0, 0, 0]
     assert np.isinf(found.sigma).all()
     assert found.pairs == 0

@@ -105,9 +105,7 @@ def test_parts_add_up_to_the_whole():
     whole = exposure.edges_of(ratios, len(truth))
 
     def part(mine):
-        places = PairPlaces(ratios.places.reference[mine], ratios.places.target[mine])
-        names = ("first", "second", "value", "sigma", "block", "stretch", "level", "patch")
-        return exposure.edges_of(Ratios(*(getattr(ratios, name)[mine] for name in names), places), len(truth))
+        return exposure.edges_of(ratios.take(mine), len(truth))
 
     halves = [part(ratios.first < 5), part(ratios.first >= 5)]
     joint = radiometry.solve(halves[0].known + halves[1].known)

@@ -106,22 +106,8 @@ def test_none_is_found_where_there_is_none_and_where_nothing_tells():
     _, ratios = make(np.random.default_rng(4))
     still = replace(ratios, places=PairPlaces(ratios.places.reference, ratios.places.reference))
     assert solve(still).radiometry.vignetting.coefficients == NONE.coefficients
-    assert not radiometry.solve(exposure.radiometry_sums(np.zeros(0, int), np.zeros(0), _nothing()))
-
-
-def _nothing():
-    none, places = np.zeros(0), PairPlaces(np.zeros((0, 2)), np.zeros((0, 2)))
-    return Ratios(
-        none.astype(np.int32),
-        none.astype(np.int32),
-        none,
-        none,
-        none.astype(int),
-        none.astype(int),
-        none,
-        none.astype(int),
-        places,
-    )
+    none = np.zeros(0, int)
+    assert not radiometry.solve(exposure.radiometry_sums(none, np.zeros(0), ratios.take(none)))
 
 
 @pytest.mark.parametrize(
@@ -146,9 +132,7 @@ def test_parts_add_up_to_the_whole():
     whole = exposure.edges_of(ratios, 12)
 
     def part(mine):
-        places = PairPlaces(ratios.places.reference[mine], ratios.places.target[mine])
-        names = ("first", "second", "value", "sigma", "block", "stretch", "level", "patch")
-        return exposure.edges_of(Ratios(*(getattr(ratios, name)[mine] for name in names), places), 12)
+        return exposure.edges_of(ratios.take(mine), 12)
 
     halves = [part(ratios.first < 6), part(ratios.first >= 6)]
     joint = radiometry.solve(halves[0].known + halves[1].known)
