@@ -50,7 +50,7 @@ LINEAR_ALGEBRA = {
     "lvba/steps/pose_fusion.py": (11, "6 x 6 covariances of single scans and of a chain's links"),
     "lvba/steps/uncertainty.py": (1, "normalized errors, 6 x 6"),
     "lvba/visual/bundle_adjustment.py": (1, "information of the shared parameters from their covariance, k x k"),
-    "lvba/visual/calibration_prior.py": (4, "whitening by the calibration's information, variances, k x k"),
+    "lvba/visual/calibration_prior.py": (7, "whitening by the calibration's information, variances, k x k"),
     "lvba/visual/vignetting.py": (2, "three coefficients and a center: at most 5 x 5"),
     "lvba/visual/radiometry.py": (2, "vignetting and response of a camera: 12 x 12"),
     "lvba/visual/fixed_calibration.py": (2, "estimates given that some are fixed, Wald tests: at most 8 x 8"),

@@ -8,7 +8,6 @@ scans are solved, registered to each other wherever they see the same place, and
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from lvba.errors import DegenerateProblemError
 from lvba.lidar import bundle_adjustment
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.odometry_factor import JUMP, OdometryPrior, odometry_prior, with_jumps
-from lvba.loop_closure import candidates, registration, scan_steps, submap
+from lvba.loop_closure import candidates, registration, rough_motions, scan_steps, submap
 from lvba.loop_closure.candidates import CandidateConfig
 from lvba.loop_closure.scan_steps import Step
 from lvba.loop_closure.submap import Patch, Submap
@@ -26,30 +25,13 @@ from lvba.loop_closure.surfel_icp import Target
 from lvba.optim import pose_graph
 from lvba.optim.pose_graph import Edges
 from lvba.progress import Progress, silent
-from lvba.trajectory import JUMP_DEG, JUMP_M
 
 _log = logging.getLogger(__name__)
 
 _POINTS = 15_000
 """Of a scan, to look at: surfaces do not need more."""
-_TESTED = 6
-"""Steps that are tested, those by which surfaces agree least."""
 _PASSES = 2
 """Where the odometry is decimeters off everywhere, what is open is laid out again beside the poses that came of it."""
-_GAIN = 0.1
-"""Part of a scan's surfels by which the agreement must grow: what overlaps little could be anything."""
-_FAR_GAIN = 0.3
-"""The same where neither scan sees through surfaces of the other: a narrow sensor that moves along a wall sees again only
-part of what it saw, and the wall agrees with more of itself a meter further back."""
-_IN_SIGHT = 0.05
-"""Part of what two scans say that contradicts the odometry's motion, where they determine another one in all directions:
-of motions that were right it was .01 at most, of jumps by a meter at which much still agrees .1 and more."""
-_MORE = 0.1
-"""Part of what scans on either side say by which more may contradict a motion that replaces the odometry's."""
-_SAME_M, _SAME_DEG = 0.1, 1.0
-"""Motions that differ by less are the same: two thin scans do not tell it better."""
-_BESIDE = (1, 4)
-"""Scans on either side of a motion whose surfaces are asked whether they confirm it."""
 _BEFORE = 8
 """Scans that another one is registered to."""
 _OUTLYING = 6.0
@@ -112,7 +94,7 @@ class StartPoses:
 
     def judged(self, patches: Sequence[Patch | None], world_from_scan: Poses) -> RoughError:
         """The error, with what is left of it in refined poses (S, 4, 4). patches: of `surfels_of`"""
-        return replace(self.error, left_after=contradicted(patches, world_from_scan))
+        return replace(self.error, left_after=rough_motions.contradicted(patches, world_from_scan))
 
 
 def odometry_of(
@@ -147,111 +129,6 @@ def surfels_of(scans: Sequence[np.ndarray], sensor_position: Vector | None = Non
     """
     sensor = np.zeros(3) if sensor_position is None else np.asarray(sensor_position, float)
     return [scan_steps.surfels(thinned(points, number), sensor) for number, points in enumerate(scans)]
-
-
-def contradicted(patches: Sequence[Patch | None], world_from_scan: Poses) -> np.ndarray:
-    """(K,) int64, ascending: scans after which the step of poses (S, 4, 4) is decimeters off, of those that were tested.
-
-    Tested are the steps by which surfaces agree least.
-    """
-    steps = geometry.steps(world_from_scan)
-    agree = np.full(len(steps), np.inf)
-    for k, (first, second) in enumerate(pairwise(patches)):
-        if first is not None and second is not None:
-            agree[k] = scan_steps.overlap(Target.of(first), second, steps[k])
-    wrong = []
-    for k in np.argsort(agree, kind="stable")[:_TESTED]:
-        step = _registered(patches, world_from_scan, k)
-        if step is not None and _far(step.correction(steps[k])) and step.overlap > agree[k] + _GAIN:
-            wrong.append(int(k))
-    return np.array(sorted(wrong), np.int64)
-
-
-def confirmed(
-    patches: Sequence[Patch | None], world_from_scan: Poses, after: np.ndarray, expected: Poses
-) -> np.ndarray:
-    """(K,) int64, ascending: of some scans, those whose motion to the next one surfaces confirm.
-
-    patches: of `surfels_of`; world_from_scan: (S, 4, 4); after: (J,) int64, the scans
-    expected: (S - 1, 4, 4), motions as those before and after let expect
-    Surfaces confirm a motion if they determine it in all directions, agree with it, and do not agree as well with
-    another one that is nearer to what is expected: those of both scans, or of some on both sides where these are few.
-    """
-    sure = []
-    for k in np.unique(after):
-        motion = geometry.inverse(world_from_scan[k]) @ world_from_scan[k + 1]
-        for most in _BESIDE:
-            pair = _beside(patches, world_from_scan, k, most)
-            if pair is not None and _agreed(*pair, motion, expected[k]):
-                sure.append(int(k))
-                break
-    return np.array(sure, np.int64)
-
-
-def _agreed(first: Patch, second: Patch, motion: np.ndarray, expected: np.ndarray) -> bool:
-    """Whether surfaces determine a motion (4, 4), agree with it, and with none near the expected one (4, 4) as well."""
-    target = Target.of(first)
-    step = scan_steps.register(target, second, motion)
-    if not step.aligned or step.open or _apart(motion, step.first_from_second):
-        return False
-    rival = scan_steps.register(target, second, expected)
-    same = not _apart(rival.first_from_second, step.first_from_second)
-    return same or not rival.aligned or rival.overlap < step.overlap - _GAIN
-
-
-def _registered(patches: Sequence[Patch | None], world_from_scan: np.ndarray, k: int) -> Step | None:
-    """Scan k + 1 as `scan_steps.register` has it beside scan k; None: one of them sees too little. Nothing is known where
-    that is far from what the odometry (S, 4, 4) has, without good reason.
-
-    Scans that overlap little, as of a narrow sensor that turns, fit together in several ways: any wall fits any other
-    one. Surfaces speak against an odometry if they contradict it in sight, or determine another motion in all directions,
-    by which far more of them agree, and which those of the scans before and behind do not contradict any more than it.
-    """
-    first, second = patches[k], patches[k + 1]
-    if first is None or second is None:
-        return None
-    rough, target = geometry.steps(world_from_scan[k : k + 2])[0], Target.of(first)
-    step = scan_steps.register(target, second, rough)
-    if not _far(step.correction(rough)):
-        return step
-    if step.open:
-        if scan_steps.contradicts(target, second, rough):
-            return step
-    else:
-        if scan_steps.contradicting(target, second, rough) > _IN_SIGHT:
-            return step
-        around = _beside(patches, world_from_scan, k, _BESIDE[-1])
-        more = step.overlap > scan_steps.overlap(target, second, rough) + _FAR_GAIN
-        if more and not (around and _more_against(*around, step.first_from_second, rough)):
-            return step
-    return replace(step, first_from_second=rough, information=np.zeros((6, 6)), open=6)
-
-
-def _beside(
-    patches: Sequence[Patch | None], world_from_scan: np.ndarray, k: int, most: int
-) -> tuple[Patch, Patch] | None:
-    """Surfels of scan k and so many before it, in its frame, and of those behind it in that of the first; None: none."""
-    before, behind = slice(max(0, k + 1 - most), k + 1), slice(k + 1, k + 1 + most)
-    first = scan_steps.together(patches[before], world_from_scan[before], -1)
-    second = scan_steps.together(patches[behind], world_from_scan[behind], 0)
-    return None if first is None or second is None else (first, second)
-
-
-def _more_against(first: Patch, second: Patch, motion: np.ndarray, rough: np.ndarray) -> bool:
-    """Whether surfaces contradict a motion (4, 4) by more than the odometry's (4, 4)."""
-    target = Target.of(first)
-    against, by_rough = (scan_steps.contradicting(target, second, each) for each in (motion, rough))
-    return against > by_rough + _MORE
-
-
-def _far(off: np.ndarray) -> bool:
-    """Whether a motion that is off by so much, (6,) rad and m, is decimeters off."""
-    return bool(np.linalg.norm(off[3:]) > JUMP_M or np.linalg.norm(off[:3]) > np.radians(JUMP_DEG))
-
-
-def _apart(one: np.ndarray, other: np.ndarray) -> bool:
-    off = geometry.log(geometry.inverse(one) @ other)
-    return bool(np.linalg.norm(off[3:]) > _SAME_M or np.linalg.norm(off[:3]) > np.radians(_SAME_DEG))
 
 
 def start(
@@ -297,6 +174,23 @@ class _Chain:
     steps: list[Step | None]
     information: np.ndarray
 
+    def closed(self, patches: Sequence[Patch | None], k: int) -> "_Chain":
+        """The chain with step k as the scans on both sides of it have it together, where these determine it in all
+        directions: one scan may slide along the surfaces of those before it."""
+        pair = rough_motions.beside(patches, self.world_from_scan, k, rough_motions.BESIDE[-1])
+        if pair is None:
+            return self
+        motion = geometry.steps(self.world_from_scan[k : k + 2])[0]
+        step = scan_steps.register(Target.of(pair[0]), pair[1], motion)
+        own = self.steps[k]
+        known = own is not None and not own.open and not rough_motions.apart(motion, step.first_from_second)
+        if not step.aligned or step.open or known:
+            return self
+        poses, steps, information = self.world_from_scan.copy(), list(self.steps), self.information.copy()
+        poses[k + 1 :] = poses[k] @ step.first_from_second @ geometry.inverse(poses[k + 1]) @ poses[k + 1 :]
+        steps[k], information[k] = step, JUMP + step.information
+        return _Chain(poses, steps, information)
+
 
 @dataclass(frozen=True)
 class _Odometry:
@@ -314,7 +208,7 @@ class _Odometry:
         steps: list[Step | None] = []
         for k in range(len(rough)):
             progress("registering scans", k, 2 * len(rough))
-            steps.append(_registered(patches, world_from_scan, k))
+            steps.append(rough_motions.registered(patches, world_from_scan, k))
         off = np.array(
             [
                 each.correction(motion) if each is not None else np.zeros(6)
@@ -369,7 +263,10 @@ class _Odometry:
             poses.append(poses[-1] @ begin)
             steps.append(step)
             information.append(prior + (step.information if step is not None else 0.0))
-        return _Chain(np.array(poses), steps, np.array(information).reshape(-1, 6, 6))
+        chain = _Chain(np.array(poses), steps, np.array(information).reshape(-1, 6, 6))
+        for wrong in np.flatnonzero(self.wrong):
+            chain = chain.closed(patches, int(wrong))
+        return chain
 
 
 @dataclass(frozen=True)

@@ -257,11 +257,13 @@ class SharedPrior(Generic[Parameters]):
     reference: their values as calibrated
     claimed: (k, k) information of these, as the settings claim it
     counted: (k, k) information that they count with; None: as claimed
+    granted: (k, k) information that they are good for, where data show it; None: as claimed
     """
 
     reference: Parameters
     claimed: np.ndarray
     counted: np.ndarray | None = None
+    granted: np.ndarray | None = None
 
     @property
     def information(self) -> np.ndarray:
@@ -281,9 +283,10 @@ class SharedPrior(Generic[Parameters]):
         return np.asarray(by_step.T @ self.information @ by_step)
 
     def gradient_variance(self, values: Parameters) -> np.ndarray:
-        """(k, k), of the prior's gradient: its Hessian where it counts as claimed, more where it counts for more."""
+        """(k, k), of the prior's gradient: its Hessian where it counts for what it is good for, more where for more."""
         by_step = values.deviation_jacobian(self.reference)
-        varies = self.information @ np.linalg.solve(self.claimed, self.information)
+        good = self.claimed if self.granted is None else self.granted
+        varies = self.information @ np.linalg.solve(good, self.information)
         return np.asarray(by_step.T @ varies @ by_step)
 
 

@@ -24,7 +24,7 @@ from lvba.lidar.range_errors import RangeErrors
 from lvba.lidar.scan import gather
 from lvba.lidar.scan_errors import ScanErrors
 from lvba.lidar.scan_evidence import View
-from lvba.loop_closure import rough_poses
+from lvba.loop_closure import rough_motions, rough_poses
 from lvba.loop_closure.submap import Patch
 from lvba.products.cloud import Cloud, assemble
 from lvba.progress import Progress, silent
@@ -53,7 +53,7 @@ def solve_lidar(
     scans = reader.load(part.scan_numbers)
     surfels = rough_poses.surfels_of(scans, sensor)
     rough, begin, odometry = dataset.scans.world_from_sensor, None, None
-    if len(rough_poses.contradicted(surfels, rough)):
+    if len(rough_motions.contradicted(surfels, rough)):
         begin = rough_poses.start(
             scans, surfels, rough, sensor_position=sensor, config=config, progress=progress
         )
@@ -122,7 +122,7 @@ def _confirmed(surfels: Sequence[Patch | None], rough: Trajectory, refined: Traj
     """Of the scans after which one of the trajectories jumps, those whose refined motion surfaces confirm, (K,) int64."""
     after = np.union1d(*(trajectory_jumps.find(each).after for each in (rough, refined)))
     expected = trajectory_jumps.expected(refined)
-    return rough_poses.confirmed(surfels, refined.world_from_sensor, after, expected)
+    return rough_motions.confirmed(surfels, refined.world_from_sensor, after, expected)
 
 
 def carry_cameras(dataset: Dataset, world_from_scan: Poses) -> np.ndarray:

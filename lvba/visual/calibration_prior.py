@@ -5,6 +5,9 @@ images of a Kinect claimed the extrinsic to a millimeter and moved it by 43 mm. 
 each other about the calibration shows how much of that information is real; where they contradict each other more than
 they claim, the calibrated values get a larger weight. Where an estimate would be less certain than the calibration itself
 all the same, the calibration stays.
+
+The calibration may overstate, too: one that was measured by hand is off by centimeters and degrees. How far the extrinsic
+that the images see deviates from it, beyond what they contradict themselves, shows how much (a variance component).
 """
 
 from collections.abc import Mapping
@@ -22,6 +25,11 @@ _TELLS_NOTHING = 1e-6
 
 _NO_BETTER = 1.01
 """Times the variance of the calibration that an estimate may have."""
+_CLAIM_COUNTS = 1.0
+"""So many numbers of an extrinsic as good as it claims to be are supposed beside those that the images see."""
+_CERTAIN = 3.0
+"""Images are far more certain of the extrinsic than its calibration where its claimed standard deviation is so many times
+theirs."""
 _KEPT = 1e6
 """Times over that a calibration counts in a direction that it keeps."""
 
@@ -32,13 +40,17 @@ class Evidence:
 
     information: (k, k) float64, with all cameras eliminated; spread: (k, k) float64, variance of their gradient by it,
         summed over pieces of wall (see `visual.covariance`)
+    pull: (k,) float64, the information times the deviation from the calibrated values that the images see
     """
 
     information: np.ndarray
     spread: np.ndarray
+    pull: np.ndarray
 
     def __add__(self, other: "Evidence") -> "Evidence":
-        return Evidence(self.information + other.information, self.spread + other.spread)
+        return Evidence(
+            self.information + other.information, self.spread + other.spread, self.pull + other.pull
+        )
 
     def by_range_errors(self, errors: tuple[float, float]) -> np.ndarray:
         """(k, k): variance of the gradient by errors of ranges that planes share. errors: as `RangeErrors.by_direction`
@@ -89,14 +101,36 @@ def build(calibrated: Calibration, sigma: Mapping[str, float | np.ndarray]) -> S
     return SharedPrior(calibrated, information(calibrated.layout(), sigma))
 
 
-def weighed(information: np.ndarray, spread: np.ndarray, claims: np.ndarray, keep: bool = True) -> np.ndarray:
+def granted(said: Evidence, spread: np.ndarray, claims: np.ndarray) -> np.ndarray:
+    """(k, k): what the calibration is good for: the information that it claims, but for an extrinsic that images see
+    further off than that, where they are far more certain.
+
+    spread: (k, k) float64, as of the evidence, with all that images may be wrong by
+    claims: (k, k) float64, information of the calibration
+
+    Along the directions in which the images' own estimate has a small variance beside the calibration's, what it
+    deviates beyond that gives the variance of the calibration.
+    """
+    root, extrinsic = np.linalg.cholesky(claims), Calibration.layout()["scan_from_camera"]
+    information = _positive(_whitened(said.information, root))
+    off = np.linalg.solve(information, np.linalg.solve(root, said.pull))[extrinsic]
+    covariance = np.linalg.inv(_believed(information, _whitened(spread, root)))
+    variance, axes = np.linalg.eigh(covariance[extrinsic, extrinsic])
+    certain = variance < _CERTAIN**-2
+    seen = np.square(axes.T @ off)[certain]
+    factor = (seen - variance[certain]).sum() + _CLAIM_COUNTS
+    factor /= certain.sum() + _CLAIM_COUNTS
+    good = np.ones(len(claims))
+    good[extrinsic] /= np.sqrt(max(factor, 1.0))
+    return np.asarray(claims * np.outer(good, good))
+
+
+def weighed(information: np.ndarray, spread: np.ndarray, claims: np.ndarray) -> np.ndarray:
     """(k, k): what the calibration shall count beside images of this `information`, never less than it claims itself.
 
     information: (k, k) float64, of the images about the calibration, with all cameras eliminated
     spread: (k, k) float64, variance of their gradient by it, summed over pieces of wall (see `visual.covariance`)
-    claims: (k, k) float64, information of the calibration
-    keep: no direction of the extrinsic less certain than calibrated; not before images and walls have come together, for
-        walls that are not where the images see them contradict each other about everything
+    claims: (k, k) float64, information of the calibration; no direction of the extrinsic gets less certain than by that
 
     Where the spread is mu > 1 times the information (generalized eigenvectors), the images are good for
     `information / mu`. What this and the calibration agree on is reached with all of it, too, by a calibration that
@@ -105,15 +139,18 @@ def weighed(information: np.ndarray, spread: np.ndarray, claims: np.ndarray, kee
     root = np.linalg.cholesky(claims)
     # in units of the calibration: its information is 1
     information, spread = _positive(_whitened(information, root)), _whitened(spread, root)
-    variance_factors, axes = eigh(spread, information)
-    back = information @ axes
-    believed = (back / np.maximum(variance_factors, 1.0)) @ back.T
+    believed = _believed(information, spread)
     good, shared = np.linalg.eigh(believed)
     counts = np.einsum("ik,ij,jk->k", shared, information, shared) / np.maximum(good, 1e-12)
-    counted = (shared * np.maximum(counts, 1.0)) @ shared.T
-    if keep:
-        counted = _kept_where_better(counted, information, spread)
+    counted = _kept_where_better((shared * np.maximum(counts, 1.0)) @ shared.T, information, spread)
     return np.asarray(root @ counted @ root.T)
+
+
+def _believed(information: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """(k, k): the information that images are good for, whose gradient varies by the spread."""
+    variance_factors, axes = eigh(spread, information)
+    back = information @ axes
+    return np.asarray((back / np.maximum(variance_factors, 1.0)) @ back.T)
 
 
 def _kept_where_better(counted: np.ndarray, information: np.ndarray, spread: np.ndarray) -> np.ndarray:

@@ -64,6 +64,15 @@ def rate_sigmas(prior: Prior, state: VisualState) -> np.ndarray | None:
     return np.repeat(sigma, 3, axis=1)
 
 
+def scan_rate_sigmas(prior: Prior) -> np.ndarray | None:
+    """(I, 6): how far the rates by scans alone, which the prior has, may be off, rad/s and m/s; None: nothing tells."""
+    if prior.scans is None or prior.times is None or len(prior.scans) < spline.FEWEST_SAMPLES:
+        return None
+    floor = np.array([np.radians(FLOOR_ROTATION_DEG), FLOOR_POSITION_M])
+    sigma = RATES * spline.leave_one_out_rates(prior.scans, prior.times, floor)
+    return np.repeat(sigma, 3, axis=1)
+
+
 def by_rows(
     problem: Problem, at: PhotometricState, sums: np.ndarray, prior: Prior, state: VisualState
 ) -> VisualState:

@@ -46,7 +46,8 @@ def evidence_from(evidence: Evidence, later: float) -> Evidence:
     here_by_there = np.eye(layout.size)
     here_by_there[layout["time_offset"], layout["clock_rate"]] = -later
     parts = evidence.information, evidence.spread
-    return Evidence(*(here_by_there.T @ each @ here_by_there for each in parts))
+    information, spread = (here_by_there.T @ each @ here_by_there for each in parts)
+    return Evidence(information, spread, here_by_there.T @ evidence.pull)
 
 
 def clock_drifts(results: Sequence[VisualResult]) -> bool:

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from lvba.settings import Group, setting
 from lvba.visual.image import ImageConfig
 from lvba.visual.keyframes import KeyframeConfig
+from lvba.visual.prior_config import PriorConfig
 from lvba.visual.scene_points import PointsConfig
-from lvba.visual.trajectory_prior import PriorConfig
 from lvba.visual.visibility import VisibilityConfig
 
 

@@ -31,7 +31,7 @@ from lvba.visual.radiometry import Radiometry
 from lvba.visual.result import LevelReport, VisualResult
 from lvba.visual.scene import Inputs, Scene, scene_of
 from lvba.visual.scene_points import PatchRules, ScenePoints
-from lvba.visual.states import CameraStates, VisualState
+from lvba.visual.states import Calibration, CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior
 from lvba.visual.variant import PRODUCT, Variant
 from lvba.visual.visibility import DepthBuffers
@@ -59,6 +59,10 @@ _COARSE_ROUNDS = 2
 """Solves of a coarse level."""
 _MOST_SOLVES = 3
 """At most so many more, at the finest level, with points found anew."""
+_FAR_PX = 1.0
+"""What cameras begin with in common is far off where it moves half of the scene points by more, at their level."""
+_MOST_RESTARTS = 2
+"""At most so many, at each coarse level."""
 _ROWS_STAY_PX = 0.05
 """Change of the first and last rows, root mean square over the images, below which motions during images stand still."""
 _COARSEST_EXPOSED = 5
@@ -232,13 +236,16 @@ def _exposed(
 def _solve_level(
     scene: Scene, level: int, coarser: Coarser, config: VisualConfig, progress: Progress
 ) -> LevelSolution:
-    """One level's solution; at the finest, once more with points found anew if that corrected camera or clock.
+    """One level's solution, once more with points found anew: at a coarse one if extrinsic or clock were far off, at the
+    finest if that corrected camera or clock.
 
     With a camera that is pixels off in the corners, patches there match nothing: what is left are those that tell least.
     The same holds for rows that the camera moved otherwise at than was known, as often as that still changes.
     """
     solution = _solved_once(scene, level, coarser, config, progress)
-    if level > 0 or scene.variant.reference_pixels != "fixed" or not solution.corrected:
+    if level > 0:
+        return _restarted(scene, level, coarser, solution, config, progress)
+    if scene.variant.reference_pixels != "fixed" or not solution.corrected:
         return solution
     for _ in range(_MOST_SOLVES):
         again = replace(
@@ -253,6 +260,54 @@ def _solve_level(
         if shown < _ROWS_STAY_PX:
             break
     return solution
+
+
+def _restarted(
+    scene: Scene,
+    level: int,
+    coarser: Coarser,
+    solution: LevelSolution,
+    config: VisualConfig,
+    progress: Progress,
+) -> LevelSolution:
+    """A coarse level's solution; where extrinsic or clock were far off, that from where these put the cameras.
+
+    All cameras begin with what is wrong of these, and most find the way by themselves. One that sees little does not: it
+    holds on to what looks alike where it is, and what is common to all then draws on it in vain. From where the common
+    part puts it, it sees what its neighbors see. Kept where more pairs of images look alike.
+    """
+    begun = coarser.state.calibration
+    for _ in range(_MOST_RESTARTS):
+        prior = solution.prior
+        if prior is None or _common_shift_px(scene, level, solution, begun) < _FAR_PX:
+            break
+        begun = solution.state.calibration
+        poses = trajectory_prior.predict(prior, prior.sources[0], begun)
+        cameras = replace(solution.state.cameras, world_from_camera=poses)
+        state = replace(solution.state, cameras=cameras)
+        factor = solution.problem.variance_factor
+        again = replace(coarser, state=state, prior=prior, variance_factor=factor)
+        once_more = _solved_once(scene, level, again, config, progress)
+        pairs = len(solution.problem.observations), len(once_more.problem.observations)
+        logger.info("cameras begin anew from the calibration found: %d -> %d pairs look alike", *pairs)
+        if pairs[1] <= pairs[0]:
+            break
+        solution = replace(once_more, history=solution.history + once_more.history)
+    return solution
+
+
+def _common_shift_px(scene: Scene, level: int, solution: LevelSolution, begun: Calibration) -> float:
+    """How far the change of extrinsic and clock since the level was `begun` moves scene points in images: half of them
+    by more, px of the level."""
+    prior, points = solution.prior, solution.problem.points
+    assert prior is not None
+    pixels = []
+    for calibration in (begun, solution.state.calibration):
+        poses = trajectory_prior.predict(prior, prior.sources[0], calibration)[points.reference]
+        ray = np.einsum("nji,nj->ni", poses[:, :3, :3], points.position_world - poses[:, :3, 3])
+        pixels.append(ray[:, :2] / np.maximum(ray[:, 2:], 1e-6))
+    focal = scene.pyramid.camera.at_level(level).fx
+    return float(focal * np.median(np.linalg.norm(pixels[1] - pixels[0], axis=1)))
 
 
 def _solved_once(

@@ -17,68 +17,19 @@ from lvba.carried import carry
 from lvba.optim import normal_equations
 from lvba.optim.normal_equations import Border, NormalEquations
 from lvba.optim.shared_parameters import SharedPrior
-from lvba.settings import Group, setting
 from lvba.trajectory import Trajectory
 from lvba.visual import calibration_prior, fixed_calibration
 from lvba.visual.calibration_prior import Evidence
+from lvba.visual.prior_config import PriorConfig
 from lvba.visual.states import Calibration, VisualState
 
+_DEFAULTS = PriorConfig()
 _FRAME_HUBER = 2.5
 _NOTHING = 1e3
 """A standard deviation that is so much larger makes an expectation count for nothing."""
 _RATE_STEP_S = 0.02
 
 
-@dataclass(frozen=True)
-class PriorConfig(Group):
-    """How well the calibrated extrinsic of the camera and the clocks are known."""
-
-    extrinsic_position_m: float = setting(
-        0.01,
-        meaning="How far the calibrated extrinsic may be off, one standard deviation.",
-        unit="m",
-        low=1e-4,
-        high=10,
-        change_when="The calibration is known to be better, or was measured by hand.",
-    )
-    extrinsic_rotation_deg: float = setting(
-        0.3,
-        meaning="How far the calibrated extrinsic may be turned, one standard deviation.",
-        unit="degrees",
-        low=1e-3,
-        high=90,
-        change_when="The calibration is known to be better, or was measured by hand.",
-    )
-    time_offset_s: float = setting(
-        0.02,
-        meaning="How far the clocks of camera and LiDAR may be apart, one standard deviation.",
-        unit="s",
-        low=1e-6,
-        high=10,
-        change_when="The sensors are triggered by hardware (smaller), or each has a clock of its own (larger).",
-    )
-
-    @property
-    def sigma(self) -> dict[str, float | np.ndarray]:
-        """The standard deviation of each parameter of `states.Calibration`, in the units of its steps."""
-        rotation = np.radians(self.extrinsic_rotation_deg)
-        return {
-            "scan_from_camera": np.repeat([rotation, self.extrinsic_position_m], 3),
-            "time_offset": self.time_offset_s,
-            "focal": np.array(FOCAL),
-            "principal_point": PRINCIPAL_POINT_PX,
-            "distortion": np.array(DISTORTION),
-            "readout": READOUT_S,
-            "clock_rate": self.time_offset_s / CLOCKS_PART_S,
-        }
-
-
-FOCAL, PRINCIPAL_POINT_PX, DISTORTION, READOUT_S = (0.01, 0.001), 5.0, (0.02, 0.02, 0.002, 0.002), 0.02
-"""How far a calibration may be off, one standard deviation: relative, both focal lengths and their ratio (pixels are
-square); px; k1 k2 p1 p2; s. Real ones are wrong by 0.1 to 0.5 %, 1 to 4 px and .003 to .02 of k1, and consumer cameras
-read out in 5 to 30 ms."""
-CLOCKS_PART_S = 20.0
-"""s, in which clocks part by as much as they may be apart: by default .001 of the time. Quartz parts by .0001 at most."""
 SIGMA_POSITION_M, SIGMA_ROTATION_DEG = 0.02, 0.3
 """First guess of how far eq. (1) is off in a frame, m and degrees; estimated from the data afterwards."""
 BETWEEN_SCANS = 0.3
@@ -100,6 +51,7 @@ class Source:
     scan_rotation, scan_position: (I, 3) of what does not depend on the frames' deviations, the error of the scans' poses,
         along the LiDAR's axes, rad and m
     correlation_inflation: by what the variances of the latter (rotation, position) grow as neighboring frames share them
+    late: (I, 6) of how the sensor moved while the clocks were apart, `[rotation | position]`, rad and m; None: not known
     """
 
     world_from_scan: np.ndarray
@@ -108,6 +60,7 @@ class Source:
     scan_rotation: np.ndarray
     scan_position: np.ndarray
     correlation_inflation: tuple[float, float] = (1.0, 1.0)
+    late: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -143,7 +96,7 @@ def build(
     refined: Poses,
     images: Trajectory,
     camera_from_scan: Pose,
-    config: PriorConfig = PriorConfig(),
+    config: PriorConfig = _DEFAULTS,
     scan_covariance: PoseBlocks | None = None,
     range_errors: tuple[float, float] = (0.0, 0.0),
 ) -> Prior:
@@ -210,6 +163,7 @@ def take(prior: Prior, index: np.ndarray) -> Prior:
             sigma_position=s.sigma_position[index],
             scan_rotation=s.scan_rotation[index],
             scan_position=s.scan_position[index],
+            late=None if s.late is None else s.late[index],
         )
         for s in prior.sources
     )
@@ -222,12 +176,14 @@ def take(prior: Prior, index: np.ndarray) -> Prior:
     )
 
 
-def weighed(prior: Prior, said: Evidence, keep: bool = True) -> Prior:
-    """The prior with a calibration that counts as it shall beside what images say of it. keep: as of
-    `calibration_prior.weighed`"""
+def weighed(prior: Prior, said: Evidence) -> Prior:
+    """The prior with a calibration that counts as it shall beside what images say of it."""
     spread = said.spread + said.by_range_errors(prior.range_errors)
-    counted = calibration_prior.weighed(said.information, spread, prior.calibration.claimed, keep)
-    return replace(prior, calibration=replace(prior.calibration, counted=counted), evidence=said)
+    good = calibration_prior.granted(said, spread, prior.calibration.claimed)
+    counted = calibration_prior.weighed(said.information, spread, good)
+    return replace(
+        prior, calibration=replace(prior.calibration, counted=counted, granted=good), evidence=said
+    )
 
 
 def with_fixed(prior: Prior, names: Collection[str]) -> Prior:
@@ -433,7 +389,19 @@ def sigmas(source: Source) -> np.ndarray:
     position = np.hypot(
         source.sigma_position, np.sqrt(source.correlation_inflation[1]) * source.scan_position
     )
-    return np.concatenate([rotation, position], axis=1)
+    known = np.concatenate([rotation, position], axis=1)
+    return known if source.late is None else np.hypot(known, source.late)
+
+
+def with_late(prior: Prior, calibration: Calibration, rate_sigmas: np.ndarray | None) -> Prior:
+    """The prior with what is not known of the motion while the clocks were apart.
+
+    rate_sigmas: (I, 6) float64, rad/s and m/s, of the rates that `predict` moves the sensor by; None: not known
+    """
+    if rate_sigmas is None:
+        return prior
+    late = np.abs(calibration.lateness(_since_epoch(prior)))[:, None] * rate_sigmas
+    return replace(prior, sources=tuple(replace(source, late=late) for source in prior.sources))
 
 
 def _robust(normalized: np.ndarray) -> tuple[np.ndarray, float]:

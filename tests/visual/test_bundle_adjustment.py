@@ -10,8 +10,9 @@ from lvba import geometry, trajectory
 from lvba.camera import Camera
 from lvba.optim.normal_equations import NormalEquations
 from lvba.visual import bundle_adjustment, calibration_prior, covariance, exposure_graph, trajectory_prior
+from lvba.visual.prior_config import PriorConfig
 from lvba.visual.states import Calibration, CameraStates, VisualState
-from lvba.visual.trajectory_prior import Prior, PriorConfig, Source
+from lvba.visual.trajectory_prior import Prior, Source
 from lvba.visual.variant import Variant
 
 CAMERA = Camera(320, 240, 190.0, 190.0, 159.5, 119.5)

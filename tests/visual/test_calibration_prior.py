@@ -9,12 +9,13 @@ from test_trajectory_prior import moved, problem
 
 from lvba.visual import calibration_prior, trajectory_prior
 from lvba.visual.calibration_prior import Evidence
+from lvba.visual.prior_config import PriorConfig
 from lvba.visual.states import Calibration
-from lvba.visual.trajectory_prior import PriorConfig
 
 CLAIMS = calibration_prior.build(Calibration(np.eye(4)), PriorConfig().sigma).claimed
 
 SIZE = len(CLAIMS)
+EXTRINSIC = Calibration.layout()["scan_from_camera"]
 
 
 def told(seed: int, strength: float) -> np.ndarray:
@@ -86,7 +87,7 @@ def test_errors_of_ranges_that_planes_share_leave_the_extrinsic_to_its_calibrati
     twice as much as that claims: what is left of their word is that of planes 2 cm off, so a fifth of the way is gone."""
     prior, _ = problem()
     extrinsic = Calibration.layout()["scan_from_camera"]
-    said = Evidence(100 * CLAIMS, 100 * CLAIMS)
+    said = Evidence(100 * CLAIMS, 100 * CLAIMS, np.zeros(SIZE))
     off = (2 * float(np.radians(0.3)), 0.02)
     alone = trajectory_prior.weighed(prior, said).calibration
     shared = trajectory_prior.weighed(replace(prior, range_errors=off), said).calibration
@@ -103,7 +104,7 @@ def test_what_errors_of_ranges_make_images_say_is_in_the_variance_of_the_gradien
     """The covariance that comes of it is what a least-squares estimate has whose planes are off so much, together."""
     prior, state = problem()
     state = replace(state, calibration=prior.calibration.reference)
-    said = Evidence(100 * CLAIMS, 0 * CLAIMS)
+    said = Evidence(100 * CLAIMS, 0 * CLAIMS, np.zeros(SIZE))
     off = (0.004, 0.03)
     weighed = trajectory_prior.weighed(replace(prior, range_errors=off), said)
     plain = trajectory_prior.gradient_variance(
@@ -114,6 +115,74 @@ def test_what_errors_of_ranges_make_images_say_is_in_the_variance_of_the_gradien
     planes = np.zeros((SIZE, SIZE))
     planes[extrinsic, extrinsic] = np.diag(np.repeat(np.square(off), 3))
     assert more == pytest.approx(said.information @ planes @ said.information)
+
+
+def seen(sigmas: float, information: np.ndarray, spread: np.ndarray) -> Evidence:
+    """Images that see each number of the extrinsic so many claimed standard deviations off, all else as calibrated."""
+    off = np.zeros(SIZE)
+    off[EXTRINSIC] = sigmas / np.sqrt(np.diag(CLAIMS)[EXTRINSIC])
+    return Evidence(information, spread, information @ off)
+
+
+@pytest.mark.parametrize(("sigmas", "factor"), [(0.5, 1.0), (1.0, 1.0), (5.0, (6 * 25 + 1) / 7)])
+def test_an_extrinsic_that_is_seen_further_off_than_it_claims_is_good_for_less(sigmas, factor):
+    """As the mean of squares has it, of six numbers that are seen and one that is supposed."""
+    certain = 1e6 * CLAIMS
+    said = seen(sigmas, certain, certain)
+    good = calibration_prior.granted(said, said.spread, CLAIMS)
+    assert good[EXTRINSIC, EXTRINSIC] == pytest.approx(CLAIMS[EXTRINSIC, EXTRINSIC] / factor, rel=1e-3)
+    assert np.diag(good)[EXTRINSIC.stop :] == pytest.approx(np.diag(CLAIMS)[EXTRINSIC.stop :])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_extrinsic_as_good_as_it_claims_stays_so(seed):
+    """Drawn as it claims, seen by images that are ten times more certain: the mean over draws, and no large factor."""
+    rng, certain = np.random.default_rng(seed), 100 * CLAIMS
+    factors = []
+    for _ in range(200):
+        off = (np.sqrt(1.01) * rng.normal(size=SIZE)) / np.sqrt(np.diag(CLAIMS))
+        good = calibration_prior.granted(Evidence(certain, certain, certain @ off), certain, CLAIMS)
+        factors.append(CLAIMS[0, 0] / good[0, 0])
+    assert 1.0 <= np.mean(factors) < 1.3
+    assert np.quantile(factors, 0.95) < 2.2
+
+
+def test_images_that_contradict_themselves_do_not_tell_a_calibration_that_it_is_wrong():
+    """A Kinect's: they see it five standard deviations off, and are no more certain than it is."""
+    information = 50 * CLAIMS
+    said = seen(5.0, information, 2500 * CLAIMS)
+    assert calibration_prior.granted(said, said.spread, CLAIMS) == pytest.approx(CLAIMS)
+    sure = replace(said, spread=information)
+    assert calibration_prior.granted(sure, sure.spread, CLAIMS)[0, 0] < 0.1 * CLAIMS[0, 0]
+
+
+def test_evidence_of_parts_about_a_wrong_calibration_adds_up():
+    certain = 1e4 * CLAIMS
+    part = seen(5.0, certain, certain)
+    both = part + part
+    one, two = (calibration_prior.granted(said, said.spread, CLAIMS) for said in (part, both))
+    assert two == pytest.approx(one, rel=1e-3)
+
+
+def test_a_wrong_extrinsic_is_left_where_images_see_it_off_and_contradict_each_other_in_one_direction():
+    """5 cm and 1.5 degrees off, five times its claims. Held as claimed against a contradiction, the estimate stays
+    behind; its variance is that of what it is good for."""
+    prior, _ = problem()
+    information, axis = 1000 * CLAIMS, np.zeros(SIZE)
+    axis[4] = np.sqrt(300 * information[4, 4])
+    said = seen(5.0, information, information + np.outer(axis, axis))
+    off = np.linalg.solve(information, said.pull)
+    weighed = trajectory_prior.weighed(prior, said).calibration
+    claimed = calibration_prior.weighed(information, said.spread, CLAIMS)
+    left = [
+        (off - np.linalg.solve(information + counted, said.pull))[4] / off[4]
+        for counted in (claimed, weighed.information)
+    ]
+    assert left[0] > 0.2
+    assert 0 < left[1] < 0.03
+    good, counted = weighed.granted, weighed.information
+    varies = counted @ np.linalg.inv(good) @ counted
+    assert weighed.gradient_variance(weighed.reference) == pytest.approx(varies, abs=1e-6)
 
 
 def test_images_that_tell_nothing_in_some_directions_leave_finite_weights():

@@ -13,8 +13,8 @@ from lvba import trajectory
 from lvba.trajectory import Trajectory
 from lvba.visual import clock, refine
 from lvba.visual.calibration_prior import Evidence
+from lvba.visual.prior_config import PriorConfig
 from lvba.visual.states import Calibration
-from lvba.visual.trajectory_prior import PriorConfig
 
 LAYOUT = Calibration.layout()
 OFFSET, RATE = LAYOUT["time_offset"].start, LAYOUT["clock_rate"].start
@@ -86,13 +86,14 @@ def test_evidence_is_that_of_the_same_clock():
     """What a part tells of its own offset and rate, as a cost, is the same cost of offset and rate from elsewhere."""
     rng = np.random.default_rng(0)
     root = rng.normal(size=(LAYOUT.size, LAYOUT.size))
-    evidence, later = Evidence(root @ root.T, 2 * root @ root.T), 7.0
+    evidence, later = Evidence(root @ root.T, 2 * root @ root.T, rng.normal(size=LAYOUT.size)), 7.0
     moved = clock.evidence_from(evidence, later)
     there = rng.normal(size=LAYOUT.size)
     here = there.copy()
     here[OFFSET] -= later * there[RATE]
     assert there @ moved.information @ there == pytest.approx(here @ evidence.information @ here)
     assert there @ moved.spread @ there == pytest.approx(here @ evidence.spread @ here)
+    assert there @ moved.pull == pytest.approx(here @ evidence.pull)
     assert (clock.evidence_from(evidence, 0.0).information == evidence.information).all()
 
 

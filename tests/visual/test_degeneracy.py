@@ -9,9 +9,10 @@ from lvba.camera import Camera
 from lvba.lidar.plane import Planes
 from lvba.visual import calibration_prior, degeneracy, photometric, scene_points
 from lvba.visual.photometric import PhotometricState
+from lvba.visual.prior_config import PriorConfig
 from lvba.visual.scene_points import Observations
 from lvba.visual.states import Calibration, CameraStates, VisualState
-from lvba.visual.trajectory_prior import Prior, PriorConfig, Source
+from lvba.visual.trajectory_prior import Prior, Source
 
 CAMERA = Camera(160, 120, 80.0, 80.0, 79.5, 59.5)
 

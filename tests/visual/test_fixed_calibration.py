@@ -5,8 +5,8 @@ import pytest
 
 from lvba.optim.shared_parameters import SharedPrior, information
 from lvba.visual import fixed_calibration
+from lvba.visual.prior_config import PriorConfig
 from lvba.visual.states import Calibration
-from lvba.visual.trajectory_prior import PriorConfig
 
 LAYOUT = Calibration.layout()
 SIGMA = np.concatenate([np.broadcast_to(s, LAYOUT.kinds[n].size) for n, s in PriorConfig().sigma.items()])

@@ -14,8 +14,9 @@ from lvba.optim.normal_equations import Step
 from lvba.optim.shared_parameters import SharedPrior, Vector, parameter
 from lvba.visual import covariance, photometric, trajectory_prior
 from lvba.visual.photometric import PhotometricState
+from lvba.visual.prior_config import PriorConfig
 from lvba.visual.states import Calibration, CameraStates, VisualState
-from lvba.visual.trajectory_prior import Prior, PriorConfig, Source
+from lvba.visual.trajectory_prior import Prior, Source
 
 TRUE = Camera(160, 120, 95.0, 97.0, 79.3, 59.1)
 OFF = np.array([0.6, -0.5])

@@ -161,6 +161,27 @@ def test_coarse_images_tie_a_group_that_came_off(room):
     assert error(enough, truth)[0] < 3.0
 
 
+def mounted_wrong(problem: dict, degrees: float) -> refine.Inputs:
+    """Rough cameras and the calibrated extrinsic turned by so many degrees, alike."""
+    turn = geometry.exp(np.radians([0.6 * degrees, 0.8 * degrees, 0, 0, 0, 0]))
+    images = replace(problem["images"], world_from_sensor=problem["images"].world_from_sensor @ turn)
+    extrinsic = geometry.inverse(turn) @ problem["camera_from_scan"]
+    pyramid = image.build_pyramid(problem["pyramid"].levels[0], CAMERA, 3)
+    return refine.Inputs(**(problem | {"images": images, "camera_from_scan": extrinsic, "pyramid": pyramid}))
+
+
+def test_cameras_begin_anew_where_the_extrinsic_is_found_far_off(room, caplog):
+    problem, truth, _ = room
+    with caplog.at_level("INFO", "lvba.visual.refine"):
+        found = refine.refine(mounted_wrong(problem, 4.0))
+    assert "cameras begin anew" in caplog.text
+    assert error(found.world_from_camera, truth)[0] < 3.0
+    caplog.clear()
+    with caplog.at_level("INFO", "lvba.visual.refine"):
+        refine.refine(refine.Inputs(**problem))
+    assert "cameras begin anew" not in caplog.text
+
+
 @pytest.mark.parametrize("wrong", [{"patch": 8}, {"levels": 7}])
 def test_settings_out_of_range_are_refused_by_name(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):

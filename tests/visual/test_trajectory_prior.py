@@ -8,8 +8,9 @@ import pytest
 from lvba import geometry
 from lvba.trajectory import Trajectory
 from lvba.visual import camera_motion, trajectory_prior, trajectory_sigmas
+from lvba.visual.prior_config import PriorConfig
 from lvba.visual.states import Calibration, CameraStates, VisualState
-from lvba.visual.trajectory_prior import Prior, PriorConfig
+from lvba.visual.trajectory_prior import Prior
 
 SIZE = Calibration.layout().size
 
@@ -345,3 +346,36 @@ def test_an_image_that_rough_motions_tell_nothing_of_follows_the_spline_and_not_
         assert off[lost] < 0.02
         assert np.sqrt(added[lost, 3, 3]) < 0.05
         assert not added[keyframes].any()
+
+
+def test_a_motion_that_is_not_known_loosens_cameras_by_as_long_as_the_clocks_are_apart():
+    """Where scans are a second apart, images 0.1 s late are as far off as the rates by scans are, times 0.1 s."""
+    times, scan_times = np.arange(0.55, 9.5, 0.5), np.arange(0, 10.5, 1.0)
+    scans, late = Trajectory(scan_times, shaken(scan_times)), 0.1
+    images = Trajectory(times, shaken(times) @ EXTRINSIC)
+    prior = trajectory_prior.build(
+        scans, scans.world_from_sensor, images, geometry.inverse(EXTRINSIC), PriorConfig()
+    )
+    rates = camera_motion.scan_rate_sigmas(prior)
+    assert rates is not None
+    before = trajectory_prior.sigmas(prior.sources[0])
+    known = trajectory_prior.with_late(prior, Calibration(EXTRINSIC, late), rates)
+    loosened = trajectory_prior.sigmas(known.sources[0])
+    assert loosened == pytest.approx(np.hypot(before, late * rates))
+    actual = VisualState(
+        CameraStates(shaken(times + late) @ EXTRINSIC, np.zeros(len(times))), Calibration(EXTRINSIC, late)
+    )
+    off = trajectory_prior.residuals(prior, prior.sources[0], actual)
+    inner = slice(3, -3)  # at the ends, splines extrapolate
+    expected = np.sqrt(np.square(late * rates[inner, :3]).mean())
+    assert 0.3 < np.sqrt(np.square(off[inner, :3]).mean()) / expected < 2.0
+    taken = trajectory_prior.take(known, np.array([2, 5]))
+    assert trajectory_prior.sigmas(taken.sources[0]) == pytest.approx(loosened[[2, 5]])
+    assert trajectory_prior.with_late(prior, Calibration(EXTRINSIC, late), None) is prior
+
+
+def shaken(times: np.ndarray) -> np.ndarray:
+    """The walk, its sensor turned to and fro by some degrees, nearly faster than a scan each second can show."""
+    swing = np.zeros((len(times), 6))
+    swing[:, :3] = 0.08 * np.sin(np.outer(times, [1.7, 2.0, 2.3]))
+    return handheld(times) @ geometry.exp(swing)
