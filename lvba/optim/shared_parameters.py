@@ -270,6 +270,11 @@ class SharedPrior(Generic[Parameters]):
         """(k, k), what counts."""
         return self.claimed if self.counted is None else self.counted
 
+    @property
+    def good_for(self) -> np.ndarray:
+        """(k, k), what it is good for."""
+        return self.claimed if self.granted is None else self.granted
+
     def linearize(self, values: Parameters, shape: tuple[int, int]) -> NormalEquations:
         """Normal equations among blocks of `shape` (B, b), about which the prior says nothing."""
         off, by_step = values.deviation(self.reference), values.deviation_jacobian(self.reference)
@@ -285,8 +290,7 @@ class SharedPrior(Generic[Parameters]):
     def gradient_variance(self, values: Parameters) -> np.ndarray:
         """(k, k), of the prior's gradient: its Hessian where it counts for what it is good for, more where for more."""
         by_step = values.deviation_jacobian(self.reference)
-        good = self.claimed if self.granted is None else self.granted
-        varies = self.information @ np.linalg.solve(good, self.information)
+        varies = self.information @ np.linalg.solve(self.good_for, self.information)
         return np.asarray(by_step.T @ varies @ by_step)
 
 

@@ -145,7 +145,8 @@ def solve(
                 fixed = _fixed(solved, prior)
             if config.finest and prior is not None and one_left:
                 prior, at = _with_clock(solved, prior)
-            problem, prior = _reweighted(replace(solved, at=at), prior, weigh=config.finest and one_left)
+            keep = config.finest and one_left
+            problem, prior = _reweighted(replace(solved, at=at), prior, keep)
             # not by a readout that may be chance
             if shifts is not None and prior is not None and (one_left or state.calibration.readout):
                 at = _with_motion(problem, prior, at, sums, fixed)
@@ -266,13 +267,8 @@ def _free(problem: Problem, with_prior: bool, solve_exposures: bool) -> np.ndarr
     return free
 
 
-def _reweighted(solved: _Turn, prior: Prior | None, weigh: bool) -> tuple[Problem, Prior | None]:
-    """The variance factor, plane offsets' sigma and the prior's sigmas estimated anew (variance components).
-
-    weigh: the calibration, too. Not before images and walls have come together: walls that are not where the images see
-        them contradict each other about everything. A calibration that counts for that is held where it may be wrong by
-        centimeters, and holds cameras there that see little, which contradict the others then.
-    """
+def _reweighted(solved: _Turn, prior: Prior | None, keep: bool) -> tuple[Problem, Prior | None]:
+    """The variance factor, plane offsets' sigma and the prior's sigmas estimated anew (variance components)."""
     problem, at, linearization = solved.problem, solved.at, solved.linearization
     if problem.offset_sigma is not None:
         more = covariance.offset_scale(problem, at.photometric.offset, linearization.offset_hessian)
@@ -286,12 +282,11 @@ def _reweighted(solved: _Turn, prior: Prior | None, weigh: bool) -> tuple[Proble
         total = joint(linearization.equations, prior, at.visual)
         known = linear_solver.covariance(total, solved.free)
         undecided = tuple(_undecided(prior, source, at.visual, known) for source in prior.sources)
-        if weigh:
-            clusters = covariance.bias_reduced_gradients(
-                problem, linearization, at.photometric, solved.wall_clusters, total
-            )
-            said = _evidence(prior, at, clusters, known, problem.variance_factor / variance_factor)
-            prior = trajectory_prior.weighed(prior, said)
+        clusters = covariance.bias_reduced_gradients(
+            problem, linearization, at.photometric, solved.wall_clusters, total
+        )
+        said = _evidence(prior, at, clusters, known, problem.variance_factor / variance_factor)
+        prior = trajectory_prior.weighed(prior, said, keep)
         prior = trajectory_prior.with_late(prior, at.calibration, camera_motion.scan_rate_sigmas(prior))
         prior = trajectory_sigmas.reestimated(prior, at.visual, undecided)
     return replace(problem, variance_factor=variance_factor), prior

@@ -125,12 +125,20 @@ def granted(said: Evidence, spread: np.ndarray, claims: np.ndarray) -> np.ndarra
     return np.asarray(claims * np.outer(good, good))
 
 
-def weighed(information: np.ndarray, spread: np.ndarray, claims: np.ndarray) -> np.ndarray:
+def overstated(prior: SharedPrior[Calibration]) -> float:
+    """How many times larger the variance of the extrinsic is than its calibration claims, as images have shown."""
+    first = Calibration.layout()["scan_from_camera"].start
+    return 1.0 if prior.granted is None else float(prior.claimed[first, first] / prior.granted[first, first])
+
+
+def weighed(information: np.ndarray, spread: np.ndarray, claims: np.ndarray, keep: bool = True) -> np.ndarray:
     """(k, k): what the calibration shall count beside images of this `information`, never less than it claims itself.
 
     information: (k, k) float64, of the images about the calibration, with all cameras eliminated
     spread: (k, k) float64, variance of their gradient by it, summed over pieces of wall (see `visual.covariance`)
-    claims: (k, k) float64, information of the calibration; no direction of the extrinsic gets less certain than by that
+    claims: (k, k) float64, information of the calibration
+    keep: no direction of the extrinsic less certain than calibrated; not before images and walls have come together, for
+        walls that are not where the images see them contradict each other about everything
 
     Where the spread is mu > 1 times the information (generalized eigenvectors), the images are good for
     `information / mu`. What this and the calibration agree on is reached with all of it, too, by a calibration that
@@ -142,7 +150,9 @@ def weighed(information: np.ndarray, spread: np.ndarray, claims: np.ndarray) -> 
     believed = _believed(information, spread)
     good, shared = np.linalg.eigh(believed)
     counts = np.einsum("ik,ij,jk->k", shared, information, shared) / np.maximum(good, 1e-12)
-    counted = _kept_where_better((shared * np.maximum(counts, 1.0)) @ shared.T, information, spread)
+    counted = (shared * np.maximum(counts, 1.0)) @ shared.T
+    if keep:
+        counted = _kept_where_better(counted, information, spread)
     return np.asarray(root @ counted @ root.T)
 
 

@@ -10,6 +10,7 @@ from lvba.progress import Progress, silent
 from lvba.trajectory import Trajectory
 from lvba.visual import (
     bundle_adjustment,
+    calibration_prior,
     calibration_shifts,
     camera_motion,
     covariance,
@@ -63,6 +64,9 @@ _FAR_PX = 1.0
 """What cameras begin with in common is far off where it moves half of the scene points by more, at their level."""
 _MOST_RESTARTS = 2
 """At most so many, at each coarse level."""
+_OVERSTATED = 4.0
+"""Variance of the extrinsic, as images see it, over that which its calibration claims, from which all levels are solved
+anew: it was held at half of what it is off, or less."""
 _ROWS_STAY_PX = 0.05
 """Change of the first and last rows, root mean square over the images, below which motions during images stand still."""
 _COARSEST_EXPOSED = 5
@@ -109,7 +113,11 @@ def refine_level(
 ) -> Coarser:
     """One level more than `coarser`; None: none yet. One at which no point is seen twice leaves all as it was."""
     scene = scene_of(given, config, variant)
-    coarser = coarser or _none_yet(scene)
+    return _coarser(scene, coarser or _none_yet(scene), config, progress)
+
+
+def _coarser(scene: Scene, coarser: Coarser, config: VisualConfig, progress: Progress) -> Coarser:
+    """What the next level leaves; all as it was where no point is seen twice at it."""
     try:
         return _solved(scene, coarser, config, progress)[0]
     except DegenerateProblemError as error:
@@ -143,6 +151,8 @@ def finest(
     scene = scene_of(given, config, variant)
     coarser = coarser or _none_yet(scene)
     solution, last, directions = _solved(scene, coarser, config, progress)
+    if last.prior is not None and calibration_prior.overstated(last.prior.calibration) > _OVERSTATED:
+        solution, last, directions = _all_anew(scene, last.prior, last, config, progress)
     state, sigma, plain = solution.state, np.zeros(len(scene.image_times)), last
     light, balance = radiometry.NONE, None
     if variant.exposures == "means":
@@ -156,9 +166,7 @@ def finest(
             balance = white_balance.solve(given.colors, *seen, given.smaller_colors)
     if balance is not None and given.colors is not None:
         pyramid = white_balance.taken_out_of(scene.pyramid, given.colors, balance, light.response)
-        again = replace(
-            coarser, state=state, prior=solution.prior, variance_factor=last.problem.variance_factor
-        )
+        again = _from_there(coarser, last, state)
         solution, last, directions = _solved(replace(scene, pyramid=pyramid), again, config, progress)
         state = solution.state
     start, keyframes, times = scene.start.cameras.world_from_camera, given.keyframes, given.images.times
@@ -169,6 +177,29 @@ def finest(
         result = results.with_white_balance(result, balance, times)
     spread = result.covariance + _of_map(given, result.world_from_camera)
     return replace(result, covariance=spread, radiometry=light), plain
+
+
+def _all_anew(
+    scene: Scene, prior: Prior, last: LevelSolution, config: VisualConfig, progress: Progress
+) -> tuple[Coarser, LevelSolution, DegenerateDirections]:
+    """All levels, as `_solved` has the finest, with an extrinsic that counts for what it has proved to be good for.
+
+    Cameras that see little were held where the calibration has them, and contradicted the others at all levels.
+    """
+    logger.info("the calibration of the extrinsic claims too much: all levels anew")
+    prior = trajectory_prior.granting(scene.prior, prior.calibration.good_for)
+    calibration = last.state.calibration
+    poses = trajectory_prior.predict(prior, prior.sources[0], calibration)[scene.keyframes]
+    cameras = replace(scene.start.cameras, world_from_camera=poses)
+    scene = replace(
+        scene,
+        prior=prior,
+        start=VisualState(cameras, Calibration(calibration.scan_from_camera, calibration.time_offset)),
+    )
+    coarser = _none_yet(scene)
+    for _ in range(len(scene.pyramid) - 1):
+        coarser = _coarser(scene, coarser, config, progress)
+    return _solved(scene, coarser, config, progress)
 
 
 def _of_map(given: Inputs, world_from_camera: np.ndarray) -> np.ndarray:
@@ -248,18 +279,19 @@ def _solve_level(
     if scene.variant.reference_pixels != "fixed" or not solution.corrected:
         return solution
     for _ in range(_MOST_SOLVES):
-        again = replace(
-            coarser,
-            state=solution.state,
-            prior=solution.prior,
-            variance_factor=solution.problem.variance_factor,
-        )
+        again = _from_there(coarser, solution, solution.state)
         once_more = _solved_once(scene, level, again, config, progress)
         shown = camera_motion.change_px(scene.pyramid.camera, solution.state, once_more.state)
         solution = replace(once_more, history=solution.history + once_more.history)
         if shown < _ROWS_STAY_PX:
             break
     return solution
+
+
+def _from_there(coarser: Coarser, solution: LevelSolution, state: VisualState) -> Coarser:
+    """What a level begins with to be solved once more, from a state, with the sigmas that its solution has."""
+    factor = solution.problem.variance_factor
+    return replace(coarser, state=state, prior=solution.prior, variance_factor=factor)
 
 
 def _restarted(
@@ -284,9 +316,7 @@ def _restarted(
         begun = solution.state.calibration
         poses = trajectory_prior.predict(prior, prior.sources[0], begun)
         cameras = replace(solution.state.cameras, world_from_camera=poses)
-        state = replace(solution.state, cameras=cameras)
-        factor = solution.problem.variance_factor
-        again = replace(coarser, state=state, prior=prior, variance_factor=factor)
+        again = _from_there(coarser, solution, replace(solution.state, cameras=cameras))
         once_more = _solved_once(scene, level, again, config, progress)
         pairs = len(solution.problem.observations), len(once_more.problem.observations)
         logger.info("cameras begin anew from the calibration found: %d -> %d pairs look alike", *pairs)

@@ -176,14 +176,20 @@ def take(prior: Prior, index: np.ndarray) -> Prior:
     )
 
 
-def weighed(prior: Prior, said: Evidence) -> Prior:
-    """The prior with a calibration that counts as it shall beside what images say of it."""
-    spread = said.spread + said.by_range_errors(prior.range_errors)
-    good = calibration_prior.granted(said, spread, prior.calibration.claimed)
-    counted = calibration_prior.weighed(said.information, spread, good)
-    return replace(
-        prior, calibration=replace(prior.calibration, counted=counted, granted=good), evidence=said
-    )
+def weighed(prior: Prior, said: Evidence, keep: bool = True) -> Prior:
+    """The prior with a calibration that counts as it shall beside what images say of it.
+
+    keep: as of `calibration_prior.weighed`; else what the calibration is good for stays as it was, too
+    """
+    spread, known = said.spread + said.by_range_errors(prior.range_errors), prior.calibration
+    good = calibration_prior.granted(said, spread, known.claimed) if keep else known.good_for
+    counted = calibration_prior.weighed(said.information, spread, good, keep)
+    return replace(prior, calibration=replace(known, counted=counted, granted=good), evidence=said)
+
+
+def granting(prior: Prior, good: np.ndarray) -> Prior:
+    """The prior with a calibration that counts for what it is good for. good: (k, k) float64, information"""
+    return replace(prior, calibration=replace(prior.calibration, counted=good, granted=good))
 
 
 def with_fixed(prior: Prior, names: Collection[str]) -> Prior:
