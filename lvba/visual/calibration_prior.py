@@ -125,7 +125,7 @@ def granted(said: Evidence, spread: np.ndarray, claims: np.ndarray) -> np.ndarra
     return np.asarray(claims * np.outer(good, good))
 
 
-def overstated(prior: SharedPrior[Calibration]) -> float:
+def variance_over_claim(prior: SharedPrior[Calibration]) -> float:
     """How many times larger the variance of the extrinsic is than its calibration claims, as images have shown."""
     first = Calibration.layout()["scan_from_camera"].start
     return 1.0 if prior.granted is None else float(prior.claimed[first, first] / prior.granted[first, first])

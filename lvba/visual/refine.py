@@ -64,7 +64,7 @@ _FAR_PX = 1.0
 """What cameras begin with in common is far off where it moves half of the scene points by more, at their level."""
 _MOST_RESTARTS = 2
 """At most so many, at each coarse level."""
-_OVERSTATED = 4.0
+_BEYOND_CLAIM = 4.0
 """Variance of the extrinsic, as images see it, over that which its calibration claims, from which all levels are solved
 anew: it was held at half of what it is off, or less."""
 _ROWS_STAY_PX = 0.05
@@ -151,7 +151,10 @@ def finest(
     scene = scene_of(given, config, variant)
     coarser = coarser or _none_yet(scene)
     solution, last, directions = _solved(scene, coarser, config, progress)
-    if last.prior is not None and calibration_prior.overstated(last.prior.calibration) > _OVERSTATED:
+    if (
+        last.prior is not None
+        and calibration_prior.variance_over_claim(last.prior.calibration) > _BEYOND_CLAIM
+    ):
         solution, last, directions = _all_anew(scene, last.prior, last, config, progress)
     state, sigma, plain = solution.state, np.zeros(len(scene.image_times)), last
     light, balance = radiometry.NONE, None
@@ -188,14 +191,11 @@ def _all_anew(
     """
     logger.info("the calibration of the extrinsic claims too much: all levels anew")
     prior = trajectory_prior.granting(scene.prior, prior.calibration.good_for)
-    calibration = last.state.calibration
+    solved = last.state.calibration
+    calibration = Calibration(scan_from_camera=solved.scan_from_camera, time_offset=solved.time_offset)
     poses = trajectory_prior.predict(prior, prior.sources[0], calibration)[scene.keyframes]
     cameras = replace(scene.start.cameras, world_from_camera=poses)
-    scene = replace(
-        scene,
-        prior=prior,
-        start=VisualState(cameras, Calibration(calibration.scan_from_camera, calibration.time_offset)),
-    )
+    scene = replace(scene, prior=prior, start=VisualState(cameras, calibration))
     coarser = _none_yet(scene)
     for _ in range(len(scene.pyramid) - 1):
         coarser = _coarser(scene, coarser, config, progress)

@@ -10,7 +10,7 @@ from textured_room import CAMERA, COUNT
 from lvba import geometry, trajectory
 from lvba.errors import DegenerateProblemError
 from lvba.lidar.covariance import Covariance
-from lvba.visual import image, refine, visibility
+from lvba.visual import calibration_prior, image, refine, visibility
 from lvba.visual.scene_points import Observations
 from lvba.visual.variant import Variant
 
@@ -180,6 +180,19 @@ def test_cameras_begin_anew_where_the_extrinsic_is_found_far_off(room, caplog):
     with caplog.at_level("INFO", "lvba.visual.refine"):
         refine.refine(refine.Inputs(**problem))
     assert "cameras begin anew" not in caplog.text
+
+
+def test_all_levels_are_solved_anew_where_the_calibration_proves_to_claim_too_much(room, caplog, monkeypatch):
+    """As images say it, whatever they are: that they do is tested beside `granted`."""
+    problem, truth, _ = room
+    with caplog.at_level("INFO", "lvba.visual.refine"):
+        refine.refine(refine.Inputs(**problem))
+        assert "all levels anew" not in caplog.text
+        monkeypatch.setattr(calibration_prior, "granted", lambda said, spread, claims: claims / 16)
+        found = refine.refine(mounted_wrong(problem, 4.0))
+    assert caplog.text.count("all levels anew") == 1
+    assert [level.level for level in found.levels] == [2, 1, 0]
+    assert error(found.world_from_camera, truth)[0] < 3.0
 
 
 @pytest.mark.parametrize("wrong", [{"patch": 8}, {"levels": 7}])
