@@ -12,8 +12,8 @@ from lvba.blocks.survey import Survey, keyframes_of
 from lvba.dataset import Dataset
 from lvba.lidar import covariance
 from lvba.steps.outcomes import LidarStage, ScanPoses, VisualStage
-from lvba.visual import trajectory_prior
-from lvba.visual.clock import clock_drifts, evidence_from
+from lvba.visual import camera_motion, trajectory_prior
+from lvba.visual.clock import clock_drifts, common_calibration, evidence_from
 from lvba.visual.config import VisualConfig
 from lvba.visual.result import VisualResult
 from lvba.visual.trajectory_prior import Prior
@@ -87,6 +87,9 @@ def prior_of_keyframes(
     prior = replace(prior, sources=tuple(sources), drifting=drifting)
     if said:
         prior = trajectory_prior.weighed(prior, functools.reduce(operator.add, said))
+    if results := results_of(stages):
+        rates = camera_motion.scan_rate_sigmas(prior)
+        prior = trajectory_prior.with_late(prior, common_calibration(results, prior.epoch), rates)
     return trajectory_prior.with_fixed(prior, fixed_in_all(stages))
 
 
