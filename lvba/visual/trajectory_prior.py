@@ -51,7 +51,8 @@ class Source:
     scan_rotation, scan_position: (I, 3) of what does not depend on the frames' deviations, the error of the scans' poses,
         along the LiDAR's axes, rad and m
     correlation_inflation: by what the variances of the latter (rotation, position) grow as neighboring frames share them
-    late: (I, 6) of how the sensor moved while the clocks were apart, `[rotation | position]`, rad and m; None: not known
+    late: (I, 6) of how the sensor moved while the clocks were apart, `[rotation | position]`, rad and m; None: taken for
+        known
     """
 
     world_from_scan: np.ndarray
