@@ -27,6 +27,8 @@ METERS = {"street": 2.0, "site": 1.0}
 """Of path, from one scan to the next."""
 _THIN = ("--points", "6000", "--width", "320", "--height", "240")
 _CUT = {"by": "count", "size": PART}
+CUT = [text for name, value in _CUT.items() for text in ("--set", f"split.{name}={value}")]
+"""Options of a run in parts."""
 JOINT = ("lidar-merge", "lidar-start", "lidar-step", "lidar-joint", "lidar-gate", "visual-merge", "visual-exposures",
          "visual-step", "evaluate", "visual-gate", "evaluate-result", "merge-facts",
          "pictures", "facts", "survey")  # fmt: skip
@@ -38,8 +40,8 @@ def run(lengths: tuple[int, ...] = (1, 2, 4, 8)) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         for times in lengths:
-            _simulate(work / f"street{times}", "street", SHORTEST * times, _THIN)
-        _simulate(work / "usual", "street", USUAL, ())
+            simulate(work / f"street{times}", "street", SHORTEST * times, _THIN)
+        simulate(work / "usual", "street", USUAL, ())
         _run(work, f"street{lengths[0]}", "warm", [])  # kernels are compiled once
         rows = [
             _row(work / f"street{times}", _run(work, f"street{times}", "two", ["--workers", "2"]))
@@ -75,20 +77,20 @@ def one(scene: str, scans: int, workers: int = 2) -> dict[str, Any]:
     """A row of one scene of so many thin scans and images."""
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
-        _simulate(work / scene, scene, scans, _THIN)
+        simulate(work / scene, scene, scans, _THIN)
         return _row(work / scene, _run(work, scene, "alone", ["--workers", str(workers)]))
 
 
-def _simulate(dataset: Path, scene: str, frames: int, sizes: tuple[str, ...]) -> None:
+def simulate(dataset: Path, scene: str, frames: int, sizes: tuple[str, ...]) -> None:
+    """A recording of so many scans and images; sizes: options of `lvba simulate`."""
     _lvba(["simulate", scene, "--out", str(dataset), "--seed", "1", "--frames", str(frames), "--scans", str(frames),
            "--length", str(METERS[scene] * frames), *sizes])  # fmt: skip
 
 
 def _run(work: Path, street: str, name: str, options: list[str]) -> dict[str, Any]:
     out = work / f"{street}-{name}"
-    cut = [text for name, value in _CUT.items() for text in ("--set", f"split.{name}={value}")]
     started, spent = time.perf_counter(), _processor_seconds()
-    _lvba(["run", str(work / street), "--out", str(out), "--quiet", *cut, *options])
+    _lvba(["run", str(work / street), "--out", str(out), "--quiet", *CUT, *options])
     seconds, spent = time.perf_counter() - started, _processor_seconds() - spent
     return {**json.loads((out / "report.json").read_text()), "wall": seconds, "processor": spent}
 

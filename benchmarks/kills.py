@@ -21,13 +21,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import bench_length
 import psutil
 
 ROOT = Path(__file__).resolve().parent.parent
 KINDS = ("a worker", "all processes", "Ctrl-C")
 RESULTS = ("lidar_poses.txt", "image_poses.txt", "exposures.csv", "calibration.yaml", "map.ply")
-_METERS = 2.0
-"""Of street for each frame."""
+_THIN = ("--points", "3000", "--width", "320", "--height", "240")
 _CANCELED = 130
 _PATIENCE_S = 120.0
 """Seconds in which a canceled run must have ended."""
@@ -57,9 +57,7 @@ def main() -> int:
 
 def compare(work: Path, frames: int, kills: int, chance: random.Random) -> int:
     """Exit code, as `main`; prints what happened."""
-    lvba("simulate", "street", "--out", str(work / "street"), "--seed", "1",
-         "--frames", str(frames), "--scans", str(frames), "--length", str(_METERS * frames),
-         "--points", "3000", "--width", "320", "--height", "240").wait()  # fmt: skip
+    bench_length.simulate(work / "street", "street", frames, _THIN)
     started = time.perf_counter()
     if run(work, "alone").wait():
         sys.exit("the run that is left alone failed")
@@ -113,16 +111,11 @@ def kill(process: subprocess.Popen[bytes], kind: str, chance: random.Random) -> 
 
 def run(work: Path, name: str) -> subprocess.Popen[bytes]:
     """The refinement of the street, begun or continued; what it tells is in a log beside the result."""
+    command = [sys.executable, "-m", "service.cli", "run", str(work / "street"), "--out", str(work / name)]
     with (work / f"{name}.log").open("ab") as log:
-        return lvba("run", str(work / "street"), "--out", str(work / name), "--workers", "2",
-                    "--set", "split.by=count", "--set", "split.size=40", log=log.fileno())  # fmt: skip
-
-
-def lvba(*arguments: str, log: int = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
-    """The command, begun."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "service.cli", *arguments], cwd=ROOT, stdout=log, stderr=log
-    )
+        return subprocess.Popen(
+            [*command, "--workers", "2", *bench_length.CUT], cwd=ROOT, stdout=log, stderr=log
+        )
 
 
 def last_step(log: Path) -> str:

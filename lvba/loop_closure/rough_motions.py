@@ -29,7 +29,8 @@ _IN_SIGHT = 0.05
 """Part of what two scans say that contradicts the odometry's motion, where they determine another one in all directions:
 of motions that were right it was .01 at most, of jumps by a meter at which much still agrees .1 and more."""
 _MORE = 0.1
-"""Part of what scans on either side say by which more may contradict a motion that replaces the odometry's."""
+"""Part of what scans on either side say by which more may contradict a motion that replaces the odometry's; by which less
+must, where they are what it is known by."""
 _SAME_M, _SAME_DEG = 0.1, 1.0
 """Motions that differ by less are the same: two thin scans do not tell it better."""
 BESIDE = (1, 4)
@@ -135,20 +136,22 @@ def _against(first: Patch, second: Patch, rough: np.ndarray) -> Step | None:
     """Another motion than the odometry's (4, 4), with which more of the surfaces of several scans agree, and which they
     contradict far less; None: there is none."""
     target = Target.of(first)
-    if scan_steps.contradicting(target, second, rough) < _MORE:
+    against = scan_steps.contradicting(target, second, rough)
+    if against < _MORE:
         return None
     step = scan_steps.register(target, second, rough)
     if not step.aligned or not _far(step.correction(rough)):
         return None
     more = step.overlap > scan_steps.overlap(target, second, rough) + _GAIN
-    return step if more and _more_against(first, second, rough, step.first_from_second) else None
+    less = scan_steps.contradicting(target, second, step.first_from_second) + _MORE < against
+    return step if more and less else None
 
 
-def _more_against(first: Patch, second: Patch, motion: np.ndarray, other: np.ndarray) -> bool:
-    """Whether surfaces contradict a motion (4, 4) by more than another one (4, 4)."""
+def _more_against(first: Patch, second: Patch, motion: np.ndarray, rough: np.ndarray) -> bool:
+    """Whether surfaces contradict a motion (4, 4) by more than the odometry's (4, 4)."""
     target = Target.of(first)
-    against, by_other = (scan_steps.contradicting(target, second, each) for each in (motion, other))
-    return against > by_other + _MORE
+    against, by_rough = (scan_steps.contradicting(target, second, each) for each in (motion, rough))
+    return against > by_rough + _MORE
 
 
 def _far(off: np.ndarray) -> bool:

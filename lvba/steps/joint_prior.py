@@ -12,7 +12,7 @@ from lvba.blocks.survey import Survey, keyframes_of
 from lvba.dataset import Dataset
 from lvba.lidar import covariance
 from lvba.steps.outcomes import LidarStage, ScanPoses, VisualStage
-from lvba.visual import camera_motion, trajectory_prior
+from lvba.visual import trajectory_prior
 from lvba.visual.clock import clock_drifts, common_calibration, evidence_from
 from lvba.visual.config import VisualConfig
 from lvba.visual.result import VisualResult
@@ -78,7 +78,8 @@ def prior_of_keyframes(
     known = [
         (part.tuning, part.result) for part in stages if part.tuning is not None and part.result is not None
     ]
-    drifting = any(tuning.drifting for tuning, _ in known) or clock_drifts(results_of(stages))
+    results = results_of(stages)
+    drifting = any(tuning.drifting for tuning, _ in known) or clock_drifts(results)
     said = [
         evidence_from(tuning.evidence, prior.epoch - result.clock_epoch if drifting else 0.0)
         for tuning, result in known
@@ -87,9 +88,8 @@ def prior_of_keyframes(
     prior = replace(prior, sources=tuple(sources), drifting=drifting)
     if said:
         prior = trajectory_prior.weighed(prior, functools.reduce(operator.add, said))
-    if results := results_of(stages):
-        rates = camera_motion.scan_rate_sigmas(prior)
-        prior = trajectory_prior.with_late(prior, common_calibration(results, prior.epoch), rates)
+    if results:
+        prior = trajectory_prior.with_late(prior, common_calibration(results, prior.epoch))
     return trajectory_prior.with_fixed(prior, fixed_in_all(stages))
 
 

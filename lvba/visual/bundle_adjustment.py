@@ -287,7 +287,7 @@ def _reweighted(solved: _Turn, prior: Prior | None, keep: bool) -> tuple[Problem
         )
         said = _evidence(prior, at, clusters, known, problem.variance_factor / variance_factor)
         prior = trajectory_prior.weighed(prior, said, keep)
-        prior = trajectory_prior.with_late(prior, at.calibration, camera_motion.scan_rate_sigmas(prior))
+        prior = trajectory_prior.with_late(prior, at.calibration)
         prior = trajectory_sigmas.reestimated(prior, at.visual, undecided)
     return replace(problem, variance_factor=variance_factor), prior
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lvba import geometry, spline
+from lvba import geometry
 from lvba.arrays import Times
 from lvba.camera import Camera
 from lvba.kernels import photometric_shared as kernels
@@ -23,13 +23,10 @@ from lvba.trajectory import Trajectory
 from lvba.visual import photometric, trajectory_prior
 from lvba.visual.photometric import PhotometricState, Problem
 from lvba.visual.states import Calibration, VisualState
-from lvba.visual.trajectory_prior import FLOOR_POSITION_M, FLOOR_ROTATION_DEG, Prior
+from lvba.visual.trajectory_prior import Prior
 
 _READOUT = Calibration.layout()["readout"].start
 """Its column among the numbers of the calibration."""
-RATES = 0.5
-"""Error of rates by a spline, as a part of what leaving a sample out changes over the time between samples: on simulated
-walks 0.1 to 0.2 where samples are near each other, 0.2 to 0.9 where they are 0.5 to 1.5 s apart (root mean squares)."""
 _OPEN_S = 0.25
 """Scans no further apart than this tell the motion of a hand or a vehicle between them."""
 _AWAY = 0.1
@@ -52,25 +49,9 @@ def rates(prior: Prior, state: VisualState) -> tuple[np.ndarray, np.ndarray]:
 
 
 def rate_sigmas(prior: Prior, state: VisualState) -> np.ndarray | None:
-    """(I, 6): how far `rates` may be off in each component, rad/s and m/s; None: nothing tells.
-
-    A part of what leaving a sample out changes. Poses of samples are not better known than the floor.
-    """
+    """(I, 6): how far `rates` may be off in each component, rad/s and m/s; None: nothing tells."""
     moving, moments = _moving(prior, state)
-    if moving is None or len(moving) < spline.FEWEST_SAMPLES:
-        return None
-    floor = np.array([np.radians(FLOOR_ROTATION_DEG), FLOOR_POSITION_M])
-    sigma = RATES * spline.leave_one_out_rates(moving, moments, floor)
-    return np.repeat(sigma, 3, axis=1)
-
-
-def scan_rate_sigmas(prior: Prior) -> np.ndarray | None:
-    """(I, 6): how far the rates by scans alone, which the prior has, may be off, rad/s and m/s; None: nothing tells."""
-    if prior.scans is None or prior.times is None or len(prior.scans) < spline.FEWEST_SAMPLES:
-        return None
-    floor = np.array([np.radians(FLOOR_ROTATION_DEG), FLOOR_POSITION_M])
-    sigma = RATES * spline.leave_one_out_rates(prior.scans, prior.times, floor)
-    return np.repeat(sigma, 3, axis=1)
+    return None if moving is None else trajectory_prior.rate_sigmas_of(moving, moments)
 
 
 def by_rows(

@@ -151,11 +151,12 @@ def finest(
     scene = scene_of(given, config, variant)
     coarser = coarser or _none_yet(scene)
     solution, last, directions = _solved(scene, coarser, config, progress)
-    if (
-        last.prior is not None
-        and calibration_prior.variance_over_claim(last.prior.calibration) > _BEYOND_CLAIM
-    ):
-        solution, last, directions = _all_anew(scene, last.prior, last, config, progress)
+    known = last.prior
+    if known is not None and calibration_prior.variance_over_claim(known.calibration) > _BEYOND_CLAIM:
+        coarser = _coarse_anew(
+            scene, known.calibration.good_for, solution.state.calibration, config, progress
+        )
+        solution, last, directions = _solved(scene, coarser, config, progress)
     state, sigma, plain = solution.state, np.zeros(len(scene.image_times)), last
     light, balance = radiometry.NONE, None
     if variant.exposures == "means":
@@ -182,24 +183,23 @@ def finest(
     return replace(result, covariance=spread, radiometry=light), plain
 
 
-def _all_anew(
-    scene: Scene, prior: Prior, last: LevelSolution, config: VisualConfig, progress: Progress
-) -> tuple[Coarser, LevelSolution, DegenerateDirections]:
-    """All levels, as `_solved` has the finest, with an extrinsic that counts for what it has proved to be good for.
+def _coarse_anew(
+    scene: Scene, good: np.ndarray, solved: Calibration, config: VisualConfig, progress: Progress
+) -> Coarser:
+    """What all levels but the finest leave with a calibration that counts for what it is `good` for (k, k).
 
-    Cameras that see little were held where the calibration has them, and contradicted the others at all levels.
+    Cameras that see little were held where it has them, and contradicted the others at all levels. They begin where the
+    extrinsic and the clock that were solved put them.
     """
     logger.info("the calibration of the extrinsic claims too much: all levels anew")
-    prior = trajectory_prior.granting(scene.prior, prior.calibration.good_for)
-    solved = last.state.calibration
+    prior = trajectory_prior.granting(scene.prior, good)
     calibration = Calibration(scan_from_camera=solved.scan_from_camera, time_offset=solved.time_offset)
     poses = trajectory_prior.predict(prior, prior.sources[0], calibration)[scene.keyframes]
     cameras = replace(scene.start.cameras, world_from_camera=poses)
-    scene = replace(scene, prior=prior, start=VisualState(cameras, calibration))
-    coarser = _none_yet(scene)
+    coarser = _none_yet(replace(scene, prior=prior, start=VisualState(cameras, calibration)))
     for _ in range(len(scene.pyramid) - 1):
         coarser = _coarser(scene, coarser, config, progress)
-    return _solved(scene, coarser, config, progress)
+    return coarser
 
 
 def _of_map(given: Inputs, world_from_camera: np.ndarray) -> np.ndarray:

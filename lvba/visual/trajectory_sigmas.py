@@ -46,8 +46,7 @@ def reestimated(prior: Prior, state: VisualState, undecided: tuple[np.ndarray, .
 
 
 def _rescaled(source: Source, deviation: np.ndarray, posterior: np.ndarray) -> Source:
-    own = np.concatenate([source.sigma_rotation, source.sigma_position], axis=1)
-    own = own if source.late is None else np.hypot(own, source.late)
+    own = source.and_late(np.concatenate([source.sigma_rotation, source.sigma_position], axis=1))
     fraction = np.clip(1 - posterior / sigmas(source) ** 2, 0.0, 1.0)
     rotation, position = (_own_scale(deviation, own, fraction, part) for part in (slice(3), slice(3, 6)))
     return replace(

@@ -356,10 +356,10 @@ def test_a_motion_that_is_not_known_loosens_cameras_by_as_long_as_the_clocks_are
     prior = trajectory_prior.build(
         scans, scans.world_from_sensor, images, geometry.inverse(EXTRINSIC), PriorConfig()
     )
-    rates = camera_motion.scan_rate_sigmas(prior)
+    rates = trajectory_prior.rate_sigmas_of(scans, times)
     assert rates is not None
     before = trajectory_prior.sigmas(prior.sources[0])
-    known = trajectory_prior.with_late(prior, Calibration(EXTRINSIC, late), rates)
+    known = trajectory_prior.with_late(prior, Calibration(EXTRINSIC, late))
     loosened = trajectory_prior.sigmas(known.sources[0])
     assert loosened == pytest.approx(np.hypot(before, late * rates))
     actual = VisualState(
@@ -371,7 +371,8 @@ def test_a_motion_that_is_not_known_loosens_cameras_by_as_long_as_the_clocks_are
     assert 0.3 < np.sqrt(np.square(off[inner, :3]).mean()) / expected < 2.0
     taken = trajectory_prior.take(known, np.array([2, 5]))
     assert trajectory_prior.sigmas(taken.sources[0]) == pytest.approx(loosened[[2, 5]])
-    assert trajectory_prior.with_late(prior, Calibration(EXTRINSIC, late), None) is prior
+    unknown = replace(prior, scans=None)
+    assert trajectory_prior.with_late(unknown, Calibration(EXTRINSIC, late)) is unknown
 
 
 def shaken(times: np.ndarray) -> np.ndarray:
