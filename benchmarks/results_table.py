@@ -64,6 +64,16 @@ def _foreign(name: str, row: Row) -> list[str]:
     ]
 
 
+def _splats(name: str, row: Row) -> list[str]:
+    """What splats predict of images that training never saw, by whose poses."""
+    sets = ("input", "result", "reference")
+    return [
+        name,
+        *(number(row, poses, "psnr") for poses in sets),
+        *(number(row, poses, "ssim", digits=3) for poses in sets),
+    ]
+
+
 def _against_truth(name: str, row: Row) -> list[str]:
     reference: Row = row.get("reference") or {}
     rough: Row = reference.get("rough") or {}
@@ -327,6 +337,18 @@ COLUMNS: dict[str, tuple[list[str], Callable[[str, Row], list[str]]]] = {
             "cameras mm / deg",
         ],
         _foreign,
+    ),
+    "splats": (
+        [
+            "recording, camera",
+            "PSNR dB: input",
+            "result",
+            "reference",
+            "SSIM: input",
+            "result",
+            "reference",
+        ],
+        _splats,
     ),
     "simulated": (_TRUTH, _against_truth),
     "ablations": (_TRUTH, _against_truth),

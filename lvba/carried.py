@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba import geometry, spline, trajectory
-from lvba.arrays import Poses
+from lvba.arrays import Pose, Poses
 from lvba.trajectory import JUMP_DEG, JUMP_M, Trajectory
 
 FAR_M, FAR_DEG = 0.1, 1.0
@@ -32,10 +32,11 @@ class Carried:
     by_rough: np.ndarray
 
 
-def carry(rough: Trajectory, refined: Poses, others: Trajectory) -> Carried:
+def carry(rough: Trajectory, refined: Poses, others: Trajectory, mounted: Pose | None = None) -> Carried:
     """Poses of another sensor moved along with refined ones. Source: Li et al., eq. (1).
 
     rough: of the first sensor; refined: (N, 4, 4), poses at rough.times; others: rough poses of the other sensor
+    mounted: (4, 4) `sensor_from_other` as calibrated; None: as the poses themselves tell
     Where a rough motion is wrong, the other sensor may have followed it evenly, or the scan before or the scan after:
     whichever leaves it mounted best as it is elsewhere. Where all of these contradict a spline through the refined scans
     by more than that can be off, the spline has it.
@@ -47,7 +48,9 @@ def carry(rough: Trajectory, refined: Poses, others: Trajectory) -> Carried:
     if len(there) == 0:
         return Carried(poses, by_rough)
     moving = Trajectory(rough.times, refined)
-    smooth = _between(moving, others) @ _extrinsic(rough, moving, others, poses, ~far)
+    if mounted is None:
+        mounted = _extrinsic(rough, moving, others, poses, ~far)
+    smooth = _between(moving, others) @ mounted
     choices = np.concatenate([poses[None, there], _sides(rough, refined, others, there)])
     off = geometry.log(geometry.inverse(smooth[there]) @ choices)
     size = np.linalg.norm(off.reshape(*off.shape[:2], 2, 3), axis=-1)

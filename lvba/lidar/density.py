@@ -1,26 +1,44 @@
-"""How fine the cells may be: as fine as single scans still fill them."""
+"""How fine the cells may be: as fine as single scans still fill them, and as noise leaves planes in them."""
 
 from dataclasses import replace
 
 import numpy as np
 
 from lvba import geometry
+from lvba.lidar import voxel_map
 from lvba.lidar.config import Stage
-from lvba.lidar.scan import Scans
+from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
+from lvba.lidar.scan import Scans, gather
 
 _SAMPLED_SCANS = 10
 _MOST_HALVINGS = 2
+_NOISE_PER_EDGE = 0.125
+"""Cells whose edge is shorter than eight standard deviations of the range go. They cut points of a wall off: what is left
+in them looks thinner than the wall is, and stands against the true plane through larger cells. Rooms seen with a noise
+of 3.6 cm end better without cells of 0.25 m (1.2 mm instead of 1.5), with 2.8 cm better with them (0.86 instead of 0.94);
+with 5.4 cm the difference is 2 mm to 70."""
+_FRONTAL = 0.5
+"""Cosine of the incidence from which on a surface tells the noise of ranges: on the ground far away it hardly shows."""
+_PLANE = voxel_map.PlaneTest()
 
 
 def adapted(stages: tuple[Stage, ...], scans: Scans, dense_points: int) -> tuple[Stage, ...]:
-    """The stages with finer cells added to each where the scans are dense enough for them.
+    """The stages with finer cells added to each where the scans are dense enough for them, less those too fine for
+    their noise.
 
     dense_points: fewest points of a single scan that a finer cell must hold; 0: never finer
 
     A depth camera over a desk puts hundreds of points of one scan into a cell of 0.25 m, and surfaces there are smaller
     than the cell; a spinning LiDAR in the open puts five there, and a finer cell would hold no plane at all.
     """
-    if dense_points == 0 or not len(scans.points):
+    if not len(scans.points):
+        return stages
+    return without_noisy(with_finer(stages, scans, dense_points), scans)
+
+
+def with_finer(stages: tuple[Stage, ...], scans: Scans, dense_points: int) -> tuple[Stage, ...]:
+    """The stages with cells of half the size and half again, as long as single scans put so many points into them."""
+    if dense_points == 0:
         return stages
     finest = min(stage.sizes[0] for stage in stages)
     halvings = 0
@@ -45,3 +63,49 @@ def points_per_cell(scans: Scans, size: float) -> float:
             _, inverse, count = np.unique(key, return_inverse=True, return_counts=True)
             medians.append(float(np.median(count[inverse.ravel()])))
     return float(np.median(medians)) if medians else 0.0
+
+
+def without_noisy(stages: tuple[Stage, ...], scans: Scans) -> tuple[Stage, ...]:
+    """The stages without the cells that are too fine for the noise of single scans; the largest of each stage stay."""
+    noise: dict[float, float] = {}
+
+    def noisy(size: float) -> bool:
+        if size not in noise:
+            noise[size] = range_noise(scans, 2 * size)
+        return noise[size] > _NOISE_PER_EDGE * size
+
+    def kept(sizes: tuple[float, ...]) -> tuple[float, ...]:
+        return kept(sizes[1:]) if len(sizes) > 1 and noisy(sizes[0]) else sizes
+
+    return tuple(replace(stage, sizes=kept(stage.sizes)) for stage in stages)
+
+
+def range_noise(scans: Scans, size: float) -> float:
+    """m, standard deviation of ranges: how far points of a single scan are off planes in cells of edge `size` (m), along
+    the beams from the scan's origin; the median over points; 0 where no plane is seen. No pose has a part in it."""
+    step = max(1, len(scans) // _SAMPLED_SCANS)
+    parts = zip(scans.offsets[:-1:step], scans.offsets[1::step], strict=True)
+    planes = _planes_of_scans(gather([scans.points[first:last] for first, last in parts]), size)
+    beams = planes.center / np.linalg.norm(planes.center, axis=1, keepdims=True)
+    cosine = np.abs(np.sum(beams * planes.normal, axis=1))
+    small, middle = planes.eigenvalues[:, 0], planes.eigenvalues[:, 1]
+    seen = (
+        (cosine > _FRONTAL) & (middle >= (_PLANE.spread * size) ** 2) & (small < _PLANE.finest_ratio * middle)
+    )
+    if not seen.any():
+        return 0.0
+    count = planes.total[seen]
+    variance = small[seen] * count / (count - 3) / cosine[seen] ** 2
+    order = np.argsort(variance)
+    summed = np.cumsum(count[order])
+    return float(np.sqrt(variance[order][np.searchsorted(summed, 0.5 * summed[-1])]))
+
+
+def _planes_of_scans(scans: Scans, size: float) -> PlaneFits:
+    """The best plane of each scan's points in each cell, scan frame."""
+    alone = np.tile(np.eye(4), (len(scans), 1, 1))
+    level = voxel_map.build(scans, alone, (size,)).levels[0]
+    full = np.flatnonzero(level.clusters.count >= _PLANE.min_points)
+    offsets, one = np.arange(len(full) + 1), np.ones(len(full))
+    clusters = level.clusters.take(full)
+    return fit(PlaneFeatures(offsets, level.scan[full], clusters, one, size * one), alone)

@@ -20,7 +20,7 @@ from lvba.kernels.photometric import XR, XX, XY, YR, YY
 from lvba.optim import linear_solver, normal_equations
 from lvba.optim.normal_equations import Border, NormalEquations
 from lvba.trajectory import Trajectory
-from lvba.visual import photometric, trajectory_prior
+from lvba.visual import photometric, trajectory_prior, trajectory_rates
 from lvba.visual.photometric import PhotometricState, Problem
 from lvba.visual.states import Calibration, VisualState
 from lvba.visual.trajectory_prior import Prior
@@ -45,13 +45,13 @@ def rates(prior: Prior, state: VisualState) -> tuple[np.ndarray, np.ndarray]:
     moving, moments = _moving(prior, state)
     if moving is None or moving is prior.scans:
         return prior.velocity_world, prior.rate_scan
-    return trajectory_prior.rates_of(moving, moments)
+    return trajectory_rates.rates_of(moving, moments)
 
 
 def rate_sigmas(prior: Prior, state: VisualState) -> np.ndarray | None:
     """(I, 6): how far `rates` may be off in each component, rad/s and m/s; None: nothing tells."""
     moving, moments = _moving(prior, state)
-    return None if moving is None else trajectory_prior.rate_sigmas_of(moving, moments)
+    return None if moving is None else trajectory_rates.rate_sigmas_of(moving, moments)
 
 
 def by_rows(

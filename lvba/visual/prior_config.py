@@ -6,6 +6,9 @@ import numpy as np
 
 from lvba.settings import Group, setting
 
+FLOOR_POSITION_M, FLOOR_ROTATION_DEG = 0.001, 0.01
+"""No estimate of how far cameras are off the trajectory falls below this: frames that agree better do so by chance."""
+
 
 @dataclass(frozen=True)
 class PriorConfig(Group):

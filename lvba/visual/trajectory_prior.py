@@ -18,16 +18,15 @@ from lvba.optim import normal_equations
 from lvba.optim.normal_equations import Border, NormalEquations
 from lvba.optim.shared_parameters import SharedPrior
 from lvba.trajectory import Trajectory
-from lvba.visual import calibration_prior, fixed_calibration
+from lvba.visual import calibration_prior, fixed_calibration, trajectory_rates
 from lvba.visual.calibration_prior import Evidence
-from lvba.visual.prior_config import PriorConfig
+from lvba.visual.prior_config import FLOOR_POSITION_M, FLOOR_ROTATION_DEG, PriorConfig
 from lvba.visual.states import Calibration, VisualState
 
 _DEFAULTS = PriorConfig()
 _FRAME_HUBER = 2.5
 _NOTHING = 1e3
 """A standard deviation that is so much larger makes an expectation count for nothing."""
-_RATE_STEP_S = 0.02
 
 
 SIGMA_POSITION_M, SIGMA_ROTATION_DEG = 0.02, 0.3
@@ -36,11 +35,6 @@ BETWEEN_SCANS = 0.3
 """First guess of the spline's error between scans, as a part of what leaving a scan out changes."""
 AT_ENDS = 1.5
 """Error of the spline near its ends, as a part of the least it can be there: what three simulated walks show."""
-RATES = 0.5
-"""Error of rates by a spline, as a part of what leaving a sample out changes over the time between samples: on simulated
-walks 0.1 to 0.2 where samples are near each other, 0.2 to 0.9 where they are 0.5 to 1.5 s apart (root mean squares)."""
-FLOOR_POSITION_M, FLOOR_ROTATION_DEG = 0.001, 0.01
-"""No estimate falls below this: frames that agree better do so by chance."""
 CEILING_POSITION_M, CEILING_ROTATION_DEG = 0.02, 0.3
 """No estimate of a frame's own error rises above this. Images alone drift; a prior that followed would allow it."""
 
@@ -56,6 +50,7 @@ class Source:
     correlation_inflation: by what the variances of the latter (rotation, position) grow as neighboring frames share them
     late: (I, 6) of how the sensor moved while the clocks were apart, `[rotation | position]`, rad and m; None: taken for
         known
+    silent: (I,) bool, tells nothing of the image: its standard deviations are huge, and stay so; None: of no image
     """
 
     world_from_scan: np.ndarray
@@ -65,6 +60,12 @@ class Source:
     scan_position: np.ndarray
     correlation_inflation: tuple[float, float] = (1.0, 1.0)
     late: np.ndarray | None = None
+    silent: np.ndarray | None = None
+
+    @property
+    def spoken(self) -> np.ndarray:
+        """(I,) bool: tells something of the image."""
+        return np.ones(len(self.sigma_position), bool) if self.silent is None else ~self.silent
 
     def and_late(self, sigma: np.ndarray) -> np.ndarray:
         """(I, 6): these standard deviations, and what is not known of the motion while the clocks were apart.
@@ -123,7 +124,7 @@ def build(
     neighbors. Which of the two is better depends on the motion, so both count, each by its own sigma.
     """
     scan_from_camera = geometry.inverse(camera_from_scan)
-    carried = carry(scans, refined, images)
+    carried = carry(scans, refined, images, scan_from_camera)
     # what rough motions do not tell counts for nothing
     unknown = np.repeat(np.where(carried.by_rough, 1.0, _NOTHING)[:, None], 3, axis=1)
     scan_rotation, scan_position = _scan_sigmas(scans.times, scan_covariance, images.times)
@@ -133,6 +134,7 @@ def build(
         sigma_position=SIGMA_POSITION_M * unknown,
         scan_rotation=scan_rotation,
         scan_position=scan_position,
+        silent=~carried.by_rough,
     )
     moving = Trajectory(scans.times, refined)
     sources: tuple[Source, ...] = (by_eq1,)
@@ -145,10 +147,11 @@ def build(
             sigma_position=within[:, 3:],
             scan_rotation=np.hypot(scan_rotation, at_ends[:, :3]),
             scan_position=np.hypot(scan_position, at_ends[:, 3:]),
+            silent=spline.outside(moving, images.times),
         )
         sources = (by_eq1, by_spline)
     known = calibration_prior.build(Calibration(scan_from_camera), config.sigma)
-    velocity_world, rate_scan = rates_of(moving, images.times)
+    velocity_world, rate_scan = trajectory_rates.rates_of(moving, images.times)
     return Prior(
         sources=sources,
         velocity_world=velocity_world,
@@ -175,6 +178,7 @@ def take(prior: Prior, index: np.ndarray) -> Prior:
             scan_rotation=s.scan_rotation[index],
             scan_position=s.scan_position[index],
             late=None if s.late is None else s.late[index],
+            silent=None if s.silent is None else s.silent[index],
         )
         for s in prior.sources
     )
@@ -224,9 +228,10 @@ def fill(
     predicted = np.stack([predict(prior, prior.sources[n], state.calibration) for n in by_order])
     # the sigmas were rescaled in the solve: so are those of the images between
     spread = np.stack([_rescaled(prior.sources[n], solved.sources[n], keyframes) for n in by_order])
-    size = spread.sum(axis=2)
-    silent = size[0] > _NOTHING / 10 * size.min(axis=0)
-    used = np.where(silent, size.argmin(axis=0), 0), np.arange(len(times))
+    used = (
+        np.where(prior.sources[by_order[0]].spoken, 0, spread.sum(axis=2).argmin(axis=0)),
+        np.arange(len(times)),
+    )
     expected = predicted[used]
     deviation = geometry.log(geometry.inverse(expected[keyframes]) @ state.cameras.world_from_camera)
     moved = np.stack([np.interp(times, times[keyframes], deviation[:, n]) for n in range(6)], axis=1)
@@ -240,8 +245,10 @@ def fill(
 
 def _rescaled(source: Source, solved: Source, keyframes: Indices) -> np.ndarray:
     """(I, 6), rad and m: sigmas of all images, as much larger as those of the keyframes (K,) were found to be."""
-    scale = np.median(sigmas(solved) / sigmas(source)[keyframes], axis=0)
-    return np.asarray(scale * sigmas(source))
+    if not solved.spoken.any():
+        return sigmas(source)
+    scale = np.median((sigmas(solved) / sigmas(source)[keyframes])[solved.spoken], axis=0)
+    return np.asarray(np.where(source.spoken[:, None], scale, 1.0) * sigmas(source))
 
 
 def _scan_sigmas(
@@ -271,29 +278,6 @@ def _spline_sigmas(scans: Trajectory, times: Times) -> tuple[np.ndarray, np.ndar
     # beyond the scans there is nothing to interpolate: what is extrapolated counts for nothing
     within[spline.outside(scans, times)] *= _NOTHING
     return within, AT_ENDS * spline.boundary_error(scans, times)[:, None] * left_out
-
-
-def rates_of(scans: Trajectory, times: Times) -> tuple[np.ndarray, np.ndarray]:
-    """Velocity in the world (Q, 3), m/s, and angular rate in the sensor's frame (Q, 3), rad/s, at times (Q,), s."""
-    if len(scans) < 2:
-        return np.zeros((len(times), 3)), np.zeros((len(times), 3))
-    interpolate = spline.through if len(scans) >= spline.FEWEST_SAMPLES else trajectory.sample
-    clamped = np.clip(times, scans.times[0] + _RATE_STEP_S, scans.times[-1] - _RATE_STEP_S)
-    before, after = interpolate(scans, clamped - _RATE_STEP_S), interpolate(scans, clamped + _RATE_STEP_S)
-    turn = np.swapaxes(before[:, :3, :3], 1, 2) @ after[:, :3, :3]
-    rate = Rotation.from_matrix(turn).as_rotvec() / (2 * _RATE_STEP_S)
-    return (after[:, :3, 3] - before[:, :3, 3]) / (2 * _RATE_STEP_S), rate
-
-
-def rate_sigmas_of(samples: Trajectory, times: Times) -> np.ndarray | None:
-    """(Q, 6): how far `rates_of` may be off in each component at times (Q,), rad/s and m/s; None: too few samples tell.
-
-    A part of what leaving a sample out changes. Poses of samples are not better known than the floor.
-    """
-    if len(samples) < spline.FEWEST_SAMPLES:
-        return None
-    floor = np.array([np.radians(FLOOR_ROTATION_DEG), FLOOR_POSITION_M])
-    return np.repeat(RATES * spline.leave_one_out_rates(samples, times, floor), 3, axis=1)
 
 
 def predict(prior: Prior, source: Source, calibration: Calibration) -> np.ndarray:
@@ -424,7 +408,7 @@ def with_late(prior: Prior, calibration: Calibration) -> Prior:
     """The prior with what is not known of the motion while the clocks were apart; as it is where nothing tells."""
     if prior.scans is None or prior.times is None:
         return prior
-    sigma = rate_sigmas_of(prior.scans, prior.times)
+    sigma = trajectory_rates.rate_sigmas_of(prior.scans, prior.times)
     if sigma is None:
         return prior
     late = np.abs(calibration.lateness(_since_epoch(prior)))[:, None] * sigma

@@ -10,12 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from lvba.visual.prior_config import FLOOR_POSITION_M, FLOOR_ROTATION_DEG
 from lvba.visual.states import VisualState
 from lvba.visual.trajectory_prior import (
     CEILING_POSITION_M,
     CEILING_ROTATION_DEG,
-    FLOOR_POSITION_M,
-    FLOOR_ROTATION_DEG,
     Prior,
     Source,
     residuals,
@@ -48,6 +47,9 @@ def reestimated(prior: Prior, state: VisualState, undecided: tuple[np.ndarray, .
 def _rescaled(source: Source, deviation: np.ndarray, posterior: np.ndarray) -> Source:
     own = source.and_late(np.concatenate([source.sigma_rotation, source.sigma_position], axis=1))
     fraction = np.clip(1 - posterior / sigmas(source) ** 2, 0.0, 1.0)
+    spoken = source.spoken
+    # any deviation is small beside an expectation that tells nothing: that is no agreement
+    fraction[~spoken], deviation = 0.0, np.where(spoken[:, None], deviation, 0.0)
     rotation, position = (_own_scale(deviation, own, fraction, part) for part in (slice(3), slice(3, 6)))
     return replace(
         source,
@@ -55,15 +57,17 @@ def _rescaled(source: Source, deviation: np.ndarray, posterior: np.ndarray) -> S
             rotation * source.sigma_rotation,
             source.sigma_rotation,
             np.radians([FLOOR_ROTATION_DEG, CEILING_ROTATION_DEG]),
+            spoken,
         ),
         sigma_position=_within(
             position * source.sigma_position,
             source.sigma_position,
             np.array([FLOOR_POSITION_M, CEILING_POSITION_M]),
+            spoken,
         ),
         correlation_inflation=(
-            _correlation_inflation(deviation[:, :3], own[:, :3], source.scan_rotation),
-            _correlation_inflation(deviation[:, 3:], own[:, 3:], source.scan_position),
+            _correlation_inflation(deviation[:, :3], own[:, :3], source.scan_rotation, spoken),
+            _correlation_inflation(deviation[:, 3:], own[:, 3:], source.scan_position, spoken),
         ),
     )
 
@@ -78,27 +82,31 @@ def _own_scale(deviation: np.ndarray, own: np.ndarray, fraction: np.ndarray, par
     return min(by_steps, _scale(np.square(deviation / own)[:, part], fraction[:, part]))
 
 
-def _within(sigma: np.ndarray, before: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """Estimates (I,) between floor and ceiling; one that began above the ceiling (far from any scan) may stay there."""
-    return np.asarray(np.clip(sigma, limits[0], np.maximum(before, limits[1])))
+def _within(sigma: np.ndarray, before: np.ndarray, limits: np.ndarray, spoken: np.ndarray) -> np.ndarray:
+    """Estimates (I, 3) between floor and ceiling; one that began above the ceiling (far from any scan) may stay there,
+    and one that tells nothing does."""
+    return np.where(spoken[:, None], np.clip(sigma, limits[0], np.maximum(before, limits[1])), before)
 
 
-def _correlation_inflation(deviation: np.ndarray, own: np.ndarray, of_scans: np.ndarray) -> float:
+def _correlation_inflation(
+    deviation: np.ndarray, own: np.ndarray, of_scans: np.ndarray, spoken: np.ndarray
+) -> float:
     """By what factor the variance of shared deviations grows, >= 1.
 
     N frames whose deviations have lag-one correlation r tell of their common part only what N (1 - r) / (1 + r)
     independent ones do. That holds for the error of the scans' poses. The further what most neighbors have in common is
     beyond that, the less of it the scans explain, and the less the factor grows: images that drift would loosen what
     holds them, and drift on.
-    deviation: (I, 3); own, of_scans: (I, 3), its standard deviations, of each frame by itself and by the scans' error
+    deviation: (I, 3); own, of_scans: (I, 3), its standard deviations, of each frame by itself and by the scans' error;
+    spoken: (I,) bool, frames that deviate from something
     """
-    clipped = np.clip(deviation / own, -3, 3)
-    total = float(np.square(clipped).mean()) if clipped.size else 0.0
-    if len(clipped) <= 10 or total == 0:
+    clipped, both = np.clip(deviation / own, -3, 3), spoken[1:] & spoken[:-1]
+    total = float(np.square(clipped[spoken]).mean()) if spoken.any() else 0.0
+    if both.sum() < 10 or total == 0:
         return 1.0
-    correlation = min(max(float((clipped[1:] * clipped[:-1]).mean()) / total, 0.0), 0.95)
+    correlation = min(max(float((clipped[1:] * clipped[:-1])[both].mean()) / total, 0.0), 0.95)
     relative = deviation / of_scans
-    in_common = float(np.median((relative[1:] * relative[:-1]).sum(axis=1))) / _MEDIAN_OF_THREE
+    in_common = float(np.median((relative[1:] * relative[:-1])[both].sum(axis=1))) / _MEDIAN_OF_THREE
     explained = _ORDINARY / max(in_common, _ORDINARY)
     return 1 + explained * ((1 + correlation) / (1 - correlation) - 1)
 

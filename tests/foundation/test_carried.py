@@ -67,6 +67,11 @@ def test_where_the_odometry_was_lost_another_sensor_follows_a_spline_through_the
     assert not carried.by_rough.all()
     # the mount is known to what lost poses tell of it
     assert np.median(off) < np.median(by_eq1) / 3
+    calibrated = carry(rough, _walk(times), others, MOUNTED)
+    lost = ~calibrated.by_rough
+    assert (
+        np.linalg.norm((calibrated.world_from_sensor - true)[lost, :3, 3], axis=1).max() < np.median(off) / 3
+    )
 
 
 @pytest.mark.parametrize("scale", [1.3, 0.7])

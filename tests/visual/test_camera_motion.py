@@ -9,7 +9,14 @@ import textured_planes
 from lvba import geometry, spline
 from lvba.camera import Camera
 from lvba.trajectory import Trajectory
-from lvba.visual import bundle_adjustment, calibration_shifts, camera_motion, photometric, trajectory_prior
+from lvba.visual import (
+    bundle_adjustment,
+    calibration_shifts,
+    camera_motion,
+    photometric,
+    trajectory_prior,
+    trajectory_rates,
+)
 from lvba.visual.photometric import PhotometricState
 from lvba.visual.states import Calibration, CameraStates, VisualState
 
@@ -93,7 +100,7 @@ def test_rates_are_known_as_well_as_samples_that_are_left_out(scene):
     apart = spline.leave_one_out_rates(Trajectory(times, turning(times)), middle, np.zeros(2))
     near = np.linspace(0.0, 12.0, 301)
     close = spline.leave_one_out_rates(Trajectory(near, turning(near)), middle, np.zeros(2))
-    off = trajectory_prior.rates_of(Trajectory(times, turning(times)), middle)[1][:, 2] - 2.0 * np.cos(
+    off = trajectory_rates.rates_of(Trajectory(times, turning(times)), middle)[1][:, 2] - 2.0 * np.cos(
         4.0 * middle
     )
     part = np.sqrt(np.mean(off[3:-3] ** 2) / np.mean(apart[3:-3, 0] ** 2))

@@ -7,7 +7,7 @@ import pytest
 
 from lvba import geometry
 from lvba.trajectory import Trajectory
-from lvba.visual import camera_motion, trajectory_prior, trajectory_sigmas
+from lvba.visual import camera_motion, trajectory_prior, trajectory_rates, trajectory_sigmas
 from lvba.visual.prior_config import PriorConfig
 from lvba.visual.states import Calibration, CameraStates, VisualState
 from lvba.visual.trajectory_prior import Prior
@@ -170,6 +170,31 @@ def test_deviations_that_only_the_prior_decided_do_not_count_as_agreement():
     undecided[:, 4:] = trajectory_prior.sigmas(prior.sources[0])[:, 4:] ** 2
     found = trajectory_sigmas.reestimated(prior, moved(state, step, np.zeros(SIZE)), (undecided, undecided))
     assert found.sources[0].sigma_position[0, 0] == pytest.approx(0.01, rel=0.35)
+
+
+def test_images_of_which_a_source_tells_nothing_say_nothing_of_it():
+    prior, state = problem()
+    rng = np.random.default_rng(5)
+    step = np.concatenate([0.002 * rng.normal(size=(30, 3)), 0.008 * rng.normal(size=(30, 3))], axis=1)
+    silent = np.arange(30) % 5 > 0
+    step[silent, 3] += 0.2
+    huge = np.where(silent, 1e3, 1.0)[:, None]
+    source = replace(
+        prior.sources[0],
+        sigma_rotation=huge * prior.sources[0].sigma_rotation,
+        sigma_position=huge * prior.sources[0].sigma_position,
+        silent=silent,
+    )
+    none = (np.zeros((30, 6)),)
+    for _ in range(3):  # once a level: what is wrong adds up
+        prior = trajectory_sigmas.reestimated(
+            replace(prior, sources=(source,)), moved(state, step, np.zeros(SIZE)), none
+        )
+        changed = prior.sources[0]
+        np.testing.assert_array_equal(changed.sigma_position[silent], source.sigma_position[silent])
+        np.testing.assert_array_equal(changed.sigma_rotation[silent], source.sigma_rotation[silent])
+        assert np.median(changed.sigma_position[~silent]) == pytest.approx(0.008, rel=0.5)
+        source = changed
 
 
 def drifted(count: int = 30) -> np.ndarray:
@@ -356,7 +381,7 @@ def test_a_motion_that_is_not_known_loosens_cameras_by_as_long_as_the_clocks_are
     prior = trajectory_prior.build(
         scans, scans.world_from_sensor, images, geometry.inverse(EXTRINSIC), PriorConfig()
     )
-    rates = trajectory_prior.rate_sigmas_of(scans, times)
+    rates = trajectory_rates.rate_sigmas_of(scans, times)
     assert rates is not None
     before = trajectory_prior.sigmas(prior.sources[0])
     known = trajectory_prior.with_late(prior, Calibration(EXTRINSIC, late))

@@ -68,9 +68,7 @@ def test_a_dropped_folder_is_checked_before_it_is_sent(watched, page, recording,
     assert sent == []
     (broken / "scans").rename(broken / "all_pcd_body")
     drop(page, broken)
-    refusal.wait_for(
-        state="hidden"
-    )  # the browser reads a folder for a while; until then, the first one is chosen
+    refusal.wait_for(state="hidden")
     page.get_by_role("button", name="Upload", exact=True).click()
     page.get_by_role("radio", name="dropped yard").wait_for()
     scans = {path.name for path in broken.glob("all_pcd_body/*.pcd")}

@@ -21,6 +21,8 @@ export function Uploader({ unfinished, ready, failed }: { unfinished: Dataset | 
   const [progress, setProgress] = useState<Progress | null>(null);
   const [trouble, setTrouble] = useState<{ cause: string; hint: string } | null>(null);
   const [look, setLook] = useState<Look | "looking" | null>(null);
+  const [reading, setReading] = useState(false);
+  const drops = useRef(0);
   const upload = useRef<Upload | null>(null);
   const looking = useRef(new AbortController());
   const stop = useRef(new AbortController());
@@ -34,6 +36,8 @@ export function Uploader({ unfinished, ready, failed }: { unfinished: Dataset | 
 
   const wrong = unfinished?.state === "invalid" ? (unfinished.error?.path ?? null) : null;
   const take = (given: Item[]): void => {
+    drops.current++;
+    setReading(false);
     const kept = wrong === null ? withoutCommonFolder(given) : placedAt(given, wrong);
     const folder = given[0]?.path.includes("/") === true ? given[0].path.split("/")[0] : given.find((item) => BAG.test(item.path) || given.length === 1)?.file.name.replace(/\.(zip|tar.*|tgz)$/i, "").replace(BAG, "");
     setItems(kept);
@@ -41,6 +45,22 @@ export function Uploader({ unfinished, ready, failed }: { unfinished: Dataset | 
     setName(unfinished?.name ?? folder ?? "");
     setTrouble(null);
     lookInto(kept, folder ?? "");
+  };
+
+  /** The browser reads a large folder for a while: what was chosen before must not be sent meanwhile. */
+  const takeDropped = async (transfer: DataTransfer): Promise<void> => {
+    const drop = ++drops.current;
+    setItems([]);
+    setTrouble(null);
+    setReading(true);
+    try {
+      const given = await dropped(transfer);
+      if (drop === drops.current) take(given);
+    } catch (error) {
+      if (drop !== drops.current) return;
+      setReading(false);
+      setTrouble(troubleOf(error));
+    }
   };
 
   /** Shows what is in a bag, while its upload may already be on its way. */
@@ -102,7 +122,8 @@ export function Uploader({ unfinished, ready, failed }: { unfinished: Dataset | 
         {unfinished !== null && (wrong === null || wrong === "" ? <p>Choose the same files as before: only what is missing from <strong>{unfinished.name}</strong>, or differs, is sent.</p> : (
           <p>In <strong>{unfinished.name}</strong>, <code>{wrong}</code> is missing or wrong: {unfinished.error?.hint}. Choose it alone, or the whole folder again: only what differs is sent.</p>
         ))}
-        <Chooser take={take} single={wrong !== null && wrong !== ""} />
+        <Chooser take={take} takeDropped={(transfer) => { void takeDropped(transfer); }} single={wrong !== null && wrong !== ""} />
+        {reading && <p class="quiet" role="status">Reading the folder …</p>}
         <Trouble trouble={trouble} />
         {items.length > 0 && (
           <div class="chosen">
@@ -175,7 +196,7 @@ async function checked(id: string, signal: AbortSignal): Promise<Dataset> {
 }
 
 /** single: files may be chosen, too, not only folders and archives. */
-function Chooser({ take, single }: { take: (items: Item[]) => void; single: boolean }) {
+function Chooser({ take, takeDropped, single }: { take: (items: Item[]) => void; takeDropped: (transfer: DataTransfer) => void; single: boolean }) {
   const [over, setOver] = useState(false);
   const list = (files: FileList | null): Item[] =>
     [...(files ?? [])].map((file) => ({ path: file.webkitRelativePath === "" ? file.name : file.webkitRelativePath, file }));
@@ -187,7 +208,7 @@ function Chooser({ take, single }: { take: (items: Item[]) => void; single: bool
       onDrop={(event) => {
         event.preventDefault();
         setOver(false);
-        if (event.dataTransfer !== null) void dropped(event.dataTransfer).then(take);
+        if (event.dataTransfer !== null) takeDropped(event.dataTransfer);
       }}
     >
       <p><strong>Drop a recording here</strong>: its folder, an archive of it, or a bag with its calibration</p>
