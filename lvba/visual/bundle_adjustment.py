@@ -328,7 +328,34 @@ def covariance_of(solution: LevelSolution) -> Covariance:
     )
     poses = linear_solver.sandwich(total, clusters, _gradient_variance(prior, at), solution.free)
     solved = _Turn(problem, solution.wall_clusters, at, linearization, solution.free)
-    return replace(poses, shared=_covariance_of_calibration(solved, prior, total))
+    known = replace(poses, shared=_covariance_of_calibration(solved, prior, total))
+    return _with_held(known, solved, total, solution.fixed)
+
+
+def _with_held(
+    known: Covariance, solved: _Turn, total: NormalEquations, fixed: tuple[str, ...]
+) -> Covariance:
+    """The covariance, with how far all would move were the parameters free that are held, where that is no chance."""
+    step = linear_solver.solve_step(total, 0.0, solved.free) if fixed else None
+    if step is None:
+        return known
+    part = fixed_calibration.doubtful_part(step.shared, _precision(known.shared, solved, total), fixed)
+    blocks, shared = step.blocks, step.shared
+    return Covariance(
+        known.blocks + part * blocks[:, :, None] * blocks[:, None],
+        known.with_shared + part * blocks[:, :, None] * shared,
+        known.shared + part * np.outer(shared, shared),
+    )
+
+
+def _precision(
+    covariance_of_calibration: np.ndarray, solved: _Turn, total: NormalEquations
+) -> fixed_calibration.Precision:
+    return fixed_calibration.Precision(
+        covariance=covariance_of_calibration,
+        plain=linear_solver.covariance(total, solved.free).shared,
+        per_pixel=noise.per_pixel(solved.problem.information, solved.linearization.sums),
+    )
 
 
 def _covariance_of_calibration(solved: _Turn, prior: Prior | None, total: NormalEquations) -> np.ndarray:
@@ -347,11 +374,7 @@ def _fixed(solved: _Turn, prior: Prior) -> tuple[str, ...]:
     """The parameters of the calibration that the images do not call to correct."""
     linearization, calibration = solved.linearization, solved.at.calibration
     total = joint(linearization.equations, prior, solved.at.visual)
-    known = fixed_calibration.Precision(
-        covariance=_covariance_of_calibration(solved, prior, total),
-        plain=linear_solver.covariance(total, solved.free).shared,
-        per_pixel=noise.per_pixel(solved.problem.information, linearization.sums),
-    )
+    known = _precision(_covariance_of_calibration(solved, prior, total), solved, total)
     return fixed_calibration.insignificant(calibration.deviation(prior.calibration.reference), known)
 
 

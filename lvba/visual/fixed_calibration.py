@@ -81,6 +81,20 @@ def insignificant(deviation: np.ndarray, known: Precision) -> tuple[str, ...]:
     return tuple(name for name in CORRECTIONS if name in fixed)
 
 
+def doubtful_part(off: np.ndarray, known: Precision, names: Collection[str]) -> float:
+    """What part of its square counts as an error of parameters that are held: 0 where it may be chance or what
+    interpolation does, nearly 1 where it is many standard deviations. Whether calibration or images are right, nothing
+    tells then.
+
+    off: (k,) float64, by which images want all parameters to be elsewhere, in the units of their steps
+    """
+    layout = Calibration.layout()
+    index = np.concatenate([np.arange(layout.size)[layout[name]] for name in names])
+    if _squared(off, known.plain, index) < BIAS_PX**2 * known.per_pixel:
+        return 0.0
+    return max(1.0 - len(index) / _squared(off, known.covariance, index), 0.0)
+
+
 def beyond_chance(deviation: float, sigma: float) -> bool:
     """Whether one number deviates by more than CHANCE, in units of its standard deviation."""
     return float(chdtrc(1, (deviation / sigma) ** 2)) < CHANCE

@@ -89,6 +89,43 @@ def test_estimates_without_a_parameter_are_those_of_a_model_without_it():
     np.testing.assert_allclose(spread[np.ix_(others, others)], expected, rtol=1e-6, atol=1e-12)
 
 
+def held_off(true, rows, held, seed):
+    """By how much numbers that are held would move all others, and what they should be, were they free: a twin."""
+    index = np.arange(LAYOUT.size)[LAYOUT[held]]
+    others = np.setdiff1d(np.arange(LAYOUT.size), index)
+    off, covariance = estimate(true, rows, seed=seed)
+    without = np.zeros(LAYOUT.size)
+    without[others] = fixed_calibration._without(off, covariance, index)[0][others]
+    known = fixed_calibration.Precision(covariance=covariance, plain=covariance, per_pixel=1.0)
+    return off - without, without, known
+
+
+@pytest.mark.parametrize("size", [0.0, 0.5, 4.0])
+def test_what_is_promised_with_a_number_held_covers_what_is_wrong_with_it(size):
+    """A camera that is turned looks much like a principal point: held, that turns the camera."""
+    rows = rows_of(300)
+    place, turn = LAYOUT["principal_point"].start, LAYOUT["scan_from_camera"].start
+    alike = rows[:, turn] * SIGMA[turn] + np.random.default_rng(4).normal(size=300) * 0.3
+    rows[:, place] = alike / SIGMA[place]
+    true, ratios, parts = wrong(principal_point=(size, 0)), [], []
+    for seed in range(60):
+        step, without, known = held_off(true, rows, "principal_point", seed)
+        part = fixed_calibration.doubtful_part(step, known, ["principal_point"])
+        promised = known.covariance[turn, turn] + part * step[turn] ** 2
+        ratios.append((without[turn] - true[turn]) ** 2 / promised)
+        parts.append(part)
+    assert np.mean(ratios) < 1.5
+    assert {0.0: np.mean(parts) < 0.3, 0.5: np.mean(parts) < 0.6, 4.0: np.mean(parts) > 0.8}[size]
+
+
+def test_what_interpolation_does_to_a_held_number_is_no_doubt():
+    step, _, known = held_off(wrong(principal_point=(4, 0)), rows_of(300), "principal_point", 0)
+    part = fixed_calibration.doubtful_part(step, known, ["principal_point"])
+    coarse = fixed_calibration.Precision(covariance=known.covariance, plain=known.plain, per_pixel=1e9)
+    assert part > 0.9
+    assert fixed_calibration.doubtful_part(step, coarse, ["principal_point"]) == 0.0
+
+
 def test_held_means_at_the_reference():
     claimed = information(LAYOUT, PriorConfig().sigma)
     prior = SharedPrior(Calibration(np.eye(4)), claimed, 3 * claimed)
