@@ -90,7 +90,7 @@ def doubtful_part(off: np.ndarray, known: Precision, names: Collection[str]) -> 
     """
     layout = Calibration.layout()
     index = np.concatenate([np.arange(layout.size)[layout[name]] for name in names])
-    if _squared(off, known.plain, index) < BIAS_PX**2 * known.per_pixel:
+    if _squared(off, known.plain, index) <= BIAS_PX**2 * known.per_pixel:
         return 0.0
     return max(1.0 - len(index) / _squared(off, known.covariance, index), 0.0)
 
