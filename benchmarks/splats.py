@@ -49,9 +49,8 @@ def pack(recording: Path, result: Path, out: Path, camera: str, most: int) -> No
     quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
     coded = [cv2.imencode(".jpg", cv2.imread(str(model / "images" / name)), quality)[1] for name in names]
     packed = {
-        "camera": np.array(
-            words[2:], float
-        ),  # width height fx fy cx cy; the first pixel's center is (0.5, 0.5)
+        # width height fx fy cx cy; the first pixel's center is (0.5, 0.5)
+        "camera": np.array(words[2:], float),
         "size": np.array([len(code) for code in coded]),
         "images": np.concatenate(coded),
         "exposure": read_exposures(result / "exposures.csv").relative,
@@ -67,32 +66,31 @@ def pack(recording: Path, result: Path, out: Path, camera: str, most: int) -> No
 
 def _poses(dataset: Any, folder: Path) -> tuple[np.ndarray, np.ndarray]:
     """world_from_scan (N, 4, 4) and world_from_camera (I, 4, 4) of a folder, or of the recording's input."""
-    from lvba.io.reference import of_cameras, read_reference
+    from neighbors import cameras
+
+    from lvba.io.reference import read_reference
+    from lvba.products.views import nearest_in_time
 
     if folder.resolve() == Path(dataset.root).resolve():
-        return dataset.scans.world_from_sensor, dataset.images.world_from_sensor
-    read = of_cameras(read_reference(folder), dataset)
-    assert read.scans is not None, f"{folder} has no lidar_poses.txt"
-    assert read.images is not None, f"{folder} has no image_poses.txt"
-    near = [int(np.abs(read.scans.times - t).argmin()) for t in dataset.scans.times]
-    return read.scans.world_from_sensor[near], read.images.world_from_sensor
+        return dataset.scans.world_from_sensor, cameras(dataset, folder)
+    scans = read_reference(folder).scans
+    assert scans is not None, f"{folder} has no lidar_poses.txt"
+    near = nearest_in_time(scans.times, dataset.scans.times)
+    return scans.world_from_sensor[near], cameras(dataset, folder)
 
 
 def _points(dataset: Any, world_from_scan: np.ndarray, most: int) -> np.ndarray:
-    """(P, 3) float32 m: at most about `most` points of the scans, evenly spread."""
+    """(P, 3) float32 m: at most `most` points of the scans, evenly spread."""
     from lvba import geometry
     from lvba.io.dataset import load_scan
-    from lvba.products.cloud import thin
+    from lvba.products.cloud import thin_to
 
-    voxel, clouds = 0.01, []
+    clouds = []
     for index, pose in enumerate(world_from_scan):
         points = load_scan(dataset, index).points.astype(float)
         clouds.append(geometry.transform_points(pose, points).astype(np.float32))
     cloud = np.concatenate(clouds)
-    while len(cloud) > most:
-        cloud = cloud[thin(cloud, voxel)]
-        voxel *= 1.25
-    return cloud
+    return cloud[thin_to(cloud, most)]
 
 
 def train(file: Path, sets: list[str], out: Path, steps: int, splats: int, seed: int) -> None:
@@ -147,7 +145,7 @@ class _Trainer:
             "means": (points, 1.6e-4 * self.scale),
             "scales": (np.log(apart)[:, None].repeat(3, 1), 5e-3),
             "quats": (self.random.normal(size=(count, 4)), 1e-3),
-            "opacities": (np.full(count, math.log(0.5 / 0.5)), 5e-2),
+            "opacities": (np.zeros(count), 5e-2),  # half opaque
             "sh0": (np.zeros((count, 1, 3)), 2.5e-3),
             "shN": (np.zeros((count, (_SH_DEGREE + 1) ** 2 - 1, 3)), 2.5e-3 / 20),
         }
@@ -167,13 +165,15 @@ class _Trainer:
         line = line / line.sum()
         return (line[:, None] * line[None])[None, None].expand(3, 1, -1, -1).contiguous()
 
+    def _blurred(self, picture: Any) -> Any:
+        return self.torch.nn.functional.conv2d(picture, self.window, groups=3)
+
     def _ssim(self, one: Any, other: Any) -> Any:
         """Mean over the image (Wang et al. 2004), pictures (H, W, 3) from 0 to 1."""
-        blur = lambda x: self.torch.nn.functional.conv2d(x, self.window, groups=3)  # noqa: E731
         a, b = one.permute(2, 0, 1)[None], other.permute(2, 0, 1)[None]
-        mean_a, mean_b = blur(a), blur(b)
-        var_a, var_b = blur(a * a) - mean_a**2, blur(b * b) - mean_b**2
-        both = blur(a * b) - mean_a * mean_b
+        mean_a, mean_b = self._blurred(a), self._blurred(b)
+        var_a, var_b = self._blurred(a * a) - mean_a**2, self._blurred(b * b) - mean_b**2
+        both = self._blurred(a * b) - mean_a * mean_b
         top = (2 * mean_a * mean_b + 1e-4) * (2 * both + 9e-4)
         return (top / ((mean_a**2 + mean_b**2 + 1e-4) * (var_a + var_b + 9e-4))).mean()
 

@@ -32,24 +32,21 @@ class Carried:
     by_rough: np.ndarray
 
 
-def carry(rough: Trajectory, refined: Poses, others: Trajectory, mounted: Pose | None = None) -> Carried:
+def carry(rough: Trajectory, refined: Poses, others: Trajectory, mounted: Pose) -> Carried:
     """Poses of another sensor moved along with refined ones. Source: Li et al., eq. (1).
 
     rough: of the first sensor; refined: (N, 4, 4), poses at rough.times; others: rough poses of the other sensor
-    mounted: (4, 4) `sensor_from_other` as calibrated; None: as the poses themselves tell
+    mounted: (4, 4) `sensor_from_other` as calibrated
     Where a rough motion is wrong, the other sensor may have followed it evenly, or the scan before or the scan after:
-    whichever leaves it mounted best as it is elsewhere. Where all of these contradict a spline through the refined scans
+    whichever leaves it mounted most as calibrated. Where all of these contradict a spline through the refined scans
     by more than that can be off, the spline has it.
     """
     corrections = trajectory.interpolate_corrections(rough, refined, others.times)
     poses, by_rough = np.asarray(corrections @ others.world_from_sensor), np.ones(len(others), bool)
-    far = _far(rough, refined, others)
-    there = np.flatnonzero(far)
+    there = np.flatnonzero(_far(rough, refined, others))
     if len(there) == 0:
         return Carried(poses, by_rough)
     moving = Trajectory(rough.times, refined)
-    if mounted is None:
-        mounted = _extrinsic(rough, moving, others, poses, ~far)
     smooth = _between(moving, others) @ mounted
     choices = np.concatenate([poses[None, there], _sides(rough, refined, others, there)])
     off = geometry.log(geometry.inverse(smooth[there]) @ choices)
@@ -78,20 +75,6 @@ def _between(samples: Trajectory, others: Trajectory) -> np.ndarray:
     if len(samples) < spline.FEWEST_SAMPLES:
         return trajectory.sample(samples, others.times)
     return spline.through(samples, others.times)
-
-
-def _extrinsic(
-    rough: Trajectory, moving: Trajectory, others: Trajectory, poses: Poses, steady: np.ndarray
-) -> np.ndarray:
-    """(4, 4) `sensor_from_other`: as poses (I, 4, 4) have it where the motion is steady (I,), else as rough poses do."""
-    if steady.any():
-        each = geometry.inverse(_between(moving, others)[steady]) @ poses[steady]
-    else:
-        each = geometry.inverse(_between(rough, others)) @ others.world_from_sensor
-    middle = each[0]
-    for _ in range(2):
-        middle = geometry.retract(middle, np.median(geometry.log(geometry.inverse(middle) @ each), axis=0))
-    return np.asarray(middle)
 
 
 def _sides(rough: Trajectory, refined: Poses, others: Trajectory, there: np.ndarray) -> np.ndarray:

@@ -1,5 +1,6 @@
 """How fine the cells may be: as fine as single scans still fill them, and as noise leaves planes in them."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,9 @@ from lvba import geometry
 from lvba.lidar import voxel_map
 from lvba.lidar.config import Stage
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
+from lvba.lidar.range_errors import directions
 from lvba.lidar.scan import Scans, gather
+from lvba.lidar.weights import weighted_median
 
 _SAMPLED_SCANS = 10
 _MOST_HALVINGS = 2
@@ -53,16 +56,22 @@ def with_finer(stages: tuple[Stage, ...], scans: Scans, dense_points: int) -> tu
 
 def points_per_cell(scans: Scans, size: float) -> float:
     """How many points of a scan share a cell of edge `size` (m) with a typical point: median over points, then scans."""
-    step = max(1, len(scans) // _SAMPLED_SCANS)
     medians = []
-    for first, last in zip(scans.offsets[:-1:step], scans.offsets[1::step], strict=True):
-        points = geometry.finite(scans.points[first:last])
+    for each in _sampled(scans):
+        points = geometry.finite(each)
         if len(points):
             cells = np.floor(points / np.float32(size)).astype(np.int64)
             key = (cells[:, 0] * 2_000_003 + cells[:, 1]) * 2_000_003 + cells[:, 2]
             _, inverse, count = np.unique(key, return_inverse=True, return_counts=True)
             medians.append(float(np.median(count[inverse.ravel()])))
     return float(np.median(medians)) if medians else 0.0
+
+
+def _sampled(scans: Scans) -> Iterator[np.ndarray]:
+    """The points (N, 3) of a few scans, evenly spread."""
+    step = max(1, len(scans) // _SAMPLED_SCANS)
+    for first, last in zip(scans.offsets[:-1:step], scans.offsets[1::step], strict=True):
+        yield scans.points[first:last]
 
 
 def without_noisy(stages: tuple[Stage, ...], scans: Scans) -> tuple[Stage, ...]:
@@ -83,10 +92,8 @@ def without_noisy(stages: tuple[Stage, ...], scans: Scans) -> tuple[Stage, ...]:
 def range_noise(scans: Scans, size: float) -> float:
     """m, standard deviation of ranges: how far points of a single scan are off planes in cells of edge `size` (m), along
     the beams from the scan's origin; the median over points; 0 where no plane is seen. No pose has a part in it."""
-    step = max(1, len(scans) // _SAMPLED_SCANS)
-    parts = zip(scans.offsets[:-1:step], scans.offsets[1::step], strict=True)
-    planes = _planes_of_scans(gather([scans.points[first:last] for first, last in parts]), size)
-    beams = planes.center / np.linalg.norm(planes.center, axis=1, keepdims=True)
+    planes = _planes_of_scans(gather(list(_sampled(scans))), size)
+    beams, _ = directions(planes.center, np.zeros(3))
     cosine = np.abs(np.sum(beams * planes.normal, axis=1))
     small, middle = planes.eigenvalues[:, 0], planes.eigenvalues[:, 1]
     seen = (
@@ -96,9 +103,7 @@ def range_noise(scans: Scans, size: float) -> float:
         return 0.0
     count = planes.total[seen]
     variance = small[seen] * count / (count - 3) / cosine[seen] ** 2
-    order = np.argsort(variance)
-    summed = np.cumsum(count[order])
-    return float(np.sqrt(variance[order][np.searchsorted(summed, 0.5 * summed[-1])]))
+    return float(np.sqrt(weighted_median(variance, count)))
 
 
 def _planes_of_scans(scans: Scans, size: float) -> PlaneFits:

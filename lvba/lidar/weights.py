@@ -99,9 +99,17 @@ def _within_scan_sigma(within: np.ndarray, count: np.ndarray) -> float:
     if not many.any():
         return 0.02
     variance = np.maximum(within[many], 0.0) / (count[many] - 1)
-    order = np.argsort(variance)
-    mass = np.cumsum(count[many][order])
-    return float(max(np.sqrt(variance[order][np.searchsorted(mass, 0.5 * mass[-1])]), 1e-4))
+    return float(max(np.sqrt(weighted_median(variance, count[many])), 1e-4))
+
+
+def weighted_median(values: np.ndarray, weight: np.ndarray) -> float:
+    """The value up to which half of the weight lies.
+
+    values, weight: (N,) float64, at least one
+    """
+    order = np.argsort(values)
+    mass = np.cumsum(weight[order])
+    return float(values[order][np.searchsorted(mass, 0.5 * mass[-1])])
 
 
 _MEDIAN = 0.4549

@@ -118,11 +118,16 @@ class Factors:
         shared = cho_solve((self.rest, True), shared, check_finite=False)
         return np.concatenate([blocks - self.through @ shared, shared])
 
+    def shared_covariance(self) -> np.ndarray:
+        """(k, k), the inverse's block of the shared parameters alone."""
+        unit = np.diag(self.free.astype(float))
+        return np.asarray(cho_solve((self.rest, True), unit, check_finite=False))
+
     def covariance(self) -> Covariance:
         """Blocks of the inverse, without the inverse as a whole."""
         blocks = self.poses.inverse_blocks()
         count, size, _ = blocks.shape
-        shared = cho_solve((self.rest, True), np.diag(self.free.astype(float)), check_finite=False)
+        shared = self.shared_covariance()
         through = self.through.reshape(count, size, len(shared))
         with_shared = -through @ shared
         return Covariance(blocks - with_shared @ np.swapaxes(through, 1, 2), with_shared, shared)
@@ -257,6 +262,17 @@ def covariance(
     Raises LinAlgError: the Hessian is not positive.
     """
     return _undamped(equations, free, dense_limit).covariance()
+
+
+def shared_covariance(
+    equations: NormalEquations, free: np.ndarray | None = None, dense_limit: int = 2500
+) -> np.ndarray:
+    """(k, k): the block of the shared parameters of `covariance`, without the others.
+
+    free: (B, b) bool
+    Raises LinAlgError: the Hessian is not positive.
+    """
+    return _undamped(equations, free, dense_limit).shared_covariance()
 
 
 def _undamped(equations: NormalEquations, free: np.ndarray | None, dense_limit: int) -> Factors:

@@ -176,6 +176,18 @@ def thin(points_world: np.ndarray, voxel: float) -> np.ndarray:
     return np.flatnonzero(kernels.thin_blocks(points_world, order, start, voxel))
 
 
+def thin_to(points_world: np.ndarray, most: int) -> np.ndarray:
+    """Indices (K,) int64, ascending, of at most `most` points, evenly spread: `thin` with larger and larger voxels.
+
+    points_world: (M, 3) float32, m
+    """
+    kept, voxel = np.arange(len(points_world)), 0.01
+    while len(kept) > most:
+        kept = kept[thin(points_world[kept], voxel)]
+        voxel *= 1.25
+    return kept
+
+
 def _robust_bounds(points_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Corners of a box that holds nearly all points: a few stray far points shall not make the blocks huge."""
     sample = points_world[:: max(1, len(points_world) // 20000)].astype(float)

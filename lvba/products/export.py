@@ -15,7 +15,7 @@ from lvba.io import crs as coordinates
 from lvba.io import dataset as recordings
 from lvba.parallel import in_order
 from lvba.products import lod, measured, viewer
-from lvba.products.cloud import thin
+from lvba.products.cloud import thin_to
 from lvba.products.measured import Measured
 from lvba.products.tracks import visible
 from lvba.products.views import Views
@@ -197,14 +197,10 @@ class _Scene:
         return names
 
     def start_points(self) -> tuple[np.ndarray, np.ndarray]:
-        """At most about MAX_POINTS colored points, evenly spread: (P, 3) float64 and colors (P, 3) uint8."""
+        """At most MAX_POINTS colored points, evenly spread: (P, 3) float64 and colors (P, 3) uint8."""
         points, rgb = self.map_points[self.colored], self.rgb[self.colored]
-        voxel = 0.01
-        while len(points) > MAX_POINTS:
-            kept = thin(points, voxel)
-            points, rgb = points[kept], rgb[kept]
-            voxel *= 1.25
-        return points.astype(float), rgb
+        kept = thin_to(points, MAX_POINTS)
+        return points[kept].astype(float), rgb[kept]
 
     def write_offset(self, folder: Path) -> None:
         """Says what must be added to get the coordinates of the recording."""

@@ -353,7 +353,7 @@ def _precision(
 ) -> fixed_calibration.Precision:
     return fixed_calibration.Precision(
         covariance=covariance_of_calibration,
-        plain=linear_solver.covariance(total, solved.free).shared,
+        plain=linear_solver.shared_covariance(total, solved.free),
         per_pixel=noise.per_pixel(solved.problem.information, solved.linearization.sums),
     )
 

@@ -123,7 +123,9 @@ def test_solutions_are_those_of_the_dense_inverse(problem, dense_limit):
 
 def test_covariances_are_those_of_the_dense_inverse(problem, dense_limit):
     equations, free = problem
-    same(linear_solver.covariance(equations, free, dense_limit), inverse_of(equations, free, 0.0), free)
+    known = linear_solver.covariance(equations, free, dense_limit)
+    same(known, inverse_of(equations, free, 0.0), free)
+    np.testing.assert_array_equal(linear_solver.shared_covariance(equations, free, dense_limit), known.shared)
 
 
 def test_propagated_covariances_are_those_of_the_dense_inverse(problem, dense_limit, monkeypatch):

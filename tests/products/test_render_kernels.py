@@ -257,6 +257,10 @@ def test_thinning_keeps_the_point_nearest_to_each_voxel_center(scene):
     points = np.concatenate([scene[0], scene[0][:500] + np.float32(0.001)])
     np.testing.assert_array_equal(clouds.thin(points, 0.5), naive.thin(points, 0.5))
     assert len(clouds.thin(points, 0)) == len(points)
+    kept = clouds.thin_to(points, 50)
+    assert 10 < len(kept) <= 50
+    assert len(np.unique(kept)) == len(kept)
+    np.testing.assert_array_equal(clouds.thin_to(points, len(points)), np.arange(len(points)))
 
 
 def test_blocks_hold_every_point_once_and_inside_their_sphere(scene):
