@@ -136,7 +136,7 @@ class _Chain(Chain):
             self.judging = self._decode("photos-judging", decoded.judging_photos, judging)
         compared = self._each(
             "lidar-images", scan_acceptance.compare,
-            *(len(self.dataset.image_paths), solved, entropies, config.evaluate, config.gate),
+            *(len(self.dataset.image_paths), solved, entropies, config.evaluate, config.gate, config.visual.prior),
         )  # fmt: skip
         scans = self.plan.add(
             "lidar-gate", scan_acceptance.judge_lidar, self.dataset, solved, entropies, compared, config.gate

@@ -38,6 +38,10 @@ _LEAST = 0.01
 """And at least so much: less moves scans by less than their noise."""
 _MOST = 1.3
 """What is more is no motion that was left."""
+_TURNS = 3
+"""Times that what is left of each scan's own motion is looked for."""
+_SAME = 2e-3
+"""rad/s and m/s: deviations that change by less are as they were."""
 _FALLS = 0.3
 """A part that is one falls to less than this part of itself once it is corrected."""
 
@@ -144,52 +148,69 @@ class _Measurement:
             return _not_corrected(self.clock, round(part, 6), problem=problem)
         # digits that sums in another order would not give are left out
         part = round(part, 5)
-        motions, pose_covariance = self._motions(part, sampled)
+        motion, deviation, pose_covariance = self._motions(part, sampled)
         return MotionLeft(
             clock=self.clock,
             part=part,
             sigma=sigma,
-            motion=np.round(motions, 7),
+            motion=np.round(motion + deviation[:, :6], 7),
+            acceleration=np.round(2.0 / self.clock.sweep * deviation[:, 6:], 6),
             pose_covariance=pose_covariance,
         )
 
-    def _motions(self, part: float, sampled: list[Window]) -> tuple[np.ndarray, np.ndarray]:
-        """(S, 6), rad/s and m/s: by what points of all scans are moved, from the poses of all windows, and what its
-        uncertainty adds to the covariances of their poses, (S, 6, 6).
+    def _motions(self, part: float, sampled: list[Window]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """By what points of all scans are moved: the motion of the path between scans, (S, 6), rad/s and m/s; what each
+        scan's own points tell beside it, (S, 12), as `scan_motion.Deviations` has it; and what the uncertainty of these
+        adds to the covariances of the scans' poses, (S, 6, 6).
 
-        The motion of the path between scans first; then what each scan's own points tell beside it, which is much where
-        scans are further apart than the sensor takes to change its motion.
+        A scan's own points tell much where scans are further apart than the sensor takes to change its motion.
         sampled: windows whose points are corrected already
         """
         count = len(self.dataset.scan_paths)
         windows, corrected = scan_windows.cores(count), {each.own: each for each in sampled}
-        motions, known = np.zeros((count, 6)), scan_motion.Deviations.unseen(count)
+        motion, known = np.zeros((count, 6)), scan_motion.Deviations.unseen(count)
         for number, core in enumerate(windows):
             self.progress("motion during scans", number, len(windows))
             window = corrected.get(core) or Window.of(self.dataset, core).corrected(self.ranges)
-            own, inside, rough = slice(*core), window.core, self._rough_twists(window)
-            motions[own] = part * rough[inside]
-            _, twist = self._solved(window, part, rough)
-            if twist is None:
-                continue
-            motions[own] = part * twist[inside]
-            result, _ = self._solved(window, part, twist)
-            if result is None:
-                continue
-            points, tau = self._corrected(window, part, twist)
-            here = scan_motion.deviations(self._view(points, result), np.concatenate(tau))
+            own, inside = slice(*core), window.core
+            path = self._of_path(part, window)
+            motion[own] = path[inside]
+            here = self._deviations(window, path)
             known.information[:, own] = here.information[:, inside]
             known.gradient[:, own] = here.gradient[:, inside]
             known.by_motion[own] = here.by_motion[inside]
-        deviations, pose_covariance = scan_motion.most_likely(known)
-        return motions + deviations, pose_covariance
+        return motion, *scan_motion.most_likely(known)
+
+    def _of_path(self, part: float, window: Window) -> np.ndarray:
+        """(n, 6), rad/s and m/s: that part of the motion of the path through the scans of a window."""
+        rough = self._rough_twists(window)
+        _, twist = self._solved(window, part * rough)
+        return part * (rough if twist is None else twist)
+
+    def _deviations(self, window: Window, path: np.ndarray) -> scan_motion.Deviations:
+        """What the points of a window's scans tell of the deviations from a motion (n, 6), rad/s and m/s: with those
+        found so far taken out, for planes are sharper then."""
+        sweep, deviation = self.clock.sweep, np.zeros((len(path), 12))
+        known = scan_motion.Deviations.unseen(len(path))
+        for _ in range(_TURNS):
+            motion, acceleration = path + deviation[:, :6], 2.0 / sweep * deviation[:, 6:]
+            result, _ = self._solved(window, motion, acceleration)
+            if result is None:
+                break
+            points, tau = self._corrected(window, motion, acceleration)
+            seen = scan_motion.deviations(self._view(points, result), np.concatenate(tau), sweep)
+            known, before = seen.beside(deviation), deviation
+            deviation, _ = scan_motion.most_likely(known)
+            if np.abs(deviation - before).max() < _SAME:
+                break
+        return known
 
     def _evidence(self, window: Window, part: float, twist: np.ndarray) -> tuple[ScanEvidence, np.ndarray]:
         """Of a window, and its twists at the poses found."""
-        result, own = self._solved(window, part, twist)
+        result, own = self._solved(window, part * twist)
         if result is None or own is None:
             return nothing(1), twist
-        points, tau = self._corrected(window, part, twist)
+        points, tau = self._corrected(window, part * twist)
         return scan_motion.evidence(self._view(points, result), np.concatenate(tau), own), own
 
     def _view(self, points: list[np.ndarray], result: Aligned) -> View:
@@ -199,10 +220,11 @@ class _Measurement:
         )
 
     def _solved(
-        self, window: Window, part: float, twist: np.ndarray
+        self, window: Window, motion: np.ndarray, acceleration: np.ndarray | None = None
     ) -> tuple[Aligned | None, np.ndarray | None]:
+        """Poses and planes of a window, and the twists (n, 6) of its scans; None where planes do not tell."""
         scans = tuple(window.numbers.tolist())
-        points, start = self._corrected(window, part, twist)[0], self.poses.get(scans)
+        points, start = self._corrected(window, motion, acceleration)[0], self.poses.get(scans)
         result = window.refined(self.dataset, points, self.config, start)
         if result is None:
             return None, None
@@ -210,15 +232,16 @@ class _Measurement:
         return result, self._twists(window, result.world_from_scan)
 
     def _corrected(
-        self, window: Window, part: float, twist: np.ndarray
+        self, window: Window, motion: np.ndarray, acceleration: np.ndarray | None = None
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Points and their tau, scan by scan."""
+        """Points and their tau, scan by scan. motion, acceleration: (n, 6), as of `scan_motion.moved`; None: none"""
         tau = point_times_of(window, self.dataset.scans.times[window.numbers], self.clock)
-        if part == 0.0:
+        if not motion.any():
             return [scan.points for scan in window.scans], tau
+        growing = np.zeros_like(motion) if acceleration is None else acceleration
         moved = [
-            scan_motion.moved(scan.points, each, part * own)
-            for scan, each, own in zip(window.scans, tau, twist, strict=True)
+            scan_motion.moved(scan.points, *each)
+            for scan, *each in zip(window.scans, tau, motion, growing, strict=True)
         ]
         return moved, tau
 

@@ -3,6 +3,9 @@
 A point measured tau seconds from its scan's stamp by a sensor that moves by `twist` a second belongs at
 exp(part * tau * twist) p; part is 0 where scans are deskewed, 1 where they are raw. It is the one unknown that all scans
 share, linear in the distances of points from their planes, with poses and planes free beside it.
+
+What the points of a scan tell beside that is a motion of its own, and an acceleration: hands turn a sensor by 2 rad/s^2,
+which bends a sweep of 0.1 s so much that a pose by a steady motion is 0.1 degrees off.
 """
 
 from collections.abc import Mapping
@@ -19,11 +22,16 @@ from lvba.lidar.row_times import RowClock
 from lvba.lidar.scan_evidence import POSE_SIGMA, ByShared, OnPlanes, ScanEvidence, View
 
 
-def moved(points: np.ndarray, tau: Times, motion: np.ndarray) -> np.ndarray:
-    """exp(tau * motion) p of the points (N, 3), m, of one scan, (N, 3) float32.
+def moved(
+    points: np.ndarray, tau: Times, motion: np.ndarray, acceleration: np.ndarray | None = None
+) -> np.ndarray:
+    """exp(tau * motion) exp(tau^2 / 2 * acceleration) p of the points (N, 3), m, of one scan, (N, 3) float32.
 
     tau: (N,) s; motion: (6,) float64, rad/s and m/s, scan frame
+    acceleration: (6,) float64, rad/s^2 and m/s^2, scan frame; None: none
     """
+    if acceleration is not None and np.any(acceleration):
+        points = geometry.moved_along(points, 0.5 * tau**2, acceleration)
     return geometry.moved_along(points, tau, motion).astype(np.float32)
 
 
@@ -32,7 +40,8 @@ class MotionLeft:
     """What is left of the motion in the scans of a recording, and how they are corrected.
 
     part: of the motion; 0: deskewed, 1: raw; sigma: its standard deviation, both None where not measured
-    motion: (S, 6) float64, rad/s and m/s, scan frames: part times twist; (0, 6): points stay as they are
+    motion: (S, 6) float64, rad/s and m/s, scan frames, at the stamps; (0, 6): points stay as they are
+    acceleration: (S, 6) float64, rad/s^2 and m/s^2, scan frames; (0, 6): none
     problem: why it was not measured, or not corrected
     pose_covariance: (S, 6, 6) float64, rad and m, local tangent: what the uncertainty of the motion adds to that of each
         scan's pose; (0, 6, 6): nothing
@@ -44,6 +53,7 @@ class MotionLeft:
     motion: np.ndarray
     problem: str = ""
     pose_covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 6, 6)))
+    acceleration: np.ndarray = field(default_factory=lambda: np.zeros((0, 6)))
 
     @property
     def corrected(self) -> bool:
@@ -62,11 +72,14 @@ class MotionLeft:
         """
         if not self.corrected or self.clock is None or (time is None and isinstance(self.clock, PointClock)):
             return points
-        return moved(points, self.clock.from_stamp(points, time, stamp), self.motion[index])
+        tau = self.clock.from_stamp(points, time, stamp)
+        accelerated = self.acceleration[index] if len(self.acceleration) else None
+        return moved(points, tau, self.motion[index], accelerated)
 
     def facts(self) -> dict[str, Any]:
         """As report.json has it (`lidar.motion_left`)."""
-        return {name: getattr(self, name) for name in ("clock", "part", "sigma", "motion", "problem")}
+        named = ("clock", "part", "sigma", "motion", "acceleration", "problem")
+        return {name: getattr(self, name) for name in named}
 
     @staticmethod
     def of_facts(facts: Mapping[str, Any] | None) -> "MotionLeft | None":
@@ -75,8 +88,17 @@ class MotionLeft:
             return None
         try:
             motion = np.array(facts["motion"], float).reshape(-1, 6)
-            clock = _clock(facts["clock"])
-            return MotionLeft(clock=clock, part=facts["part"], sigma=facts["sigma"], motion=motion)
+            # results of 0.2 have none
+            acceleration = np.array(facts.get("acceleration") or [], float).reshape(-1, 6)
+            if len(acceleration) not in (0, len(motion)):
+                return None
+            return MotionLeft(
+                clock=_clock(facts["clock"]),
+                part=facts["part"],
+                sigma=facts["sigma"],
+                motion=motion,
+                acceleration=acceleration,
+            )
         except (KeyError, TypeError, ValueError):
             return None
 
@@ -112,9 +134,11 @@ def evidence(view: View, tau: Times, twist: Tangents) -> ScanEvidence:
 class Deviations:
     """What fixed planes tell of each scan's own motion beside the one its points were moved by, poses eliminated.
 
-    By all planes of a scan, and by each half of them. information: (3, S, 6, 6) float64; gradient: (3, S, 6) float64; of
-    (rad/s, m/s); zeros of scans that see too little
-    by_motion: (S, 6, 6) float64, by what the pose of a scan changes as its motion does: rad and m by rad/s and m/s
+    A deviation is a motion, rad/s and m/s, and how much it grows over the sweep, in the same units: a point at tau goes
+    by tau times the one and tau^2 / sweep times the other.
+    By all planes of a scan, and by each half of them. information: (3, S, 12, 12) float64; gradient: (3, S, 12) float64;
+    zeros of scans that see too little
+    by_motion: (S, 6, 12) float64, by what the pose of a scan changes as its deviation does: rad and m
     """
 
     information: np.ndarray
@@ -124,16 +148,24 @@ class Deviations:
     @staticmethod
     def unseen(count: int) -> "Deviations":
         """Of so many scans of which nothing is known."""
-        return Deviations(np.zeros((3, count, 6, 6)), np.zeros((3, count, 6)), np.zeros((count, 6, 6)))
+        return Deviations(np.zeros((3, count, 12, 12)), np.zeros((3, count, 12)), np.zeros((count, 6, 12)))
+
+    @property
+    def steady(self) -> "Deviations":
+        """The same of motions that do not grow: of the first six numbers."""
+        return Deviations(self.information[:, :, :6, :6], self.gradient[:, :, :6], self.by_motion[:, :, :6])
+
+    def beside(self, deviation: np.ndarray) -> "Deviations":
+        """The same of all of a deviation of which a part was taken out of the points already: (S, 12) float64."""
+        more = np.einsum("hsij,sj->hsi", self.information, deviation)
+        return Deviations(self.information, self.gradient + more, self.by_motion)
 
 
-def deviations(view: View, tau: Times) -> Deviations:
-    """Of the scans of a view. tau: (M,) s from the stamps"""
+def deviations(view: View, tau: Times, sweep: float) -> Deviations:
+    """Of the scans of a view. tau: (M,) s from the stamps; sweep: s, of a scan"""
     result = Deviations.unseen(len(view.scans))
     for scan in range(len(view.scans)):
-        terms = scan_evidence.terms(
-            view, scan, lambda points: tau[points.chosen, None] * points.by_pose, met=False
-        )
+        terms = scan_evidence.terms(view, scan, lambda points: _by_deviation(points, tau, sweep), met=False)
         if terms is None:
             continue
         plane, both, _, r = terms
@@ -146,6 +178,12 @@ def deviations(view: View, tau: Times) -> Deviations:
     return result
 
 
+def _by_deviation(points: OnPlanes, tau: Times, sweep: float) -> np.ndarray:
+    """(n, 12): derivative of distances by the deviation of a scan."""
+    since = tau[points.chosen, None]
+    return np.concatenate([since * points.by_pose, since**2 / sweep * points.by_pose], axis=1)
+
+
 def _halves(plane: np.ndarray) -> np.ndarray:
     """(n,): 0 or 1: which half of the planes (n,) of points each is in; both have about as many points."""
     _, label, count = np.unique(plane, return_inverse=True, return_counts=True)
@@ -155,9 +193,9 @@ def _halves(plane: np.ndarray) -> np.ndarray:
 
 
 def _of_motion(both: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Information (6, 6) and gradient (6,) of a motion, and derivative (6, 6) of the pose by it.
+    """Information (12, 12) and gradient (12,) of a deviation, and derivative (6, 12) of the pose by it.
 
-    both: (n, 12) float64, derivatives of the distances r (n,) by pose and motion
+    both: (n, 18) float64, derivatives of the distances r (n,) by pose and deviation
     """
     normal, right = np.einsum("ni,nj->ij", both, both), -np.einsum("ni,n->i", both, r)
     pose = normal[:6, :6] + np.diag(POSE_SIGMA**-2.0)
@@ -178,49 +216,70 @@ _USUAL = 3.0
 
 
 def most_likely(known: Deviations) -> tuple[np.ndarray, np.ndarray]:
-    """(S, 6): deviations of all scans, drawn towards zero as far as chance explains them, and what their uncertainty adds
-    to the covariances of the scans' poses, (S, 6, 6).
+    """(S, 12): deviations of all scans, drawn towards zero as far as chance explains them, and what their uncertainty
+    adds to the covariances of the scans' poses, (S, 6, 6).
 
     How sure points are of them is judged by what each half of a scan's planes tells of the other half; zeros where that
-    is nothing.
+    is nothing, and no motion grows where that tells nothing more.
     """
-    gains = [_held_out(known, factor) for factor in _TOO_SURE]
-    best = int(np.argmax([gain for gain, _ in gains]))
-    gain, error = gains[best]
+    steady, growing = _Judged.of(known.steady), _Judged.of(known)
+    better, error = _usual(growing.falls - steady.falls)
+    grows = better > _SURE * error
+    judged = growing if grows else steady
+    gain, error = _usual(judged.falls)
+    deviation, covariance = np.zeros(known.gradient.shape[1:]), np.zeros((len(known.by_motion), 6, 6))
     if not gain > _SURE * error:
-        return np.zeros(known.gradient.shape[1:]), np.zeros(known.by_motion.shape)
-    motion, covariance = _drawn_to_zero(
-        known.information[0] / _TOO_SURE[best], known.gradient[0] / _TOO_SURE[best]
-    )
-    return motion, known.by_motion @ covariance @ known.by_motion.transpose(0, 2, 1)
+        return deviation, covariance
+    used = known if grows else known.steady
+    found, spread = _drawn_to_zero(used.information[0] / judged.factor, used.gradient[0] / judged.factor)
+    deviation[:, : found.shape[1]] = found
+    return deviation, used.by_motion @ spread @ used.by_motion.transpose(0, 2, 1)
 
 
-def _held_out(known: Deviations, factor: float) -> tuple[float, float]:
-    """By how much half the sum of squares on either half of the planes falls by what the other half tells, over all
-    scans, and its standard error. factor: by which information is too large"""
+@dataclass(frozen=True)
+class _Judged:
+    """factor: by which information is too large; falls: (S,) of half the sum of squares on either half of a scan's planes
+    by what the other half tells"""
+
+    factor: float
+    falls: np.ndarray
+
+    @staticmethod
+    def of(known: Deviations) -> "_Judged":
+        """With the factor of which scans fall most."""
+        each = [_Judged(factor, _held_out(known, factor)) for factor in _TOO_SURE]
+        return max(each, key=lambda judged: _usual(judged.falls)[0])
+
+
+def _held_out(known: Deviations, factor: float) -> np.ndarray:
+    """(S,), as `_Judged` has them."""
     falls = np.zeros(known.gradient.shape[1])
     for source, judge in ((1, 2), (2, 1)):
         motion, _ = _drawn_to_zero(known.information[source] / factor, known.gradient[source] / factor)
         falls += np.einsum("si,si->s", known.gradient[judge], motion)
         falls -= 0.5 * np.einsum("si,sij,sj->s", motion, known.information[judge], motion)
+    return falls
+
+
+def _usual(falls: np.ndarray) -> tuple[float, float]:
+    """The sum over scans (S,), each counting as much as is usual at most, and its standard error."""
     most = _USUAL * np.median(np.abs(falls))
     usual = np.clip(falls, -most, most)
     return float(usual.sum()), float(np.sqrt(np.sum(usual**2)))
 
 
-def _drawn_to_zero(information: np.ndarray, gradient: Tangents) -> tuple[np.ndarray, np.ndarray]:
-    """(S, 6), and covariances (S, 6, 6), by information (S, 6, 6) and gradient (S, 6), float64; zeros where nothing is
+def _drawn_to_zero(information: np.ndarray, gradient: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(S, n), and covariances (S, n, n), by information (S, n, n) and gradient (S, n), float64; zeros where nothing is
     known.
 
-    Their variances, one of rotations and one of translations, are those that make the whole most likely (expectation
-    maximization).
+    Their variances, of each three numbers one, are those that make the whole most likely (expectation maximization).
     """
     known = np.trace(information, axis1=1, axis2=2) > 0
     deviation, covariance = np.zeros(gradient.shape), np.zeros(information.shape)
-    variance = np.full(2, 0.1**2)
+    variance = np.full(gradient.shape[1] // 3, 0.1**2)
     for _ in range(_PASSES if known.any() else 0):
         covariance[known] = np.linalg.inv(information[known] + np.diag(np.repeat(1 / variance, 3)))
         deviation[known] = np.einsum("sij,sj->si", covariance[known], gradient[known])
         square = deviation[known] ** 2 + np.diagonal(covariance[known], axis1=1, axis2=2)
-        variance = np.maximum(square.reshape(-1, 2, 3).mean(axis=(0, 2)), 1e-12)
+        variance = np.maximum(square.reshape(len(square), -1, 3).mean(axis=(0, 2)), 1e-12)
     return deviation, covariance

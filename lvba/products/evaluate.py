@@ -198,8 +198,15 @@ def _first_and_rest(images: np.ndarray, few: int) -> list[np.ndarray]:
     """A few of the images, spread evenly, and the others, where there are any."""
     if len(images) <= few:
         return [images]
-    first = images[np.linspace(0, len(images) - 1, few).round().astype(int)]
+    first = spread_evenly(images, few)
     return [first, np.setdiff1d(images, first)]
+
+
+def spread_evenly(images: Indices, most: int) -> np.ndarray:
+    """At most so many of some images (J,), spread evenly."""
+    if len(images) <= most:
+        return images
+    return images[np.linspace(0, len(images) - 1, most).round().astype(int)]
 
 
 def together(parts: Sequence[Scores], entropy: float) -> Scores:

@@ -5,7 +5,7 @@ images predicts an image (leave-one-out PSNR), unless SSIM contradicts it. None 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -85,6 +85,7 @@ class Figure:
 
     gain: after against before, positive where it is better; error: its standard error, NaN where that is unknown
     finding: what it says of the part, by the settings of the gate
+    calibration: what of the error is that of the cameras' calibration (`steps.other_calibrations`)
     """
 
     name: str
@@ -93,6 +94,7 @@ class Figure:
     gain: float
     error: float
     finding: Finding
+    calibration: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -150,21 +152,35 @@ def image_figures(before: Scores, after: Scores, config: GateConfig) -> tuple[Fi
 
 def _image_figure(before: Scores, after: Scores, name: str, config: GateConfig) -> Figure:
     gain, error = paired_gain(before, after, name)
-    finding: Finding = "neither"
-    if not np.isfinite([gain, error]).all():
-        finding = "unknown"
-    elif gain > config.confidence * error:
-        finding = "better"
-    elif -gain > max(LOSSES[name], CONTRADICTION * error):
-        finding = "worse"
     return Figure(
         name=name,
         before=getattr(before, name),
         after=getattr(after, name),
         gain=gain,
         error=error,
-        finding=finding,
+        finding=_finding(name, gain, error, config),
     )
+
+
+def _finding(name: str, gain: float, error: float, config: GateConfig) -> Finding:
+    """What the gain of an image figure says."""
+    if not np.isfinite([gain, error]).all():
+        return "unknown"
+    if gain > config.confidence * error:
+        return "better"
+    return "worse" if -gain > max(LOSSES[name], CONTRADICTION * error) else "neither"
+
+
+def with_calibration(figure: Figure, spread: float, config: GateConfig) -> Figure:
+    """An image figure whose gain differs by so much with other calibrations as likely."""
+    error = float(np.hypot(figure.error, spread))
+    finding = _finding(figure.name, figure.gain, error, config)
+    return replace(figure, error=error, finding=finding, calibration=spread)
+
+
+def contradicted(images: Sequence[Figure]) -> bool:
+    """Whether images speak against refined scans, by PSNR."""
+    return _PSNR in [each.name for each in _agreed(images, "worse")]
 
 
 def paired_gain(before: Scores, after: Scores, name: str) -> tuple[float, float]:

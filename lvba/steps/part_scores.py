@@ -23,8 +23,12 @@ def as_in_whole(scores: Mapping[str, Scores], part: Part) -> dict[str, Scores]:
 
 
 def together(scores: Sequence[Mapping[str, Scores]], entropy: Mapping[str, float]) -> dict[str, Scores]:
-    """The scores of all parts as one; entropy: mean map entropy of the whole by state. Empty where no part has any."""
-    known = [each for each in scores if each]
-    if not known:
-        return {}
-    return {name: evaluate.together([each[name] for each in known], entropy[name]) for name in known[0]}
+    """The scores of all parts as one, each state by the parts that have it; entropy: mean map entropy of the whole by
+    state, where known. Empty where no part has any."""
+    names = dict.fromkeys(name for each in scores for name in each)
+    return {
+        name: evaluate.together(
+            [each[name] for each in scores if name in each], entropy.get(name, float("nan"))
+        )
+        for name in names
+    }

@@ -20,11 +20,12 @@ from lvba.products.evaluate import EvaluateConfig, Scores, State
 from lvba.products.map_quality import EntropyBlocks, EntropyConfig
 from lvba.products.recorded_images import views_of
 from lvba.progress import Progress, silent
-from lvba.steps import acceptance
+from lvba.steps import acceptance, other_calibrations
 from lvba.steps.acceptance import CARRIED, ROUGH, GateConfig, Verdict
 from lvba.steps.lidar import carry_cameras, cloud_of
 from lvba.steps.outcomes import FusionStage, LidarStage, ScanPoses
 from lvba.steps.part_scores import as_in_whole, in_core, together
+from lvba.visual.prior_config import PriorConfig
 
 
 @dataclass(frozen=True)
@@ -86,9 +87,11 @@ def compare(
     entropies: Sequence[RegionEntropy],
     config: EvaluateConfig,
     gates: GateConfig,
+    prior: PriorConfig,
     progress: Progress = silent,
 ) -> dict[str, Scores]:
-    """What images in a part's core say of refined scans: scores of ROUGH and CARRIED, with cameras carried along.
+    """What images in a part's core say of refined scans: scores of ROUGH and CARRIED, with cameras carried along. Where
+    they speak against these scans, also with other calibrations, by as much as the prior says one may be off.
 
     dataset: of the part's frames, points, photos: of these; images: how many the whole recording has
     entropies: of all regions
@@ -124,6 +127,23 @@ def compare(
         few=acceptance.FEW_SCAN_IMAGES,
         progress=progress,
     )
+    if acceptance.contradicted(acceptance.image_figures(scores[ROUGH], scores[CARRIED], gates)):
+        few = evaluate.spread_evenly(scores[ROUGH].images, acceptance.FEW_SCAN_IMAGES)
+        for number in range(other_calibrations.COUNT):
+            scores |= evaluate.evaluate(
+                {
+                    other_calibrations.name(name, number): State(
+                        state.cloud, other_calibrations.views(state.views, number, prior)
+                    )
+                    for name, state in states.items()
+                },
+                config,
+                entropies={other_calibrations.name(name, number): float("nan") for name in states},
+                brief=tuple(other_calibrations.name(name, number) for name in states),
+                held_out=blank,
+                images=few,
+                progress=progress,
+            )
     return as_in_whole(scores, part)
 
 
@@ -142,7 +162,7 @@ def judge_lidar(
     before, after = _of_all_regions(entropies)
     if lidar.result is None:
         return keep_rough(rough, before, lidar.problem)
-    scores = together(compared, {ROUGH: float("nan"), CARRIED: float("nan")})
+    scores = together(compared, {})
     open_motions = 0 if lidar.rough_error is None else len(lidar.rough_error.open_after)
     return decide(rough, lidar.result.world_from_scan, before, after, scores, config, open_motions)
 
@@ -198,6 +218,7 @@ def decide(
     """The scan poses in use. rough, refined: (S, 4, 4); scores: of `compare`; open_motions: as of `judge_scans`"""
     entropy = acceptance.entropy_figure(map_quality.entropy_change(before, after), gates)
     images = acceptance.image_figures(scores[ROUGH], scores[CARRIED], gates) if scores else ()
+    images = other_calibrations.counted(images, scores, (ROUGH, CARRIED), gates)
     verdict = acceptance.judge_scans(entropy, images, gates, open_motions)
     poses, blocks = (refined, after) if verdict.accepted else (rough, before)
     return ScanPoses(poses, verdict, before.mean, after.mean, blocks)

@@ -189,10 +189,15 @@ def _small_losses(facts: Facts) -> Iterator[str]:
             if words
             and each["gain"] is not None
             and each["error"] is not None
-            and -each["gain"] > max(least, CONTRADICTION * each["error"])
+            and -each["gain"] > max(least, CONTRADICTION * _by_images(each))
         ]
         if lost:
             yield f"{name} (loss of {' and '.join(lost)})"
+
+
+def _by_images(figure: Facts) -> float:
+    """The standard error of a figure's gain without that of the cameras' calibration, which is no chance."""
+    return float(np.sqrt(max(figure["error"] ** 2 - (figure.get("calibration") or 0.0) ** 2, 0.0)))
 
 
 def _lost_ssim(evaluation: Facts) -> tuple[float, float] | None:

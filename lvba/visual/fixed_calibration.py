@@ -11,7 +11,7 @@ that is left takes all of it, and where geometry is weak even one that is told f
 correction must be larger than that bias, and if it is not twice as large it must be told from all others as well.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,13 +20,19 @@ from scipy.special import chdtrc
 from lvba.optim.shared_parameters import SharedPrior
 from lvba.visual.states import Calibration
 
-CORRECTIONS = ("focal", "principal_point", "distortion", "readout")
-"""Parameters of `states.Calibration` that may be fixed at their calibrated values."""
+INTRINSICS = ("focal", "principal_point", "distortion")
+"""Parameters of `states.Calibration` that belong to the camera itself."""
+CORRECTIONS = (*INTRINSICS, "readout")
+"""Those that may be fixed at their calibrated values."""
 CHANCE = 2e-9
 """How often a right value may be taken for a wrong one: six standard deviations, for errors can be twice the promised
 ones."""
 APART = 6e-7
 """The same where all other corrections are free: five standard deviations."""
+LIKELY = 2.7e-3
+"""The same for what belongs to a camera of which another number is refuted: three standard deviations. Whoever calibrated
+it was wrong once; a street whose focal length and lens were off, and the principal point by 3 px, saw that by 4.2, and
+cameras that were held there ended 10 mm off."""
 BIAS_PX = 0.01
 """px, by which images are off that are interpolated: a correction that moves patches by less, once the poses have
 followed, may be that, however many standard deviations it is. In a clean street a ratio of focal lengths 0.12 % off, told
@@ -56,6 +62,14 @@ def insignificant(deviation: np.ndarray, known: Precision) -> tuple[str, ...]:
 
     deviation: (k,) float64, of all parameters from their calibrated values, in the units of their steps
     """
+    fixed = _eliminated(deviation, known, {})
+    if set(INTRINSICS) <= set(fixed):
+        return fixed
+    return _eliminated(deviation, known, dict.fromkeys(INTRINSICS, LIKELY))
+
+
+def _eliminated(deviation: np.ndarray, known: Precision, likely: Mapping[str, float]) -> tuple[str, ...]:
+    """The parameters that backward elimination fixes. likely: by parameter, chances taken instead of the usual ones"""
     layout = Calibration.layout()
     every = {name: np.arange(layout.size)[layout[name]] for name in CORRECTIONS}
     off, spread = deviation, known.covariance
@@ -64,13 +78,14 @@ def insignificant(deviation: np.ndarray, known: Precision) -> tuple[str, ...]:
     fixed: list[str] = []
     while len(fixed) < len(CORRECTIONS):
         chance = {name: _chance(off, spread, index) for name, index in every.items() if name not in fixed}
-        doubtful = chance
-        if max(chance.values()) <= CHANCE:
+        doubtful = {name: each for name, each in chance.items() if each > likely.get(name, CHANCE)}
+        if not doubtful:
             moves = {name: _squared(plain_off, plain, every[name]) / known.per_pixel for name in chance}
             doubtful = {
                 name: each
                 for name, each in chance.items()
-                if moves[name] < BIAS_PX**2 or (apart[name] > APART and moves[name] < DOUBTFUL_PX**2)
+                if moves[name] < BIAS_PX**2
+                or (apart[name] > likely.get(name, APART) and moves[name] < DOUBTFUL_PX**2)
             }
         if not doubtful:
             break
@@ -82,15 +97,16 @@ def insignificant(deviation: np.ndarray, known: Precision) -> tuple[str, ...]:
 
 
 def doubtful_part(off: np.ndarray, known: Precision, names: Collection[str]) -> float:
-    """What part of its square counts as an error of parameters that are held: 0 where it may be chance or what
-    interpolation does, nearly 1 where it is many standard deviations. Whether calibration or images are right, nothing
-    tells then.
+    """What part of its square counts as an error of parameters that are held: 0 where it may be chance, nearly 1 where
+    it is many standard deviations. Whether calibration or images are right, nothing tells then. What interpolation does
+    counts for a camera of which another number is refuted, for it may as well be off.
 
     off: (k,) float64, by which images want all parameters to be elsewhere, in the units of their steps
     """
     layout = Calibration.layout()
     index = np.concatenate([np.arange(layout.size)[layout[name]] for name in names])
-    if _squared(off, known.plain, index) <= BIAS_PX**2 * known.per_pixel:
+    trusted = set(INTRINSICS) <= set(names)
+    if trusted and _squared(off, known.plain, index) <= BIAS_PX**2 * known.per_pixel:
         return 0.0
     return max(1.0 - len(index) / _squared(off, known.covariance, index), 0.0)
 

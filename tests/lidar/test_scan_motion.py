@@ -14,13 +14,18 @@ from lvba.lidar.scan_evidence import View
 from lvba.lidar.scan_motion import MotionLeft
 
 SCANS, PLANES, EACH = 4, 7, 60
+SWEEP = 0.1
 
 
-def made(part, seed=0, noise=1e-4, scan_count=SCANS):
-    """Scans of random planes with a part of the motion in them, at their true poses; planes as they are seen there."""
+def made(part, seed=0, noise=1e-4, scan_count=SCANS, growth=0.0):
+    """Scans of random planes with a part of the motion in them, at their true poses; planes as they are seen there.
+
+    growth: standard deviation of how much the motion grows over a sweep, rad/s and m/s
+    """
     rng = np.random.default_rng(seed)
     poses = geometry.exp(rng.normal(size=(scan_count, 6)) * [0.3, 0.3, 0.3, 1, 1, 1])
     twist = rng.normal(size=(scan_count, 6)) * [0.2, 0.2, 0.2, 1, 1, 1]
+    grows = growth * np.random.default_rng([seed, 1]).normal(size=(scan_count, 6))
     axes = np.linalg.qr(rng.normal(size=(PLANES, 3, 3)))[0]
     center = rng.uniform(-5, 5, (PLANES, 3))
     points, tau, labels = [], [], np.tile(np.repeat(np.arange(PLANES), EACH), scan_count)
@@ -32,8 +37,10 @@ def made(part, seed=0, noise=1e-4, scan_count=SCANS):
         on = center[labels[: PLANES * EACH]] + np.einsum("nij,nj->ni", axes[labels[: PLANES * EACH]], flat)
         when = rng.uniform(-0.1, 0, len(on))
         true = geometry.transform_points(geometry.inverse(poses[scan]), on)
-        back = geometry.exp(-part * when[:, None] * twist[scan])
-        points.append(np.einsum("nij,nj->ni", back[:, :3, :3], true) + back[:, :3, 3])
+        for amount, tangent in ((part * when, twist[scan]), (when**2 / SWEEP, grows[scan])):
+            back = geometry.exp(-amount[:, None] * tangent)
+            true = np.einsum("nij,nj->ni", back[:, :3, :3], true) + back[:, :3, 3]
+        points.append(true)
         tau.append(when)
         world.append(geometry.transform_points(poses[scan], points[-1]))
     count = np.full(PLANES, scan_count * EACH)
@@ -122,10 +129,11 @@ def test_no_planes_no_evidence():
 def test_scans_that_move_as_no_path_says_tell_it_themselves():
     """Points that were moved by the wrong motion: each scan's own is found; noise is drawn to zero."""
     view, tau, twist = made(1.0, scan_count=12)
-    found, _ = scan_motion.most_likely(scan_motion.deviations(view, tau))
-    np.testing.assert_allclose(found, twist, atol=0.1)
+    found, _ = scan_motion.most_likely(scan_motion.deviations(view, tau, SWEEP))
+    np.testing.assert_allclose(found[:, :6], twist, atol=0.1)
+    assert not found[:, 6:].any(), "steady motions explain all"
     view, tau, _ = made(0.0, noise=0.01, scan_count=12)
-    known = scan_motion.deviations(view, tau)
+    known = scan_motion.deviations(view, tau, SWEEP)
     alone = np.linalg.solve(known.information[0], known.gradient[0][..., None])[..., 0]
     assert np.abs(scan_motion.most_likely(known)[0]).mean() < 0.5 * np.abs(alone).mean()
     assert not any(each.any() for each in scan_motion.most_likely(scan_motion.Deviations.unseen(12)))
@@ -136,25 +144,55 @@ def test_poses_are_as_uncertain_as_the_motion_that_was_taken_out():
     seen, errors, promised = [], [], []
     for seed in range(3):
         view, tau, twist = made(1.0, seed, noise=0.01, scan_count=16)
-        known = scan_motion.deviations(view, tau)
+        known = scan_motion.deviations(view, tau, SWEEP)
         found, covariance = scan_motion.most_likely(known)
         seen.append(known.by_motion)
-        errors.append(np.einsum("sij,sj->si", known.by_motion, found - twist))
+        assert not found[:, 6:].any()
+        errors.append(np.einsum("sij,sj->si", known.steady.by_motion, found[:, :6] - twist))
         promised.append(covariance)
     # tau is spread evenly over -0.1 s to 0: poses follow the motion backwards at its mean
-    np.testing.assert_allclose(np.mean(np.concatenate(seen), axis=0), 0.05 * np.eye(6), atol=0.01)
+    mean = np.mean(np.concatenate(seen), axis=0)
+    np.testing.assert_allclose(mean[:, :6], 0.05 * np.eye(6), atol=0.01)
+    np.testing.assert_allclose(mean[:, 6:], -SWEEP / 3 * np.eye(6), atol=0.01)
     error, covariance = np.concatenate(errors), np.concatenate(promised)
     nees = np.einsum("si,si->s", error, np.linalg.solve(covariance, error[..., None])[..., 0]).mean() / 6
     assert 0.4 < nees < 2.5
 
 
+def test_a_motion_that_grows_during_a_sweep_is_taken_out_of_it():
+    """Beside a steady one it would leave poses off by a sixth of its growth over the sweep."""
+    view, tau, twist = made(1.0, noise=1e-3, scan_count=40, growth=0.6)
+    grows = 0.6 * np.random.default_rng([0, 1]).normal(size=(40, 6))
+    known = scan_motion.deviations(view, tau, SWEEP)
+    found, covariance = scan_motion.most_likely(known)
+    np.testing.assert_allclose(found[:, 6:9], grows[:, :3], atol=0.3)
+    off = found - np.concatenate([twist, grows], axis=1)
+    error = np.einsum("sij,sj->si", known.by_motion, off)
+    steady = np.concatenate([known.steady.information[0], known.steady.gradient[0][..., None]], axis=2)
+    alone = np.linalg.solve(steady[..., :6], steady[..., 6:])[..., 0] - twist
+    left = known.by_motion @ np.concatenate([alone, -grows], axis=1)[..., None]
+    assert np.sqrt(np.mean(error**2)) < 0.4 * np.sqrt(np.mean(left**2))
+    nees = np.einsum("si,si->s", error, np.linalg.solve(covariance, error[..., None])[..., 0]).mean() / 6
+    assert nees < 4
+
+
+def test_deviations_taken_out_of_points_count_with_what_is_left():
+    view, tau, twist = made(1.0, noise=1e-3, scan_count=6, growth=0.2)
+    known = scan_motion.deviations(view, tau, SWEEP)
+    half = np.concatenate([0.5 * twist, np.zeros_like(twist)], axis=1)
+    there = known.beside(half)
+    change = np.linalg.solve(known.information[0], known.gradient[0][..., None])[..., 0]
+    whole = np.linalg.solve(there.information[0], there.gradient[0][..., None])[..., 0]
+    np.testing.assert_allclose(whole, change + half, atol=1e-6)
+
+
 def test_halves_of_the_planes_are_what_all_of_them_are():
     view, tau, _ = made(0.4, noise=0.01)
-    known = scan_motion.deviations(view, tau)
+    known = scan_motion.deviations(view, tau, SWEEP)
     weak = scan_evidence.POSE_SIGMA * 1e6
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(scan_motion, "POSE_SIGMA", weak)
-        free = scan_motion.deviations(view, tau)
+        free = scan_motion.deviations(view, tau, SWEEP)
     assert (np.linalg.eigvalsh(known.information[0] - free.information[0]) > -1e-6).all(), (
         "poses that may move less"
     )
@@ -178,9 +216,9 @@ def test_errors_that_planes_do_not_share_are_no_motion():
         normal = np.einsum("nij,ni->nj", pose[:, :3, :3], view.planes.normal[plane])
         bent = (view.scans.points + slope[:, None] * normal).astype(np.float32)
         bent_view = replace(view, scans=replace(view.scans, points=bent))
-        known = scan_motion.deviations(bent_view, tau)
-        sure, _ = scan_motion._drawn_to_zero(known.information[0], known.gradient[0])
-        motions.append([np.abs(each).mean() for each in (scan_motion.most_likely(known)[0], sure)])
+        known = scan_motion.deviations(bent_view, tau, SWEEP)
+        sure, _ = scan_motion._drawn_to_zero(known.steady.information[0], known.steady.gradient[0])
+        motions.append([np.abs(each).mean() for each in (scan_motion.most_likely(known)[0][:, :6], sure)])
     clean, there = motions
     assert clean[0] < 0.02
     assert there[1] > 0.1, "as if points were independent"
@@ -194,20 +232,33 @@ def test_points_move_as_the_sensor_did():
     expected = geometry.exp(tau[:, None] * motion)
     exact = np.einsum("nij,nj->ni", expected[:, :3, :3], points) + expected[:, :3, 3]
     np.testing.assert_allclose(scan_motion.moved(points, tau, motion), exact, atol=1e-5)
+    growing = np.array([3.0, 2.0, -4.0, 5.0, -3.0, 1.0])
+    first = geometry.exp(0.5 * tau[:, None] ** 2 * growing)
+    bent = np.einsum("nij,nj->ni", first[:, :3, :3], points) + first[:, :3, 3]
+    exact = np.einsum("nij,nj->ni", expected[:, :3, :3], bent) + expected[:, :3, 3]
+    np.testing.assert_allclose(scan_motion.moved(points, tau, motion, growing), exact, atol=1e-5)
 
 
 def test_facts_bring_it_back():
     clock = PointClock(1e-6, 0.1, -0.1, True)
-    motion = MotionLeft(clock=clock, part=0.5, sigma=1e-3, motion=np.arange(12.0).reshape(2, 6))
+    motion = MotionLeft(
+        clock=clock, part=0.5, sigma=1e-3, motion=np.arange(12.0).reshape(2, 6), acceleration=np.ones((2, 6))
+    )
     facts = {
         "clock": {"unit": 1e-6, "sweep": 0.1, "begin": -0.1, "absolute": True},
         "part": 0.5,
         "sigma": 1e-3,
         "motion": motion.motion.tolist(),
+        "acceleration": motion.acceleration.tolist(),
     }
     found = MotionLeft.of_facts(facts)
     assert found is not None
     assert found.clock == motion.clock
     np.testing.assert_array_equal(found.motion, motion.motion)
+    np.testing.assert_array_equal(found.acceleration, motion.acceleration)
+    assert MotionLeft.of_facts(facts | {"acceleration": [[0.0] * 6]}) is None, "of another count"
+    older = MotionLeft.of_facts({name: value for name, value in facts.items() if name != "acceleration"})
+    assert older is not None
+    assert not older.acceleration.size, "results of 0.2 have none"
     assert MotionLeft.of_facts({"motion": []}) is None
     assert MotionLeft.of_facts(None) is None
