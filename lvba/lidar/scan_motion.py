@@ -156,7 +156,10 @@ class Deviations:
         return Deviations(self.information[:, :, :6, :6], self.gradient[:, :, :6], self.by_motion[:, :, :6])
 
     def beside(self, deviation: np.ndarray) -> "Deviations":
-        """The same of all of a deviation of which a part was taken out of the points already: (S, 12) float64."""
+        """The same of whole deviations, of which a part was taken out of the points already.
+
+        deviation: (S, 12) float64, that part
+        """
         more = np.einsum("hsij,sj->hsi", self.information, deviation)
         return Deviations(self.information, self.gradient + more, self.by_motion)
 
@@ -231,8 +234,8 @@ def most_likely(known: Deviations) -> tuple[np.ndarray, np.ndarray]:
     if not gain > _SURE * error:
         return deviation, covariance
     used = known if grows else known.steady
-    found, spread = _drawn_to_zero(used.information[0] / judged.factor, used.gradient[0] / judged.factor)
-    deviation[:, : found.shape[1]] = found
+    likely, spread = _drawn_to_zero(used.information[0] / judged.factor, used.gradient[0] / judged.factor)
+    deviation[:, : likely.shape[1]] = likely
     return deviation, used.by_motion @ spread @ used.by_motion.transpose(0, 2, 1)
 
 

@@ -44,7 +44,7 @@ def _moved(world_from_camera: Poses, times: Times, tangent: np.ndarray, later: f
     """(I, 4, 4): cameras `later` s on along their path, moved on it by a tangent (6,) `[rotation | translation]`, rad and
     m."""
     path = Trajectory(times, world_from_camera)
-    return np.asarray(sample(path, times + later) @ geometry.exp(tangent))
+    return geometry.retract(sample(path, times + later), np.tile(tangent, (len(times), 1)))
 
 
 def counted(

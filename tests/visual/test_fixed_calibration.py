@@ -48,9 +48,7 @@ def test_right_calibrations_are_left_alone():
 )
 def test_a_wrong_one_is_corrected_and_only_that(name, value):
     """But for what is three standard deviations off by chance beside a number of the same camera."""
-    fixed = [
-        insignificant(*estimate(wrong(**{name: value}), rows_of(300), seed=seed)) for seed in range(100)
-    ]
+    fixed = [insignificant(*estimate(wrong(**{name: value}), rows_of(300), seed=seed)) for seed in range(100)]
     assert not any(name in each for each in fixed)
     others = sum(len(each) < 3 for each in fixed)
     assert others <= (3 if name in fixed_calibration.INTRINSICS else 0)
