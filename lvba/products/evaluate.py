@@ -206,7 +206,7 @@ def spread_evenly(images: Indices, most: int) -> np.ndarray:
     """At most so many of some images (J,), spread evenly."""
     if len(images) <= most:
         return images
-    return images[np.linspace(0, len(images) - 1, most).round().astype(int)]
+    return np.asarray(images[np.linspace(0, len(images) - 1, most).round().astype(int)])
 
 
 def together(parts: Sequence[Scores], entropy: float) -> Scores:
