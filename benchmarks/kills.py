@@ -1,17 +1,19 @@
-"""A long run in parts that is killed or canceled at random moments, and continued: the same bytes as without.
+"""A long run in parts that is killed or canceled at random steps, and continued: the same bytes as without.
 
     python benchmarks/kills.py --frames 1000 --kills 10 --seed 1
 
 A simulated street is refined by two worker processes, once left alone and once with kills: a worker, all processes at
-once (SIGKILL, as when the power fails), or Ctrl-C, each after a random time. Where the run has ended by that, the same
-command continues it. Printed: what was killed in which step, the seconds of both runs, and the files whose bytes
-differ. Exit code 1 where one does, or where the run ended before all kills.
+once (SIGKILL, as when the power fails), or Ctrl-C, each a moment after a step that is drawn by chance: as many in each
+part of the steps. Where the run has ended by that, the same command continues it. Printed: what was killed in which
+step, the seconds of both runs, and the files whose bytes differ. Exit code 1 where one does, or where the run ended
+before all kills.
 """
 
 import argparse
 import hashlib
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -27,18 +29,22 @@ import psutil
 ROOT = Path(__file__).resolve().parent.parent
 KINDS = ("a worker", "all processes", "Ctrl-C")
 RESULTS = ("lidar_poses.txt", "image_poses.txt", "exposures.csv", "calibration.yaml", "map.ply")
+_STEP = re.compile(r"^\[(\d+)/(\d+)\]", re.MULTILINE)
 _THIN = ("--points", "3000", "--width", "320", "--height", "240")
 _CANCELED = 130
 _PATIENCE_S = 120.0
 """Seconds in which a canceled run must have ended."""
+_LOOK_S = 0.05
+"""How often the log is asked which step the run is at."""
+_MOMENT_S = 1.0
+"""At most so long after a step has begun a run is killed: most steps of a part take less."""
 
 
 @dataclass(frozen=True)
 class Killed:
-    """One kill. after_s: seconds since the run began or was continued; step: the last step that it told of."""
+    """One kill. step: the last one that the run told of."""
 
     kind: str
-    after_s: float
     step: str
 
 
@@ -49,7 +55,7 @@ def main() -> int:
     )
     parser.add_argument("--frames", type=int, default=1000)
     parser.add_argument("--kills", type=int, default=10)
-    parser.add_argument("--seed", type=int, default=1, help="of the moments and kinds")
+    parser.add_argument("--seed", type=int, default=1, help="of the steps, moments and kinds")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         return compare(Path(folder), arguments.frames, arguments.kills, random.Random(arguments.seed))
@@ -62,31 +68,42 @@ def compare(work: Path, frames: int, kills: int, chance: random.Random) -> int:
     if run(work, "alone").wait():
         sys.exit("the run that is left alone failed")
     alone = time.perf_counter() - started
-    killed = disturb(work, alone, kills, chance)
+    killed = disturb(work, kills, chance)
     seconds = time.perf_counter() - started - alone
     for each in killed:
-        print(f"{each.kind} after {each.after_s:.0f} s, in {each.step}")
+        print(f"{each.kind} in {each.step}")
     different = [name for name in RESULTS if digest(work / "alone" / name) != digest(work / "killed" / name)]
     print(f"{len(killed)} kills; {alone:.0f} s left alone, {seconds:.0f} s with kills")
     print(f"files with other bytes: {', '.join(different) or 'none'}")
     return int(bool(different) or len(killed) < kills)
 
 
-def disturb(work: Path, alone_s: float, kills: int, chance: random.Random) -> list[Killed]:
-    """A run with kills, continued until it is done; about as many fall into each piece of its time."""
+def disturb(work: Path, kills: int, chance: random.Random) -> list[Killed]:
+    """A run with kills, continued until it is done; one falls into each piece of its steps."""
     killed: list[Killed] = []
-    process = run(work, "killed")
-    while True:
-        wait_s = chance.uniform(0.1, 1.5) * alone_s / kills
-        with suppress(subprocess.TimeoutExpired):
-            code = process.wait(wait_s if len(killed) < kills else None)
-            if code:
-                sys.exit(f"a run that nobody killed ended with {code}")
-            return killed
+    process, log = run(work, "killed"), work / "killed.log"
+    for number in range(kills):
+        wait_until(process, log, chance.uniform(number, number + 1) / kills)
+        time.sleep(chance.uniform(0.0, _MOMENT_S))
+        if process.poll() is not None:
+            break
         kind = chance.choice(KINDS)
-        killed.append(Killed(kind, wait_s, last_step(work / "killed.log")))
+        killed.append(Killed(kind, last_step(log)))
         if kill(process, kind, chance):
             process = run(work, "killed")
+    if code := process.wait():
+        sys.exit(f"a run that nobody killed ended with {code}")
+    return killed
+
+
+def wait_until(process: subprocess.Popen[bytes], log: Path, part: float) -> None:
+    """Until a run is at that part of its steps, or has ended. A run that is continued tells of the steps anew."""
+    begun = log.stat().st_size
+    while process.poll() is None:
+        steps = _STEP.findall(log.read_bytes()[begun:].decode(errors="replace"))
+        if steps and int(steps[-1][0]) >= part * int(steps[-1][1]):
+            return
+        time.sleep(_LOOK_S)
 
 
 def kill(process: subprocess.Popen[bytes], kind: str, chance: random.Random) -> bool:
