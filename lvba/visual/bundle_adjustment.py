@@ -186,7 +186,8 @@ def _with_motion(
     """The state with the motion during each image as its rows tell it; without, where all are read at once."""
     if "readout" in fixed:
         return replace(at, motion=None)
-    state = camera_motion.by_rows(problem, at.photometric, sums, prior, at.visual)
+    held = trajectory_prior.with_fixed(prior, fixed)
+    state = camera_motion.by_rows(problem, at.photometric, sums, held, at.visual)
     return replace(at, calibration=state.calibration, motion=state.motion)
 
 
@@ -329,6 +330,15 @@ def covariance_of(solution: LevelSolution) -> Covariance:
     poses = linear_solver.sandwich(total, clusters, _gradient_variance(prior, at), solution.free)
     solved = _Turn(problem, solution.wall_clusters, at, linearization, solution.free)
     known = replace(poses, shared=_covariance_of_calibration(solved, prior, total))
+    if prior is not None:
+        place = Calibration.layout()["readout"].start
+        known.shared[place, place] += camera_motion.readout_variance(
+            problem,
+            at.photometric,
+            linearization.sums,
+            trajectory_prior.with_fixed(prior, solution.fixed),
+            at.visual,
+        )
     return _with_held(known, solved, total, solution.fixed)
 
 

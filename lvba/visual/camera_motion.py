@@ -59,36 +59,70 @@ def by_rows(
 ) -> VisualState:
     """The state with `motion` and readout as the rows of all images tell them, poses as they are.
 
-    One Gauss-Newton step with poses free beside them: a readout that is held where half of the rates are wrong comes out
-    too short, and rates too large, and either alone moves by a tenth of what is left in a step.
+    One Gauss-Newton step with poses and all of the calibration free beside them: a readout that is held where half of the
+    rates are wrong comes out too short, and rates too large, and either alone moves by a tenth of what is left in a step;
+    and what rows of a camera that goes ahead shift looks much like another principal point. Unknown is by how much
+    each camera moves on during its readout beyond the trajectory, so that the readout is told by how far rows shift where
+    the trajectory says so. Rates beyond it would be smaller, and likelier, the longer the readout is taken to be: 36 ms
+    instead of 30 where scans are half a second apart, and cameras 3 mm off.
     problem: with its shifts about this state; sums: (O, SUMS) float64, of `photometric.sums` there
     """
     sigma = rate_sigmas(prior, state)
     if sigma is None or problem.shifts is None or not state.calibration.readout:
         return replace(state, motion=None)
-    now = np.zeros((len(state.cameras), 6)) if state.motion is None else state.motion
-    total = equations(problem, at, sums, state.calibration.readout) + _known(prior, state, now, sigma)
-    step = linear_solver.solve_step(total, 0.0)
+    before, motion = state.calibration.readout, _motion(state)
+    step = linear_solver.solve_step(_all_told(problem, at, sums, prior, state, sigma), 0.0)
     if step is None:
         return state
-    readout = state.calibration.readout + float(step.shared[0])
-    return replace(
-        state, motion=now + step.blocks[:, 6:], calibration=replace(state.calibration, readout=readout)
-    )
+    readout = before + float(step.shared[_READOUT])
+    if not readout * before > 0:
+        return state
+    motion = (before * motion + step.blocks[:, 6:]) / readout
+    return replace(state, motion=motion, calibration=replace(state.calibration, readout=readout))
+
+
+def readout_variance(
+    problem: Problem, at: PhotometricState, sums: np.ndarray, prior: Prior, state: VisualState
+) -> float:
+    """s^2: how well the readout is known beside the motion of each image; 0 where that is not free. As for `by_rows`."""
+    sigma = rate_sigmas(prior, state)
+    if sigma is None or problem.shifts is None or state.motion is None:
+        return 0.0
+    told = linear_solver.shared_covariance(_all_told(problem, at, sums, prior, state, sigma))
+    return float(told[_READOUT, _READOUT])
+
+
+def _motion(state: VisualState) -> np.ndarray:
+    """(I, 6), rad/s and m/s."""
+    return np.zeros((len(state.cameras), 6)) if state.motion is None else state.motion
+
+
+def _all_told(
+    problem: Problem,
+    at: PhotometricState,
+    sums: np.ndarray,
+    prior: Prior,
+    state: VisualState,
+    sigma: np.ndarray,
+) -> NormalEquations:
+    """What rows, trajectory and calibration tell of poses, motions and calibration, as `equations` have them."""
+    readout, motion = state.calibration.readout, _motion(state)
+    return equations(problem, at, sums, motion) + _known(prior, state, readout * motion, readout * sigma)
 
 
 def _known(prior: Prior, state: VisualState, now: np.ndarray, sigma: np.ndarray) -> NormalEquations:
-    """What is known of poses, motions (I, 6), with these sigma, and readout beforehand, as `equations` have them."""
+    """What is known of poses, of what each camera moves on (I, 6), with these sigma, and of the readout beforehand, as
+    `equations` have them."""
     held = trajectory_prior.linearize(prior, state)
-    assert held.border is not None
     blocks = np.zeros((len(now), 12, 12))
     blocks[:, :6, :6] = held.diagonal_blocks()[:, :6, :6]
     blocks[:, np.arange(6, 12), np.arange(6, 12)] = 1 / sigma**2
     gradient = np.concatenate([held.gradient[:, :6], now / sigma**2], axis=1)
-    at = np.array([_READOUT])
-    border = Border(
-        np.zeros((len(now), 12, 1)), held.border.hessian[np.ix_(at, at)], held.border.gradient[at]
-    )
+    border = held.border
+    if border is not None:
+        coupling = np.zeros((len(now), 12, len(border.gradient)))
+        coupling[:, :6] = border.coupling[:, :6]
+        border = replace(border, coupling=coupling)
     index = np.arange(len(now))
     return normal_equations.from_blocks(index, index, blocks, gradient, 0.0, border)
 
@@ -105,19 +139,24 @@ def change_px(camera: Camera, before: VisualState, after: VisualState) -> float:
     return float(0.5 * camera.fx * np.sqrt(np.square(turns[1] - turns[0]).sum(axis=1).mean()))
 
 
-def equations(problem: Problem, at: PhotometricState, sums: np.ndarray, readout: float) -> NormalEquations:
-    """The photometric cost by `[pose | motion]` of each image, 12 unknowns, bordered by the readout, planes fixed.
+def equations(
+    problem: Problem, at: PhotometricState, sums: np.ndarray, motion: np.ndarray
+) -> NormalEquations:
+    """The photometric cost by the pose of each image and by what it moves on during the readout beyond the trajectory,
+    12 unknowns, rad and m, bordered by the calibration, planes fixed.
 
-    sums: (O, SUMS) float64, of `photometric.sums` at this state; readout: s
+    sums: (O, SUMS) float64, of `photometric.sums` at this state; motion: (I, 6) float64, of this state, rad/s and m/s
     """
     pairs = problem.pairs
-    jacobian = _jacobian(problem, at, readout)
+    jacobian, shifts = _jacobian(problem, at, motion), problem.shifts
+    assert shifts is not None
+    count = jacobian.shape[2]
     weight, pull = (
         problem.information[:, None, None] * sums[:, each]
         for each in (np.array([[XX, XY], [XY, YY]]), np.array([[XR], [YR]]))
     )
-    blocks, gradient = np.zeros((len(pairs.reference), 25, 25)), np.zeros((len(at.cameras), 12))
-    coupling, shared = np.zeros((len(at.cameras), 12, 1)), np.zeros(1)
+    blocks, gradient = np.zeros((len(pairs.reference), count, count)), np.zeros((len(at.cameras), 12))
+    coupling, shared = np.zeros((len(at.cameras), 12, count - 24)), np.zeros(count - 24)
     for pair, images in enumerate(zip(pairs.reference, pairs.target, strict=True)):
         mine = pairs.order[pairs.starts[pair] : pairs.starts[pair + 1]]
         # not by BLAS, which sums over observations in an order that depends on its threads
@@ -131,21 +170,26 @@ def equations(problem: Problem, at: PhotometricState, sums: np.ndarray, readout:
     rows = np.concatenate([pairs.reference, pairs.target, pairs.reference])
     columns = np.concatenate([pairs.reference, pairs.target, pairs.target])
     parts = np.concatenate([blocks[:, :12, :12], blocks[:, 12:24, 12:24], blocks[:, :12, 12:24]])
-    border = Border(coupling, blocks[:, 24:, 24:].sum(axis=0), shared)
+    border = shifts.spread_border(Border(coupling, blocks[:, 24:, 24:].sum(axis=0), shared))
     return normal_equations.from_blocks(rows, columns, parts, gradient, 0.0, border)
 
 
-def _jacobian(problem: Problem, at: PhotometricState, readout: float) -> np.ndarray:
-    """(O, 2, 25): target pixel of each patch by `[pose | motion]` of its reference and of its target, and by readout."""
+def _jacobian(problem: Problem, at: PhotometricState, motion: np.ndarray) -> np.ndarray:
+    """(O, 2, 24 + m): target pixel of each patch by the 12 unknowns of its reference and of its target, and by the m
+    parameters of the calibration that shift patches."""
     observations, shifts = problem.observations, problem.shifts
     assert shifts is not None
     patches = photometric.patches_at(problem, at)._replace(pixel=problem.points.pixel.astype(float))
     poses = np.ascontiguousarray(at.cameras.world_from_camera)
     by_poses = kernels.centers(observations.point, observations.target, poses, problem.intrinsics, patches)[2]
     by_ends = by_poses.reshape(len(observations), 2, 2, 6)
-    by_motion = by_ends * (readout * shifts.rows)[:, None, :, None]
+    by_motion = by_ends * shifts.rows[:, None, :, None]
     by_both = np.concatenate([by_ends, by_motion], axis=3).reshape(len(observations), 2, 24)
-    return np.concatenate([by_both, shifts.by[:, :, shifts.columns == _READOUT]], axis=2)
+    ends = np.stack([problem.points.reference[observations.point], observations.target], axis=1)
+    by_shared = shifts.by.copy()
+    beyond = np.einsum("oaej,oej->oa", by_motion, motion[ends])
+    by_shared[:, :, shifts.columns == _READOUT] -= beyond[:, :, None]
+    return np.concatenate([by_both, by_shared], axis=2)
 
 
 def _moving(prior: Prior, state: VisualState) -> tuple[Trajectory | None, np.ndarray]:

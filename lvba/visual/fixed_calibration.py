@@ -29,10 +29,10 @@ CHANCE = 2e-9
 ones."""
 APART = 6e-7
 """The same where all other corrections are free: five standard deviations."""
-LIKELY = 2.7e-3
-"""The same for what belongs to a camera of which another number is refuted: three standard deviations. Whoever calibrated
-it was wrong once; a street whose focal length and lens were off, and the principal point by 3 px, saw that by 4.2, and
-cameras that were held there ended 10 mm off."""
+LIKELY = 0.0455
+"""The same for what belongs to a camera of which another number is refuted: two standard deviations. Whoever calibrated
+it was wrong once, and is so more likely than chance. Streets whose focal length and lens were off, and the principal
+point by 3 px, saw that by 4.2 and 2.6 standard deviations, and cameras that were held there ended 10 mm off."""
 BIAS_PX = 0.01
 """px, by which images are off that are interpolated: a correction that moves patches by less, once the poses have
 followed, may be that, however many standard deviations it is. In a clean street a ratio of focal lengths 0.12 % off, told

@@ -115,16 +115,16 @@ def test_the_equations_are_those_of_the_cost(scene):
     """
     state = scene.state(READOUT, 0.1 * scene.more - scene.known)
     problem, now, sums = scene.at(state)
-    found = camera_motion.equations(problem, now, sums, READOUT)
+    found = camera_motion.equations(problem, now, sums, state.motion)
     blocks = found.diagonal_blocks()
     for image, part in ((1, 0), (3, 1), (5, 2), (4, 3)):
         step = np.zeros((COUNT, 6))
-        step[image, part] = 0.02
+        step[image, part] = 0.02 * READOUT
         costs = []
         for sign in (1, -1):
-            there = scene.at(replace(state, motion=state.motion + sign * step))
+            there = scene.at(replace(state, motion=state.motion + sign * step / READOUT))
             costs.append(photometric.cost(there[0], there[2]))
-        slope = (costs[0] - costs[1]) / 0.04
+        slope = (costs[0] - costs[1]) / (0.04 * READOUT)
         scale = np.sqrt(blocks[image, 6 + part, 6 + part])
         assert found.gradient[image, 6 + part] / scale == pytest.approx(slope / scale, rel=0.05, abs=0.5)
 
@@ -138,6 +138,29 @@ def test_rows_tell_the_motion_that_the_trajectory_does_not(scene):
     assert before > 0.25
     assert after < 0.3 * before
     assert state.calibration.readout == pytest.approx(READOUT, rel=0.1)
+
+
+@pytest.mark.parametrize("begun", [0.7, 1.3])
+def test_the_readout_is_that_by_which_rows_shift_as_the_trajectory_says(scene, begun):
+    """Not a longer one, with which the motion beyond the trajectory would be smaller, and likelier: 33 to 129 ms."""
+    state = scene.state(begun * READOUT)
+    for _ in range(8):
+        state = camera_motion.by_rows(*scene.at(state), scene.prior, state)
+    assert state.calibration.readout == pytest.approx(READOUT, rel=0.04)
+
+
+def test_the_readout_is_known_as_well_as_the_trajectory(scene):
+    """Twice as well known rates tell it twice as well; no motion, nothing to know."""
+    state, known = scene.state(READOUT, scene.more), []
+    for factor in (1.0, 0.5):
+        with pytest.MonkeyPatch.context() as patch:
+            sigma = factor * np.tile([0.3, 0.3, 0.3, 0.05, 0.05, 0.05], (COUNT, 1))
+            patch.setattr(camera_motion, "rate_sigmas", lambda prior, state, sigma=sigma: sigma)
+            known.append(np.sqrt(camera_motion.readout_variance(*scene.at(state), scene.prior, state)))
+    assert 1e-4 < known[1] < 0.8 * known[0]
+    assert known[0] < 0.01
+    still = replace(state, motion=None)
+    assert camera_motion.readout_variance(*scene.at(still), scene.prior, still) == 0.0
 
 
 def test_nothing_is_told_of_rows_that_are_read_at_once(scene):

@@ -47,11 +47,11 @@ def test_right_calibrations_are_left_alone():
     ("name", "value"), [("focal", (0.01, 0)), ("principal_point", (4, 0)), ("readout", 0.02)]
 )
 def test_a_wrong_one_is_corrected_and_only_that(name, value):
-    """But for what is three standard deviations off by chance beside a number of the same camera."""
+    """But for what is two standard deviations off by chance beside a number of the same camera."""
     fixed = [insignificant(*estimate(wrong(**{name: value}), rows_of(300), seed=seed)) for seed in range(100)]
     assert not any(name in each for each in fixed)
     others = sum(len(each) < 3 for each in fixed)
-    assert others <= (3 if name in fixed_calibration.INTRINSICS else 0)
+    assert others <= (18 if name in fixed_calibration.INTRINSICS else 0)
 
 
 def test_what_looks_like_a_turned_camera_is_not_corrected():
@@ -134,7 +134,7 @@ def test_a_camera_of_which_another_number_is_refuted_is_not_trusted():
         "principal_point" not in insignificant(*estimate(wrong(focal=(0.01, 0)), rows, seed=seed))
         for seed in range(200)
     ]
-    assert np.mean(chance) < 0.03, "right ones stay, but for chance"
+    assert np.mean(chance) < 0.1, "right ones stay, but for chance"
 
 
 def test_what_interpolation_does_to_a_held_number_is_doubted_in_a_camera_that_is_refuted():
