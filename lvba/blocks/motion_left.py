@@ -40,6 +40,10 @@ _MOST = 1.3
 """What is more is no motion that was left."""
 _TURNS = 3
 """Times that what is left of each scan's own motion is looked for."""
+_MORE = 1.5
+"""Times as much that halves of the planes must tell of each other with sharper ones, for these to be believed. What scans
+do alike is no deviation to planes that follow: a courtyard of scans a second apart, where they told 1.2 times as much,
+went from 0.017 to 0.029 degrees in three turns; a loop, where they told 3 times as much, from 0.066 to 0.027."""
 _SAME = 2e-3
 """rad/s and m/s: deviations that change by less are as they were."""
 _FALLS = 0.3
@@ -191,7 +195,7 @@ class _Measurement:
         """What the points of a window's scans tell of the deviations from a motion (n, 6), rad/s and m/s: with those
         found so far taken out, for planes are sharper then."""
         sweep, deviation = self.clock.sweep, np.zeros((len(path), 12))
-        known = scan_motion.Deviations.unseen(len(path))
+        known, told = scan_motion.Deviations.unseen(len(path)), 0.0
         for _ in range(_TURNS):
             motion, acceleration = path + deviation[:, :6], 2.0 / sweep * deviation[:, 6:]
             result, _ = self._solved(window, motion, acceleration)
@@ -199,7 +203,10 @@ class _Measurement:
                 break
             points, tau = self._corrected(window, motion, acceleration)
             seen = scan_motion.deviations(self._view(points, result), np.concatenate(tau), sweep)
-            known, before = seen.beside(deviation), deviation
+            now, before = seen.beside(deviation), deviation
+            if (more := scan_motion.held_out(now)) < _MORE * told:
+                break
+            known, told = now, more
             deviation, _ = scan_motion.most_likely(known)
             if np.abs(deviation - before).max() < _SAME:
                 break

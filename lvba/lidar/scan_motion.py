@@ -239,6 +239,11 @@ def most_likely(known: Deviations) -> tuple[np.ndarray, np.ndarray]:
     return deviation, used.by_motion @ spread @ used.by_motion.transpose(0, 2, 1)
 
 
+def held_out(known: Deviations) -> float:
+    """By how much half the sum of squares on either half of the planes falls by what the other half tells, all scans."""
+    return _usual(_Judged.of(known).falls)[0]
+
+
 @dataclass(frozen=True)
 class _Judged:
     """factor: by which information is too large; falls: (S,) of half the sum of squares on either half of a scan's planes

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lvba.blocks import decoded, scan_errors
+from lvba.blocks import decoded, motion_left, scan_errors
 from lvba.io import dataset as recordings
 from lvba.io import reference
 from lvba.io.dataset import open_dataset
@@ -199,3 +199,26 @@ def test_a_depth_camera_that_reads_rows_at_once_keeps_its_points(depth_camera):
     assert motion is not None
     assert not motion.corrected
     assert abs(motion.part) < 5 * motion.sigma
+
+
+def test_motions_are_looked_for_again_while_sharper_planes_tell_more(recording, monkeypatch):
+    """What halves of the planes tell of each other: as much again, not; twice as much, once more, and no fourth time."""
+    dataset, told = recording["left"], []
+    original = motion_left.scan_motion.held_out
+
+    def telling(growth):
+        def held_out(known):
+            told.append(original(known))
+            return growth ** len(told)
+
+        return held_out
+
+    turns = []
+    for growth in (1.0, 2.0):
+        told.clear()
+        monkeypatch.setattr(motion_left.scan_motion, "held_out", telling(growth))
+        monkeypatch.setattr(motion_left, "_SAME", 0.0)
+        assert measured(dataset).corrected
+        turns.append(len(told))
+    windows = turns[0] // 2
+    assert turns == [2 * windows, 3 * windows]
