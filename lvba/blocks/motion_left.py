@@ -195,7 +195,7 @@ class _Measurement:
         """What the points of a window's scans tell of the deviations from a motion (n, 6), rad/s and m/s: with those
         found so far taken out, for planes are sharper then."""
         sweep, deviation = self.clock.sweep, np.zeros((len(path), 12))
-        known, told = scan_motion.Deviations.unseen(len(path)), 0.0
+        known, gain = scan_motion.Deviations.unseen(len(path)), 0.0
         for _ in range(_TURNS):
             motion, acceleration = path + deviation[:, :6], 2.0 / sweep * deviation[:, 6:]
             result, _ = self._solved(window, motion, acceleration)
@@ -204,9 +204,9 @@ class _Measurement:
             points, tau = self._corrected(window, motion, acceleration)
             seen = scan_motion.deviations(self._view(points, result), np.concatenate(tau), sweep)
             now, before = seen.beside(deviation), deviation
-            if (more := scan_motion.held_out(now)) < _MORE * told:
+            if (more := scan_motion.held_out(now)) < _MORE * gain:
                 break
-            known, told = now, more
+            known, gain = now, more
             deviation, _ = scan_motion.most_likely(known)
             if np.abs(deviation - before).max() < _SAME:
                 break

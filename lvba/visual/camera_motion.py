@@ -71,7 +71,7 @@ def by_rows(
     if sigma is None or problem.shifts is None or not state.calibration.readout:
         return replace(state, motion=None)
     before, motion = state.calibration.readout, _motion(state)
-    step = linear_solver.solve_step(_all_told(problem, at, sums, prior, state, sigma), 0.0)
+    step = linear_solver.solve_step(_all_terms(problem, at, sums, prior, state, sigma), 0.0)
     if step is None:
         return state
     readout = before + float(step.shared[_READOUT])
@@ -84,12 +84,15 @@ def by_rows(
 def readout_variance(
     problem: Problem, at: PhotometricState, sums: np.ndarray, prior: Prior, state: VisualState
 ) -> float:
-    """s^2: how well the readout is known beside the motion of each image; 0 where that is not free. As for `by_rows`."""
+    """s^2: how well the readout is known beside the motion of each image; 0 where that is not free.
+
+    sums: (O, SUMS) float64, of `photometric.sums` at the state
+    """
     sigma = rate_sigmas(prior, state)
     if sigma is None or problem.shifts is None or state.motion is None:
         return 0.0
-    told = linear_solver.shared_covariance(_all_told(problem, at, sums, prior, state, sigma))
-    return float(told[_READOUT, _READOUT])
+    covariance = linear_solver.shared_covariance(_all_terms(problem, at, sums, prior, state, sigma))
+    return float(covariance[_READOUT, _READOUT])
 
 
 def _motion(state: VisualState) -> np.ndarray:
@@ -97,7 +100,7 @@ def _motion(state: VisualState) -> np.ndarray:
     return np.zeros((len(state.cameras), 6)) if state.motion is None else state.motion
 
 
-def _all_told(
+def _all_terms(
     problem: Problem,
     at: PhotometricState,
     sums: np.ndarray,
