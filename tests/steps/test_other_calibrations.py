@@ -6,17 +6,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lvba import geometry
+from lvba import geometry, pipeline, plan
 from lvba.camera import Camera
+from lvba.io.dataset import open_dataset
+from lvba.products import evaluate
 from lvba.products.evaluate import Scores
 from lvba.products.map_quality import EntropyChange
 from lvba.products.views import Views
-from lvba.steps import acceptance, other_calibrations
+from lvba.steps import acceptance, other_calibrations, part_scores
 from lvba.steps.acceptance import CARRIED, ROUGH, GateConfig
 from lvba.visual.prior_config import PriorConfig
 
 CONFIG = GateConfig()
-PER_IMAGE = ("psnr_leave_one_out", "psnr_compared", "ssim_leave_one_out", "ssim_compared")
+PER_IMAGE = evaluate._FIGURES
 
 
 def scores(gain, count=20, seed=0):
@@ -68,6 +70,29 @@ def test_fewer_images_with_other_calibrations_are_compared_with_themselves():
     images = acceptance.image_figures(known[ROUGH], known[CARRIED], CONFIG)
     counted = other_calibrations.counted(images, known, (ROUGH, CARRIED), CONFIG)
     assert counted[0].calibration == pytest.approx(0.0, abs=1e-12)
+
+
+def test_parts_that_did_not_ask_say_nothing_of_other_calibrations():
+    """One of two parts asked: the whole is judged by its images, too."""
+    first, second = asked(-0.6, (0.2, -0.9, -0.3, -0.1)), asked(-0.6)
+    second = {name: replace(each, images=each.images + 20) for name, each in second.items()}
+    for order in ((first, second), (second, first)):
+        known = part_scores.together(order, {})
+        assert len(known[CARRIED].images) == 40
+        images = acceptance.image_figures(known[ROUGH], known[CARRIED], CONFIG)
+        images = other_calibrations.counted(images, known, (ROUGH, CARRIED), CONFIG)
+        assert images[0].calibration == pytest.approx(judged(-0.6, (0.2, -0.9, -0.3, -0.1))[1][0].calibration)
+
+
+@pytest.mark.parametrize("contradicted", [True, False])
+def test_a_run_asks_where_images_contradict(tiny_recording, monkeypatch, contradicted):
+    monkeypatch.setattr(acceptance, "contradicted", lambda images: contradicted)
+    work = pipeline.refine(open_dataset(tiny_recording), pipeline.Config(refine_cameras=False))
+    store = plan.run(work, {})
+    [gate] = [store[key] for key, step in work.steps.items() if step.name == "lidar-gate"]
+    calibration = {each.name: each.calibration for each in gate.verdict.figures}
+    assert calibration["map_entropy"] == 0.0
+    assert (calibration["psnr_leave_one_out"] > 0.0) == contradicted
 
 
 def test_cameras_go_where_the_other_calibrations_have_them():
