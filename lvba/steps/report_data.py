@@ -33,7 +33,7 @@ from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, ScanPoses, Vi
 from lvba.steps.plane_thickness import PlaneChange
 from lvba.steps.uncertainty import Expected
 from lvba.trajectory import Trajectory
-from lvba.visual import self_calibration
+from lvba.visual import fixed_calibration, self_calibration
 from lvba.visual.radiometry import Radiometry
 from lvba.visual.response import GREY_VALUES
 from lvba.visual.result import VisualResult
@@ -281,10 +281,9 @@ def _calibration(dataset: Dataset, result: VisualResult, accepted: Accepted) -> 
     """What all images share, as found, with standard deviations, and the camera that comes of it."""
     refined, sigma = result.calibration, result.calibration.layout().named(result.calibration_sigma)
     camera = self_calibration.corrected(dataset.camera, refined)
-    intrinsics = (*self_calibration.INTRINSICS, "readout")
     names = ["time_offset"]
     if camera != dataset.camera or refined.readout:
-        names += intrinsics
+        names += fixed_calibration.CORRECTIONS
     clock = {"clock_epoch": result.clock_epoch} if refined.clock_rate else {}
     names += ["clock_rate"] if clock else []
     return clock | {

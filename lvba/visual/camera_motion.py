@@ -117,15 +117,14 @@ def _known(prior: Prior, state: VisualState, now: np.ndarray, sigma: np.ndarray)
     """What is known of poses, of what each camera moves on (I, 6), with these sigma, and of the readout beforehand, as
     `equations` have them."""
     held = trajectory_prior.linearize(prior, state)
+    assert held.border is not None
     blocks = np.zeros((len(now), 12, 12))
     blocks[:, :6, :6] = held.diagonal_blocks()[:, :6, :6]
     blocks[:, np.arange(6, 12), np.arange(6, 12)] = 1 / sigma**2
     gradient = np.concatenate([held.gradient[:, :6], now / sigma**2], axis=1)
-    border = held.border
-    if border is not None:
-        coupling = np.zeros((len(now), 12, len(border.gradient)))
-        coupling[:, :6] = border.coupling[:, :6]
-        border = replace(border, coupling=coupling)
+    coupling = np.zeros((len(now), 12, len(held.border.gradient)))
+    coupling[:, :6] = held.border.coupling[:, :6]
+    border = replace(held.border, coupling=coupling)
     index = np.arange(len(now))
     return normal_equations.from_blocks(index, index, blocks, gradient, 0.0, border)
 
@@ -133,12 +132,7 @@ def _known(prior: Prior, state: VisualState, now: np.ndarray, sigma: np.ndarray)
 def change_px(camera: Camera, before: VisualState, after: VisualState) -> float:
     """How far turns during the readout move the first and last rows otherwise after than before, px, root mean square
     over the images. camera: of the undistorted images"""
-    turns = [
-        np.zeros((len(state.cameras), 3))
-        if state.motion is None
-        else state.calibration.readout * state.motion[:, :3]
-        for state in (before, after)
-    ]
+    turns = [state.calibration.readout * _motion(state)[:, :3] for state in (before, after)]
     return float(0.5 * camera.fx * np.sqrt(np.square(turns[1] - turns[0]).sum(axis=1).mean()))
 
 
