@@ -19,6 +19,7 @@ from lvba.kernels.patches_support import (
     hidden_points,
     project_near,
     support,
+    thinned,
     usual_gap,
 )
 from lvba.kernels.scene import Intrinsics
@@ -32,8 +33,9 @@ class PointGates(NamedTuple):
     dark, bright: grey values up to the one and from the other on are masked; min_usable: least part of the patch that is
     not; min_score: least |DoG|
     max_off_plane: largest part of the LiDAR points within twice the patch that are off the plane; min_support: least
-    number that are on it; bin: px, edge of the bins that these are looked up in; extent_spacings: how far the support is
-    looked for, in mean spacings of LiDAR points; max_extent: px, how far at most where they are sparse in one direction
+    number that are on it; bin: px, edge of the bins that these are looked up in; enough: most points of a bin that are;
+    extent_spacings: how far the support is looked for, in mean spacings of LiDAR points; max_extent: px, how far at most
+    where they are sparse in one direction
     min_buffer: px, least cell of the z-buffer; buffer_spacings: its cell in mean spacings; hiding: m, see
     `visibility_depth.hiding_depth`
     """
@@ -49,6 +51,7 @@ class PointGates(NamedTuple):
     max_off_plane: float
     min_support: float
     bin: float
+    enough: int
     extent_spacings: float
     max_extent: float
     min_buffer: float
@@ -179,7 +182,7 @@ def select_image(
     spacing = math.sqrt(width * height / max(len(uvz), 1))
     buffer = max(gates.min_buffer, min(gates.buffer_spacings * spacing, 2.0 * gates.half + 1))
     shown = Projected(uvz, index, hidden_points(uvz, index, lidar, width, height, buffer, gates.hiding))
-    bins = bin_points(uvz, width, height, gates.bin)
+    bins = thinned(bin_points(uvz, width, height, gates.bin), gates.enough)
     wide = reach_of(shown, bins, width, height, gates)
     cells = bin_points(uvz, width, height, float(cell))
     value = np.zeros(len(uvz), np.float32)

@@ -129,6 +129,20 @@ def bin_points(uvz: np.ndarray, width: int, height: int, size: float) -> Bins:
 
 
 @kernel
+def thinned(bins: Bins, most: int) -> Bins:
+    """The bins with at most so many points each: of more every n-th."""
+    offsets, order, kept = np.zeros_like(bins.offsets), np.empty_like(bins.order), 0
+    for b in range(len(offsets) - 1):
+        first, count = bins.offsets[b], bins.offsets[b + 1] - bins.offsets[b]
+        taken = min(count, most)
+        for i in range(taken):
+            order[kept + i] = bins.order[first + i * count // taken]
+        kept += taken
+        offsets[b + 1] = kept
+    return Bins(offsets, order[:kept].copy(), bins.size, bins.columns, bins.rows)
+
+
+@kernel
 def usual_gap(bins: Bins, down: bool) -> float:
     """px, median distance of bins that hold points to the next such of its column (`down`) or row; 0: none."""
     along, beside = (bins.rows, bins.columns) if down else (bins.columns, bins.rows)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lvba.kernels.light_ratios import LightRatios
 from lvba.visual import response
 from lvba.visual.radiometry import Radiometry
 from lvba.visual.response import LINEAR, Response
@@ -76,6 +77,18 @@ class Ratios:
         """(N,) float64: log ratios of the light by where a patch is in both images, and by how near it is."""
         assert self.places is not None
         return np.asarray(self.places.log_ratio(present.vignetting) + present.nearness.value * self._nearer)
+
+    def arrays(self, sign: np.ndarray) -> LightRatios:
+        """For kernels. sign: (N,) float64, 1 or -1, of each in its pair of images"""
+        assert self.places is not None
+        return LightRatios(
+            value=self.value,
+            level=self.level,
+            sign=sign,
+            nearer=self._nearer,
+            reference=np.ascontiguousarray(self.places.reference),
+            target=np.ascontiguousarray(self.places.target),
+        )
 
     @property
     def _nearer(self) -> np.ndarray:

@@ -249,17 +249,15 @@ class _Exposed:
 def _exposed(
     scene: Scene, level: int, state: VisualState, depth: DepthBuffers, points: ScenePoints | None = None
 ) -> _Exposed:
-    """The state with exposures solved anew, at a level and its depth buffers, by patches; None: placed anew."""
+    """The state with exposures solved anew, at a level and its depth buffers, by patches; None: by few, placed anew."""
     poses = state.cameras.world_from_camera
     if scene.variant.exposures == "none":
         return _Exposed(state, np.zeros(len(poses)))
     # coarse where the poses are still rough
     compared = max(min(level, _COARSEST_EXPOSED), exposure.LEVEL)
     raw = scene.camera if scene.vignetting and scene.variant.exposures == "means" else None
-    cells = exposure.FEW_CELLS if level else exposure.CELLS
-    solved = exposure.solve(
-        scene.pyramid, scene.cameras(poses), scene.surfaces, scene.seen, compared, depth, raw, points, cells
-    )
+    where = scene.pyramid, scene.cameras(poses), scene.surfaces, scene.seen
+    solved = exposure.solve(*where, compared, depth, raw, points, exposure.FEW_CELLS)
     state = replace(state, cameras=CameraStates(poses, solved.log_exposure))
     return _Exposed(state, solved.sigma, solved.radiometry)
 

@@ -147,6 +147,8 @@ OFF_PLANE_MAX_M = 0.08
 """m: never looser than this: a thing that stands out by more shifts visibly between two images."""
 MIN_SUPPORT = 4
 """Least number of LiDAR points on the plane within twice the patch: three make a plane by themselves."""
+ENOUGH_IN_BIN = 48
+"""Points of a bin of about half a patch that say where a plane is: at coarse levels, dense scans have hundreds there."""
 EXTENT_SPACINGS = 3.0
 """The support must reach the patch's four sides, looked for within this many mean spacings of LiDAR points."""
 MAX_EXTENT = 0.045
@@ -229,6 +231,7 @@ def point_gates(camera: Camera, rules: PatchRules, noise: float) -> patches.Poin
         max_off_plane=OFF_PLANE_PART,
         min_support=float(MIN_SUPPORT),
         bin=half + 0.5,
+        enough=ENOUGH_IN_BIN,
         extent_spacings=EXTENT_SPACINGS,
         max_extent=MAX_EXTENT * max(camera.fx, camera.fy),
         min_buffer=max(camera.width / 160, 1.0),

@@ -74,6 +74,17 @@ def usual_gap(uvz, size, axis):
     return size * gaps[(len(gaps) - 1) // 2] if len(gaps) else 0.0
 
 
+def thinned(uvz, width, size, most):
+    """Which points are looked up: of each bin every n-th, so that at most so many are."""
+    cells = np.floor((uvz[:, :2] + 0.5) / size).astype(int)
+    code, kept = cells[:, 1] * (width + 1) + cells[:, 0], np.zeros(len(uvz), bool)
+    for each in np.unique(code):
+        members = np.flatnonzero(code == each)
+        taken = min(len(members), most)
+        kept[members[np.arange(taken) * len(members) // taken]] = True
+    return kept
+
+
 def support(column, row, own, reach, wide, uvz, hidden_flags, points, lidar):
     du, dv = uvz[:, 0] - column, uvz[:, 1] - row
     on_plane = np.abs(off_plane(lidar, own, points)) <= np.maximum(lidar.tolerance[own], 0.004 * uvz[:, 2])
@@ -106,6 +117,8 @@ def select_points(lidar, ranges, images, scores, poses, intrinsics, cell, gates)
         cells = np.floor((uvz[:, :2] + 0.5) / cell).astype(int)
         even = np.clip(gates.extent_spacings * spacing / (half + 0.5), 2, 4) * (half + 0.5)
         wide = [max(even, min(2 * usual_gap(uvz, gates.bin, axis), gates.max_extent)) for axis in (0, 1)]
+        kept = thinned(uvz, width, gates.bin, gates.enough)
+        held = uvz[kept], flags[kept], pts[kept]
         found = {}
         for column_row in np.unique(cells, axis=0):
             members = np.flatnonzero((cells == column_row).all(1) & (value > 0))
@@ -126,7 +139,7 @@ def select_points(lidar, ranges, images, scores, poses, intrinsics, cell, gates)
                 patch = image[v - half : v + half + 1, u - half : u + half + 1]
                 if ((patch > gates.dark) & (patch < gates.bright)).all(axis=2).mean() < gates.min_usable:
                     continue
-                on, off, *extent = support(u, v, own[k], 2 * (half + 0.5), wide, uvz, flags, pts, lidar)
+                on, off, *extent = support(u, v, own[k], 2 * (half + 0.5), wide, *held, lidar)
                 if on < gates.min_support or off > gates.max_off_plane * (on + off) or min(extent) < half:
                     continue
                 found[int(column_row[1]), int(column_row[0])] = (int(u), int(v), int(own[k]))

@@ -38,11 +38,12 @@ def select(rec, config=PointsConfig(), images=None, *, plane_points=None, **rule
     return scene_points.select(level, rec.cameras, surfaces, config, PatchRules(**rules))
 
 
-def test_selection_matches_its_twin():
+@pytest.mark.parametrize("enough", [scene_points.ENOUGH_IN_BIN, 2])
+def test_selection_matches_its_twin(enough):
     rec = room_with_screen()
     config = PointsConfig(cells=150)
     lidar = scene_points.kernel_points(rec.planes, rec.plane_points)
-    gates = scene_points.point_gates(CAMERA, PatchRules(), rec.noise)
+    gates = scene_points.point_gates(CAMERA, PatchRules(), rec.noise)._replace(enough=enough)
     cell = scene_points.cell_size(CAMERA, config)
     scores = np.stack([scene_points.difference_of_gaussians(image) for image in rec.images])
     window = np.full(len(rec.times), 0.3)
