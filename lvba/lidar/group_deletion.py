@@ -8,6 +8,7 @@ covariances (Hausman, "Specification Tests in Econometrics", Econometrica 1978).
 groups of pieces left out in turn (delete-a-group jackknife), is the variance factor at the size of a piece.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -26,7 +27,7 @@ scenes do not change with it."""
 GROUPS = 8
 """Pieces are dealt to so many groups, each left out once."""
 DEALS = 3
-"""Most times that pieces are cut and dealt anew: one deal is 40 % off."""
+"""Most times that pieces are cut and dealt anew, over all windows: one deal is 40 % off."""
 _PLAIN = 0.65
 """Where the first deal finds a ratio below this, planes do not err together, and others would find no ratio above 1."""
 MOST_SCANS = 150
@@ -43,9 +44,10 @@ def variance_factor(problem: Problem, world_from_scan: Poses) -> float:
     if problem.prior is None:
         return 1.0
     moved = expected = 0.0
-    for window, poses in _windows(problem, world_from_scan):
+    windows = list(_windows(problem, world_from_scan))
+    for window, poses in windows:
         whole = _Whole.of(window, poses)
-        for group in _deals(window.features, poses):
+        for group in _deals(window.features, poses, math.ceil(DEALS / len(windows))):
             each = _moves(whole, group)
             moved, expected = moved + each[0], expected + each[1]
             if each[0] < _PLAIN * each[1]:
@@ -83,11 +85,11 @@ def _window(problem: Problem, first: int, end: int) -> Problem:
     return Problem(inside, problem.sigma, prior.among(np.arange(first, end)), projector)
 
 
-def _deals(features: PlaneFeatures, poses: np.ndarray) -> Iterator[np.ndarray]:
-    """The group (F,) of each plane, several times; none where there are too few pieces."""
+def _deals(features: PlaneFeatures, poses: np.ndarray, times: int) -> Iterator[np.ndarray]:
+    """The group (F,) of each plane, so many times; none where there are too few pieces."""
     center = fit(features, poses).center
     random = np.random.default_rng(0)
-    for _ in range(DEALS):
+    for _ in range(times):
         cell = np.floor(center / PIECE_M + random.uniform(size=3)).astype(np.int64)
         unique, piece = np.unique(cell, axis=0, return_inverse=True)
         if len(unique) >= GROUPS:
