@@ -24,6 +24,8 @@ _log = logging.getLogger(__name__)
 _MOST = 1 << 63
 _NAMED = 3
 """Ignored settings that a warning names."""
+_DEEPEST = 16
+"""Levels of names in names that no setting has."""
 
 
 class SettingError(InputError):
@@ -93,9 +95,20 @@ def from_mapping(
     Raises InputError: a name that is no setting, a value of another type or out of range.
     """
     if getattr(kind, "KNOWS_RETIRED", False) and isinstance(values, Mapping):
+        _refuse_deep(values, where)
         values = retired_settings.with_new_names(_without_retired(values, where))
     built: Config = _build(kind, values, where, "", base)
     return built
+
+
+def _refuse_deep(values: Mapping[str, Any], where: str) -> None:
+    """Raises SettingError: values are nested deeper than any setting is, by thousands of dots in a name, say."""
+    level: list[Mapping[str, Any]] = [values]
+    for _ in range(_DEEPEST):
+        level = [value for each in level for value in each.values() if isinstance(value, Mapping)]
+        if not level:
+            return
+    raise SettingError(where, "settings", "nested too deep", "use names such as visual.levels")
 
 
 def _without_retired(values: Mapping[str, Any], where: str) -> Mapping[str, Any]:

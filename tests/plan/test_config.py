@@ -7,6 +7,7 @@ import pytest
 
 from lvba import config
 from lvba.errors import InputError
+from lvba.run_settings import Config
 
 
 @dataclass(frozen=True)
@@ -134,3 +135,10 @@ def test_mistakes_in_a_file_name_the_file(text, message):
     with pytest.raises(InputError, match=message) as caught:
         config.load(Settings, text, where="my.yaml")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("depth", [40, 5000])
+def test_names_of_thousands_of_dots_are_refused(depth):
+    with pytest.raises(InputError, match="--set: settings: nested too deep") as caught:
+        config.override(Config(), ["split." + "lit." * depth + "lit=1"])
+    assert len(str(caught.value)) < 200
