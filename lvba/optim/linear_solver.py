@@ -336,6 +336,27 @@ def sandwich(
     return Covariance(own, with_shared, shared_pull.T @ shared_pull + shared.T @ shared_middle)
 
 
+def with_errors_of_shared(
+    known: Covariance, more: np.ndarray, plain: Covariance, index: np.ndarray
+) -> Covariance:
+    """The covariance, with how far all would move by errors of some shared parameters that it does not have.
+
+    more: (k, k) float64, covariance of the shared parameters beyond that in `known`; where it is less, nothing changes
+    plain: inverse of the information, by which all else follows these; index: (n,) int64, which they are
+    """
+    index = index[np.diagonal(plain.shared)[index] > 0]
+    own = np.ix_(index, index)
+    values, axes = np.linalg.eigh(more[own])
+    errors = (axes * np.maximum(values, 0.0)) @ axes.T
+    by_errors = np.linalg.inv(plain.shared[own])
+    poses, shared = plain.with_shared[..., index] @ by_errors, plain.shared[:, index] @ by_errors
+    return Covariance(
+        known.blocks + poses @ errors @ np.swapaxes(poses, 1, 2),
+        known.with_shared + poses @ errors @ shared.T,
+        known.shared + shared @ errors @ shared.T,
+    )
+
+
 def shared_sandwich(
     equations: NormalEquations,
     gradients: csr_matrix,

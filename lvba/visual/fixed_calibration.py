@@ -96,6 +96,12 @@ def _eliminated(deviation: np.ndarray, known: Precision, likely: Mapping[str, fl
     return tuple(name for name in CORRECTIONS if name in fixed)
 
 
+def indices(names: Collection[str] = CORRECTIONS) -> np.ndarray:
+    """(n,) int64: which of all parameters these are."""
+    layout = Calibration.layout()
+    return np.concatenate([np.arange(layout.size)[layout[name]] for name in names])
+
+
 def doubtful_part(off: np.ndarray, known: Precision, names: Collection[str]) -> float:
     """What part of its square counts as an error of parameters that are held: 0 where it may be chance, nearly 1 where
     it is many standard deviations. Whether calibration or images are right, nothing tells then. What interpolation does
@@ -103,8 +109,7 @@ def doubtful_part(off: np.ndarray, known: Precision, names: Collection[str]) -> 
 
     off: (k,) float64, by which images want all parameters to be elsewhere, in the units of their steps
     """
-    layout = Calibration.layout()
-    index = np.concatenate([np.arange(layout.size)[layout[name]] for name in names])
+    index = indices(names)
     trusted = set(INTRINSICS) <= set(names)
     if trusted and _squared(off, known.plain, index) <= BIAS_PX**2 * known.per_pixel:
         return 0.0
