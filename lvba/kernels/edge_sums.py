@@ -74,21 +74,27 @@ def normal_sums(
 
 
 @kernel
+def add_hats(log_grey: float, knots: np.ndarray, sign: float, row: np.ndarray) -> None:
+    """Add `sign` times one row of `hat_integrals`. knots: (K,) float64; row: (K,) float64, out"""
+    last = len(knots) - 1
+    for knot in range(last):
+        low, high = knots[knot], knots[knot + 1]
+        inside = min(max(log_grey, low), high) - low
+        rising = inside * inside / (2.0 * (high - low))
+        row[knot] += sign * (inside - rising)
+        row[knot + 1] += sign * rising
+    row[0] += sign * min(log_grey - knots[0], 0.0)
+    row[last] += sign * max(log_grey - knots[last], 0.0)
+
+
+@kernel
 def hat_integrals(place: np.ndarray, knots: np.ndarray) -> np.ndarray:
     """(N, K) float64: integrals from the first knot to each place of the K functions that are 1 at one knot and 0 at the
     others, linear in between and constant beyond the outermost.
 
     place: (N,) float64; knots: (K,) float64, ascending
     """
-    last = len(knots) - 1
-    table = np.zeros((len(place), last + 1))
+    table = np.zeros((len(place), len(knots)))
     for n in range(len(place)):
-        for knot in range(last):
-            low, high = knots[knot], knots[knot + 1]
-            inside = min(max(place[n], low), high) - low
-            rising = inside * inside / (2 * (high - low))
-            table[n, knot] += inside - rising
-            table[n, knot + 1] += rising
-        table[n, 0] += min(place[n] - knots[0], 0.0)
-        table[n, last] += max(place[n] - knots[last], 0.0)
+        add_hats(place[n], knots, 1.0, table[n])
     return table

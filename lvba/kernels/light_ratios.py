@@ -6,6 +6,7 @@ import numpy as np
 from numba import prange
 
 from lvba.kernels.compiled import kernel, parallel_kernel
+from lvba.kernels.edge_sums import add_hats
 
 
 class LightRatios(NamedTuple):
@@ -56,20 +57,6 @@ def slope_at(log_grey: float, at_knots: np.ndarray, knots: np.ndarray) -> float:
             part = (log_grey - knots[knot]) / (knots[knot + 1] - knots[knot])
             return 1.0 + at_knots[knot] + part * (at_knots[knot + 1] - at_knots[knot])
     return 1.0 + at_knots[last]
-
-
-@kernel
-def add_hats(log_grey: float, knots: np.ndarray, sign: float, row: np.ndarray) -> None:
-    """Add `sign` times one row of `edge_sums.hat_integrals`. knots: (K,) float64; row: (K,) float64, out"""
-    last = len(knots) - 1
-    for knot in range(last):
-        low, high = knots[knot], knots[knot + 1]
-        inside = min(max(log_grey, low), high) - low
-        rising = inside * inside / (2.0 * (high - low))
-        row[knot] += sign * (inside - rising)
-        row[knot + 1] += sign * rising
-    row[0] += sign * min(log_grey - knots[0], 0.0)
-    row[last] += sign * max(log_grey - knots[last], 0.0)
 
 
 @parallel_kernel

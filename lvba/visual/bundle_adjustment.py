@@ -330,21 +330,20 @@ def covariance_of(solution: LevelSolution) -> Covariance:
     poses = linear_solver.sandwich(total, clusters, _gradient_variance(prior, at), solution.free)
     solved = _Turn(problem, solution.wall_clusters, at, linearization, solution.free)
     own = _covariance_of_calibration(solved, prior, total)
-    known = replace(poses, shared=own)
     if prior is not None:
         # balanced gradients promise too much of the camera, which turns all images: on a road, a principal point that
         # was 0.6 px off to 0.2, where those of each image by itself say 0.8
         plain, camera = linear_solver.covariance(total, solution.free), fixed_calibration.indices()
         poses = linear_solver.with_errors_of_shared(poses, own - poses.shared, plain, camera)
-        known = replace(poses, shared=own)
         place = Calibration.layout()["readout"].start
-        known.shared[place, place] += camera_motion.readout_variance(
+        own[place, place] += camera_motion.readout_variance(
             problem,
             at.photometric,
             linearization.sums,
             trajectory_prior.with_fixed(prior, solution.fixed),
             at.visual,
         )
+    known = replace(poses, shared=own)
     return _with_held(known, solved, total, solution.fixed)
 
 

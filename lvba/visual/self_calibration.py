@@ -20,7 +20,7 @@ from lvba.camera import Camera
 from lvba.kernels import moving_rows
 from lvba.kernels import photometric_shared as kernels
 from lvba.kernels.scene import PlanePatches
-from lvba.visual.fixed_calibration import CORRECTIONS
+from lvba.visual import fixed_calibration
 from lvba.visual.image import intrinsics_of
 from lvba.visual.patch_shifts import Shifts
 from lvba.visual.scene_points import Observations, ScenePoints
@@ -147,7 +147,7 @@ def shifts(
     place, by_pixel, by_poses = _centers(points, observations, pixels, pinhole, world_from_camera)
     at = observations.point
     layout = calibration.layout()
-    columns = np.concatenate([np.arange(layout.size)[layout[name]] for name in CORRECTIONS])
+    columns = fixed_calibration.indices()
     jacobian = np.zeros((len(at), 3, len(columns)))
     by, by_readout = jacobian[:, :2, :-1], jacobian[:, :2, -1]
     by[:] = displacement(camera, pinhole, place) - by_pixel @ displacement(camera, pinhole, pixels)[at]
