@@ -23,7 +23,7 @@ from lvba.dataset import Dataset
 from lvba.io.dataset import load_image, load_scan, open_dataset
 from lvba.io.reference import of_cameras, read_reference
 from lvba.lens import Lens
-from lvba.products.views import nearest_in_time
+from lvba.trajectory import nearest_in_time
 
 _MOST_APART = 3000
 """Pairs of images far apart that are tried."""

@@ -69,7 +69,7 @@ def _poses(dataset: Any, folder: Path) -> tuple[np.ndarray, np.ndarray]:
     from neighbors import cameras
 
     from lvba.io.reference import read_reference
-    from lvba.products.views import nearest_in_time
+    from lvba.trajectory import nearest_in_time
 
     if folder.resolve() == Path(dataset.root).resolve():
         return dataset.scans.world_from_sensor, cameras(dataset, folder)

@@ -184,6 +184,13 @@ def pose_error(estimate: Poses, reference: Poses, *, aligned: Pose | None = None
     )
 
 
+def nearest_in_time(times: Times, queries: Times) -> np.ndarray:
+    """For each query the index (Q,) of the sample nearest in time, the earlier of two equally near. times: ascending."""
+    after = np.clip(np.searchsorted(times, queries), 0, len(times) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(queries - times[before] <= times[after] - queries, before, after)
+
+
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0
 

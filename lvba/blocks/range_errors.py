@@ -14,11 +14,12 @@ from lvba.arrays import Poses
 from lvba.blocks import motion_left, scan_windows
 from lvba.blocks.scan_windows import Window
 from lvba.dataset import Dataset
-from lvba.lidar import beam_depth, incidence, range_errors, scan_evidence, scan_motion
+from lvba.lidar import beam_depth, incidence, range_errors, range_uncertainty, scan_evidence, scan_motion
 from lvba.lidar.bundle_adjustment import Aligned
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.point_times import PointClock
 from lvba.lidar.range_errors import Beams, RangeErrors
+from lvba.lidar.range_uncertainty import Response
 from lvba.lidar.row_times import RowClock
 from lvba.lidar.scan import gather
 from lvba.lidar.scan_evidence import ByShared, OnPlanes, ScanEvidence, View
@@ -69,7 +70,8 @@ class _Measurement:
     """Finds poses, planes and the errors in turn.
 
     cosines: of each window, of its points on planes; poses: of its scans, in the round before
-    depths: of each window, as `beam_depth.Depths.squares`; poses_by_depth: as of `RangeErrors.poses_off`, by that
+    depths: of each window, as `beam_depth.Depths.squares`; responses: of each, of its points to errors
+    poses_by_depth: as of `RangeErrors.poses_off`, by that
     """
 
     dataset: Dataset
@@ -80,6 +82,7 @@ class _Measurement:
     cosines: dict[int, np.ndarray] = field(default_factory=dict)
     poses: dict[int, Poses] = field(default_factory=dict)
     depths: dict[int, np.ndarray] = field(default_factory=dict)
+    responses: dict[int, Response] = field(default_factory=dict)
     poses_by_depth: tuple[float, float] = (0.0, 0.0)
 
     def of(self, probes: list[Window]) -> RangeErrors:
@@ -96,10 +99,12 @@ class _Measurement:
         total = self._total(probes, np.zeros(self.size))
         own = total.of(self.own)
         if not np.isfinite(own.covariance[: self.size, : self.size]).all():
-            return RangeErrors(self.beams)
+            nothing = np.zeros(self.size)
+            return self._uncertain(RangeErrors(self.beams), nothing, np.diag(nothing + np.inf), own)
         kept, _ = self._significant(*self._estimate(own), least, _SUSPECT)
         if not kept.any() and total.chance(self.others) > _SUSPECT:
-            return self._errors(*self._estimate(own), kept)
+            estimate, covariance = self._estimate(own)
+            return self._uncertain(self._errors(estimate, covariance, kept), estimate, covariance, own)
         return self._closer(scan_windows.sampled(self.dataset), least, together)
 
     def _closer(self, windows: list[Window], least: np.ndarray, points: np.ndarray) -> RangeErrors:
@@ -107,6 +112,7 @@ class _Measurement:
         self.cosines.clear()
         self.poses.clear()
         self.depths.clear()
+        self.responses.clear()
         for turn in range(_ROUNDS):
             self.progress("errors of ranges", turn, _ROUNDS)
             total = self._total(windows, errors)
@@ -130,7 +136,25 @@ class _Measurement:
         if (np.abs(last) > _FALLS * np.abs(first))[kept].any():
             text = "no error of the sensor explains what is left"
             return replace(self._errors(errors, covariance, kept & False), problem=text)
-        return self._errors(np.where(kept, errors, errors + change), covariance, kept)
+        measured = self._errors(np.where(kept, errors, errors + change), covariance, kept)
+        return self._uncertain(measured, errors + change, covariance, total)
+
+    def _uncertain(
+        self, errors: RangeErrors, estimate: np.ndarray, covariance: np.ndarray, total: ScanEvidence
+    ) -> RangeErrors:
+        """The errors, with how far points and poses may be off by what is left of them.
+
+        estimate, covariance: (k,) and (k, k), of all together
+        """
+        names = self.beams.names
+        corrected = np.array([errors.values[name] if name in errors.corrected else 0.0 for name in names])
+        moment = range_uncertainty.moment(names, estimate, covariance, corrected)
+        response = sum(self.responses.values(), range_uncertainty.none(self.size))
+        return replace(
+            errors,
+            points_off=response.off(moment),
+            poses_off=total.of(slice(0, self.size)).poses_by(moment),
+        )
 
     @property
     def _depth(self) -> float:
@@ -142,12 +166,12 @@ class _Measurement:
         """The errors, with how deep beams go into surfaces, if they do."""
         if (depth := self._depth) < range_errors.LEAST_M:
             return errors
-        (part, off), (turn, shift), by_depth = errors.by_direction, errors.poses_off, self.poses_by_depth
+        (part, off), (turn, shift), by_depth = errors.points_off, errors.poses_off, self.poses_by_depth
         return replace(
             errors,
             values={**errors.values, range_errors.DEPTH: round(depth, 4)},
             noticed=(*errors.noticed, range_errors.DEPTH),
-            by_direction=(part, math.hypot(off, depth)),
+            points_off=(part, math.hypot(off, depth)),
             poses_off=(math.hypot(turn, by_depth[0]), math.hypot(shift, by_depth[1])),
         )
 
@@ -162,13 +186,14 @@ class _Measurement:
         else:
             kept, estimate = self._significant(errors + change, covariance, least, range_errors.CHANCE)
         judged = self._errors(np.where(kept, estimate, errors + change), covariance, kept)
+        likely = self._likely(total)
         values = {**judged.values, range_errors.DIRECTION: round(by_direction[1], 4)}
         return replace(
             judged,
             values=values,
             noticed=(range_errors.DIRECTION,),
-            by_direction=by_direction,
-            poses_off=total.poses_by(self._likely(total)),
+            points_off=by_direction,
+            poses_off=total.poses_by(np.outer(likely, likely)),
         )
 
     @property
@@ -192,7 +217,7 @@ class _Measurement:
         return own.change[: self.size], beside**2 * own.covariance[: self.size, : self.size]
 
     def _by_direction(self, total: ScanEvidence, points: np.ndarray) -> tuple[float, float]:
-        """As `RangeErrors.by_direction`, of points (N, 3) m; zeros: what is seen of it may be chance.
+        """As `RangeErrors.points_off`, of points (N, 3) m; zeros: what is seen of it may be chance.
 
         Less the common scale in it, which planes do not tell: where beams are level, it looks like a harmonic.
         """
@@ -234,7 +259,7 @@ class _Measurement:
         total = scan_evidence.nothing(self.others.stop)
         for number, window in enumerate(windows):
             total += self._evidence(number, window, errors, len(total.gradient))
-        self.poses_by_depth = total.poses_by(np.eye(self.others.stop)[self.own.stop - 1])
+        self.poses_by_depth = total.poses_by(np.diag(np.eye(self.others.stop)[self.own.stop - 1]))
         return total
 
     def _evidence(self, number: int, window: Window, errors: np.ndarray, size: int) -> ScanEvidence:
@@ -251,6 +276,7 @@ class _Measurement:
         brighter = None
         if self.beams.usual is not None and window.intensity is not None:
             brighter = range_errors.brighter_on_planes(view, self.beams, window.intensity, cosine)
+        self.responses[number] = range_uncertainty.response(view, self.beams, brighter)
         depths = beam_depth.of_planes(view, self.beams.position)
         self.depths[number] = depths.squares
         by_depth = beam_depth.by_depth(self.beams, depths.of_points(view.labels.plane))

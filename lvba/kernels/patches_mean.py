@@ -15,9 +15,10 @@ from lvba.kernels.visibility_depth import patch_hidden
 COLUMN, ROW, RIGHT, DOWN, INSIDE = range(5)
 """Rows of what `land` writes: column and row of the upper left of the four pixels that hold a sample, the sample's place
 between them (to the right and down, 0 to 1), and 1 where all four are in the image."""
-REFERENCE_MEAN, TARGET_MEAN, SPREAD = range(3)
-"""Columns of what `measure_pairs` returns: mean of the reference and of the target (-1: not measured), and the root mean
-square of I_t / mean_t - I_r / mean_r."""
+REFERENCE_MEAN, TARGET_MEAN, SPREAD, CONTRAST = range(4)
+"""Columns of what `measure_pairs` returns: mean of the reference and of the target (-1: not measured), the root mean
+square of I_t / mean_t - I_r / mean_r, and what it would be if the two had nothing in common: of both, the standard
+deviation over the mean, in squares together."""
 PIXEL_VARIANCE = 1 / 12
 """px^2, along each axis: of the square that a pixel is the mean over."""
 SAMPLE_VARIANCE = 1 / 12 + 1 / 6
@@ -139,14 +140,14 @@ def compare(
     weights: np.ndarray,
     landed: np.ndarray,
     gates: MeanGates,
-) -> tuple[float, float, float]:
-    """REFERENCE_MEAN, TARGET_MEAN and SPREAD over the reference's window; means -1 where too little is left.
+) -> tuple[float, float, float, float]:
+    """REFERENCE_MEAN, TARGET_MEAN, SPREAD and CONTRAST over the reference's window; means -1 where too little is left.
 
     reference, target: (H, W, C) uint8; side, landed: see `land`; weights: (2, N) float64, of the pixels of the reference
     and of the samples of the target, each with sum 1. A pixel that is masked in one counts in neither mean.
     """
     channels = reference.shape[2]
-    own, part, first, second, rr, rt, tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    own, part, first, second, middle, rr, rt, tt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for n in range(weights.shape[1]):
         if landed[INSIDE, n] == 0.0 or weights[0, n] + weights[1, n] == 0.0:
             continue
@@ -165,14 +166,17 @@ def compare(
             part += weight
             first += weights[0, n] * a_sum
             second += weight * b_sum
+            middle += weight * a_sum
             rr += weight * aa
             rt += weight * ab
             tt += weight * bb
     if min(own, part) < gates.min_usable:
-        return -1.0, -1.0, 0.0
-    first, second = first / (own * channels), second / (part * channels)
-    spread = rr / first**2 - 2 * rt / (first * second) + tt / second**2
-    return first, second, math.sqrt(max(spread, 0.0) / (part * channels))
+        return -1.0, -1.0, 0.0, 0.0
+    count = part * channels
+    first, second, middle = first / (own * channels), second / count, middle / count
+    spread = (rr / first**2 - 2 * rt / (first * second) + tt / second**2) / count
+    contrast = (rr / count - middle**2) / first**2 + (tt / count - second**2) / second**2
+    return first, second, math.sqrt(max(spread, 0.0)), math.sqrt(max(contrast, 0.0))
 
 
 @parallel_kernel
@@ -189,14 +193,14 @@ def measure_pairs(
     gates: MeanGates,
     nearest: NearestPoints,
 ) -> np.ndarray:
-    """REFERENCE_MEAN, TARGET_MEAN and SPREAD of every pair, (O, 3) float64.
+    """REFERENCE_MEAN, TARGET_MEAN, SPREAD and CONTRAST of every pair, (O, 4) float64.
 
     finer, images, coarser: (I, H, W, C) uint8, at twice, once and half the size; the target is read where its pixels are
         closest in size to the reference's
     poses: (I, 4, 4) float64, world_from_camera; intrinsics: of `images`
     point: (O,) int32, of the patches; target: (O,) int32, image; size: px, odd, of the window
     """
-    means = np.full((len(point), 3), -1.0)
+    means = np.full((len(point), 4), -1.0)
     half, height, width = size // 2, images.shape[1], images.shape[2]
     side = np.empty((2, size * size))
     for n in range(size * size):

@@ -190,8 +190,8 @@ class RangeErrors:
     corrected: the names of those that are taken out of the points
     noticed: of those that are no chance, but stay
     problem: why what is significant was not corrected
-    by_direction: how far points stay off by what else depends on the beam's direction or goes into surfaces, root mean
-        square: as a part of the range, and in m
+    points_off: how far points stay off by what else depends on the beam's direction or goes into surfaces, or by what
+        these errors may still be, root mean square: as a part of the range, and in m
     poses_off: rad and m, root mean square, that poses are off because of that
     """
 
@@ -201,7 +201,7 @@ class RangeErrors:
     corrected: tuple[str, ...] = ()
     problem: str = ""
     noticed: tuple[str, ...] = ()
-    by_direction: tuple[float, float] = (0.0, 0.0)
+    points_off: tuple[float, float] = (0.0, 0.0)
     poses_off: tuple[float, float] = (0.0, 0.0)
 
     def points(

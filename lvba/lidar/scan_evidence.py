@@ -109,12 +109,12 @@ class ScanEvidence:
             scans=self.scans,
         )
 
-    def poses_by(self, numbers: np.ndarray) -> tuple[float, float]:
+    def poses_by(self, moment: np.ndarray) -> tuple[float, float]:
         """rad and m, root mean square over scans, that poses turn and move by numbers that are not known of.
 
-        numbers: (k,) float64
+        moment: (k, k) float64, second moments of the numbers
         """
-        turn, shift = np.sqrt(np.einsum("pij,i,j->p", self.by_numbers, numbers, numbers) / max(self.scans, 1))
+        turn, shift = np.sqrt(np.einsum("pij,ij->p", self.by_numbers, moment) / max(self.scans, 1))
         return float(turn), float(shift)
 
     def chance(self, columns: slice) -> float:

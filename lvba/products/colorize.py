@@ -16,9 +16,10 @@ from lvba.kernels import colorize as kernels
 from lvba.kernels import occlusion
 from lvba.parallel import in_order
 from lvba.products.cloud import Blocks, Cloud, Origins, sort_into_blocks, surfaces
-from lvba.products.views import Views, nearest_in_time
+from lvba.products.views import Views
 from lvba.progress import Progress, silent
 from lvba.settings import Group, setting
+from lvba.trajectory import nearest_in_time
 from lvba.visual.image import DARK, SATURATED
 from lvba.visual.response import LINEAR, Response
 

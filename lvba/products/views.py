@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lvba.arrays import Times
 from lvba.camera import Camera
 from lvba.kernels.scene import Intrinsics
 from lvba.visual import radiometry
@@ -67,10 +66,3 @@ class Views:
     def poses(self) -> np.ndarray:
         """world_from_camera (I, 4, 4) float32, as kernels take it."""
         return np.ascontiguousarray(self.world_from_camera, np.float32)
-
-
-def nearest_in_time(times: Times, queries: Times) -> np.ndarray:
-    """For each query the index (Q,) of the sample nearest in time, the earlier of two equally near. times: ascending."""
-    after = np.clip(np.searchsorted(times, queries), 0, len(times) - 1)
-    before = np.maximum(after - 1, 0)
-    return np.where(queries - times[before] <= times[after] - queries, before, after)

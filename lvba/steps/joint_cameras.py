@@ -15,13 +15,19 @@ from lvba.blocks.visual_block import CameraBlock, CameraPoints
 from lvba.blocks.visual_joint import JointCameras
 from lvba.dataset import Dataset
 from lvba.optim.shared_parameters import common_sigma
-from lvba.products.views import nearest_in_time
 from lvba.steps import joint_prior
 from lvba.steps.lidar import carry_cameras
 from lvba.steps.outcomes import LidarStage, MapPlanes, ScanPoses, VisualStage
 from lvba.steps.visual import inputs
 from lvba.trajectory import Trajectory
-from lvba.visual import calibration_prior, covariance, fixed_calibration, radiometry, trajectory_prior
+from lvba.visual import (
+    calibration_prior,
+    covariance,
+    exposures_between,
+    fixed_calibration,
+    radiometry,
+    trajectory_prior,
+)
 from lvba.visual.clock import common_calibration
 from lvba.visual.config import VisualConfig
 from lvba.visual.exposure_graph import Edges
@@ -251,7 +257,7 @@ def finish_cameras(
     times, keyframes = dataset.images.times, survey.keyframes
     prior = joint_prior.prior_of_all(dataset, lidar, scans, config)
     poses, calibration = cameras_of_all(now, prior, stages, keyframes, times)
-    log_exposure = np.interp(times, times[keyframes], now.state.cameras.log_exposure)
+    exposed = exposures_between.of_all(times, keyframes, now.state.cameras.log_exposure, now.exposure_sigma)
     results = joint_prior.results_of(stages)
     spread, local_covariance = _of_parts(cores, stages, len(times))
     if lidar.result is not None and scans.verdict.accepted:
@@ -259,7 +265,6 @@ def finish_cameras(
         unsolved = ~np.isfinite(spread[:, 0, 0])
         known = lidar.result.shared_factor * lidar.result.covariance
         spread[unsolved] = covariance.of_map(poses, times, where, known)[unsolved]
-    nearest = nearest_in_time(times[keyframes], times)
     degenerate = np.zeros(len(times), np.int32)
     for core, part in zip(cores, stages, strict=True):
         if part.result is not None:
@@ -270,10 +275,10 @@ def finish_cameras(
     return VisualStage(
         VisualResult(
             world_from_camera=poses,
-            log_exposure=log_exposure - log_exposure[0],
+            log_exposure=exposed[0],
             covariance=spread,
             local_covariance=local_covariance,
-            log_exposure_sigma=np.hypot(now.exposure_sigma[nearest], balance),
+            log_exposure_sigma=np.hypot(exposed[1], balance),
             keyframes=keyframes,
             calibration=calibration,
             calibration_sigma=sigma,

@@ -280,7 +280,7 @@ def finish_scans(
         result,
         rough_error=rough_poses.of_all(errors),
         confirmed=confirmed,
-        by_direction=(0.0, 0.0) if scan_errors is None else scan_errors.by_direction,
+        points_off=(0.0, 0.0) if scan_errors is None else scan_errors.points_off,
     )
     return JointScans(stage, merged.merged, state.history)
 

@@ -75,7 +75,7 @@ def solve_lidar(
         with_errors(result, errors, part.scan_numbers),
         rough_error=None if begin is None else begin.judged(surfels, poses),
         confirmed=_confirmed(surfels, dataset.scans, Trajectory(dataset.scans.times, poses)),
-        by_direction=(0.0, 0.0) if errors is None else errors.by_direction,
+        points_off=(0.0, 0.0) if errors is None else errors.points_off,
     )
 
 

@@ -24,14 +24,14 @@ class LidarStage:
 
     rough_error: of rough poses that were too far off to start from; None: they were not
     confirmed: (K,) int64, scans after which the motion is not as before and after, but surfaces confirm the refined one
-    by_direction: errors of ranges that stay in the points, as `RangeErrors.by_direction`
+    points_off: errors of ranges that stay in the points, as `RangeErrors.points_off`
     """
 
     result: LidarResult | None
     problem: str = ""
     rough_error: RoughError | None = None
     confirmed: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
-    by_direction: tuple[float, float] = (0.0, 0.0)
+    points_off: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)

@@ -243,7 +243,7 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
         ),
     )
     if accepted.exposures.accepted:
-        facts["vague_exposures"] = _vague(result.log_exposure_sigma)
+        facts["vague_exposures"] = _vague(result)
     if result.white_balance is not None:
         size = 100 * float(np.sqrt(np.square(result.white_balance).mean()))
         facts["white_balance"] = {"used": accepted.exposures.accepted, "change_percent": size}
@@ -270,11 +270,12 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
     return facts
 
 
-def _vague(log_exposure_sigma: np.ndarray) -> np.ndarray:
-    """Images whose exposures are known verdict.VAGUE times less well than the others, and to worse than can be seen."""
-    known = log_exposure_sigma[np.isfinite(log_exposure_sigma)]
+def _vague(result: VisualResult) -> np.ndarray:
+    """Keyframes whose exposures are known `verdict.VAGUE` times less well than others', and to worse than can be seen."""
+    sigma = result.log_exposure_sigma[result.keyframes]
+    known = sigma[np.isfinite(sigma)]
     typical = float(np.median(known)) if len(known) else 0.0
-    return np.flatnonzero(log_exposure_sigma > max(verdict.VAGUE * typical, _VISIBLE))
+    return result.keyframes[sigma > max(verdict.VAGUE * typical, _VISIBLE)]
 
 
 def _calibration(dataset: Dataset, result: VisualResult, accepted: Accepted) -> dict[str, Any]:

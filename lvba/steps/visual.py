@@ -172,6 +172,6 @@ def inputs(
         planes=plane_set,
         plane_points=points,
         scan_covariance=planes.uncertainty,
-        range_errors=lidar.by_direction,
+        range_errors=lidar.points_off,
         camera=dataset.camera,
     )

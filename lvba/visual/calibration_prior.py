@@ -53,7 +53,7 @@ class Evidence:
         )
 
     def by_range_errors(self, errors: tuple[float, float]) -> np.ndarray:
-        """(k, k): variance of the gradient by errors of ranges that planes share. errors: as `RangeErrors.by_direction`
+        """(k, k): variance of the gradient by errors of ranges that planes share. errors: as `RangeErrors.points_off`
 
         Planes that are off by so much, all in some way together, look to the images as a camera that sits elsewhere on
         the LiDAR. How far pieces of wall contradict each other shows nothing of it.

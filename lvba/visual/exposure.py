@@ -21,7 +21,7 @@ from lvba.kernels.patches_mean import REFERENCE_MEAN, SPREAD, TARGET_MEAN
 from lvba.kernels.patches_pyramid import blank_masked, halve
 from lvba.lidar.plane import Surfaces
 from lvba.trajectory import Trajectory
-from lvba.visual import nearness, radiometry, response, scene_points, vignetting, visibility
+from lvba.visual import nearness, radiometry, response, same_surface, scene_points, vignetting, visibility
 from lvba.visual.edge_means import edge_means, medians, pieces_of_means, shared_errors, weighted_means
 from lvba.visual.exposure_graph import BLOCKS, Edges, Exposures, robust_std, solve_edges
 from lvba.visual.image import DARK, SATURATED, LevelImages, Pyramid, intrinsics_of
@@ -93,10 +93,12 @@ def solve(
     raw: Camera | None = None,
     points: ScenePoints | None = None,
     cells: int = CELLS,
+    refined: bool = False,
 ) -> Exposures:
     """The relative exposures of all images at given poses.
 
-    cells: patches per image, about, that are placed where there are no `points`; other arguments as of `ratios_at`
+    cells: patches per image, about, that are placed where there are no `points`; refined: as of `measure`
+    Other arguments as of `ratios_at`.
     """
     camera, plain = pyramid.camera.at_level(level), _masked(pyramid, level, LINEAR)
     if points is None:
@@ -107,7 +109,7 @@ def solve(
 
     def edges(curve: Response, falloff: Vignetting = vignetting.NONE) -> Edges:
         levels = _masked(pyramid, level, curve) if curve else plain
-        ratios = measure(levels, level, camera, poses, points, seen, depth, raw)
+        ratios = measure(levels, level, camera, poses, points, seen, depth, raw, refined)
         return edges_of(replace(ratios, curve=curve), len(poses), Radiometry(falloff))
 
     summed = edges(LINEAR)
@@ -150,7 +152,7 @@ def ratios_at(
     curve: Response = LINEAR,
     points: ScenePoints | None = None,
 ) -> Ratios:
-    """The log ratios of all patches at given poses; `first` is the image that a patch was laid out in.
+    """The log ratios of all patches at refined poses; `first` is the image that a patch was laid out in.
 
     cameras: of the images of the pyramid
     seen: the global visibility map, which ties images that are far apart in time; None: neighbours only
@@ -164,7 +166,7 @@ def ratios_at(
     levels, camera = _masked(pyramid, level, curve), pyramid.camera.at_level(level)
     if points is None:
         points = place(levels[level], camera, cameras, surfaces)
-    ratios = measure(levels, level, camera, cameras.world_from_sensor, points, seen, depth, raw)
+    ratios = measure(levels, level, camera, cameras.world_from_sensor, points, seen, depth, raw, refined=True)
     return replace(ratios, curve=curve)
 
 
@@ -218,8 +220,12 @@ def measure(
     seen: VisibilityMap | None,
     depth: DepthBuffers,
     raw: Camera | None = None,
+    refined: bool = False,
 ) -> Ratios:
-    """The log ratios of all patches in all images that see them; levels[level] belongs to `camera`."""
+    """The log ratios of all patches in all images that see them; levels[level] belongs to `camera`.
+
+    refined: poses are, so that texture says which images show something else
+    """
     images = levels[level]
     point, target = local_pairs(points.reference, len(images), WINDOW)
     if seen is not None and len(points):
@@ -243,6 +249,11 @@ def measure(
         depth.at(camera),
     )
     good = means[:, REFERENCE_MEAN] > 0
+    if refined:
+        shown = point[good]
+        ends = points.reference[shown], target[good]
+        hidden = same_surface.hidden(means[good], points.position_world[shown], *ends, len(images))
+        good[good] = ~(hidden[ends[0]] | hidden[ends[1]])
     sigma = np.sqrt(SIGMA_FLOOR**2 + means[good, SPREAD] ** 2 / INDEPENDENT)
     value = np.log(means[good, TARGET_MEAN] / means[good, REFERENCE_MEAN])
     point, target = point[good].astype(np.int32), target[good].astype(np.int32)

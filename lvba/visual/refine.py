@@ -249,7 +249,8 @@ class _Exposed:
 def _exposed(
     scene: Scene, level: int, state: VisualState, depth: DepthBuffers, points: ScenePoints | None = None
 ) -> _Exposed:
-    """The state with exposures solved anew, at a level and its depth buffers, by patches; None: by few, placed anew."""
+    """The state with exposures solved anew, at a level and its depth buffers, by patches placed at refined ones; None: by
+    few, placed anew."""
     poses = state.cameras.world_from_camera
     if scene.variant.exposures == "none":
         return _Exposed(state, np.zeros(len(poses)))
@@ -257,7 +258,8 @@ def _exposed(
     compared = max(min(level, _COARSEST_EXPOSED), exposure.LEVEL)
     raw = scene.camera if scene.vignetting and scene.variant.exposures == "means" else None
     where = scene.pyramid, scene.cameras(poses), scene.surfaces, scene.seen
-    solved = exposure.solve(*where, compared, depth, raw, points, exposure.FEW_CELLS)
+    refined = points is not None
+    solved = exposure.solve(*where, compared, depth, raw, points, exposure.FEW_CELLS, refined)
     state = replace(state, cameras=CameraStates(poses, solved.log_exposure))
     return _Exposed(state, solved.sigma, solved.radiometry)
 

@@ -7,7 +7,15 @@ import numpy as np
 from lvba.arrays import Indices, Poses, Times
 from lvba.optim.levenberg_marquardt import Iteration
 from lvba.optim.linear_solver import Covariance
-from lvba.visual import bundle_adjustment, calibration_prior, degeneracy, photometric, trajectory_prior
+from lvba.trajectory import nearest_in_time
+from lvba.visual import (
+    bundle_adjustment,
+    calibration_prior,
+    degeneracy,
+    exposures_between,
+    photometric,
+    trajectory_prior,
+)
 from lvba.visual.bundle_adjustment import LevelSolution
 from lvba.visual.calibration_prior import NO_CHANGE, ExtrinsicChange
 from lvba.visual.degeneracy import DegenerateDirections
@@ -154,15 +162,15 @@ def collect(
         own = own + degeneracy.held_covariance(state, last.prior, directions)
     solved = trajectory_prior.take(prior, keyframes) if last.prior is None else last.prior
     poses, between = trajectory_prior.fill(prior, solved, state, keyframes, times)
-    nearest = np.abs(times[keyframes][None] - times[:, None]).argmin(axis=1)
-    log_exposure = np.interp(times, times[keyframes], state.cameras.log_exposure)
+    nearest = nearest_in_time(times[keyframes], times)
+    exposed = exposures_between.of_all(times, keyframes, state.cameras.log_exposure, log_exposure_sigma)
     local_covariance = own[nearest] + between
     return VisualResult(
         world_from_camera=poses,
-        log_exposure=log_exposure - log_exposure[0],
+        log_exposure=exposed[0],
         covariance=local_covariance,
         local_covariance=local_covariance,
-        log_exposure_sigma=log_exposure_sigma[nearest],
+        log_exposure_sigma=exposed[1],
         keyframes=keyframes,
         calibration=state.calibration,
         calibration_sigma=_calibration_sigma(known),
@@ -189,15 +197,19 @@ def _ties(problem: Problem, keyframes: Indices, images: int) -> np.ndarray:
 
 
 def with_white_balance(result: VisualResult, balance: WhiteBalance, times: Times) -> VisualResult:
-    """The result with exposures that are means over the colors. times: (I,) s of all images; balance: of its keyframes"""
+    """The result with exposures that are means over the colors. times: (I,) s of all images; balance: of its keyframes
+
+    Colors are compared with vignetting and response as grey values tell them, whose errors are in the deviations of these
+    alone.
+    """
     sampled = times[result.keyframes]
-    nearest = np.abs(sampled[None] - times[:, None]).argmin(axis=1)
-    log_exposure = np.interp(times, sampled, balance.log_exposure)
+    sigma = np.maximum(balance.sigma, result.log_exposure_sigma[result.keyframes])
+    exposed = exposures_between.of_all(times, result.keyframes, balance.log_exposure, sigma)
     gains = [np.interp(times, sampled, gain) for gain in balance.log_gain.T]
     return replace(
         result,
-        log_exposure=log_exposure - log_exposure[0],
-        log_exposure_sigma=balance.sigma[nearest],
+        log_exposure=exposed[0],
+        log_exposure_sigma=exposed[1],
         white_balance=np.stack(gains, axis=1),
     )
 

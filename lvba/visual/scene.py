@@ -29,7 +29,7 @@ class Inputs:
     pyramid: of the keyframes only; keyframes: (K,) their indices among the images
     images, scans: rough trajectories; refined_scans: (S, 4, 4), poses the planes were made with
     camera_from_scan: (4, 4) calibrated extrinsic; sensor_position_scan: (3,) m
-    scan_covariance: of refined_scans; None: not known; range_errors: left in points, as `RangeErrors.by_direction`
+    scan_covariance: of refined_scans; None: not known; range_errors: left in points, as `RangeErrors.points_off`
     camera: of the raw images, with its lens; None: they had none, and their camera is not refined
     colors: red (0), green or blue of the keyframes, (K, H, W, 1) uint8; None: not at hand; smaller_colors: of large ones
     """

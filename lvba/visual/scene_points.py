@@ -11,7 +11,7 @@ from lvba.kernels import patches, patches_support
 from lvba.lidar.plane import PlanePoints, Planes, Surfaces
 from lvba.parallel import in_order
 from lvba.settings import Group, setting
-from lvba.trajectory import Trajectory
+from lvba.trajectory import Trajectory, nearest_in_time
 from lvba.visual.image import DARK, SATURATED, LevelImages, intrinsics_of
 
 DOG_NOISE = 0.146
@@ -196,7 +196,7 @@ def near_ranges(
 
     scan_offsets: (S + 1,) int64, see `PlanePoints`
     """
-    nearest = np.abs(scan_times[None] - image_times[:, None]).argmin(axis=1)
+    nearest = nearest_in_time(scan_times, image_times)
     first = np.minimum(np.searchsorted(scan_times, image_times - window), nearest)
     last = np.maximum(np.searchsorted(scan_times, image_times + window, side="right"), nearest + 1)
     start, stop = scan_offsets[first], scan_offsets[last]

@@ -85,7 +85,7 @@ class Prior:
         it; evidence: of the images, by which it was weighed last, None: it was not
     scans: as refined; times: (I,) s, of the images; None: not known
     epoch: s, the stamp that the rate of the camera's clock counts from; drifting: whether that rate is solved for
-    range_errors: left in points, alike on all planes, as `RangeErrors.by_direction` of the LiDAR
+    range_errors: left in points, alike on all planes, as `RangeErrors.points_off` of the LiDAR
     """
 
     sources: tuple[Source, ...]

@@ -83,7 +83,7 @@ def solve(
             if points is None:
                 points = exposure.placed(pyramid, cameras, surfaces)
             some = take(points, np.arange(0, len(points), one_in))
-            solved = exposure.solve(pyramid, cameras, surfaces, seen, depth=depth, points=some)
+            solved = exposure.solve(pyramid, cameras, surfaces, seen, depth=depth, points=some, refined=True)
             log_exposure[:, color], sigma[:, color] = solved.log_exposure, solved.sigma
         return log_exposure, sigma
 

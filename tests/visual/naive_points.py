@@ -259,7 +259,7 @@ def window(covariance8, offsets):
 
 
 def compare(reference, target, pixel, moved, shrink, jacobian, size, least):
-    """(mean of the reference, mean of the target, spread) over windows of one footprint, 0 meaning masked.
+    """(mean of the reference, mean of the target, spread, contrast) over windows of one footprint, 0 meaning masked.
 
     moved(du, dv) -> x, y, z; jacobian: (2, 2), d(x, y) / d(du, dv); size: px
     """
@@ -274,7 +274,7 @@ def compare(reference, target, pixel, moved, shrink, jacobian, size, least):
     for n, (j, i) in enumerate(offsets.astype(int)):
         x, y, z = moved(j, i)
         if z <= 0:
-            return -1, -1, 0
+            return -1, -1, 0, 0
         a = reference[pixel[1] + i, pixel[0] + j].astype(float)
         b, four = bilinear(target, (x + 0.5) * shrink - 0.5, (y + 0.5) * shrink - 0.5)
         if b is not None and (a > 0).all() and (four > 0).all() and own[n] + other[n] > 0:
@@ -282,11 +282,16 @@ def compare(reference, target, pixel, moved, shrink, jacobian, size, least):
             a_values.append(a)
             b_values.append(b)
     if min(own[kept].sum(), other[kept].sum()) < least:
-        return -1, -1, 0
+        return -1, -1, 0, 0
     a_mean = np.average(np.mean(a_values, axis=1), weights=own[kept])
     b_mean = np.average(np.mean(b_values, axis=1), weights=other[kept])
     difference = np.array(a_values) / a_mean - np.array(b_values) / b_mean
-    return a_mean, b_mean, np.sqrt(np.average((difference**2).mean(axis=1), weights=other[kept]))
+    spread = np.sqrt(np.average((difference**2).mean(axis=1), weights=other[kept]))
+    contrast = 0.0
+    for values, mean in ((np.array(a_values), a_mean), (np.array(b_values), b_mean)):
+        middle = np.average(values.mean(axis=1), weights=other[kept])
+        contrast += np.average(((values - middle) ** 2).mean(axis=1), weights=other[kept]) / mean**2
+    return a_mean, b_mean, spread, np.sqrt(contrast)
 
 
 def keep_spread(group, limit):

@@ -1,5 +1,7 @@
 """Exposures by color: what is common to the colors is the exposure, the rest the white balance."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from rectangle_world import CAMERA, room_with_screen
@@ -9,6 +11,7 @@ from lvba.products.views import Views
 from lvba.visual import exposure, radiometry, white_balance
 from lvba.visual.image import build_pyramid, grey
 from lvba.visual.response import LINEAR, Response
+from lvba.visual.result import with_white_balance
 from lvba.visual.white_balance import WhiteBalance
 
 
@@ -143,3 +146,24 @@ def test_colors_are_divided_by_the_white_balance(light):
     assert (views.load_even(0)[1:] == np.array([50, 60, 70]) * more).all()
     assert (views.load_even(1)[1:] == np.array([40, 60, 100]) * more).all()
     assert (views.load_even(1)[0, 0] == 255).all()
+
+
+@dataclass(frozen=True)
+class Solved:
+    """What of a `VisualResult` colors change."""
+
+    keyframes: np.ndarray
+    log_exposure: np.ndarray
+    log_exposure_sigma: np.ndarray
+    white_balance: np.ndarray | None = None
+
+
+def test_exposures_by_color_are_as_uncertain_as_vignetting_and_response_make_those_of_grey_values():
+    """Both are taken out of the colors as grey values have them: what they may be off by, colors do not show."""
+    times, keyframes = np.arange(5.0), np.array([0, 2, 4])
+    grey_sigma = np.array([0.02, 0.02, 0.001, 0.001, np.inf])
+    balance = WhiteBalance(np.array([0.0, 0.1, 0.2]), np.full(3, 0.004), np.zeros((3, 3)))
+    result = with_white_balance(Solved(keyframes, np.zeros(5), grey_sigma), balance, times)
+    np.testing.assert_allclose(result.log_exposure, [0.0, 0.05, 0.1, 0.15, 0.2], atol=1e-12)
+    np.testing.assert_allclose(result.log_exposure_sigma[keyframes], [0.02, 0.004, np.inf])
+    assert result.log_exposure_sigma[1] >= 0.004

@@ -1,0 +1,54 @@
+"""Exposures of images between keyframes, and how far they may be off.
+
+Between keyframes an exposure is interpolated, and it is not known what the camera did there. How far each keyframe is
+off the line through its neighbors says how much exposures change: as those of a random walk, of which an image between
+two known ones is off by the variance of a Brownian bridge.
+"""
+
+import numpy as np
+
+from lvba.arrays import Indices, Times
+from lvba.trajectory import nearest_in_time
+
+_FEWEST = 3
+"""Keyframes from which on some have neighbors on both sides."""
+
+
+def of_all(
+    times: Times, keyframes: Indices, log_exposure: np.ndarray, sigma: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Log exposures (I,) float64 of all images, that of the first zero, and their standard deviations (I,) float64.
+
+    times: (I,) s, ascending; keyframes: (K,), ascending; log_exposure, sigma: (K,) float64, of these
+    """
+    sampled = times[keyframes]
+    everywhere = np.interp(times, sampled, log_exposure)
+    nearest = sigma[nearest_in_time(sampled, times)]
+    known = np.isfinite(sigma)
+    spread = np.sqrt(change_rate(sampled[known], log_exposure[known]) * _bridge(sampled, times))
+    return everywhere - everywhere[0], np.hypot(nearest, spread)
+
+
+def change_rate(times: Times, log_exposure: np.ndarray) -> float:
+    """1/s, variance by which exposures at times (K,), s, change in a second; 0 where nothing tells.
+
+    log_exposure: (K,) float64
+    """
+    if len(times) < _FEWEST:
+        steps = np.maximum(np.diff(times), 1e-9)
+        return float(np.mean(np.diff(log_exposure) ** 2 / steps)) if len(steps) else 0.0
+    before, after = times[1:-1] - times[:-2], times[2:] - times[1:-1]
+    along = before / np.maximum(before + after, 1e-9)
+    line = (1 - along) * log_exposure[:-2] + along * log_exposure[2:]
+    bridge = before * after / np.maximum(before + after, 1e-9)
+    return float(np.mean((log_exposure[1:-1] - line) ** 2) / max(np.mean(bridge), 1e-9))
+
+
+def _bridge(sampled: Times, times: Times) -> np.ndarray:
+    """(I,) s: variance of a random walk, of unit rate, at times (I,) between those it is known at (K,); outside, of one
+    that begins there."""
+    after = np.clip(np.searchsorted(sampled, times), 1, max(len(sampled) - 1, 1))
+    first, last = sampled[after - 1], sampled[np.minimum(after, len(sampled) - 1)]
+    inside = (times - first) * (last - times) / np.maximum(last - first, 1e-9)
+    outside = np.maximum(sampled[0] - times, times - sampled[-1])
+    return np.asarray(np.where(outside > 0, outside, np.maximum(inside, 0.0)))

@@ -1,0 +1,82 @@
+"""What errors of the range sensor may be, and what that makes of points, against definitions and samples."""
+
+import numpy as np
+import pytest
+
+from lvba.lidar import range_uncertainty, scan_evidence
+from lvba.lidar.range_errors import INCIDENCE, OFFSET, by_errors, cosines_on_planes
+from lvba.lidar.range_uncertainty import USUAL, Response
+from tests.lidar.test_range_errors import AHEAD, AROUND, room
+
+
+@pytest.mark.parametrize("beams", [AHEAD, AROUND])
+def test_points_are_off_by_as_much_as_correcting_an_error_moves_them(beams):
+    """All points, along the normals of their planes."""
+    view = room(beams, {}, noise=0.01)
+    errors = dict(zip(beams.names, [0.004, 0.0002, -0.003], strict=True))
+    cosine = cosines_on_planes(view, beams)
+    points = view.scans.points.astype(float)
+    moved = sum(value * beams.shift(name, points, cosine) for name, value in errors.items())
+    pose = np.repeat(view.world_from_scan, np.diff(view.scans.offsets), axis=0)
+    normal = np.einsum("nji,nj->ni", pose[:, :3, :3], view.planes.normal[view.labels.plane])
+    off = np.einsum("ni,ni->n", moved, normal)
+    part = off / np.linalg.norm(points - beams.position, axis=1)
+    values = np.array(list(errors.values()))
+    response = range_uncertainty.response(view, beams, None)
+    assert 0.1 * len(points) < response.points < 0.2 * len(points)
+    expected = [np.sqrt(np.mean(part**2)), np.sqrt(np.mean(off**2))]
+    np.testing.assert_allclose(response.off(np.outer(values, values)), expected, rtol=0.05)
+
+
+def test_responses_add_up_and_no_point_is_off_by_nothing():
+    one, none = Response(np.ones((2, 3, 3)), 4), range_uncertainty.none(3)
+    assert (one + none).off(np.eye(3)) == one.off(np.eye(3)) == (pytest.approx(np.sqrt(3 / 4)),) * 2
+    assert (one + one).off(np.eye(3)) == one.off(np.eye(3))
+    assert none.off(np.eye(3)) == (0.0, 0.0)
+
+
+def test_what_is_left_of_errors_is_their_posterior_about_the_correction():
+    """By samples of errors and of what is measured of them, of which those near the measured ones are kept."""
+    rng = np.random.default_rng(2)
+    names = (INCIDENCE, OFFSET)
+    spread = np.array([[1.2e-4, -0.7e-4], [-0.7e-4, 0.8e-4]])
+    estimate, corrected = np.array([0.006, -0.004]), np.array([0.005, 0.0])
+    true = rng.normal(size=(4_000_000, 2)) * [USUAL[name] for name in names]
+    seen = true + rng.multivariate_normal(np.zeros(2), spread, len(true))
+    near = (np.abs(seen - estimate) < 0.001).all(axis=1)
+    assert near.sum() > 5000
+    left = true[near] - corrected
+    moment = range_uncertainty.moment(names, estimate, spread, corrected)
+    np.testing.assert_allclose(moment, left.T @ left / len(left), rtol=0.1, atol=2e-6)
+
+
+def test_errors_that_no_plane_tells_of_are_as_large_as_usual():
+    names = AROUND.names
+    unknown = np.diag(np.full(len(names), np.inf))
+    moment = range_uncertainty.moment(names, np.zeros(len(names)), unknown, np.zeros(len(names)))
+    expected = np.diag([USUAL[name] ** 2 for name in names])
+    np.testing.assert_allclose(moment, expected, rtol=1e-5, atol=1e-12)
+
+
+def test_an_error_that_is_well_known_leaves_nothing_of_its_usual_size():
+    names = (INCIDENCE, OFFSET)
+    moment = range_uncertainty.moment(names, np.array([0.02, 0.0]), 1e-8 * np.eye(2), np.array([0.02, 0.0]))
+    assert np.sqrt(np.diagonal(moment)) == pytest.approx(1e-4, rel=0.01)
+    kept = range_uncertainty.moment(names, np.array([0.02, 0.0]), 1e-8 * np.eye(2), np.zeros(2))
+    assert np.sqrt(kept[0, 0]) == pytest.approx(0.02, rel=0.01)
+
+
+def test_planes_off_by_an_error_are_as_far_off_as_is_said():
+    """Of many rooms with an error each, by what is measured of it: the root mean square of what is left, over what is
+    said of that."""
+    rng, ratios = np.random.default_rng(3), []
+    for seed in range(12):
+        error = {OFFSET: 0.01 * rng.normal()}
+        view = room(AROUND, error, seed=seed, noise=0.02)
+        known = scan_evidence.evidence(view, by_errors(AROUND), 3)
+        none = np.zeros(3)
+        moment = range_uncertainty.moment(AROUND.names, known.change, known.covariance, none)
+        truth = np.array([error.get(name, 0.0) for name in AROUND.names])
+        response = range_uncertainty.response(view, AROUND, None)
+        ratios.append(response.off(np.outer(truth, truth))[1] / response.off(moment)[1])
+    assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 1.5
