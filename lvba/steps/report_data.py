@@ -275,7 +275,7 @@ def _vague(result: VisualResult) -> np.ndarray:
     sigma = result.log_exposure_sigma[result.keyframes]
     known = sigma[np.isfinite(sigma)]
     typical = float(np.median(known)) if len(known) else 0.0
-    return result.keyframes[sigma > max(verdict.VAGUE * typical, _VISIBLE)]
+    return np.asarray(result.keyframes[sigma > max(verdict.VAGUE * typical, _VISIBLE)])
 
 
 def _calibration(dataset: Dataset, result: VisualResult, accepted: Accepted) -> dict[str, Any]:
