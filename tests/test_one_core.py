@@ -47,7 +47,7 @@ LINEAR_ALGEBRA = {
     "lvba/lidar/row_times.py": (1, "regression of the points' order on their directions"),
     "lvba/lidar/scan_motion.py": (2, "6 x 6 information of single scans"),
     "lvba/lidar/scan_evidence.py": (4, "numbers that scans share, at most 11 x 11; poses and planes eliminated"),
-    "lvba/lidar/range_uncertainty.py": (1, "errors of a range sensor, at most 4 x 4"),
+    "lvba/lidar/range_uncertainty.py": (2, "errors of a range sensor, at most 4 x 4"),
     "lvba/steps/pose_fusion.py": (11, "6 x 6 covariances of single scans and of a chain's links"),
     "lvba/steps/uncertainty.py": (1, "normalized errors, 6 x 6"),
     "lvba/visual/bundle_adjustment.py": (1, "information of the shared parameters from their covariance, k x k"),

@@ -204,7 +204,9 @@ class _Measurement:
             points, tau = self._corrected(window, motion, acceleration)
             seen = scan_motion.deviations(self._view(points, result), np.concatenate(tau), sweep)
             now, before = seen.beside(deviation), deviation
-            if (more := scan_motion.held_out(now)) < _MORE * gain:
+            more = scan_motion.held_out(now)
+            # deviations that sharper planes refute are dropped: what they say without them counts
+            if deviation.any() and more < _MORE * gain:
                 break
             known, gain = now, more
             deviation, _ = scan_motion.most_likely(known)

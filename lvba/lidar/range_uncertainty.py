@@ -84,10 +84,12 @@ def moment(
 
     estimate, covariance: (k,) and (k, k) float64, as the planes have them together
     corrected: (k,) float64, what is taken out of the points
-    Posterior of a normal prior, `USUAL` about zero: its variance, and the square of its mean less the correction.
+    Posterior of a normal prior, `USUAL` about zero: its variance, and what its mean is off the correction beyond that.
     """
     usual = np.diag(np.square([USUAL[name] for name in names]))
     known = np.where(np.isfinite(covariance), covariance, _NOT_KNOWN * usual)
     gain = np.linalg.solve(usual + known, usual).T
-    left = gain @ estimate - corrected
-    return np.asarray(gain @ known + np.outer(left, left))
+    left, spread = gain @ estimate - corrected, gain @ known
+    # chance alone makes that mean as large as its deviations say, and these count already
+    chance = len(left) / max(float(left @ np.linalg.solve(spread, left)), 1e-12)
+    return np.asarray(spread + max(1.0 - chance, 0.0) * np.outer(left, left))

@@ -224,7 +224,7 @@ def measure(
 ) -> Ratios:
     """The log ratios of all patches in all images that see them; levels[level] belongs to `camera`.
 
-    refined: poses are, so that texture says which images show something else
+    refined: poses are, so that texture says what hides most of an image
     """
     images = levels[level]
     point, target = local_pairs(points.reference, len(images), WINDOW)
@@ -250,10 +250,8 @@ def measure(
     )
     good = means[:, REFERENCE_MEAN] > 0
     if refined:
-        shown = point[good]
-        ends = points.reference[shown], target[good]
-        hidden = same_surface.hidden(means[good], points.position_world[shown], *ends, len(images))
-        good[good] = ~(hidden[ends[0]] | hidden[ends[1]])
+        place, ends = points.position_world[point[good]], (points.reference[point[good]], target[good])
+        good[good] = same_surface.shown(means[good], place, *ends, len(images))
     sigma = np.sqrt(SIGMA_FLOOR**2 + means[good, SPREAD] ** 2 / INDEPENDENT)
     value = np.log(means[good, TARGET_MEAN] / means[good, REFERENCE_MEAN])
     point, target = point[good].astype(np.int32), target[good].astype(np.int32)

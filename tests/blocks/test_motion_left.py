@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -201,24 +202,32 @@ def test_a_depth_camera_that_reads_rows_at_once_keeps_its_points(depth_camera):
     assert abs(motion.part) < 5 * motion.sigma
 
 
-def test_motions_are_looked_for_again_while_sharper_planes_tell_more(recording, monkeypatch):
-    """What halves of the planes tell of each other: as much again, not; twice as much, once more, and no fourth time."""
-    dataset, told = recording["left"], []
-    original = motion_left.scan_motion.held_out
-
-    def telling(growth):
-        def held_out(known):
-            told.append(original(known))
-            return growth ** len(told)
-
-        return held_out
-
+@pytest.mark.parametrize(
+    ("likely", "gains", "used"),
+    [
+        ([1.0, 2.0, 2.0], [1.0, 1.2, 5.0], 0),  # planes are hardly sharper: the first
+        ([1.0, 2.0, 2.0], [1.0, 2.0, 2.1], 1),
+        ([1.0, 2.0, 2.0], [1.0, 2.0, 4.0], 2),
+        ([1.0, 0.0, 0.0], [1.0, 20.0, 16.0], 2),  # sharper planes refute the first: what they say without it
+    ],
+)
+def test_which_planes_say_what_motions_scans_have(likely, gains, used, monkeypatch):
     turns = []
-    for growth in (1.0, 2.0):
-        told.clear()
-        monkeypatch.setattr(motion_left.scan_motion, "held_out", telling(growth))
-        monkeypatch.setattr(motion_left, "_SAME", 0.0)
-        assert measured(dataset).corrected
-        turns.append(len(told))
-    windows = turns[0] // 2
-    assert turns == [2 * windows, 3 * windows]
+
+    def deviations(*_):
+        turns.append(len(turns))
+        return SimpleNamespace(beside=lambda _, turn=turns[-1]: turn)
+
+    monkeypatch.setattr(motion_left.scan_motion, "deviations", deviations)
+    monkeypatch.setattr(motion_left.scan_motion, "held_out", lambda turn: gains[turn])
+    monkeypatch.setattr(
+        motion_left.scan_motion, "most_likely", lambda turn: (np.full((3, 12), likely[turn]), None)
+    )
+    measurement = SimpleNamespace(
+        clock=SimpleNamespace(sweep=0.1),
+        _solved=lambda *_: (object(), None),
+        _corrected=lambda *_: ([], [np.zeros(1)]),
+        _view=lambda *_: None,
+    )
+    assert motion_left._Measurement._deviations(measurement, None, np.zeros((3, 6))) == used
+    assert len(turns) == (2 if used == 0 else 3)

@@ -39,15 +39,18 @@ def test_what_is_left_of_errors_is_their_posterior_about_the_correction():
     """By samples of errors and of what is measured of them, of which those near the measured ones are kept."""
     rng = np.random.default_rng(2)
     names = (INCIDENCE, OFFSET)
-    spread = np.array([[1.2e-4, -0.7e-4], [-0.7e-4, 0.8e-4]])
-    estimate, corrected = np.array([0.006, -0.004]), np.array([0.005, 0.0])
+    spread = np.array([[3e-5, -1.7e-5], [-1.7e-5, 2e-5]])
+    estimate, corrected = np.array([0.016, -0.004]), np.array([0.0, 0.005])
     true = rng.normal(size=(4_000_000, 2)) * [USUAL[name] for name in names]
     seen = true + rng.multivariate_normal(np.zeros(2), spread, len(true))
     near = (np.abs(seen - estimate) < 0.001).all(axis=1)
     assert near.sum() > 5000
-    left = true[near] - corrected
+    off = (true[near] - corrected).mean(axis=0)
+    known = np.cov(true[near].T)
+    beyond = 1 - 2 / (off @ np.linalg.solve(known, off))
+    assert 0 < beyond < 1
     moment = range_uncertainty.moment(names, estimate, spread, corrected)
-    np.testing.assert_allclose(moment, left.T @ left / len(left), rtol=0.1, atol=2e-6)
+    np.testing.assert_allclose(moment, known + beyond * np.outer(off, off), rtol=0.1, atol=2e-6)
 
 
 def test_errors_that_no_plane_tells_of_are_as_large_as_usual():

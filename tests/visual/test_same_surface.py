@@ -1,4 +1,4 @@
-"""Images that show something else than the surfaces are told by texture; blur, noise and plain walls are none of them."""
+"""What hides an image is told by texture; blur, noise and plain walls are nothing that hides."""
 
 import exposure_errors
 import numpy as np
@@ -33,32 +33,53 @@ def views(seen, noise=0.02, texture=0.05, plain=(), seed=0):
     return means, position, reference[point], target
 
 
+def of(given, image):
+    """(N,) bool: comparisons of an image."""
+    return (given[2] == image) | (given[3] == image)
+
+
 def test_an_image_that_shows_something_else_is_told():
     seen = np.ones(IMAGES)
     seen[3] = 0.0
-    hidden = same_surface.hidden(*views(seen), IMAGES)
-    np.testing.assert_array_equal(np.flatnonzero(hidden), [3])
+    given = views(seen)
+    assert not same_surface.shown(*given, IMAGES)[of(given, 3)].any()
+    assert same_surface.shown(*given, IMAGES)[~of(given, 3)].all()
+
+
+def test_of_an_image_that_is_hidden_for_the_most_part_the_rest_counts():
+    """Patches on the last pieces of surface are seen in it; others are not."""
+    seen = np.ones(IMAGES)
+    seen[3] = 0.0
+    given, right = views(seen), views(np.ones(IMAGES))
+    free = given[1][:, 0] > CELLS - 2
+    means = np.where(free[:, None], right[0], given[0])
+    shown = same_surface.shown(means, *given[1:], IMAGES)
+    # half of the patches have less texture than is usual on their surfaces
+    assert shown[of(given, 3) & free].mean() > 0.6
+    assert shown[of(given, 3) & ~free].mean() < 0.02
+    assert shown[~of(given, 3)].all()
 
 
 @pytest.mark.parametrize("blurred", [0.45, 0.7])
 def test_a_blurred_image_shows_the_surfaces(blurred):
     seen = np.ones(IMAGES)
     seen[3] = blurred
-    assert not same_surface.hidden(*views(seen), IMAGES).any()
+    assert same_surface.shown(*views(seen), IMAGES).all()
 
 
 def test_plain_walls_and_noise_tell_nothing():
     seen = np.ones(IMAGES)
     seen[3] = 0.0
-    assert not same_surface.hidden(*views(seen, texture=0.005), IMAGES).any()
+    assert same_surface.shown(*views(seen, texture=0.005), IMAGES).all()
     # some walls are plain: the others tell
-    assert same_surface.hidden(*views(seen, plain=range(8)), IMAGES)[3]
-    assert not same_surface.hidden(*views(np.ones(IMAGES), plain=range(8)), IMAGES).any()
+    given = views(seen, plain=range(8))
+    assert not same_surface.shown(*given, IMAGES)[of(given, 3)].any()
+    assert same_surface.shown(*views(np.ones(IMAGES), plain=range(8)), IMAGES).all()
 
 
 def test_no_comparison_tells_nothing():
     none = np.zeros(0, int)
-    assert not same_surface.hidden(np.zeros((0, 4)), np.zeros((0, 3)), none, none, 3).any()
+    assert len(same_surface.shown(np.zeros((0, 4)), np.zeros((0, 3)), none, none, 3)) == 0
 
 
 def test_the_exposure_of_an_image_that_something_fills_is_not_known():
