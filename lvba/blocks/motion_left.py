@@ -195,7 +195,7 @@ class _Measurement:
         """What the points of a window's scans tell of the deviations from a motion (n, 6), rad/s and m/s: with those
         found so far taken out, for planes are sharper then."""
         sweep, deviation = self.clock.sweep, np.zeros((len(path), 12))
-        known, gain = scan_motion.Deviations.unseen(len(path)), 0.0
+        known, gain, plain = scan_motion.Deviations.unseen(len(path)), 0.0, 0.0
         for _ in range(_TURNS):
             motion, acceleration = path + deviation[:, :6], 2.0 / sweep * deviation[:, 6:]
             result, _ = self._solved(window, motion, acceleration)
@@ -204,11 +204,11 @@ class _Measurement:
             points, tau = self._corrected(window, motion, acceleration)
             seen = scan_motion.deviations(self._view(points, result), np.concatenate(tau), sweep)
             now, before = seen.beside(deviation), deviation
-            more = scan_motion.held_out(now)
-            # deviations that sharper planes refute are dropped: what they say without them counts
-            if deviation.any() and more < _MORE * gain:
+            more, alone = scan_motion.held_out(now), not deviation.any()
+            # planes that tell far more without deviations than they did at first: poses had not been found then
+            if more < _MORE * (plain if alone else gain):
                 break
-            known, gain = now, more
+            known, gain, plain = now, more, more if alone else plain
             deviation, _ = scan_motion.most_likely(known)
             if np.abs(deviation - before).max() < _SAME:
                 break
