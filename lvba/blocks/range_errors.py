@@ -98,12 +98,12 @@ class _Measurement:
         least = range_errors.LEAST_M / np.maximum(shifts, 1e-9)
         total = self._total(probes, np.zeros(self.size))
         own = total.of(self.own)
-        if not np.isfinite(own.covariance[: self.size, : self.size]).all():
+        estimate, covariance = self._estimate(own)
+        if not np.isfinite(covariance).all():
             nothing = np.zeros(self.size)
             return self._uncertain(RangeErrors(self.beams), nothing, np.diag(nothing + np.inf), own)
-        kept, _ = self._significant(*self._estimate(own), least, _SUSPECT)
+        kept, _ = self._significant(estimate, covariance, least, _SUSPECT)
         if not kept.any() and total.chance(self.others) > _SUSPECT:
-            estimate, covariance = self._estimate(own)
             return self._uncertain(self._errors(estimate, covariance, kept), estimate, covariance, own)
         return self._closer(scan_windows.sampled(self.dataset), least, together)
 

@@ -8,7 +8,7 @@ import numpy as np
 from lvba.arrays import Times
 from lvba.io.exposures import Exposures
 from lvba.io.reference import Reference
-from lvba.trajectory import Alignment, Trajectory, align_for_errors, pose_error
+from lvba.trajectory import Alignment, Trajectory, align_for_errors, nearest_in_time, pose_error
 
 MAX_TIME_DIFFERENCE_S = 1e-3
 """Samples further apart in time than this are not of the same frame."""
@@ -141,9 +141,7 @@ def matched(times: Times, others: Times) -> np.ndarray:
     """Index pairs (P, 2) int64 of samples at the same time, each used once. Both ascending."""
     if not len(times) or not len(others):
         return np.empty((0, 2), np.int64)
-    after = np.clip(np.searchsorted(others, times), 0, len(others) - 1)
-    before = np.maximum(after - 1, 0)
-    nearest = np.where(np.abs(times - others[before]) <= np.abs(others[after] - times), before, after)
+    nearest = nearest_in_time(others, times)
     close = np.abs(others[nearest] - times) <= MAX_TIME_DIFFERENCE_S
     return np.stack([np.flatnonzero(close), nearest[close]], axis=1)
 

@@ -257,7 +257,9 @@ def finish_cameras(
     times, keyframes = dataset.images.times, survey.keyframes
     prior = joint_prior.prior_of_all(dataset, lidar, scans, config)
     poses, calibration = cameras_of_all(now, prior, stages, keyframes, times)
-    exposed = exposures_between.of_all(times, keyframes, now.state.cameras.log_exposure, now.exposure_sigma)
+    log_exposure, exposure_sigma = exposures_between.of_all(
+        times, keyframes, now.state.cameras.log_exposure, now.exposure_sigma
+    )
     results = joint_prior.results_of(stages)
     spread, local_covariance = _of_parts(cores, stages, len(times))
     if lidar.result is not None and scans.verdict.accepted:
@@ -275,10 +277,10 @@ def finish_cameras(
     return VisualStage(
         VisualResult(
             world_from_camera=poses,
-            log_exposure=exposed[0],
+            log_exposure=log_exposure,
             covariance=spread,
             local_covariance=local_covariance,
-            log_exposure_sigma=np.hypot(exposed[1], balance),
+            log_exposure_sigma=np.hypot(exposure_sigma, balance),
             keyframes=keyframes,
             calibration=calibration,
             calibration_sigma=sigma,

@@ -38,9 +38,9 @@ def change_rate(times: Times, log_exposure: np.ndarray) -> float:
         steps = np.maximum(np.diff(times), 1e-9)
         return float(np.mean(np.diff(log_exposure) ** 2 / steps)) if len(steps) else 0.0
     before, after = times[1:-1] - times[:-2], times[2:] - times[1:-1]
-    along = before / np.maximum(before + after, 1e-9)
+    span = np.maximum(before + after, 1e-9)
+    along, bridge = before / span, before * after / span
     line = (1 - along) * log_exposure[:-2] + along * log_exposure[2:]
-    bridge = before * after / np.maximum(before + after, 1e-9)
     return float(np.mean((log_exposure[1:-1] - line) ** 2) / max(np.mean(bridge), 1e-9))
 
 

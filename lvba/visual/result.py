@@ -163,14 +163,16 @@ def collect(
     solved = trajectory_prior.take(prior, keyframes) if last.prior is None else last.prior
     poses, between = trajectory_prior.fill(prior, solved, state, keyframes, times)
     nearest = nearest_in_time(times[keyframes], times)
-    exposed = exposures_between.of_all(times, keyframes, state.cameras.log_exposure, log_exposure_sigma)
+    log_exposure, exposure_sigma = exposures_between.of_all(
+        times, keyframes, state.cameras.log_exposure, log_exposure_sigma
+    )
     local_covariance = own[nearest] + between
     return VisualResult(
         world_from_camera=poses,
-        log_exposure=exposed[0],
+        log_exposure=log_exposure,
         covariance=local_covariance,
         local_covariance=local_covariance,
-        log_exposure_sigma=exposed[1],
+        log_exposure_sigma=exposure_sigma,
         keyframes=keyframes,
         calibration=state.calibration,
         calibration_sigma=_calibration_sigma(known),
@@ -204,12 +206,12 @@ def with_white_balance(result: VisualResult, balance: WhiteBalance, times: Times
     """
     sampled = times[result.keyframes]
     sigma = np.maximum(balance.sigma, result.log_exposure_sigma[result.keyframes])
-    exposed = exposures_between.of_all(times, result.keyframes, balance.log_exposure, sigma)
+    log_exposure, sigma = exposures_between.of_all(times, result.keyframes, balance.log_exposure, sigma)
     gains = [np.interp(times, sampled, gain) for gain in balance.log_gain.T]
     return replace(
         result,
-        log_exposure=exposed[0],
-        log_exposure_sigma=exposed[1],
+        log_exposure=log_exposure,
+        log_exposure_sigma=sigma,
         white_balance=np.stack(gains, axis=1),
     )
 
