@@ -10,12 +10,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lvba import geometry, spline
-from lvba.arrays import Poses, Tangents, Times
+from lvba.arrays import Poses, Times
 from lvba.blocks import scan_windows
 from lvba.blocks.scan_windows import Window
 from lvba.dataset import Dataset
-from lvba.lidar import point_times, row_times, scan_motion
+from lvba.lidar import path_motion, point_times, row_times, scan_motion
 from lvba.lidar.bundle_adjustment import Aligned
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.point_times import PointClock
@@ -25,7 +24,6 @@ from lvba.lidar.scan import gather
 from lvba.lidar.scan_evidence import ScanEvidence, View, nothing
 from lvba.lidar.scan_motion import MotionLeft
 from lvba.progress import Progress, silent
-from lvba.trajectory import Trajectory
 
 _log = logging.getLogger(__name__)
 
@@ -40,12 +38,13 @@ _MOST = 1.3
 """What is more is no motion that was left."""
 _TURNS = 3
 """Times that what is left of each scan's own motion is looked for."""
-_MORE = 1.5
-"""Times as much that halves of the planes must tell of each other with sharper ones, for these to be believed. What scans
-do alike is no deviation to planes that follow: a courtyard of scans a second apart, where they told 1.2 times as much,
-went from 0.017 to 0.029 degrees in three turns; a loop, where they told 3 times as much, from 0.066 to 0.027."""
 _SAME = 2e-3
 """rad/s and m/s: deviations that change by less are as they were."""
+_PLAUSIBLE = 5.0
+"""Times as far as scans are from the path of the others that deviations may be: cabinets told 10 and 27 times as much,
+which was wrong, a loop as much, which was right."""
+_AS_NEAR = 1.01
+"""Times as far as before that points may be from planes: so much comes of which planes are seen."""
 _FALLS = 0.3
 """A part that is one falls to less than this part of itself once it is corrected."""
 
@@ -172,18 +171,15 @@ class _Measurement:
         """
         count = len(self.dataset.scan_paths)
         windows, corrected = scan_windows.cores(count), {each.own: each for each in sampled}
-        motion, known = np.zeros((count, 6)), scan_motion.Deviations.unseen(count)
+        motion, deviation, covariance = np.zeros((count, 6)), np.zeros((count, 12)), np.zeros((count, 6, 6))
         for number, core in enumerate(windows):
             self.progress("motion during scans", number, len(windows))
             window = corrected.get(core) or Window.of(self.dataset, core).corrected(self.ranges)
             own, inside = slice(*core), window.core
             path = self._of_path(part, window)
             motion[own] = path[inside]
-            here = self._deviations(window, path)
-            known.information[:, own] = here.information[:, inside]
-            known.gradient[:, own] = here.gradient[:, inside]
-            known.by_motion[own] = here.by_motion[inside]
-        return motion, *scan_motion.most_likely(known)
+            deviation[own], covariance[own] = (each[inside] for each in self._deviations(window, path))
+        return motion, deviation, covariance
 
     def _of_path(self, part: float, window: Window) -> np.ndarray:
         """(n, 6), rad/s and m/s: that part of the motion of the path through the scans of a window."""
@@ -191,28 +187,42 @@ class _Measurement:
         _, twist = self._solved(window, part * rough)
         return part * (rough if twist is None else twist)
 
-    def _deviations(self, window: Window, path: np.ndarray) -> scan_motion.Deviations:
-        """What the points of a window's scans tell of the deviations from a motion (n, 6), rad/s and m/s: with those
-        found so far taken out, for planes are sharper then."""
-        sweep, deviation = self.clock.sweep, np.zeros((len(path), 12))
-        known, gain, plain = scan_motion.Deviations.unseen(len(path)), 0.0, 0.0
+    def _deviations(self, window: Window, path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Deviations (n, 12) of a window's scans from a motion (n, 6), rad/s and m/s, and what their uncertainty adds to
+        the covariances of the poses, (n, 6, 6).
+
+        They are looked for with those found so far taken out, for planes are sharper then. How much planes tell of
+        deviations says nothing of whether they are right: where poses are off, planes are, too, and a window told more
+        and more of up to 38 m/s. So they are as large as the path from scan to scan allows, and no point gets farther
+        from planes.
+        """
+        sweep, scale, least, most = self.clock.sweep, None, np.inf, self._most(window)
+        deviation, covariance = np.zeros((len(path), 12)), np.zeros((len(path), 6, 6))
+        used = deviation, covariance
         for _ in range(_TURNS):
             motion, acceleration = path + deviation[:, :6], 2.0 / sweep * deviation[:, 6:]
             result, _ = self._solved(window, motion, acceleration)
             if result is None:
                 break
             points, tau = self._corrected(window, motion, acceleration)
-            seen = scan_motion.deviations(self._view(points, result), np.concatenate(tau), sweep)
-            now, before = seen.beside(deviation), deviation
-            more, alone = scan_motion.held_out(now), not deviation.any()
-            # planes that tell far more without deviations than they did at first: poses had not been found then
-            if more < _MORE * (plain if alone else gain):
+            view = self._view(points, result)
+            scale = view.thickness if scale is None else scale
+            if not (away := view.away(scale)) < _AS_NEAR * least:
                 break
-            known, gain, plain = now, more, more if alone else plain
-            deviation, _ = scan_motion.most_likely(known)
-            if np.abs(deviation - before).max() < _SAME:
+            least, used, before = min(away, least), (deviation, covariance), deviation
+            seen = scan_motion.deviations(view, np.concatenate(tau), sweep).beside(deviation)
+            deviation, covariance = scan_motion.most_likely(seen)
+            sizes = np.sqrt(np.mean(deviation.reshape(-1, 4, 3) ** 2, axis=(0, 2)))
+            if (sizes > most).any() or np.abs(deviation - before).max() < _SAME:
                 break
-        return known
+        return used
+
+    def _most(self, window: Window) -> np.ndarray:
+        """(4,) rad/s, m/s, and what these grow by over a sweep: sizes that deviations of a window's scans may have."""
+        times, rough = self.dataset.scans.times[window.numbers], window.rough(self.dataset)
+        solved = self.poses.get(tuple(window.numbers.tolist()), rough)
+        sizes = [path_motion.unpredicted(times, each, self.clock) for each in (rough, solved)]
+        return np.asarray(_PLAUSIBLE * np.min(sizes, axis=0))
 
     def _evidence(self, window: Window, part: float, twist: np.ndarray) -> tuple[ScanEvidence, np.ndarray]:
         """Of a window, and its twists at the poses found."""
@@ -256,7 +266,7 @@ class _Measurement:
 
     def _twists(self, window: Window, world_from_scan: Poses) -> np.ndarray:
         """(n, 6), rad/s and m/s, scan frames: mean motion during the sweeps, by poses (n, 4, 4)."""
-        return sweep_twists(self.dataset.scans.times[window.numbers], world_from_scan, self.clock)
+        return path_motion.sweep_twists(self.dataset.scans.times[window.numbers], world_from_scan, self.clock)
 
     def _rough_twists(self, window: Window) -> np.ndarray:
         return self._twists(window, window.rough(self.dataset))
@@ -268,14 +278,3 @@ def point_times_of(window: Window, stamps: Times, clock: PointClock | RowClock) 
         clock.from_stamp(scan.points, scan.time, stamp)
         for scan, stamp in zip(window.scans, stamps, strict=True)
     ]
-
-
-def sweep_twists(times: Times, world_from_scan: Poses, clock: PointClock | RowClock) -> Tangents:
-    """(S, 6), rad/s and m/s, scan frames: mean motion during sweeps, by splines through poses (S, 4, 4) at (S,) s."""
-    if len(times) < spline.FEWEST_SAMPLES or times[-1] - times[0] < 2 * clock.sweep:
-        return np.zeros((len(times), 6))
-    begin, path = times + clock.begin, Trajectory(times, world_from_scan)
-    before, after = (
-        spline.through(path, moment, beyond=clock.sweep) for moment in (begin, begin + clock.sweep)
-    )
-    return np.asarray(geometry.log(geometry.inverse(before) @ after) / clock.sweep)

@@ -14,7 +14,15 @@ from lvba.arrays import Poses
 from lvba.blocks import motion_left, scan_windows
 from lvba.blocks.scan_windows import Window
 from lvba.dataset import Dataset
-from lvba.lidar import beam_depth, incidence, range_errors, range_uncertainty, scan_evidence, scan_motion
+from lvba.lidar import (
+    beam_depth,
+    incidence,
+    path_motion,
+    range_errors,
+    range_uncertainty,
+    scan_evidence,
+    scan_motion,
+)
 from lvba.lidar.bundle_adjustment import Aligned
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.point_times import PointClock
@@ -303,7 +311,7 @@ class _Measurement:
         if self.clock is not None:
             stamps = self.dataset.scans.times[window.numbers]
             tau = motion_left.point_times_of(window, stamps, self.clock)
-            twist = motion_left.sweep_twists(stamps, result.world_from_scan, self.clock)
+            twist = path_motion.sweep_twists(stamps, result.world_from_scan, self.clock)
             terms.append(scan_motion.by_part(np.concatenate(tau), twist))
         terms += [by_depth, range_errors.by_directions(self.beams)]
 

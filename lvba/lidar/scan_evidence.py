@@ -24,6 +24,8 @@ POSE_SIGMA = np.array([0.01, 0.01, 0.01, 0.05, 0.05, 0.05])
 _FEWEST_POINTS = 30
 _UNCERTAIN = 1e-6
 """Least information that planes have of themselves: of a plane seen along a line, nothing else tells its tilt."""
+_AWAY = 9.0
+"""Squared distance, in those that are usual, from which on a point is on no plane."""
 _ALIKE = 1e10
 """Condition of the information, by numbers of equal size, above which planes cannot tell them apart."""
 _GRAZING = 0.05
@@ -179,6 +181,27 @@ class View:
     ) -> "View":
         """With the LiDAR at the origin of the scan frame where nothing else is said."""
         return View(scans, world_from_scan, planes, labels, np.zeros(3) if sensor is None else sensor)
+
+    @property
+    def thickness(self) -> float:
+        """m, standard deviation of points about their plane, median over planes."""
+        return float(np.sqrt(np.median(self.planes.eigenvalues[:, 0])))
+
+    def away(self, scale: float) -> float:
+        """How far points are from planes: mean of squared distances over `scale` (m), at most `_AWAY` each, and that of
+        points on none. Two of the same points are compared by the same scale: thin planes of few points are no gain.
+        """
+        sum_of_squares, on = 0.0, 0
+        for scan, pose in enumerate(self.world_from_scan):
+            if (known := self.on_planes(scan)) is None:
+                continue
+            plane, number = known
+            world = geometry.transform_points(pose, self.scans.points[number].astype(float))
+            away = np.einsum("ni,ni->n", self.planes.normal[plane], world - self.planes.center[plane])
+            sum_of_squares += float(np.minimum((away / scale) ** 2, _AWAY).sum())
+            on += len(number)
+        count = len(self.scans.points)
+        return (sum_of_squares + _AWAY * (count - on)) / max(count, 1)
 
     def on_planes(self, scan: int) -> tuple[np.ndarray, np.ndarray] | None:
         """Planes (n,), ascending, and numbers (n,) of a scan's points that lie on them; None: too few."""

@@ -210,7 +210,7 @@ _PASSES = 30
 _TOO_SURE = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 """By how much points may be less sure of a motion than their scatter says: errors of a depth camera, and of planes that
 are not quite plane, are alike over many points."""
-_SURE = 3.0
+_SURE = 2.0
 """Standard deviations by which what is left must get less on planes that a motion was not found by."""
 
 
@@ -237,11 +237,6 @@ def most_likely(known: Deviations) -> tuple[np.ndarray, np.ndarray]:
     likely, spread = _drawn_to_zero(used.information[0] / judged.factor, used.gradient[0] / judged.factor)
     deviation[:, : likely.shape[1]] = likely
     return deviation, used.by_motion @ spread @ used.by_motion.transpose(0, 2, 1)
-
-
-def held_out(known: Deviations) -> float:
-    """By how much half the sum of squares on either half of the planes falls by what the other half tells, all scans."""
-    return _usual(_Judged.of(known).falls)[0]
 
 
 @dataclass(frozen=True)

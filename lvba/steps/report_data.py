@@ -271,11 +271,13 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
 
 
 def _vague(result: VisualResult) -> np.ndarray:
-    """Keyframes whose exposures are known `verdict.VAGUE` times less well than others', and to worse than can be seen."""
-    sigma = result.log_exposure_sigma[result.keyframes]
+    """Images whose exposures are known `verdict.VAGUE` times less well than others', and to worse than can be seen: of
+    keyframes, and of those whose cameras were put where others have them."""
+    asked = np.union1d(result.keyframes, result.substituted).astype(np.int64)
+    sigma = result.log_exposure_sigma[asked]
     known = sigma[np.isfinite(sigma)]
     typical = float(np.median(known)) if len(known) else 0.0
-    return np.asarray(result.keyframes[sigma > max(verdict.VAGUE * typical, _VISIBLE)])
+    return np.asarray(asked[sigma > max(verdict.VAGUE * typical, _VISIBLE)])
 
 
 def _calibration(dataset: Dataset, result: VisualResult, accepted: Accepted) -> dict[str, Any]:

@@ -3,6 +3,9 @@
 Between keyframes an exposure is interpolated, and it is not known what the camera did there. How far each keyframe is
 off the line through its neighbors says how much exposures change: as those of a random walk, of which an image between
 two known ones is off by the variance of a Brownian bridge.
+
+Of a keyframe that little tells of, and that would leave this walk, the line is a better guess than its own few patches:
+images before which people stood were 8, 40 and 64 % off by these.
 """
 
 import numpy as np
@@ -12,6 +15,12 @@ from lvba.trajectory import nearest_in_time
 
 _FEWEST = 3
 """Keyframes from which on some have neighbors on both sides."""
+_VAGUE = 3.0
+"""Times the usual standard deviation from which on little tells of a keyframe."""
+_ALONE = 2
+"""Most successive keyframes of these that are taken from their neighbors: more tell of each other."""
+_CONTRADICTS = 3.0
+"""Standard deviations from the line beyond which they are."""
 
 
 def of_all(
@@ -19,14 +28,32 @@ def of_all(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Log exposures (I,) float64 of all images, that of the first zero, and their standard deviations (I,) float64.
 
-    times: (I,) s, ascending; keyframes: (K,), ascending; log_exposure, sigma: (K,) float64, of these
+    times: (I,) s, ascending; keyframes: (K,), ascending
+    log_exposure, sigma: (K,) float64, of these; inf: nothing tells, and that stays so
     """
-    sampled = times[keyframes]
-    everywhere = np.interp(times, sampled, log_exposure)
-    nearest = sigma[nearest_in_time(sampled, times)]
+    sampled, alone = times[keyframes], _alone(sigma)
+    known = np.isfinite(sigma) & ~alone
+    rate = change_rate(sampled[known], log_exposure[known])
+    used = ~alone
+    if alone.any():
+        off = log_exposure - np.interp(sampled, sampled[~alone], log_exposure[~alone])
+        expected = np.hypot(sigma, np.sqrt(rate * _bridge(sampled[~alone], sampled)))
+        used |= np.isfinite(sigma) & (np.abs(off) <= _CONTRADICTS * expected)
+    everywhere = np.interp(times, sampled[used], log_exposure[used])
+    nearest = sigma[used][nearest_in_time(sampled[used], times)]
+    spread = np.hypot(nearest, np.sqrt(rate * _bridge(sampled[used], times)))
+    unknown = ~np.isfinite(sigma[nearest_in_time(sampled, times)])
+    return everywhere - everywhere[0], np.where(unknown, np.inf, spread)
+
+
+def _alone(sigma: np.ndarray) -> np.ndarray:
+    """(K,) bool: keyframes that little tells of, where more tells of their neighbors."""
     known = np.isfinite(sigma)
-    spread = np.sqrt(change_rate(sampled[known], log_exposure[known]) * _bridge(sampled, times))
-    return everywhere - everywhere[0], np.hypot(nearest, spread)
+    if not known.any():
+        return np.zeros(len(sigma), bool)
+    vague = ~(sigma <= _VAGUE * np.median(sigma[known]))
+    label = np.cumsum(np.r_[True, np.diff(vague)])
+    return np.asarray(vague & (np.bincount(label)[label] <= _ALONE))
 
 
 def change_rate(times: Times, log_exposure: np.ndarray) -> float:

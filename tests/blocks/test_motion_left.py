@@ -203,36 +203,44 @@ def test_a_depth_camera_that_reads_rows_at_once_keeps_its_points(depth_camera):
 
 
 @pytest.mark.parametrize(
-    ("likely", "gains", "used"),
+    ("likely", "away", "kept", "looks"),
     [
-        ([1.0, 2.0, 2.0], [1.0, 1.2, 5.0], 0),  # planes are hardly sharper: the first
-        ([1.0, 2.0, 2.0], [1.0, 2.0, 2.1], 1),
-        ([1.0, 2.0, 2.0], [1.0, 2.0, 4.0], 2),
-        (
-            [1.0, 0.0, 0.0],
-            [1.0, 20.0, 16.0],
-            2,
-        ),  # without motions far more than at first, when poses were not found
-        ([1.0, 0.0, 0.0], [1.0, 1.6, 0.7], 1),  # as much as at first: motions said more
+        ([30.0], [1.0, 1.02], 0.0, 2),  # points are farther from planes: no deviation
+        ([1.0, 30.0], [1.0, 0.9, 0.95], 1.0, 3),  # only the second is none
+        ([1.0, 1.2, 1.3], [1.0, 0.9, 0.8], 1.2, 3),
+        ([1.0, 1.001], [1.0, 0.9], 1.0, 2),  # they stay as they are
+        ([0.0], [1.0], 0.0, 1),
+        ([60.0], [1.0], 0.0, 1),  # the path moves by less
+        ([1.0, 60.0], [1.0, 0.9], 1.0, 2),
     ],
 )
-def test_which_planes_say_what_motions_scans_have(likely, gains, used, monkeypatch):
-    turns = []
+def test_deviations_are_as_large_as_the_path_allows_and_leave_points_near_planes(
+    likely, away, kept, looks, monkeypatch
+):
+    seen = []
+
+    def look(*_):
+        turn = len(seen)
+        seen.append(turn)
+        return SimpleNamespace(thickness=0.01, away=lambda scale: away[turn] if scale == 0.01 else np.nan)
 
     def deviations(*_):
-        turns.append(len(turns))
-        return SimpleNamespace(beside=lambda _, turn=turns[-1]: turn)
+        return SimpleNamespace(beside=lambda _: likely[len(seen) - 1])
 
     monkeypatch.setattr(motion_left.scan_motion, "deviations", deviations)
-    monkeypatch.setattr(motion_left.scan_motion, "held_out", lambda turn: gains[turn])
     monkeypatch.setattr(
-        motion_left.scan_motion, "most_likely", lambda turn: (np.full((3, 12), likely[turn]), None)
+        motion_left.scan_motion,
+        "most_likely",
+        lambda value: (np.full((3, 12), value), np.full((3, 6, 6), value)),
     )
     measurement = SimpleNamespace(
         clock=SimpleNamespace(sweep=0.1),
         _solved=lambda *_: (object(), None),
         _corrected=lambda *_: ([], [np.zeros(1)]),
-        _view=lambda *_: None,
+        _view=look,
+        _most=lambda _: np.full(4, 50.0),
     )
-    assert motion_left._Measurement._deviations(measurement, None, np.zeros((3, 6))) == used
-    assert len(turns) == (2 if used == 0 else 3)
+    deviation, covariance = motion_left._Measurement._deviations(measurement, None, np.zeros((3, 6)))
+    assert (deviation == kept).all()
+    assert (covariance == kept).all()
+    assert len(seen) == looks

@@ -117,6 +117,24 @@ def test_nothing_left_is_found_within_its_deviation():
     assert abs(together.change[0]) < 3.5 * together.sigma[0]
 
 
+def test_how_far_points_are_from_planes_is_their_mean_one_by_one():
+    view, _, _ = made(1.0, noise=0.02)
+    plane = view.labels.plane.copy()
+    plane[::7] = -1
+    view = replace(view, labels=replace(view.labels, plane=plane))
+    squares = []
+    for scan in range(SCANS):
+        for index in range(view.scans.offsets[scan], view.scans.offsets[scan + 1]):
+            world = geometry.transform_points(
+                view.world_from_scan[scan], view.scans.points[index].astype(float)
+            )
+            away = view.planes.normal[plane[index]] @ (world - view.planes.center[plane[index]])
+            squares.append(9.0 if plane[index] < 0 else min((away / 0.03) ** 2, 9.0))
+    assert view.thickness == pytest.approx(0.01)
+    assert view.away(0.03) == pytest.approx(np.mean(squares), rel=1e-9)
+    assert min(squares) < 1 < max(squares)
+
+
 def test_no_planes_no_evidence():
     view, tau, twist = made(0.3)
     none = replace(view.labels, plane=np.full_like(view.labels.plane, -1))

@@ -63,3 +63,38 @@ def test_few_keyframes_and_exposures_that_nothing_ties():
     _, sigma = exposures_between.of_all(np.arange(7.0), np.array([0, 2, 4, 6]), log_exposure, known)
     assert sigma[5] == pytest.approx(1e-3)
     assert np.isinf(sigma[2])
+
+
+@pytest.mark.parametrize("told", [np.inf, 0.2])
+def test_a_keyframe_that_little_tells_of_is_taken_from_its_neighbors(told):
+    times, sigma = np.arange(9.0), np.full(9, 1e-3)
+    walked = np.array([0.0, 0.2, 0.2, 0.3, 0.4, 0.6, 0.6, 0.7, 0.8])
+    own = walked.copy()
+    own[[4, 8]] = 5.0
+    sigma[[4, 8]] = told
+    exposed, said = exposures_between.of_all(times, np.arange(9), own, sigma)
+    np.testing.assert_allclose(exposed, [0.0, 0.2, 0.2, 0.3, 0.45, 0.6, 0.6, 0.7, 0.7], atol=1e-12)
+    np.testing.assert_array_equal(said[[0, 1, 2, 3, 5, 6, 7]], 1e-3)
+    if np.isinf(told):
+        assert np.isinf(said[[4, 8]]).all()
+    else:
+        assert 0.02 < said[4] < said[8] < told
+    sigma[[3, 5]] = told
+    exposed, _ = exposures_between.of_all(times, np.arange(9), own, sigma)
+    np.testing.assert_array_equal(exposed[:8], own[:8], "three tell of each other")
+
+
+def test_a_keyframe_that_its_neighbors_do_not_contradict_stays():
+    times, sigma = np.arange(9.0), np.full(9, 1e-3)
+    own = np.array([0.0, 0.5, 0.0, 0.5, 0.1, 0.5, 0.0, 0.5, 0.0])
+    sigma[4] = 0.02
+    exposed, said = exposures_between.of_all(times, np.arange(9), own, sigma)
+    np.testing.assert_array_equal(exposed, own)
+    np.testing.assert_array_equal(said, sigma)
+
+
+def test_keyframes_of_which_nothing_is_known_stay_as_they_are():
+    own = np.array([0.0, 0.3, 0.1, 0.2])
+    exposed, said = exposures_between.of_all(np.arange(4.0), np.arange(4), own, np.full(4, np.inf))
+    np.testing.assert_array_equal(exposed, own)
+    assert np.isinf(said).all()

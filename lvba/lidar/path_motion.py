@@ -1,0 +1,56 @@
+"""How a sensor moves during its scans by the path from scan to scan, and how far that may be from how it does."""
+
+import numpy as np
+
+from lvba import geometry, spline
+from lvba.arrays import Poses, Tangents, Times
+from lvba.lidar.point_times import PointClock
+from lvba.lidar.row_times import RowClock
+from lvba.trajectory import Trajectory
+
+_NEIGHBORS = 2
+"""Scans on either side that a motion is predicted from."""
+
+
+def sweep_twists(times: Times, world_from_scan: Poses, clock: PointClock | RowClock) -> Tangents:
+    """(S, 6), rad/s and m/s, scan frames: mean motion during sweeps, by splines through poses (S, 4, 4) at (S,) s."""
+    if len(times) < spline.FEWEST_SAMPLES or times[-1] - times[0] < 2 * clock.sweep:
+        return np.zeros((len(times), 6))
+    return _twists(Trajectory(times, world_from_scan), times + clock.begin, clock.sweep)
+
+
+def unpredicted(times: Times, world_from_scan: Poses, clock: PointClock | RowClock) -> np.ndarray:
+    """(4,) rad/s and m/s, root mean square over scans: by how much the motion during a scan is not what the path through
+    the others says, and by how much it may grow over a sweep beside that of the path, rad/s and m/s.
+
+    The path through the others has gaps twice as long, and is off by more than the path through all.
+    times: (S,) s; world_from_scan: (S, 4, 4); zeros of fewer than five scans
+    """
+    inner = range(_NEIGHBORS, len(times) - _NEIGHBORS)
+    twist = sweep_twists(times, world_from_scan, clock)
+    if not inner or not twist.any():
+        return np.zeros(4)
+    off = np.concatenate([_without(k, times, world_from_scan, clock) - twist[k] for k in inner])
+    grows = 0.5 * clock.sweep * np.gradient(twist, times, axis=0)
+    steady = _sizes(off)
+    return np.concatenate([steady, np.hypot(steady, _sizes(grows))])
+
+
+def _without(
+    k: int, times: np.ndarray, world_from_scan: np.ndarray, clock: PointClock | RowClock
+) -> Tangents:
+    """(1, 6): the motion during scan k by the path through the others."""
+    others = np.arange(len(times)) != k
+    path = Trajectory(times[others], world_from_scan[others])
+    return _twists(path, times[k : k + 1] + clock.begin, clock.sweep)
+
+
+def _twists(path: Trajectory, begin: Times, sweep: float) -> Tangents:
+    """(n, 6): mean motion from each of (n,) s on."""
+    before, after = (spline.through(path, moment, beyond=sweep) for moment in (begin, begin + sweep))
+    return np.asarray(geometry.log(geometry.inverse(before) @ after) / sweep)
+
+
+def _sizes(twist: np.ndarray) -> np.ndarray:
+    """(2,): root mean square of turns and shifts (n, 6)."""
+    return np.asarray(np.sqrt(np.mean(twist.reshape(-1, 2, 3) ** 2, axis=(0, 2))))

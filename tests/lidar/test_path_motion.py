@@ -1,0 +1,57 @@
+"""How far the path from scan to scan may be from the motion during scans: against paths of which both are known."""
+
+import numpy as np
+import pytest
+
+from lvba import geometry
+from lvba.lidar import path_motion
+from lvba.lidar.point_times import PointClock
+
+CLOCK = PointClock(unit=1.0, sweep=0.05, begin=-0.05, absolute=True)
+
+
+def swaying(times, period, size=0.05):
+    """Poses (n, 4, 4): a steady motion with a sway of some size, rad and m, about three axes each."""
+    times = np.asarray(times, float)
+    phase = np.arange(6)
+    sway = size * np.sin(2 * np.pi * times[:, None] / period + phase)
+    poses = np.tile(np.eye(4), (len(times), 1, 1))
+    poses[:, :3, :3] = geometry.exp(np.concatenate([sway[:, :3], 0 * sway[:, :3]], axis=1))[:, :3, :3]
+    poses[:, :3, 3] = sway[:, 3:] + times[:, None] * [0.5, 0.1, 0.0]
+    return poses
+
+
+def true_twists(times, period):
+    before, after = (swaying(times + moment, period) for moment in (CLOCK.begin, CLOCK.begin + CLOCK.sweep))
+    return geometry.log(geometry.inverse(before) @ after) / CLOCK.sweep
+
+
+def sizes(twists):
+    return np.sqrt([np.mean(twists[:, :3] ** 2), np.mean(twists[:, 3:] ** 2)])
+
+
+@pytest.mark.parametrize(("period", "times_as_much"), [(1.5, 1.5), (3.0, 0.6), (6.0, 0.45)])
+def test_what_the_path_misses_is_a_part_of_what_is_unpredicted(period, times_as_much):
+    """Three scans in a period of the sway hardly follow it: then it is about as much."""
+    times = np.arange(0, 12, 0.5)
+    path = path_motion.sweep_twists(times, swaying(times, period), CLOCK)
+    off = sizes((path - true_twists(times, period))[2:-2])
+    most = path_motion.unpredicted(times, swaying(times, period), CLOCK)[:2]
+    assert (off < times_as_much * most).all()
+    assert (off > 0.5 * times_as_much * most).all()
+
+
+def test_a_path_that_neighbors_foretell_leaves_little_and_grows_as_it_bends():
+    times = np.arange(0, 12, 0.1)
+    poses = swaying(times, 6.0)
+    most = path_motion.unpredicted(times, poses, CLOCK)
+    twist = true_twists(times, 6.0)
+    assert (most[:2] < 0.01 * sizes(twist)).all()
+    bends = 0.5 * CLOCK.sweep * sizes(np.diff(twist, axis=0) / 0.1)
+    np.testing.assert_allclose(most[2:], bends, rtol=0.1)
+
+
+def test_few_scans_foretell_nothing():
+    times = np.arange(4) * 0.5
+    assert not path_motion.unpredicted(times, swaying(times, 3.0), CLOCK).any()
+    assert path_motion.unpredicted(np.arange(6) * 0.5, swaying(np.arange(6) * 0.5, 3.0), CLOCK).all()
