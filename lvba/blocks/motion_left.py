@@ -7,6 +7,7 @@ poses of all windows tell how the sensor moved.
 
 import logging
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -99,6 +100,14 @@ def rows(dataset: Dataset, points: list[np.ndarray]) -> RowClock | None:
     return row_times.find_rows(points, beams, dataset.sensor_axes_scan)
 
 
+class _Solved(NamedTuple):
+    """A window's points (N, 3) m of each scan, moved; tau: (M,) s of all of them; poses and planes found by them."""
+
+    points: list[np.ndarray]
+    tau: np.ndarray
+    result: Aligned
+
+
 @dataclass
 class _Measurement:
     """Finds poses, planes and the part in turn. poses: of windows of these scans, as they were found last"""
@@ -184,8 +193,8 @@ class _Measurement:
     def _of_path(self, part: float, window: Window) -> np.ndarray:
         """(n, 6), rad/s and m/s: that part of the motion of the path through the scans of a window."""
         rough = self._rough_twists(window)
-        _, twist = self._solved(window, part * rough)
-        return part * (rough if twist is None else twist)
+        solved = self._solved(window, part * rough)
+        return part * (rough if solved is None else self._twists(window, solved.result.world_from_scan))
 
     def _deviations(self, window: Window, path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Deviations (n, 12) of a window's scans from a motion (n, 6), rad/s and m/s, and what their uncertainty adds to
@@ -193,27 +202,25 @@ class _Measurement:
 
         They are looked for with those found so far taken out, for planes are sharper then. How much planes tell of
         deviations says nothing of whether they are right: where poses are off, planes are, too, and a window told more
-        and more of up to 38 m/s. So they are as large as the path from scan to scan allows, and no point gets farther
-        from planes.
+        and more of up to 38 m/s. So they are as large as the path from scan to scan allows, and points stay as near to
+        planes.
         """
         sweep, scale, least, most = self.clock.sweep, None, np.inf, self._most(window)
         deviation, covariance = np.zeros((len(path), 12)), np.zeros((len(path), 6, 6))
         used = deviation, covariance
         for _ in range(_TURNS):
             motion, acceleration = path + deviation[:, :6], 2.0 / sweep * deviation[:, 6:]
-            result, _ = self._solved(window, motion, acceleration)
-            if result is None:
+            solved = self._solved(window, motion, acceleration)
+            if solved is None:
                 break
-            points, tau = self._corrected(window, motion, acceleration)
-            view = self._view(points, result)
+            view = self._view(solved)
             scale = view.thickness if scale is None else scale
             if not (away := view.away(scale)) < _AS_NEAR * least:
                 break
             least, used, before = min(away, least), (deviation, covariance), deviation
-            seen = scan_motion.deviations(view, np.concatenate(tau), sweep).beside(deviation)
+            seen = scan_motion.deviations(view, solved.tau, sweep).beside(deviation)
             deviation, covariance = scan_motion.most_likely(seen)
-            sizes = np.sqrt(np.mean(deviation.reshape(-1, 4, 3) ** 2, axis=(0, 2)))
-            if (sizes > most).any() or np.abs(deviation - before).max() < _SAME:
+            if (path_motion.sizes(deviation) > most).any() or np.abs(deviation - before).max() < _SAME:
                 break
         return used
 
@@ -226,29 +233,30 @@ class _Measurement:
 
     def _evidence(self, window: Window, part: float, twist: np.ndarray) -> tuple[ScanEvidence, np.ndarray]:
         """Of a window, and its twists at the poses found."""
-        result, own = self._solved(window, part * twist)
-        if result is None or own is None:
+        solved = self._solved(window, part * twist)
+        if solved is None:
             return nothing(1), twist
-        points, tau = self._corrected(window, part * twist)
-        return scan_motion.evidence(self._view(points, result), np.concatenate(tau), own), own
+        own = self._twists(window, solved.result.world_from_scan)
+        return scan_motion.evidence(self._view(solved), solved.tau, own), own
 
-    def _view(self, points: list[np.ndarray], result: Aligned) -> View:
+    def _view(self, solved: _Solved) -> View:
+        result = solved.result
         return View.of(
-            *(gather(points), result.world_from_scan, result.planes, result.plane_points),
+            *(gather(solved.points), result.world_from_scan, result.planes, result.plane_points),
             self.dataset.sensor_position_scan,
         )
 
     def _solved(
         self, window: Window, motion: np.ndarray, acceleration: np.ndarray | None = None
-    ) -> tuple[Aligned | None, np.ndarray | None]:
-        """Poses and planes of a window, and the twists (n, 6) of its scans; None where planes do not tell."""
+    ) -> _Solved | None:
+        """A window with its points moved by a motion; None where planes do not tell."""
         scans = tuple(window.numbers.tolist())
-        points, start = self._corrected(window, motion, acceleration)[0], self.poses.get(scans)
-        result = window.refined(self.dataset, points, self.config, start)
+        points, tau = self._corrected(window, motion, acceleration)
+        result = window.refined(self.dataset, points, self.config, self.poses.get(scans))
         if result is None:
-            return None, None
+            return None
         self.poses[scans] = result.world_from_scan
-        return result, self._twists(window, result.world_from_scan)
+        return _Solved(points, np.concatenate(tau), result)
 
     def _corrected(
         self, window: Window, motion: np.ndarray, acceleration: np.ndarray | None = None

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lvba import geometry
 from lvba.arrays import Vector
 from lvba.lidar.range_errors import OFFSET, Beams, directions
 from lvba.lidar.scan_evidence import ByShared, OnPlanes, View
@@ -79,19 +78,15 @@ def _along(view: View, position: Vector) -> tuple[np.ndarray, np.ndarray]:
     """Plane (n,) and distance behind it along the beam (n,), m, of the points that meet one not too grazing."""
     planes, distances = [np.zeros(0, int)], [np.zeros(0)]
     for scan in range(len(view.scans)):
-        known = view.on_planes(scan)
-        if known is None:
+        seen = view.seen(scan)
+        if seen is None:
             continue
-        plane, number = known
-        pose = view.world_from_scan[scan]
-        point = view.scans.points[number].astype(float)
-        normal, center = view.planes.normal[plane], view.planes.center[plane]
-        beam, _ = directions(point, position)
-        cosine = np.einsum("ni,ni->n", normal @ pose[:3, :3], beam)
-        distance = np.einsum("ni,ni->n", normal, geometry.transform_points(pose, point) - center)
-        seen = np.abs(cosine) > _LEAST_COSINE
-        planes.append(plane[seen])
-        distances.append(distance[seen] / cosine[seen])
+        normal = view.planes.normal[seen.plane] @ view.world_from_scan[scan][:3, :3]
+        beam, _ = directions(seen.point, position)
+        cosine = np.einsum("ni,ni->n", normal, beam)
+        met = np.abs(cosine) > _LEAST_COSINE
+        planes.append(seen.plane[met])
+        distances.append(seen.distance[met] / cosine[met])
     return np.concatenate(planes), np.concatenate(distances)
 
 

@@ -32,8 +32,8 @@ def unpredicted(times: Times, world_from_scan: Poses, clock: PointClock | RowClo
         return np.zeros(4)
     off = np.concatenate([_without(k, times, world_from_scan, clock) - twist[k] for k in inner])
     grows = 0.5 * clock.sweep * np.gradient(twist, times, axis=0)
-    steady = _sizes(off)
-    return np.concatenate([steady, np.hypot(steady, _sizes(grows))])
+    steady = sizes(off)
+    return np.concatenate([steady, np.hypot(steady, sizes(grows))])
 
 
 def _without(
@@ -51,6 +51,9 @@ def _twists(path: Trajectory, begin: Times, sweep: float) -> Tangents:
     return np.asarray(geometry.log(geometry.inverse(before) @ after) / sweep)
 
 
-def _sizes(twist: np.ndarray) -> np.ndarray:
-    """(2,): root mean square of turns and shifts (n, 6)."""
-    return np.asarray(np.sqrt(np.mean(twist.reshape(-1, 2, 3) ** 2, axis=(0, 2))))
+def sizes(motion: Tangents) -> np.ndarray:
+    """(k,) float64: root mean squares of each three numbers of motions, such as turns and shifts.
+
+    motion: (n, 3 k) float64, rad/s and m/s
+    """
+    return np.asarray(np.sqrt(np.mean(motion.reshape(len(motion), -1, 3) ** 2, axis=(0, 2))))

@@ -46,6 +46,19 @@ class OnPlanes(NamedTuple):
     by_pose: np.ndarray
 
 
+class Seen(NamedTuple):
+    """Points of a scan on planes.
+
+    plane: (n,) int64, ascending; number: (n,) int64, of the points among those of all scans
+    point: (n, 3) float64, m, scan frame; distance: (n,) float64, m, from their planes
+    """
+
+    plane: np.ndarray
+    number: np.ndarray
+    point: np.ndarray
+    distance: np.ndarray
+
+
 ByShared = Callable[[OnPlanes], np.ndarray]
 """Derivative of the points' distances from their planes by the k shared numbers, (n, k)."""
 
@@ -192,14 +205,11 @@ class View:
         points on none. Two of the same points are compared by the same scale: thin planes of few points are no gain.
         """
         sum_of_squares, on = 0.0, 0
-        for scan, pose in enumerate(self.world_from_scan):
-            if (known := self.on_planes(scan)) is None:
+        for scan in range(len(self.scans)):
+            if (seen := self.seen(scan)) is None:
                 continue
-            plane, number = known
-            world = geometry.transform_points(pose, self.scans.points[number].astype(float))
-            away = np.einsum("ni,ni->n", self.planes.normal[plane], world - self.planes.center[plane])
-            sum_of_squares += float(np.minimum((away / scale) ** 2, _AWAY).sum())
-            on += len(number)
+            sum_of_squares += float(np.minimum((seen.distance / scale) ** 2, _AWAY).sum())
+            on += len(seen.number)
         count = len(self.scans.points)
         return (sum_of_squares + _AWAY * (count - on)) / max(count, 1)
 
@@ -210,6 +220,16 @@ class View:
         order = np.argsort(plane, kind="stable")
         order = order[np.searchsorted(plane[order], 0) :]
         return (plane[order], first + order) if len(order) >= _FEWEST_POINTS else None
+
+    def seen(self, scan: int) -> "Seen | None":
+        """A scan's points that lie on planes; None: too few."""
+        if (known := self.on_planes(scan)) is None:
+            return None
+        plane, number = known
+        point = self.scans.points[number].astype(float)
+        world = geometry.transform_points(self.world_from_scan[scan], point)
+        distance = np.einsum("ni,ni->n", self.planes.normal[plane], world - self.planes.center[plane])
+        return Seen(plane, number, point, distance)
 
 
 def evidence(view: View, by_shared: ByShared, size: int) -> ScanEvidence:
@@ -224,17 +244,14 @@ def terms(view: View, scan: int, by_shared: ByShared, met: bool = True) -> tuple
     Of a scan's points on planes, which ascend; None: too few.
     met: derivatives are those of where beams meet the planes; False: of the points, where these are far off their planes
     """
-    chosen = view.on_planes(scan)
-    if chosen is None:
+    seen = view.seen(scan)
+    if seen is None:
         return None
-    plane, number = chosen
+    plane, number, point, distance = seen
     planes, pose = view.planes, view.world_from_scan[scan]
     thickness = planes.eigenvalues[:, 0]
     scale = 1.0 / np.sqrt(np.maximum(thickness, np.median(thickness)))[plane]
-    point = view.scans.points[number].astype(float)
-    center, world_normal = planes.center[plane], planes.normal[plane]
-    distance = np.einsum("ni,ni->n", world_normal, geometry.transform_points(pose, point) - center)
-    normal = world_normal @ pose[:3, :3]
+    center, normal = planes.center[plane], planes.normal[plane] @ pose[:3, :3]
     place = _met(point, distance, normal, view.sensor_position) if met else point
     by_pose = np.concatenate([np.cross(place, normal), normal], axis=1)
     shared = by_shared(OnPlanes(scan, number, place, normal, by_pose))

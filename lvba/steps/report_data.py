@@ -33,7 +33,7 @@ from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, ScanPoses, Vi
 from lvba.steps.plane_thickness import PlaneChange
 from lvba.steps.uncertainty import Expected
 from lvba.trajectory import Trajectory
-from lvba.visual import fixed_calibration, self_calibration
+from lvba.visual import exposures_between, fixed_calibration, self_calibration
 from lvba.visual.radiometry import Radiometry
 from lvba.visual.response import GREY_VALUES
 from lvba.visual.result import VisualResult
@@ -275,9 +275,7 @@ def _vague(result: VisualResult) -> np.ndarray:
     keyframes, and of those whose cameras were put where others have them."""
     asked = np.union1d(result.keyframes, result.substituted).astype(np.int64)
     sigma = result.log_exposure_sigma[asked]
-    known = sigma[np.isfinite(sigma)]
-    typical = float(np.median(known)) if len(known) else 0.0
-    return np.asarray(asked[sigma > max(verdict.VAGUE * typical, _VISIBLE)])
+    return np.asarray(asked[exposures_between.vague(sigma, verdict.VAGUE) & (sigma > _VISIBLE)])
 
 
 def _calibration(dataset: Dataset, result: VisualResult, accepted: Accepted) -> dict[str, Any]:

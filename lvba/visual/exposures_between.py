@@ -48,12 +48,20 @@ def of_all(
 
 def _alone(sigma: np.ndarray) -> np.ndarray:
     """(K,) bool: keyframes that little tells of, where more tells of their neighbors."""
-    known = np.isfinite(sigma)
-    if not known.any():
+    if not np.isfinite(sigma).any():
         return np.zeros(len(sigma), bool)
-    vague = ~(sigma <= _VAGUE * np.median(sigma[known]))
-    label = np.cumsum(np.r_[True, np.diff(vague)])
-    return np.asarray(vague & (np.bincount(label)[label] <= _ALONE))
+    little = vague(sigma, _VAGUE)
+    label = np.cumsum(np.r_[True, np.diff(little)])
+    return np.asarray(little & (np.bincount(label)[label] <= _ALONE))
+
+
+def vague(sigma: np.ndarray, factor: float) -> np.ndarray:
+    """(K,) bool: standard deviations that are more than a factor times the median of those known, or infinite.
+
+    sigma: (K,) float64
+    """
+    known = sigma[np.isfinite(sigma)]
+    return np.asarray(sigma > factor * (float(np.median(known)) if len(known) else 0.0))
 
 
 def change_rate(times: Times, log_exposure: np.ndarray) -> float:

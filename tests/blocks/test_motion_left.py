@@ -235,8 +235,7 @@ def test_deviations_are_as_large_as_the_path_allows_and_leave_points_near_planes
     )
     measurement = SimpleNamespace(
         clock=SimpleNamespace(sweep=0.1),
-        _solved=lambda *_: (object(), None),
-        _corrected=lambda *_: ([], [np.zeros(1)]),
+        _solved=lambda *_: SimpleNamespace(tau=np.zeros(1)),
         _view=look,
         _most=lambda _: np.full(4, 50.0),
     )
