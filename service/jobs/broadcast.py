@@ -115,12 +115,13 @@ class Broadcaster:
 
     async def _check_keys(self) -> None:
         """End the streams of keys that were revoked, have expired, or may not read any more."""
-        used = {listener.key_id for listener in self._listeners if listener.key_id is not None}
-        if not used:
+        # who begins to listen while the database answers was not asked about
+        asked = {listener: listener.key_id for listener in self._listeners if listener.key_id is not None}
+        if not asked:
             return
-        readers = await self.ask(keys.readers, self._database, used)
-        for listener in list(self._listeners):
-            if listener.key_id is not None and readers.get(listener.key_id) != listener.owner:
+        readers = await self.ask(keys.readers, self._database, set(asked.values()))
+        for listener, key_id in asked.items():
+            if readers.get(key_id) != listener.owner:
                 listener.ended = True
                 listener.wake.set()
 

@@ -113,6 +113,31 @@ def test_every_listener_hears_what_is_its_own(database):
     asyncio.run(check())
 
 
+def test_who_begins_to_listen_while_keys_are_looked_at_goes_on_hearing(database, monkeypatch):
+    looked_at, has_begun = threading.Event(), threading.Event()
+
+    def slow_readers(_database, names):
+        looked_at.set()
+        assert has_begun.wait(30)
+        return dict.fromkeys(names, "x")
+
+    monkeypatch.setattr(broadcast.keys, "readers", slow_readers)
+
+    async def check():
+        job = add_job(database)
+        async with running(database) as broadcaster:
+            first = await Heard(broadcaster.stream(None, None, "x", "one")).open()
+            assert await asyncio.to_thread(looked_at.wait, 30)
+            second = await Heard(broadcaster.stream(None, None, "x", "two")).open()
+            has_begun.set()
+            last = tell(database, job, "state")
+            for listener in (first, second):
+                assert await listener.next() == (last, "state")
+                await listener.close()
+
+    asyncio.run(check())
+
+
 def test_listener_from_the_beginning_hears_what_is_stored_and_what_comes(database, monkeypatch):
     monkeypatch.setattr(broadcast, "_PAGE", 7)
 
