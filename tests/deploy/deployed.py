@@ -93,6 +93,8 @@ class Host:
         """Of a process: little more than what it is given."""
         path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"], "/usr/sbin"])
         base = {"PATH": path, "HOME": str(self.folder), "PYTHONPATH": str(ROOT)}
+        # results are compared with those of this process: BLAS of other processors sums in another order
+        base |= {key: value for key, value in os.environ.items() if key == "OPENBLAS_CORETYPE"}
         return base | {key: self.here(str(value), name) for key, value in given.items()}
 
     def end(self):
