@@ -1,8 +1,8 @@
 """The two decorators of kernels, `kernel` and `parallel_kernel`, and why each option of the compiler is as it is.
 
 cache: compiled code is kept beside the source, so that a machine compiles once. Numba compiles a kernel anew when its own
-    file is newer than the code, not when a kernel of another file that it calls is: after a change there, remove
-    `lvba/kernels/__pycache__`
+    file has changed, not when that of a kernel that it calls has: code that is older than any source beside its own is
+    forgotten first
 nogil: other threads run meanwhile; kernels touch no Python object
 error_model "numpy": a division by zero gives inf or NaN as in numpy. Checks for zero in loops keep the compiler from
     vectorizing them, and an exception would leave a parallel loop half done
@@ -15,7 +15,9 @@ parallel: loops over `prange`, and nothing else, are shared among threads. Numba
     machine too, and these have next to nothing to do
 """
 
+import contextlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, overload
 
 from numba import njit
@@ -27,6 +29,25 @@ _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"
 _PARALLEL = dict.fromkeys(
     ("comprehension", "reduction", "inplace_binop", "setitem", "numpy", "stencil", "fusion"), False
 )
+
+
+_looked_into: set[str] = set()
+"""Folders of compiled code, of which none is older than the sources."""
+
+
+def _forget_older(compiled: Any) -> None:
+    """Removes the indices of compiled code that is older than a source beside the one of this kernel."""
+    kept = compiled.stats.cache_path
+    if kept in _looked_into:
+        return
+    _looked_into.add(kept)
+    sources = Path(compiled.py_func.__code__.co_filename).parent.glob("*.py")
+    # another process may remove them, too; a folder that cannot be written holds what was installed with its sources
+    with contextlib.suppress(OSError):
+        newest = max(source.stat().st_mtime for source in sources)
+        for index in Path(kept).glob("*.nbi"):
+            if index.stat().st_mtime < newest:
+                index.unlink(missing_ok=True)
 
 
 @overload
@@ -43,8 +64,11 @@ def kernel(
     fastmath: names of LLVM's fast-math flags that hold in this kernel; inline: as above
     """
     options = {**_OPTIONS, "fastmath": fastmath or False, "inline": "always" if inline else "never"}
-    compiler: Any = njit(**options)
-    return compiler if function is None else compiler(function)
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        return _cached(njit(**options), function)
+
+    return compiled if function is None else compiled(function)
 
 
 def parallel_kernel(function: Callable[P, R]) -> Callable[P, R]:
@@ -53,5 +77,11 @@ def parallel_kernel(function: Callable[P, R]) -> Callable[P, R]:
     A NamedTuple that such a loop reads must be an argument of the kernel, or made inside the loop.
     """
     compiler: Any = njit  # its type knows no choice of what runs in parallel
-    compiled: Callable[P, R] = compiler(**_OPTIONS, parallel=_PARALLEL)(function)
+    compiled: Callable[P, R] = _cached(compiler(**_OPTIONS, parallel=_PARALLEL), function)
+    return compiled
+
+
+def _cached(compiler: Any, function: Callable[..., Any]) -> Any:
+    compiled = compiler(function)
+    _forget_older(compiled)
     return compiled

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lvba.kernels.compiled import kernel
+from lvba.kernels.depth_cells import is_alone, keep_two
 from lvba.kernels.scene import Intrinsics
 from lvba.kernels.visibility_depth import hiding_depth
 
@@ -166,18 +167,25 @@ def usual_gap(bins: Bins, down: bool) -> float:
 
 
 @kernel
-def z_buffer(uvz: np.ndarray, width: int, height: int, size: float) -> np.ndarray:
-    """The nearest point of every cell of `size` px, (rows, columns) int64, -1 where none; of equals the first.
+def z_buffer(uvz: np.ndarray, width: int, height: int, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """The nearest point of every cell of `size` px, (rows, columns) int64, -1 where none, of equals the first; and which
+    points are alone before the others (`depth_cells`), (N,) bool: instead of them, the next of their cells.
 
     uvz: (N, 3) float32, see `Projected`
     """
-    nearest = np.full((math.ceil(height / size), math.ceil(width / size)), -1, np.int64)
+    rows, columns = math.ceil(height / size), math.ceil(width / size)
+    depth = np.full((rows, columns, 2), np.inf)
+    index = np.full((rows, columns, 2), -1, np.int64)
     for k in range(len(uvz)):
         row, column = int((uvz[k, 1] + 0.5) / size), int((uvz[k, 0] + 0.5) / size)
-        best = nearest[row, column]
-        if best < 0 or uvz[k, 2] < uvz[best, 2]:
-            nearest[row, column] = k
-    return nearest
+        keep_two(depth[row, column], index[row, column], uvz[k, 2], k)
+    nearest, alone = index[:, :, 0].copy(), np.zeros(len(uvz), np.bool_)
+    for row in range(rows):
+        for column in range(columns):
+            if nearest[row, column] >= 0 and is_alone(depth, row, column):
+                alone[nearest[row, column]] = True
+                nearest[row, column] = index[row, column, 1]
+    return nearest, alone
 
 
 @kernel
@@ -215,11 +223,12 @@ def hidden_points(
     tolerance: float,
 ) -> np.ndarray:
     """(N,) uint8: 0 seen; 1 something nearer in a neighbouring cell of the z-buffer; 2 covered: in the point's own cell,
-    or in more than half of the cells round it that hold points (through a sparse surface what is behind shows).
+    or in more than half of the cells round it that hold points (through a sparse surface what is behind shows); and what
+    is alone, as if it was not there.
 
     uvz: (N, 3) float32, index: (N,) int64, see `Projected`; size: px, of the z-buffer's cells; tolerance: m
     """
-    nearest = z_buffer(uvz, width, height, size)
+    nearest, alone = z_buffer(uvz, width, height, size)
     rows, columns = nearest.shape
     hidden = np.zeros(len(uvz), np.uint8)
     for k in range(len(uvz)):
@@ -234,7 +243,7 @@ def hidden_points(
                 if uvz[q, 2] < limit and is_behind(k, q, uvz, index, lidar, tolerance):
                     hiding += 1
                     own = own or (i == row and j == column)
-        if own or 2 * hiding > held:
+        if own or 2 * hiding > held or alone[k]:
             hidden[k] = 2
         elif hiding:
             hidden[k] = 1

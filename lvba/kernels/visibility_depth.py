@@ -6,6 +6,7 @@ import numpy as np
 from numba import prange
 
 from lvba.kernels.compiled import kernel, parallel_kernel
+from lvba.kernels.depth_cells import is_alone, keep_two
 from lvba.kernels.scene import Intrinsics, NearestPoints
 
 HIDING_PART = 0.02
@@ -25,6 +26,7 @@ def nearest_points(
 ) -> np.ndarray:
     """The nearest point of every cell of every image, (I, rows, columns) int32, -1 where none; of equals the first.
 
+    In place of a point that is alone (`depth_cells`), the next one of its cell.
     points: (M, 3) float32, m, world; ranges: (I, 3) int64: first point, end and step of each image
     poses: (I, 4, 4) float64, world_from_camera
     cell: edge of a square cell, px; nearest: smallest depth, m
@@ -34,7 +36,8 @@ def nearest_points(
     fx, fy, cx, cy = intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy
     for i in prange(len(ranges)):
         r = poses[i]
-        depth = np.full((rows, columns), np.inf)
+        depth = np.full((rows, columns, 2), np.inf)
+        index = np.full((rows, columns, 2), -1, np.int32)
         for m in range(ranges[i, 0], ranges[i, 1], ranges[i, 2]):
             dx, dy, dz = points[m, 0] - r[0, 3], points[m, 1] - r[1, 3], points[m, 2] - r[2, 3]
             z = r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz
@@ -45,9 +48,11 @@ def nearest_points(
             if u < 0 or v < 0 or u >= width or v >= height:
                 continue
             row, column = int(v / cell), int(u / cell)
-            if z < depth[row, column]:
-                depth[row, column] = z
-                closest[i, row, column] = m
+            keep_two(depth[row, column], index[row, column], z, m)
+        for row in range(rows):
+            for column in range(columns):
+                if index[row, column, 0] >= 0:
+                    closest[i, row, column] = index[row, column, 1 if is_alone(depth, row, column) else 0]
     return closest
 
 

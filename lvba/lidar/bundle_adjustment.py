@@ -7,12 +7,14 @@ association in every round, surfaces kept apart by the side they are seen from, 
 contradict them, weights from each plane's own noise, degenerate directions held at the odometry.
 """
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from lvba.arrays import Poses, Vector
+from lvba.errors import DegenerateProblemError
 from lvba.inertial.consistency import InertialResult
 from lvba.inertial.readings import Imu
 from lvba.lidar import covariance as uncertainty
@@ -159,10 +161,11 @@ def refine(
 
 
 def _through(rounds: Rounds, stages: tuple[Stage, ...], progress: Progress) -> Solved:
-    """All stages, one after the other: what the last one leaves."""
+    """All stages, one after the other: what the last one leaves. Cells of the others may hold no plane: clutter."""
     total, done = sum(stage.rounds for stage in stages), 0
     for stage in stages[:-1]:
-        rounds.of_stage(stage, progress, done, total)
+        with contextlib.suppress(DegenerateProblemError):
+            rounds.of_stage(stage, progress, done, total)
         done += stage.rounds
     return rounds.last(stages[-1], progress, done, total)
 

@@ -48,8 +48,14 @@ def with_finer(stages: tuple[Stage, ...], scans: Scans, dense_points: int) -> tu
     while halvings < _MOST_HALVINGS and points_per_cell(scans, finest / 2 ** (halvings + 1)) >= dense_points:
         halvings += 1
     finer = [0.5 ** (halvings - k) for k in range(halvings)]
+    if not finer:
+        return stages
     return tuple(
-        replace(stage, sizes=(*(stage.sizes[0] * factor for factor in finer), *stage.sizes))
+        replace(
+            stage,
+            sizes=(*(stage.sizes[0] * factor for factor in finer), *stage.sizes),
+            plane_test=replace(stage.plane_test, alone_up_to=stage.sizes[0]),
+        )
         for stage in stages
     )
 
@@ -75,18 +81,16 @@ def _sampled(scans: Scans) -> Iterator[np.ndarray]:
 
 
 def without_noisy(stages: tuple[Stage, ...], scans: Scans) -> tuple[Stage, ...]:
-    """The stages without the cells that are too fine for the noise of single scans; the largest of each stage stay."""
-    noise: dict[float, float] = {}
+    """The stages without the cells that are too fine for the noise of single scans; the largest of each stage stay.
 
-    def noisy(size: float) -> bool:
-        if size not in noise:
-            noise[size] = range_noise(scans, 2 * size)
-        return noise[size] > _NOISE_PER_EDGE * size
-
-    def kept(sizes: tuple[float, ...]) -> tuple[float, ...]:
-        return kept(sizes[1:]) if len(sizes) > 1 and noisy(sizes[0]) else sizes
-
-    return tuple(replace(stage, sizes=kept(stage.sizes)) for stage in stages)
+    Larger cells have more clutter in them, which looks like noise: what is fine enough for some cells is for all larger.
+    """
+    sizes = sorted({size for stage in stages for size in stage.sizes})
+    fine = next((s for s in sizes if range_noise(scans, 2 * s) <= _NOISE_PER_EDGE * s), sizes[-1])
+    return tuple(
+        replace(stage, sizes=tuple(s for s in stage.sizes[:-1] if s >= fine) + stage.sizes[-1:])
+        for stage in stages
+    )
 
 
 def range_noise(scans: Scans, size: float) -> float:

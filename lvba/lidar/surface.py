@@ -72,6 +72,6 @@ def _planes(
         count=np.round(count).astype(np.int64),
         scans=np.diff(features.offsets).astype(np.int32),
         size=features.size,
-        sigma_offset=np.sqrt(fits.eigenvalues[:, 0] / np.maximum(fits.total, 1.0) + offset),
+        sigma_offset=np.sqrt(np.maximum(fits.eigenvalues[:, 0], 0.0) / np.maximum(fits.total, 1.0) + offset),
         unevenness=np.zeros(len(features)),
     )

@@ -184,6 +184,9 @@ class PlaneTest:
     """rad, largest standard deviation of the normal, from the noise and number of its points; 0.001 to infinity."""
     two_sided: bool = True
     """Keep points that see a surface from opposite sides apart (thin walls)."""
+    alone_up_to: float = 0.0
+    """m: in cells of this size and smaller, the scans that see a plane have `min_points` on it each, on the mean. A depth
+    camera's far ranges come in steps, and each step looks like a plane to cells that are smaller than it."""
 
     def __post_init__(self) -> None:
         for name, low, high in (("ratio", 0.0, 1.0), ("finest_ratio", 0.0, 1.0), ("spread", 0.0, 0.29)):
@@ -260,6 +263,8 @@ def _pass(cells: CellPlanes, size: float, test: PlaneTest, ratio: float) -> tupl
     small, middle = cells.eigenvalues[:, :, 0], cells.eigenvalues[:, :, 1]
     ok = (cells.total >= test.min_points) & (cells.scans >= test.min_scans) & (small < ratio * middle)
     ok &= middle >= (test.spread * size) ** 2
+    if size <= test.alone_up_to:
+        ok &= cells.total >= test.min_points * cells.scans
     if np.isfinite(test.max_tilt):
         ok &= small <= test.max_tilt**2 * middle * cells.total
     other = np.where(ok, 0.0, cells.total).sum(1)

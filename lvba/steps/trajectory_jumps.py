@@ -22,6 +22,11 @@ _FAST = 0.9
 """Part of the motions that are slower than the speed at which a sensor is turned now and then: jumps are fewer."""
 
 
+_PAUSE_S = 5.0
+"""Speeds say where a sensor is for seconds. What it did while nothing was recorded for longer, as when it was put down,
+they do not."""
+
+
 @dataclass(frozen=True)
 class Jumps:
     """after: (J,) int64, frames after which the trajectory jumps; meters, degrees: (J,) by how much, 0 where that alone
@@ -38,7 +43,7 @@ class Jumps:
 
 
 def find(trajectory: Trajectory) -> Jumps:
-    """The jumps of a trajectory; a gap in time is none as long as the speed fits."""
+    """The jumps of a trajectory; a gap in time is none as long as the speed fits, nor is a pause of the recording."""
     meters, degrees = unexpected(trajectory)
     if len(meters) < _FEWEST_STEPS:
         return Jumps(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
@@ -47,9 +52,14 @@ def find(trajectory: Trajectory) -> Jumps:
     judged = slice(_NEIGHBORS, len(meters) - _NEIGHBORS)
     for size, least in ((meters, LEAST_M), (degrees, np.maximum(LEAST_DEG, _swings(trajectory)))):
         ordinary = _ORDINARY * np.median((size / interval)[judged]) * interval
-        jumps.append(np.where(size > np.maximum(ordinary, least), size, 0.0))
+        jumps.append(np.where((size > np.maximum(ordinary, least)) & ~_pauses(interval), size, 0.0))
     after = np.flatnonzero((jumps[0] > 0) | (jumps[1] > 0))
     return Jumps(after, jumps[0][after], jumps[1][after])
+
+
+def _pauses(interval: np.ndarray) -> np.ndarray:
+    """(N - 1,) bool: times (N - 1,) s between frames in which the recording stood still."""
+    return np.asarray(interval > max(_PAUSE_S, _ORDINARY * float(np.median(interval))))
 
 
 def _swings(trajectory: Trajectory) -> np.ndarray:

@@ -95,7 +95,7 @@ class Figures:
     scale: of the reference over the result; None: there is no reference
     input_fits: None: the input's poses are not as good as what was refined, or something speaks against both
     ssim: of images predicted from the map, before and after, where the loss is beyond chance
-    small_losses: what used parts lost in how well images are predicted, beyond chance, too little to contradict them
+    small_losses: what used parts lost in how well images are predicted, beyond chance, without being refused for it
     """
 
     scans: int = 0
@@ -371,8 +371,8 @@ def _looks(figures: Figures) -> Iterator[Reason]:
         )
     if figures.small_losses:
         yield Reason(
-            f"Used although images are predicted a little worse: {'; '.join(figures.small_losses)}.",
-            "So little says nothing of geometry by itself; a reference would tell (--reference).",
+            f"Used although images are predicted worse: {'; '.join(figures.small_losses)}.",
+            "This alone says nothing sure of geometry; a reference would tell (--reference).",
         )
     if figures.thickness is not None and figures.thickness[1] > figures.thickness[0]:
         before, after = (1000 * value for value in figures.thickness)

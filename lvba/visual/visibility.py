@@ -82,6 +82,8 @@ _FAR_TRIED = 16
 alone, which is compared with all, ties little of a small place: of 100 images of a kitchen, 100 pairs of 70,000 were far
 apart in time, and poses of images that see the same were 30 mm off what matched features say; now they are 19."""
 _GOLDEN = 0.6180339887
+_BLOCK = 16
+"""Cells of the finest buffer along a block: a tenth of the width, some rings of a spinning LiDAR."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +140,8 @@ def depth_buffers(
     """Depth buffers of all images from the scans near each in time.
 
     camera: of any level; world_from_camera: (I, 4, 4); image_times: (I,) s; scan_times: (S,) s
-    A cell is wide enough that few are empty: 1.5 mean spacings of LiDAR points, 1/160 to 1/40 of the width.
+    A cell is wide enough that few are empty where there are any: 1.5 mean spacings of LiDAR points, 1/160 to 1/40 of the
+    width.
     """
     window = np.full(len(image_times), time_window_s)
     ranges = near_ranges(image_times, scan_times, plane_points.scan_offsets, window, max_points)
@@ -153,9 +156,18 @@ def depth_buffers(
     finest = camera.width / 160
     some = buffers(slice(None, None, max(len(poses) // 8, 1)), finest)
     # of n points thrown on cells, a part exp(-n) of the cells stays empty
-    held = min(float(np.median((some >= 0).mean(axis=(1, 2)))), 0.999) if len(some) else 0.0
+    held = min(float(np.median([_held(each >= 0) for each in some])), 0.999) if len(some) else 0.0
     cell = finest * float(np.clip(1.5 / np.sqrt(max(-np.log1p(-held), 1e-9)), 1, 4))
     return DepthBuffers(buffers(slice(None), cell), points, cell / camera.fx)
+
+
+def _held(cells: np.ndarray) -> float:
+    """The part of the cells (rows, columns) bool that hold points, where the LiDAR looks: not in the sky, say."""
+    pad = [(0, -size % _BLOCK) for size in cells.shape]
+    blocks = np.pad(cells, pad).reshape(-(-cells.shape[0] // _BLOCK), _BLOCK, -1, _BLOCK).sum(axis=(1, 3))
+    sizes = np.pad(np.ones_like(cells), pad).reshape(len(blocks), _BLOCK, -1, _BLOCK).sum(axis=(1, 3))
+    looked_at = blocks > 0
+    return float(blocks[looked_at].sum() / max(sizes[looked_at].sum(), 1))
 
 
 def cameras_near_scans(

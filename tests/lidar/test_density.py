@@ -3,6 +3,7 @@ import pytest
 
 from lvba import geometry
 from lvba.lidar import density
+from lvba.lidar.bundle_adjustment import find_planes
 from lvba.lidar.config import STAGES
 from lvba.lidar.scan import gather
 
@@ -61,3 +62,38 @@ def test_cells_that_are_thin_beside_the_noise_go():
     for before, after in zip(STAGES, density.without_noisy(STAGES, noisy), strict=True):
         assert after.sizes == tuple(size for size in before.sizes if size >= 0.5)
     assert all(stage.sizes for stage in density.without_noisy(STAGES, worst))
+
+
+def _cluttered_scan(seed: int) -> np.ndarray:
+    """A floor with boxes of 0.4 m, each of another height, seen from above with a noise of 5 mm."""
+    rng = np.random.default_rng(seed)
+    height = np.random.default_rng(99).uniform(-0.5, 0.5, (16, 16))
+    across = rng.uniform(0, 6, (60_000, 2))
+    box = (across / 0.4).astype(int)
+    points = np.column_stack([across - 3, height[box[:, 0], box[:, 1]] - 5])
+    return (points * (1 + rng.normal(0, 0.005 / 5, (len(points), 1)))).astype(np.float32)
+
+
+def test_clutter_of_large_cells_is_no_noise():
+    scans = gather([_cluttered_scan(seed) for seed in range(3)])
+    assert density.range_noise(scans, 1.0) > 0.065
+    assert density.range_noise(scans, 0.5) < 0.03
+    assert density.without_noisy(STAGES, scans) == STAGES
+
+
+def _depth_image(seed: int) -> np.ndarray:
+    """A shelf at one meter, aslant, and a wall at ten, of which a depth camera knows no more than steps of 0.2 m."""
+    rng = np.random.default_rng(seed)
+    column, row = np.meshgrid(np.arange(-160, 160) / 300, np.arange(-120, 120) / 300)
+    far = 10 + rng.normal(0, 0.3, column.shape)
+    near = 1 + 0.4 * row + rng.normal(0, 0.003, column.shape)
+    depth = np.where(column < 0.2, near, np.round(far / 0.2) * 0.2)
+    return np.stack([column * depth, row * depth, depth], axis=-1).reshape(-1, 3).astype(np.float32)
+
+
+def test_steps_of_a_depth_camera_are_no_planes():
+    scans = [_depth_image(seed) for seed in range(12)]
+    planes, _ = find_planes(scans, np.tile(np.eye(4), (12, 1, 1)))
+    far = planes.center[:, 2] > 5
+    assert (planes.size[~far] < 0.2).sum() > 10
+    assert not (planes.size[far] < 0.2).any()

@@ -246,6 +246,15 @@ def test_nothing_to_solve_is_one_clear_error(scans):
         refine(scans, np.stack([np.eye(4)] * 3))
 
 
+def test_a_stage_whose_cells_hold_no_plane_is_passed_over(yard):
+    scans, truth, rough, _ = yard
+    bare = Stage(sizes=(16.0,), plane_test=PlaneTest(min_scans=1000))
+    with pytest.raises(DegenerateProblemError):
+        refine(scans, rough, stages=(bare,))
+    result = refine(scans, rough, stages=(bare, *STAGES))
+    assert trajectory.pose_error(result.world_from_scan, truth).ate_m < 0.002
+
+
 def test_progress_can_cancel(yard):
     scans, _, rough, _ = yard
 

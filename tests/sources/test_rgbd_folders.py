@@ -1,12 +1,16 @@
 """Folders of depth cameras and phones: one wall and one mark on it, written as each program does, must come back."""
 
+from pathlib import Path
+
 import known_view as view
 import numpy as np
 import pytest
 import rgbd_writers as writers
 
+from lvba.camera import Camera
 from lvba.errors import InputError
 from lvba.sources import folders
+from lvba.sources.folders.depth_scans import DepthCamera
 from lvba.sources.opening import open_source
 from lvba.sources.source import Kind
 
@@ -47,6 +51,16 @@ def test_tum_numbers_of_frames_are_thirtieths_of_a_second(tmp_path):
     source = folders.find(tmp_path)
     assert [record.stamp for _, record in source.records(["depth"])] == [0, 33333333, 66666666, 100000000]
     assert any("30 frames a second" in note for note in source.describe().notes)
+
+
+def test_tum_depth_counts_what_the_camera_file_says(tmp_path):
+    writers.tum(tmp_path, units=1000, factor={"RGBD.DepthMapFactor": 1000.0})
+    source = open_source(tmp_path)
+    view.check(source, "depth", "rgb", "groundtruth", 1e-3, 0.2)
+    assert any("1000 a meter, by RGBD.DepthMapFactor" in note for note in source.describe().notes)
+    writers.tum(tmp_path, factor={"DepthMapFactor": "many"})
+    with pytest.raises(InputError, match=r"camera\.yaml: DepthMapFactor is 'many'"):
+        open_source(tmp_path)
 
 
 def test_benchmark_sequences_have_their_cameras_by_name(tmp_path):
@@ -132,6 +146,7 @@ DAMAGES = [
     (writers.tum, "depth.txt", "1.0\n", r"depth\.txt:1: 1 words instead of 2"),
     (writers.tum, "groundtruth.txt", "1 2 3\n", r"groundtruth\.txt:1"),
     (writers.tum, "rgb.txt", "# none\n", "names no files"),
+    (writers.tum, "rgb.txt", "0.001 rgb/0.png\n0.0012 rgb/1.png\n", r"rgb\.txt: times are 0\.2 ms apart"),
     (writers.replica, "traj.txt", "1 2\n", r"traj\.txt:1: not 16 finite numbers"),
     (writers.replica, "traj.txt", " ".join(["0"] * 16) + "\n", "no rotation"),
     (writers.replica, "cam_params.json", "{}", "has no section camera"),
@@ -185,3 +200,19 @@ def test_a_first_image_that_is_damaged_is_one_of_many(tmp_path, write, names):
 def test_other_folders_are_none(tmp_path):
     assert folders.find(tmp_path) is None
     assert folders.find(tmp_path / "missing") is None
+
+
+@pytest.mark.parametrize(("size", "step"), [((320, 320), 1), ((640, 480), 2), ((1280, 720), 3)])
+def test_of_large_depth_images_some_rows_and_columns_become_points(size, step):
+    camera = Camera(width=size[0], height=size[1], fx=500.0, fy=500.0, cx=size[0] / 2, cy=size[1] / 2)
+    values = np.zeros((size[1], size[0]), np.uint16)
+    row, column = 7 * step + step // 2, 5 * step + step // 2
+    values[row, column] = 2000
+    scan = DepthCamera(camera, 1e-3).scan_of(Path("d.png"), values, 0)
+    assert scan.points == pytest.approx(
+        np.array([[2 * (column - camera.cx) / 500, 2 * (row - camera.cy) / 500, 2]])
+    )
+    assert scan.rows.tolist() == [row]
+    full = DepthCamera(camera, 1e-3).scan_of(Path("d.png"), np.full_like(values, 1000), 0)
+    assert len(full.points) == len(range(step // 2, size[0], step)) * len(range(step // 2, size[1], step))
+    assert len(full.points) <= 1.01 * 102_400

@@ -47,6 +47,15 @@ def test_jumps_are_found_where_they_are(meters, degrees):
     assert found.degrees == pytest.approx([degrees if degrees > 1.8 else 0.0] * 2, abs=0.3)
 
 
+@pytest.mark.parametrize(("pause", "jumps"), [(1.0, 1), (72.5, 0)])
+def test_where_a_sensor_went_while_the_recording_stood_still_is_no_jump(pause, jumps):
+    times = np.arange(0, 20, 0.1)
+    poses = drive(times)
+    poses[100:, 1, 3] += 3.0
+    times[100:] += pause
+    assert len(trajectory_jumps.find(Trajectory(times, poses)).after) == jumps
+
+
 def swinging(times, fastest):
     """A sensor that walks straight on and is swung from side to side, so many degrees per second at most."""
     sides = np.random.default_rng(2).choice(

@@ -22,12 +22,12 @@ def tum_line(stamp, pose):
     return " ".join([stamp, *(f"{value:.9f}" for value in (*pose[:3, 3], *quaternion))]) + "\n"
 
 
-def tum(path, counted=False):
+def tum(path, counted=False, units=5000, factor=None):
     lists = {"rgb": "# time file\n", "depth": "", "groundtruth": "# ground truth\n"}
     for i, pose in enumerate(view.poses()):
         stamp = str(i) if counted else f"1305031453.{359684 + 33333 * i}"
         png(path / "rgb" / f"{i}.png", view.color_image(SIZE, FOCAL, CENTER, pose))
-        png(path / "depth" / f"{i}.png", view.depth_image(SIZE, FOCAL, CENTER, pose, 5000))
+        png(path / "depth" / f"{i}.png", view.depth_image(SIZE, FOCAL, CENTER, pose, units))
         for name in ("rgb", "depth"):
             lists[name] += f"{stamp} {name}/{i}.png\n"
         lists["groundtruth"] += tum_line(stamp, pose)
@@ -35,7 +35,7 @@ def tum(path, counted=False):
         (path / f"{name}.txt").write_text(text)
     camera = {"cam_width": SIZE[0], "cam_height": SIZE[1], "cam_fx": FOCAL[0], "cam_fy": FOCAL[1]}
     camera |= {"cam_cx": CENTER[0], "cam_cy": CENTER[1]}
-    (path / "camera.yaml").write_text(json.dumps({"cam_model": camera}))
+    (path / "camera.yaml").write_text(json.dumps({"cam_model": camera, **(factor or {})}))
 
 
 def replica(path):

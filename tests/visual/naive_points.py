@@ -39,17 +39,32 @@ def in_image(uvz, width, height, nearest):
 def hidden(uvz, points, plane, lidar, size, tolerance):
     """Per point: 2 when its own cell's nearest point, or those of most cells around, hide it; 1 when any does."""
     cells = np.floor((uvz[:, :2] + 0.5) / size).astype(int)
-    nearest = {}
+    inside = {}
     for k, cell in enumerate(map(tuple, cells)):
-        if cell not in nearest or uvz[k, 2] < uvz[nearest[cell], 2]:
-            nearest[cell] = k
+        inside.setdefault(cell, []).append((float(uvz[k, 2]), k))
+    nearest, alone = nearest_but_alone(inside)
     result = np.zeros(len(uvz), np.uint8)
     for k, (i, j) in enumerate(cells):
         around = [nearest.get((i + di, j + dj)) for di in (-1, 0, 1) for dj in (-1, 0, 1)]
         hides = [q is not None and _hides(q, k, uvz, points, plane, lidar, tolerance) for q in around]
         held = sum(q is not None for q in around)
-        result[k] = 2 if hides[4] or sum(hides) > held / 2 else int(any(hides))
+        result[k] = 2 if hides[4] or sum(hides) > held / 2 or k in alone else int(any(hides))
     return result
+
+
+def nearest_but_alone(inside):
+    """The nearest point of each cell, or the next where that is alone, and those that are. inside: of each (z, index)"""
+    two, nearest, alone = {cell: sorted(points)[:2] for cell, points in inside.items()}, {}, set()
+    for (i, j), points in two.items():
+        around = [each for di in (-1, 0, 1) for dj in (-1, 0, 1) for each in two.get((i + di, j + dj), [])]
+        z, k = points[0]
+        others = np.array([other for other, m in around if m != k])
+        if len(others) >= 4 and (np.abs(others - z) > 0.1 * z).all():
+            alone.add(k)
+            points = points[1:]
+        if points:
+            nearest[i, j] = points[0][1]
+    return nearest, alone
 
 
 def off_plane(lidar, k, points):
@@ -224,19 +239,17 @@ def judge(images, poses, intrinsics, position, normal, reference, target, pixel,
 
 
 def nearest_points(points, ranges, poses, intrinsics, width, height, cell, nearest):
-    """Per image a dict from cell (row, column) to the index of its nearest point."""
+    """Per image a dict from cell (row, column) to the index of its nearest point, or of the next where that is alone."""
     result = []
     for pose, (start, stop, step) in zip(poses, ranges, strict=True):
         index = np.arange(start, stop, step)
         uvz = project(points[index], pose, intrinsics)
         good = (uvz[:, 2] > nearest) & (uvz[:, :2] >= -0.5).all(1)
         good &= (uvz[:, 0] < width - 0.5) & (uvz[:, 1] < height - 0.5)
-        found = {}
+        cells = {}
         for m, (u, v, z) in zip(index[good], uvz[good], strict=True):
-            key = (int((v + 0.5) / cell), int((u + 0.5) / cell))
-            if key not in found or z < found[key][1]:
-                found[key] = (m, z)
-        result.append({key: m for key, (m, _) in found.items()})
+            cells.setdefault((int((v + 0.5) / cell), int((u + 0.5) / cell)), []).append((z, m))
+        result.append(nearest_but_alone(cells)[0])
     return result
 
 

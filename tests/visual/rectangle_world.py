@@ -1,7 +1,7 @@
 """A world of textured rectangles, seen exactly: images, LiDAR points and planes without any simulator."""
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -217,3 +217,14 @@ def random_pair(rng):
 
     normal = np.array([0, 0, -1.0]) + 0.4 * rng.standard_normal(3)
     return pose(), pose(), np.array([0, 0, 5.0]) + rng.standard_normal(3), normal / np.linalg.norm(normal)
+
+
+def rained_on(rec, part):
+    """The points of all scans, of which this part are of drops before the surfaces."""
+    rng = np.random.default_rng(8)
+    seen = rec.plane_points
+    sensor = np.repeat(rec.poses[:, :3, 3], np.diff(seen.scan_offsets), axis=0)
+    drop = rng.random(len(sensor)) < part
+    points, nearness = seen.points_world.copy(), rng.uniform(0.05, 0.9, (drop.sum(), 1))
+    points[drop] = sensor[drop] + nearness * (points[drop] - sensor[drop])
+    return replace(seen, points_world=points, plane=np.where(drop, -1, seen.plane).astype(np.int32))

@@ -10,6 +10,7 @@ from rectangle_world import (
     cast,
     plane_points,
     planes_of,
+    rained_on,
     rectangle,
     render,
     room_with_screen,
@@ -38,11 +39,11 @@ def select(rec, config=PointsConfig(), images=None, *, plane_points=None, **rule
     return scene_points.select(level, rec.cameras, surfaces, config, PatchRules(**rules))
 
 
-@pytest.mark.parametrize("enough", [scene_points.ENOUGH_IN_BIN, 2])
-def test_selection_matches_its_twin(enough):
+@pytest.mark.parametrize(("enough", "rain"), [(scene_points.ENOUGH_IN_BIN, 0.0), (2, 0.1)])
+def test_selection_matches_its_twin(enough, rain):
     rec = room_with_screen()
     config = PointsConfig(cells=150)
-    lidar = scene_points.kernel_points(rec.planes, rec.plane_points)
+    lidar = scene_points.kernel_points(rec.planes, rained_on(rec, rain))
     gates = scene_points.point_gates(CAMERA, PatchRules(), rec.noise)._replace(enough=enough)
     cell = scene_points.cell_size(CAMERA, config)
     scores = np.stack([scene_points.difference_of_gaussians(image) for image in rec.images])
@@ -189,6 +190,13 @@ def test_points_behind_others_are_hidden():
     assert (points.plane[points.position_world[:, 1] > 0.3] == 0).all()
 
 
+def test_drops_of_rain_cost_few_points():
+    rec = room_with_screen()
+    dry, wet = select(rec), select(rec, plane_points=rained_on(rec, 0.05))
+    assert len(wet) > 0.9 * len(dry), (len(wet), len(dry))
+    assert _whole_patch_on_one_rectangle(rec, wet).mean() > 0.98
+
+
 def test_a_slanted_plane_does_not_hide_itself():
     floor = [rectangle([0.5, -6, -1.2], [25, 0, 0], [0, 12, 0], 3)]
     rng = np.random.default_rng(0)
@@ -301,4 +309,4 @@ def test_a_point_at_the_very_border_stays_inside_the_cells(gap):
     )
     assert (uvz[:, 0] + 0.5 < width).all()
     assert (uvz[:, 1] + 0.5 < height).all()
-    assert patches_support.z_buffer(uvz, width, height, size).max(initial=-1) == len(uvz) - 1
+    assert patches_support.z_buffer(uvz, width, height, size)[0].max(initial=-1) == len(uvz) - 1

@@ -15,6 +15,7 @@ from rectangle_world import (
     box,
     cast,
     plane_points,
+    rained_on,
     random_pair,
     room_with_screen,
     scan,
@@ -274,7 +275,7 @@ def test_depth_buffers_match_their_twin():
         rec.times, rec.times, rec.plane_points.scan_offsets, np.full(8, 0.3), 9000
     )
     args = (
-        rec.plane_points.points_world,
+        rained_on(rec, 0.1).points_world,
         ranges,
         rec.poses,
         INTRINSICS,
@@ -309,6 +310,22 @@ def test_depth_buffers_refuse_hidden_targets_without_looking_at_the_images():
     assert hidden[judged & ~visible].mean() > 0.95
     assert hidden[judged & visible].mean() < 0.08, "patches at the screen's border count as hidden"
     assert half.cell == pytest.approx(depth.cell, rel=0.1), "the same at every level"
+
+
+def test_drops_of_rain_hide_few_patches():
+    rec = room_with_screen(sideways=True)
+    points, point, target, visible = _pair_truth(rec)
+    depth = visibility.depth_buffers(CAMERA, rec.poses, rec.times, rained_on(rec, 0.05), rec.times)
+    gates = GATES._replace(
+        min_scale=0.1, max_scale=10.0, min_ncc=-2.0, dark=-1.0, bright=300.0, min_usable=0.0
+    )
+    verdict, _ = kernels.judge_pairs(
+        rec.images, rec.poses, INTRINSICS, visibility.kernel_patches(points), point, target, gates, depth.at(CAMERA),
+        np.zeros((0, 2)),
+    )  # fmt: skip
+    judged, hidden = np.isin(verdict, [kernels.PASSED, kernels.HIDDEN]), verdict == kernels.HIDDEN
+    assert hidden[judged & ~visible].mean() > 0.95
+    assert hidden[judged & visible].mean() < 0.12, "where each drop counted, a third of them"
 
 
 def _index_in(points, kept):

@@ -18,14 +18,19 @@ import numpy as np
 
 from lvba.camera import Camera
 from lvba.errors import InputError
-from lvba.io import tum
+from lvba.io import tum, yaml_files
 from lvba.sources import calibrations
 from lvba.sources.folders import tables
 from lvba.sources.folders.depth_scans import FRAME, DepthCamera, image_item, size_of_first
 from lvba.sources.folders.items import XYZ, FolderSource, Item, StreamKind, at_hand
 from lvba.sources.source import Kind, KnownGeometry, PoseSample
 
-DEPTH_UNIT_M = 1 / 5000
+UNITS_A_METER = 5000.0
+"""Of depth images, where no camera file says otherwise (`_UNITS`)."""
+_UNITS = ("DepthMapFactor", "RGBD.DepthMapFactor")
+"""Names of ORB-SLAM2 and 3 for it; sensors that are not of the benchmark often count millimeters: 1000."""
+_CLOSEST_NS = 1_000_000
+"""Time from image to image, in the middle; nearer, the numbers are no times."""
 _FRAMES_A_SECOND = 30
 _NUMBERED = 1_000_000
 """Whole numbers below are numbers of frames, not seconds since 1970 (ICL-NUIM)."""
@@ -58,7 +63,8 @@ def open_folder(path: Path) -> FolderSource:
     poses, pose_notes = _poses(path)
     counted = _is_counted([stamp for stamp, _ in colors + depths] + [stamp for stamp, _ in poses])
     camera, origin = _camera(path, [file for _, file in colors])
-    depth_camera = DepthCamera(camera, DEPTH_UNIT_M)
+    units, units_origin = _units(path)
+    depth_camera = DepthCamera(camera, 1 / units)
     items: list[Item] = [image_item("rgb", file, _time(stamp, counted)) for stamp, file in colors]
     items += [depth_camera.item("depth", file, _time(stamp, counted)) for stamp, file in depths]
     for stamp, pose in poses:
@@ -67,12 +73,13 @@ def open_folder(path: Path) -> FolderSource:
         items.append(at_hand(when, "groundtruth", sample))
     streams = [
         StreamKind("rgb", Kind.IMAGES, "PNG files"),
-        StreamKind("depth", Kind.SCANS, "depth images, 5000 a meter", XYZ),
+        StreamKind("depth", Kind.SCANS, f"depth images, {units:g} a meter", XYZ),
     ]
     if poses:
         streams.append(StreamKind("groundtruth", Kind.POSES, "TUM poses"))
     notes = [
         f"intrinsics: {origin}.",
+        f"depth images: {units:g} a meter, {units_origin}.",
         "depth images are taken to be registered to the colour images, and poses to be of the colour camera.",
         *pose_notes,
     ]
@@ -104,7 +111,7 @@ def _lists(path: Path) -> tuple[list[tuple[int, Path]], list[tuple[int, Path]]]:
 
 
 def _list(path: Path, name: str) -> list[tuple[int, Path]]:
-    files = []
+    files: list[tuple[int, Path]] = []
     for number, words in tables.lines_of_words(path / name):
         where = f"{path / name}:{number}"
         if len(words) != 2:
@@ -112,6 +119,10 @@ def _list(path: Path, name: str) -> list[tuple[int, Path]]:
         files.append((tables.nanoseconds(where, words[0]), _inside(path, where, words[1])))
     if not files:
         raise InputError(path / name, "names no files", "write time and file name a line")
+    apart = np.diff(sorted(stamp for stamp, _ in files))
+    if len(apart) and np.median(apart) < _CLOSEST_NS:
+        problem = f"times are {float(np.median(apart)) / 1e6:.2g} ms apart: these are no times of images"
+        raise InputError(path / name, problem, "write seconds, in the order in which images were taken")
     missing = next((file for _, file in files if not os.path.exists(file)), None)
     if missing is not None and not os.path.isdir(missing.parent):
         raise InputError(
@@ -147,6 +158,24 @@ def _is_counted(stamps: list[int]) -> bool:
 
 def _time(stamp: int, counted: bool) -> int:
     return stamp // _FRAMES_A_SECOND if counted else stamp
+
+
+def _units(path: Path) -> tuple[float, str]:
+    """Steps of the depth images in a meter, and where that is from."""
+    for name in _CAMERA_FILES:
+        if name.endswith(".txt") or not os.path.isfile(path / name):
+            continue
+        for _, values in yaml_files.mappings(yaml_files.read_yaml(path / name)):
+            for key in _UNITS:
+                if key in values:
+                    value = values[key]
+                    if not isinstance(value, int | float) or not 1 <= value <= 1e6:
+                        problem = f"{key} is {str(value)[:40]!r}, not 1 to 1000000 steps in a meter"
+                        raise InputError(
+                            path / name, problem, "write 1000 where depth images count millimeters"
+                        )
+                    return float(value), f"by {key} of {path / name}"
+    return UNITS_A_METER, f"as in the benchmark; others: write {_UNITS[0]} to {_CAMERA_FILES[0]} there"
 
 
 def _camera(path: Path, images: list[Path]) -> tuple[Camera, str]:
