@@ -208,11 +208,9 @@ def standard_error(values: np.ndarray) -> float:
 
 
 def may_be_crisper(entropy: Figure, config: GateConfig) -> bool:
-    """Whether images are to be asked about refined scans: the map gains, and enough as far as its error leaves open."""
-    error = entropy.error if np.isfinite(entropy.error) else 0.0
-    most = entropy.gain + config.confidence * error
+    """Whether images are to be asked about refined scans: the map gains enough, whether beyond chance or not."""
     return entropy.finding == "better" or (
-        entropy.finding == "neither" and entropy.gain > 0 and most > config.min_entropy_gain
+        entropy.finding == "neither" and entropy.gain > config.min_entropy_gain
     )
 
 
