@@ -209,6 +209,9 @@ def test_of_large_depth_images_some_rows_and_columns_become_points(size, step):
     row, column = 7 * step + step // 2, 5 * step + step // 2
     values[row, column] = 2000
     scan = DepthCamera(camera, 1e-3).scan_of(Path("d.png"), values, 0)
+    told = {1: "", 2: "every second row", 3: "every third row"}[step]
+    assert "".join(DepthCamera(camera, 1).notes).startswith(told)
+    assert bool(DepthCamera(camera, 1).notes) == (step > 1)
     assert scan.points == pytest.approx(
         np.array([[2 * (column - camera.cx) / 500, 2 * (row - camera.cy) / 500, 2]])
     )

@@ -32,6 +32,9 @@ class DepthCamera:
     of pixels that measured nothing
     """
 
+    notes: tuple[str, ...]
+    """What people should know of it."""
+
     def __init__(self, camera: Camera, meters: float, nothing: int = 0) -> None:
         self._camera, self._meters, self._nothing = camera, meters, nothing
         columns, rows = np.meshgrid(
@@ -40,6 +43,8 @@ class DepthCamera:
         u, v = (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy
         x, y = (u, v) if camera.is_pinhole else undistort(camera.lens, camera.distortion, u, v)
         step = math.ceil(math.sqrt(camera.width * camera.height / _MOST_POINTS))
+        nth = {2: "second", 3: "third"}.get(step, f"{step}th")
+        self.notes = () if step == 1 else (f"every {nth} row and column of depth images becomes points.",)
         self._taken = np.s_[step // 2 :: step, step // 2 :: step]
         self._rays = np.stack([x, y], axis=-1)[self._taken].reshape(-1, 2).astype(np.float32)
         self._rows = rows[self._taken].astype(np.int64).ravel()

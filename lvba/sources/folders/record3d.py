@@ -75,7 +75,7 @@ def open_folder(path: Path) -> FolderSource:
     known = KnownGeometry(
         camera=camera, camera_from_lidar=np.eye(4), body_from_lidar=np.eye(4), deskewed=True
     )
-    return FolderSource(path, "Record3D folder", streams, items, known)
+    return FolderSource(path, "Record3D folder", streams, items, known, depth_camera.notes)
 
 
 def _document(file: Path) -> dict[str, Any]:

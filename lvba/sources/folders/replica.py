@@ -62,6 +62,7 @@ def open_folder(path: Path) -> FolderSource:
     )
     notes = [
         NO_TIMES,
+        *depth_camera.notes,
         "it is rendered: its poses and depths are exact.",
     ]
     return FolderSource(path, "Replica folder (NICE-SLAM)", streams, items, known, notes)

@@ -57,7 +57,7 @@ def open_folder(path: Path) -> FolderSource:
     if not poses:
         raise InputError(path / "pose", "holds no pose that is finite", "export the poses again")
     items += poses
-    notes = [NO_TIMES, *lost]
+    notes = [NO_TIMES, *depth_camera.notes, *lost]
     streams = [
         StreamKind("color", Kind.IMAGES, "JPEG files"),
         StreamKind("depth", Kind.SCANS, "depth images, mm", XYZ),

@@ -68,7 +68,7 @@ def open_folder(path: Path) -> FolderSource:
     items += [depth_camera.item("depth", file, number * PERIOD_NS) for number, file in depths.items()]
     poses, lost = pose_items(numbered(path, (".txt",), _PREFIX, ".pose."), _pose)
     items += poses
-    notes = [NO_TIMES, *origin, *lost]
+    notes = [NO_TIMES, *origin, *depth_camera.notes, *lost]
     streams = [
         StreamKind("color", Kind.IMAGES, "image files"),
         StreamKind("depth", Kind.SCANS, "depth images, mm", XYZ),

@@ -81,6 +81,7 @@ def open_folder(path: Path) -> FolderSource:
         f"intrinsics: {origin}.",
         f"depth images: {units:g} a meter, {units_origin}.",
         "depth images are taken to be registered to the colour images, and poses to be of the colour camera.",
+        *depth_camera.notes,
         *pose_notes,
     ]
     if counted:
