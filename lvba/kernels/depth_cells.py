@@ -13,7 +13,7 @@ _FEWEST_OTHERS = 4
 
 @kernel
 def keep_two(depth: np.ndarray, index: np.ndarray, z: float, m: int) -> None:
-    """Takes point m at depth z into the two nearest of a cell. depth: (2,) float64, m, ascending; index: (2,) int32"""
+    """Takes point m at depth z into the two nearest of a cell. depth: (2,) float64, m, ascending; index: (2,) integers"""
     if z < depth[0]:
         depth[1], index[1] = depth[0], index[0]
         depth[0], index[0] = z, m
