@@ -269,6 +269,18 @@ def _pair_truth(rec, window=7):
     return points, point, target, visible
 
 
+def _verdict_of_geometry(rec, points, point, target, depth):
+    """What the gates say of pairs that no look at the images refuses."""
+    gates = GATES._replace(
+        min_scale=0.1, max_scale=10.0, min_ncc=-2.0, dark=-1.0, bright=300.0, min_usable=0.0
+    )
+    verdict, _ = kernels.judge_pairs(
+        rec.images, rec.poses, INTRINSICS, visibility.kernel_patches(points), point, target, gates, depth.at(CAMERA),
+        np.zeros((0, 2)),
+    )  # fmt: skip
+    return verdict
+
+
 def test_depth_buffers_match_their_twin():
     rec = room_with_screen(sideways=True)
     ranges = scene_points.near_ranges(
@@ -297,13 +309,7 @@ def test_depth_buffers_refuse_hidden_targets_without_looking_at_the_images():
     depth = visibility.depth_buffers(CAMERA, rec.poses, rec.times, rec.plane_points, rec.times)
     half_camera = CAMERA.at_level(1)
     half = visibility.depth_buffers(half_camera, rec.poses, rec.times, rec.plane_points, rec.times)
-    gates = GATES._replace(
-        min_scale=0.1, max_scale=10.0, min_ncc=-2.0, dark=-1.0, bright=300.0, min_usable=0.0
-    )
-    verdict, _ = kernels.judge_pairs(
-        rec.images, rec.poses, INTRINSICS, visibility.kernel_patches(points), point, target, gates, depth.at(CAMERA),
-        np.zeros((0, 2)),
-    )  # fmt: skip
+    verdict = _verdict_of_geometry(rec, points, point, target, depth)
     judged = np.isin(verdict, [kernels.PASSED, kernels.HIDDEN])
     hidden = verdict == kernels.HIDDEN
     assert (judged & ~visible).sum() > 50
@@ -316,13 +322,7 @@ def test_drops_of_rain_hide_few_patches():
     rec = room_with_screen(sideways=True)
     points, point, target, visible = _pair_truth(rec)
     depth = visibility.depth_buffers(CAMERA, rec.poses, rec.times, rained_on(rec, 0.05), rec.times)
-    gates = GATES._replace(
-        min_scale=0.1, max_scale=10.0, min_ncc=-2.0, dark=-1.0, bright=300.0, min_usable=0.0
-    )
-    verdict, _ = kernels.judge_pairs(
-        rec.images, rec.poses, INTRINSICS, visibility.kernel_patches(points), point, target, gates, depth.at(CAMERA),
-        np.zeros((0, 2)),
-    )  # fmt: skip
+    verdict = _verdict_of_geometry(rec, points, point, target, depth)
     judged, hidden = np.isin(verdict, [kernels.PASSED, kernels.HIDDEN]), verdict == kernels.HIDDEN
     assert hidden[judged & ~visible].mean() > 0.95
     assert hidden[judged & visible].mean() < 0.12, "where each drop counted, a third of them"
