@@ -38,7 +38,7 @@ class Chain:
         measured = config.refine_scans and self.variant.scan_errors
         self.errors = add("scan-errors", scan_errors.measure, self.dataset, config.lidar, measured)
         self.photos, self.judging, self.keyframes = list[Made](), list[Made](), list[Made]()
-        self.points = self._decode("scans", decoded.decode_scans, cores, self.errors)
+        self.points = self._decode("scans", decoded.decode_scans, cores, self.errors, self.survey)
 
     def _decode(self, name: str, function: Any, ranges: Sequence[Range], *arguments: Any) -> list[Made]:
         """A step for each range of frames, given those of its images that were decoded before, where any were."""

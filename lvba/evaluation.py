@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lvba import config as settings
-from lvba.blocks import decoded, scan_errors
+from lvba.blocks import decoded, scan_errors, survey
 from lvba.camera import Camera
 from lvba.dataset import Dataset
 from lvba.io import image_poses as kinds
@@ -153,11 +153,12 @@ def _blank(dataset: Dataset) -> np.ndarray:
 
 
 def _reader(given: Given, errors: ScanErrors | None) -> Callable[[int], np.ndarray]:
-    """The points (N, 3) float32, m, of a scan of the dataset where they belong."""
+    """The points (N, 3) float32, m, of a scan of the dataset where they belong, as many as a run judges by."""
+    every = survey.load_of(given.recording).every
 
     def read(index: int) -> np.ndarray:
         number = int(given.scan_numbers[index])
-        return decoded.placed(given.recording, number, load_scan(given.recording, number), errors)
+        return decoded.placed(given.recording, number, load_scan(given.recording, number), errors)[::every]
 
     return read
 

@@ -74,6 +74,7 @@ class ScanPoints:
     intensity: (M,) float32, NaN where the file has none; None: not kept
     errors: by which points were moved; None: they are as in their files
     cosine: (M,) float16, of the angles of incidence that they were moved by; None: by none
+    every: all but the map takes every so many-th point of each scan
     """
 
     points: np.ndarray
@@ -81,6 +82,7 @@ class ScanPoints:
     intensity: np.ndarray | None = None
     errors: ScanErrors | None = None
     cosine: np.ndarray | None = None
+    every: int = 1
 
 
 @dataclass(frozen=True)
@@ -92,11 +94,15 @@ class Keyframes:
 
 
 def decode_scans(
-    dataset: Dataset, scans: Range, errors: ScanErrors | None = None, progress: Progress = silent
+    dataset: Dataset,
+    scans: Range,
+    errors: ScanErrors | None = None,
+    survey: Survey | None = None,
+    progress: Progress = silent,
 ) -> ScanPoints:
     """The points of some scans, with intensities where there are no images that would color the map.
 
-    errors: of the scans of the recording: points are moved to where they belong
+    errors: of the scans of the recording: points are moved to where they belong; survey: None: all points are solved with
     Raises InputError: a scan cannot be read.
     """
     errors = errors if errors is not None and errors.corrected else None
@@ -117,6 +123,7 @@ def decode_scans(
         np.concatenate(intensity).astype(np.float32) if intensity else None,
         errors,
         np.concatenate(cosines) if cosines else None,
+        1 if survey is None else survey.every,
     )
 
 
@@ -239,11 +246,17 @@ class ScanReader:
     """Points of scans.
 
     first: number in the whole recording of the scan called 0; whole: the recording, whose files are read for scans that
-    no piece holds
+    no piece holds; all_points: else those that are solved with, `ScanPoints.every`
     """
 
-    def __init__(self, pieces: Pieces[ScanPoints], first: int = 0, whole: Dataset | None = None) -> None:
-        self._pieces, self._first, self._whole = pieces, first, whole
+    def __init__(
+        self,
+        pieces: Pieces[ScanPoints],
+        first: int = 0,
+        whole: Dataset | None = None,
+        all_points: bool = False,
+    ) -> None:
+        self._pieces, self._first, self._whole, self._all = pieces, first, whole, all_points
         self._reader = _Reader(pieces)
 
     def __call__(self, scan: int) -> np.ndarray:
@@ -257,13 +270,18 @@ class ScanReader:
         if self._whole is None:
             raise IndexError(f"no piece holds scan {self._first + scan}")
         number = self._first + scan
-        errors = self._pieces[0][1]().errors if self._pieces else None
-        return placed(self._whole, number, recordings.load_scan(self._whole, number), errors)
+        any_piece = self._pieces[0][1]() if self._pieces else None
+        errors, every = (None, 1) if any_piece is None else (any_piece.errors, self._every(any_piece))
+        return placed(self._whole, number, recordings.load_scan(self._whole, number), errors)[::every]
 
     def load(self, scans: Sequence[int] | np.ndarray) -> list[np.ndarray]:
-        """The points of some scans, copied where a view would hold more than one piece in memory."""
-        many = len(self._pieces) > 1
-        return [self(int(scan)).copy() if many else self(int(scan)) for scan in scans]
+        """The points of some scans, copied where a view would hold more in memory."""
+        loaded = []
+        for scan in map(int, scans):
+            points = self(scan)
+            whole = len(self._pieces) == 1 and points.flags.c_contiguous
+            loaded.append(points if whole else points.copy())
+        return loaded
 
     def cosines(self, scans: Sequence[int] | np.ndarray) -> np.ndarray | None:
         """Of the angles of incidence that the points of some scans were moved by, one after another, (M,) float64; None:
@@ -293,7 +311,10 @@ class ScanReader:
         if held is None:
             return None
         begin, end = held[1].offsets[self._first + scan - held[0] :][:2]
-        return held[1], slice(begin, end)
+        return held[1], slice(begin, end, self._every(held[1]))
+
+    def _every(self, piece: ScanPoints) -> int:
+        return 1 if self._all else piece.every
 
 
 class PhotoReader:

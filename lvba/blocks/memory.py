@@ -56,7 +56,7 @@ def peaks(
     numbers = keyframes.select(images.times, images.world_from_sensor, load.range_m, chosen)
     return Peaks(
         max(part, with_near),
-        split.BASE_BYTES + split.BYTES_PER_POINT * load.points_per_scan * scans,
+        split.BASE_BYTES + split.BYTES_PER_POINT * load.solved_per_scan * scans,
         split.BASE_BYTES + joint_bytes(dataset.scans.world_from_sensor, load.reach_m),
         split.BASE_BYTES + camera_bytes(images.world_from_sensor[numbers], near_m),
     )

@@ -14,6 +14,8 @@ from lvba.visual import image, keyframes
 from lvba.visual.keyframes import KeyframeConfig
 
 _SAMPLED_SCANS = 16
+_OF_SAMPLED = 4
+"""Every so many-th of these tells how many points a scan has."""
 
 
 @dataclass(frozen=True)
@@ -21,13 +23,15 @@ class Survey:
     """Found once, from some scans and the rough poses.
 
     range_m: median distance of points from the LiDAR; reach_m: further than that is one in a thousand
-    points_per_scan: mean number; keyframes: (K,) int64, images that the visual part solves for
+    points_per_scan: mean number, of those that are solved with; every: every so many-th point of a scan is one of these
+    keyframes: (K,) int64, images that the visual part solves for
     lidar: settings; stages: with cells as fine as the scans allow
     """
 
     range_m: float
     reach_m: float
     points_per_scan: float
+    every: int
     keyframes: np.ndarray
     lidar: LidarConfig
     stages: tuple[Stage, ...] = STAGES
@@ -38,19 +42,24 @@ def survey(dataset: Dataset, lidar: LidarConfig, frames: KeyframeConfig) -> Surv
     chosen = sampled(dataset)
     scans = recordings.load_scans(dataset, chosen)
     count, middle, furthest = _sizes(dataset, scans)
+    every = _load(dataset, scans[::_OF_SAMPLED]).every
     return Survey(
         range_m=middle,
         reach_m=furthest,
-        points_per_scan=count,
+        points_per_scan=count / every,
+        every=every,
         keyframes=keyframes.select(dataset.images.times, dataset.images.world_from_sensor, middle, frames),
         lidar=lidar,
-        stages=density.adapted(lidar.stages, gather(scans), lidar.dense_points),
+        stages=density.adapted(lidar.stages, gather([each[::every] for each in scans]), lidar.dense_points),
     )
 
 
 def load_of(dataset: Dataset) -> Load:
     """How much memory the recording's frames take, from a few scans."""
-    few = recordings.load_scans(dataset, sampled(dataset)[::4])
+    return _load(dataset, recordings.load_scans(dataset, sampled(dataset)[::_OF_SAMPLED]))
+
+
+def _load(dataset: Dataset, few: list[np.ndarray]) -> Load:
     measured = image.measuring_camera(dataset.camera)
     pixels = measured.width * measured.height if dataset.image_paths else 0
     count, middle, reach = _sizes(dataset, few)

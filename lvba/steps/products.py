@@ -48,7 +48,7 @@ def color_map(
         voxel = 2 * survey.range_m / max(whole.camera.fx, whole.camera.fy) if whole.image_paths else 0.0
         config = dataclasses.replace(config, voxel_m=voxel)
     gain = colorize.display_gain(accepted.log_exposure)
-    read = ScanReader(points, part.scans[0])
+    read = ScanReader(points, part.scans[0], all_points=True)
     piece = colored_map(
         _seen_by(dataset, accepted), read, _photos(photos, accepted, part), state, config, gain, progress
     )

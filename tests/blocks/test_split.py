@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from lvba.blocks import split
 from lvba.blocks.split import Load, Part, SplitConfig, memory_bytes, parts, regions, subset
 from lvba.camera import Camera
 from lvba.dataset import Dataset, MountedCamera
@@ -94,6 +95,19 @@ def test_parts_own_space_together_where_their_points_are_few():
         assert found[1].scans == (found[1].core_scans[0] - 5, found[1].core_scans[1] + 5)
         assert found[-1].core_images[1] == 1500
     assert denser == tuple(many)
+
+
+def test_dense_scans_are_solved_with_fewer_points_each():
+    """About as many whatever the sensor; the memory of a part follows these, and that of its map all points."""
+    loads = {points: Load(points, 640 * 480) for points in (30_000, 131_072, 160_000, 290_000, 2_000_000)}
+    assert [load.every for load in loads.values()] == [1, 1, 2, 3, 20]
+    assert all(0.5 * split.ENOUGH_POINTS < load.solved_per_scan < 1.5 * split.ENOUGH_POINTS
+               for load in list(loads.values())[1:])  # fmt: skip
+    usual, dense = (split.memory_bytes(loads[points], 97, 0) for points in (30_000, 290_000))
+    pairs = split.BYTES_PER_PAIR_OF_SCANS * 97**2
+    assert usual == split.BASE_BYTES + split.BYTES_PER_POINT * 97 * 30_000 + pairs
+    assert split.BASE_BYTES + split.BYTES_PER_POINT * 97 * 96_667 < dense < 3.2e9
+    assert split.memory_bytes(loads[2_000_000], 97, 0) == split.map_bytes(loads[2_000_000], 97) > 13e9
 
 
 def test_too_short_parts_and_too_little_overlap_are_errors_with_the_numbers():

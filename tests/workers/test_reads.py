@@ -8,7 +8,7 @@ import pytest
 from split_street import make_street
 
 from lvba import pipeline
-from lvba.blocks import decoded
+from lvba.blocks import decoded, split, survey
 from lvba.blocks.split import SplitConfig
 from lvba.io import images, pcd
 from lvba.io.dataset import open_dataset
@@ -50,10 +50,10 @@ def test_frames_are_decoded_once_for_each_use(street, reads, tmp_path, monkeypat
     """Also where nothing stays in memory between steps, and by all parts together where there are two."""
     monkeypatch.setattr(local, "HELD_BYTES", held)
     monkeypatch.setattr(decoded, "PIECE_BYTES", 6 * 3 * 160 * 120)
-    split = SplitConfig(by="count", size=size, overlap=5) if size else SplitConfig(by="none")
+    cut = SplitConfig(by="count", size=size, overlap=5) if size else SplitConfig(by="none")
     dataset = open_dataset(street)
     opened = Counter(reads)
-    plan = pipeline.refine(dataset, replace(Config(), split=split))
+    plan = pipeline.refine(dataset, replace(Config(), split=cut))
     store = ZarrStore(tmp_path)
     local.run(plan, store)
     names = [step.name for step in plan.steps.values()]
@@ -65,6 +65,24 @@ def test_frames_are_decoded_once_for_each_use(street, reads, tmp_path, monkeypat
     assert np.mean(scans) <= (MOST_SCANS if len(scans) <= 20 else 1 + 48 / len(scans))
     assert set(photos) == {MOST_IMAGES}  # every image is a keyframe here
     assert store[next(step.key for step in plan.steps.values() if step.name == "visual-gate")].scans.accepted
+
+
+@pytest.mark.parametrize("decoded_scans", [(3, 6), (0, 3)])
+def test_of_dense_scans_all_but_the_map_reads_every_second_point(street, monkeypatch, decoded_scans):
+    """From pieces and from files alike."""
+    dataset = open_dataset(street)
+    monkeypatch.setattr(split, "ENOUGH_POINTS", survey.load_of(dataset).points_per_scan / 2)
+    known = survey.survey(dataset, Config().lidar, Config().visual.keyframes)
+    assert known.every == 2
+    piece = decoded.decode_scans(dataset, decoded_scans, None, known)
+    pieces = [(decoded_scans, lambda: piece)]
+    fewer, every = (decoded.ScanReader(pieces, whole=dataset, all_points=each) for each in (False, True))
+    for scan in (0, 3, 5, 6):
+        points = pcd.read_pcd(dataset.scan_paths[scan]).points
+        np.testing.assert_array_equal(every(scan), points)
+        np.testing.assert_array_equal(fewer.load([scan])[0], points[::2])
+        assert fewer.load([scan])[0].flags.c_contiguous
+        assert len(fewer.intensities([scan])) == len(points[::2])
 
 
 def test_a_scan_that_no_piece_holds_is_read_from_its_file(street):
