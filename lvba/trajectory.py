@@ -153,6 +153,9 @@ class PoseError:
     rotation_median_deg: float
     rotation_p95_deg: float
     rotation_max_deg: float
+    rotation_alone_deg: float
+    """Root mean square of the rotation error after the turn that brings orientations closest, whatever positions ask for.
+    A satellite receiver that drifts by 20 cm along 90 m of street turned poses by 1.2 degrees that are .07 off."""
     rpe_m: float
     """Root mean square of the position error of the motion between neighbours, m."""
     rpe_deg: float
@@ -168,6 +171,8 @@ def pose_error(estimate: Poses, reference: Poses, *, aligned: Pose | None = None
     error = geometry.inverse(reference) @ (reference_from_estimate @ estimate)
     position = np.linalg.norm((reference_from_estimate @ estimate)[:, :3, 3] - reference[:, :3, 3], axis=1)
     angle = geometry.rotation_angle_deg(error)
+    turned = estimate[:, :3, :3] @ reference[:, :3, :3].transpose(0, 2, 1)
+    alone = geometry.closest_rotation(turned.sum(axis=0)).T @ turned
     step = geometry.inverse(geometry.steps(reference)) @ geometry.steps(estimate)
     return PoseError(
         ate_m=_rms(position),
@@ -178,6 +183,7 @@ def pose_error(estimate: Poses, reference: Poses, *, aligned: Pose | None = None
         rotation_median_deg=_quantile(angle, 0.5),
         rotation_p95_deg=_quantile(angle, 0.95),
         rotation_max_deg=float(angle.max(initial=0)),
+        rotation_alone_deg=_rms(np.degrees(Rotation.from_matrix(alone).magnitude())),
         rpe_m=_rms(np.linalg.norm(step[:, :3, 3], axis=1)),
         rpe_deg=_rms(geometry.rotation_angle_deg(step)),
         frames=len(estimate),

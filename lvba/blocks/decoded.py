@@ -118,12 +118,12 @@ def decode_scans(
             intensity.append(np.full(len(scan), np.nan, np.float32) if known is None else known)
         progress("scans", len(points), scans[1] - scans[0])
     return ScanPoints(
-        np.concatenate(points),
-        np.concatenate([[0], np.cumsum([len(each) for each in points])]).astype(np.int64),
-        np.concatenate(intensity).astype(np.float32) if intensity else None,
-        errors,
-        np.concatenate(cosines) if cosines else None,
-        1 if survey is None else survey.every,
+        points=np.concatenate(points),
+        offsets=np.concatenate([[0], np.cumsum([len(each) for each in points])]).astype(np.int64),
+        intensity=np.concatenate(intensity).astype(np.float32) if intensity else None,
+        errors=errors,
+        cosine=np.concatenate(cosines) if cosines else None,
+        every=1 if survey is None else survey.every,
     )
 
 

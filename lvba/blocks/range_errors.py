@@ -18,6 +18,7 @@ from lvba.lidar import (
     beam_depth,
     incidence,
     path_motion,
+    pose_response,
     range_errors,
     range_uncertainty,
     scan_evidence,
@@ -161,7 +162,7 @@ class _Measurement:
         return replace(
             errors,
             points_off=response.off(moment),
-            poses_off=total.of(slice(0, self.size)).poses_by(moment),
+            poses_off=total.of(slice(0, self.size)).poses.by(moment, self._extent),
         )
 
     @property
@@ -201,8 +202,13 @@ class _Measurement:
             values=values,
             noticed=(range_errors.DIRECTION,),
             points_off=by_direction,
-            poses_off=total.poses_by(np.outer(likely, likely)),
+            poses_off=total.poses.by(np.outer(likely, likely), self._extent),
         )
+
+    @property
+    def _extent(self) -> float:
+        """m, of the whole recording."""
+        return pose_response.extent_of(self.dataset.scans.world_from_sensor)
 
     @property
     def size(self) -> int:
@@ -267,7 +273,8 @@ class _Measurement:
         total = scan_evidence.nothing(self.others.stop)
         for number, window in enumerate(windows):
             total += self._evidence(number, window, errors, len(total.gradient))
-        self.poses_by_depth = total.poses_by(np.diag(np.eye(self.others.stop)[self.own.stop - 1]))
+        by_depth = np.diag(np.eye(self.others.stop)[self.own.stop - 1])
+        self.poses_by_depth = total.poses.by(by_depth, self._extent)
         return total
 
     def _evidence(self, number: int, window: Window, errors: np.ndarray, size: int) -> ScanEvidence:

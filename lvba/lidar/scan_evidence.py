@@ -17,6 +17,7 @@ from scipy.special import chdtrc
 from lvba import geometry
 from lvba.arrays import Poses, Vector
 from lvba.lidar.plane import PlanePoints, Planes
+from lvba.lidar.pose_response import PoseResponse
 from lvba.lidar.scan import Scans
 
 POSE_SIGMA = np.array([0.01, 0.01, 0.01, 0.05, 0.05, 0.05])
@@ -70,16 +71,14 @@ class ScanEvidence:
     information: (k, k), second derivative of half the sum of squared normalized distances by the numbers
     gradient: (k,), minus the first derivative
     own: (P, k), the first derivative of each plane's part of the sum; curvature: (P, k, k), the second
-    by_numbers: (2, k, k), of how far poses turn, rad, and move, m, by a unit of each number, about the mean of the scans:
-        sums of products over scans; scans: how many
+    poses: how they move by a unit of each number
     """
 
     information: np.ndarray
     gradient: np.ndarray
     own: np.ndarray
     curvature: np.ndarray
-    by_numbers: np.ndarray
-    scans: int = 0
+    poses: PoseResponse
 
     @property
     def change(self) -> np.ndarray:
@@ -120,17 +119,8 @@ class ScanEvidence:
             gradient=self.gradient[columns],
             own=self.own[:, columns],
             curvature=self.curvature[:, columns, columns],
-            by_numbers=self.by_numbers[:, columns, columns],
-            scans=self.scans,
+            poses=self.poses.of_numbers(columns),
         )
-
-    def poses_by(self, moment: np.ndarray) -> tuple[float, float]:
-        """rad and m, root mean square over scans, that poses turn and move by numbers that are not known of.
-
-        moment: (k, k) float64, second moments of the numbers
-        """
-        turn, shift = np.sqrt(np.einsum("pij,ij->p", self.by_numbers, moment) / max(self.scans, 1))
-        return float(turn), float(shift)
 
     def chance(self, columns: slice) -> float:
         """How often some of the numbers are estimated so far off together if they are zero, the others whatever they are
@@ -154,8 +144,7 @@ class ScanEvidence:
             gradient=self.gradient + other.gradient,
             own=np.concatenate([self.own, other.own]),
             curvature=np.concatenate([self.curvature, other.curvature]),
-            by_numbers=self.by_numbers + other.by_numbers,
-            scans=self.scans + other.scans,
+            poses=self.poses + other.poses,
         )
 
 
@@ -166,7 +155,7 @@ def nothing(size: int) -> ScanEvidence:
         gradient=np.zeros(size),
         own=np.zeros((0, size)),
         curvature=np.zeros((0, size, size)),
-        by_numbers=np.zeros((2, size, size)),
+        poses=PoseResponse.nothing(size),
     )
 
 
@@ -340,17 +329,8 @@ def _eliminated(sums: list[_Sums], world_from_scan: Poses, planes: int, size: in
         gradient=-own.sum(axis=0),
         own=own,
         curvature=curvature,
-        by_numbers=_by_numbers(poses.reshape(scans, 6, size), world_from_scan),
-        scans=scans,
+        poses=PoseResponse.of(poses.reshape(scans, 6, size), world_from_scan),
     )
-
-
-def _by_numbers(poses: np.ndarray, world_from_scan: Poses) -> np.ndarray:
-    """As of `ScanEvidence`. poses: (S, 6, k), change of each, local tangent, by a unit of each number"""
-    rotation = world_from_scan[:, :3, :3]
-    world = np.stack([rotation @ poses[:, part] for part in (slice(3), slice(3, 6))])
-    world -= world.mean(axis=1, keepdims=True)
-    return np.asarray(np.einsum("psik,psil->pkl", world, world))
 
 
 def _by_plane(

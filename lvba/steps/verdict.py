@@ -27,6 +27,8 @@ _UNSURE = 3.0
 """Standard deviations of the calibrated extrinsic by which the one found may differ from it."""
 _PROMISE_KEPT = 3.0
 """Times the promised error up to which a promise counts as kept."""
+_OF_EXPECTED = 0.05
+"""Part of the expected error that scans may still move by."""
 _WORSE = 1.1
 """Times the input's error up to which a result counts as no worse: references have errors of their own."""
 
@@ -339,12 +341,12 @@ def _frames(figures: Figures) -> Iterator[Reason]:
 
 
 def _settled(figures: Figures) -> Iterator[Reason]:
-    if figures.moved_m is not None:
+    moved, known = figures.moved_m, figures.scan_p95_m
+    if moved is not None and (known is None or moved > _OF_EXPECTED * known):
         yield Reason(
-            f"Scan poses had not converged: they still moved by {1000 * figures.moved_m:.1f} mm in the last round.",
+            f"Scan poses had not converged: they still moved by {1000 * moved:.1f} mm in the last round.",
             "Give more rounds (lidar.rounds, in parts merge.scan_rounds).",
-            # covariances hold where the solution is; what still moves by more than they say is not there
-            more=figures.scan_p95_m is not None and figures.moved_m > figures.scan_p95_m,
+            more=known is not None and moved > known,
         )
     if not figures.cameras_converged:
         yield Reason(

@@ -292,11 +292,17 @@ def test_how_far_poses_go_by_a_number_that_is_not_known_of():
     def by_shared(points):
         return np.where(points.scan == 3, points.normal @ upward[3], 0.0)[:, None]
 
-    turn, shift = scan_evidence.evidence(view, by_shared, 1).poses_by(np.eye(1))
-    # of eight scans, about their mean
-    assert shift == pytest.approx(np.sqrt(7) / 8, rel=0.03)
+    turn, shift = scan_evidence.evidence(view, by_shared, 1).poses.by(np.eye(1), 0.0)
+    # of eight scans, about their mean and without a common scale
+    place = view.world_from_scan[:, :3, 3] - view.world_from_scan[:, :3, 3].mean(axis=0)
+    moved = np.zeros((8, 3))
+    moved[3, 2] = 1.0
+    moved -= moved.mean(axis=0)
+    moved -= place * np.sum(place * moved) / np.sum(place**2)
+    assert shift == pytest.approx(np.sqrt(np.sum(moved**2) / 8), rel=0.03)
+    assert 0.9 * np.sqrt(7) / 8 < shift < np.sqrt(7) / 8
     assert turn < 1e-3
-    assert scan_evidence.nothing(1).poses_by(np.eye(1)) == (0.0, 0.0)
+    assert scan_evidence.nothing(1).poses.by(np.eye(1), 5.0) == (0.0, 0.0)
 
 
 def test_what_errors_in_the_points_make_of_poses_is_promised_and_shared_by_neighbors():

@@ -43,6 +43,21 @@ def test_what_the_alignment_was_found_from_is_said():
         assert facts["camera_aligned"]["aligned_by"] == by
 
 
+def test_a_reference_whose_positions_drift_says_nothing_of_orientations():
+    """Positions that a receiver has turned by a degree turn all poses; their orientations are as far off as they are."""
+    scans = SCANS.copy()
+    scans[:, :3, 3] *= 10.0
+    drifted, turn = scans.copy(), geometry.exp(np.array([0.0, 0.0, np.radians(1.0), 0, 0, 0]))
+    drifted[:, :3, 3] = drifted[:, :3, 3] @ turn[:3, :3].T
+    jitter = np.radians(0.1) * np.resize([1.0, -1.0], (20, 1)) * [[1.0, 0, 0, 0, 0, 0]]
+    found = Trajectory(TIMES, geometry.retract(scans, jitter))
+    error = reference.compare(truth(drifted), found, Trajectory(TIMES + 0.5, CAMERAS))["lidar"]
+    assert error["aligned_by"] == "positions"
+    assert error["rotation_deg"] == pytest.approx(1.0, abs=0.02)
+    assert error["rotation_alone_deg"] == pytest.approx(0.1, rel=0.02)
+    assert error["ate_m"] < 1e-6
+
+
 def test_cameras_are_judged_in_the_frame_of_the_scans():
     moved = CAMERAS.copy()
     moved[:, :3, 3] += [0.05, 0, 0]

@@ -263,6 +263,26 @@ def test_gain_within_chance_is_refused():
     assert CHANCE.mean() > 0
 
 
+EDGES = np.array([0.01, 0.012, 0.009, 0.011, 0.008])
+"""A gain of SSIM of 14 standard errors."""
+
+
+@pytest.mark.parametrize(
+    ("psnr", "ssim", "accepted"),
+    [
+        (CHANCE, EDGES, True),
+        (CHANCE, 0.4 * EDGES, False),  # less than contradicts anything
+        (CHANCE, 0.01 + 0.04 * CHANCE, False),  # 1.3 standard errors
+        (CHANCE - 0.2, EDGES, False),  # PSNR falls, if within chance
+    ],
+)
+def test_edges_far_more_alike_are_a_gain_where_noise_hides_it_from_psnr(psnr, ssim, accepted):
+    posed = scores(BASE + psnr, ssim=0.5 + ssim)
+    assert verdicts(posed=posed, visual=scores(BASE + 1 + psnr, ssim=0.5 + ssim))[0] is accepted
+    covering_less = scores(BASE + psnr, BASE - 0.1, ssim=0.5 + ssim)
+    assert not verdicts(posed=covering_less, visual=covering_less)[0]
+
+
 def test_gain_only_by_covering_less_is_refused():
     visual = scores(BASE + 2, BASE + 0.5)
     assert verdicts(posed=scores(BASE + 1, BASE - 0.5), visual=visual)[0] is False

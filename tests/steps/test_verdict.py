@@ -49,6 +49,7 @@ KEPT = (Truth("scans", "m", 0.001, 0.07, 0.0009), Truth("cameras", "degrees", 0.
         ({"vague_exposures": (36, 37)}, "check", False),
         ({"moved_m": 0.004}, "check", False),
         ({"moved_m": 0.004, "scan_p95_m": 0.005}, "check", False),
+        ({"moved_m": 0.0002, "scan_p95_m": 0.005}, "good", False),
         ({"moved_m": 0.006, "scan_p95_m": 0.005}, "check", True),
         ({"cameras_converged": False}, "check", False),
         ({"jumps": 1, "jump_m": 0.3}, "check", False),

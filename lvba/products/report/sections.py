@@ -239,6 +239,8 @@ def _reference(facts: Facts) -> str:
                  formats.length(error.get("predicted_ate_m"))),
                 (f"{name}, rotation", *(formats.angle(e.get("rotation_deg")) for e in (old, error)),
                  formats.angle(error.get("predicted_rotation_deg"))),
+                (f"{name}, rotation, with orientations aligned alone",
+                 *(formats.angle(e.get("rotation_alone_deg")) for e in (old, error)), formats.MISSING),
                 (f"{name}, frame to frame", *(formats.length(e.get("rpe_m")) for e in (old, error)), formats.MISSING),
             ]  # fmt: skip
     if error := reference.get("exposure"):
