@@ -16,6 +16,7 @@ from lvba.errors import InputError
 from lvba.simulate import raw
 from lvba.sources.importing import conventions, own_odometry, rig, streams, survey
 from lvba.sources.importing.options import ImportOptions
+from lvba.sources.importing.selection import Selection
 from lvba.sources.source import KnownGeometry, ListSource
 
 _GOOD_M = 0.1
@@ -52,9 +53,8 @@ def line(scene: str, lidar: str, seed: int, seconds: float, with_imu: bool, kept
     begin = time.process_time()
     head = f"| {scene} {seed} | {lidar} | {'yes' if with_imu else 'no'} |"
     try:
-        result = own_odometry.of_scans(
-            source, chosen.lidar, surveyed, conventions.clock_of(surveyed), facts, lambda *_: None
-        )
+        clock, wanted = conventions.clock_of(surveyed), Selection.of(options, surveyed.zero, 1)
+        result = own_odometry.of_scans(source, chosen.lidar, surveyed, clock, facts, wanted, lambda *_: None)
     except InputError as error:
         return f"{head} | lost | {str(error).split('is lost: ')[-1].split(' Give')[0][:160]} |"
     taken = (time.process_time() - begin) / len(truth.scans)

@@ -277,6 +277,27 @@ def test_a_source_without_poses_is_imported(
     assert geometry.rotation_angle_deg(off).max() < 0.5
 
 
+def test_of_a_part_only_scans_about_it_are_registered(
+    tmp_path: Path, without_poses: tuple[ListSource, raw.RawTruth]
+) -> None:
+    source, truth = without_poses
+    seen: list[int] = []
+    options = ImportOptions(odometry="auto", image="none", start=2.0, stop=3.5)
+    import_source(
+        source,
+        tmp_path / "part",
+        options,
+        lambda what, done, _: seen.append(done) if what == "scans registered" else None,
+    )
+    seconds = (truth.scans - truth.scans[0]) * 1e-9
+    assert max(seen) == np.count_nonzero((seconds >= 1.0) & (seconds <= 4.5)) < len(truth.scans)
+    whole = import_source(source, tmp_path / "whole", replace(options, start=None, stop=None))
+    assert whole.facts["written"]["scans"] == len(truth.scans)
+    assert len(open_dataset(tmp_path / "part").scan_paths) == np.count_nonzero(
+        (seconds >= 2.0) & (seconds <= 3.5)
+    )
+
+
 def test_a_program_gives_the_poses_of_an_import(
     tmp_path: Path, without_poses: tuple[ListSource, raw.RawTruth]
 ) -> None:

@@ -24,6 +24,7 @@ from lvba.sources.importing.imu_clock import ImuRead
 from lvba.sources.importing.options import Guess, ImportOptions
 from lvba.sources.importing.own_odometry import OwnOdometry
 from lvba.sources.importing.rig import RigFacts
+from lvba.sources.importing.selection import Selection
 from lvba.sources.importing.streams import Streams
 from lvba.sources.importing.survey import Survey
 from lvba.sources.importing.track import Track
@@ -86,7 +87,8 @@ def import_source(
     if passes > 2:
         announce("odometry", 1, passes)
     if origin is Origin.OWN:
-        estimated = _own_odometry(source, chosen, surveyed, facts, known.guess, progress)
+        wanted = Selection.of(options, surveyed.zero, 1)
+        estimated = _own_odometry(source, chosen, surveyed, facts, known.guess, wanted, progress)
         odometry = estimated.track
     elif chosen.odometry_command:
         odometry = own_odometry.of_command(chosen.odometry_command, description.path, surveyed, progress)
@@ -173,13 +175,19 @@ def _origin(chosen: Streams) -> Origin:
 
 
 def _own_odometry(
-    source: Source, chosen: Streams, surveyed: Survey, facts: RigFacts, guess: Guess, progress: Progress
+    source: Source,
+    chosen: Streams,
+    surveyed: Survey,
+    facts: RigFacts,
+    guess: Guess,
+    wanted: Selection,
+    progress: Progress,
 ) -> OwnOdometry:
     """The poses that scans tell, and the IMU where there is one. guess: what is known of such recordings"""
     clock = deciding.clock_of(surveyed)
     late = deciding.imu_offset(clock, guess)
     on_clock = replace(surveyed, imu=imu_clock.shifted(surveyed.imu, late))
-    return own_odometry.of_scans(source, chosen.lidar, on_clock, clock, facts, progress)
+    return own_odometry.of_scans(source, chosen.lidar, on_clock, clock, facts, wanted, progress)
 
 
 def _odometry(chosen: Streams, surveyed: Survey) -> Track:

@@ -12,6 +12,7 @@ from lvba.errors import InputError
 from lvba.progress import Progress
 from lvba.sources.importing.point_clock import ScanClock
 from lvba.sources.importing.rig import RigFacts
+from lvba.sources.importing.selection import Selection
 from lvba.sources.importing.survey import Survey, is_return
 from lvba.sources.importing.track import Track
 from lvba.sources.odometry import estimate as estimating
@@ -23,6 +24,8 @@ from lvba.sources.source import RawScan, Source
 _STANDARD_GRAVITY = 9.80665
 _NORMS = {1.0: (7.0, 13.0), _STANDARD_GRAVITY: (0.7, 1.3)}
 """By what accelerations are multiplied: the median norm that tells m/s^2, and g."""
+_AROUND_S = 1.0
+"""Registered before and after the time that is wanted."""
 _MEND = (
     'give poses: --odometry FILE, or those of a tightly coupled odometry: --odometry "COMMAND {bag} {out}"'
 )
@@ -38,15 +41,23 @@ class OwnOdometry:
 
 
 def of_scans(
-    source: Source, lidar: str, survey: Survey, clock: ScanClock, rig: RigFacts, progress: Progress
+    source: Source,
+    lidar: str,
+    survey: Survey,
+    clock: ScanClock,
+    rig: RigFacts,
+    wanted: Selection,
+    progress: Progress,
 ) -> OwnOdometry:
     """The poses by registering the scans of a stream one after another, with the IMU where its mounting is known.
 
+    wanted: by time; scans a little before and after are registered, too, for images and clocks
     Raises InputError: the odometry is lost; small_gicp is not installed.
     """
     imu, warnings = _inertial(survey, rig)
-    count = len(survey.scan_stamps)
-    sweeps = _sweeps(source, lidar, survey, clock)
+    about = wanted.widened(_AROUND_S)
+    count = sum(about.inside(int(stamp)) for stamp in survey.scan_stamps)
+    sweeps = _sweeps(source, lidar, survey, clock, about)
     estimated = estimating.estimate(sweeps, imu, lambda done: progress("scans registered", done, count))
     verdict = estimated.verdict
     if verdict.lost:
@@ -73,9 +84,11 @@ def of_command(command: str, path: str, survey: Survey, progress: Progress) -> T
     return Track(survey.seconds(np.round(poses.times * 1e9).astype(np.int64)), poses.world_from_sensor)
 
 
-def _sweeps(source: Source, lidar: str, survey: Survey, clock: ScanClock) -> Iterator[Sweep]:
+def _sweeps(
+    source: Source, lidar: str, survey: Survey, clock: ScanClock, about: Selection
+) -> Iterator[Sweep]:
     for _, record in source.records((lidar,)):
-        if not isinstance(record, RawScan):
+        if not isinstance(record, RawScan) or not about.inside(record.stamp):
             continue
         after = clock.of_times(record.times, record.stamp, len(record.points))
         good = is_return(record.points) & np.isfinite(after)

@@ -25,6 +25,14 @@ class Selection:
         """By the options."""
         return cls(zero, options.start, options.stop, every, options.rate)
 
+    def widened(self, seconds: float) -> "Selection":
+        """One of the time that is wanted, and so much before and after it."""
+        start, stop = (
+            None if end is None else end + more
+            for end, more in ((self.start, -seconds), (self.stop, seconds))
+        )
+        return Selection(self.zero, start, stop, self.every, self.rate)
+
     def inside(self, stamp: int) -> bool:
         """Whether a stamp (ns) is within the time that is wanted."""
         seconds, absolute = (stamp - self.zero) * 1e-9, stamp * 1e-9
