@@ -187,7 +187,7 @@ class _Measurement:
             own, inside = slice(*core), window.core
             path = self._of_path(part, window)
             motion[own] = path[inside]
-            deviation[own], covariance[own] = (each[inside] for each in self._deviations(window, path))
+            deviation[own], covariance[own] = (each[inside] for each in self._deviations(part, window, path))
         return motion, deviation, covariance
 
     def _of_path(self, part: float, window: Window) -> np.ndarray:
@@ -196,7 +196,18 @@ class _Measurement:
         solved = self._solved(window, part * rough)
         return part * (rough if solved is None else self._twists(window, solved.result.world_from_scan))
 
-    def _deviations(self, window: Window, path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _wider(self, part: float, window: Window) -> np.ndarray:
+        """(n, 2) rad/s and m/s, as of `scan_motion.most_likely`: of the first and the last scan of the recording."""
+        wider, ends = np.zeros((len(window.numbers), 2)), (0, len(self.dataset.scan_paths) - 1)
+        if not np.isin(ends, window.numbers).any():
+            return wider
+        times, rough = self.dataset.scans.times[window.numbers], window.rough(self.dataset)
+        solved = self.poses.get(tuple(window.numbers.tolist()), rough)
+        for end, off in zip(ends, path_motion.beyond_ends(times, solved, self.clock), strict=True):
+            wider[window.numbers == end] = abs(part) * off
+        return wider
+
+    def _deviations(self, part: float, window: Window, path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Deviations (n, 12) of a window's scans from a motion (n, 6), rad/s and m/s, and what their uncertainty adds to
         the covariances of the poses, (n, 6, 6).
 
@@ -207,7 +218,7 @@ class _Measurement:
         """
         sweep, scale, least, most = self.clock.sweep, None, np.inf, self._most(window)
         deviation, covariance = np.zeros((len(path), 12)), np.zeros((len(path), 6, 6))
-        used = deviation, covariance
+        used, wider = (deviation, covariance), self._wider(part, window)
         for _ in range(_TURNS):
             motion, acceleration = path + deviation[:, :6], 2.0 / sweep * deviation[:, 6:]
             solved = self._solved(window, motion, acceleration)
@@ -219,7 +230,7 @@ class _Measurement:
                 break
             least, used, before = min(away, least), (deviation, covariance), deviation
             seen = scan_motion.deviations(view, solved.tau, sweep).beside(deviation)
-            deviation, covariance = scan_motion.most_likely(seen)
+            deviation, covariance = scan_motion.most_likely(seen, wider)
             if (path_motion.sizes(deviation) > most).any() or np.abs(deviation - before).max() < _SAME:
                 break
         return used

@@ -109,8 +109,7 @@ class _Measurement:
         own = total.of(self.own)
         estimate, covariance = self._estimate(own)
         if not np.isfinite(covariance).all():
-            nothing = np.zeros(self.size)
-            return self._uncertain(RangeErrors(self.beams), nothing, np.diag(nothing + np.inf), own)
+            return self._unknown(own)
         kept, _ = self._significant(estimate, covariance, least, _SUSPECT)
         if not kept.any() and total.chance(self.others) > _SUSPECT:
             return self._uncertain(self._errors(estimate, covariance, kept), estimate, covariance, own)
@@ -131,9 +130,8 @@ class _Measurement:
                 return self._closer(windows, least[: self.size], points)
             change, covariance = self._estimate(total.of(self.own))
             if not np.isfinite(covariance).all():
-                return replace(
-                    RangeErrors(self.beams), problem="planes do not tell of them once they are corrected"
-                )
+                text = "planes do not tell of them once they are corrected"
+                return self._unknown(total, text)
             kept, estimate = self._significant(errors + change, covariance, least, range_errors.CHANCE)
             last, errors = estimate - errors, estimate
             _log.info("errors of ranges: %s +- %s", errors, np.sqrt(np.diagonal(covariance)))
@@ -144,9 +142,17 @@ class _Measurement:
             return self._beside_others(total, errors, least, by_direction)
         if (np.abs(last) > _FALLS * np.abs(first))[kept].any():
             text = "no error of the sensor explains what is left"
-            return replace(self._errors(errors, covariance, kept & False), problem=text)
+            left = replace(self._errors(errors, covariance, kept & False), problem=text)
+            return self._uncertain(left, errors + change, covariance, total)
         measured = self._errors(np.where(kept, errors, errors + change), covariance, kept)
         return self._uncertain(measured, errors + change, covariance, total)
+
+    def _unknown(self, total: ScanEvidence, problem: str = "") -> RangeErrors:
+        """Errors of which planes tell nothing: as usual ones are."""
+        nothing = np.zeros(self.size)
+        return self._uncertain(
+            RangeErrors(self.beams, problem=problem), nothing, np.diag(nothing + np.inf), total
+        )
 
     def _uncertain(
         self, errors: RangeErrors, estimate: np.ndarray, covariance: np.ndarray, total: ScanEvidence

@@ -36,6 +36,35 @@ def unpredicted(times: Times, world_from_scan: Poses, clock: PointClock | RowClo
     return np.concatenate([steady, np.hypot(steady, sizes(grows))])
 
 
+def beyond_ends(times: Times, world_from_scan: Poses, clock: PointClock | RowClock) -> np.ndarray:
+    """(2, 2) rad/s and m/s, root mean square: by how much the motions during the first and the last scan may be off,
+    which the path tells from one side only.
+
+    By what paths that begin or end at each other scan say of it: of the first of scans that were measured before their
+    stamps ten times as much as of those between.
+    times: (S,) s; world_from_scan: (S, 4, 4); zeros of few scans
+    """
+    twist, count = sweep_twists(times, world_from_scan, clock), len(times)
+    inner = range(_NEIGHBORS, count - _NEIGHBORS)
+    if not twist.any():
+        return np.zeros((2, 2))
+    ends = []
+    for parts in ([slice(k, count) for k in inner], [slice(0, k + 1) for k in inner]):
+        # the first of the ones and the last of the others, by their numbers
+        known = [
+            (part, k) for part, k in zip(parts, inner) if part.stop - part.start >= spline.FEWEST_SAMPLES
+        ]
+        off = [
+            _twists(
+                Trajectory(times[part], world_from_scan[part]), times[k : k + 1] + clock.begin, clock.sweep
+            )
+            - twist[k]
+            for part, k in known
+        ]
+        ends.append(sizes(np.concatenate(off)) if off else np.zeros(2))
+    return np.stack(ends)
+
+
 def _without(
     k: int, times: np.ndarray, world_from_scan: np.ndarray, clock: PointClock | RowClock
 ) -> Tangents:

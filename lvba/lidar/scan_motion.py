@@ -218,10 +218,12 @@ _USUAL = 3.0
 """Times the median that one scan counts at most: else one alone would decide for all."""
 
 
-def most_likely(known: Deviations) -> tuple[np.ndarray, np.ndarray]:
+def most_likely(known: Deviations, wider: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """(S, 12): deviations of all scans, drawn towards zero as far as chance explains them, and what their uncertainty
     adds to the covariances of the scans' poses, (S, 6, 6).
 
+    wider: (S, 2) rad/s and m/s, by how much the motion of single scans may be off that the path tells less of: those have
+        deviations whatever the others have; None: of none
     How sure points are of them is judged by what each half of a scan's planes tells of the other half; zeros where that
     is nothing, and no motion grows where that tells nothing more.
     """
@@ -231,12 +233,19 @@ def most_likely(known: Deviations) -> tuple[np.ndarray, np.ndarray]:
     judged = growing if grows else steady
     gain, error = _usual(judged.falls)
     deviation, covariance = np.zeros(known.gradient.shape[1:]), np.zeros((len(known.by_motion), 6, 6))
-    if not gain > _SURE * error:
+    if wider is None:
+        wider = np.zeros((len(deviation), 2))
+    every = gain > _SURE * error
+    if not (every or wider.any()):
         return deviation, covariance
-    used = known if grows else known.steady
-    likely, spread = _drawn_to_zero(used.information[0] / judged.factor, used.gradient[0] / judged.factor)
-    deviation[:, : likely.shape[1]] = likely
-    return deviation, used.by_motion @ spread @ used.by_motion.transpose(0, 2, 1)
+    used = known if grows and every else known.steady
+    chosen = slice(None) if every else np.flatnonzero(wider.any(axis=1))
+    information, gradient = used.information[0, chosen], used.gradient[0, chosen]
+    likely, spread = _drawn_to_zero(information / judged.factor, gradient / judged.factor, wider[chosen])
+    by_motion = used.by_motion[chosen]
+    deviation[chosen, : likely.shape[1]] = likely
+    covariance[chosen] = by_motion @ spread @ by_motion.transpose(0, 2, 1)
+    return deviation, covariance
 
 
 @dataclass(frozen=True)
@@ -271,18 +280,28 @@ def _usual(falls: np.ndarray) -> tuple[float, float]:
     return float(usual.sum()), float(np.sqrt(np.sum(usual**2)))
 
 
-def _drawn_to_zero(information: np.ndarray, gradient: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _drawn_to_zero(
+    information: np.ndarray, gradient: np.ndarray, wider: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """(S, n), and covariances (S, n, n), by information (S, n, n) and gradient (S, n), float64; zeros where nothing is
     known.
 
-    Their variances, of each three numbers one, are those that make the whole most likely (expectation maximization).
+    Their variances, of each three numbers one, are those that make the whole most likely (expectation maximization); of
+    scans whose motion may be off by more (`most_likely`), those and that, which the others do not depend on.
     """
+    scans, size = gradient.shape
     known = np.trace(information, axis1=1, axis2=2) > 0
     deviation, covariance = np.zeros(gradient.shape), np.zeros(information.shape)
-    variance = np.full(gradient.shape[1] // 3, 0.1**2)
+    more = np.zeros((scans, size // 3))
+    if wider is not None:
+        more[:] = np.tile(np.square(wider), (1, size // 6))
+    usual = known & ~more.any(axis=1)
+    variance = np.full(size // 3, 0.1**2 if usual.any() else 1e-12)
     for _ in range(_PASSES if known.any() else 0):
-        covariance[known] = np.linalg.inv(information[known] + np.diag(np.repeat(1 / variance, 3)))
+        inverse = np.repeat(1 / (variance + more[known]), 3, axis=1)
+        covariance[known] = np.linalg.inv(information[known] + inverse[:, :, None] * np.eye(size))
         deviation[known] = np.einsum("sij,sj->si", covariance[known], gradient[known])
-        square = deviation[known] ** 2 + np.diagonal(covariance[known], axis1=1, axis2=2)
-        variance = np.maximum(square.reshape(len(square), -1, 3).mean(axis=(0, 2)), 1e-12)
+        if usual.any():
+            square = deviation[usual] ** 2 + np.diagonal(covariance[usual], axis1=1, axis2=2)
+            variance = np.maximum(square.reshape(len(square), -1, 3).mean(axis=(0, 2)), 1e-12)
     return deviation, covariance

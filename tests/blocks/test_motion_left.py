@@ -231,15 +231,16 @@ def test_deviations_are_as_large_as_the_path_allows_and_leave_points_near_planes
     monkeypatch.setattr(
         motion_left.scan_motion,
         "most_likely",
-        lambda value: (np.full((3, 12), value), np.full((3, 6, 6), value)),
+        lambda value, _: (np.full((3, 12), value), np.full((3, 6, 6), value)),
     )
     measurement = SimpleNamespace(
         clock=SimpleNamespace(sweep=0.1),
         _solved=lambda *_: SimpleNamespace(tau=np.zeros(1)),
         _view=look,
         _most=lambda _: np.full(4, 50.0),
+        _wider=lambda *_: np.zeros((3, 2)),
     )
-    deviation, covariance = motion_left._Measurement._deviations(measurement, None, np.zeros((3, 6)))
+    deviation, covariance = motion_left._Measurement._deviations(measurement, 0.5, None, np.zeros((3, 6)))
     assert (deviation == kept).all()
     assert (covariance == kept).all()
     assert len(seen) == looks

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from lvba.blocks import decoded, scan_errors, scan_windows, split
+from lvba.blocks import decoded, range_errors, scan_errors, scan_windows, split
 from lvba.blocks.split import SplitConfig
 from lvba.geometry import closest_rotation
 from lvba.io import dataset as recordings
@@ -175,6 +175,19 @@ def test_an_error_that_no_sensor_has_is_not_corrected(tmp_path):
     dataset = recorded(tmp_path / "off", "spinning", incidence_bias=0.2)
     errors = scan_errors.measure(dataset, LidarConfig())
     assert "incidence" not in errors.ranges.corrected
+    # what stays in the points is promised
+    assert errors.points_off[1] > 0.01
+
+
+def test_what_no_error_explains_is_promised_as_far_as_errors_were_seen(tmp_path, monkeypatch):
+    """The same where rounds do not end: errors are known too little to be taken out, and stay."""
+    dataset = recorded(tmp_path / "off", "spinning", incidence_bias=0.03)
+    monkeypatch.setattr(range_errors, "_FALLS", 0.0)
+    errors = scan_errors.measure(dataset, LidarConfig())
+    assert errors.ranges.problem
+    assert not errors.corrected
+    assert errors.points_off[1] > 1e-3
+    assert off_but_for_scale(dataset) < 3 * errors.ranges.poses_off[1]
 
 
 def test_points_meet_the_planes_of_the_map_whatever_a_single_scan_shows(tmp_path, monkeypatch):

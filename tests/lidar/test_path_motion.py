@@ -55,3 +55,21 @@ def test_few_scans_foretell_nothing():
     times = np.arange(4) * 0.5
     assert not path_motion.unpredicted(times, swaying(times, 3.0), CLOCK).any()
     assert path_motion.unpredicted(np.arange(6) * 0.5, swaying(np.arange(6) * 0.5, 3.0), CLOCK).all()
+
+
+def test_the_ends_of_a_path_tell_motions_from_one_side():
+    """By as much as they are off, on average over paths: the first of sweeps before their stamps by most."""
+    times, errors, told, inner = np.arange(0, 12, 0.5), [], [], []
+    for start in np.arange(0, 3, 0.2):
+        poses = swaying(times + start, 3.0)
+        off = path_motion.sweep_twists(times, poses, CLOCK) - true_twists(times + start, 3.0)
+        errors.append([sizes(off[:1]), sizes(off[-1:])])
+        told.append(path_motion.beyond_ends(times, poses, CLOCK))
+        inner.append(path_motion.unpredicted(times, poses, CLOCK)[:2])
+    errors, told, inner = (np.sqrt(np.mean(np.square(each), axis=0)) for each in (errors, told, inner))
+    assert (told[0] > 3 * inner).all()
+    assert (told[0] > told[1]).all()
+    np.testing.assert_allclose(errors, told, rtol=0.5)
+    steady = np.arange(0, 12, 0.1)
+    assert (path_motion.beyond_ends(steady, swaying(steady, 60.0), CLOCK) < 1e-3).all()
+    assert not path_motion.beyond_ends(times[:4], poses[:4], CLOCK).any()

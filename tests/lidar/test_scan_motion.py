@@ -157,6 +157,24 @@ def test_scans_that_move_as_no_path_says_tell_it_themselves():
     assert not any(each.any() for each in scan_motion.most_likely(scan_motion.Deviations.unseen(12)))
 
 
+def test_a_scan_of_which_the_path_tells_less_tells_more_itself():
+    """Beside scans that move as the path says, whose points are left as they are."""
+    (view, tau, _), (moving, its_tau, twist) = (made(part, noise=2e-3, scan_count=12) for part in (0.0, 1.0))
+    known, other = scan_motion.deviations(view, tau, SWEEP), scan_motion.deviations(moving, its_tau, SWEEP)
+    for mine, its in zip(
+        (known.information, known.gradient), (other.information, other.gradient), strict=True
+    ):
+        mine[:, 0] = its[:, 0]
+    wider = np.zeros((12, 2))
+    wider[0] = 0.3, 1.5
+    found, covariance = scan_motion.most_likely(known, wider)
+    assert np.linalg.norm(found[0, :6] - twist[0]) < 0.4 * np.linalg.norm(twist[0])
+    assert np.linalg.norm(found[1:, :6], axis=1).max() < 0.2 * np.linalg.norm(twist[0])
+    assert not np.linalg.norm(scan_motion.most_likely(known)[0][0]) > 0.1 * np.linalg.norm(twist[0])
+    error = known.by_motion[0][:, :6] @ (found[0, :6] - twist[0])
+    assert error @ np.linalg.solve(covariance[0], error) / 6 < 4
+
+
 def test_poses_are_as_uncertain_as_the_motion_that_was_taken_out():
     """A scan whose points were moved by a motion that is a little off is turned and shifted by half a sweep of it."""
     seen, errors, promised = [], [], []
