@@ -63,8 +63,6 @@ capture lost a twentieth of it."""
 CONTRADICTION = 3.0
 """Standard errors that a loss must exceed for a gain in another figure to be given up: more than a gain, for there are
 several figures, and any of them may lose by chance."""
-ALONE = 1.5
-"""Times as many standard errors as else SSIM must gain where PSNR gains no more than chance may."""
 MIN_PSNR_LOSS = 0.1
 """Losses of leave-one-out PSNR up to this, dB, contradict nothing: rendering alone makes such differences."""
 MIN_SSIM_LOSS = 0.005
@@ -338,6 +336,10 @@ def _judge_by_images(before: Scores, after: Scores, what: str, config: GateConfi
     return Verdict(True, "accepted", f"{change}", figures)
 
 
+_ALONE = 1.5
+"""Times as many standard errors as else SSIM must gain where PSNR gains no more than chance may."""
+
+
 def _clearly_more_alike(figures: Sequence[Figure], config: GateConfig) -> bool:
     """Whether SSIM gains far beyond chance, and PSNR gains, too, by chance or not.
 
@@ -346,7 +348,7 @@ def _clearly_more_alike(figures: Sequence[Figure], config: GateConfig) -> bool:
     headset's tracking 0.45 degrees off before and 0.25 after.
     """
     by_ssim = [each for each in figures if each.name in (_SSIM, "ssim_compared")]
-    least = ALONE * config.confidence
+    least = _ALONE * config.confidence
     clear = all(each.gain > max(LOSSES[each.name], least * each.error) for each in by_ssim)
     return clear and _beyond(figures, 0.0)
 

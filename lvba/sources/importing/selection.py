@@ -1,6 +1,6 @@
 """Which scans and images of a source are wanted."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lvba.sources.importing.options import ImportOptions
 
@@ -31,7 +31,7 @@ class Selection:
             None if end is None else end + more
             for end, more in ((self.start, -seconds), (self.stop, seconds))
         )
-        return Selection(self.zero, start, stop, self.every, self.rate)
+        return replace(self, start=start, stop=stop)
 
     def inside(self, stamp: int) -> bool:
         """Whether a stamp (ns) is within the time that is wanted."""
