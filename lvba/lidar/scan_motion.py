@@ -222,8 +222,8 @@ def most_likely(known: Deviations, wider: np.ndarray | None = None) -> tuple[np.
     """(S, 12): deviations of all scans, drawn towards zero as far as chance explains them, and what their uncertainty
     adds to the covariances of the scans' poses, (S, 6, 6).
 
-    wider: (S, 2) float64, rad/s and m/s, by how much the motion of single scans may be off that the path tells less of: those have
-        deviations whatever the others have; None: of none
+    wider: (S, 2) float64, rad/s and m/s, by how much the motion of single scans may be off that the path tells less of:
+        those have deviations whatever the others have; None: of none
     How sure points are of them is judged by what each half of a scan's planes tells of the other half; zeros where that
     is nothing, and no motion grows where that tells nothing more.
     """
