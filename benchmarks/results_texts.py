@@ -11,11 +11,15 @@ the first rows compile, too); for what a run takes by itself see [benchmarks.md]
 
 Which version the tables are of:
 
-- **Real recordings, and of the severely disturbed scenes of seeds 821 and 822 those with rain, people or no
-  disturbance, and mirrors in the rooms of seed 821:** this one.
-- **Of the other ones of these with motion left in scans, rows of depth images or rough drift, and of the courtyard of
+- **Of the severely disturbed scenes of seeds 821 and 822 those with motion left in scans, errors by incidence or
+  elevation, or no disturbance:** this one.
+- **Real recordings:** one before, which knows the motions during the first and the last scan by the path alone, and
+  promises nothing of errors of ranges that no known error explains.
+- **Of the disturbed scenes of these seeds those with rain or people, and mirrors in the rooms of seed 821:** one before
+  that, whose promises of what errors of ranges make of poses have the common scale in them and do not grow with the path.
+- **Of the other ones of these with rows of depth images or rough drift, and of the courtyard of
   seed 822 those with errors by place in depth images, foliage, mirrors, other times of stamps, gaps or jumps:** one
-  before, in which a point that is alone before all around it hides what is behind it, and each step of a depth camera's
+  before that, in which a point that is alone before all around it hides what is behind it, and each step of a depth camera's
   far ranges may make a plane.
 - **The other severe ones of seeds 821 and 822:** one before that, which asked how much planes tell of
   motions that scans have beside the path, not whether the path allows them, and took the exposures of images that little
