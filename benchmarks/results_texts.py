@@ -19,8 +19,8 @@ Which version the tables are of:
   that, whose promises of what errors of ranges make of poses have the common scale in them and do not grow with the path.
 - **Of the other ones of these with rows of depth images or rough drift, and of the courtyard of
   seed 822 those with errors by place in depth images, foliage, mirrors, other times of stamps, gaps or jumps:** one
-  before that, in which a point that is alone before all around it hides what is behind it, and each step of a depth camera's
-  far ranges may make a plane.
+  before that, in which a point that is alone before all around it hides what is behind it, and each step of a depth
+  camera's far ranges may make a plane.
 - **The other severe ones of seeds 821 and 822:** one before that, which asked how much planes tell of
   motions that scans have beside the path, not whether the path allows them, and took the exposures of images that little
   tells of from these.
