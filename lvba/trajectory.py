@@ -183,7 +183,7 @@ def pose_error(estimate: Poses, reference: Poses, *, aligned: Pose | None = None
         rotation_median_deg=_quantile(angle, 0.5),
         rotation_p95_deg=_quantile(angle, 0.95),
         rotation_max_deg=float(angle.max(initial=0)),
-        rotation_alone_deg=_rms(np.degrees(Rotation.from_matrix(alone).magnitude())),
+        rotation_alone_deg=_rms(geometry.rotation_angle_deg(alone)),
         rpe_m=_rms(np.linalg.norm(step[:, :3, 3], axis=1)),
         rpe_deg=_rms(geometry.rotation_angle_deg(step)),
         frames=len(estimate),

@@ -201,9 +201,10 @@ class _Measurement:
         wider, ends = np.zeros((len(window.numbers), 2)), (0, len(self.dataset.scan_paths) - 1)
         if not np.isin(ends, window.numbers).any():
             return wider
-        times, rough = self.dataset.scans.times[window.numbers], window.rough(self.dataset)
-        solved = self.poses.get(tuple(window.numbers.tolist()), rough)
-        for end, off in zip(ends, path_motion.beyond_ends(times, solved, self.clock), strict=True):
+        times = self.dataset.scans.times[window.numbers]
+        for end, off in zip(
+            ends, path_motion.beyond_ends(times, self._latest(window), self.clock), strict=True
+        ):
             wider[window.numbers == end] = abs(part) * off
         return wider
 
@@ -237,10 +238,16 @@ class _Measurement:
 
     def _most(self, window: Window) -> np.ndarray:
         """(4,) rad/s, m/s, and what these grow by over a sweep: sizes that deviations of a window's scans may have."""
-        times, rough = self.dataset.scans.times[window.numbers], window.rough(self.dataset)
-        solved = self.poses.get(tuple(window.numbers.tolist()), rough)
-        sizes = [path_motion.unpredicted(times, each, self.clock) for each in (rough, solved)]
+        times, both = (
+            self.dataset.scans.times[window.numbers],
+            (window.rough(self.dataset), self._latest(window)),
+        )
+        sizes = [path_motion.unpredicted(times, each, self.clock) for each in both]
         return np.asarray(_PLAUSIBLE * np.min(sizes, axis=0))
+
+    def _latest(self, window: Window) -> Poses:
+        """(n, 4, 4), of a window's scans, as they were found last; the rough ones before that."""
+        return self.poses.get(tuple(window.numbers.tolist()), window.rough(self.dataset))
 
     def _evidence(self, window: Window, part: float, twist: np.ndarray) -> tuple[ScanEvidence, np.ndarray]:
         """Of a window, and its twists at the poses found."""

@@ -130,8 +130,7 @@ class _Measurement:
                 return self._closer(windows, least[: self.size], points)
             change, covariance = self._estimate(total.of(self.own))
             if not np.isfinite(covariance).all():
-                text = "planes do not tell of them once they are corrected"
-                return self._unknown(total, text)
+                return self._unknown(total, "planes do not tell of them once they are corrected")
             kept, estimate = self._significant(errors + change, covariance, least, range_errors.CHANCE)
             last, errors = estimate - errors, estimate
             _log.info("errors of ranges: %s +- %s", errors, np.sqrt(np.diagonal(covariance)))
@@ -168,7 +167,7 @@ class _Measurement:
         return replace(
             errors,
             points_off=response.off(moment),
-            poses_off=total.of(slice(0, self.size)).poses.by(moment, self._extent),
+            poses_off=total.poses.of_numbers(slice(0, self.size)).by(moment, self._extent),
         )
 
     @property

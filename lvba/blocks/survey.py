@@ -42,7 +42,7 @@ def survey(dataset: Dataset, lidar: LidarConfig, frames: KeyframeConfig) -> Surv
     chosen = sampled(dataset)
     scans = recordings.load_scans(dataset, chosen)
     count, middle, furthest = _sizes(dataset, scans)
-    every = _load(dataset, scans[::_OF_SAMPLED]).every
+    every = Load(_points_per_scan(scans[::_OF_SAMPLED]), 0.0).every
     return Survey(
         range_m=middle,
         reach_m=furthest,
@@ -56,10 +56,7 @@ def survey(dataset: Dataset, lidar: LidarConfig, frames: KeyframeConfig) -> Surv
 
 def load_of(dataset: Dataset) -> Load:
     """How much memory the recording's frames take, from a few scans."""
-    return _load(dataset, recordings.load_scans(dataset, sampled(dataset)[::_OF_SAMPLED]))
-
-
-def _load(dataset: Dataset, few: list[np.ndarray]) -> Load:
+    few = recordings.load_scans(dataset, sampled(dataset)[::_OF_SAMPLED])
     measured = image.measuring_camera(dataset.camera)
     pixels = measured.width * measured.height if dataset.image_paths else 0
     count, middle, reach = _sizes(dataset, few)
@@ -75,7 +72,11 @@ def _sizes(dataset: Dataset, scans: list[np.ndarray]) -> tuple[float, float, flo
     middle, furthest = (
         (float(q) for q in np.quantile(distance, [0.5, 0.999])) if len(distance) else (1.0, 1.0)
     )
-    return float(np.mean([len(points) for points in scans])), middle, furthest
+    return _points_per_scan(scans), middle, furthest
+
+
+def _points_per_scan(scans: list[np.ndarray]) -> float:
+    return float(np.mean([len(points) for points in scans]))
 
 
 def sampled(dataset: Dataset) -> list[int]:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from lvba import geometry, spline
-from lvba.arrays import Poses, Tangents, Times
+from lvba.arrays import Indices, Poses, Tangents, Times
 from lvba.lidar.point_times import PointClock
 from lvba.lidar.row_times import RowClock
 from lvba.trajectory import Trajectory
@@ -30,7 +30,10 @@ def unpredicted(times: Times, world_from_scan: Poses, clock: PointClock | RowClo
     twist = sweep_twists(times, world_from_scan, clock)
     if not inner or not twist.any():
         return np.zeros(4)
-    off = np.concatenate([_without(k, times, world_from_scan, clock) - twist[k] for k in inner])
+    every = np.arange(len(times))
+    off = np.concatenate(
+        [_by(np.delete(every, k), k, times, world_from_scan, clock) - twist[k] for k in inner]
+    )
     grows = 0.5 * clock.sweep * np.gradient(twist, times, axis=0)
     steady = sizes(off)
     return np.concatenate([steady, np.hypot(steady, sizes(grows))])
@@ -45,32 +48,23 @@ def beyond_ends(times: Times, world_from_scan: Poses, clock: PointClock | RowClo
     times: (S,) s; world_from_scan: (S, 4, 4); zeros of few scans
     """
     twist, count = sweep_twists(times, world_from_scan, clock), len(times)
-    inner = range(_NEIGHBORS, count - _NEIGHBORS)
     if not twist.any():
         return np.zeros((2, 2))
-    ends = []
-    for parts in ([slice(k, count) for k in inner], [slice(0, k + 1) for k in inner]):
-        # the first of the ones and the last of the others, by their numbers
-        known = [
-            (part, k) for part, k in zip(parts, inner) if part.stop - part.start >= spline.FEWEST_SAMPLES
-        ]
-        off = [
-            _twists(
-                Trajectory(times[part], world_from_scan[part]), times[k : k + 1] + clock.begin, clock.sweep
-            )
-            - twist[k]
-            for part, k in known
-        ]
-        ends.append(sizes(np.concatenate(off)) if off else np.zeros(2))
-    return np.stack(ends)
+    inner = range(_NEIGHBORS, count - _NEIGHBORS)
+
+    def off(k: int, part: slice) -> Tangents:
+        return np.asarray(_by(part, k, times, world_from_scan, clock) - twist[k])
+
+    first = [off(k, slice(k, None)) for k in inner if count - k >= spline.FEWEST_SAMPLES]
+    last = [off(k, slice(k + 1)) for k in inner if k + 1 >= spline.FEWEST_SAMPLES]
+    return np.stack([sizes(np.concatenate(each)) if each else np.zeros(2) for each in (first, last)])
 
 
-def _without(
-    k: int, times: np.ndarray, world_from_scan: np.ndarray, clock: PointClock | RowClock
+def _by(
+    scans: slice | Indices, k: int, times: Times, world_from_scan: Poses, clock: PointClock | RowClock
 ) -> Tangents:
-    """(1, 6): the motion during scan k by the path through the others."""
-    others = np.arange(len(times)) != k
-    path = Trajectory(times[others], world_from_scan[others])
+    """(1, 6): the motion during scan k by the path through some scans."""
+    path = Trajectory(times[scans], world_from_scan[scans])
     return _twists(path, times[k : k + 1] + clock.begin, clock.sweep)
 
 

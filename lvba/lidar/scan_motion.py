@@ -297,7 +297,7 @@ def _drawn_to_zero(
         more[:] = np.tile(np.square(wider), (1, size // 6))
     usual = known & ~more.any(axis=1)
     variance = np.full(size // 3, 0.1**2 if usual.any() else 1e-12)
-    for _ in range(_PASSES if known.any() else 0):
+    for _ in range(_PASSES if usual.any() else int(known.any())):
         inverse = np.repeat(1 / (variance + more[known]), 3, axis=1)
         covariance[known] = np.linalg.inv(information[known] + inverse[:, :, None] * np.eye(size))
         deviation[known] = np.einsum("sij,sj->si", covariance[known], gradient[known])

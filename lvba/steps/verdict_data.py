@@ -237,8 +237,8 @@ def _truth(reference: Facts) -> list[Truth]:
             Truth(
                 what=what,
                 unit="degrees",
-                error=error.get("rotation_alone_deg", error["rotation_deg"]),
-                rough=rough.get("rotation_alone_deg", rough.get("rotation_deg")),
+                error=error["rotation_alone_deg"],
+                rough=rough.get("rotation_alone_deg"),
                 promised=error.get("predicted_rotation_deg"),
             ),
         ]

@@ -278,8 +278,8 @@ def test_an_alarm_makes_the_expected_errors_lower_bounds():
 
 
 def test_with_a_reference_the_truth_is_told_first():
-    reference = {"lidar": {"ate_m": 0.03, "rotation_deg": 1.2, "predicted_ate_m": 0.0004,
-                           "predicted_rotation_deg": 0.5}}  # fmt: skip
+    reference = {"lidar": {"ate_m": 0.03, "rotation_deg": 1.2, "rotation_alone_deg": 1.2,
+                           "predicted_ate_m": 0.0004, "predicted_rotation_deg": 0.5}}  # fmt: skip
     found = verdict_data.add(facts(reference=reference))["verdict"]
     assert found["summary"].startswith("Against the reference, scans are off by 30 mm")
     assert "at least" in found["summary"]
