@@ -33,8 +33,12 @@ _MORE = 0.1
 must, where they are what it is known by."""
 _SAME_M, _SAME_DEG = 0.1, 1.0
 """Motions that differ by less are the same: two thin scans do not tell it better."""
-BESIDE = (1, 4)
-"""Scans on either side of a motion whose surfaces are asked whether they confirm it."""
+BESIDE = 4
+"""Scans on either side of a motion that are asked where two do not tell."""
+ASKED = ((1, _SAME_M, _SAME_DEG), (BESIDE, _SAME_M, _SAME_DEG), (2 * BESIDE, 0.02, 0.3))
+"""So many on either side are asked whether they confirm a motion that differs from theirs by so much at most. Many
+determine one nearly always, also where poses are wrong: right motions are within 4 mm of theirs, wrong ones were
+3 to 9 cm away."""
 
 
 def contradicted(patches: Sequence[Patch | None], world_from_scan: Poses) -> np.ndarray:
@@ -63,24 +67,30 @@ def confirmed(
     patches: of `surfels_of`; world_from_scan: (S, 4, 4); after: (J,) int64, the scans
     expected: (S - 1, 4, 4), motions as those before and after let expect
     Surfaces confirm a motion if they determine it in all directions, agree with it, and do not agree as well with
-    another one that is nearer to what is expected: those of both scans, or of some on both sides where these are few.
+    another one that is nearer to what is expected: those of both scans, of some on both sides where these are few, or of
+    many.
     """
     sure = []
     for k in np.unique(after):
         motion = geometry.inverse(world_from_scan[k]) @ world_from_scan[k + 1]
-        for most in BESIDE:
-            pair = beside(patches, world_from_scan, k, most)
-            if pair is not None and _agreed(*pair, motion, expected[k]):
+        for scans, *near in ASKED:
+            pair = beside(patches, world_from_scan, k, scans)
+            if pair is not None and _agreed(*pair, motion, expected[k], *near):
                 sure.append(int(k))
                 break
     return np.array(sure, np.int64)
 
 
-def _agreed(first: Patch, second: Patch, motion: np.ndarray, expected: np.ndarray) -> bool:
-    """Whether surfaces determine a motion (4, 4), agree with it, and with none near the expected one (4, 4) as well."""
+def _agreed(
+    first: Patch, second: Patch, motion: np.ndarray, expected: np.ndarray, most_m: float, most_deg: float
+) -> bool:
+    """Whether surfaces determine a motion (4, 4), agree with it, and with none near the expected one (4, 4) as well.
+
+    most_m, most_deg: by how much theirs may differ from it
+    """
     target = Target.of(first)
     step = scan_steps.register(target, second, motion)
-    if not step.aligned or step.open or apart(motion, step.first_from_second):
+    if not step.aligned or step.open or apart(motion, step.first_from_second, most_m, most_deg):
         return False
     rival = scan_steps.register(target, second, expected)
     same = not apart(rival.first_from_second, step.first_from_second)
@@ -102,7 +112,7 @@ def registered(patches: Sequence[Patch | None], world_from_scan: Poses, k: int) 
     rough, target = geometry.steps(world_from_scan[k : k + 2])[0], Target.of(first)
     step = scan_steps.register(target, second, rough)
     if not step.aligned:
-        around = beside(patches, world_from_scan, k, BESIDE[-1])
+        around = beside(patches, world_from_scan, k, BESIDE)
         return (_against(*around, rough) if around else None) or step
     if not _far(step.correction(rough)):
         return step
@@ -112,7 +122,7 @@ def registered(patches: Sequence[Patch | None], world_from_scan: Poses, k: int) 
     else:
         if scan_steps.contradicting(target, second, rough) > _IN_SIGHT:
             return step
-        around = beside(patches, world_from_scan, k, BESIDE[-1])
+        around = beside(patches, world_from_scan, k, BESIDE)
         more = step.overlap > scan_steps.overlap(target, second, rough) + _FAR_GAIN
         if more and not (around and _more_against(*around, step.first_from_second, rough)):
             return step
@@ -159,7 +169,10 @@ def _far(off: np.ndarray) -> bool:
     return bool(np.linalg.norm(off[3:]) > JUMP_M or np.linalg.norm(off[:3]) > np.radians(JUMP_DEG))
 
 
-def apart(one: Pose, other: Pose) -> bool:
-    """Whether two motions (4, 4) are not the same, as far as thin scans tell."""
+def apart(one: Pose, other: Pose, most_m: float = _SAME_M, most_deg: float = _SAME_DEG) -> bool:
+    """Whether two motions (4, 4) are not the same, as far as thin scans tell.
+
+    most_m, most_deg: by which motions that are the same may differ
+    """
     off = geometry.log(geometry.inverse(one) @ other)
-    return bool(np.linalg.norm(off[3:]) > _SAME_M or np.linalg.norm(off[:3]) > np.radians(_SAME_DEG))
+    return bool(np.linalg.norm(off[3:]) > most_m or np.linalg.norm(off[:3]) > np.radians(most_deg))

@@ -52,8 +52,8 @@ class RoughError:
 
     step_m, step_deg: of the motion from a scan to the next, typically, along each axis
     wrong_after: (J,) int64, scans after which it is off by far more
-    open_after: (K,) int64, of these, and of all where every motion is off by decimeters, where surfaces do not determine
-        it in every direction
+    open_after: (K,) int64, of these, and of all where every motion is off by decimeters, where surfaces neither determine
+        it in every direction nor confirm that of the result
     left_after: (L,) int64, scans after which the result contradicts what both scans see
     """
 
@@ -92,9 +92,19 @@ class StartPoses:
     world_from_scan: np.ndarray
     error: RoughError
 
-    def judged(self, patches: Sequence[Patch | None], world_from_scan: Poses) -> RoughError:
-        """The error, with what is left of it in refined poses (S, 4, 4). patches: of `surfels_of`"""
-        return replace(self.error, left_after=rough_motions.contradicted(patches, world_from_scan))
+    def judged(self, patches: Sequence[Patch | None], rough: Poses, refined: Poses) -> RoughError:
+        """The error, with what is left of it in refined poses.
+
+        patches: of `surfels_of`; rough, refined: (S, 4, 4)
+        A motion that the scan alone left open is not, where surfaces of scans on both sides confirm that of the result.
+        """
+        expected = geometry.steps(rough)
+        confirmed = rough_motions.confirmed(patches, refined, self.error.open_after, expected)
+        return replace(
+            self.error,
+            open_after=np.setdiff1d(self.error.open_after, confirmed),
+            left_after=rough_motions.contradicted(patches, refined),
+        )
 
 
 def odometry_of(
@@ -177,7 +187,7 @@ class _Chain:
     def closed(self, patches: Sequence[Patch | None], k: int) -> "_Chain":
         """The chain with step k as the scans on both sides of it have it together, where these determine it in all
         directions: one scan may slide along the surfaces of those before it."""
-        pair = rough_motions.beside(patches, self.world_from_scan, k, rough_motions.BESIDE[-1])
+        pair = rough_motions.beside(patches, self.world_from_scan, k, rough_motions.BESIDE)
         if pair is None:
             return self
         motion = geometry.steps(self.world_from_scan[k : k + 2])[0]

@@ -11,6 +11,7 @@ from lvba.products import reference as references
 from lvba.steps import expected_error, uncertainty
 from lvba.steps.lidar import carry_cameras
 from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, ScanPoses, VisualStage
+from lvba.steps.uncertainty import Expected
 from lvba.trajectory import Trajectory
 
 
@@ -30,8 +31,10 @@ def collect(
         dataset, reference, accepted.world_from_scan, accepted.world_from_camera, accepted.log_exposure
     )
     rough = _errors(dataset, reference, dataset.scans.world_from_sensor, dataset.images.world_from_sensor)
-    spread = expected_error.scan_covariance(lidar, fused, accepted)
-    for part, predicted in _predicted(spread, visual, accepted, final_scans, final_images, reference).items():
+    expected = expected_error.of_result(lidar, fused, visual, accepted)
+    for part, predicted in _predicted(
+        expected, visual, accepted, final_scans, final_images, reference
+    ).items():
         facts.setdefault(part, {}).update(predicted)
     return {**facts, "rough": rough, "judged": _judged(dataset, lidar, scans, visual, fused, reference)}
 
@@ -88,25 +91,22 @@ def _errors(
 
 
 def _predicted(
-    scan_covariance: np.ndarray | None,
+    expected: Expected,
     visual: VisualStage,
     accepted: Accepted,
     final_scans: Trajectory,
     final_images: Trajectory,
     reference: Reference,
 ) -> dict[str, dict[str, Any]]:
+    """Errors that the result promises. expected: of cameras nothing where the scans are the input's"""
     predicted: dict[str, dict[str, Any]] = {}
     scan_alignment = references.scan_alignment(reference, final_scans)
     aligned = None if scan_alignment is None else scan_alignment.reference_from_estimate
-    if scan_covariance is not None and reference.scans is not None:
-        predicted["lidar"] = uncertainty.against(final_scans, scan_covariance, reference.scans, aligned)
-    if visual.result is None:
-        return predicted
-    if accepted.cameras.accepted and reference.images is not None:
-        predicted["camera"] = uncertainty.against(
-            final_images, visual.result.covariance, reference.images, aligned
-        )
-    if accepted.exposures.accepted and reference.exposures is not None:
+    if expected.scans is not None and reference.scans is not None:
+        predicted["lidar"] = uncertainty.against(final_scans, expected.scans, reference.scans, aligned)
+    if expected.cameras is not None and reference.images is not None:
+        predicted["camera"] = uncertainty.against(final_images, expected.cameras, reference.images, aligned)
+    if visual.result is not None and accepted.exposures.accepted and reference.exposures is not None:
         predicted["exposure"] = uncertainty.of_exposures(
             final_images.times,
             accepted.log_exposure,

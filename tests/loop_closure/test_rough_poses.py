@@ -65,7 +65,7 @@ def test_jumps_are_taken_out_and_the_bundle_adjustment_ends_where_it_does_withou
     without = pose_error(bundle_adjustment.refine(scans, rough).world_from_scan, truth)
     refined = bundle_adjustment.refine(scans, start.world_from_scan).world_from_scan
     assert pose_error(refined, truth).ate_m < 1.5 * without.ate_m
-    assert len(start.judged(surfels, refined).left_after) == 0
+    assert len(start.judged(surfels, wrong, refined).left_after) == 0
 
 
 def test_poses_that_came_of_the_scans_are_no_second_witness_beside_them(courtyard):
@@ -129,8 +129,17 @@ def test_a_step_left_wrong_is_named(courtyard):
     _, truth, _, surfels = courtyard
     nothing = np.zeros(0, np.int64)
     start = rough_poses.StartPoses(truth, RoughError(0.02, 0.2, nothing, nothing, nothing))
-    judged = start.judged(surfels, jumped(truth, 11, [0, 0, 0, 0.7, 0.5, 0]))
+    judged = start.judged(surfels, truth, jumped(truth, 11, [0, 0, 0, 0.7, 0.5, 0]))
     assert judged.left_after.tolist() == [11]
+
+
+def test_a_motion_that_was_left_open_is_known_where_scans_on_both_sides_confirm_it(courtyard):
+    _, truth, rough, surfels = courtyard
+    nothing, left_open = np.zeros(0, np.int64), np.array([8, 11, 14])
+    start = rough_poses.StartPoses(truth, RoughError(0.02, 0.2, nothing, left_open, nothing))
+    assert start.judged(surfels, rough, truth).open_after.tolist() == []
+    aside = start.judged(surfels, rough, jumped(truth, 11, [0, 0, 0, 0.7, 0.5, 0]))
+    assert aside.open_after.tolist() == [11]
 
 
 def test_surfels_of_single_scans_lie_on_each_other_where_the_scans_belong(courtyard):
@@ -177,7 +186,7 @@ def test_scans_of_few_points_are_tied_by_those_beside_them_and_jumps_are_not(cou
     sure = rough_motions.confirmed(surfels, truth, inner, expected)
     at = np.array([after for after, _ in JUMPS])
     assert len(rough_motions.confirmed(surfels, with_jumps(rough), at, expected)) == 0
-    monkeypatch.setattr(rough_motions, "BESIDE", (1,))
+    monkeypatch.setattr(rough_motions, "ASKED", rough_motions.ASKED[:1])
     pairs = rough_motions.confirmed(surfels, truth, inner, expected)
     assert len(pairs) <= len(inner) / 2 < 2 * len(inner) / 3 < len(sure)
 

@@ -138,6 +138,31 @@ def test_one_scan_off_the_motion_is_chance_and_several_are_not(
         assert verdict.first_s == pytest.approx(2.0)
 
 
+@pytest.mark.parametrize(
+    ("open_scans", "forces", "lost"),
+    [
+        ((), False, False),
+        ((50,), False, False),
+        ((50, 51), False, True),
+        ((108, 109), False, False),
+        (tuple(range(50, 61)), True, False),
+        (tuple(range(50, 62)), True, True),
+    ],
+)
+def test_motion_alone_holds_a_direction_only_for_a_moment(
+    courtyard: Walk, open_scans: tuple[int, ...], forces: bool, lost: bool
+) -> None:
+    """From the last scan before to the first one after: a turn of the walk meanwhile is seen by nothing."""
+    [_, step] = list(odometry(courtyard.sweeps[:2], 0.3))
+    steps = [
+        replace(step, time=0.1 * number, surprise=0.5, sway=0.9 if number in open_scans else 0.0)
+        for number in range(110)
+    ]
+    verdict = gate.judge(steps, forces)
+    assert verdict.lost is lost
+    assert not lost or "no scan is held in every direction" in verdict.reasons[-1]
+
+
 def test_too_few_scans_are_lost() -> None:
     assert gate.judge((), False).lost
 

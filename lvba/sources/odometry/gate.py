@@ -10,8 +10,9 @@ from lvba.sources.odometry.registration import OPEN, SURPRISING, Step
 
 _WARM_UP = 10
 """Scans at the begin: speed, gravity and biases are not known yet."""
-_BRIDGED_S = {True: 1.0, False: 0.3}
-"""How long in a row the prediction alone may hold a direction: with an IMU that feels accelerations, and without."""
+_BRIDGED_S = {True: 1.25, False: 0.25}
+"""From the last scan before to the first one after: how long the prediction alone may hold a direction, with an IMU that
+feels accelerations, and without. Then half of `prediction._ACCELERATION` by the time squared is 6 cm."""
 _SURPRISING_PART = {True: 0.04, False: 0.002}
 """Of scans whose registration is right: a bump, a scan with a gap. One that went to a wrong place and stays there
 contradicts the motion again at the next scans."""
@@ -63,7 +64,8 @@ def judge(steps: Sequence[Step], forces: bool) -> Verdict:
     matched = np.array([step.registered.matched for step in judged])
     unmatched = matched < _ALONE * np.median(matched)
     finite = np.array([np.isfinite(step.world_from_lidar).all() for step in judged])
-    seconds = _longest(open_ | unmatched, np.array([step.time for step in judged]))
+    held = ~(open_ | unmatched)
+    seconds = _longest_without(held, np.array([step.time for step in judged]))
     count = int(surprising.sum())
     reasons = (
         [f"{count} of {len(judged)} scans move as no sensor does"]
@@ -79,7 +81,7 @@ def judge(steps: Sequence[Step], forces: bool) -> Verdict:
         if part > most
     ]
     if seconds > _BRIDGED_S[forces]:
-        reasons.append(f"for {seconds:.1f} s in a row no scan is held in every direction")
+        reasons.append(f"for {seconds:.1f} s no scan is held in every direction")
     apart = float(np.median(np.diff([step.time for step in steps])))
     if apart > _MOST_APART_S[forces]:
         reasons.append(
@@ -104,14 +106,13 @@ def _chance(count: int, of: int, rate: float) -> float:
     return float(special.bdtrc(count - 1, of, rate)) if count else 1.0
 
 
-def _longest(flags: np.ndarray, times: np.ndarray) -> float:
-    """s, the longest time over which flags (N,) of scans at times (N,), s, are all set."""
-    longest, begin = 0.0, None
-    for flag, time in zip(flags, times, strict=True):
-        if not flag:
-            begin = None
-        elif begin is None:
-            begin = time
-        else:
-            longest = max(longest, float(time - begin))
-    return longest
+def _longest_without(held: np.ndarray, times: np.ndarray) -> float:
+    """s, the longest time from a held scan, or the first one, to the next that is held, or the last one, past others.
+
+    held: (N,) bool; times: (N,) float64, s, ascending
+    """
+    if held.all():
+        return 0.0
+    ends = np.unique(np.r_[0, np.flatnonzero(held), len(held) - 1])
+    past_others = (np.diff(ends) > 1) | ~held[ends[1:]] | ~held[ends[:-1]]
+    return float((np.diff(times[ends]) * past_others).max(initial=0.0))
