@@ -250,7 +250,7 @@ def _entropies(
     entropies = {id(states[name].cloud): value for name, value in known.items() if name in states}
     for state in states.values():
         if id(state.cloud) not in entropies:
-            entropies[id(state.cloud)] = map_quality.mean_map_entropy(state.cloud, config.entropy)
+            entropies[id(state.cloud)] = map_quality.entropy_blocks(state.cloud, config.entropy).mean
     return {name: entropies[id(state.cloud)] for name, state in states.items()}
 
 

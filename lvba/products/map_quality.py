@@ -28,6 +28,9 @@ class EntropyConfig(Group):
 
 ENTROPY_VOXEL_M = 0.1
 """m: the map is thinned to the mean of the points in each voxel of this edge, so that dense places do not outvote."""
+STRAY_PART = 0.1
+"""A voxel with fewer points than this part of the usual number about it is no surface: with rain and beams split at
+edges, no map is crisp. Where points are sparse, each voxel counts."""
 MIN_NEIGHBORS = 10
 """Points with fewer neighbors (itself counted) are left out: of fewer the entropy is chance."""
 
@@ -35,9 +38,11 @@ MIN_NEIGHBORS = 10
 def mean_map_entropy(cloud: Cloud, config: EntropyConfig | None = None) -> float:
     """Mean over the map of ln sqrt(det(2 pi e S)), S the covariance of a point's neighborhood; nats, lower is crisper.
 
-    NaN where no point has neighbors enough. Source: Droeschel and Behnke 2014; radius and map as in HBA's tool.
+    NaN where no point has neighbors enough. Source: Droeschel and Behnke 2014; radius and map as in HBA's tool, stray
+    points included, for comparison with others'. Runs judge by `entropy_blocks`, without these.
     """
-    return entropy_blocks(cloud, config).mean
+    config = config or EntropyConfig()
+    return _blocks(voxel_means(cloud.points_world, ENTROPY_VOXEL_M), config.radius_m).mean
 
 
 BLOCK_M = 2.0
@@ -74,10 +79,39 @@ class EntropyChange:
 
 
 def entropy_blocks(cloud: Cloud, config: EntropyConfig | None = None) -> EntropyBlocks:
-    """The entropies of a map by block, from which means and differences are taken."""
+    """The entropies of a map's surfaces by block, from which means and differences are taken: without stray points."""
     config = config or EntropyConfig()
-    centers = voxel_means(cloud.points_world, ENTROPY_VOXEL_M)
-    values = point_entropies(centers, config.radius_m, MIN_NEIGHBORS)
+    centers, counts = _voxels(cloud.points_world, ENTROPY_VOXEL_M)
+    usual = _usual(centers, counts, config.radius_m)
+    return _blocks(centers[counts >= STRAY_PART * usual], config.radius_m)
+
+
+def _usual(centers: np.ndarray, counts: np.ndarray, edge: float) -> np.ndarray:
+    """(V,) float64: mean points of the voxels in the cube of edge `edge` (m) about each and in those that touch it.
+
+    centers: (V, 3) float64, m; counts: (V,) float64, points of each voxel
+    """
+    if not len(centers):
+        return np.empty(0)
+    cells = np.floor(centers / edge).astype(np.int64)
+    cells -= cells.min(0) - 1
+    span = cells.max(0) + 2
+    cubes, cube = np.unique(
+        (cells[:, 0] * span[1] + cells[:, 1]) * span[2] + cells[:, 2], return_inverse=True
+    )
+    own = np.stack([np.bincount(cube, counts), np.bincount(cube)])
+    about = np.zeros_like(own)
+    for x, y, z in np.ndindex(3, 3, 3):
+        beside = cubes + ((x - 1) * span[1] + y - 1) * span[2] + z - 1
+        place = np.minimum(np.searchsorted(cubes, beside), len(cubes) - 1)
+        about += own[:, place] * (cubes[place] == beside)
+    points, voxels = about
+    return np.asarray((points / voxels)[cube])
+
+
+def _blocks(centers: np.ndarray, radius: float) -> EntropyBlocks:
+    """By block, of the neighborhoods of the map's points (V, 3), m."""
+    values = point_entropies(centers, radius, MIN_NEIGHBORS)
     known = np.isfinite(values)
     cells = np.floor(centers[known] / BLOCK_M).astype(np.int64)
     keys = ((cells[:, 0] << 21) + cells[:, 1] << 21) + cells[:, 2]
@@ -135,15 +169,20 @@ def point_entropies(points: np.ndarray, radius: float, min_neighbors: int) -> np
 
 def voxel_means(points_world: CloudPoints, voxel: float) -> np.ndarray:
     """The mean (V, 3) float64 of the (N, 3) float32 points in each voxel of edge `voxel` (m), by voxel."""
+    return _voxels(points_world, voxel)[0]
+
+
+def _voxels(points_world: np.ndarray, voxel: float) -> tuple[np.ndarray, np.ndarray]:
+    """Of each voxel of edge `voxel` (m): the mean (V, 3) float64 of its points (N, 3) float32, and how many, (V,)."""
     if not len(points_world):
-        return np.empty((0, 3))
+        return np.empty((0, 3)), np.empty(0)
     points = np.ascontiguousarray(points_world)
     first, last = (
         np.floor(corner.astype(float) / voxel).astype(np.int64) for corner in kernels.bounds(points)
     )
     keys, sums = kernels.voxel_sums(points, voxel, first, last - first + 1)
     sums = sums[np.argsort(keys)]
-    return np.asarray(sums[:, :3] / sums[:, 3:])
+    return np.asarray(sums[:, :3] / sums[:, 3:]), sums[:, 3]
 
 
 CUBE_M = 0.5

@@ -44,9 +44,43 @@ def test_a_thicker_wall_has_more_entropy():
     assert scores[0] < scores[1] < scores[2]
 
 
+def room_in_rain(rng, off):
+    """A floor and a wall, 2 cm thick, seen by two scans that are `off` (m) apart, and drops everywhere."""
+    floor = rng.uniform(0, 4, (80000, 3)) * [1, 1, 0]
+    wall = rng.uniform(0, 4, (80000, 3)) * [1, 0, 1]
+    surfaces = np.concatenate([floor, wall]) + rng.normal(0, 0.02, (160000, 3))
+    surfaces[::2] += off
+    drops = rng.uniform(0, 4, (4000, 3)) * [1, 1, 0.5]
+    return cloud_of(np.concatenate([surfaces, drops]))
+
+
+def test_surfaces_tell_a_crisp_map_where_all_that_is_in_the_air_does_not():
+    rng = np.random.default_rng(8)
+    apart, together = (room_in_rain(rng, off) for off in (0.03, 0.0))
+    everything = [map_quality.mean_map_entropy(cloud) for cloud in (apart, together)]
+    surfaces = map_quality.entropy_change(*(map_quality.entropy_blocks(cloud) for cloud in (apart, together)))
+    assert surfaces.gain > 2 * (everything[0] - everything[1])
+    assert surfaces.gain > 0.1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_usual_points_of_a_voxel_match_a_plain_search(seed):
+    rng = np.random.default_rng(seed)
+    centers, counts = rng.uniform(-2, 2, (400, 3)), rng.integers(1, 50, 400).astype(float)
+    cubes = np.floor(centers / 0.7)
+    expected = [counts[(np.abs(cubes - cube) <= 1).all(1)].mean() for cube in cubes]
+    np.testing.assert_allclose(map_quality._usual(centers, counts, 0.7), expected)
+
+
+def test_where_points_are_sparse_each_voxel_counts():
+    cloud = cloud_of(np.random.default_rng(9).uniform(0, 4, (6000, 3)) * [1, 1, 0.02])
+    assert map_quality.entropy_blocks(cloud).mean == map_quality.mean_map_entropy(cloud)
+
+
 def test_an_empty_or_sparse_map_has_no_entropy():
-    assert np.isnan(map_quality.mean_map_entropy(cloud_of(np.zeros((0, 3)))))
-    assert np.isnan(map_quality.mean_map_entropy(cloud_of(np.eye(3) * 10)))
+    for nothing in (cloud_of(np.zeros((0, 3))), cloud_of(np.eye(3) * 10)):
+        assert np.isnan(map_quality.mean_map_entropy(nothing))
+        assert np.isnan(map_quality.entropy_blocks(nothing).mean)
 
 
 def wall(rng, sigma, points=60000):
