@@ -26,8 +26,8 @@ class Motion:
     angles: CubicSpline
 
     def poses(self, times: Times) -> np.ndarray:
-        """scene_from_body at (N,) seconds since the start, (N, 4, 4); goes on smoothly a little before and after."""
-        yaw, pitch, roll = self.angles(times).T
+        """scene_from_body at (N,) seconds since the start, (N, 4, 4); goes on at its velocity before and after."""
+        yaw, pitch, roll = _going_on(self.angles, times).T
         zero = np.zeros_like(yaw)
         turns = (
             np.stack([zero, zero, yaw], -1),
@@ -39,7 +39,17 @@ class Motion:
             rotation = (
                 rotation @ geometry.exp(np.concatenate([turn, np.zeros_like(turn)], axis=-1))[:, :3, :3]
             )
-        return geometry.from_rotation_translation(rotation, self.position(times))
+        return geometry.from_rotation_translation(rotation, _going_on(self.position, times))
+
+
+def _going_on(spline: CubicSpline, times: Times) -> np.ndarray:
+    """A spline at (N,) s, beyond its ends at the velocity that it has there: (N, 3).
+
+    Its last piece is centiseconds long. There a sweep of 0.1 s before the first stamp turned at 2 rad/s, where the
+    motion turned at 0.3.
+    """
+    inside = np.clip(times, spline.x[0], spline.x[-1])
+    return np.asarray(spline(inside) + spline(inside, 1) * (times - inside)[:, None])
 
 
 def along(

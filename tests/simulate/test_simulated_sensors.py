@@ -9,7 +9,7 @@ from lvba.camera import Camera
 from lvba.errors import InputError
 from lvba.lens import Lens
 from lvba.simulate import camera as cameras
-from lvba.simulate import drift, lidar
+from lvba.simulate import drift, lidar, scenes
 from lvba.simulate.camera import Sensor
 from lvba.simulate.world import Builder, EmbreeCaster
 from lvba.trajectory import pose_error
@@ -150,3 +150,16 @@ def test_cameras_are_as_wrong_as_the_difficulty_says():
 def test_an_unknown_difficulty_is_one_clear_line():
     with pytest.raises(InputError, match="easy, medium, hard"):
         drift.difficulty("brutal")
+
+
+@pytest.mark.parametrize("name", ["courtyard", "rooms", "cabinet"])
+def test_motion_goes_on_at_its_velocity_beyond_its_ends(name):
+    """A sweep of 0.1 s before the first stamp is measured there."""
+    motion = scenes.build(name, np.random.default_rng(5), 40, None).motion
+    for end, way in ((0.0, -1.0), (motion.duration, 1.0)):
+        times = end + way * np.array([-1e-4, 0.0, 0.05, 0.1])
+        poses = motion.poses(times)
+        speed = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) / np.abs(np.diff(times))
+        assert speed == pytest.approx(speed[0], rel=0.01)
+        turns = np.linalg.norm(geometry.log(geometry.steps(poses))[:, :3], axis=1) / np.abs(np.diff(times))
+        assert turns == pytest.approx(turns[0], rel=0.05)
