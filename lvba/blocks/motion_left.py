@@ -214,12 +214,13 @@ class _Measurement:
 
         They are looked for with those found so far taken out, for planes are sharper then. How much planes tell of
         deviations says nothing of whether they are right: where poses are off, planes are, too, and a window told more
-        and more of up to 38 m/s. So they are as large as the path from scan to scan allows, and points stay as near to
-        planes.
+        and more of up to 38 m/s. So they are as large as the path from scan to scan allows, but for the first and last
+        scan, of which it tells less; and points stay as near to planes.
         """
         sweep, scale, least, most = self.clock.sweep, None, np.inf, self._most(window)
         deviation, covariance = np.zeros((len(path), 12)), np.zeros((len(path), 6, 6))
         used, wider = (deviation, covariance), self._wider(part, window)
+        inner = ~wider.any(axis=1)
         for _ in range(_TURNS):
             motion, acceleration = path + deviation[:, :6], 2.0 / sweep * deviation[:, 6:]
             solved = self._solved(window, motion, acceleration)
@@ -232,7 +233,9 @@ class _Measurement:
             least, used, before = min(away, least), (deviation, covariance), deviation
             seen = scan_motion.deviations(view, solved.tau, sweep).beside(deviation)
             deviation, covariance = scan_motion.most_likely(seen, wider)
-            if (path_motion.sizes(deviation) > most).any() or np.abs(deviation - before).max() < _SAME:
+            if (path_motion.sizes(deviation[inner]) > most).any():
+                deviation[inner], covariance[inner] = used[0][inner], used[1][inner]
+            if np.abs(deviation - before).max() < _SAME:
                 break
         return used
 

@@ -242,10 +242,26 @@ def most_likely(known: Deviations, wider: np.ndarray | None = None) -> tuple[np.
     chosen = slice(None) if every else np.flatnonzero(wider.any(axis=1))
     information, gradient = used.information[0, chosen], used.gradient[0, chosen]
     likely, spread = _drawn_to_zero(information / judged.factor, gradient / judged.factor, wider[chosen])
-    by_motion = used.by_motion[chosen]
     deviation[chosen, : likely.shape[1]] = likely
-    covariance[chosen] = by_motion @ spread @ by_motion.transpose(0, 2, 1)
+    covariance[chosen] = _of_poses(used.by_motion[chosen], spread)
+    if used is not known:
+        covariance += _of_poses(known.by_motion[:, :, 6:], _unsteady(deviation[:, :6], wider))
     return deviation, covariance
+
+
+def _of_poses(by_motion: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """(S, 6, 6): what deviations with a covariance (S, n, n) add to those of poses. by_motion: (S, 6, n)"""
+    return np.asarray(by_motion @ covariance @ by_motion.transpose(0, 2, 1))
+
+
+def _unsteady(deviation: np.ndarray, wider: np.ndarray) -> np.ndarray:
+    """(S, 6, 6): covariance of how much steady deviations (S, 6) may grow. wider: (S, 2), as of `most_likely`
+
+    A motion that is further from the path than it lets expect has changed near by, perhaps during the sweep: by as much.
+    """
+    size = np.square(deviation).reshape(len(deviation), 2, 3).mean(axis=2)
+    beyond = np.where(wider > 0, np.maximum(size - wider**2, 0.0), 0.0)
+    return np.asarray(np.repeat(beyond, 3, axis=1)[:, :, None] * np.eye(6))
 
 
 @dataclass(frozen=True)

@@ -202,21 +202,8 @@ def test_a_depth_camera_that_reads_rows_at_once_keeps_its_points(depth_camera):
     assert abs(motion.part) < 5 * motion.sigma
 
 
-@pytest.mark.parametrize(
-    ("likely", "away", "kept", "looks"),
-    [
-        ([30.0], [1.0, 1.02], 0.0, 2),  # points are farther from planes: no deviation
-        ([1.0, 30.0], [1.0, 0.9, 0.95], 1.0, 3),  # only the second is none
-        ([1.0, 1.2, 1.3], [1.0, 0.9, 0.8], 1.2, 3),
-        ([1.0, 1.001], [1.0, 0.9], 1.0, 2),  # they stay as they are
-        ([0.0], [1.0], 0.0, 1),
-        ([60.0], [1.0], 0.0, 1),  # the path moves by less
-        ([1.0, 60.0], [1.0, 0.9], 1.0, 2),
-    ],
-)
-def test_deviations_are_as_large_as_the_path_allows_and_leave_points_near_planes(
-    likely, away, kept, looks, monkeypatch
-):
+def looking(likely, away, wider, monkeypatch):
+    """A measurement of three scans, of which each look tells deviations of the next of some sizes, and its looks."""
     seen = []
 
     def look(*_):
@@ -238,9 +225,40 @@ def test_deviations_are_as_large_as_the_path_allows_and_leave_points_near_planes
         _solved=lambda *_: SimpleNamespace(tau=np.zeros(1)),
         _view=look,
         _most=lambda _: np.full(4, 50.0),
-        _wider=lambda *_: np.zeros((3, 2)),
+        _wider=lambda *_: wider,
     )
+    return measurement, seen
+
+
+@pytest.mark.parametrize(
+    ("likely", "away", "kept", "looks"),
+    [
+        ([30.0], [1.0, 1.02], 0.0, 2),  # points are farther from planes: no deviation
+        ([1.0, 30.0], [1.0, 0.9, 0.95], 1.0, 3),  # only the second is none
+        ([1.0, 1.2, 1.3], [1.0, 0.9, 0.8], 1.2, 3),
+        ([1.0, 1.001], [1.0, 0.9], 1.0, 2),  # they stay as they are
+        ([0.0], [1.0], 0.0, 1),
+        ([60.0], [1.0], 0.0, 1),  # the path moves by less
+        ([1.0, 60.0], [1.0, 0.9], 1.0, 2),
+    ],
+)
+def test_deviations_are_as_large_as_the_path_allows_and_leave_points_near_planes(
+    likely, away, kept, looks, monkeypatch
+):
+    measurement, seen = looking(likely, away, np.zeros((3, 2)), monkeypatch)
     deviation, covariance = motion_left._Measurement._deviations(measurement, 0.5, None, np.zeros((3, 6)))
     assert (deviation == kept).all()
     assert (covariance == kept).all()
     assert len(seen) == looks
+
+
+def test_deviations_of_the_first_scan_are_as_large_as_its_points_say(monkeypatch):
+    """The path tells its motion from one side only; what it allows others says nothing of it."""
+    wider = np.array([[1.0, 1.0], [0.0, 0.0], [0.0, 0.0]])
+    measurement, seen = looking([200.0, 210.0, 210.0], [1.0, 0.9, 0.8], wider, monkeypatch)
+    deviation, covariance = motion_left._Measurement._deviations(measurement, 0.5, None, np.zeros((3, 6)))
+    assert (deviation[0] == 210.0).all()
+    assert (covariance[0] == 210.0).all()
+    assert not deviation[1:].any()
+    assert not covariance[1:].any()
+    assert len(seen) == 3

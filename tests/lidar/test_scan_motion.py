@@ -175,6 +175,26 @@ def test_a_scan_of_which_the_path_tells_less_tells_more_itself():
     assert error @ np.linalg.solve(covariance[0], error) / 6 < 4
 
 
+def test_a_scan_that_moves_far_from_the_path_may_have_changed_its_motion_during_the_sweep():
+    view, tau, twist = made(1.0, noise=2e-3, scan_count=12)
+    known = scan_motion.deviations(view, tau, SWEEP)
+    near, narrow = np.zeros((12, 2)), np.zeros((12, 2))
+    near[0], narrow[0] = 10 * np.abs(twist[0]).max(), 0.3 * np.abs(twist[0]).max()
+    as_expected, beyond = (
+        scan_motion.most_likely(replace(known, gradient=known.gradient * only_first(12)), wider)[1][0]
+        for wider in (near, narrow)
+    )
+    growth = known.by_motion[0][:, 6:]
+    assert (
+        np.trace(beyond - as_expected) > 0.3 * np.abs(twist[0]).max() ** 2 * np.trace(growth @ growth.T) / 6
+    )
+
+
+def only_first(count):
+    """(1, count, 1): of deviations, those of the first scan."""
+    return (np.arange(count) == 0)[None, :, None]
+
+
 def test_poses_are_as_uncertain_as_the_motion_that_was_taken_out():
     """A scan whose points were moved by a motion that is a little off is turned and shifted by half a sweep of it."""
     seen, errors, promised = [], [], []
