@@ -1,12 +1,14 @@
 """What is taken where an offset of images is measured beside usual answers: pairs that are parabolas of the offset."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 
+from lvba import geometry
 from lvba.sources.importing import decision, image_readings
 
+CAMERA_FROM_LIDAR = geometry.exp(np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6]))
 OFFSETS = {"+0": 0.0, "+0.1": 0.1, "-0.1": -0.1, "+0.05": 0.05, "-0.05": -0.05}
 
 
@@ -24,12 +26,15 @@ class Parabolas:
     flat: float = 1.0
     segments: int = 12
     rough: float = 0.0
+    camera_from_lidar: np.ndarray = field(default_factory=lambda: CAMERA_FROM_LIDAR)
+    read: list[str] = field(default_factory=list)
 
     @property
     def pairs(self):
         return [Pair(number * self.segments // 12) for number in range(12)]
 
     def scores(self, reading):
+        self.read.append(reading.extrinsic)
         normal = np.random.default_rng(0).normal(size=12)
         normal = np.repeat(normal[: self.segments], 12 // self.segments)
         best = self.about + self.spread * (normal - normal.mean()) / normal.std()
@@ -93,3 +98,25 @@ def test_rough_scores_are_looked_at_more_widely():
     assert abs(read.measured) < 3 * read.measured_sigma < 0.012
     assert read.reading.offset == 0.0
     assert not read.warnings
+
+
+HALF_TURN = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Its own inverse, as the identity is."""
+
+
+@pytest.mark.parametrize("same", [np.eye(4), HALF_TURN, HALF_TURN.round(6) + 1e-7 * np.eye(4)])
+def test_an_extrinsic_that_is_its_own_inverse_is_no_question(same):
+    images = Parabolas(0.0, 0.008, camera_from_lidar=same)
+    read = image_readings.find(images, OFFSETS, {}, "here")
+    assert not read.warnings
+    assert read.decisions[0].facts() == {"taken": "camera_from_lidar", "by": "only"}
+    assert set(images.read) == {"camera_from_lidar"}
+    said = image_readings.find(images, OFFSETS, {"extrinsic": "lidar_from_camera"}, "here")
+    assert said.decisions[0].facts() == {"taken": "lidar_from_camera", "by": "option"}
+
+
+def test_an_extrinsic_that_is_not_quite_its_own_inverse_is_a_question():
+    shifted = HALF_TURN.copy()
+    shifted[0, 3] = 1e-3
+    read = image_readings.find(Parabolas(0.0, 0.008, camera_from_lidar=shifted), OFFSETS, {}, "here")
+    assert dict(read.decisions[0].scores).keys() == {"camera_from_lidar", "lidar_from_camera"}

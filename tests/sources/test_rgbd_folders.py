@@ -11,6 +11,7 @@ from lvba.camera import Camera
 from lvba.errors import InputError
 from lvba.sources import folders
 from lvba.sources.folders.depth_scans import DepthCamera
+from lvba.sources.importing.importer import import_source
 from lvba.sources.opening import open_source
 from lvba.sources.source import Kind
 
@@ -51,6 +52,13 @@ def test_tum_numbers_of_frames_are_thirtieths_of_a_second(tmp_path):
     source = folders.find(tmp_path)
     assert [record.stamp for _, record in source.records(["depth"])] == [0, 33333333, 66666666, 100000000]
     assert any("30 frames a second" in note for note in source.describe().notes)
+
+
+def test_registered_depth_leaves_no_question_of_the_extrinsic(tmp_path):
+    writers.tum(tmp_path / "tum")
+    report = import_source(open_source(tmp_path / "tum"), tmp_path / "out")
+    assert report.facts["conventions"]["extrinsic"]["by"] == "only"
+    assert not any(words.startswith("extrinsic") for words in report.warnings)
 
 
 def test_tum_depth_counts_what_the_camera_file_says(tmp_path):

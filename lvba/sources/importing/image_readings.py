@@ -41,6 +41,8 @@ _TOLD_SIGMAS = 3.0
 """A smaller one that is larger than this is told, at least."""
 WARN_SCORE = 0.9
 """Images that agree less than this with each other by the best reading say nothing about it."""
+_SAME = 1e-6
+"""Entries of two transforms that differ by less are one, but for the digits that files print."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +167,7 @@ def find(
     known_by: what says the first offset, beside the data
     Raises InputError: data contradict what an option says.
     """
-    directions = ("camera_from_lidar", "lidar_from_camera")
+    directions = _directions(scorer.camera_from_lidar, said.get("extrinsic", ""))
     every: dict[str, dict[str, object]] = {
         "extrinsic": {name: name for name in directions},
         "image_offset": dict(offsets),
@@ -211,6 +213,13 @@ def find(
         measured_sigma=sigma,
         warnings=tuple(warnings),
     )
+
+
+def _directions(camera_from_lidar: Pose, said: str) -> tuple[str, ...]:
+    """Answers to `extrinsic`: one where both are one transform, as where depth is registered to the image."""
+    if np.allclose(camera_from_lidar, geometry.inverse(camera_from_lidar), rtol=0, atol=_SAME):
+        return (said or "camera_from_lidar",)
+    return ("camera_from_lidar", "lidar_from_camera")
 
 
 def _with_what_is_left(decided: Decision, reading: ImageReading, place: float, sigma: float) -> Decision:
