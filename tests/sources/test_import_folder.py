@@ -251,8 +251,31 @@ def test_scans_outside_of_the_poses_are_counted(tmp_path, source, truth):
     items = tuple(item for item in source.items if item[0] != raw.ODOMETRY or item[1].stamp >= late)
     part: ListSource = replace(source, items=items)
     report = import_source(part, tmp_path / "out")
-    assert "10 scans outside of the poses left out" in report.facts["losses"]
+    assert "10 scans outside of the poses left out, by 0.1 to 1 s" in report.facts["losses"]
     assert len(open_dataset(tmp_path / "out").scan_paths) == 10
+
+
+@pytest.mark.parametrize(("late_s", "count", "loss"), [(1.4e-3, 20, ""), (0.0125, 19, "by 0.0125 s")])
+def test_a_scan_that_ends_a_little_after_the_last_pose_is_kept(tmp_path, source, truth, late_s, count, loss):
+    last = int(truth.scans[-1])
+    kept = [item for item in source.items if item[0] != raw.ODOMETRY or item[1].stamp <= last + 100_000_000]
+    items = tuple(
+        (name, replace(record, times=record.times + late_s * 1e9))
+        if name == raw.LIDAR and record.stamp == last
+        else (name, record)
+        for name, record in kept
+    )
+    report = import_source(replace(source, items=items), tmp_path / "out", ImportOptions(image="none"))
+    assert report.facts["written"]["scans"] == count
+    lost = [words for words in report.facts["losses"] if "of the poses" in words]
+    assert lost == ([f"1 scans outside of the poses left out, {loss}"] if loss else [])
+
+
+def test_scans_in_a_gap_of_the_poses_are_counted(tmp_path, source, truth):
+    first, last = int(truth.scans[5]), int(truth.scans[12])
+    kept = tuple(item for item in source.items if item[0] != raw.ODOMETRY or not first < item[1].stamp < last)
+    report = import_source(replace(source, items=kept), tmp_path / "out", ImportOptions(image="none"))
+    assert "7 scans in gaps of the poses left out" in report.facts["losses"]
 
 
 @pytest.mark.parametrize("text", ["nothing=1", "pose_of=wheel", "time=soon"])

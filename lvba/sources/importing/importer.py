@@ -325,10 +325,7 @@ def _evidence(
             **_of_images(decided),
         },
         "calibration": dict(facts.origins),
-        "losses": [
-            *lost,
-            *(f"{count} {reason} left out" for reason, count in sorted(written.losses.items())),
-        ],
+        "losses": [*lost, *written.sentences()],
         "notes": [*description.notes, *facts.notes],
         "warnings": list(decided.warnings),
     }

@@ -28,8 +28,8 @@ class SmoothTrack(Track):
     turning: Turning | None
 
     def at(self, times: Times) -> np.ndarray:
-        """Poses (Q, 4, 4) at times (Q,) s; the first and last beyond the ends."""
-        inside = np.clip(times, self.times[0], self.times[-1])
+        """Poses (Q, 4, 4) at times (Q,) s; still beyond the ends."""
+        inside = np.clip(times, *self.ends)
         values = self.spline((inside - self.times[0]) / self.step)
         rotation = Rotation.from_quat(values[:, 3:])
         if self.turning is not None:

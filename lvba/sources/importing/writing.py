@@ -32,16 +32,37 @@ GNSS_HEADER = "timestamp,latitude,longitude,altitude,status,covariance_east,cova
 
 @dataclass
 class Written:
-    """What was written: stamps (ns) in order, on the clock of the points; and what was left out, by reason."""
+    """What was written: stamps (ns) in order, on the clock of the points; and what was left out, by reason.
+
+    outside: least and greatest time (s) by which what was left out lies outside of the poses, by reason
+    """
 
     scans: list[int] = field(default_factory=list)
     images: list[int] = field(default_factory=list)
     losses: dict[str, int] = field(default_factory=dict)
+    outside: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def lose(self, reason: str, count: int = 1) -> None:
         """Counts what is left out."""
         if count:
             self.losses[reason] = self.losses.get(reason, 0) + count
+
+    def lose_unposed(self, what: str, outside: float) -> None:
+        """Counts what has no poses around it. outside: s, `Track.outside`; 0: it lies in a gap"""
+        reason = f"{what} outside of the poses" if outside else f"{what} in gaps of the poses"
+        self.lose(reason)
+        if outside:
+            least, most = self.outside.get(reason, (outside, outside))
+            self.outside[reason] = (min(least, outside), max(most, outside))
+
+    def sentences(self) -> list[str]:
+        """What was left out, one sentence each."""
+        lines = []
+        for reason, count in sorted(self.losses.items()):
+            least, most = (f"{value:.3g}" for value in self.outside.get(reason, (0.0, 0.0)))
+            far = least if least == most else f"{least} to {most}"
+            lines.append(f"{count} {reason} left out" + (f", by {far} s" if reason in self.outside else ""))
+        return lines
 
 
 def stamp_text(stamp: int) -> str:
@@ -109,8 +130,9 @@ class Writer:
             return
         stamp = self._seconds(scan.stamp)
         raw = after[kept] if not self.conventions.deskewed else np.zeros(1)
-        if not self.conventions.lidar.covers(stamp + min(raw.min(), 0.0), stamp + max(raw.max(), 0.0)):
-            self.written.lose("scans outside of the poses")
+        first, last = stamp + min(raw.min(), 0.0), stamp + max(raw.max(), 0.0)
+        if not self.conventions.lidar.covers(first, last):
+            self.written.lose_unposed("scans", self.conventions.lidar.outside(first, last))
             return
         self.written.scans.append(scan.stamp)
         path = self.out / folder.SCANS / f"{stamp_text(scan.stamp)}.pcd"
@@ -135,7 +157,7 @@ class Writer:
         stamp = image.stamp + round(self.conventions.image_offset * 1e9)
         seconds = self._seconds(stamp)
         if not self.conventions.lidar.covers(seconds, seconds):
-            self.written.lose("images outside of the poses")
+            self.written.lose_unposed("images", self.conventions.lidar.outside(seconds, seconds))
             return
         self.written.images.append(stamp)
         suffix = ".png" if image.encoded is None else image.suffix
