@@ -9,6 +9,7 @@ from lvba.errors import InputError
 from lvba.sources import folders
 from lvba.sources.folders.velodyne_sweeps import azimuth_times
 from lvba.sources.opening import open_source
+from lvba.sources.source import Kind
 
 
 def check(source, images, poses, sweep_half_ns, world_from_given=None):
@@ -53,6 +54,19 @@ def test_kitti_360_drive(tmp_path, poses):
     root = kitti360(tmp_path, poses)
     for path in (root, root / "data_3d_raw", root / "data_3d_raw" / DRIVE_360):
         check(open_source(path), "image_00", "poses", 50_000_000)
+
+
+@pytest.mark.parametrize(
+    ("ending", "label"), [(".png", "PNG files, rectified"), (".jpg", "JPEG files, rectified")]
+)
+def test_images_are_called_what_their_files_are(tmp_path, ending, label):
+    drive, _ = kitti_raw(tmp_path / "raw")
+    root = kitti360(tmp_path / "360", "poses.txt")
+    for folder, images in ((drive, drive / "image_02/data"), (root, root / "data_2d_raw")):
+        for file in sorted(images.rglob("*.png")):
+            file.rename(file.with_suffix(ending))
+        streams = open_source(folder).describe().streams
+        assert [stream.message_type for stream in streams if stream.kind is Kind.IMAGES] == [label]
 
 
 def test_sweeps_are_clockwise_from_behind():

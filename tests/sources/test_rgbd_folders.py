@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import cv2
 import known_view as view
 import numpy as np
 import pytest
@@ -39,6 +40,32 @@ def test_points_and_pixels_are_where_the_wall_and_the_mark_are(tmp_path, name):
     assert described[scans].kind is Kind.SCANS
     assert described[scans].count == 4
     assert source.describe().size > 1000
+
+
+LABELS = [
+    (writers.tum, "rgb/?.png", "rgb", {".jpg": "JPEG files", ".png": "PNG files"}),
+    (writers.scannet, "color/*.jpg", "color", {".png": "PNG files", ".jpeg": "JPEG files"}),
+    (writers.seven_scenes, "*.color.png", "color", {".jpg": "JPEG files", ".png": "PNG files"}),
+    (writers.replica, "results/frame*.jpg", "images", {".png": "PNG files", ".jpg": "JPEG files"}),
+    (writers.record3d, "rgbd/*.jpg", "images", {".png": "PNG files", ".jpg": "JPEG files"}),
+]
+
+
+@pytest.mark.parametrize(("write", "images", "stream", "labels"), LABELS)
+def test_images_are_called_what_their_files_are(tmp_path, write, images, stream, labels):
+    for ending, label in labels.items():
+        folder = tmp_path / ending
+        folder.mkdir()
+        write(folder)
+        for file in sorted(folder.glob(images)):
+            writers.png(file.with_suffix(ending), cv2.imread(str(file)))
+            if file.suffix != ending:
+                file.unlink()
+        if (folder / "rgb.txt").exists():
+            names = (folder / "rgb.txt").read_text().replace(".png", ending)
+            (folder / "rgb.txt").write_text(names)
+        described = {each.name: each for each in open_source(folder).describe().streams}
+        assert described[stream].message_type == label
 
 
 def test_tum_times_keep_all_digits(tmp_path):

@@ -120,6 +120,12 @@ def image_item(stream: str, path: Path, stamp: int, frame: str = IMAGE_FRAME) ->
     return Item(stamp, stream, lambda: _image(path, stamp, frame), str(path))
 
 
+def image_files(paths: Iterable[Path]) -> str:
+    """What images are in, by the endings of their names: "JPEG files", "JPEG and PNG files"."""
+    endings = {path.suffix[1:].upper().replace("JPG", "JPEG") or "image" for path in paths}
+    return f"{' and '.join(sorted(endings))} files"
+
+
 def _image(path: Path, stamp: int, frame: str) -> RawImage:
     content = files.read_bytes(path)
     image_header.size(path, content[: image_header.START_BYTES])

@@ -22,7 +22,7 @@ from lvba.camera import Camera
 from lvba.errors import InputError
 from lvba.io import files
 from lvba.sources.folders import tables, velodyne_sweeps
-from lvba.sources.folders.depth_scans import image_item, size_of_first
+from lvba.sources.folders.depth_scans import image_files, image_item, size_of_first
 from lvba.sources.folders.items import FolderSource, Item, StreamKind, at_hand, files_of_times
 from lvba.sources.folders.kitti_raw import rectified
 from lvba.sources.source import Kind, KnownGeometry, PoseSample
@@ -64,7 +64,8 @@ def open_folder(path: Path) -> FolderSource:
     if os.path.isdir(image_folder / "data_rect"):
         pictures = _images(image_folder)
         items += pictures
-        streams.append(StreamKind(_IMAGES, Kind.IMAGES, "PNG files, rectified"))
+        kind = image_files(Path(picture.path) for picture in pictures)
+        streams.append(StreamKind(_IMAGES, Kind.IMAGES, f"{kind}, rectified"))
         perspective = calibration / "perspective.txt"
         rows = tables.need_rows(perspective, {"P_rect_00": 12, "R_rect_00": 9})
         camera, camera_from_lidar = rectified(

@@ -23,7 +23,7 @@ from lvba.errors import InputError
 from lvba.io import files
 from lvba.io.image_header import ImageSize
 from lvba.sources.folders import oxts, tables, velodyne_sweeps
-from lvba.sources.folders.depth_scans import image_item, size_of_first
+from lvba.sources.folders.depth_scans import image_files, image_item, size_of_first
 from lvba.sources.folders.items import FolderSource, Item, StreamKind, at_hand, files_of_times
 from lvba.sources.source import Kind, KnownGeometry, PoseSample
 
@@ -72,7 +72,8 @@ def open_folder(path: Path) -> FolderSource:
         name = present[0]
         pictures = _images(path / name)
         items += pictures
-        streams.append(StreamKind(name, Kind.IMAGES, "PNG files, rectified"))
+        kind = image_files(Path(picture.path) for picture in pictures)
+        streams.append(StreamKind(name, Kind.IMAGES, f"{kind}, rectified"))
         camera, camera_from_lidar = _camera(
             calibration, name, size_of_first(Path(picture.path) for picture in pictures)
         )

@@ -23,7 +23,7 @@ from lvba.io import files, json_files
 from lvba.io.camera_keys import as_float
 from lvba.io.image_header import ImageSize
 from lvba.sources.folders import tables
-from lvba.sources.folders.depth_scans import FRAME, DepthCamera, image_item
+from lvba.sources.folders.depth_scans import FRAME, DepthCamera, image_files, image_item
 from lvba.sources.folders.items import XYZ, FolderSource, Item, StreamKind, at_hand, numbered
 from lvba.sources.source import Kind, KnownGeometry, PoseSample, RawScan
 
@@ -68,7 +68,7 @@ def open_folder(path: Path) -> FolderSource:
             load = partial(_scan, depth_camera, depths[number], depth_size, stamps[number])
             items.append(Item(stamps[number], "depth", load, str(depths[number])))
     streams = [
-        StreamKind("images", Kind.IMAGES, "JPEG files"),
+        StreamKind("images", Kind.IMAGES, image_files(images.values())),
         StreamKind("depth", Kind.SCANS, "depth, float32, m", XYZ),
         StreamKind("poses", Kind.POSES, "metadata"),
     ]

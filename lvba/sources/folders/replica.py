@@ -19,7 +19,7 @@ from lvba.errors import InputError
 from lvba.io import json_files
 from lvba.io.camera_keys import as_float
 from lvba.sources.folders import tables
-from lvba.sources.folders.depth_scans import FRAME, NO_TIMES, PERIOD_NS, DepthCamera, image_item
+from lvba.sources.folders.depth_scans import FRAME, NO_TIMES, PERIOD_NS, DepthCamera, image_files, image_item
 from lvba.sources.folders.items import XYZ, FolderSource, Item, StreamKind, at_hand, numbered
 from lvba.sources.source import Kind, KnownGeometry, PoseSample
 
@@ -53,7 +53,7 @@ def open_folder(path: Path) -> FolderSource:
         stamp = number * PERIOD_NS
         items.append(at_hand(stamp, "poses", PoseSample(stamp, "world", FRAME, pose)))
     streams = [
-        StreamKind("images", Kind.IMAGES, "JPEG files"),
+        StreamKind("images", Kind.IMAGES, image_files(colors.values())),
         StreamKind("depth", Kind.SCANS, f"depth images, {scale:g} a meter", XYZ),
         StreamKind("poses", Kind.POSES, "4x4 matrices"),
     ]

@@ -22,6 +22,7 @@ from lvba.sources.folders.depth_scans import (
     NO_TIMES,
     PERIOD_NS,
     DepthCamera,
+    image_files,
     image_item,
     pose_items,
     size_of_first,
@@ -59,7 +60,7 @@ def open_folder(path: Path) -> FolderSource:
     items += poses
     notes = [NO_TIMES, *depth_camera.notes, *lost]
     streams = [
-        StreamKind("color", Kind.IMAGES, "JPEG files"),
+        StreamKind("color", Kind.IMAGES, image_files(colors.values())),
         StreamKind("depth", Kind.SCANS, "depth images, mm", XYZ),
         StreamKind("pose", Kind.POSES, "4x4 matrices"),
     ]

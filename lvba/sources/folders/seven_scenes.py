@@ -27,6 +27,7 @@ from lvba.sources.folders.depth_scans import (
     NO_TIMES,
     PERIOD_NS,
     DepthCamera,
+    image_files,
     image_item,
     pose_items,
     size_of_first,
@@ -70,7 +71,7 @@ def open_folder(path: Path) -> FolderSource:
     items += poses
     notes = [NO_TIMES, *origin, *depth_camera.notes, *lost]
     streams = [
-        StreamKind("color", Kind.IMAGES, "image files"),
+        StreamKind("color", Kind.IMAGES, image_files(colors.values())),
         StreamKind("depth", Kind.SCANS, "depth images, mm", XYZ),
     ]
     if poses:

@@ -21,7 +21,7 @@ from lvba.errors import InputError
 from lvba.io import tum, yaml_files
 from lvba.sources import calibrations
 from lvba.sources.folders import tables
-from lvba.sources.folders.depth_scans import FRAME, DepthCamera, image_item, size_of_first
+from lvba.sources.folders.depth_scans import FRAME, DepthCamera, image_files, image_item, size_of_first
 from lvba.sources.folders.items import XYZ, FolderSource, Item, StreamKind, at_hand
 from lvba.sources.source import Kind, KnownGeometry, PoseSample
 
@@ -72,7 +72,7 @@ def open_folder(path: Path) -> FolderSource:
         sample = PoseSample(stamp=when, parent="world", child=FRAME, parent_from_child=pose)
         items.append(at_hand(when, "groundtruth", sample))
     streams = [
-        StreamKind("rgb", Kind.IMAGES, "PNG files"),
+        StreamKind("rgb", Kind.IMAGES, image_files(file for _, file in colors)),
         StreamKind("depth", Kind.SCANS, f"depth images, {units:g} a meter", XYZ),
     ]
     if poses:
