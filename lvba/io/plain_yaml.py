@@ -1,5 +1,6 @@
 """YAML text as plain values: no code, no expansion, no surprise in size."""
 
+import re
 from typing import Any
 
 import yaml
@@ -26,14 +27,19 @@ def _opencv_matrix(loader: yaml.SafeLoader, node: yaml.Node) -> Any:
 _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)
 
 
+_OPENCV_HEADER = "%YAML:"
+_CLOSE = re.compile(r"^([ \t]*[A-Za-z_][\w.]*):(?=[-+.\d\"])", re.MULTILINE)
+"""A name and its value without a space in between, which OpenCV reads and YAML does not (`Viewer.PointSize:2`)."""
+
+
 def load(text: str, where: object, mend: str = "correct the YAML") -> Any:
     """The value that the text holds; OpenCV's header (%YAML:1.0) and matrices are understood.
 
     where, mend: for the error
     Raises: InputError if it is no YAML, nested too deep or uses aliases.
     """
-    if text.startswith("%YAML:"):  # OpenCV's own spelling; '#' keeps the line numbers
-        text = "#" + text
+    if text.startswith(_OPENCV_HEADER):  # OpenCV's own spelling; '#' keeps the line numbers
+        text = "#" + _CLOSE.sub(r"\1: ", text)
     try:
         return yaml.load(text, _Loader)
     except yaml.MarkedYAMLError as error:

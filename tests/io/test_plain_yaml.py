@@ -11,6 +11,18 @@ def test_plain_values_and_what_opencv_writes():
     assert plain_yaml.load(text, "f") == {"a": [1, 2.5, "x", None], "m": {"rows": 1, "data": [3]}}
 
 
+def test_opencv_needs_no_space_behind_a_name():
+    text = 'Viewer.PointSize:2\na:-1.5\nb:"x:1"\nc: d:3\n'
+    assert plain_yaml.load("%YAML:1.0\n" + text, "f") == {
+        "Viewer.PointSize": 2,
+        "a": -1.5,
+        "b": "x:1",
+        "c": "d:3",
+    }
+    with pytest.raises(InputError, match=r"f:\d: not YAML"):
+        plain_yaml.load(text, "f")
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

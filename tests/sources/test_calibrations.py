@@ -28,9 +28,10 @@ POINTS = np.random.default_rng(3).uniform([-2, -1.5, 2], [2, 1.5, 8], (200, 3))
 RADIAL = (-0.108, 0.105, -1.2872e-4, 5.7923e-5)
 RADIAL_5 = (*RADIAL, -0.0222)
 FISHEYE = (-0.0370, -0.0089, 0.0089, -0.0038)
+ORB = "Camera.fx: 500\nCamera.fy: 500\nCamera.cx: 320\nCamera.cy: 240\n"
 ALL = (
     *(writers.fast_livo, writers.r3live, writers.kalibr, writers.openvins, writers.m2mapping),
-    *(writers.spires, writers.dvlc, writers.opencv, writers.colmap),
+    *(writers.spires, writers.dvlc, writers.opencv, writers.colmap, writers.orb_slam, writers.orb_slam2),
 )
 ONLY_CAMERA = (writers.opencv, writers.colmap)
 CASES = [
@@ -90,6 +91,38 @@ def test_extrinsics_have_the_direction_of_their_format(tmp_path, writer):
     np.testing.assert_allclose(
         rig.body_from_camera, BODY_FROM_LIDAR @ geometry.inverse(CAMERA_FROM_LIDAR), rtol=0, atol=1e-9
     )
+
+
+def test_orb_slam_need_not_say_the_size_of_its_images(tmp_path):
+    path = writers.orb_slam2(tmp_path, RADIAL_5, False, CAMERA_FROM_LIDAR, BODY_FROM_LIDAR)
+    rig = calibrations.read([path])
+    assert (rig.camera.width, rig.camera.height) == (0, 0)
+    with pytest.raises(InputError, match=r"orb_slam2\.yaml: the principal point .* is not near the middle"):
+        rig.camera_for(ImageSize(640, 480))
+
+
+def test_the_second_camera_of_orb_slam_is_beside_the_first(tmp_path):
+    path = writers.orb_slam(tmp_path, FISHEYE, True, CAMERA_FROM_LIDAR, BODY_FROM_LIDAR)
+    first_from_second = geometry.exp(np.array([0.01, 0.02, -0.01, 0.11, 0.0, 0.0]))
+    one = path.read_text()
+    second = "".join(
+        f"{line}\n".replace("Camera1", "Camera2") for line in one.split("\n") if "Camera1." in line
+    )
+    path.write_text(f"{one}{second}Stereo.T_c1_c2: {writers.opencv_matrix(first_from_second, '   ')}\n")
+    with pytest.raises(InputError, match="has 2 cameras: Camera1, Camera2"):
+        calibrations.read([path])
+    body_from_first = BODY_FROM_LIDAR @ geometry.inverse(CAMERA_FROM_LIDAR)
+    for name, expected in (("Camera1", body_from_first), ("Camera2", body_from_first @ first_from_second)):
+        np.testing.assert_allclose(
+            calibrations.read([path], name).body_from_camera, expected, rtol=0, atol=1e-9
+        )
+
+
+def test_rectification_of_orb_slam_is_a_note(tmp_path):
+    path = writers.orb_slam2(tmp_path, RADIAL, False, CAMERA_FROM_LIDAR, BODY_FROM_LIDAR)
+    path.write_text(f"{path.read_text()}LEFT.K: {writers.opencv_matrix(np.eye(3), '   ')}\n")
+    [note] = calibrations.read([path]).notes
+    assert "rectifies by LEFT.K" in note
 
 
 @pytest.mark.parametrize(
@@ -314,6 +347,13 @@ def test_what_is_wrong_in_a_file_of_kalibr_is_said_in_one_line(tmp_path, change,
             "length 2 instead of 1",
         ),
         ("a.yaml", "gyroscope_noise_density: 0.1\n", "neither a camera nor an extrinsic"),
+        ("a.yaml", "Camera.fx: 500\nCamera.fy: 500\nCamera.cx: 320\n", "Camera.cy is missing"),
+        ("a.yaml", f"{ORB}Camera.width: 640\n", "Camera.height is missing"),
+        ("a.yaml", f"{ORB}Camera.width: wide\nCamera.height: 480\n", "Camera.width is not 1 finite numbers"),
+        ("a.yaml", f"{ORB}Camera.k4: 0.1\n", "Camera.k4 is none of a PinHole camera"),
+        ("a.yaml", f"{ORB}Camera.type: KannalaBrandt8\nCamera.p1: 0.1\n", "Camera.p1 is none of a Kannala"),
+        ("a.yaml", f"{ORB}Camera.type: Omni\n", "the camera model 'Omni' .*cannot be used"),
+        ("a.yaml", f"{ORB}Tbc: [1, 2]\n", "Tbc is not 16 or 12 finite numbers"),
         ("a.yaml", "- 1\n", "holds no names"),
         ("a.toml", "", "no calibration file of a known kind"),
         ("a.yaml", "camera: {model: 2}\nextrinsic: {T_C_L: [1]}\n", "write 0 \\(pinhole\\) or 1"),

@@ -10,9 +10,11 @@ import rgbd_writers as writers
 
 from lvba.camera import Camera
 from lvba.errors import InputError
+from lvba.io.dataset import open_dataset
 from lvba.sources import folders
 from lvba.sources.folders.depth_scans import DepthCamera
 from lvba.sources.importing.importer import import_source
+from lvba.sources.importing.options import ImportOptions
 from lvba.sources.opening import open_source
 from lvba.sources.source import Kind
 
@@ -96,6 +98,32 @@ def test_tum_depth_counts_what_the_camera_file_says(tmp_path):
     writers.tum(tmp_path, factor={"DepthMapFactor": "many"})
     with pytest.raises(InputError, match=r"camera\.yaml: DepthMapFactor is 'many'"):
         open_source(tmp_path)
+
+
+@pytest.mark.parametrize(("version", "factor"), [(0, "DepthMapFactor"), (1, "RGBD.DepthMapFactor")])
+def test_settings_of_orb_slam_are_a_camera_file_of_the_tum_layout(tmp_path, version, factor):
+    writers.tum(tmp_path, units=1000)
+    name = "Camera1" if version else "Camera"
+    lines = ["%YAML:1.0", 'Camera.type: "PinHole"', f"{factor}: 1000.0", "Viewer.PointSize:2"]
+    values = (*writers.FOCAL, *writers.CENTER)
+    lines += [f"{name}.{key}: {value}" for key, value in zip(("fx", "fy", "cx", "cy"), values, strict=True)]
+    (tmp_path / "camera.yaml").write_text("\n".join(lines))
+    source = open_source(tmp_path)
+    view.check(source, "depth", "rgb", "groundtruth", 1e-3, 0.2)
+    assert any(f"1000 a meter, by {factor}" in note for note in source.describe().notes)
+
+
+def test_settings_of_orb_slam_are_a_calibration_to_import_with(tmp_path):
+    """The size of the images is in no such file."""
+    writers.tum(tmp_path / "tum")
+    (tmp_path / "orb.yaml").write_text(
+        "%YAML:1.0\nCamera.fx: 60.5\nCamera.fy: 61.5\nCamera.cx: 31.5\nCamera.cy: 24.0\nCamera.k1: 0.01\n"
+    )
+    options = ImportOptions(calibration=(str(tmp_path / "orb.yaml"),))
+    import_source(open_source(tmp_path / "tum"), tmp_path / "out", options)
+    camera = open_dataset(tmp_path / "out").camera
+    assert (camera.width, camera.height, camera.fx, camera.cy) == (*writers.SIZE, 60.5, 24.0)
+    assert camera.distortion[0] == 0.01
 
 
 def test_benchmark_sequences_have_their_cameras_by_name(tmp_path):

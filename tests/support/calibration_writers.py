@@ -158,3 +158,23 @@ def colmap(path, coefficients, fisheye, camera_from_lidar, body_from_lidar):
     padded = (*coefficients, *(0.0,) * (8 - len(coefficients))) if model == "FULL_OPENCV" else coefficients
     numbers = " ".join(repr(float(value)) for value in (fx, fy, cx + 0.5, cy + 0.5, *padded))
     return write(path / "cameras.txt", f"# CAMERA_ID, MODEL, ...\n1 {model} {WIDTH} {HEIGHT} {numbers}\n")
+
+
+def orb_slam(path, coefficients, fisheye, camera_from_lidar, body_from_lidar, version=1):
+    """Of ORB-SLAM3, version 1.0; 0: as ORB-SLAM2 and older ones of ORB-SLAM3, which need not say the size."""
+    name, body_from_camera = ("Camera1", "IMU.T_b_c1") if version else ("Camera", "Tbc")
+    kinds = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
+    lines = ["%YAML:1.0", "", "#-----", "# Camera", "#-----"]
+    lines += ['File.version: "1.0"'] if version else []
+    lines += [f'Camera.type: "{"KannalaBrandt8" if fisheye else "PinHole"}"'] if fisheye or version else []
+    lines += [f"{name}.{key}: {value!r}" for key, value in zip(("fx", "fy", "cx", "cy"), FOCAL, strict=True)]
+    lines += [f"{name}.{key}: {value!r}" for key, value in zip(kinds, coefficients, strict=False)]
+    lines += [f"Camera.width: {WIDTH}", f"Camera.height: {HEIGHT}"] if version else []
+    lines += ["Camera.fps: 30.0", "Camera.RGB: 1", "Viewer.PointSize:2", "Viewer.ViewpointY: -0.7"]
+    transform = body_from_lidar @ geometry.inverse(camera_from_lidar)
+    lines += [f"{body_from_camera}: {opencv_matrix(transform, '   ')}"]
+    return write(path / ("orb_slam3.yaml" if version else "orb_slam2.yaml"), "\n".join(lines) + "\n")
+
+
+def orb_slam2(path, coefficients, fisheye, camera_from_lidar, body_from_lidar):
+    return orb_slam(path, coefficients, fisheye, camera_from_lidar, body_from_lidar, version=0)

@@ -22,6 +22,7 @@ from lvba.sources.calibrations import (
     dvlc,
     kalibr,
     lists_of_cameras,
+    orb_slam,
     single_files,
 )
 from lvba.sources.calibrations.rig import FileCalibration, RigCalibration
@@ -79,6 +80,8 @@ def _of_yaml(path: Path, document: dict[str, Any]) -> tuple[FileCalibration, ...
         return lists_of_cameras.read_spires(path, document)
     if kalibr.is_one(document):
         return kalibr.read(path, document)
+    if orb_slam.is_one(document):
+        return orb_slam.read(path, document)
     if single_files.is_result(document):
         return (single_files.read_result(path, document),)
     if single_files.is_m2mapping(document):
