@@ -1,10 +1,11 @@
 """Which reader a bag or folder of another program gets."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
 from lvba.errors import InputError
-from lvba.sources import folders
+from lvba.sources import contents, folders
 from lvba.sources.bags.bag_source import open_bag
 from lvba.sources.source import Source
 
@@ -27,6 +28,11 @@ def open_source(path: Path) -> Source:
     """
     if (source := find_source(path)) is not None:
         return source
-    raise InputError(
-        path, "is neither a bag nor a folder of a kind that is known", "docs/sources.md lists what is read"
+    problem, mend = (
+        "is neither a bag nor a folder of a kind that is known",
+        "docs/sources.md lists what is read",
     )
+    if os.path.isdir(path):
+        seen = contents.look(path)
+        problem, mend = f"{problem}: it holds {seen.holds()}", seen.hint() or mend
+    raise InputError(path, problem, mend)

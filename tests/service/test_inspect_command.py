@@ -57,6 +57,15 @@ def test_what_is_none_is_one_line(lvba, tmp_path):
     assert_one_line(lvba("inspect", tmp_path / "b.bag", code=2), "b.bag", "its first record is damaged")
 
 
+@pytest.mark.parametrize("command", [["inspect"], ["import", "--out", "out"]])
+def test_a_folder_above_a_source_is_one_line_that_names_it(lvba, tmp_path, command):
+    (tmp_path / "walk").mkdir()
+    for name in ("rgb.txt", "depth.txt", "1.pkl"):
+        (tmp_path / "walk" / name).write_text("")
+    done = lvba(command[0], tmp_path, *command[1:], code=2)
+    assert_one_line(done, "it holds 2 .txt and 1 .pkl files", f"did you mean {tmp_path / 'walk'}?")
+
+
 def test_names_of_topics_do_not_rule_the_terminal(lvba, tmp_path):
     items = [(f"/{name[1:]}\x1b[31m\n", record) for name, record in everything()]
     write_bag(source_of(items), tmp_path / "b.bag", BagForm.ROS1)
