@@ -35,7 +35,8 @@ _SAME_M, _SAME_DEG = 0.1, 1.0
 """Motions that differ by less are the same: two thin scans do not tell it better."""
 BESIDE = 4
 """Scans on either side of a motion that are asked where two do not tell."""
-ASKED = ((1, _SAME_M, _SAME_DEG), (BESIDE, _SAME_M, _SAME_DEG), (2 * BESIDE, 0.02, 0.3))
+MANY = 2 * BESIDE
+ASKED = ((1, _SAME_M, _SAME_DEG), (BESIDE, _SAME_M, _SAME_DEG), (MANY, 0.02, 0.3))
 """So many on either side are asked whether they confirm a motion that differs from theirs by so much at most. Many
 determine one nearly always, also where poses are wrong: right motions are within 4 mm of theirs, wrong ones were
 3 to 9 cm away."""
@@ -60,12 +61,16 @@ def contradicted(patches: Sequence[Patch | None], world_from_scan: Poses) -> np.
 
 
 def confirmed(
-    patches: Sequence[Patch | None], world_from_scan: Poses, after: np.ndarray, expected: Poses
+    patches: Sequence[Patch | None],
+    world_from_scan: Poses,
+    after: np.ndarray,
+    expected: Poses,
+    most: int = MANY,
 ) -> np.ndarray:
     """(K,) int64, ascending: of some scans, those whose motion to the next one surfaces confirm.
 
     patches: of `surfels_of`; world_from_scan: (S, 4, 4); after: (J,) int64, the scans
-    expected: (S - 1, 4, 4), motions as those before and after let expect
+    expected: (S - 1, 4, 4), motions as those before and after let expect; most: scans on either side that are asked
     Surfaces confirm a motion if they determine it in all directions, agree with it, and do not agree as well with
     another one that is nearer to what is expected: those of both scans, of some on both sides where these are few, or of
     many.
@@ -74,7 +79,7 @@ def confirmed(
     for k in np.unique(after):
         motion = geometry.inverse(world_from_scan[k]) @ world_from_scan[k + 1]
         for scans, *near in ASKED:
-            pair = beside(patches, world_from_scan, k, scans)
+            pair = beside(patches, world_from_scan, k, scans) if scans <= most else None
             if pair is not None and _agreed(*pair, motion, expected[k], *near):
                 sure.append(int(k))
                 break

@@ -98,11 +98,14 @@ class StartPoses:
         patches: of `surfels_of`; rough, refined: (S, 4, 4)
         A motion that the scan alone left open is not, where surfaces of scans on both sides confirm that of the result.
         """
-        expected = geometry.steps(rough)
-        confirmed = rough_motions.confirmed(patches, refined, self.error.open_after, expected)
+        expected, is_open = geometry.steps(rough), self.error.open_after
+        jumps = np.intersect1d(is_open, self.error.wrong_after)
+        # a jump is as many scans on both sides have it: these are no second witness
+        sure = rough_motions.confirmed(patches, refined, jumps, expected, rough_motions.BESIDE)
+        others = rough_motions.confirmed(patches, refined, np.setdiff1d(is_open, jumps), expected)
         return replace(
             self.error,
-            open_after=np.setdiff1d(self.error.open_after, confirmed),
+            open_after=np.setdiff1d(is_open, np.concatenate([sure, others])),
             left_after=rough_motions.contradicted(patches, refined),
         )
 
@@ -186,16 +189,25 @@ class _Chain:
 
     def closed(self, patches: Sequence[Patch | None], k: int) -> "_Chain":
         """The chain with step k as the scans on both sides of it have it together, where these determine it in all
-        directions: one scan may slide along the surfaces of those before it."""
-        pair = rough_motions.beside(patches, self.world_from_scan, k, rough_motions.BESIDE)
-        if pair is None:
-            return self
+        directions: one scan may slide along the surfaces of those before it.
+
+        Where only many do, they may be wrong: the step is as they have it, and counts as open.
+        """
         motion = geometry.steps(self.world_from_scan[k : k + 2])[0]
-        step = scan_steps.register(Target.of(pair[0]), pair[1], motion)
-        own = self.steps[k]
-        known = own is not None and not own.open and not rough_motions.apart(motion, step.first_from_second)
-        if not step.aligned or step.open or known:
-            return self
+        for scans in (rough_motions.BESIDE, rough_motions.MANY):
+            pair = rough_motions.beside(patches, self.world_from_scan, k, scans)
+            if pair is None:
+                continue
+            step = scan_steps.register(Target.of(pair[0]), pair[1], motion)
+            own = self.steps[k]
+            if own is not None and not own.open and not rough_motions.apart(motion, step.first_from_second):
+                return self
+            if step.aligned and not step.open:
+                return self._with(k, step if scans == rough_motions.BESIDE else replace(step, open=1))
+        return self
+
+    def _with(self, k: int, step: Step) -> "_Chain":
+        """The chain with another step k."""
         poses, steps, information = self.world_from_scan.copy(), list(self.steps), self.information.copy()
         poses[k + 1 :] = poses[k] @ step.first_from_second @ geometry.inverse(poses[k + 1]) @ poses[k + 1 :]
         steps[k], information[k] = step, JUMP + step.information

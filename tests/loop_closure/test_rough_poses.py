@@ -125,6 +125,46 @@ def test_what_few_points_leave_open_at_a_jump_is_named(courtyard, points, left_o
         assert np.linalg.norm(off[:3, 3]) < 0.005
 
 
+@pytest.mark.parametrize(
+    ("few_tell", "many_tell", "still_open"), [(True, True, 0), (False, True, 1), (False, False, None)]
+)
+def test_a_jump_is_as_many_scans_on_both_sides_have_it_and_counts_as_open(
+    few_tell, many_tell, still_open, monkeypatch
+):
+    """Where few leave it open. Many may be wrong, so nobody is promised that they are not."""
+    right = jumped(np.tile(np.eye(4), (2, 1, 1)), 0, [0, 0, 0, 1.0, 0, 0])[1]
+    tells = {rough_motions.BESIDE: few_tell, rough_motions.MANY: many_tell}
+
+    def register(scans, second, rough):
+        return scan_steps.Step(right, np.eye(6), overlap=0.8, agreeing=1.0, open=0 if tells[scans] else 1)
+
+    monkeypatch.setattr(rough_motions, "beside", lambda patches, poses, k, scans: (scans, scans))
+    monkeypatch.setattr(rough_poses.Target, "of", lambda scans: scans)
+    monkeypatch.setattr(scan_steps, "register", register)
+    chain = rough_poses._Chain(np.tile(np.eye(4), (4, 1, 1)), [None] * 3, np.zeros((3, 6, 6))).closed([], 1)
+    if still_open is None:
+        assert chain.steps[1] is None
+        return
+    assert chain.steps[1].open == still_open
+    np.testing.assert_allclose(chain.world_from_scan, [np.eye(4), np.eye(4), right, right])
+
+
+def test_what_many_scans_say_of_a_jump_is_no_witness_of_it(courtyard):
+    _, truth, rough, surfels = courtyard
+    nothing = np.zeros(0, np.int64)
+    asked = []
+
+    def confirmed(patches, poses, after, expected, most=rough_motions.MANY):
+        asked.append((after.tolist(), most))
+        return nothing
+
+    start = rough_poses.StartPoses(truth, RoughError(0.02, 0.2, np.array([8]), np.array([8, 11]), nothing))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rough_motions, "confirmed", confirmed)
+        start.judged(surfels, rough, truth)
+    assert asked == [([8], rough_motions.BESIDE), ([11], rough_motions.MANY)]
+
+
 def test_a_step_left_wrong_is_named(courtyard):
     _, truth, _, surfels = courtyard
     nothing = np.zeros(0, np.int64)
