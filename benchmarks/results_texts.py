@@ -12,12 +12,15 @@ the first rows compile, too); for what a run takes by itself see [benchmarks.md]
 Which version the tables are of:
 
 - **Real recordings:** this one but for the motion during the first and the last scan, which it knows by the path alone
-  where theirs is beyond what the path allows other scans. Map entropy is that of surfaces; the other tables count stray
+  where theirs is beyond what the path allows other scans. Map entropy is that of surfaces; older tables count stray
   points, too, by which it is some hundredths of a nat higher.
+- **Severely disturbed rooms of seed 821; severely disturbed courtyards of this seed with rain, people, mirrors, jumps,
+  rough drift, gaps, foliage, noise of ranges, wrong clocks, motion left in scans, or another extrinsic, focal length,
+  principal point or k1; seed 822 with motion left:** this one. What follows is of the others.
 - **Of the severely disturbed scenes of seeds 821 and 822 those with errors by incidence or elevation, or no
   disturbance:** one before, by which maps are judged with stray points.
-- **Of the disturbed scenes of these seeds those with rain or people, and mirrors in the rooms of seed 821:** one before
-  that, whose promises of what errors of ranges make of poses have the common scale in them and do not grow with the path.
+- **Of the disturbed scenes of these seeds those with rain or people:** one before that, whose promises of what errors of
+  ranges make of poses have the common scale in them and do not grow with the path.
 - **Of the other ones of these with rows of depth images or rough drift, and of the courtyard of
   seed 822 those with errors by place in depth images, foliage, mirrors, other times of stamps, gaps or jumps:** one
   before that, in which a point that is alone before all around it hides what is behind it, and each step of a depth
