@@ -3,6 +3,11 @@
 from collections.abc import Sequence
 
 
+def joined(words: Sequence[str], last: str = "and") -> str:
+    """The words with commas, and a word before the last one."""
+    return f" {last} ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
+
+
 def first_of(words: Sequence[str], most: int) -> str:
     """The words with commas; of more than `most` of them the first ones, and how many more there are."""
     shown = ", ".join(words[:most])

@@ -230,22 +230,22 @@ class _Measurement:
             scale = view.thickness if scale is None else scale
             if not (away := view.away(scale)) < _AS_NEAR * least:
                 break
-            least, used, before = min(away, least), (deviation, covariance), deviation
+            least, used = min(away, least), (deviation, covariance)
             seen = scan_motion.deviations(view, solved.tau, sweep).beside(deviation)
             deviation, covariance = scan_motion.most_likely(seen, wider)
             if (path_motion.sizes(deviation[inner]) > most).any():
                 deviation[inner], covariance[inner] = used[0][inner], used[1][inner]
-            if np.abs(deviation - before).max() < _SAME:
+            if np.abs(deviation - used[0]).max() < _SAME:
                 break
         return used
 
     def _most(self, window: Window) -> np.ndarray:
         """(4,) rad/s, m/s, and what these grow by over a sweep: sizes that deviations of a window's scans may have."""
-        times, both = (
-            self.dataset.scans.times[window.numbers],
-            (window.rough(self.dataset), self._latest(window)),
-        )
-        sizes = [path_motion.unpredicted(times, each, self.clock) for each in both]
+        times = self.dataset.scans.times[window.numbers]
+        sizes = [
+            path_motion.unpredicted(times, poses, self.clock)
+            for poses in (window.rough(self.dataset), self._latest(window))
+        ]
         return np.asarray(_PLAUSIBLE * np.min(sizes, axis=0))
 
     def _latest(self, window: Window) -> Poses:

@@ -7,6 +7,8 @@ from lvba.io import files
 
 ROS1, ROS2, MCAP = "ROS 1 bag", "ROS 2 bag", "MCAP file"
 _SUFFIXES = {".bag": ROS1, ".bag.active": ROS1, ".mcap": MCAP, ".mcap.active": MCAP, ".db3": ROS2}
+METADATA = "metadata.yaml"
+"""Of the folder of a ROS 2 bag, which says what its files are."""
 _PACKED = (".zst", ".zstd")
 MEND = "import it first: lvba import BAG --out RECORDING (docs/import.md)"
 
@@ -30,6 +32,6 @@ def kind(path: Path) -> str:
         return kind_of_name(path.name)
     with files.as_input_error(path):
         inside = sorted(path.iterdir())
-    if not any(inner.name == "metadata.yaml" or inner.suffix.lower() == ".bag" for inner in inside):
+    if not any(inner.name == METADATA or inner.suffix.lower() == ".bag" for inner in inside):
         return ""
     return next((name for inner in inside if (name := kind_of_name(inner.name))), "")

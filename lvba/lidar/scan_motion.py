@@ -238,13 +238,14 @@ def most_likely(known: Deviations, wider: np.ndarray | None = None) -> tuple[np.
     every = gain > _SURE * error
     if not (every or wider.any()):
         return deviation, covariance
-    used = known if grows and every else known.steady
+    whole = grows and every
+    used = known if whole else known.steady
     chosen = slice(None) if every else np.flatnonzero(wider.any(axis=1))
     information, gradient = used.information[0, chosen], used.gradient[0, chosen]
     likely, spread = _drawn_to_zero(information / judged.factor, gradient / judged.factor, wider[chosen])
     deviation[chosen, : likely.shape[1]] = likely
     covariance[chosen] = _of_poses(used.by_motion[chosen], spread)
-    if used is not known:
+    if not whole:
         covariance += _of_poses(known.by_motion[:, :, 6:], _unsteady(deviation[:, :6], wider))
     return deviation, covariance
 

@@ -193,13 +193,12 @@ class _Chain:
 
         Where only many do, they may be wrong: the step is as they have it, and counts as open.
         """
-        motion = geometry.steps(self.world_from_scan[k : k + 2])[0]
+        motion, own = geometry.steps(self.world_from_scan[k : k + 2])[0], self.steps[k]
         for scans in (rough_motions.BESIDE, rough_motions.MANY):
             pair = rough_motions.beside(patches, self.world_from_scan, k, scans)
             if pair is None:
                 continue
             step = scan_steps.register(Target.of(pair[0]), pair[1], motion)
-            own = self.steps[k]
             if own is not None and not own.open and not rough_motions.apart(motion, step.first_from_second):
                 return self
             if step.aligned and not step.open:

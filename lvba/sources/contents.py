@@ -13,6 +13,7 @@ from lvba.errors import InputError
 from lvba.io import bags
 from lvba.sources import folders
 from lvba.sources.folders import recordings
+from lvba.wording import joined
 
 _LEVELS = 2
 _MOST_FOLDERS = 200
@@ -21,7 +22,6 @@ _MOST_NAMES = 100_000
 _NAMED = 3
 """Endings and sources that are named; others are counted."""
 _LONGEST_ENDING = 12
-_BAG_FOLDER = "metadata.yaml"
 
 
 @dataclass
@@ -45,7 +45,7 @@ class Contents:
         if not words:
             return "no files"
         noun = "file" if self.endings.total() == 1 else "files"
-        return f"{'at least ' if self.partial else ''}{_joined(words, 'and')} {noun}"
+        return f"{'at least ' if self.partial else ''}{joined(words)} {noun}"
 
     def hint(self) -> str:
         """For people: which sources may be meant; "" without any."""
@@ -53,11 +53,7 @@ class Contents:
             return ""
         more = len(self.sources) - _NAMED
         names = [str(path) for path in self.sources[:_NAMED]]
-        return f"did you mean {_joined(names, 'or')}{f' ({more} more)' if more > 0 else ''}?"
-
-
-def _joined(words: list[str], last: str) -> str:
-    return f"{', '.join(words[:-1])} {last} {words[-1]}" if len(words) > 1 else words[0]
+        return f"did you mean {joined(names, 'or')}{f' ({more} more)' if more > 0 else ''}?"
 
 
 def look(path: Path) -> Contents:
@@ -108,7 +104,7 @@ def _source(folder: Path, file_names: list[str]) -> Path | None:
     """What can be opened there: the folder, or the only bag in it."""
     there = [name for name in file_names if bags.kind_of_name(name)]
     if there:
-        return folder if len(there) > 1 or _BAG_FOLDER in file_names else folder / there[0]
+        return folder if len(there) > 1 or bags.METADATA in file_names else folder / there[0]
     try:
         return folder if folders.is_known(folder) or recordings.is_one(folder) else None
     except (InputError, OSError):

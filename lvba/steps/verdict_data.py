@@ -10,6 +10,7 @@ from lvba.products import lengths, renamed_facts
 from lvba.steps import verdict
 from lvba.steps.acceptance import CONTRADICTION, standard_error
 from lvba.steps.verdict import Figures, InputFits, Judged, Truth, Verdict
+from lvba.wording import joined
 
 Facts = Mapping[str, Any]
 
@@ -262,15 +263,11 @@ def summary(judged: Verdict, expected: Facts, truth: Sequence[Truth] = ()) -> st
         sentence = "How large the errors are is not known"
     elif amounts:
         size = "at least" if judged.at_least else "about"
-        sentence = f"Expect errors of {size} {_listed(amounts)}, {_FRAME}"
+        sentence = f"Expect errors of {size} {joined(amounts)}, {_FRAME}"
     else:
         sentence = "How large the errors are is not known, for the scan poses are the input's"
     measured = [f"{each.what} are off by {lengths.text(each.error)}" for each in truth if each.unit == "m"]
     if measured:
         own = f"{sentence[0].lower()}{sentence[1:]}"
-        sentence = f"Against the reference, {_listed(measured)}; without it: {own}"
+        sentence = f"Against the reference, {joined(measured)}; without it: {own}"
     return f"Do not rely on this result. {sentence}." if judged.level == "bad" else f"{sentence}."
-
-
-def _listed(words: Sequence[str]) -> str:
-    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)

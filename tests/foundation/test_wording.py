@@ -2,7 +2,7 @@
 
 import pytest
 
-from lvba.wording import first_of, runs
+from lvba.wording import first_of, joined, runs
 
 
 @pytest.mark.parametrize(
@@ -23,3 +23,16 @@ def test_numbers_in_a_row_are_named_by_the_first_and_the_last(numbers, words):
 def test_what_is_not_listed_is_counted():
     assert first_of(["a", "b"], 2) == "a, b"
     assert first_of(["a", "b", "c"], 2) == "a, b and 1 more"
+
+
+@pytest.mark.parametrize(
+    ("words", "last", "expected"),
+    [
+        ([], "and", ""),
+        (["a"], "and", "a"),
+        (["a", "b"], "or", "a or b"),
+        (["a", "b", "c"], "and", "a, b and c"),
+    ],
+)
+def test_words_are_joined_by_commas_and_a_word_before_the_last(words, last, expected):
+    assert joined(words, last) == expected

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from lvba.products import lengths, part_verdicts
+from lvba.wording import joined
 
 MISSING = "\N{EN DASH}"
 
@@ -95,14 +96,9 @@ def verdict(facts: Mapping[str, Any]) -> str:
     ]
     if kept:
         sentences.append(
-            f"The input's <strong>{_listed(kept)} were kept</strong>, for the reasons given below."
+            f"The input's <strong>{joined(kept)} were kept</strong>, for the reasons given below."
         )
     return " ".join(sentences)
 
 
 _KEPT = {"scans": "scan poses", "cameras": "camera poses", "exposures": "exposures"}
-
-
-def _listed(names: list[str]) -> str:
-    """Names with commas and a last and."""
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

@@ -24,7 +24,6 @@ from lvba.sources.bags.container import (
     type_name,
 )
 
-_METADATA = "metadata.yaml"
 _RECORDING = {"all_pcd_body", "pcd", "Log"}
 """Folders of a recording, beside which its bag may lie."""
 _MAX_METADATA = 1024**2
@@ -52,13 +51,13 @@ def container_at(path: Path) -> Container | None:
     there = [name for name in names if bags.kind_of_name(name)]
     if _RECORDING & set(names):
         return None
-    about = _metadata(path) if _METADATA in names and (there or _is_of_bag(path)) else {}
+    about = _metadata(path) if bags.METADATA in names and (there or _is_of_bag(path)) else {}
     members = [Path(str(name)).name for name in _list(about.get("relative_file_paths"))] or there
     if not members:
         return None
     for name in members:
         if name not in names:
-            raise InputError(path / name, f"is named in {_METADATA}, and missing", "put it there")
+            raise InputError(path / name, f"is named in {bags.METADATA}, and missing", "put it there")
     containers = [_file(path / name) for name in members]
     several = [each for each in containers if each is not None]
     if not several:
@@ -77,7 +76,7 @@ def topics_said(folder: Path) -> tuple[Topic, ...]:
 
     Raises InputError: the file is damaged.
     """
-    return _topics(_metadata(folder)) if _METADATA in files.names_in(folder) else ()
+    return _topics(_metadata(folder)) if bags.METADATA in files.names_in(folder) else ()
 
 
 def _file(path: Path) -> Container | None:
@@ -94,7 +93,7 @@ def _file(path: Path) -> Container | None:
 
 def _metadata(folder: Path) -> dict[str, Any]:
     """What a ROS 2 bag says of itself; {} where the file is of something else."""
-    path = folder / _METADATA
+    path = folder / bags.METADATA
     whole = plain_yaml.load(files.read_text(path, _MAX_METADATA), path, "give one of its files instead")
     about = whole.get("rosbag2_bagfile_information") if isinstance(whole, dict) else None
     return about if isinstance(about, dict) else {}

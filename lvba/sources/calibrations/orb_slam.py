@@ -25,11 +25,8 @@ from lvba.sources.calibrations.rig import FileCalibration
 
 _INTRINSIC = re.compile(r"(Camera[12]?)\.(?:fx|fy|cx|cy)")
 _TYPE, _WIDTH, _HEIGHT = "Camera.type", "Camera.width", "Camera.height"
-_LENSES = {
-    "pinhole": Lens.RADIAL_TANGENTIAL,
-    "rectified": Lens.RADIAL_TANGENTIAL,
-    "kannalabrandt8": Lens.EQUIDISTANT,
-}
+_LENSES = {"rectified": Lens.RADIAL_TANGENTIAL, "kannalabrandt8": Lens.EQUIDISTANT}
+"""Names of ORB-SLAM's own; others are as `values.lens_of` knows them."""
 _COEFFICIENTS = {
     Lens.RADIAL_TANGENTIAL: ("k1", "k2", "p1", "p2", "k3"),
     Lens.EQUIDISTANT: ("k1", "k2", "k3", "k4"),

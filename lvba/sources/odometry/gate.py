@@ -111,8 +111,6 @@ def _longest_without(held: np.ndarray, times: np.ndarray) -> float:
 
     held: (N,) bool; times: (N,) float64, s, ascending
     """
-    if held.all():
-        return 0.0
     ends = np.unique(np.r_[0, np.flatnonzero(held), len(held) - 1])
     past_others = (np.diff(ends) > 1) | ~held[ends[1:]] | ~held[ends[:-1]]
     return float((np.diff(times[ends]) * past_others).max(initial=0.0))
