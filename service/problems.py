@@ -97,6 +97,13 @@ def too_slow() -> Problem:
     return Problem("too-slow", "the request stopped before its end", headers={"Connection": "close"})
 
 
+def ending() -> Problem:
+    """What a client hears that comes too late for a service, or whose request takes too long for it."""
+    return Problem(
+        "unavailable", "the service is ending", headers={"Retry-After": "5", "Connection": "close"}
+    )
+
+
 def first_errors(errors: Sequence[Any]) -> list[dict[str, str]]:
     """What pydantic found, as the API tells it: some of it, where it is much."""
     return [

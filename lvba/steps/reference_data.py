@@ -8,7 +8,7 @@ from lvba.dataset import Dataset
 from lvba.io.exposures import Exposures
 from lvba.io.reference import Reference
 from lvba.products import reference as references
-from lvba.steps import expected_error, uncertainty
+from lvba.steps import uncertainty
 from lvba.steps.lidar import carry_cameras
 from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, ScanPoses, VisualStage
 from lvba.steps.uncertainty import Expected
@@ -22,6 +22,7 @@ def collect(
     visual: VisualStage,
     fused: FusionStage,
     accepted: Accepted,
+    expected: Expected,
     reference: Reference,
 ) -> dict[str, Any]:
     """Errors of the result and those that the covariances predict; in `rough` of the input, in `judged` of each part."""
@@ -31,7 +32,6 @@ def collect(
         dataset, reference, accepted.world_from_scan, accepted.world_from_camera, accepted.log_exposure
     )
     rough = _errors(dataset, reference, dataset.scans.world_from_sensor, dataset.images.world_from_sensor)
-    expected = expected_error.of_result(lidar, fused, visual, accepted)
     for part, predicted in _predicted(
         expected, visual, accepted, final_scans, final_images, reference
     ).items():

@@ -73,7 +73,9 @@ def collect(
         "evaluation": of_evaluation(dataset, scans, scores, accepted.state),
     }
     if reference is not None:
-        facts["reference"] = reference_data.collect(dataset, lidar, scans, visual, fused, accepted, reference)
+        facts["reference"] = reference_data.collect(
+            dataset, lidar, scans, visual, fused, accepted, expected, reference
+        )
     facts["warnings"] = _warnings(dataset, lidar, visual, accepted) + warnings_of_errors(errors)
     noise = lidar.result.history[-1].sigma if lidar.result is not None and lidar.result.history else None
     facts["expected_error"] = expected_error.collect(expected, pieces, noise)

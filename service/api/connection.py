@@ -13,6 +13,7 @@ from typing import Any
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from service import problems
 from service.api.connection_slots import ConnectionSlots
 from service.problems import Problem, too_slow
 from service.settings import Limits
@@ -42,7 +43,10 @@ class Connection(H11Protocol):
         """A client has come."""
         super().connection_made(transport)
         _notice_who_vanishes(transport.get_extra_info("socket"), self._limits.stall_s)
-        if self._slots.take(self, self.client[0] if self.client else ""):
+        if self._slots.closed:
+            # it was waiting to be taken up when uvicorn asked all connections to end, so nobody would ask this one
+            self._dismiss(problems.ending())
+        elif self._slots.take(self, self.client[0] if self.client else ""):
             self._await(self._limits.head_s, self._too_slow)
         else:
             words = "there are too many connections"

@@ -23,6 +23,12 @@ class ConnectionSlots:
         self._idle: dict[SlotHolder, None] = {}
         """Longest first."""
         self._counts: Counter[str | None] = Counter()
+        self.closed = False
+        """The service is ending: whoever comes now is sent away."""
+
+    def close(self) -> None:
+        """Let nobody in any more."""
+        self.closed = True
 
     def take(self, holder: SlotHolder, address: str) -> bool:
         """Whether there is room for one more, after somebody else was sent away for it if need be."""

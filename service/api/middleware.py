@@ -1,5 +1,6 @@
 """Around every request: what is refused before it is looked at, and the headers of every answer."""
 
+import asyncio
 import time
 from typing import Any
 
@@ -38,10 +39,12 @@ class Guard:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        began = time.perf_counter()
+        began, started = time.perf_counter(), False
 
         async def answer(message: Message) -> None:
+            nonlocal started
             if message["type"] == "http.response.start":
+                started = True
                 headers = MutableHeaders(scope=message)
                 for name, value in HEADERS.items():
                     headers.setdefault(name, value)
@@ -60,7 +63,13 @@ class Guard:
         if problem is not None:
             await problem.response(scope["path"])(scope, receive, answer)
             return
-        await self._app(scope, inner, answer)
+        try:
+            await self._app(scope, inner, answer)
+        except asyncio.CancelledError:
+            # the service has waited for this request as long as it waits when it ends
+            if started:
+                raise
+            await problems.ending().response(scope["path"])(scope, receive, answer)
 
     def _refused(self, scope: Scope, headers: Headers) -> Problem | None:
         if "\x00" in scope["path"]:

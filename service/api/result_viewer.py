@@ -1,30 +1,28 @@
 """One result of the command line, shown in a browser: the page and the files of the result, read only, on loopback."""
 
 import asyncio
-import contextlib
 import json
-import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
-import uvicorn
 from fastapi import FastAPI
 from starlette.responses import FileResponse, Response
 
 from lvba.errors import InputError
-from service.api import file_responses, problem_responses, serving
+from service.api import file_responses, problem_responses
 from service.api.middleware import Guard
 from service.api.routes import page
+from service.api.web_server import WebServer, listening
 from service.datasets import file_names
 from service.db import keys
 from service.jobs import results as result_files
 from service.problems import Problem
 from service.settings import Settings
 from service.system import descriptors
+from service.system.descriptors import DescriptorLimits
 
 _BASE = "/v1/result/results/"
 
@@ -119,29 +117,19 @@ def frames_of(viewed: ViewedResult) -> list[dict[str, Any]]:
         return []
 
 
-class _Web(uvicorn.Server):
-    """Says where it listens, and ends on the first signal."""
+class _Viewer(WebServer):
+    """Says where it listens."""
 
-    def __init__(self, config: uvicorn.Config, ready: Callable[[str], None]) -> None:
-        super().__init__(config)
+    def __init__(
+        self, viewed: ViewedResult, settings: Settings, limits: DescriptorLimits, ready: Callable[[str], None]
+    ) -> None:
+        super().__init__(create(viewed, settings), settings, limits)
         self._ready = ready
 
     async def startup(self, sockets: list[Any] | None = None) -> None:
         await super().startup(sockets)
         for socket in sockets or []:
             await asyncio.to_thread(self._ready, f"http://127.0.0.1:{socket.getsockname()[1]}/")
-
-    @contextlib.contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        before = {number: signal.signal(number, self._stop) for number in (signal.SIGINT, signal.SIGTERM)}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
-
-    def _stop(self, number: int, frame: FrameType | None) -> None:
-        self.handle_exit(number, frame)
 
 
 def view(viewed: ViewedResult, port: int, ready: Callable[[str], None]) -> None:
@@ -152,7 +140,7 @@ def view(viewed: ViewedResult, port: int, ready: Callable[[str], None]) -> None:
     """
     settings = Settings(port=port)
     limits = descriptors.raise_limits(settings.limits.connections)
-    web = _Web(serving.configuration(create(viewed, settings), settings, limits), ready)
-    with serving.listening(web, settings) as sockets:
+    web = _Viewer(viewed, settings, limits, ready)
+    with listening(web, settings) as sockets:
         web.run(sockets=sockets)
     sys.stderr.flush()

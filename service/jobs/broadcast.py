@@ -183,8 +183,10 @@ class Broadcaster:
                 while page := await self.ask(self._read, listener.cursor, job_id, owner, None):
                     listener.cursor, over = page[-1].id, page[-1].kind == journal.END
                     yield _joined(page)
-            while not over and not self._closed and not listener.ended:
+            while not over and not listener.ended:
                 listener.wake.clear()
+                if self._closed:  # asked after clearing: a signal closes at any moment, and wakes only once
+                    break
                 async for heard in self._new(listener):
                     if listener.ended:
                         break

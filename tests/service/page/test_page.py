@@ -217,7 +217,8 @@ def test_what_the_server_refuses_is_told_beside_the_setting(watched, job):
 
 def test_a_restart_of_the_service_is_survived_by_the_page(watched, served, job):
     """The live connection breaks and comes back by itself; what happens after it is shown."""
-    watched.allowed = [r"net::ERR_", "Failed to load resource"]
+    # who asks while the service ends hears so, and asks again
+    watched.allowed = [r"net::ERR_", "Failed to load resource", "status 503"]
     page = watched.page
     watched.go("jobs")
     page.get_by_role("link", name=NAME, exact=True).wait_for()

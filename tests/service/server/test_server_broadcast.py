@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager
 import pytest
 import uvicorn
 
-from service.api import serving
+from service.api import web_server
 from service.db import journal
 from service.db.database import Database
 from service.db.tables import Dataset, Job
@@ -250,9 +250,26 @@ def test_database_that_is_away_for_a_moment_ends_no_stream(database, monkeypatch
     asyncio.run(check())
 
 
+def test_stream_ends_though_its_service_ends_just_before_it_waits(database):
+    async def check():
+        async with running(database) as broadcaster:
+            listener = await Heard(broadcaster.stream(None, None, "x")).open()
+
+            class ClosedMeanwhile(asyncio.Event):
+                def clear(self):
+                    broadcaster.close()
+                    super().clear()
+
+            [known] = broadcaster._listeners
+            known.wake = ClosedMeanwhile()
+            assert await asyncio.wait_for(listener.rest(), 10) == []
+
+    asyncio.run(check())
+
+
 def test_answers_are_sent_at_once_not_when_the_client_has_acknowledged_their_heads():
     web = uvicorn.Server(uvicorn.Config(lambda: None, host="127.0.0.1", port=0))
-    with serving.listening(web, Settings()) as [listening]:
+    with web_server.listening(web, Settings()) as [listening]:
         listening.listen()
         with socket.create_connection(listening.getsockname()):
             accepted, _ = listening.accept()

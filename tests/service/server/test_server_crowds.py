@@ -1,5 +1,6 @@
 """Too many connections: others are still answered, jobs still run, and the log stays short."""
 
+import asyncio
 import json
 import logging
 import resource
@@ -8,14 +9,19 @@ import subprocess
 import sys
 import time
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 import httpx
 import pytest
+import uvicorn
 from real_server import Service, ended, submit, upload
+from uvicorn.server import ServerState
 
 from lvba.errors import InputError
+from service.api.connection import Connection
 from service.api.connection_slots import ConnectionSlots
+from service.settings import Settings
 from service.system import descriptors
 from service.system.repeat_filter import RepeatFilter
 
@@ -214,6 +220,31 @@ def test_customer_with_a_network_of_addresses_counts_as_one():
     assert slots.take(Client(), "2001:db8::ffff:3")
     assert first.gone
     assert slots.take(Client(), "2001:db8:0:1::1")
+
+
+def test_connection_that_is_taken_up_only_when_the_service_ends_hears_so():
+    limits = Settings().limits
+    slots = ConnectionSlots(8, 3)
+    slots.close()
+    config = uvicorn.Config(lambda: None, lifespan="off")
+    config.load()
+
+    async def ask():
+        make = partial(
+            Connection, config=config, server_state=ServerState(), app_state={}, slots=slots, limits=limits
+        )
+        listening = await asyncio.get_running_loop().create_server(make, "127.0.0.1", 0)
+        async with listening:
+            reader, writer = await asyncio.open_connection(*listening.sockets[0].getsockname())
+            writer.write(b"GET /v1/jobs HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+            answer = await asyncio.wait_for(reader.read(), 20)
+            writer.close()
+        return answer
+
+    head, _, body = asyncio.run(ask()).partition(b"\r\n\r\n")
+    assert b" 503 " in head.splitlines()[0]
+    assert b"Retry-After: 5" in head
+    assert json.loads(body)["detail"] == "the service is ending"
 
 
 def test_files_that_may_be_open_are_shared_out():

@@ -63,6 +63,18 @@ def test_upload_that_stops_is_ended_and_can_be_gone_on_with(hasty):
     assert hasty.http.put(place, content=b"x" * 4000, headers=headers).status_code == 201
 
 
+def test_upload_that_has_stopped_hears_of_the_end_of_its_service(tmp_path):
+    """The service waits some seconds, then says that it is not the request's fault."""
+    ending = Service(tmp_path / "data", "--jobs", "0")
+    try:
+        with begin_upload(ending, new_dataset(ending), b"x" * 1000, 5000) as line:
+            ending.process.terminate()
+            status, problem = answer_of(line)
+    finally:
+        ending.stop()
+    assert (status, problem["code"], problem["detail"]) == (503, "unavailable", "the service is ending")
+
+
 def test_upload_that_drips_is_ended(hasty):
     with begin_upload(hasty, new_dataset(hasty), b"", 5000) as line:
         line.settimeout(0.3)
