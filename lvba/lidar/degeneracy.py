@@ -112,11 +112,9 @@ def information(
     )
 
 
-def normal_variance(fits: PlaneFits) -> np.ndarray:
-    """Variance of each plane's normal towards its two tangents, (F, 2), rad^2: lam0 / (N (lam_k - lam0)), N as trusted;
-    0 towards a tangent that is none."""
+def normal_variance(fits: PlaneFits, trusted: float = TRUSTED_POINTS) -> np.ndarray:
+    """Variance of each plane's normal towards its two tangents, (F, 2), rad^2: lam0 / (N (lam_k - lam0)), N at most
+    `trusted`; 0 towards a tangent that is none."""
     smallest = np.maximum(fits.eigenvalues[:, :1], 0.0)
-    gap = np.minimum(fits.total, TRUSTED_POINTS)[:, None] * (
-        fits.eigenvalues[:, 1:] - fits.eigenvalues[:, :1]
-    )
+    gap = np.minimum(fits.total, trusted)[:, None] * (fits.eigenvalues[:, 1:] - fits.eigenvalues[:, :1])
     return np.asarray(np.divide(smallest, gap, out=np.zeros_like(gap), where=gap > 0.0))
