@@ -1,6 +1,7 @@
 """Errors of the range sensor of a recording: found, taken out, and nothing corrected where there is none."""
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -23,11 +24,33 @@ from lvba.trajectory import pose_error
 SMALL = {"frames": 2, "scans": 36, "seed": 11, "width": 64, "height": 48}
 
 
-def recorded(folder, lidar, points=6000, **disturb):
-    simulate(
-        "courtyard", folder, lidar=lidar, disturb=Disturbances(**disturb), points_per_scan=points, **SMALL
-    )
-    return open_dataset(folder)
+class Recordings:
+    """Recordings of one walk, and what several tests ask of one: made once. Nobody changes them."""
+
+    def __init__(self, folder):
+        self._folder = folder
+        self.made, self.measured, self.clean_error = map(
+            cache, (self._made, self._measured, self._clean_error)
+        )
+
+    def _made(self, lidar, points, **disturb):
+        folder = self._folder / f"{lidar}-{points}-{disturb}"
+        disturbances = Disturbances(**disturb)
+        simulate("courtyard", folder, lidar=lidar, disturb=disturbances, points_per_scan=points, **SMALL)
+        return open_dataset(folder)
+
+    def _measured(self, lidar, points, **disturb):
+        """Errors found in a recording."""
+        return scan_errors.measure(self.made(lidar, points, **disturb), LidarConfig())
+
+    def _clean_error(self, lidar, points):
+        """Of refined scan poses where the sensor has no error."""
+        return error(self.made(lidar, points))
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    return Recordings(tmp_path_factory.mktemp("recorded"))
 
 
 def refined(dataset, errors=None):
@@ -56,24 +79,25 @@ def error(dataset, errors=None):
         ("non_repetitive", 6000, "depth_distortion", 0.02, "distortion", 0.02),
     ],
 )
-def test_an_error_is_found_and_taken_out(tmp_path, lidar, points, disturbance, value, name, expected):
-    dataset = recorded(tmp_path / "off", lidar, points, **{disturbance: value})
-    errors = scan_errors.measure(dataset, LidarConfig())
+def test_an_error_is_found_and_taken_out(recorded, lidar, points, disturbance, value, name, expected):
+    disturb = {disturbance: value}
+    dataset = recorded.made(lidar, points, **disturb)
+    errors = recorded.measured(lidar, points, **disturb)
     assert errors.ranges.corrected == (name,)
     # elevation and range errors are corrected to first order
     assert errors.ranges.values[name] == pytest.approx(
         expected, abs=5 * errors.ranges.sigma[name] + 0.03 * expected
     )
-    best = error(recorded(tmp_path / "clean", lidar, points))
+    best = recorded.clean_error(lidar, points)
     before, after = error(dataset), error(dataset, errors)
     assert before.ate_m > 2 * best.ate_m
     assert after.ate_m < 1.6 * best.ate_m
     assert after.rotation_deg < 1.6 * best.rotation_deg + 0.01
 
 
-def test_an_error_by_brightness_is_found_and_taken_out(tmp_path):
+def test_an_error_by_brightness_is_found_and_taken_out(recorded):
     """Ranges are right for a surface of half the radiance, of which an intensity of 50 returns straight on."""
-    dataset = recorded(tmp_path / "off", "spinning", 10000, intensity_bias=0.03)
+    dataset = recorded.made("spinning", 10000, intensity_bias=0.03)
     ranges = (errors := scan_errors.measure(dataset, LidarConfig())).ranges
     assert "brightness" in ranges.corrected
     assert set(ranges.corrected) <= {"brightness", "offset"}
@@ -82,7 +106,7 @@ def test_an_error_by_brightness_is_found_and_taken_out(tmp_path):
         usual, abs=4 * ranges.sigma["brightness"] + 0.03 * usual
     )
     assert ranges.values["offset"] == pytest.approx(usual - 0.015, abs=4 * ranges.sigma["offset"])
-    best, before = error(recorded(tmp_path / "clean", "spinning", 10000)), error(dataset)
+    best, before = recorded.clean_error("spinning", 10000), error(dataset)
     after = error(dataset, errors)
     assert before.ate_m > 1.3 * best.ate_m
     assert after.ate_m < 1.6 * best.ate_m
@@ -90,8 +114,8 @@ def test_an_error_by_brightness_is_found_and_taken_out(tmp_path):
 
 
 @pytest.mark.parametrize("lidar", ["spinning", "non_repetitive"])
-def test_a_right_sensor_is_left_alone(tmp_path, lidar):
-    dataset = recorded(tmp_path / "clean", lidar)
+def test_a_right_sensor_is_left_alone(recorded, lidar):
+    dataset = recorded.made(lidar, 6000)
     errors = scan_errors.measure(dataset, LidarConfig())
     assert not errors.corrected
     assert not errors.ranges.problem
@@ -104,20 +128,20 @@ def test_a_right_sensor_is_left_alone(tmp_path, lidar):
     assert piece.errors is None
 
 
-def test_an_error_that_planes_do_not_show_clearly_stays_and_is_in_what_is_promised(tmp_path):
-    dataset = recorded(tmp_path / "off", "non_repetitive", incidence_bias=0.01)
+def test_an_error_that_planes_do_not_show_clearly_stays_and_is_in_what_is_promised(recorded):
+    dataset = recorded.made("non_repetitive", 6000, incidence_bias=0.01)
     errors = scan_errors.measure(dataset, LidarConfig())
     assert not errors.corrected
     assert not errors.ranges.noticed
     # 10 mm at grazing incidence are 2 mm off the usual plane
     assert 1e-3 < errors.points_off[1] < 1e-2
     shift = errors.ranges.poses_off[1]
-    assert error(dataset).ate_m < error(recorded(tmp_path / "clean", "non_repetitive")).ate_m + 3 * shift
+    assert error(dataset).ate_m < recorded.clean_error("non_repetitive", 6000).ate_m + 3 * shift
 
 
-def test_an_error_of_another_form_is_noticed_and_not_taken_for_one_that_is_known(tmp_path):
+def test_an_error_of_another_form_is_noticed_and_not_taken_for_one_that_is_known(recorded):
     """Ranges of a sensor that turns, too long but ahead: beams that go lower explain some of it."""
-    dataset = recorded(tmp_path / "off", "spinning", depth_distortion=0.03)
+    dataset = recorded.made("spinning", 6000, depth_distortion=0.03)
     errors = scan_errors.measure(dataset, LidarConfig())
     assert errors.ranges.noticed == (DIRECTION,)
     assert not errors.corrected
@@ -129,20 +153,20 @@ def test_an_error_of_another_form_is_noticed_and_not_taken_for_one_that_is_known
     assert "depends on the beam's direction" in report_data.warnings_of_errors(errors)[0]
     # scans are promised with what it makes of them, but for the scale, of which planes tell nothing
     _, shift = errors.ranges.poses_off
-    assert 0.003 < off_but_for_scale(dataset) < 3 * shift
+    assert 0.003 < off_but_for_scale(dataset, refined(dataset)) < 3 * shift
     assert shift < 0.05
 
 
-def off_but_for_scale(dataset):
+def off_but_for_scale(dataset, poses):
     """m, root mean square, that refined scans are off."""
-    there, truth = refined(dataset)[:, :3, 3], true_scans(dataset)[:, :3, 3]
+    there, truth = poses[:, :3, 3], true_scans(dataset)[:, :3, 3]
     there, truth = there - there.mean(axis=0), truth - truth.mean(axis=0)
     there = there @ closest_rotation(truth.T @ there).T
     return np.sqrt(np.mean(np.sum((there * (there * truth).sum() / (there**2).sum() - truth) ** 2, axis=1)))
 
 
-def test_a_known_error_is_taken_out_beside_one_of_another_form(tmp_path):
-    dataset = recorded(tmp_path / "off", "spinning", depth_distortion=0.005, elevation_bias=0.3)
+def test_a_known_error_is_taken_out_beside_one_of_another_form(recorded):
+    dataset = recorded.made("spinning", 6000, depth_distortion=0.005, elevation_bias=0.3)
     errors = scan_errors.measure(dataset, LidarConfig())
     assert errors.ranges.corrected == ("elevation",)
     assert errors.ranges.noticed == (DIRECTION,)
@@ -152,9 +176,9 @@ def test_a_known_error_is_taken_out_beside_one_of_another_form(tmp_path):
     )
 
 
-def test_beams_that_go_into_surfaces_are_noticed_and_not_taken_for_a_known_error(tmp_path):
+def test_beams_that_go_into_surfaces_are_noticed_and_not_taken_for_a_known_error(recorded):
     """As leaves; taken for plain surfaces, they seem to be beams that go lower."""
-    dataset = recorded(tmp_path / "off", "spinning", 10000, foliage=0.05)
+    dataset = recorded.made("spinning", 10000, foliage=0.05)
     errors = scan_errors.measure(dataset, LidarConfig())
     assert not errors.corrected
     assert errors.ranges.noticed == (DEPTH,)
@@ -167,35 +191,36 @@ def test_beams_that_go_into_surfaces_are_noticed_and_not_taken_for_a_known_error
     assert "go into surfaces" in report_data.warnings_of_errors(errors)[0]
     turn, shift = errors.ranges.poses_off
     # but for the scale, of which planes tell nothing
-    assert off_but_for_scale(dataset) < 3 * shift
-    assert error(dataset).rotation_deg < 3 * math.degrees(turn)
+    assert off_but_for_scale(dataset, poses := refined(dataset)) < 3 * shift
+    assert pose_error(poses, true_scans(dataset)).rotation_deg < 3 * math.degrees(turn)
 
 
-def test_an_error_that_no_sensor_has_is_not_corrected(tmp_path):
-    dataset = recorded(tmp_path / "off", "spinning", incidence_bias=0.2)
+def test_an_error_that_no_sensor_has_is_not_corrected(recorded):
+    dataset = recorded.made("spinning", 6000, incidence_bias=0.2)
     errors = scan_errors.measure(dataset, LidarConfig())
     assert "incidence" not in errors.ranges.corrected
     # what stays in the points is promised
     assert errors.points_off[1] > 0.01
 
 
-def test_what_no_error_explains_is_promised_as_far_as_errors_were_seen(tmp_path, monkeypatch):
+def test_what_no_error_explains_is_promised_as_far_as_errors_were_seen(recorded, monkeypatch):
     """The same where rounds do not end: errors are known too little to be taken out, and stay."""
-    dataset = recorded(tmp_path / "off", "spinning", incidence_bias=0.03)
+    dataset = recorded.made("spinning", 6000, incidence_bias=0.03)
     monkeypatch.setattr(range_errors, "_FALLS", 0.0)
     errors = scan_errors.measure(dataset, LidarConfig())
     assert errors.ranges.problem
     assert not errors.corrected
     assert errors.points_off[1] > 1e-3
-    assert off_but_for_scale(dataset) < 3 * errors.ranges.poses_off[1]
+    assert off_but_for_scale(dataset, refined(dataset)) < 3 * errors.ranges.poses_off[1]
 
 
-def test_points_meet_the_planes_of_the_map_whatever_a_single_scan_shows(tmp_path, monkeypatch):
+def test_points_meet_the_planes_of_the_map_whatever_a_single_scan_shows(recorded, monkeypatch):
     """Small surfaces far away are met at an angle that a single scan shows wrongly; here, all are."""
-    dataset = recorded(tmp_path / "off", "spinning", 10000, incidence_bias=0.03)
+    dataset = recorded.made("spinning", 10000, incidence_bias=0.03)
     [part] = split.parts(dataset, SplitConfig(), split.Load(10_000, 0.0))
-    errors = scan_errors.measure(dataset, LidarConfig())
+    errors = recorded.measured("spinning", 10000, incidence_bias=0.03)
     assert errors.ranges.corrected == ("incidence",)
+    best = recorded.clean_error("spinning", 10000)
     monkeypatch.setattr(incidence, "cosines", lambda points, _: np.linspace(0.1, 1.0, len(points)))
     piece = decoded.decode_scans(dataset, (0, 36), errors)
     assert piece.cosine.dtype == np.float16
@@ -206,14 +231,13 @@ def test_points_meet_the_planes_of_the_map_whatever_a_single_scan_shows(tmp_path
         return pose_error(stage.result.world_from_scan, truth).ate_m
 
     after = solved()
-    best = error(recorded(tmp_path / "clean", "spinning", 10000))
     monkeypatch.setattr(decoded.ScanReader, "cosines", lambda reader, scans: None)
     assert after < 1.6 * best.ate_m
     assert solved() > 2 * after
 
 
-def test_nothing_is_measured_where_scans_stay(tmp_path, monkeypatch):
-    dataset = recorded(tmp_path / "clean", "spinning")
+def test_nothing_is_measured_where_scans_stay(recorded, monkeypatch):
+    dataset = recorded.made("spinning", 6000)
     monkeypatch.setattr(recordings, "load_scan", None)
     assert scan_errors.measure(dataset, LidarConfig(), enabled=False) is None
 

@@ -26,6 +26,21 @@ def courtyard():
     return scans, truth, rough, rough_poses.surfels_of(scans)
 
 
+@pytest.fixture(scope="module")
+def refined_without(courtyard):
+    """The bundle adjustment from rough poses in which nothing jumps."""
+    scans, _, rough, _ = courtyard
+    return bundle_adjustment.refine(scans, rough)
+
+
+@pytest.fixture(scope="module")
+def mended(courtyard):
+    """What becomes of rough poses with jumps: where to start from, and the bundle adjustment from there."""
+    scans, _, rough, surfels = courtyard
+    start = rough_poses.start(scans, surfels, with_jumps(rough))
+    return start, bundle_adjustment.refine(scans, start.world_from_scan)
+
+
 def jumped(poses, after, tangent):
     """The poses, all of them after `after` moved by a tangent about the first of these."""
     moved = poses.copy()
@@ -55,35 +70,33 @@ def test_jumps_are_noticed_where_they_are(courtyard):
     assert rough_motions.contradicted(surfels, with_jumps(rough)).tolist() == [after for after, _ in JUMPS]
 
 
-def test_jumps_are_taken_out_and_the_bundle_adjustment_ends_where_it_does_without(courtyard):
-    scans, truth, rough, surfels = courtyard
+def test_jumps_are_taken_out_and_the_bundle_adjustment_ends_where_it_does_without(
+    courtyard, refined_without, mended
+):
+    _, truth, rough, surfels = courtyard
     wrong = with_jumps(rough)
-    start = rough_poses.start(scans, surfels, wrong)
+    start, refined = mended[0], mended[1].world_from_scan
     assert np.array_equal(start.world_from_scan[0], wrong[0])
     assert start.error.wrong_after.tolist() == [after for after, _ in JUMPS]
     assert pose_error(start.world_from_scan, truth).ate_m < 0.05 < pose_error(wrong, truth).ate_m
-    without = pose_error(bundle_adjustment.refine(scans, rough).world_from_scan, truth)
-    refined = bundle_adjustment.refine(scans, start.world_from_scan).world_from_scan
+    without = pose_error(refined_without.world_from_scan, truth)
     assert pose_error(refined, truth).ate_m < 1.5 * without.ate_m
     assert len(start.judged(surfels, wrong, refined).left_after) == 0
 
 
-def test_poses_that_came_of_the_scans_are_no_second_witness_beside_them(courtyard):
+def test_poses_that_came_of_the_scans_are_no_second_witness_beside_them(courtyard, refined_without, mended):
     """Registered poses agree with refined ones to a millimeter: as an odometry, they would hold their own errors."""
-    scans, _, rough, surfels = courtyard
+    scans, _, rough, _ = courtyard
     wrong = with_jumps(rough)
-    start = rough_poses.start(scans, surfels, wrong)
+    start, held = mended
     odometry = rough_poses.odometry_of(wrong, start.error, start.world_from_scan, LidarConfig())
     assert odometry.jumps.tolist() == [after for after, _ in JUMPS]
-    clean, refined, held = (
-        bundle_adjustment.refine(scans, poses, odometry=known)
-        for poses, known in ((rough, None), (start.world_from_scan, odometry), (start.world_from_scan, None))
-    )
-    dependence = [np.median(each.odometry_dependence) for each in (clean, refined, held)]
+    refined = bundle_adjustment.refine(scans, start.world_from_scan, odometry=odometry)
+    dependence = [np.median(each.odometry_dependence) for each in (refined_without, refined, held)]
     assert dependence[1] == pytest.approx(dependence[0], rel=0.2)
     assert dependence[2] > 0.4
     # within the deviations promised, the odometry's errors decide nothing
-    apart = geometry.log(geometry.inverse(clean.world_from_scan) @ refined.world_from_scan)
+    apart = geometry.log(geometry.inverse(refined_without.world_from_scan) @ refined.world_from_scan)
     assert np.abs(apart[:, 3:]).max() < 2e-4
 
 
@@ -94,7 +107,7 @@ def test_without_an_error_the_odometry_is_as_the_settings_have_it(courtyard):
     assert 1 / np.sqrt(np.diag(odometry.information[3])) == pytest.approx([0.01] * 3 + [0.05] * 3)
 
 
-def test_an_odometry_that_is_decimeters_off_at_every_step_is_replaced(courtyard):
+def test_an_odometry_that_is_decimeters_off_at_every_step_is_replaced(courtyard, refined_without):
     scans, truth, _, surfels = courtyard
     rng = np.random.default_rng(3)
     steps = geometry.inverse(truth[:-1]) @ truth[1:]
@@ -107,8 +120,7 @@ def test_an_odometry_that_is_decimeters_off_at_every_step_is_replaced(courtyard)
     start = rough_poses.start(scans, surfels, wrong)
     assert 0.15 < start.error.step_m < 0.6
     refined = bundle_adjustment.refine(scans, start.world_from_scan).world_from_scan
-    without = bundle_adjustment.refine(scans, plane_world.drift(truth, 0)).world_from_scan
-    assert pose_error(refined, truth).ate_m < 1.5 * pose_error(without, truth).ate_m
+    assert pose_error(refined, truth).ate_m < 1.5 * pose_error(refined_without.world_from_scan, truth).ate_m
 
 
 @pytest.mark.parametrize(("points", "left_open"), [(6000, []), (3000, [17])])

@@ -15,11 +15,11 @@ from lvba.io.dataset import open_dataset
 from lvba.simulate import lidar as lidars
 from lvba.simulate import raw, simulation
 from lvba.simulate.lidar import Surroundings
-from lvba.sources.importing.importer import import_source
+from lvba.sources.importing.importer import ImportReport, import_source
 from lvba.sources.importing.options import ImportOptions
 from lvba.sources.odometry import external, gate, information
 from lvba.sources.odometry.estimate import Estimate, estimate
-from lvba.sources.odometry.registration import odometry
+from lvba.sources.odometry.registration import Step, odometry
 from lvba.sources.odometry.sweeps import Inertial, Sweep, deskewed
 from lvba.sources.source import ListSource
 from lvba.trajectory import Trajectory
@@ -74,6 +74,17 @@ def run(walk: Walk, imu: Inertial | None) -> Estimate:
     return estimate(walk.sweeps, imu, lambda count: None)
 
 
+@pytest.fixture(scope="module")
+def corridor() -> Walk:
+    return Walk("corridor", 22, "spinning", 22, 3000)
+
+
+@pytest.fixture(scope="module")
+def beginning(courtyard: Walk) -> list[Step]:
+    """Steps of the first two scans."""
+    return list(odometry(courtyard.sweeps[:2], 0.3))
+
+
 @pytest.mark.parametrize("with_imu", [True, False])
 def test_a_walk_is_followed(courtyard: Walk, with_imu: bool) -> None:
     found = run(courtyard, courtyard.imu if with_imu else None)
@@ -88,9 +99,8 @@ def test_the_same_walk_gives_the_same_bytes(courtyard: Walk) -> None:
 
 
 @pytest.mark.parametrize("with_imu", [True, False])
-def test_a_corridor_without_doors_is_told_as_lost(with_imu: bool) -> None:
-    walk = Walk("corridor", 22, "spinning", 22, 3000)
-    found = run(walk, walk.imu if with_imu else None)
+def test_a_corridor_without_doors_is_told_as_lost(corridor: Walk, with_imu: bool) -> None:
+    found = run(corridor, corridor.imu if with_imu else None)
     assert found.verdict.lost
     assert found.verdict.first_s is not None
     # far beyond the 5 and 20 % that are tolerated; by chance some scans come back to where they were
@@ -123,9 +133,9 @@ def test_scans_far_apart_are_not_trusted(courtyard: Walk) -> None:
     ("scans", "surprising", "lost"), [(40, 1, False), (40, 2, True), (290, 2, False), (290, 3, True)]
 )
 def test_one_scan_off_the_motion_is_chance_and_several_are_not(
-    courtyard: Walk, scans: int, surprising: int, lost: bool
+    beginning: list[Step], scans: int, surprising: int, lost: bool
 ) -> None:
-    [first, step] = list(odometry(courtyard.sweeps[:2], 0.3))
+    [first, step] = beginning
     off = {20 + number for number in range(surprising)}
     steps = [first] + [
         replace(step, time=0.1 * number, surprise=9.0 if number in off else 0.5, sway=0.0)
@@ -150,10 +160,10 @@ def test_one_scan_off_the_motion_is_chance_and_several_are_not(
     ],
 )
 def test_motion_alone_holds_a_direction_only_for_a_moment(
-    courtyard: Walk, open_scans: tuple[int, ...], forces: bool, lost: bool
+    beginning: list[Step], open_scans: tuple[int, ...], forces: bool, lost: bool
 ) -> None:
     """From the last scan before to the first one after: a turn of the walk meanwhile is seen by nothing."""
-    [_, step] = list(odometry(courtyard.sweeps[:2], 0.3))
+    [_, step] = beginning
     steps = [
         replace(step, time=0.1 * number, surprise=0.5, sway=0.9 if number in open_scans else 0.0)
         for number in range(110)
@@ -281,18 +291,29 @@ def without_poses() -> tuple[ListSource, raw.RawTruth]:
     return replace(whole, description=replace(whole.description, streams=streams), items=items), truth
 
 
+WITHOUT_POSES = ImportOptions(odometry="auto", image="none")
+
+
+@pytest.fixture(scope="module")
+def imported(
+    tmp_path_factory: pytest.TempPathFactory, without_poses: tuple[ListSource, raw.RawTruth]
+) -> tuple[Path, ImportReport]:
+    """The folder that the source without poses becomes, and what was decided."""
+    folder = tmp_path_factory.mktemp("imported") / "out"
+    return folder, import_source(without_poses[0], folder, WITHOUT_POSES)
+
+
 def test_a_source_without_poses_is_imported(
-    tmp_path: Path, without_poses: tuple[ListSource, raw.RawTruth]
+    tmp_path: Path, without_poses: tuple[ListSource, raw.RawTruth], imported: tuple[Path, ImportReport]
 ) -> None:
     """The IMU's mounting is in the static transforms."""
     source, truth = without_poses
     with pytest.raises(InputError, match="--odometry auto"):
         import_source(source, tmp_path / "none")
-    options = ImportOptions(odometry="auto", image="none")
-    report = import_source(source, tmp_path / "out", options)
+    folder, report = imported
     assert report.facts["odometry"]["by"].endswith("and IMU")
     assert report.facts["streams"]["odometry"] == "--odometry auto"
-    dataset = open_dataset(tmp_path / "out")
+    dataset = open_dataset(folder)
     assert len(dataset.scan_paths) == len(truth.scans)
     stamps = np.array([int(Path(path).stem.replace(".", "")) for path in dataset.scan_paths])
     true = truth.scene_from_body(stamps) @ truth.rig.body_from_lidar
@@ -303,11 +324,11 @@ def test_a_source_without_poses_is_imported(
 
 
 def test_of_a_part_only_scans_about_it_are_registered(
-    tmp_path: Path, without_poses: tuple[ListSource, raw.RawTruth]
+    tmp_path: Path, without_poses: tuple[ListSource, raw.RawTruth], imported: tuple[Path, ImportReport]
 ) -> None:
     source, truth = without_poses
     seen: list[int] = []
-    options = ImportOptions(odometry="auto", image="none", start=2.0, stop=3.5)
+    options = replace(WITHOUT_POSES, start=2.0, stop=3.5)
     import_source(
         source,
         tmp_path / "part",
@@ -316,7 +337,7 @@ def test_of_a_part_only_scans_about_it_are_registered(
     )
     seconds = (truth.scans - truth.scans[0]) * 1e-9
     assert max(seen) == np.count_nonzero((seconds >= 1.0) & (seconds <= 4.5)) < len(truth.scans)
-    whole = import_source(source, tmp_path / "whole", replace(options, start=None, stop=None))
+    _, whole = imported
     assert whole.facts["written"]["scans"] == len(truth.scans)
     assert len(open_dataset(tmp_path / "part").scan_paths) == np.count_nonzero(
         (seconds >= 2.0) & (seconds <= 3.5)
