@@ -27,7 +27,7 @@ class Stub(HTTPServer):
         super().__init__(("127.0.0.1", 0), _Handler)
         self.told, self.answers = [], [200]
         self.origin = f"http://127.0.0.1:{self.server_port}"
-        threading.Thread(target=self.serve_forever, daemon=True).start()
+        threading.Thread(target=self.serve_forever, args=(0.02,), daemon=True).start()
 
 
 class _Handler(BaseHTTPRequestHandler):
