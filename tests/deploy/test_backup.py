@@ -44,7 +44,7 @@ def script(name, *words, database="", code=0, **more):
 
 def service_at(data, database):
     # a restored service waits for the leases of the one that is gone
-    environment = {"LVBA_LEASE_S": "8"}
+    environment = {"LVBA_LEASE_S": "4"}
     return Service(data, environment=environment | ({"LVBA_DATABASE": database} if database else {}))
 
 

@@ -7,6 +7,7 @@ import sys
 import time
 from pathlib import Path
 
+import fuzz_readers
 import numpy as np
 import pytest
 from fuzz_readers import CASE_S, Fuzzer, summary
@@ -65,16 +66,20 @@ def _hang(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("read", "cases", "what"),
+    ("read", "cases", "seconds", "what"),
     [
-        (_mistake, 3, "KeyError at"),
-        (_greed, 1, "memory"),
-        (_lie, 3, "MemoryError at"),
-        (_death, 1, "SIGSEGV"),
-        (_hang, 1, "SIGPROF"),
+        (_mistake, 3, CASE_S, "KeyError at"),
+        (_greed, 1, CASE_S, "memory"),
+        (_lie, 3, CASE_S, "MemoryError at"),
+        (_death, 1, CASE_S, "SIGSEGV"),
+        (_hang, 1, CASE_S / 10, "SIGPROF"),
     ],
 )
-def test_what_a_reader_must_not_do_is_found_once_and_its_input_kept(read, cases, what, tmp_path):
+def test_what_a_reader_must_not_do_is_found_once_and_its_input_kept(
+    read, cases, seconds, what, tmp_path, monkeypatch
+):
+    """seconds: that it may take"""
+    monkeypatch.setattr(fuzz_readers, "CASE_S", seconds)
     fuzzer = Fuzzer({"x": Target(lambda _: [{"a": b"good"}], read)}, tmp_path / "found", tmp_path / "work")
     fuzzer.batch("x", cases)
     [found] = fuzzer.tallies["x"].found

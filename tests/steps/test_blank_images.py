@@ -26,8 +26,14 @@ def test_black_and_clipped_images_are_blank_and_dark_or_bright_ones_are_not():
     assert decoded.blank_photos([], (0, 0)).dtype == np.int32
 
 
+@pytest.fixture(scope="module")
+def store():
+    """Artifacts of all runs here: what no image decides is the same in them."""
+    return {}
+
+
 @pytest.fixture(scope="module", params=[0, 255], ids=["black", "clipped"])
-def runs(request, recording, tmp_path_factory):
+def runs(request, recording, store, tmp_path_factory):
     """Artifacts by the name of their steps, of the recording, and with one image blank."""
     folder = tmp_path_factory.mktemp("blank") / "street"
     shutil.copytree(recording, folder)
@@ -36,7 +42,7 @@ def runs(request, recording, tmp_path_factory):
     made = []
     for each in (recording, folder):
         work = pipeline.refine(open_dataset(each), Config())
-        store = plan.run(work, {})
+        plan.run(work, store)
         made.append({step.name: store[key] for key, step in work.steps.items()})
     return made
 
