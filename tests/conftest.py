@@ -148,6 +148,25 @@ def tiny_result(tiny_recording, lvba, tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def street_in_two(tmp_path_factory):
+    """A short street that can be cut into two parts."""
+    from two_parts import make_street
+
+    return made_once(tmp_path_factory, "street-in-two", make_street)[0]
+
+
+@pytest.fixture(scope="session")
+def result_in_two(street_in_two, lvba, tmp_path_factory):
+    """The result folder of a run of that street in two parts that nothing disturbed, and its finished process."""
+    from two_parts import PARTS
+
+    def make(folder):
+        return lvba("run", street_in_two, "--out", folder, *PARTS, "--threads", 1)
+
+    return made_once(tmp_path_factory, "result-in-two", make)
+
+
+@pytest.fixture(scope="session")
 def service(tmp_path_factory):
     """A job service that several tests ask, each for things of its own."""
     from real_server import Service

@@ -18,7 +18,7 @@ def test_the_same_result_as_with_the_camera_s_poses(lvba, tiny_recording, tiny_r
     tum.write_trajectory(
         folder / "all_image" / "image_poses.txt", Trajectory(cameras.images.times, bodies), digits=15
     )
-    lvba("run", folder, "--out", out, "--threads", 2)
+    lvba("run", folder, "--out", out)
     dataset = open_dataset(folder)
     scans, others = (tum.read_trajectory(each / "lidar_poses.txt") for each in (out, tiny_result))
     np.testing.assert_allclose(scans.world_from_sensor, others.world_from_sensor, atol=2e-9)

@@ -1,4 +1,4 @@
-"""A short street in two parts: the run that nothing disturbed, and runs that something happens to."""
+"""A short street in two parts: what runs of it made, and runs that something happens to."""
 
 import json
 import os
@@ -10,28 +10,11 @@ from pathlib import PurePosixPath
 
 from real_cluster import ROOT
 from toy_steps import wait_for
+from two_parts import PARTS
 
-from lvba import simulate
-
-PARTS = ["--set", "split.by=count", "--set", "split.size=10", "--set", "split.overlap=5"]
 PRODUCTS = ["lidar_poses.txt", "image_poses.txt", "exposures.csv", "map.ply", "config.yaml"]
 SENT = ("plan", "input", "recording")
 """What a driver puts into a store beside the artifacts of steps."""
-
-
-def make_street(folder):
-    simulate.simulate(
-        "street",
-        folder,
-        frames=20,
-        scans=20,
-        length=15.0,
-        seed=5,
-        width=160,
-        height=120,
-        points_per_scan=3000,
-    )
-    return folder
 
 
 def products(out):

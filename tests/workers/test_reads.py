@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from split_street import make_street
 
 from lvba import pipeline
 from lvba.blocks import decoded, split, survey
@@ -18,11 +17,6 @@ from workers.store import ZarrStore
 
 MOST_SCANS, MOST_IMAGES = 4, 1
 """Of a scan: what memory it takes (4 of all), survey (16 of all), errors of the sensor (28 of all), all else."""
-
-
-@pytest.fixture(scope="module")
-def street(tmp_path_factory):
-    return make_street(tmp_path_factory.mktemp("street") / "street")
 
 
 @pytest.fixture
@@ -46,12 +40,12 @@ def reads(monkeypatch):
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")  # an overflow would be printed to users
 @pytest.mark.parametrize(("size", "held"), [(0, local.HELD_BYTES), (10, 0)])
-def test_frames_are_decoded_once_for_each_use(street, reads, tmp_path, monkeypatch, size, held):
+def test_frames_are_decoded_once_for_each_use(street_in_two, reads, tmp_path, monkeypatch, size, held):
     """Also where nothing stays in memory between steps, and by all parts together where there are two."""
     monkeypatch.setattr(local, "HELD_BYTES", held)
     monkeypatch.setattr(decoded, "PIECE_BYTES", 6 * 3 * 160 * 120)
     cut = SplitConfig(by="count", size=size, overlap=5) if size else SplitConfig(by="none")
-    dataset = open_dataset(street)
+    dataset = open_dataset(street_in_two)
     opened = Counter(reads)
     plan = pipeline.refine(dataset, replace(Config(), split=cut))
     store = ZarrStore(tmp_path)
@@ -68,9 +62,9 @@ def test_frames_are_decoded_once_for_each_use(street, reads, tmp_path, monkeypat
 
 
 @pytest.mark.parametrize("decoded_scans", [(3, 6), (0, 3)])
-def test_of_dense_scans_all_but_the_map_reads_every_second_point(street, monkeypatch, decoded_scans):
+def test_of_dense_scans_all_but_the_map_reads_every_second_point(street_in_two, monkeypatch, decoded_scans):
     """From pieces and from files alike."""
-    dataset = open_dataset(street)
+    dataset = open_dataset(street_in_two)
     monkeypatch.setattr(split, "ENOUGH_POINTS", survey.load_of(dataset).points_per_scan / 2)
     known = survey.survey(dataset, Config().lidar, Config().visual.keyframes)
     assert known.every == 2
@@ -85,8 +79,8 @@ def test_of_dense_scans_all_but_the_map_reads_every_second_point(street, monkeyp
         assert len(fewer.intensities([scan])) == len(points[::2])
 
 
-def test_a_scan_that_no_piece_holds_is_read_from_its_file(street):
-    dataset = open_dataset(street)
+def test_a_scan_that_no_piece_holds_is_read_from_its_file(street_in_two):
+    dataset = open_dataset(street_in_two)
     piece = decoded.decode_scans(dataset, (3, 6))
     reader = decoded.ScanReader([((3, 6), lambda: piece)], whole=dataset)
     for scan in (0, 3, 5, 6):

@@ -7,29 +7,20 @@ import signal
 
 import pytest
 from real_cluster import Cluster, tls_files
-from split_street import (
-    PARTS,
-    Driver,
-    artifacts,
-    make_street,
-    manifests,
-    name_of,
-    products,
-    reused,
-)
+from split_street import Driver, artifacts, manifests, name_of, products, reused
 from toy_steps import wait_for
+from two_parts import PARTS
 
 
 @pytest.fixture(scope="module")
-def street(tmp_path_factory):
-    return make_street(tmp_path_factory.mktemp("street") / "street")
+def street(street_in_two):
+    return street_in_two
 
 
 @pytest.fixture(scope="module")
-def alone(street, lvba, tmp_path_factory):
+def alone(result_in_two):
     """The result folder of a run in one process that nothing disturbed."""
-    out = tmp_path_factory.mktemp("alone") / "out"
-    done = lvba("run", street, "--out", out, *PARTS, "--threads", 1)
+    out, done = result_in_two
     assert "memory for each of 2 parts: about 0.4 GB, of " in done.stderr
     return out
 

@@ -7,31 +7,9 @@ import tarfile
 import time
 
 import httpx
-import pytest
 from real_server import PATIENCE, Service, ended, submit, until
 from test_server_faults import assert_done_once_with_the_same_bytes, runs
-
-from lvba import simulate
-
-IN_PARTS = {"split": {"by": "count", "size": 10}}
-
-
-@pytest.fixture(scope="module")
-def street(tmp_path_factory):
-    """A recording that can be cut in two."""
-    folder = tmp_path_factory.mktemp("street") / "street"
-    # with fewer points, surfaces are so few that they contradict the rough poses, and a run takes twice as long
-    sizes = {"width": 96, "height": 72, "points_per_scan": 2500}
-    simulate.simulate("street", folder, frames=20, scans=20, length=15.0, seed=5, **sizes)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def result(street, lvba, tmp_path_factory):
-    out = tmp_path_factory.mktemp("run") / "out"
-    split = [f"--set=split.{name}={value}" for name, value in IN_PARTS["split"].items()]
-    lvba("run", street, "--out", out, "--threads", 2, *split)
-    return out
+from two_parts import SPLIT
 
 
 def packed(folder):
@@ -59,10 +37,11 @@ def unfinished_put(service, dataset, data, offset, length):
     return connection
 
 
-def test_killed_throughout_a_job_nothing_is_lost(street, result, tmp_path):
+def test_killed_throughout_a_job_nothing_is_lost(street_in_two, result_in_two, tmp_path):
+    result, _ = result_in_two
     service = Service(tmp_path / "data")
-    dataset = _arrives(service, packed(street))
-    job_id = submit(service.http, dataset, config=IN_PARTS)["id"]
+    dataset = _arrives(service, packed(street_in_two))
+    job_id = submit(service.http, dataset, config={"split": SPLIT})["id"]
     with service.held("lidar-merge"):
         until(service.http, f"/v1/jobs/{job_id}", runs("lidar-merge"))
         service.kill()
