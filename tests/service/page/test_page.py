@@ -252,6 +252,7 @@ def test_a_key_is_asked_for_and_opens_maps_and_files(browser, served, job, tmp_p
     served.stop()
     locked = Served(served.data, "--auth")
     try:
+        key = locked.key("local")
         watched = Watched(browser, locked.url)
         watched.allowed = ["401"]
         page = watched.page
@@ -260,7 +261,7 @@ def test_a_key_is_asked_for_and_opens_maps_and_files(browser, served, job, tmp_p
         page.get_by_label("API key").fill("lvba_0_wrong")
         page.get_by_role("button", name="Sign in").click()
         page.locator(".field-problem").filter(has_text="key").wait_for()
-        page.get_by_label("API key").fill(locked.key("local"))
+        page.get_by_label("API key").fill(key)
         page.get_by_role("button", name="Sign in").click()
         page.wait_for_function(
             "() => /^[1-9]/.test(document.querySelector('.cloud-status')?.textContent ?? '')"
@@ -278,7 +279,7 @@ def test_a_key_is_asked_for_and_opens_maps_and_files(browser, served, job, tmp_p
         page.get_by_role("button", name="Sign out").click()
         page.reload()
         page.get_by_label("Keep me signed in on this computer").check()
-        page.get_by_label("API key").fill(locked.key("local"))
+        page.get_by_label("API key").fill(key)
         page.get_by_role("button", name="Sign in").click()
         page.get_by_role("link", name="exposures.csv").wait_for()
         another = watched.context.new_page()

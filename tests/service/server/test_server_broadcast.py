@@ -161,6 +161,7 @@ def test_listener_from_the_beginning_hears_what_is_stored_and_what_comes(databas
 def test_slow_listener_finds_in_the_journal_what_is_not_in_memory_any_more(database, monkeypatch):
     monkeypatch.setattr(broadcast, "_PAGE", 5)
     monkeypatch.setattr(broadcast, "_KEPT", 20)
+    monkeypatch.setattr(broadcast, "_LOOK_S", 0.02)
 
     async def check():
         job = add_job(database)
