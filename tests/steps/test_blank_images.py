@@ -28,7 +28,7 @@ def test_black_and_clipped_images_are_blank_and_dark_or_bright_ones_are_not():
 
 @pytest.fixture(scope="module")
 def store():
-    """Artifacts of all runs here: what no image decides is the same in them."""
+    """Artifacts of all runs here: that of the recording as it is, is made once."""
     return {}
 
 
