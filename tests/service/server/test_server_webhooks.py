@@ -215,7 +215,7 @@ def test_receivers_that_drip_stop_neither_others_nor_the_one_who_tells(database,
             webhooks.enqueue(session, job)
     allow = (drip.origin, stub.origin)
     messenger = webhooks.Messenger(
-        database, Settings(webhooks=True, webhook_allow=allow, webhook_timeout_s=1.0)
+        database, Settings(webhooks=True, webhook_allow=allow, webhook_timeout_s=2.0)
     )
     messenger.start()
     end, first = time.monotonic() + 60, None
