@@ -16,7 +16,8 @@ Which version the tables are of:
 - **Severely disturbed rooms of seed 821; severely disturbed courtyards of this seed with rain, people, mirrors, jumps,
   rough drift, gaps, foliage, noise of ranges, wrong clocks, motion left in scans, or another extrinsic, focal length,
   principal point or k1; seed 822 with motion left:** this one but for groups of scans that hang on each other by little,
-  as of narrow LiDARs and depth cameras, which follow the odometry more there. What follows is of the others.
+  as of narrow LiDARs and depth cameras, which follow the odometry more there, and for verdicts, which also ask for a look
+  where refined scans predict images worse with the input's cameras alone. What follows is of the others.
 - **Of the severely disturbed scenes of seeds 821 and 822 those with errors by incidence or elevation, or no
   disturbance:** one before, by which maps are judged with stray points.
 - **Of the disturbed scenes of these seeds those with rain or people:** one before that, whose promises of what errors of

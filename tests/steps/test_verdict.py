@@ -210,6 +210,19 @@ def test_what_a_report_tells_reaches_the_verdict(spoil, words):
     assert words in found["reasons"][0]["text"].replace("Not used", "not used")
 
 
+@pytest.mark.parametrize(
+    ("used", "after", "said"), [(True, 0.3, False), (True, 0.001, True), (False, 0.3, True)]
+)
+def test_scans_that_lost_with_the_cameras_of_the_input_need_no_look_where_later_ones_gain(used, after, said):
+    given = facts()
+    given["lidar"]["judged"] = [{"name": "ssim_leave_one_out", "gain": -0.05, "error": 0.01}]
+    given["visual"]["accepted"] = used
+    before = given["evaluation"]["rough"]["per_image"]["ssim_common"]
+    given["evaluation"]["refined"] = {"per_image": {"ssim_common": [value + after for value in before]}}
+    reasons = verdict_data.add(given)["verdict"]["reasons"]
+    assert any("refined scans (loss of 0.0500" in reason["text"] for reason in reasons) == said
+
+
 def test_a_white_balance_that_was_taken_out_of_all_images_needs_no_look():
     given = facts()
     balanced(given)
