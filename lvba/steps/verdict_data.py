@@ -14,10 +14,8 @@ from lvba.wording import joined
 
 Facts = Mapping[str, Any]
 
-_SSIM_SURE, _SSIM_LOSS = 2.0, 0.005
+_SSIM_SURE, _SSIM_LEAST = 2.0, 0.005
 """Standard errors, over images, by which SSIM must fall or rise, and the least change that means something."""
-_FEWEST_IMAGES = 3
-"""Of which a change means anything."""
 _AS_GOOD = 1.25
 """Times the squared distances of points from planes at refined poses that those at the input's may have: points scatter
 by a ninth more. Where inputs were refined with gain, it was mostly 4 to 300 times."""
@@ -82,6 +80,8 @@ def figures(facts: Facts) -> Figures:
     degenerate_scans, dependent_steps = _undetermined(lidar)
     extrinsic, balance = visual.get("extrinsic") or {}, visual.get("white_balance") or {}
     fused = "moved_m" in fusion and visual.get("accepted") is not False and used
+    ssim = _changed_ssim(facts.get("evaluation") or {})
+    ssim_rose = ssim is not None and ssim[1] > ssim[0]
     return Figures(
         scans=dataset.get("scans") or 0,
         images=dataset.get("images") or 0,
@@ -107,8 +107,8 @@ def figures(facts: Facts) -> Figures:
         extrinsic_sigmas=extrinsic.get("sigmas") if visual.get("accepted") is not False else None,
         extrinsic_m=extrinsic.get("change_m") or 0.0,
         extrinsic_deg=extrinsic.get("change_deg") or 0.0,
-        small_losses=tuple(_small_losses(facts)),
-        ssim=_lost_ssim(facts.get("evaluation") or {}),
+        small_losses=tuple(_small_losses(facts, ssim_rose)),
+        ssim=None if ssim_rose else ssim,
         thickness=(planes["thickness_before_m"], planes["thickness_after_m"]) if planes else None,
         truth=tuple(_truth(facts.get("reference") or {})),
         scale=((facts.get("reference") or {}).get("lidar") or {}).get("scale"),
@@ -179,14 +179,13 @@ def _vague(expected: Facts | None) -> int:
     return int(np.sum(~(errors <= verdict.VAGUE * np.nanmedian(errors))))
 
 
-def _small_losses(facts: Facts) -> Iterator[str]:
+def _small_losses(facts: Facts, ssim_rose: bool) -> Iterator[str]:
     """What each used part lost in held-out scores, beyond chance and not only in the last digits.
 
     Scans are judged with the input's cameras. Where these are off, a crisper map looks worse: of 28 simulations that lost
     so, scans were nearer to the truth in all. So not where refined cameras predict images better in the end.
     """
-    with_cameras = (facts.get("visual") or {}).get("accepted") is True
-    better = with_cameras and _has_gained_ssim(facts.get("evaluation") or {})
+    better = ssim_rose and (facts.get("visual") or {}).get("accepted") is True
     for name, section, prefix in _JUDGED:
         part = facts.get(section) or {}
         if part.get(f"{prefix}accepted") is not True or (section == "lidar" and better):
@@ -209,34 +208,22 @@ def _by_images(figure: Facts) -> float:
     return float(np.sqrt(max(figure["error"] ** 2 - (figure.get("calibration") or 0.0) ** 2, 0.0)))
 
 
-def _lost_ssim(evaluation: Facts) -> tuple[float, float] | None:
-    """SSIM before and after, where it fell beyond chance over the pixels that both maps cover."""
-    both = _ssim_of_both(evaluation)
-    change = both[1] - both[0]
-    if len(change) < _FEWEST_IMAGES or -change.mean() <= max(_SSIM_LOSS, _SSIM_SURE * standard_error(change)):
-        return None
-    return float(both[0].mean()), float(both[1].mean())
-
-
-def _has_gained_ssim(evaluation: Facts) -> bool:
-    """Whether it rose, beyond chance, over these pixels."""
-    both = _ssim_of_both(evaluation)
-    change = both[1] - both[0]
-    return len(change) >= _FEWEST_IMAGES and bool(
-        change.mean() > max(_SSIM_LOSS, _SSIM_SURE * standard_error(change))
-    )
-
-
-def _ssim_of_both(evaluation: Facts) -> np.ndarray:
-    """(2, I): SSIM of the images that the maps of the input and of the result cover both; (2, 0) where not known."""
+def _changed_ssim(evaluation: Facts) -> tuple[float, float] | None:
+    """SSIM before and after, where it fell or rose beyond chance over the pixels that both maps cover."""
     rough, refined = (
         ((evaluation.get(name) or {}).get("per_image") or {}).get("ssim_common")
         for name in ("rough", "refined")
     )
     if not rough or not refined or len(rough) != len(refined):
-        return np.zeros((2, 0))
+        return None
     both = np.array([[np.nan if value is None else value for value in row] for row in (rough, refined)])
-    return np.asarray(both[:, np.isfinite(both).all(0)])
+    both = both[:, np.isfinite(both).all(0)]
+    change = both[1] - both[0]
+    if len(change) < 3:
+        return None
+    if abs(change.mean()) <= max(_SSIM_LEAST, _SSIM_SURE * standard_error(change)):
+        return None
+    return float(both[0].mean()), float(both[1].mean())
 
 
 def _truth(reference: Facts) -> list[Truth]:

@@ -13,9 +13,8 @@ from typing import Any
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from service import problems
 from service.api.connection_slots import ConnectionSlots
-from service.problems import Problem, too_slow
+from service.problems import Problem, ending, too_slow
 from service.settings import Limits
 
 _DISMISSAL_S = 1.0
@@ -45,7 +44,7 @@ class Connection(H11Protocol):
         _notice_who_vanishes(transport.get_extra_info("socket"), self._limits.stall_s)
         if self._slots.closed:
             # it was waiting to be taken up when uvicorn asked all connections to end, so nobody would ask this one
-            self._dismiss(problems.ending())
+            self._dismiss(ending())
         elif self._slots.take(self, self.client[0] if self.client else ""):
             self._await(self._limits.head_s, self._too_slow)
         else:

@@ -13,11 +13,6 @@ from two_parts import PARTS
 
 
 @pytest.fixture(scope="module")
-def street(street_in_two):
-    return street_in_two
-
-
-@pytest.fixture(scope="module")
 def alone(result_in_two):
     """The result folder of a run in one process that nothing disturbed."""
     out, done = result_in_two
@@ -36,12 +31,12 @@ def tls_cluster(tmp_path_factory):
 
 
 @pytest.fixture
-def drive(street):
+def drive(street_in_two):
     """Begins a run of the street into a folder, with options; none outlives the test."""
     started = []
 
     def begin(out, *options):
-        started.append(Driver(street, out, *options))
+        started.append(Driver(street_in_two, out, *options))
         return started[-1]
 
     yield begin
@@ -58,8 +53,8 @@ def same(out, alone):
     assert [name for name in stages if stages[name] != expected[name]] == []
 
 
-def test_own_workers_give_the_same_bytes_and_redo_only_what_is_damaged(street, alone, lvba, tmp_path):
-    run = ["run", street, "--out", tmp_path, *PARTS, "--workers", 2, "--memory-limit", 2]
+def test_own_workers_give_the_same_bytes_and_redo_only_what_is_damaged(street_in_two, alone, lvba, tmp_path):
+    run = ["run", street_in_two, "--out", tmp_path, *PARTS, "--workers", 2, "--memory-limit", 2]
     lvba(*run)
     same(tmp_path, alone)
     before = manifests(tmp_path / "stages")
@@ -77,10 +72,12 @@ def test_own_workers_give_the_same_bytes_and_redo_only_what_is_damaged(street, a
     same(tmp_path, alone)
 
 
-def test_scheduler_driver_and_everything_killed_in_turn(drive, street, alone, tls_cluster, lvba, tmp_path):
+def test_scheduler_driver_and_everything_killed_in_turn(
+    drive, street_in_two, alone, tls_cluster, lvba, tmp_path
+):
     driver = drive(tmp_path, *tls_cluster.on())
     driver.until("lidar-step")
-    other = lvba("run", street, "--out", tmp_path, *PARTS, *tls_cluster.on(), code=2)
+    other = lvba("run", street_in_two, "--out", tmp_path, *PARTS, *tls_cluster.on(), code=2)
     assert "another run is writing here" in other.stderr
     tls_cluster.kill_scheduler()
     finished = manifests(tmp_path / "stages")

@@ -3,17 +3,15 @@
 import hashlib
 import http.server
 import json
-import threading
 from urllib.parse import unquote, urlsplit
 
 import pytest
+from stub_servers import serve
 
 from service.cli import client, dispatch, main
 from service.datasets import file_names
 
 JOB = "job_0"
-LOOK_S = 0.02
-"""How long a server that is to end waits at most until it does."""
 CODES = "\x1b]0;owned\x07\x1b[2J\x9b31m\u202e\r"
 
 
@@ -75,7 +73,7 @@ def hostile(tmp_path, monkeypatch):
     monkeypatch.setattr(client, "_WAIT_S", 0.001)
     monkeypatch.setattr(client, "_LONGEST", 1 << 20)
     server = Hostile()
-    threading.Thread(target=server.serve_forever, args=(LOOK_S,), daemon=True).start()
+    serve(server)
     yield server
     server.shutdown()
     server.server_close()
@@ -168,7 +166,7 @@ def test_no_link_in_the_folder_is_followed(hostile, ask, tmp_path):
 def test_key_goes_to_no_other_server(hostile, ask, monkeypatch, tmp_path):
     monkeypatch.setenv("LVBA_KEY", "lvba_secret")
     other = Hostile()
-    threading.Thread(target=other.serve_forever, args=(LOOK_S,), daemon=True).start()
+    serve(other)
     hostile.has({"name": "map.ply", "bytes": 1, "etag": "", "url": f"{other.url}/map.ply"})
     hostile.answers[f"/v1/jobs/{JOB}/results/map.ply"] = lambda to: to.answer(
         b"", 302, Location=other.url + "/x"

@@ -5,11 +5,11 @@ from contextlib import ExitStack
 import httpx
 import pytest
 from real_server import Service, upload
+from told_events import add_job, tell
 
-from service.db import journal
 from service.db.database import Database
-from service.db.tables import Dataset, Job, Key
-from service.system.paths import new_id, now
+from service.db.tables import Key
+from service.system.paths import now
 
 
 @pytest.fixture(scope="module")
@@ -173,17 +173,6 @@ def of_another(session, key):
     key.owner = "somebody"
 
 
-def tell(database, owner):
-    """An event of a job of this owner."""
-    row = {"owner": owner, "name": "x", "created": now(), "updated": now()}
-    with database.write() as session:
-        session.add(dataset := Dataset(id=new_id("ds"), state="ready", **row))
-        session.flush()
-        session.add(job := Job(id=new_id("job"), dataset_id=dataset.id, state="done", config={}, **row))
-        session.flush()
-        journal.add(session, job, "log", {"what": "log"})
-
-
 def test_open_streams_end_with_the_right_to_hear_them(guarded):
     """However it ends; all at once, for the service looks once a second."""
     changes = [revoked, expired, not_for_reading, of_another]
@@ -203,7 +192,7 @@ def test_open_streams_end_with_the_right_to_hear_them(guarded):
         assert {change.__name__: list(stream) for change, stream in zip(changes, ended, strict=True)} == {
             change.__name__: [] for change in changes
         }
-        tell(database, "eve")
+        tell(database, add_job(database, "eve", state="done"), "log")
         assert next(kept).startswith(b"id: "), "the other key still hears"
     database.close()
 

@@ -8,15 +8,13 @@ from contextlib import asynccontextmanager
 
 import pytest
 import uvicorn
+from told_events import add_job, tell
 
 from service.api import web_server
-from service.db import journal
 from service.db.database import Database
-from service.db.tables import Dataset, Job
 from service.jobs import broadcast
 from service.jobs.broadcast import Broadcaster
 from service.settings import Settings
-from service.system.paths import new_id, now
 
 
 @pytest.fixture
@@ -25,26 +23,6 @@ def database(tmp_path):
     database.migrate()
     yield database
     database.close()
-
-
-def add_job(database, owner="x"):
-    dataset, job = new_id("ds"), new_id("job")
-    row = {"owner": owner, "name": "x", "created": now(), "updated": now()}
-    with database.write() as session:
-        session.add(Dataset(id=dataset, state="ready", **row))
-        session.flush()
-        session.add(Job(id=job, dataset_id=dataset, config={}, **row))
-    return job
-
-
-def tell(database, job_id, *kinds):
-    """Adds events of these kinds; their ids."""
-    with database.write() as session:
-        job = session.get_one(Job, job_id)
-        for kind in kinds:
-            journal.add(session, job, kind, {"what": kind})
-        session.flush()
-        return journal.latest(session)
 
 
 @asynccontextmanager

@@ -8,6 +8,7 @@ from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
+from stub_servers import serve
 
 from lvba.errors import InputError
 from service.db.database import Database
@@ -27,7 +28,7 @@ class Stub(HTTPServer):
         super().__init__(("127.0.0.1", 0), _Handler)
         self.told, self.answers = [], [200]
         self.origin = f"http://127.0.0.1:{self.server_port}"
-        threading.Thread(target=self.serve_forever, args=(0.02,), daemon=True).start()
+        serve(self)
 
 
 class _Handler(BaseHTTPRequestHandler):
