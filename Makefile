@@ -4,13 +4,14 @@ PYTHON ?= python3
 BIN := .venv/bin
 DEMO := demo
 
-.PHONY: help install demo test check bench page clean
+.PHONY: help install demo test check bench signatures page clean
 
 help:
 	@echo "make demo     simulate a small recording, refine it, and compare with the truth (minutes)"
 	@echo "make test     all tests"
 	@echo "make check    lint, formatting, types, layering; lint of deploy/"
 	@echo "make bench    speed and memory, into docs/benchmarks.md"
+	@echo "make signatures  which kernels are compiled ahead, anew, after a change of their arguments"
 	@echo "make page     the page of the job service anew, into service/page, after a change in service/page_src"
 	@echo "make install  lvba in .venv, and nothing else"
 
@@ -36,6 +37,9 @@ check: .venv/.installed-dev
 
 bench: .venv/.installed-dev
 	$(BIN)/python benchmarks/bench.py $(BENCH)
+
+signatures: .venv/.installed-dev
+	$(BIN)/python -m service.cli.kernel_signatures
 
 page: .venv/.installed-page
 	$(BIN)/python service/page_src/build.py

@@ -10,8 +10,10 @@ from lvba import kernels
 from service.cli import kernel_cache
 from service.cli.progress import Display
 
-NOTICE = "numerical kernels are compiled, once on this machine (1 to 3 minutes for all); `lvba warm` does it beforehand"
-_COUNT = "kernels compiled"
+NOTICE = (
+    "numerical kernels are compiled, once on this machine (up to two minutes); `lvba warm` does it beforehand"
+)
+COUNT = "kernels compiled"
 _KIND = "numba:compile"
 
 
@@ -38,7 +40,7 @@ class Compilations(event.Listener):
         if _is_ours(event):
             with self._lock:
                 self.done += 1
-                self._display.progress(_COUNT, self.done, max(self._total, self.done))
+                self._display.progress(COUNT, self.done, max(self._total, self.done))
 
 
 @contextmanager

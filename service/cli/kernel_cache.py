@@ -24,12 +24,17 @@ def folder() -> Path:
 
     Raises InputError: NUMBA_CACHE_DIR names a folder that cannot be written.
     """
-    place, wanted = Path(str(_first(voxel).stats.cache_path)), os.environ.get("NUMBA_CACHE_DIR")
-    if wanted and not place.absolute().is_relative_to(Path(wanted).absolute()):
+    kept, wanted = place(), os.environ.get("NUMBA_CACHE_DIR")
+    if wanted and not kept.absolute().is_relative_to(Path(wanted).absolute()):
         raise InputError(
             f"NUMBA_CACHE_DIR={wanted}", "cannot be written", "set it to a folder that can be written"
         )
-    return place
+    return kept
+
+
+def place() -> Path:
+    """The same, where NUMBA_CACHE_DIR names a folder that cannot be written: another then."""
+    return Path(str(_first(voxel).stats.cache_path))
 
 
 def missing() -> int:
@@ -58,23 +63,23 @@ def is_compiled(kernel: CPUDispatcher, module: ModuleType) -> bool:
     return any(index.stat().st_mtime >= source.stat().st_mtime for index in indices)
 
 
-def compiled(place: Path) -> list[str]:
+def compiled(folder: Path) -> list[str]:
     """Names of the files that are kept in the folder, in order; there may be none."""
-    return sorted(path.name for path in place.glob("*.nb[ic]"))
+    return sorted(path.name for path in folder.glob("*.nb[ic]"))
 
 
-def is_warm(place: Path) -> bool:
+def is_warm(folder: Path) -> bool:
     """Whether `lvba warm` of this very program, on such a processor, has filled the folder, and all is still there."""
     try:
-        note = json.loads((place / _NOTE).read_text(encoding="utf-8"))
-        return bool(note["of"] == _program()) and set(note["files"]) <= set(compiled(place))
+        note = json.loads((folder / _NOTE).read_text(encoding="utf-8"))
+        return bool(note["of"] == _program()) and set(note["files"]) <= set(compiled(folder))
     except (OSError, ValueError, KeyError, TypeError):
         return False
 
 
-def note_warm(place: Path) -> None:
+def note_warm(folder: Path) -> None:
     """Note in the folder that all is there that a run of this program needs."""
-    files.write_text(place / _NOTE, json.dumps({"of": _program(), "files": compiled(place)}))
+    files.write_text(folder / _NOTE, json.dumps({"of": _program(), "files": compiled(folder)}))
 
 
 def _program() -> str:

@@ -124,7 +124,7 @@ examples:
 
 
 _WARM = """\
-Compile the numerical kernels, so that the first run does not wait for it: 1 to 3 minutes, once on a machine.
+Compile the numerical kernels, so that the first run does not wait for it: up to two minutes, once on a machine.
 
 A small made-up recording is refined in a temporary folder. Compiled code is kept beside the program, or in
 NUMBA_CACHE_DIR where that is set; where all is there already, nothing is done."""

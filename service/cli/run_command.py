@@ -20,6 +20,7 @@ from lvba.products.export import export
 from lvba.result import Result
 from service.cli import (
     clusters,
+    compile_ahead,
     first_run,
     import_command,
     memory_estimate,
@@ -58,6 +59,8 @@ def refine(arguments: argparse.Namespace, display: Display) -> dict[str, Any]:
     dataset = open_dataset(folder)
     reference = read_reference(arguments.reference) if arguments.reference else None
     load = memory_estimate.announce(arguments, dataset, config, display)
+    if arguments.scheduler is None:
+        compile_ahead.run(display, arguments.threads)
     if arguments.workers is not None:
         first_run.announce_in_workers(display)
     work = pipeline.refine(_for_workers(dataset), config, reference, versions.key_version(), load=load)

@@ -9,7 +9,7 @@ from pathlib import Path
 from lvba.simulate import simulate
 from lvba.simulate.disturbances import Disturbances
 from lvba.simulate.world import PlainCaster
-from service.cli import first_run, kernel_cache, run_command
+from service.cli import compile_ahead, first_run, kernel_cache, run_command
 from service.cli.progress import Display
 
 _RUNS: tuple[tuple[str, ...], ...] = (
@@ -36,11 +36,13 @@ def fill(display: Display) -> int:
     """Compile what runs need and the cache does not hold; how many kernels that were."""
     with tempfile.TemporaryDirectory(prefix="lvba-warm-") as name, first_run.shown(display, "") as seen:
         recording = Path(name) / "recording"
+        display.stage("compile", 0, 1)
+        ahead = compile_ahead.run(display)
         display.stage("simulate", 0, 1)
         simulate_recording(recording, display)
         for number, options in enumerate(_RUNS):
             run_command.refine(_arguments(recording, Path(name) / f"result-{number}", options), display)
-    return seen.done
+    return ahead + seen.done
 
 
 def simulate_recording(recording: Path, display: Display) -> None:

@@ -119,7 +119,7 @@ def test_wheel_has_all_modules_the_page_and_presets_and_nothing_else(wheel):
     modules -= of_checkout("service/page_src/**/*")
     others = (
         of_checkout("service/page/**/*") | of_checkout("service/db/**/*.mako") | of_checkout("*/py.typed")
-    ) | of_checkout("lvba/sources/presets/*.yaml")
+    ) | (of_checkout("lvba/sources/presets/*.yaml") | of_checkout("lvba/kernels/*.json"))
     assert "service/page/index.html" in others
     found = {name for name in names_in_wheel(wheel) if ".dist-info/" not in name}
     assert found == modules | others
