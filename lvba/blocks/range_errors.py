@@ -297,7 +297,8 @@ class _Measurement:
         if self.beams.usual is not None and window.intensity is not None:
             brighter = range_errors.brighter_on_planes(view, self.beams, window.intensity, cosine)
         self.responses[number] = range_uncertainty.response(view, self.beams, brighter)
-        depths = beam_depth.of_planes(view, self.beams.position)
+        deep = number in self.depths and self.depths[number][0] > 0
+        depths = beam_depth.of_planes(view, self.beams.position, deep)
         self.depths[number] = depths.squares
         by_depth = beam_depth.by_depth(self.beams, depths.of_points(view.labels.plane))
         return scan_evidence.evidence(view, self._by_shared(window, result, brighter, by_depth), size)

@@ -31,6 +31,9 @@ _CHANCE = 4.0
 """And above so many of its standard deviations; half of the planes of depth cameras have a little of either sign."""
 _LEAST_PART = 0.1
 """Of the points on planes, below which a window shows no such surfaces: edges and mirrors do as much."""
+_STAYS_PART = 0.05
+"""The same where it has shown them before its points were corrected: what comes and goes from round to round keeps the
+other errors from an end."""
 
 
 class Depths(NamedTuple):
@@ -52,8 +55,11 @@ class Depths(NamedTuple):
         return np.where(plane >= 0, np.append(self.mean, 0.0)[plane], 0.0)
 
 
-def of_planes(view: View, position: Vector) -> Depths:
-    """Of the planes that some scans see. position: where the beams begin, scan frame, m"""
+def of_planes(view: View, position: Vector, seen: bool = False) -> Depths:
+    """Of the planes that some scans see.
+
+    position: where the beams begin, scan frame, m; seen: such surfaces have been seen in this window
+    """
     plane, along = _along(view, position)
     count = len(view.planes)
     points = np.bincount(plane, minlength=count)
@@ -64,7 +70,8 @@ def of_planes(view: View, position: Vector) -> Depths:
     clear = np.abs(skewness) > np.maximum(_SKEWNESS, _CHANCE * np.sqrt(6.0 / enough))
     clear &= points >= _FEWEST_POINTS
     entered = clear & (skewness > 0)
-    if np.sum(points * clear * np.sign(skewness)) <= _LEAST_PART * points.sum():
+    least = _STAYS_PART if seen else _LEAST_PART
+    if np.sum(points * clear * np.sign(skewness)) <= least * points.sum():
         return Depths(np.zeros(count), points)
     plain = np.median((second - np.cbrt(third / 2.0) ** 2)[entered])
     usual = points >= _FEWEST_POINTS

@@ -80,6 +80,18 @@ def test_as_many_planes_with_a_long_side_toward_the_sensor_are_no_depth():
     assert not depths.mean.any()
 
 
+def test_a_small_part_of_such_planes_is_seen_where_it_was_before():
+    """7 % of the points: more than that must show them first, half of it later."""
+    view = hall([0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
+    labels = np.where(np.arange(len(view.labels.plane)) % 5 < 3, -1, view.labels.plane)
+    labels = np.where(view.labels.plane == 0, labels, view.labels.plane)
+    view = replace(view, labels=replace(view.labels, plane=labels))
+    first, later = (beam_depth.of_planes(view, BEAMS.position, seen) for seen in (False, True))
+    assert not first.mean.any()
+    assert later.mean[0] == pytest.approx(0.05, abs=0.006)
+    assert later.mean[1:].max() < 0.02
+
+
 def test_where_no_point_is_on_a_plane_there_is_no_depth():
     view = hall(np.zeros(6), each=2)
     depths = beam_depth.of_planes(view, BEAMS.position)
