@@ -46,11 +46,15 @@ def _known(covariance: np.ndarray) -> np.ndarray:
 
 
 def collect(
-    expected: Expected, pieces: Sequence[Callable[[], PointMap]], range_noise_m: float | None = None
+    expected: Expected,
+    pieces: Sequence[Callable[[], PointMap]],
+    range_noise_m: float | None = None,
+    of_ranges_m: float = 0.0,
 ) -> dict[str, Any]:
     """The `expected_error` part of report.json.
 
     pieces: read the map, one piece at a time; range_noise_m: how far single points are off their surface
+    of_ranges_m: how far scans may be off by errors of ranges that stay in their points
     """
     tally = Tally()
     for piece in pieces:
@@ -61,6 +65,7 @@ def collect(
         "scans": of_poses(expected.scans),
         "cameras": of_poses(expected.cameras),
         "map": tally.facts(),
+        "of_ranges_m": of_ranges_m if expected.scans is not None else None,
         "note": _note(range_noise_m),
     }
 

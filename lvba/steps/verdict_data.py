@@ -1,5 +1,6 @@
 """The verdict on a run from the facts of its report, and the `verdict` and `alarms` parts of the report."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -253,6 +254,8 @@ def _truth(reference: Facts) -> list[Truth]:
     return truths
 
 
+_WORTH_A_CAUSE_M = 0.02
+"""Expected errors that are less need no cause."""
 _FRAME = (
     "relative to the trajectory's own frame (after one rigid alignment) and in the scale of the LiDAR's ranges, "
     "which nothing in a recording tells"
@@ -260,7 +263,7 @@ _FRAME = (
 
 
 def summary(judged: Verdict, expected: Facts, truth: Sequence[Truth] = ()) -> str:
-    """One sentence with the errors to expect, in mm."""
+    """A sentence with the errors to expect, in mm, and one that says what most of them is, where that is one thing."""
     amounts = [
         f"{lengths.text(part['position_m'])} in the {name}"
         for key, name in (("map", "map"), ("scans", "scan poses"), ("cameras", "camera poses"))
@@ -277,4 +280,19 @@ def summary(judged: Verdict, expected: Facts, truth: Sequence[Truth] = ()) -> st
     if measured:
         own = f"{sentence[0].lower()}{sentence[1:]}"
         sentence = f"Against the reference, {joined(measured)}; without it: {own}"
+    if amounts and not judged.unknown:
+        sentence += _of_ranges(expected)
     return f"Do not rely on this result. {sentence}." if judged.level == "bad" else f"{sentence}."
+
+
+def _of_ranges(expected: Facts) -> str:
+    """That errors of ranges are most of what is expected, if they are."""
+    scans, ranges = expected.get("scans") or {}, expected.get("of_ranges_m") or 0.0
+    whole = scans.get("position_m") or 0.0
+    rest = math.sqrt(max(whole**2 - ranges**2, 0.0))
+    if whole < _WORTH_A_CAUSE_M or rest > 0.5 * whole:
+        return ""
+    return (
+        ". Most of that is how far the map may be bent by errors of the LiDAR's beams too small for its planes to tell; "
+        f"if it has none, scan poses are off by about {lengths.text(rest)}"
+    )

@@ -1,5 +1,6 @@
 """The verdict: what figures make of a result, and that nothing dubious is called good."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -93,6 +94,17 @@ def test_jumps_are_counted_in_words_and_untied_ones_promise_nothing():
     assert "not known" in verdict_data.summary(judged, {"scans": {"position_m": 0.001}})
     assert "jump 3 times" in verdict.judge(replace(known, jumps=3)).reasons[0].text
     assert "jump once, by 1.00 m." in verdict.judge(replace(known, jumps=1, untied_jumps=())).reasons[0].text
+
+
+@pytest.mark.parametrize(("of_ranges", "named"), [(0.76, "about 40 mm"), (0.4, ""), (None, "")])
+def test_errors_of_ranges_are_named_where_they_are_most_of_what_is_expected(of_ranges, named):
+    whole = math.hypot(0.76, 0.04)
+    expected = {"scans": {"position_m": whole}, "of_ranges_m": of_ranges}
+    said = verdict_data.summary(verdict.judge(CLEAN), expected)
+    assert ("if it has none, scan poses are off by" in said) == bool(named)
+    assert named in said
+    small = {"scans": {"position_m": whole / 100}, "of_ranges_m": (of_ranges or 0.0) / 100}
+    assert "beams" not in verdict_data.summary(verdict.judge(CLEAN), small)
 
 
 def test_the_worst_reason_comes_first():
