@@ -34,6 +34,9 @@ _PASSES = 2
 """Where the odometry is decimeters off everywhere, what is open is laid out again beside the poses that came of it."""
 _BEFORE = 8
 """Scans that another one is registered to."""
+_KNOWN = 0.1
+"""Of the odometry's standard deviation, the most that planes of the map leave of that of a motion that they know. Where
+that was less, motions that had begun at an odometry that is decimeters off were right to 30 mm, jumps were not."""
 _OUTLYING = 6.0
 _LEAST_SIGMA = np.repeat([np.radians(0.2), 0.02], 3)
 """rad and m: surfaces do not tell better how good the odometry is."""
@@ -92,14 +95,24 @@ class StartPoses:
     world_from_scan: np.ndarray
     error: RoughError
 
-    def judged(self, patches: Sequence[Patch | None], rough: Poses, refined: Poses) -> RoughError:
+    def judged(
+        self,
+        patches: Sequence[Patch | None],
+        rough: Poses,
+        refined: Poses,
+        dependence: np.ndarray | None = None,
+    ) -> RoughError:
         """The error, with what is left of it in refined poses.
 
         patches: of `surfels_of`; rough, refined: (S, 4, 4)
-        A motion that the scan alone left open is not, where surfaces of scans on both sides confirm that of the result.
+        dependence: (S - 1,) float64, of the result, as `covariance.Covariance.odometry_dependence`; None: not known
+        A motion that the scan alone left open is not, where surfaces of scans on both sides confirm that of the result,
+        or planes of the whole map know it far better than the odometry.
         """
         expected, is_open = geometry.steps(rough), self.error.open_after
         jumps = np.intersect1d(is_open, self.error.wrong_after)
+        if dependence is not None and len(dependence) == len(expected):
+            is_open = np.union1d(jumps, is_open[dependence[is_open] > _KNOWN])
         # a jump is as many scans on both sides have it: these are no second witness
         sure = rough_motions.confirmed(patches, refined, jumps, expected, rough_motions.BESIDE)
         others = rough_motions.confirmed(patches, refined, np.setdiff1d(is_open, jumps), expected)

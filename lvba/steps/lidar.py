@@ -73,7 +73,9 @@ def solve_lidar(
     poses = result.world_from_scan
     return LidarStage(
         with_errors(result, errors, part.scan_numbers),
-        rough_error=None if begin is None else begin.judged(surfels, rough, poses),
+        rough_error=None
+        if begin is None
+        else begin.judged(surfels, rough, poses, result.odometry_dependence),
         confirmed=_confirmed(surfels, dataset.scans, Trajectory(dataset.scans.times, poses)),
         points_off=(0.0, 0.0) if errors is None else errors.points_off,
     )

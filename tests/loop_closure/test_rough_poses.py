@@ -194,6 +194,19 @@ def test_a_motion_that_was_left_open_is_known_where_scans_on_both_sides_confirm_
     assert aside.open_after.tolist() == [11]
 
 
+def test_a_motion_that_planes_of_the_map_know_is_not_open_but_for_a_jump(courtyard):
+    _, truth, rough, surfels = courtyard
+    nothing, aside = np.zeros(0, np.int64), jumped(truth, 11, [0, 0, 0, 0.7, 0.5, 0])
+    start = rough_poses.StartPoses(truth, RoughError(0.1, 0.5, nothing, np.array([11]), nothing))
+    known, vague = np.full(len(truth) - 1, 0.05), np.full(len(truth) - 1, 0.2)
+    assert start.judged(surfels, rough, aside, known).open_after.tolist() == []
+    assert start.judged(surfels, rough, aside, vague).open_after.tolist() == [11]
+    assert start.judged(surfels, rough, aside, nothing).open_after.tolist() == [11]
+    assert start.judged(surfels, rough, aside, known).left_after.tolist() == [11]
+    jump = rough_poses.StartPoses(truth, RoughError(0.1, 0.5, np.array([11]), np.array([11]), nothing))
+    assert jump.judged(surfels, rough, aside, known).open_after.tolist() == [11]
+
+
 def test_surfels_of_single_scans_lie_on_each_other_where_the_scans_belong(courtyard):
     _, truth, _, surfels = courtyard
     steps = geometry.inverse(truth[:-1]) @ truth[1:]
