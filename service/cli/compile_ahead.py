@@ -8,6 +8,7 @@ import contextlib
 import multiprocessing
 import os
 import signal
+import sys
 from collections.abc import Iterator, Sequence
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
@@ -49,9 +50,11 @@ def run(display: Display, threads: int | None = None) -> int:
 
 
 def missing() -> list[Signature]:
-    """The kernels that runs call of which the cache has no code; code that is older than the sources is removed when a
-    kernel is imported."""
-    names = {name.rpartition("-")[0] for name in kernel_cache.compiled(kernel_cache.place())}
+    """The kernels that runs call of which the cache has no code for this Python; code that is older than the sources is
+    removed when a kernel is imported."""
+    ours = f".py{sys.version_info.major}{sys.version_info.minor}."
+    files = kernel_cache.compiled(kernel_cache.place())
+    names = {name.rpartition("-")[0] for name in files if ours in name}
     return [each for each in kernel_signatures.read() if each.name not in names]
 
 

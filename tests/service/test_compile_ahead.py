@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import sys
 
 import pytest
 
@@ -41,6 +42,15 @@ def test_a_kernel_that_has_changed_is_left_to_the_run(lvba, tmp_path):
     done = compiled(lvba, tmp_path, "wrong")
     changed = kernel_signatures.read()[-2].name
     assert done.stdout.split() == ["4", "2", f"['{changed}',", "'voxel.nowhere']"]
+
+
+def test_code_of_another_python_is_none(tmp_path, monkeypatch):
+    first, *others = kernel_signatures.read()
+    version = f"py{sys.version_info.major}{sys.version_info.minor}"
+    (tmp_path / f"{first.name}-12.{version}.nbi").touch()
+    (tmp_path / f"{others[0].name}-12.py27.nbi").touch()
+    monkeypatch.setattr(compile_ahead.kernel_cache, "place", lambda: tmp_path)
+    assert compile_ahead.missing() == others
 
 
 class StoppedError(Exception):
