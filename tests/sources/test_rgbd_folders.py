@@ -107,10 +107,13 @@ def test_settings_of_orb_slam_are_a_camera_file_of_the_tum_layout(tmp_path, vers
     lines = ["%YAML:1.0", 'Camera.type: "PinHole"', f"{factor}: 1000.0", "Viewer.PointSize:2"]
     values = (*writers.FOCAL, *writers.CENTER)
     lines += [f"{name}.{key}: {value}" for key, value in zip(("fx", "fy", "cx", "cy"), values, strict=True)]
+    lines.append("LEFT.K: 1")
     (tmp_path / "camera.yaml").write_text("\n".join(lines))
     source = open_source(tmp_path)
     view.check(source, "depth", "rgb", "groundtruth", 1e-3, 0.2)
-    assert any(f"1000 a meter, by {factor}" in note for note in source.describe().notes)
+    notes = source.describe().notes
+    assert any(f"1000 a meter, by {factor}" in note for note in notes)
+    assert any("are of images that ORB-SLAM rectifies by LEFT.K" in note for note in notes)
 
 
 def test_settings_of_orb_slam_are_a_calibration_to_import_with(tmp_path):

@@ -62,7 +62,7 @@ def open_folder(path: Path) -> FolderSource:
     colors, depths = _lists(path)
     poses, pose_notes = _poses(path)
     counted = _is_counted([stamp for stamp, _ in colors + depths] + [stamp for stamp, _ in poses])
-    camera, origin = _camera(path, [file for _, file in colors])
+    camera, origin, camera_notes = _camera(path, [file for _, file in colors])
     units, units_origin = _units(path)
     depth_camera = DepthCamera(camera, 1 / units)
     items: list[Item] = [image_item("rgb", file, _time(stamp, counted)) for stamp, file in colors]
@@ -79,6 +79,7 @@ def open_folder(path: Path) -> FolderSource:
         streams.append(StreamKind("groundtruth", Kind.POSES, "TUM poses"))
     notes = [
         f"intrinsics: {origin}.",
+        *camera_notes,
         f"depth images: {units:g} a meter, {units_origin}.",
         "depth images are taken to be registered to the colour images, and poses to be of the colour camera.",
         *depth_camera.notes,
@@ -179,15 +180,16 @@ def _units(path: Path) -> tuple[float, str]:
     return UNITS_A_METER, f"as in the benchmark; others: write {_UNITS[0]} to {_CAMERA_FILES[0]} there"
 
 
-def _camera(path: Path, images: list[Path]) -> tuple[Camera, str]:
-    """The colour camera, and where it is from."""
+def _camera(path: Path, images: list[Path]) -> tuple[Camera, str, tuple[str, ...]]:
+    """The colour camera, where it is from, and what its file has that is not used."""
     size = size_of_first(images)
     for name in _CAMERA_FILES:
         if os.path.isfile(path / name):
-            camera = calibrations.read([path / name]).camera_for(size)
+            rig = calibrations.read([path / name])
+            camera = rig.camera_for(size)
             if camera is None:
                 raise InputError(path / name, "holds no camera", "write the intrinsics there")
-            return camera, str(path / name)
+            return camera, str(path / name), rig.notes
     match = re.search(r"(?:freiburg|fr)([123])", os.path.abspath(path).rsplit(os.sep, 1)[-1])
     if match is None or (size.width, size.height) != (640, 480):
         mend = "write its intrinsics to camera.yaml there (cam_model with cam_width, cam_fx, ..., or any format known)"
@@ -197,4 +199,4 @@ def _camera(path: Path, images: list[Path]) -> tuple[Camera, str]:
     name = f"freiburg{match[1]}"
     fx, fy, cx, cy = _CAMERAS[name]
     camera = Camera(width=640, height=480, fx=fx, fy=fy, cx=cx, cy=cy, distortion=_DISTORTION[name])
-    return camera, f"those of {name}, by the name of the folder"
+    return camera, f"those of {name}, by the name of the folder", ()
