@@ -175,6 +175,8 @@ def start(
     error: RoughError | None = None
     for _ in range(_PASSES):
         odometry = _Odometry.of(patches, poses, progress)
+        if error is not None and odometry.precise and not odometry.wrong.any():
+            break  # surfaces of successive scans have nothing against what came of the first pass
         chain = odometry.chained(patches, progress)
         prior = odometry_of(poses, odometry.error(chain), chain.world_from_scan, config)
         groups = []

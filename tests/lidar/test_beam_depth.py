@@ -1,6 +1,7 @@
 """How deep beams go into surfaces: by points that spread farther behind a plane than before it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -90,6 +91,24 @@ def test_a_small_part_of_such_planes_is_seen_where_it_was_before():
     assert not first.mean.any()
     assert later.mean[0] == pytest.approx(0.05, abs=0.006)
     assert later.mean[1:].max() < 0.02
+
+
+@pytest.mark.parametrize(("toward", "seen"), [(0, True), (4, True), (5, False)])
+def test_a_small_part_is_seen_where_planes_have_one_side_alone(toward, seen):
+    """Twenty planes of 5 % of the points that beams go into, and some with a long side toward the sensor."""
+    rng = np.random.default_rng(4)
+    deep, plain = 20, 20
+    walls = np.repeat(
+        np.arange(deep + toward + plain, dtype=np.int32), [400] * (deep + toward) + [7600] * plain
+    )
+    side = np.concatenate([np.ones(deep), -np.ones(toward), np.zeros(plain)])[walls]
+    along = rng.normal(0, NOISE, len(walls)) + side * rng.exponential(0.06, len(walls))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(beam_depth, "_along", lambda view, position: (walls, along))
+        depths = beam_depth.of_planes(SimpleNamespace(planes=range(walls[-1] + 1)), BEAMS.position)
+    assert bool(depths.mean.any()) == seen
+    if seen:
+        assert np.sqrt(np.mean(depths.mean[:deep] ** 2)) == pytest.approx(0.06, rel=0.1)
 
 
 def test_where_no_point_is_on_a_plane_there_is_no_depth():
