@@ -62,27 +62,34 @@ class Stopping(progress.Display):
         raise StoppedError
 
 
-def test_who_stops_the_run_stops_the_processes(monkeypatch):
+@pytest.fixture
+def own_children():
+    """The processes that have been started since the test began: other tests have theirs."""
+    before = {process.pid for process in multiprocessing.active_children()}
+    return lambda: [each for each in multiprocessing.active_children() if each.pid not in before]
+
+
+def test_who_stops_the_run_stops_the_processes(monkeypatch, own_children):
     monkeypatch.setattr(compile_ahead, "missing", kernel_signatures.read)
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
     with pytest.raises(StoppedError):
         compile_ahead.run(Stopping(quiet=True))
-    assert multiprocessing.active_children() == []
+    assert own_children() == []
 
 
-def test_a_process_that_is_killed_is_not_waited_for(monkeypatch):
+def test_a_process_that_is_killed_is_not_waited_for(monkeypatch, own_children):
     monkeypatch.setattr(compile_ahead, "missing", lambda: kernel_signatures.read()[:20])
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
 
     class Killing(progress.Display):
         def progress(self, what, done, total):
-            for process in multiprocessing.active_children():
+            for process in own_children():
                 process.kill()
 
     assert compile_ahead.run(Killing(quiet=True)) < 20
 
 
-def test_one_core_compiles_as_it_goes(monkeypatch):
+def test_one_core_compiles_as_it_goes(monkeypatch, own_children):
     monkeypatch.setattr(compile_ahead, "missing", kernel_signatures.read)
     assert compile_ahead.run(progress.Display(quiet=True), threads=1) == 0
-    assert multiprocessing.active_children() == []
+    assert own_children() == []
