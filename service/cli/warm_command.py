@@ -24,7 +24,7 @@ def warm(arguments: argparse.Namespace, display: Display) -> None:
     place = kernel_cache.folder()
     started, compiled = time.perf_counter(), 0
     if not kernel_cache.is_warm(place):
-        compiled = fill(display)
+        compiled = fill(display, arguments.threads)
         kernel_cache.note_warm(place)
     display.clear()
     seconds = time.perf_counter() - started
@@ -32,16 +32,21 @@ def warm(arguments: argparse.Namespace, display: Display) -> None:
     sys.stdout.write(f"{said}; {len(kernel_cache.compiled(place))} files in {place}\n")
 
 
-def fill(display: Display) -> int:
-    """Compile what runs need and the cache does not hold; how many kernels that were."""
+def fill(display: Display, threads: int | None = None) -> int:
+    """Compile what runs need and the cache does not hold; how many kernels that were.
+
+    threads: how many processes compile at most; None: as many as the machine has cores
+    """
     with tempfile.TemporaryDirectory(prefix="lvba-warm-") as name, first_run.shown(display, "") as seen:
         recording = Path(name) / "recording"
         display.stage("compile", 0, 1)
-        ahead = compile_ahead.run(display)
+        ahead = compile_ahead.run(display, threads)
         display.stage("simulate", 0, 1)
         simulate_recording(recording, display)
+        own = () if threads is None else ("--threads", str(threads))
         for number, options in enumerate(_RUNS):
-            run_command.refine(_arguments(recording, Path(name) / f"result-{number}", options), display)
+            result = Path(name) / f"result-{number}"
+            run_command.refine(_arguments(recording, result, (*options, *own)), display)
     return ahead + seen.done
 
 
