@@ -67,7 +67,7 @@ def _compiling(needed: Sequence[Signature], processes: int) -> Iterator[list[Con
     try:
         for number in range(processes):
             ours, theirs = context.Pipe(duplex=False)
-            # the kernels with the most code come first
+            # the kernels with the most code come first: each process has as many of them
             process = context.Process(target=_compile, args=(needed[number::processes], theirs), daemon=True)
             process.start()
             theirs.close()
@@ -84,7 +84,8 @@ def _compile(needed: Sequence[Signature], done: Connection) -> None:
     """In a process of its own."""
     # who interrupts the run ends this process as well
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for each in needed:
+    # the long ones among the others: the first of them tell how long all will take
+    for each in sorted(needed, key=lambda each: each.name):
         with contextlib.suppress(Exception):
             kernel_signatures.compile_kernel(each)
         done.send(None)
