@@ -31,7 +31,8 @@ _log = logging.getLogger(__name__)
 _POINTS = 15_000
 """Of a scan, to look at: surfaces do not need more."""
 _PASSES = 2
-"""Where the odometry is decimeters off everywhere, what is open is laid out again beside the poses that came of it."""
+"""Where the odometry is decimeters off everywhere, what is open is laid out again beside the poses that came of it,
+unless surfaces of successive scans have nothing against these."""
 _BEFORE = 8
 """Scans that another one is registered to."""
 _KNOWN = 0.1
@@ -105,13 +106,14 @@ class StartPoses:
         """The error, with what is left of it in refined poses.
 
         patches: of `surfels_of`; rough, refined: (S, 4, 4)
-        dependence: (S - 1,) float64, of the result, as `covariance.Covariance.odometry_dependence`; None: not known
+        dependence: (S - 1,) float64, of the result, as `covariance.Covariance.odometry_dependence`; None or (0,): not
+            known
         A motion that the scan alone left open is not, where surfaces of scans on both sides confirm that of the result,
         or planes of the whole map know it far better than the odometry.
         """
         expected, is_open = geometry.steps(rough), self.error.open_after
         jumps = np.intersect1d(is_open, self.error.wrong_after)
-        if dependence is not None and len(dependence) == len(expected):
+        if dependence is not None and len(dependence):
             is_open = np.union1d(jumps, is_open[dependence[is_open] > _KNOWN])
         # a jump is as many scans on both sides have it: these are no second witness
         sure = rough_motions.confirmed(patches, refined, jumps, expected, rough_motions.BESIDE)
@@ -176,7 +178,7 @@ def start(
     for _ in range(_PASSES):
         odometry = _Odometry.of(patches, poses, progress)
         if error is not None and odometry.precise and not odometry.wrong.any():
-            break  # surfaces of successive scans have nothing against what came of the first pass
+            break
         chain = odometry.chained(patches, progress)
         prior = odometry_of(poses, odometry.error(chain), chain.world_from_scan, config)
         groups = []

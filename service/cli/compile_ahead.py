@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 
-from service.cli import first_run, kernel_cache, kernel_signatures
+from service.cli import first_run, kernel_cache, kernel_signatures, memory_estimate
 from service.cli.kernel_signatures import Signature
 from service.cli.progress import Display
 
@@ -21,7 +21,7 @@ _FEW = 10
 """Kernels that lack code: fewer are compiled sooner than processes start."""
 _MOST_PROCESSES = 8
 """Each compiles anew what numba itself has as kernels: more than so many are hardly faster."""
-_PROCESS_BYTES = 1e9
+_PROCESS_BYTES = 1_000_000_000
 _TICK_S = 0.25
 
 
@@ -31,7 +31,9 @@ def run(display: Display, threads: int | None = None) -> int:
     threads: how many processes at most; None: as the machine has cores
     """
     needed = missing()
-    processes = min(threads or os.cpu_count() or 1, _MOST_PROCESSES, int(_memory() / _PROCESS_BYTES))
+    processes = min(
+        threads or os.cpu_count() or 1, _MOST_PROCESSES, memory_estimate.machine_bytes() // _PROCESS_BYTES
+    )
     if len(needed) < _FEW or processes < 2:
         return 0
     display.tell(first_run.NOTICE)
@@ -86,11 +88,7 @@ def _compile(needed: Sequence[Signature], done: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # the long ones among the others: the first of them tell how long all will take
     for each in sorted(needed, key=lambda each: each.name):
+        # what cannot be compiled here is an error where it is called, and told there
         with contextlib.suppress(Exception):
             kernel_signatures.compile_kernel(each)
         done.send(None)
-
-
-def _memory() -> float:
-    """Bytes of this machine."""
-    return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))

@@ -34,11 +34,16 @@ def announce(arguments: argparse.Namespace, dataset: Dataset, config: Config, di
     return load
 
 
+def machine_bytes() -> int:
+    """Memory of this machine."""
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
 def _limit(arguments: argparse.Namespace, given: int | None) -> str:
     if arguments.scheduler is not None:
         return ", on workers whose limit is their own"
     if arguments.workers is None:
-        return f", of {os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES') / 1e9:.1f} GB"
+        return f", of {machine_bytes() / 1e9:.1f} GB"
     # Dask takes a moment to import, and is not needed by who runs in one process
     from workers import limits
 
