@@ -39,6 +39,23 @@ def boundary_error(samples: Trajectory, times: Times) -> np.ndarray:
     return np.asarray(0.25 * (2 - np.sqrt(3.0)) ** np.minimum(before, len(samples) - 2 - before))
 
 
+def past_ends(samples: Trajectory, times: Times) -> np.ndarray:
+    """(Q,): how far times (Q,) are before the first sample or after the last, over the time from there to the next; 0
+    within."""
+    first, last = samples.times[1] - samples.times[0], samples.times[-1] - samples.times[-2]
+    before, after = (samples.times[0] - times) / first, (times - samples.times[-1]) / last
+    return np.asarray(np.maximum(np.maximum(before, after), 0.0))
+
+
+def extrapolation_error(past: np.ndarray) -> np.ndarray:
+    """(Q,): how far splines that are followed past their ends are off, as a fraction of the `leave_one_out_error`.
+
+    There they are nearly the cubic through the last four samples.
+    past: (Q,) float64, as of `past_ends`
+    """
+    return np.asarray(np.sqrt(3.0) * past * (past + 1) * (past + 2) * (past + 3) / 4)
+
+
 def leave_one_out_error(samples: Trajectory, times: Times) -> np.ndarray:
     """(Q, 2): error (rad, m) of a sample at each time that is predicted from its neighbors.
 

@@ -16,9 +16,8 @@ from lvba import geometry, spline, trajectory
 from lvba.arrays import Pose, PoseBlocks, Poses, StepSigmas, Times
 from lvba.lidar.covariance import LEAST, Covariance, local_covariance, positive
 from lvba.lidar.degeneracy import DegenerateDirection
-from lvba.optim import linear_solver, normal_equations
-from lvba.optim.normal_equations import Border
 from lvba.settings import setting
+from lvba.steps import error_chain
 from lvba.trajectory import Trajectory
 
 _MEDIAN = 5.348 / 6
@@ -30,6 +29,10 @@ _LEAST_BETWEEN = 0.1
 _FLOOR = np.repeat([np.radians(1e-3), 1e-4], 3)
 """rad and m: nothing is interpolated better than this."""
 _RATE_STEP_S = 0.02
+
+_PAST_ENDS = 1.0
+"""Times the time from the first image to the second, or between the last two: so far past them the spline through the
+cameras is followed."""
 
 CONTRADICTION = 5.0
 """A scan and the cameras about it that are further apart than this many standard deviations contradict each other, and
@@ -115,41 +118,50 @@ def fuse(
 ) -> Fused | None:
     """The scans refined with the cameras; None: too few cameras to tell.
 
-    common: motions of all scans together that the planes leave open, with the (6,) sigmas (rad, m) that they are scaled
-        by: there scans and cameras both are where the odometry has them, and no mean of the two is any better
+    common: motions of all scans that the planes leave open, with the (6,) sigmas (rad, m) that they are scaled by. Along
+        these each scan goes by itself: the planes do not mind, and no other motion of it has to do with that
     """
     path = cameras.world_from_scan
     if len(path) < spline.FEWEST_SAMPLES:
         return None
-    inside = ~spline.outside(path, scans.times)
+    past = spline.past_ends(path, scans.times)
+    inside, near = past == 0.0, past <= _PAST_ENDS
     leave_one_out_error = spline.leave_one_out_error_by_axis(path, scans.times)
-    differences = geometry.log(geometry.inverse(scans.world_from_sensor) @ spline.through(path, scans.times))
-    differences = _without_common(differences, scans.world_from_sensor, common, prior_sigmas)
+    by_cameras = spline.through(path, scans.times, beyond=_PAST_ENDS * float(np.diff(path.times).max()))
+    differences = geometry.log(geometry.inverse(scans.world_from_sensor) @ by_cameras)
+    open_ = _open_directions(scans.world_from_sensor, common, prior_sigmas)
+    # how far scans have slid, as the odometry has it, says nothing of how well both are known
+    judged = differences - open_.part(differences) if open_ else differences
     shared = _shared(cameras, scans.times)
+    extrapolated = spline.extrapolation_error(np.minimum(past, _PAST_ENDS))
     alone = _of_neighbors(cameras, scans.times)
     known = alone + shared @ np.swapaxes(shared, -1, -2)
-    known += _interpolated(leave_one_out_error, spline.boundary_error(path, scans.times)[:, None])
+    least = np.maximum(spline.boundary_error(path, scans.times), extrapolated)
+    at_ends = _interpolated(leave_one_out_error, least[:, None])
+    known += at_ends
     own = local_covariance(covariance, scans.world_from_sensor)
     interpolation_error_scale = _interpolation_error_scale(
-        differences[inside], (own + known)[inside], leave_one_out_error[inside]
+        judged[inside], (own + known)[inside], leave_one_out_error[inside]
     )
     interpolated = _interpolated(leave_one_out_error, interpolation_error_scale)
     of_cameras = known + interpolated
-    distance = _distance(differences, own + of_cameras)
+    distance = _distance(judged, own + of_cameras)
     variance_factor = max(1.0, float(np.median(distance[inside])) / _MEDIAN) if inside.any() else 1.0
-    contradicted = inside & (distance > CONTRADICTION**2 * variance_factor)
-    used = inside & ~contradicted
+    contradicted = near & (distance > CONTRADICTION**2 * variance_factor)
+    used = near & ~contradicted
     camera_information = np.linalg.inv(of_cameras) * used[:, None, None]
-    step = _chained(
+    step = _corrections(
         # where motions are known, a group of scans may be off as far as it is uncertain within the trajectory: cameras
         # far apart in time see it beside others
         covariance.in_map + LEAST * np.eye(6) if len(covariance.step) else own,
         covariance.step,
         scans.world_from_sensor,
         # what both do not promise is the cameras': the scans' own share in it is in what groups are off
-        np.linalg.inv(variance_factor * alone + interpolated) * used[:, None, None],
+        variance_factor * alone + at_ends + interpolated,
+        used,
         differences,
         shared,
+        open_,
     )
     # promised is only what each scan gains against the map around it: cameras that see no more than a group of scans does
     # are off with it, and that they agree with it is no proof
@@ -168,75 +180,71 @@ def fuse(
     )
 
 
-def _chained(
+@dataclass(frozen=True)
+class _Open:
+    """Motions that planes leave open for all scans, D of them.
+
+    coefficient: (S, D, 6), of each in a tangent of a scan; motion: (S, 6, D), that tangent
+    """
+
+    coefficient: np.ndarray
+    motion: np.ndarray
+
+    def part(self, of: np.ndarray) -> np.ndarray:
+        """(S, 6): what of tangents (S, 6) is along them."""
+        return np.asarray((self.motion @ (self.coefficient @ of[..., None]))[..., 0])
+
+
+def _open_directions(
+    world_from_scan: np.ndarray, common: Sequence[DegenerateDirection], prior_sigmas: np.ndarray | None
+) -> _Open | None:
+    """The degenerate directions of all scans, None without any; prior_sigmas: (6,), rad and m."""
+    if not common or prior_sigmas is None:
+        return None
+    basis = np.linalg.qr(np.stack([_plain(each.direction) for each in common], axis=1))[0]
+    back = np.zeros((len(world_from_scan), 6, 6))
+    back[:, :3, :3] = back[:, 3:, 3:] = np.swapaxes(world_from_scan[:, :3, :3], -1, -2)
+    coefficient = np.swapaxes(back @ (basis / prior_sigmas[:, None]), -1, -2)
+    return _Open(coefficient, back @ (basis * prior_sigmas[:, None]))
+
+
+_LITTLE = 0.1
+"""Of a degenerate direction, in sigmas of the odometry: a turn that is no part of it."""
+
+
+def _plain(direction: np.ndarray) -> np.ndarray:
+    """A slide (6,) without the little turn that noise has added to it, which would be large where it is followed far."""
+    turn = np.linalg.norm(direction[:3]) < _LITTLE * np.linalg.norm(direction)
+    return np.asarray(np.where(turn & (np.arange(6) < 3), 0.0, direction))
+
+
+def _corrections(
     own: np.ndarray,
     step: np.ndarray,
     world_from_scan: np.ndarray,
-    camera_information: np.ndarray,
+    of_cameras: np.ndarray,
+    used: np.ndarray,
     differences: np.ndarray,
     shared: np.ndarray,
+    open_: _Open | None,
 ) -> np.ndarray:
-    """The most likely errors (S, 6) of the scans.
+    """The most likely errors (S, 6) of the scans, those along open directions by themselves.
 
-    own: (S, 6, 6), of the errors, none on average; step: (S - 1, 6, 6), of the motion from each to the next, empty:
-        errors are independent; camera_information: (S, 6, 6), 0: none; differences: (S, 6), what they say
-    shared: (S, 6, 7), what one standard deviation of each number that all cameras share does to the differences
-    Errors of neighbors go together as far as the motion between them is more certain than they are: a group of scans
-    moves as one. Beyond neighbors only through them: a Markov chain, whose information is block-tridiagonal.
+    Planes know how scans lie to each other in all other ways far better than the covariances of neighbors say (one wall
+    for all scans of a corridor); a slide of decimeters must not leak into these.
+    of_cameras: (S, 6, 6), covariances of what cameras say; used: (S,) bool, where they say anything
     """
-    if len(step):
-        diagonal, upper = _chain(own, step, world_from_scan)
-    else:
-        diagonal, upper = np.linalg.inv(own), np.zeros((max(len(own) - 1, 0), 6, 6))
-    weighed = camera_information @ shared
-    border = Border(
-        coupling=weighed,
-        hessian=np.eye(shared.shape[-1]) + np.einsum("sia,sib->ab", shared, weighed),
-        gradient=-np.einsum("sia,si->a", weighed, differences),
-    )
-    right = np.einsum("sij,sj->si", camera_information, differences)
-    return _solve_chain(diagonal + camera_information, upper, right, border)
-
-
-_MOST_COMMON = 0.999
-"""Of the error of a scan, the part that it can have in common with the next one."""
-
-
-def _chain(own: np.ndarray, step: np.ndarray, world_from_scan: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The information of the chain of errors: blocks on the diagonal (S, 6, 6) and (S - 1, 6, 6) beside it."""
     carry = geometry.adjoint(geometry.inverse(world_from_scan[1:]) @ world_from_scan[:-1])
-    before = carry @ own[:-1] @ np.swapaxes(carry, -1, -2)
-    common = 0.5 * (before + own[1:] - step)
-    left, right = np.linalg.cholesky(before), np.linalg.cholesky(own[1:])
-    correlation = np.linalg.solve(
-        left, np.swapaxes(np.linalg.solve(right, np.swapaxes(common, -1, -2)), -1, -2)
-    )
-    values, axes = np.linalg.eigh(0.5 * (correlation + np.swapaxes(correlation, -1, -2)))
-    values = np.clip(values, 0.0, _MOST_COMMON)
-    # of unit covariance each, the later error is `correlation` (C) times the one before and noise of covariance 1 - C^2
-    back = np.swapaxes(axes, -1, -2)
-    next_, last = back @ np.linalg.inv(right), back @ np.linalg.solve(left, carry)
-    noise = 1.0 / (1.0 - values**2)
-    diagonal = np.zeros_like(own)
-    diagonal[0] = np.linalg.inv(own[0])
-    diagonal[1:] = np.swapaxes(next_, -1, -2) @ (noise[:, :, None] * next_)
-    diagonal[:-1] += np.swapaxes(last, -1, -2) @ ((noise * values**2)[:, :, None] * last)
-    return diagonal, -np.swapaxes(last, -1, -2) @ ((noise * values)[:, :, None] * next_)
+    information = np.linalg.inv(of_cameras) * used[:, None, None]
 
+    def most_likely(of: np.ndarray) -> np.ndarray:
+        return error_chain.most_likely(own, step, carry, information, of, shared)
 
-def _solve_chain(
-    diagonal: np.ndarray, upper: np.ndarray, right: np.ndarray, border: Border | None = None
-) -> np.ndarray:
-    """The solution (S, 6) of block-tridiagonal equations with positive blocks (S, 6, 6) and (S - 1, 6, 6).
-
-    border: of numbers that all share, found beside
-    """
-    here = np.arange(len(diagonal))
-    rows, columns = np.concatenate([here, here[:-1]]), np.concatenate([here, here[1:]])
-    blocks = np.concatenate([diagonal, upper])
-    equations = normal_equations.from_blocks(rows, columns, blocks, -right, 0.0, border)
-    solution = linear_solver.solve_step(equations, 0.0)
-    return np.zeros_like(right) if solution is None else solution.blocks
+    every = most_likely(differences)
+    if open_ is None:
+        return every
+    fixed = most_likely(differences - open_.part(differences))
+    return np.asarray(fixed + open_.part(every - fixed))
 
 
 def _of_neighbors(cameras: Cameras, times: np.ndarray) -> np.ndarray:
@@ -286,19 +294,3 @@ def _distance(differences: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return np.asarray(
         np.einsum("si,si->s", differences, np.linalg.solve(covariance, differences[..., None])[..., 0]) / 6
     )
-
-
-def _without_common(
-    differences: np.ndarray,
-    world_from_scan: np.ndarray,
-    common: Sequence[DegenerateDirection],
-    prior_sigmas: np.ndarray | None,
-) -> np.ndarray:
-    """Differences (S, 6) without their part along degenerate directions of all scans together."""
-    if not common or prior_sigmas is None:
-        return differences
-    turn = world_from_scan[:, :3, :3]
-    scaled = np.einsum("sij,skj->ski", turn, differences.reshape(-1, 2, 3)).reshape(-1, 6) / prior_sigmas
-    basis = np.linalg.qr(np.stack([each.direction for each in common], axis=1))[0]
-    scaled = (scaled - scaled @ basis @ basis.T) * prior_sigmas
-    return np.asarray(np.einsum("sji,skj->ski", turn, scaled.reshape(-1, 2, 3)).reshape(-1, 6))

@@ -9,7 +9,7 @@ import pytest
 from lvba import geometry, spline
 from lvba.lidar.covariance import Covariance
 from lvba.lidar.degeneracy import DegenerateDirection
-from lvba.steps import pose_fusion
+from lvba.steps import error_chain, pose_fusion
 from lvba.trajectory import Trajectory
 
 MOUNT = geometry.exp(np.array([0.4, -1.2, 0.3, 0.05, -0.08, 0.12]))
@@ -127,6 +127,10 @@ def _moved(covariance, a, b):
     return move @ covariance @ move.T
 
 
+def carries(poses):
+    return geometry.adjoint(geometry.inverse(poses[1:]) @ poses[:-1])
+
+
 def dense(diagonal, upper):
     count = len(diagonal)
     full = np.zeros((count, 6, count, 6))
@@ -139,7 +143,7 @@ def dense(diagonal, upper):
 
 def test_the_chain_has_the_covariances_that_it_is_made_from():
     poses, own, step = chain_of(6, np.random.default_rng(10))
-    covariance = np.linalg.inv(dense(*pose_fusion._chain(own, step, poses)))
+    covariance = np.linalg.inv(dense(*error_chain.information(own, step, carries(poses))))
     for k in range(6):
         here = slice(6 * k, 6 * k + 6)
         np.testing.assert_allclose(covariance[here, here], own[k], rtol=1e-6, atol=1e-6)
@@ -155,9 +159,10 @@ def test_the_chain_has_the_covariances_that_it_is_made_from():
 
 def test_the_chain_is_solved_as_the_dense_equations_are():
     rng = np.random.default_rng(11)
-    diagonal, upper = pose_fusion._chain(*(chain_of(7, rng)[i] for i in (1, 2, 0)))
+    poses, own, step = chain_of(7, rng)
+    diagonal, upper = error_chain.information(own, step, carries(poses))
     diagonal, right = diagonal + np.eye(6), rng.normal(size=(7, 6))
-    found = pose_fusion._solve_chain(diagonal, upper, right)
+    found = error_chain.solve(diagonal, upper, right)
     np.testing.assert_allclose(
         found.ravel(), np.linalg.solve(dense(diagonal, upper), right.ravel()), rtol=1e-8
     )
@@ -207,12 +212,31 @@ def test_vague_cameras_change_nothing():
     assert found.moved_m.max() < 1e-4
 
 
-def test_scans_before_the_first_and_after_the_last_image_stay():
+def test_scans_just_before_the_first_and_after_the_last_image_follow_the_cameras_and_no_others_do():
+    """Images begin .137 s after the scans, and end .063 s before: scans .037 and .063 s past the ends move."""
     rng = np.random.default_rng(2)
-    given, covariance, _ = scans(rng, loose=(0, 1, 59))
+    given, covariance, truth = scans(rng, loose=(0, 1, 59))
     found = pose_fusion.fuse(given, covariance, cameras(rng))
-    assert (found.world_from_scan[[0, 1, 59]] == given.world_from_sensor[[0, 1, 59]]).all()
-    np.testing.assert_allclose(found.covariance[[0, 1, 59]], covariance.marginal[[0, 1, 59]], atol=1e-11)
+    assert (found.world_from_scan[0] == given.world_from_sensor[0]).all()
+    np.testing.assert_allclose(found.covariance[0], covariance.marginal[0], atol=1e-11)
+    assert errors(given.world_from_sensor, truth)[[1, 59]].min() > 0.02
+    assert errors(found.world_from_scan, truth)[[1, 59]].max() < 0.006
+
+
+@pytest.mark.parametrize("past", [0.1, 0.3, 0.6, 1.0])
+def test_followed_past_their_ends_splines_are_off_by_less_than_what_is_promised_there(past):
+    samples = Trajectory(SCAN_TIMES, swaying(SCAN_TIMES))
+    off, promised = [], []
+    for first in range(0, 40):
+        some = Trajectory(SCAN_TIMES[first : first + 20], samples.world_from_sensor[first : first + 20])
+        time = some.times[-1:] + past * 0.1
+        assert spline.past_ends(some, time) == pytest.approx(past)
+        wrong = geometry.log(geometry.inverse(swaying(time)) @ spline.through(some, time, beyond=0.2))
+        off.append(np.linalg.norm(wrong[0, :3]))
+        error = spline.extrapolation_error(spline.past_ends(some, time))
+        promised.append(np.sqrt(3.0) * error[0] * spline.leave_one_out_error(some, time)[0, 0])
+    ratio = np.sqrt(np.mean(np.square(off)) / np.mean(np.square(promised)))
+    assert 0.2 < ratio < 1.2
 
 
 def test_a_camera_that_jumps_moves_no_scan():
@@ -270,22 +294,47 @@ def test_groups_that_cameras_see_beside_each_other_move_to_each_other():
     assert after[2:58].std() < 0.001
 
 
-def test_what_all_scans_leave_open_stays_at_the_odometry():
-    """A corridor: the whole trajectory may slide along x; scans and cameras slid apart, and neither knows better."""
-    rng = np.random.default_rng(5)
-    given, covariance, _ = scans(rng)
-    wide = covariance.conditional + np.diag([0, 0, 0, 0.05**2, 0.05**2, 0.05**2])
-    slid = cameras(rng)
-    poses = slid.world_from_scan.world_from_sensor.copy()
-    poses[:, 0, 3] += 0.03
-    slid = replace(slid, world_from_scan=replace(slid.world_from_scan, world_from_sensor=poses))
-    prior = np.repeat([0.01, 0.05], 3)
-    along = DegenerateDirection(np.array([0, 0, 0, 1.0, 0, 0]), 0.1)
-    free = pose_fusion.fuse(given, Covariance(wide, wide, wide), slid)
-    held = pose_fusion.fuse(given, Covariance(wide, wide, wide), slid, [along], prior)
-    change = held.world_from_scan[:, :3, 3] - given.world_from_sensor[:, :3, 3]
-    assert np.abs(change[:, 0]).max() < 1e-4
-    assert (free.world_from_scan[5:-5, 0, 3] - given.world_from_sensor[5:-5, 0, 3]).min() > 0.02
+def corridor(rng, rise=0.0):
+    """Scans that slide along x as the odometry has it, each by itself; their covariances say that they rise with it."""
+    given, covariance, truth = scans(rng)
+    slide = np.cumsum(0.03 * rng.normal(size=len(SCAN_TIMES)))
+    poses = given.world_from_sensor.copy()
+    poses[:, 0, 3] += slide - slide.mean()
+    along = poses[:, :3, :3].swapaxes(1, 2) @ np.array([1.0, 0.0, rise])
+    of_slide = np.zeros((len(poses), 6, 6))
+    of_slide[:, 3:, 3:] = along[:, :, None] * along[:, None, :]
+    conditional, wide = (covariance.conditional + size**2 * of_slide for size in (0.02, 0.2))
+    step = covariance.conditional[1:] + covariance.conditional[:-1] + 0.03**2 * of_slide[1:]
+    return (
+        replace(given, world_from_sensor=poses),
+        Covariance(wide, conditional, wide, step),
+        truth,
+    )
+
+
+ALONG = DegenerateDirection(np.array([0, 0.002, 0, 1.0, 0, 0]), 0.1)
+PRIOR = np.repeat([0.01, 0.05], 3)
+
+
+def test_what_planes_leave_open_for_all_scans_goes_where_the_cameras_have_it():
+    """A corridor: planes let each scan slide along x, and images hold the cameras there."""
+    given, covariance, truth = corridor(np.random.default_rng(5))
+    found = pose_fusion.fuse(given, covariance, cameras(np.random.default_rng(6)), [ALONG], PRIOR)
+    assert errors(given.world_from_sensor, truth).max() > 0.1
+    assert errors(found.world_from_scan, truth)[1:].max() < 0.005
+
+
+def test_a_slide_does_not_leak_into_what_planes_hold():
+    """Where scans slide along the whole corridor, planes hold their heights, whatever covariances of neighbors say."""
+    given, covariance, truth = corridor(np.random.default_rng(5), rise=0.1)
+    seen = cameras(np.random.default_rng(6))
+    seen = replace(seen, covariance=seen.covariance + np.diag([0, 0, 0, 0, 0, 0.05**2]))
+    alone, apart = (
+        pose_fusion.fuse(given, covariance, seen, *open_).world_from_scan for open_ in ((), ([ALONG], PRIOR))
+    )
+    risen = [np.abs((each - truth)[1:, 2, 3]).max() for each in (alone, apart)]
+    assert risen[1] < 0.5 * risen[0]
+    assert errors(apart, truth)[1:].max() < 0.01
 
 
 def test_covariances_that_promise_too_much_are_widened():

@@ -1,0 +1,84 @@
+"""Errors of scans that go together with those of their neighbors: a Markov chain, and what cameras say of it.
+
+Tangents are `[rotation | translation]`, rad and m.
+"""
+
+import numpy as np
+
+from lvba.arrays import PoseBlocks, Tangents
+from lvba.optim import linear_solver, normal_equations
+from lvba.optim.normal_equations import Border
+
+
+def most_likely(
+    own: PoseBlocks,
+    step: PoseBlocks,
+    carry: PoseBlocks,
+    camera_information: PoseBlocks,
+    differences: Tangents,
+    shared: np.ndarray,
+) -> np.ndarray:
+    """The most likely errors (S, 6) of the scans.
+
+    own: (S, 6, 6), of the errors, none on average; step: (S - 1, 6, 6), of the motion from each to the next, empty:
+        errors are independent; carry: (S - 1, 6, 6), what an error of each makes of the next, if the motion is right
+    camera_information: (S, 6, 6), 0: none; differences: (S, 6), what they say
+    shared: (S, 6, 7) float64, what one standard deviation of each number that all cameras share does to the differences
+    Errors of neighbors go together as far as the motion between them is more certain than they are: a group of scans
+    moves as one. Beyond neighbors only through them: a Markov chain, whose information is block-tridiagonal.
+    """
+    if len(step):
+        diagonal, upper = information(own, step, carry)
+    else:
+        diagonal, upper = np.linalg.inv(own), np.zeros_like(own[1:])
+    weighed = camera_information @ shared
+    border = Border(
+        coupling=weighed,
+        hessian=np.eye(shared.shape[-1]) + np.einsum("sia,sib->ab", shared, weighed),
+        gradient=-np.einsum("sia,si->a", weighed, differences),
+    )
+    right = np.einsum("sij,sj->si", camera_information, differences)
+    return solve(diagonal + camera_information, upper, right, border)
+
+
+_MOST_COMMON = 0.999
+"""Of the error of a scan, the part that it can have in common with the next one."""
+
+
+def information(own: PoseBlocks, step: PoseBlocks, carry: PoseBlocks) -> tuple[np.ndarray, np.ndarray]:
+    """The information of the chain of errors: blocks on the diagonal (S, 6, 6) and (S - 1, 6, 6) beside it.
+
+    Arguments as of `most_likely`.
+    """
+    before = carry @ own[:-1] @ np.swapaxes(carry, -1, -2)
+    common = 0.5 * (before + own[1:] - step)
+    left, right = np.linalg.cholesky(before), np.linalg.cholesky(own[1:])
+    correlation = np.linalg.solve(
+        left, np.swapaxes(np.linalg.solve(right, np.swapaxes(common, -1, -2)), -1, -2)
+    )
+    values, axes = np.linalg.eigh(0.5 * (correlation + np.swapaxes(correlation, -1, -2)))
+    values = np.clip(values, 0.0, _MOST_COMMON)
+    # of unit covariance each, the later error is `correlation` (C) times the one before and noise of covariance 1 - C^2
+    back = np.swapaxes(axes, -1, -2)
+    next_, last = back @ np.linalg.inv(right), back @ np.linalg.solve(left, carry)
+    noise = 1.0 / (1.0 - values**2)
+    diagonal = np.zeros_like(own)
+    diagonal[0] = np.linalg.inv(own[0])
+    diagonal[1:] = np.swapaxes(next_, -1, -2) @ (noise[:, :, None] * next_)
+    diagonal[:-1] += np.swapaxes(last, -1, -2) @ ((noise * values**2)[:, :, None] * last)
+    return diagonal, -np.swapaxes(last, -1, -2) @ ((noise * values)[:, :, None] * next_)
+
+
+def solve(
+    diagonal: PoseBlocks, upper: PoseBlocks, right: Tangents, border: Border | None = None
+) -> np.ndarray:
+    """The solution (S, 6) of block-tridiagonal equations with positive blocks (S, 6, 6) and (S - 1, 6, 6).
+
+    border: of numbers that all share, found beside
+    """
+    here = np.arange(len(diagonal))
+    rows, columns = np.concatenate([here, here[:-1]]), np.concatenate([here, here[1:]])
+    blocks = np.concatenate([diagonal, upper])
+    equations = normal_equations.from_blocks(rows, columns, blocks, -right, 0.0, border)
+    solution = linear_solver.solve_step(equations, 0.0)
+    return np.zeros_like(right) if solution is None else solution.blocks
