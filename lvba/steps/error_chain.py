@@ -1,29 +1,29 @@
 """Errors of scans that go together with those of their neighbors: a Markov chain, and what cameras say of it.
 
-Tangents are `[rotation | translation]`, rad and m.
+Of D numbers each: the 6 of a tangent `[rotation | translation]`, rad and m, or how far each has slid along D motions.
 """
 
 import numpy as np
 
-from lvba.arrays import PoseBlocks, Tangents
 from lvba.optim import linear_solver, normal_equations
 from lvba.optim.normal_equations import Border
 
 
 def most_likely(
-    own: PoseBlocks,
-    step: PoseBlocks,
-    carry: PoseBlocks,
-    camera_information: PoseBlocks,
-    differences: Tangents,
+    own: np.ndarray,
+    step: np.ndarray,
+    carry: np.ndarray,
+    camera_information: np.ndarray,
+    differences: np.ndarray,
     shared: np.ndarray,
 ) -> np.ndarray:
-    """The most likely errors (S, 6) of the scans.
+    """The most likely errors (S, D) of the scans.
 
-    own: (S, 6, 6), of the errors, none on average; step: (S - 1, 6, 6), of the motion from each to the next, empty:
-        errors are independent; carry: (S - 1, 6, 6), what an error of each makes of the next, if the motion is right
-    camera_information: (S, 6, 6), 0: none; differences: (S, 6), what they say
-    shared: (S, 6, 7) float64, what one standard deviation of each number that all cameras share does to the differences
+    own: (S, D, D) float64, of the errors, none on average
+    step: (S - 1, D, D) float64, of the motion from each to the next; empty: errors are independent
+    carry: (S - 1, D, D) float64, what an error of each makes of the next, if the motion is right
+    camera_information: (S, D, D) float64, 0: none; differences: (S, D) float64, what cameras say
+    shared: (S, D, 7) float64, what one standard deviation of each number that all cameras share does to the differences
     Errors of neighbors go together as far as the motion between them is more certain than they are: a group of scans
     moves as one. Beyond neighbors only through them: a Markov chain, whose information is block-tridiagonal.
     """
@@ -45,10 +45,10 @@ _MOST_COMMON = 0.999
 """Of the error of a scan, the part that it can have in common with the next one."""
 
 
-def information(own: PoseBlocks, step: PoseBlocks, carry: PoseBlocks) -> tuple[np.ndarray, np.ndarray]:
-    """The information of the chain of errors: blocks on the diagonal (S, 6, 6) and (S - 1, 6, 6) beside it.
+def information(own: np.ndarray, step: np.ndarray, carry: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The information of the chain of errors: blocks on the diagonal (S, D, D) and (S - 1, D, D) beside it.
 
-    Arguments as of `most_likely`.
+    own, step, carry: float64, as of `most_likely`
     """
     before = carry @ own[:-1] @ np.swapaxes(carry, -1, -2)
     common = 0.5 * (before + own[1:] - step)
@@ -70,10 +70,11 @@ def information(own: PoseBlocks, step: PoseBlocks, carry: PoseBlocks) -> tuple[n
 
 
 def solve(
-    diagonal: PoseBlocks, upper: PoseBlocks, right: Tangents, border: Border | None = None
+    diagonal: np.ndarray, upper: np.ndarray, right: np.ndarray, border: Border | None = None
 ) -> np.ndarray:
-    """The solution (S, 6) of block-tridiagonal equations with positive blocks (S, 6, 6) and (S - 1, 6, 6).
+    """The solution (S, D) of block-tridiagonal equations with positive blocks.
 
+    diagonal: (S, D, D) float64; upper: (S - 1, D, D) float64, beside it; right: (S, D) float64
     border: of numbers that all share, found beside
     """
     here = np.arange(len(diagonal))

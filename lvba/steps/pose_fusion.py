@@ -190,9 +190,19 @@ class _Open:
     coefficient: np.ndarray
     motion: np.ndarray
 
+    @property
+    def count(self) -> int:
+        """D."""
+        return int(self.motion.shape[2])
+
     def part(self, of: np.ndarray) -> np.ndarray:
         """(S, 6): what of tangents (S, 6) is along them."""
         return np.asarray((self.motion @ (self.coefficient @ of[..., None]))[..., 0])
+
+    def covariance(self, of: np.ndarray) -> np.ndarray:
+        """(N, D, D) of the coefficients, from that of the last N tangents, (N, 6, 6)."""
+        coefficient = self.coefficient[len(self.coefficient) - len(of) :]
+        return np.asarray(coefficient @ of @ np.swapaxes(coefficient, -1, -2))
 
 
 def _open_directions(
@@ -208,6 +218,9 @@ def _open_directions(
     return _Open(coefficient, back @ (basis * prior_sigmas[:, None]))
 
 
+_OPEN = 20.0
+"""Times the odometry's sigmas from scan to scan: so far a scan may be off along what planes leave open, for all that is
+known without the cameras."""
 _LITTLE = 0.1
 """Of a degenerate direction, in sigmas of the odometry: a turn that is no part of it."""
 
@@ -237,14 +250,21 @@ def _corrections(
     carry = geometry.adjoint(geometry.inverse(world_from_scan[1:]) @ world_from_scan[:-1])
     information = np.linalg.inv(of_cameras) * used[:, None, None]
 
-    def most_likely(of: np.ndarray) -> np.ndarray:
-        return error_chain.most_likely(own, step, carry, information, of, shared)
-
-    every = most_likely(differences)
     if open_ is None:
-        return every
-    fixed = most_likely(differences - open_.part(differences))
-    return np.asarray(fixed + open_.part(every - fixed))
+        return error_chain.most_likely(own, step, carry, information, differences, shared)
+    fixed = error_chain.most_likely(
+        own, step, carry, information, differences - open_.part(differences), shared
+    )
+    slide = error_chain.most_likely(
+        open_.covariance(own) + _OPEN**2 * np.eye(open_.count),
+        open_.covariance(step),
+        np.broadcast_to(np.eye(open_.count), (len(step), open_.count, open_.count)),
+        # given the rest of a camera's pose, which scans know: cameras of one place are off together in all of it
+        np.swapaxes(open_.motion, -1, -2) @ information @ open_.motion,
+        (open_.coefficient @ differences[..., None])[..., 0],
+        open_.coefficient @ shared,
+    )
+    return np.asarray(fixed - open_.part(fixed) + (open_.motion @ slide[..., None])[..., 0])
 
 
 def _of_neighbors(cameras: Cameras, times: np.ndarray) -> np.ndarray:

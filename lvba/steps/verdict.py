@@ -295,7 +295,7 @@ def _odometry(figures: Figures) -> Iterator[Reason]:
     if figures.common_degenerate:
         yield Reason(
             f"Surfaces leave {figures.common_degenerate} motions of the whole map open (as along a corridor): there it "
-            "is as the odometry has it.",
+            f"is as the {'images have' if figures.scans_with_cameras.accepted else 'odometry has'} it.",
             "Nothing to do if that is good enough there; else record surfaces that face the open direction.",
         )
     elif figures.degenerate_scans > _FEW * figures.scans:

@@ -16,6 +16,7 @@ from lvba.visual import (
     covariance,
     degeneracy,
     exposure,
+    image_groups,
     radiometry,
     relocalization,
     scene_points,
@@ -222,6 +223,11 @@ def _solved(
     if prior is not None:
         state = degeneracy.return_to_prior(state, prior, directions)
     if level == 1:
+        joined = image_groups.rejoined(solution.problem, scene.pyramid, state)
+        if joined is not state:
+            # features put them to centimeters: once more, with pairs of the one group with the other
+            solution = _solve_level(scene, level, _from_there(coarser, solution, joined), config, progress)
+            prior, state = solution.prior, solution.state
         state = relocalization.relocalized(solution.problem, scene.pyramid, state)
     report = results.level_report(level, solution)
     logger.info("%s", report)

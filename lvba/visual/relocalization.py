@@ -25,11 +25,11 @@ from lvba.visual.states import VisualState
 
 logger = logging.getLogger(__name__)
 
-_FEW = 0.05
+FEW = 0.05
 """An image is lost that has less than this part of the pairs that half of the images have ..."""
-_ENOUGH = 100
+ENOUGH = 100
 """... where that half has as many as this: else pairs are few anyway."""
-_BY_CHANCE = 12
+BY_CHANCE = 12
 """Pairs that an image has by chance: of a thousand patches that see something else, so many may look alike."""
 _NEIGHBORS = 8
 """Images whose places are matched with those of a lost one."""
@@ -46,7 +46,7 @@ _FEWEST_INLIERS = 30
 """Chance brings five."""
 _LEAST_AGREEING = 0.3
 """Part of the matches that must be inliers."""
-_FARTHEST_DEG, _FARTHEST_M = 30.0, 1.0
+FARTHEST_DEG, _FARTHEST_M = 30.0, 1.0
 """The trajectory is not off by more: what says so is another place that looks alike."""
 _LEAST_DEPTH_M = 0.2
 
@@ -54,7 +54,7 @@ _LEAST_DEPTH_M = 0.2
 def lost(points: ScenePoints, observations: Observations, images: int) -> np.ndarray:
     """(n,) int64, images that hardly any other is compared with, where others are with many."""
     pairs = _pairs(points, observations, images)
-    return np.flatnonzero(pairs < _FEW * _usual(pairs))
+    return np.flatnonzero(pairs < FEW * _usual(pairs))
 
 
 def _pairs(points: ScenePoints, observations: Observations, images: int) -> np.ndarray:
@@ -66,7 +66,7 @@ def _pairs(points: ScenePoints, observations: Observations, images: int) -> np.n
 def _usual(pairs: np.ndarray) -> float:
     """What half of the images have; 0: so few that no image is missing any."""
     usual = float(np.median(pairs))
-    return usual if usual >= _ENOUGH else 0.0
+    return usual if usual >= ENOUGH else 0.0
 
 
 def without_chance(
@@ -77,7 +77,7 @@ def without_chance(
     Three patches that look alike by chance hold an image to a millimeter, wherever it is.
     """
     pairs = _pairs(points, observations, images)
-    chance = pairs < min(_BY_CHANCE, _FEW * _usual(pairs))
+    chance = pairs < min(BY_CHANCE, FEW * _usual(pairs))
     kept = ~chance[points.reference[observations.point]] & ~chance[observations.target]
     if kept.all():
         return points, observations
@@ -95,22 +95,38 @@ def relocalized(problem: Problem, pyramid: Pyramid, state: VisualState) -> Visua
     missing = lost(problem.points, problem.observations, len(problem.images))
     if not len(missing):
         return state
-    level = _level(pyramid)
-    images, camera = pyramid.levels[level], pyramid.camera.at_level(level)
+    matcher = Matcher(problem.points, pyramid)
     poses = state.cameras.world_from_camera.copy()
-    others = np.setdiff1d(np.arange(len(images)), missing)
-    look = cache(lambda index: _features(images[index]))
+    others = np.setdiff1d(np.arange(len(poses)), missing)
     for image in missing:
-        near = _nearest(poses, int(image), others)
-        places = [_places(problem.points, int(each), poses[each], camera, look(int(each))) for each in near]
-        pose = _pose(look(int(image)), [each for each in places if len(each.descriptor) > 1], camera)
-        meters, degrees = (np.inf, np.inf) if pose is None else _apart(pose, poses[image])
-        if pose is None or meters > _FARTHEST_M or degrees > _FARTHEST_DEG:
+        by_features = matcher.pose(int(image), nearest(poses, int(image), others)[0], poses)
+        pose = poses[image] if by_features is None else by_features[0]
+        meters, degrees = apart(pose, poses[image])
+        if by_features is None or meters > _FARTHEST_M or degrees > FARTHEST_DEG:
             logger.info("image %d is lost, and features do not say where it is", image)
             continue
         logger.info("image %d was lost by %.0f mm and %.2f degrees", image, 1e3 * meters, degrees)
         poses[image] = pose
     return replace(state, cameras=replace(state.cameras, world_from_camera=poses))
+
+
+class Matcher:
+    """Poses of images by their features, matched with places that those of other images have on planes."""
+
+    def __init__(self, points: ScenePoints, pyramid: Pyramid) -> None:
+        level = _level(pyramid)
+        self._points, self._images = points, pyramid.levels[level]
+        self._camera = pyramid.camera.at_level(level)
+        self._look = cache(lambda image: _features(self._images[image]))
+
+    def pose(self, image: int, near: Indices, poses: Poses) -> tuple[Pose, int] | None:
+        """world_from_camera (4, 4) of an image by those (n,) near it, where poses (I, 4, 4) have them, and how many
+        features agree on it; None: too few do."""
+        places = [
+            _places(self._points, int(each), poses[each], self._camera, self._look(int(each)))
+            for each in near
+        ]
+        return _pose(self._look(image), [each for each in places if len(each.descriptor) > 1], self._camera)
 
 
 def _level(pyramid: Pyramid) -> int:
@@ -147,12 +163,14 @@ def _features(image: np.ndarray) -> _Features:
     return _Features(table[order, :2], descriptor[order])
 
 
-def _nearest(poses: Poses, image: int, others: Indices) -> np.ndarray:
-    """(n,) int64: the others that look the same way from the same place as an image."""
+def nearest(poses: Poses, image: int, others: Indices) -> tuple[np.ndarray, float]:
+    """(n,) int64: the others that look the same way from the same place as an image, by their poses (I, 4, 4), and how
+    far the nearest of them is: a step of a meter and a turn of 30 degrees count as much."""
     off = geometry.inverse(poses[image]) @ poses[others]
     angle = np.degrees(np.arccos(np.clip(off[:, 2, 2], -1.0, 1.0)))
-    order = np.argsort(angle / _TURN_DEG + np.linalg.norm(off[:, :3, 3], axis=1) / _STEP_M, kind="stable")
-    return np.asarray(others[order[:_NEIGHBORS]])
+    far = angle / _TURN_DEG + np.linalg.norm(off[:, :3, 3], axis=1) / _STEP_M
+    order = np.argsort(far, kind="stable")[:_NEIGHBORS]
+    return np.asarray(others[order]), float(far[order[0]])
 
 
 def _places(points: ScenePoints, image: int, pose: Pose, camera: Camera, seen: _Features) -> _Places:
@@ -172,8 +190,8 @@ def _places(points: ScenePoints, image: int, pose: Pose, camera: Camera, seen: _
     return _Places((pose[:3, 3] + depth[:, None] * ray)[good], seen.descriptor[good])
 
 
-def _pose(seen: _Features, places: list[_Places], camera: Camera) -> Pose | None:
-    """world_from_camera (4, 4) of the image with these features; None: too few of them agree on one."""
+def _pose(seen: _Features, places: list[_Places], camera: Camera) -> tuple[Pose, int] | None:
+    """world_from_camera (4, 4) of the image with these features, and how many agree on it; None: too few do."""
     if len(seen.pixel) < _FEWEST_INLIERS:
         return None
     matches = [_matched(seen, each) for each in places]
@@ -196,7 +214,7 @@ def _pose(seen: _Features, places: list[_Places], camera: Camera) -> Pose | None
     camera_from_middle = geometry.from_rotation_translation(rotation, np.asarray(shift, float).ravel())
     pose = geometry.inverse(camera_from_middle)
     pose[:3, 3] += middle
-    return np.asarray(pose) if np.isfinite(pose).all() else None
+    return (pose, len(index)) if np.isfinite(pose).all() else None
 
 
 def _matched(seen: _Features, places: _Places) -> tuple[np.ndarray, np.ndarray]:
@@ -207,7 +225,7 @@ def _matched(seen: _Features, places: _Places) -> tuple[np.ndarray, np.ndarray]:
     return seen.pixel[here], places.position_world[there]
 
 
-def _apart(one: Pose, other: Pose) -> tuple[float, float]:
-    """m and degrees."""
+def apart(one: Pose, other: Pose) -> tuple[float, float]:
+    """m and degrees from one pose (4, 4) to another."""
     off = geometry.inverse(other) @ one
     return float(np.linalg.norm(off[:3, 3])), float(geometry.rotation_angle_deg(off))

@@ -41,6 +41,7 @@ KEPT = (Truth("scans", "m", 0.001, 0.07, 0.0009), Truth("cameras", "degrees", 0.
         ({"fusion_variance_factor": 1.21}, "check", True),
         ({"variance_factor": 4.5, "spline_error": 0.8, "fusion_variance_factor": 1.2}, "good", False),
         ({"common_degenerate": 1}, "check", False),
+        ({"common_degenerate": 1, "scans_with_cameras": Judged(True, "")}, "check", False),
         ({"degenerate_scans": 6}, "check", False),
         ({"degenerate_scans": 5}, "good", False),
         ({"odometry_dependent_steps": 1}, "check", False),

@@ -1,0 +1,153 @@
+"""Images that lost the others as a group: moved together to where features of several of them say.
+
+Along a corridor, the odometry may be off by decimeters from one scan to the next, and scans do not tell. Images before
+that step look alike, and those after it, but patches of the ones find nothing in the others: the pairs of images fall
+into groups. Within each, images hold each other. So features put several of its images (`relocalization`), and where
+these agree on one rigid motion of the group, all of it moves.
+"""
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from lvba import geometry
+from lvba.arrays import Indices, Pose, Poses
+from lvba.visual.image import Pyramid
+from lvba.visual.photometric import Problem
+from lvba.visual.relocalization import BY_CHANCE, ENOUGH, FARTHEST_DEG, FEW, Matcher, apart, nearest
+from lvba.visual.scene_points import Observations, ScenePoints
+from lvba.visual.states import VisualState
+
+logger = logging.getLogger(__name__)
+
+_BESIDE = 2
+"""Groups that one is put beside: the nearest."""
+_TRIED = 6
+"""Images of a group that features put: those nearest to others."""
+_FEWER = (3, 1)
+"""Images that one is put by, where the usual number does not tell."""
+_ENOUGH_ALONE = 60
+"""Features by which a single image moves its group."""
+_AGREE_M, _AGREE_DEG = 0.1, 1.5
+"""Two images that move their group no further apart than this agree."""
+_FARTHEST_M = 3.0
+"""The trajectory is not off by more from one group to the next: what says so is another place that looks alike."""
+
+
+def find(points: ScenePoints, observations: Observations, images: int) -> np.ndarray:
+    """(I,) int64: the group of each image; more pairs than chance brings tie the images of one to each other."""
+    reference = points.reference[observations.point]
+    ones = np.ones(len(reference), np.int64)
+    pairs = coo_matrix((ones, (reference, observations.target)), shape=(images, images)).tocsr()
+    pairs = pairs + pairs.T
+    usual = float(np.median(pairs.max(axis=1).toarray()))
+    if usual < ENOUGH:
+        return np.zeros(images, np.int64)
+    return np.asarray(connected_components(pairs > max(BY_CHANCE, FEW * usual), directed=False)[1], np.int64)
+
+
+def rejoined(problem: Problem, pyramid: Pyramid, state: VisualState) -> VisualState:
+    """The state with groups of images where features have them beside the others; as it is where there is one group, or
+    features do not say.
+
+    problem: solved to this state, at any level of the pyramid
+    """
+    group = find(problem.points, problem.observations, len(problem.images))
+    if np.count_nonzero(np.bincount(group) > 1) < 2:
+        return state
+    matcher, poses = Matcher(problem.points, pyramid), state.cameras.world_from_camera.copy()
+    tried: set[tuple[bytes, bytes]] = set()
+    while _some_join(matcher, poses, group, tried):
+        pass
+    return replace(state, cameras=replace(state.cameras, world_from_camera=poses))
+
+
+def _some_join(matcher: Matcher, poses: Poses, group: np.ndarray, tried: set[tuple[bytes, bytes]]) -> bool:
+    """Whether features put a group beside a larger one that is near; it is moved there in poses, and is part of it then.
+
+    group: (I,) int64, changed; tried: pairs of groups that features do not put beside each other, changed
+    """
+    size = np.bincount(group)
+    for small in np.argsort(size, kind="stable"):
+        if size[small] < 2:
+            continue
+        members = np.flatnonzero(group == small)
+        for large in _near(poses, group, members, size):
+            others = np.flatnonzero(group == large)
+            pair = (members.tobytes(), others.tobytes())
+            if pair in tried:
+                continue
+            tried.add(pair)
+            if _joins(matcher, poses, members, others):
+                group[members] = large
+                return True
+    return False
+
+
+def _near(poses: Poses, group: np.ndarray, members: np.ndarray, size: np.ndarray) -> list[int]:
+    """The groups that some images (n,) may be put beside: larger ones (or as large and later), the nearest first."""
+    rank = np.lexsort((np.arange(len(size)), size)).argsort()
+    larger = np.flatnonzero((rank[group] > rank[group[members[0]]]) & (size[group] > 1))
+    if not len(larger):
+        return []
+    far = np.array(
+        [[nearest(poses, int(one), larger[[k]])[1] for k in range(len(larger))] for one in members]
+    )
+    order = group[larger[np.argsort(far.min(axis=0), kind="stable")]]
+    unique, first = np.unique(order, return_index=True)
+    return [int(each) for each in unique[np.argsort(first)][:_BESIDE]]
+
+
+def _joins(matcher: Matcher, poses: Poses, members: Indices, others: Indices) -> bool:
+    """Whether features put some images (n,) beside others (m,); they are moved there in poses."""
+    near = [nearest(poses, int(each), others) for each in members]
+    closest = np.argsort([far for _, far in near], kind="stable")[:_TRIED]
+    seen = []
+    for index in closest:
+        pose = _by_features(matcher, int(members[index]), near[index][0], poses)
+        if pose is not None:
+            seen.append(pose)
+    motion = _agreed(seen, poses[members[closest[0]]])
+    if motion is None:
+        return False
+    meters, degrees = apart(motion @ poses[members[0]], poses[members[0]])
+    logger.info(
+        "images %d to %d were off the others by %.0f mm and %.2f degrees",
+        members[0], members[-1], 1e3 * meters, degrees,
+    )  # fmt: skip
+    poses[members] = motion @ poses[members]
+    return True
+
+
+def _by_features(matcher: Matcher, image: int, near: Indices, poses: Poses) -> tuple[Pose, int] | None:
+    """The motion (4, 4) that an image makes to where features have it, and how many agree; None: they do not say."""
+    # few at a time where many dilute it: what those far away match is chance
+    for count in (len(near), *_FEWER):
+        by_features = matcher.pose(image, near[:count], poses)
+        if by_features is None:
+            continue
+        meters, degrees = apart(by_features[0], poses[image])
+        if meters <= _FARTHEST_M and degrees <= FARTHEST_DEG:
+            return by_features[0] @ geometry.inverse(poses[image]), by_features[1]
+    return None
+
+
+def _agreed(seen: list[tuple[Pose, int]], at: Pose) -> Pose | None:
+    """The mean (4, 4), by features, of the motions that one of them agrees with at a pose, as many as can be; None: no
+    two do, and none alone has features enough."""
+    motions = [motion for motion, _ in seen]
+    agree = np.array([[_alike(one, other, at) for other in motions] for one in motions], bool)
+    if len(seen) == 0 or (agree.sum(axis=1).max() < 2 and max(count for _, count in seen) < _ENOUGH_ALONE):
+        return None
+    best = max(range(len(seen)), key=lambda k: (agree[k].sum(), seen[k][1]))
+    off = geometry.log(geometry.inverse(motions[best] @ at) @ np.stack(motions) @ at)
+    mean = np.average(off, axis=0, weights=agree[best] * [count for _, count in seen])
+    return np.asarray(geometry.retract(motions[best] @ at, mean) @ geometry.inverse(at))
+
+
+def _alike(one: Pose, other: Pose, at: Pose) -> bool:
+    meters, degrees = apart(one @ at, other @ at)
+    return meters <= _AGREE_M and degrees <= _AGREE_DEG
