@@ -60,8 +60,11 @@ def rejoined(problem: Problem, pyramid: Pyramid, state: VisualState) -> VisualSt
         return state
     matcher, poses = Matcher(problem.points, pyramid), state.cameras.world_from_camera.copy()
     tried: set[tuple[bytes, bytes]] = set()
+    moved = False
     while _some_join(matcher, poses, group, tried):
-        pass
+        moved = True
+    if not moved:
+        return state
     return replace(state, cameras=replace(state.cameras, world_from_camera=poses))
 
 

@@ -67,8 +67,7 @@ def test_a_group_that_sees_something_else_stays(room):
     inputs = inputs | {"pyramid": build_pyramid(full, inputs["pyramid"].camera, 2)}
     scene = scene_of(Inputs(**inputs), DEFAULTS)
     problem, state = solved(scene, truth)
-    joined = image_groups.rejoined(problem, scene.pyramid, state).cameras.world_from_camera
-    assert joined.tobytes() == truth.tobytes()
+    assert image_groups.rejoined(problem, scene.pyramid, state) is state
 
 
 def test_what_would_move_a_group_too_far_is_another_place_that_looks_alike(room, monkeypatch):
