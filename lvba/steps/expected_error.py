@@ -9,11 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from lvba.arrays import PoseBlocks
+from lvba.arrays import PoseBlocks, Poses
+from lvba.lidar.degeneracy import DegenerateDirection
 from lvba.products.map_error import Tally
 from lvba.products.map_file import PointMap
 from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, VisualStage
 from lvba.steps.uncertainty import Expected
+
+_IS_A_SLIDE = 0.9
+"""Of a degenerate direction, the least part that is a shift."""
 
 
 def of_result(lidar: LidarStage, fused: FusionStage, visual: VisualStage, accepted: Accepted) -> Expected:
@@ -50,11 +54,13 @@ def collect(
     pieces: Sequence[Callable[[], PointMap]],
     range_noise_m: float | None = None,
     of_ranges_m: float = 0.0,
+    along_open_m: float = 0.0,
 ) -> dict[str, Any]:
     """The `expected_error` part of report.json.
 
     pieces: read the map, one piece at a time; range_noise_m: how far single points are off their surface
     of_ranges_m: how far scans may be off by errors of ranges that stay in their points
+    along_open_m: how far they may be off along motions that planes leave open for all of them
     """
     tally = Tally()
     for piece in pieces:
@@ -66,8 +72,25 @@ def collect(
         "cameras": of_poses(expected.cameras),
         "map": tally.facts(),
         "of_ranges_m": of_ranges_m if expected.scans is not None else None,
+        "along_open_m": along_open_m if expected.scans is not None else None,
         "note": _note(range_noise_m),
     }
+
+
+def along_open(
+    covariance: PoseBlocks | None, world_from_scan: Poses, directions: Sequence[DegenerateDirection]
+) -> float:
+    """How far scans are expected to be off along degenerate directions of all of them, m, root mean square.
+
+    covariance: (S, 6, 6), of scans; NaN where nothing is known; world_from_scan: (S, 4, 4)
+    """
+    slides = [each.direction[3:] for each in directions if np.linalg.norm(each.direction[3:]) > _IS_A_SLIDE]
+    if covariance is None or not slides:
+        return 0.0
+    along = np.linalg.qr(np.stack(slides, axis=1))[0].T @ world_from_scan[:, :3, :3]
+    variance = np.einsum("sdi,sij,sdj->s", along, covariance[:, 3:, 3:], along)
+    known = np.isfinite(variance)
+    return float(np.sqrt(variance[known].mean())) if known.any() else 0.0
 
 
 def of_poses(covariance: PoseBlocks | None) -> dict[str, Any] | None:

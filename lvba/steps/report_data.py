@@ -79,7 +79,9 @@ def collect(
     facts["warnings"] = _warnings(dataset, lidar, visual, accepted) + warnings_of_errors(errors)
     noise = lidar.result.history[-1].sigma if lidar.result is not None and lidar.result.history else None
     of_ranges_m = 0.0 if errors is None or errors.ranges is None else errors.ranges.poses_off[1]
-    facts["expected_error"] = expected_error.collect(expected, pieces, noise, of_ranges_m)
+    open_ = () if lidar.result is None else lidar.result.degenerate_directions
+    along_open_m = expected_error.along_open(expected.scans, accepted.world_from_scan, open_)
+    facts["expected_error"] = expected_error.collect(expected, pieces, noise, of_ranges_m, along_open_m)
     facts["planes"] = plane_thickness.facts(planes)
     facts["odometry"] = of_odometry(dataset, accepted, lidar, visual)
     if merge is not None:

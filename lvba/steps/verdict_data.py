@@ -281,18 +281,34 @@ def summary(judged: Verdict, expected: Facts, truth: Sequence[Truth] = ()) -> st
         own = f"{sentence[0].lower()}{sentence[1:]}"
         sentence = f"Against the reference, {joined(measured)}; without it: {own}"
     if amounts and not judged.unknown:
-        sentence += _of_ranges(expected)
+        sentence += _along_open(expected) or _of_ranges(expected)
     return f"Do not rely on this result. {sentence}." if judged.level == "bad" else f"{sentence}."
+
+
+def _along_open(expected: Facts) -> str:
+    """That most of what is expected is along motions that surfaces leave open, if it is."""
+    rest = _rest(expected, "along_open_m")
+    if rest is None:
+        return ""
+    return (
+        ". Most of that is along motions that surfaces leave open (as along a corridor), as far as the odometry alone is "
+        f"good for; otherwise scan poses are off by about {lengths.text(rest)}"
+    )
 
 
 def _of_ranges(expected: Facts) -> str:
     """That errors of ranges are most of what is expected, if they are."""
-    scans, ranges = expected.get("scans") or {}, expected.get("of_ranges_m") or 0.0
-    whole = scans.get("position_m") or 0.0
-    rest = math.sqrt(max(whole**2 - ranges**2, 0.0))
-    if whole < _WORTH_A_CAUSE_M or rest > 0.5 * whole:
+    rest = _rest(expected, "of_ranges_m")
+    if rest is None:
         return ""
     return (
         ". Most of that is how far the map may be bent by errors of the LiDAR's beams too small for its planes to tell; "
         f"if it has none, scan poses are off by about {lengths.text(rest)}"
     )
+
+
+def _rest(expected: Facts, key: str) -> float | None:
+    """What is expected of scans beside one of its parts, m; None: that is not most of it."""
+    whole, part = (expected.get("scans") or {}).get("position_m") or 0.0, expected.get(key) or 0.0
+    rest = math.sqrt(max(whole**2 - part**2, 0.0))
+    return None if whole < _WORTH_A_CAUSE_M or rest > 0.5 * whole else rest

@@ -108,6 +108,15 @@ def test_errors_of_ranges_are_named_where_they_are_most_of_what_is_expected(of_r
     assert "beams" not in verdict_data.summary(verdict.judge(CLEAN), small)
 
 
+def test_open_motions_are_named_where_they_are_most_of_what_is_expected():
+    whole = math.hypot(0.3, 0.007)
+    expected = {"scans": {"position_m": whole}, "along_open_m": 0.3, "of_ranges_m": 0.29}
+    said = verdict_data.summary(verdict.judge(CLEAN), expected)
+    assert "as along a corridor" in said
+    assert "otherwise scan poses are off by about 7 mm" in said
+    assert "corridor" not in verdict_data.summary(verdict.judge(CLEAN), expected | {"along_open_m": 0.1})
+
+
 def test_the_worst_reason_comes_first():
     found = verdict.judge(
         replace(CLEAN, jumps=1, variance_factor=9.0, truth=(Truth("scans", "m", 0.09, 0.03, 0.02),))
