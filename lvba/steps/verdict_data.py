@@ -291,8 +291,8 @@ def _along_open(expected: Facts) -> str:
     if rest is None:
         return ""
     return (
-        ". Most of that is along motions that surfaces leave open (as along a corridor), as far as the odometry alone is "
-        f"good for; otherwise scan poses are off by about {lengths.text(rest)}"
+        ". Most of that is along motions that surfaces leave open (as along a corridor), by the odometry alone; in all "
+        f"others scan poses are off by about {lengths.text(rest)}"
     )
 
 

@@ -113,7 +113,7 @@ def test_open_motions_are_named_where_they_are_most_of_what_is_expected():
     expected = {"scans": {"position_m": whole}, "along_open_m": 0.3, "of_ranges_m": 0.29}
     said = verdict_data.summary(verdict.judge(CLEAN), expected)
     assert "as along a corridor" in said
-    assert "otherwise scan poses are off by about 7 mm" in said
+    assert "in all others scan poses are off by about 7.0 mm" in said
     assert "corridor" not in verdict_data.summary(verdict.judge(CLEAN), expected | {"along_open_m": 0.1})
 
 
