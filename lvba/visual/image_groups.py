@@ -4,6 +4,9 @@ Along a corridor, the odometry may be off by decimeters from one scan to the nex
 that step look alike, and those after it, but patches of the ones find nothing in the others: the pairs of images fall
 into groups. Within each, images hold each other. So features put several of its images (`relocalization`), and where
 these agree on one rigid motion of the group, all of it moves.
+
+Only along their own surfaces: those belong to the scans of the same moments, which stay. Where a group of scans is off as
+well, its images are right as they are beside it.
 """
 
 import logging
@@ -35,6 +38,9 @@ _AGREE_M, _AGREE_DEG = 0.1, 1.5
 """Two images that move their group no further apart than this agree."""
 _FARTHEST_M = 3.0
 """The trajectory is not off by more from one group to the next: what says so is another place that looks alike."""
+_MOST, _OFF_M, _OFF_PART = 0.75, 0.1, 0.2
+"""A motion is along surfaces that takes this part of what a group sees off its planes by no more than so many meters, or
+that part of how far it moves: features put images to centimeters and tenths of degrees."""
 
 
 def find(points: ScenePoints, observations: Observations, images: int) -> np.ndarray:
@@ -61,14 +67,16 @@ def rejoined(problem: Problem, pyramid: Pyramid, state: VisualState) -> VisualSt
     matcher, poses = Matcher(problem.points, pyramid), state.cameras.world_from_camera.copy()
     tried: set[tuple[bytes, bytes]] = set()
     moved = False
-    while _some_join(matcher, poses, group, tried):
+    while _some_join(matcher, problem.points, poses, group, tried):
         moved = True
     if not moved:
         return state
     return replace(state, cameras=replace(state.cameras, world_from_camera=poses))
 
 
-def _some_join(matcher: Matcher, poses: Poses, group: np.ndarray, tried: set[tuple[bytes, bytes]]) -> bool:
+def _some_join(
+    matcher: Matcher, points: ScenePoints, poses: Poses, group: np.ndarray, tried: set[tuple[bytes, bytes]]
+) -> bool:
     """Whether features put a group beside a larger one that is near; it is moved there in poses, and is part of it then.
 
     group: (I,) int64, changed; tried: pairs of groups that features do not put beside each other, changed
@@ -84,7 +92,7 @@ def _some_join(matcher: Matcher, poses: Poses, group: np.ndarray, tried: set[tup
             if pair in tried:
                 continue
             tried.add(pair)
-            if _joins(matcher, poses, members, others):
+            if _joins(matcher, points, poses, members, others):
                 group[members] = large
                 return True
     return False
@@ -104,8 +112,8 @@ def _near(poses: Poses, group: np.ndarray, members: np.ndarray, size: np.ndarray
     return [int(each) for each in unique[np.argsort(first)][:_BESIDE]]
 
 
-def _joins(matcher: Matcher, poses: Poses, members: Indices, others: Indices) -> bool:
-    """Whether features put some images (n,) beside others (m,); they are moved there in poses."""
+def _joins(matcher: Matcher, points: ScenePoints, poses: Poses, members: Indices, others: Indices) -> bool:
+    """Whether features put some images (n,) beside others (m,), along surfaces; they are moved there in poses."""
     near = [nearest(poses, int(each), others) for each in members]
     closest = np.argsort([far for _, far in near], kind="stable")[:_TRIED]
     seen = []
@@ -114,7 +122,7 @@ def _joins(matcher: Matcher, poses: Poses, members: Indices, others: Indices) ->
         if pose is not None:
             seen.append(pose)
     motion = _agreed(seen, poses[members[closest[0]]])
-    if motion is None:
+    if motion is None or not _along_surfaces(motion, points, members):
         return False
     meters, degrees = apart(motion @ poses[members[0]], poses[members[0]])
     logger.info(
@@ -123,6 +131,18 @@ def _joins(matcher: Matcher, poses: Poses, members: Indices, others: Indices) ->
     )  # fmt: skip
     poses[members] = motion @ poses[members]
     return True
+
+
+def _along_surfaces(motion: Pose, points: ScenePoints, members: Indices) -> bool:
+    """Whether a motion (4, 4) leaves what some images see on its planes."""
+    mine = np.isin(points.reference, members)
+    position = points.position_world[mine]
+    if not len(position):
+        return False
+    shift = geometry.transform_points(motion, position) - position
+    off = np.abs(np.einsum("ni,ni->n", points.normal_world[mine], shift))
+    far = float(np.median(np.linalg.norm(shift, axis=1)))
+    return bool(np.quantile(off, _MOST) < max(_OFF_M, _OFF_PART * far))
 
 
 def _by_features(matcher: Matcher, image: int, near: Indices, poses: Poses) -> tuple[Pose, int] | None:
