@@ -20,7 +20,7 @@ from lvba import geometry
 from lvba.arrays import Indices, Pose, Poses
 from lvba.visual.image import Pyramid
 from lvba.visual.photometric import Problem
-from lvba.visual.relocalization import BY_CHANCE, ENOUGH, FARTHEST_DEG, FEW, Matcher, apart, nearest
+from lvba.visual.relocalization import BY_CHANCE, ENOUGH, FARTHEST_DEG, FEW, Matcher, apart, distance, nearest
 from lvba.visual.scene_points import Observations, ScenePoints
 from lvba.visual.states import VisualState
 
@@ -104,24 +104,21 @@ def _near(poses: Poses, group: np.ndarray, members: np.ndarray, size: np.ndarray
     larger = np.flatnonzero((rank[group] > rank[group[members[0]]]) & (size[group] > 1))
     if not len(larger):
         return []
-    far = np.array(
-        [[nearest(poses, int(one), larger[[k]])[1] for k in range(len(larger))] for one in members]
-    )
-    order = group[larger[np.argsort(far.min(axis=0), kind="stable")]]
+    far = np.min([distance(poses, int(each), larger) for each in members], axis=0)
+    order = group[larger[np.argsort(far, kind="stable")]]
     unique, first = np.unique(order, return_index=True)
     return [int(each) for each in unique[np.argsort(first)][:_BESIDE]]
 
 
 def _joins(matcher: Matcher, points: ScenePoints, poses: Poses, members: Indices, others: Indices) -> bool:
     """Whether features put some images (n,) beside others (m,), along surfaces; they are moved there in poses."""
-    near = [nearest(poses, int(each), others) for each in members]
-    closest = np.argsort([far for _, far in near], kind="stable")[:_TRIED]
-    seen = []
-    for index in closest:
-        pose = _by_features(matcher, int(members[index]), near[index][0], poses)
-        if pose is not None:
-            seen.append(pose)
-    motion = _agreed(seen, poses[members[closest[0]]])
+    far = [distance(poses, int(each), others).min() for each in members]
+    closest = members[np.argsort(far, kind="stable")[:_TRIED]]
+    by_features = [
+        _by_features(matcher, int(each), nearest(poses, int(each), others), poses) for each in closest
+    ]
+    seen = [each for each in by_features if each is not None]
+    motion = _agreed(seen, poses[closest[0]])
     if motion is None or not _along_surfaces(motion, points, members):
         return False
     meters, degrees = apart(motion @ poses[members[0]], poses[members[0]])

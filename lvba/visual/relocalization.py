@@ -99,7 +99,7 @@ def relocalized(problem: Problem, pyramid: Pyramid, state: VisualState) -> Visua
     poses = state.cameras.world_from_camera.copy()
     others = np.setdiff1d(np.arange(len(poses)), missing)
     for image in missing:
-        by_features = matcher.pose(int(image), nearest(poses, int(image), others)[0], poses)
+        by_features = matcher.pose(int(image), nearest(poses, int(image), others), poses)
         pose = poses[image] if by_features is None else by_features[0]
         meters, degrees = apart(pose, poses[image])
         if by_features is None or meters > _FARTHEST_M or degrees > FARTHEST_DEG:
@@ -163,14 +163,17 @@ def _features(image: np.ndarray) -> _Features:
     return _Features(table[order, :2], descriptor[order])
 
 
-def nearest(poses: Poses, image: int, others: Indices) -> tuple[np.ndarray, float]:
-    """(n,) int64: the others that look the same way from the same place as an image, by their poses (I, 4, 4), and how
-    far the nearest of them is: a step of a meter and a turn of 30 degrees count as much."""
+def nearest(poses: Poses, image: int, others: Indices) -> np.ndarray:
+    """(n,) int64: the others that look the same way from the same place as an image, by their poses (I, 4, 4), nearest
+    first."""
+    return np.asarray(others[np.argsort(distance(poses, image, others), kind="stable")[:_NEIGHBORS]])
+
+
+def distance(poses: Poses, image: int, others: Indices) -> np.ndarray:
+    """(n,) float64: how far each of (n,) others is from an image: a step of a meter and a turn of 30 degrees are 1."""
     off = geometry.inverse(poses[image]) @ poses[others]
     angle = np.degrees(np.arccos(np.clip(off[:, 2, 2], -1.0, 1.0)))
-    far = angle / _TURN_DEG + np.linalg.norm(off[:, :3, 3], axis=1) / _STEP_M
-    order = np.argsort(far, kind="stable")[:_NEIGHBORS]
-    return np.asarray(others[order]), float(far[order[0]])
+    return np.asarray(angle / _TURN_DEG + np.linalg.norm(off[:, :3, 3], axis=1) / _STEP_M)
 
 
 def _places(points: ScenePoints, image: int, pose: Pose, camera: Camera, seen: _Features) -> _Places:
