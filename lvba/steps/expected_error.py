@@ -55,12 +55,14 @@ def collect(
     range_noise_m: float | None = None,
     of_ranges_m: float = 0.0,
     along_open_m: float = 0.0,
+    open_by_images_m: float | None = None,
 ) -> dict[str, Any]:
     """The `expected_error` part of report.json.
 
     pieces: read the map, one piece at a time; range_noise_m: how far single points are off their surface
     of_ranges_m: how far scans may be off by errors of ranges that stay in their points
     along_open_m: how far they may be off along motions that planes leave open for all of them
+    open_by_images_m: the same if images are right about these motions; None: they were not asked
     """
     tally = Tally()
     for piece in pieces:
@@ -73,6 +75,7 @@ def collect(
         "map": tally.facts(),
         "of_ranges_m": of_ranges_m if expected.scans is not None else None,
         "along_open_m": along_open_m if expected.scans is not None else None,
+        "open_by_images_m": open_by_images_m if expected.scans is not None else None,
         "note": _note(range_noise_m),
     }
 

@@ -77,6 +77,8 @@ class Fused:
         the distances of the scans from the spline explain it; the median of the six axes
     variance_factor: how many times scans and cameras are further apart (squared) than both promise, at least 1
     contradicted: scans that stayed because the cameras contradict them
+    slide_sigma_m: m, root mean square: what the cameras say of how far scans have slid along what planes leave open for
+        all of them is uncertain by so much; 0: nothing is open
     """
 
     world_from_scan: np.ndarray
@@ -85,6 +87,7 @@ class Fused:
     interpolation_error_scale: float
     variance_factor: float
     contradicted: int
+    slide_sigma_m: float = 0.0
 
 
 def scan_poses_from_cameras(
@@ -177,6 +180,7 @@ def fuse(
         interpolation_error_scale=float(np.median(interpolation_error_scale)),
         variance_factor=variance_factor,
         contradicted=int(np.count_nonzero(contradicted)),
+        slide_sigma_m=open_.shift_m(of_cameras, used) if open_ else 0.0,
     )
 
 
@@ -198,6 +202,11 @@ class _Open:
     def part(self, of: np.ndarray) -> np.ndarray:
         """(S, 6): what of tangents (S, 6) is along them."""
         return np.asarray((self.motion @ (self.coefficient @ of[..., None]))[..., 0])
+
+    def shift_m(self, of: np.ndarray, used: np.ndarray) -> float:
+        """Root mean square of shifts along them, from covariances (S, 6, 6) of tangents, of those used (S,) bool."""
+        shift = self.motion[used, 3:] @ self.covariance(of)[used] @ np.swapaxes(self.motion[used, 3:], -1, -2)
+        return float(np.sqrt(np.trace(shift, axis1=1, axis2=2).mean())) if used.any() else 0.0
 
     def covariance(self, of: np.ndarray) -> np.ndarray:
         """(N, D, D) of the coefficients, from that of the last N tangents, (N, 6, 6)."""

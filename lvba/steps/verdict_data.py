@@ -290,9 +290,13 @@ def _along_open(expected: Facts) -> str:
     rest = _rest(expected, "along_open_m")
     if rest is None:
         return ""
+    by_images = expected.get("open_by_images_m")
+    certain = (
+        "" if by_images is None else f", in these by about {lengths.text(by_images)} if images are right"
+    )
     return (
         ". Most of that is along motions that surfaces leave open (as along a corridor), by the odometry alone; in all "
-        f"others scan poses are off by about {lengths.text(rest)}"
+        f"others scan poses are off by about {lengths.text(rest)}{certain}"
     )
 
 

@@ -322,6 +322,9 @@ def test_what_planes_leave_open_for_all_scans_goes_where_the_cameras_have_it():
     found = pose_fusion.fuse(given, covariance, cameras(np.random.default_rng(6)), [ALONG], PRIOR)
     assert errors(given.world_from_sensor, truth).max() > 0.1
     assert errors(found.world_from_scan, truth)[1:].max() < 0.005
+    off = np.sqrt(np.square(errors(found.world_from_scan, truth)[2:-2]).mean())
+    assert 0.3 * off < found.slide_sigma_m < 3 * off
+    assert pose_fusion.fuse(given, covariance, cameras(np.random.default_rng(6))).slide_sigma_m == 0.0
 
 
 def test_a_slide_does_not_leak_into_what_planes_hold():
