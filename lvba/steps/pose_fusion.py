@@ -124,35 +124,25 @@ def fuse(
     common: motions of all scans that the planes leave open, with the (6,) sigmas (rad, m) that they are scaled by. Along
         these each scan goes by itself: the planes do not mind, and no other motion of it has to do with that
     """
-    path = cameras.world_from_scan
-    if len(path) < spline.FEWEST_SAMPLES:
+    if len(cameras.world_from_scan) < spline.FEWEST_SAMPLES:
         return None
-    past = spline.past_ends(path, scans.times)
-    inside, near = past == 0.0, past <= _PAST_ENDS
-    leave_one_out_error = spline.leave_one_out_error_by_axis(path, scans.times)
-    by_cameras = spline.through(path, scans.times, beyond=_PAST_ENDS * float(np.diff(path.times).max()))
-    differences = geometry.log(geometry.inverse(scans.world_from_sensor) @ by_cameras)
+    seen = _seen(cameras, scans)
     open_ = _open_directions(scans.world_from_sensor, common, prior_sigmas)
     # how far scans have slid, as the odometry has it, says nothing of how well both are known
-    judged = differences - open_.part(differences) if open_ else differences
-    shared = _shared(cameras, scans.times)
-    extrapolated = spline.extrapolation_error(np.minimum(past, _PAST_ENDS))
-    alone = _of_neighbors(cameras, scans.times)
-    known = alone + shared @ np.swapaxes(shared, -1, -2)
-    least = np.maximum(spline.boundary_error(path, scans.times), extrapolated)
-    at_ends = _interpolated(leave_one_out_error, least[:, None])
-    known += at_ends
+    judged = seen.differences - open_.part(seen.differences) if open_ else seen.differences
+    known = seen.alone + seen.shared @ np.swapaxes(seen.shared, -1, -2) + seen.at_ends
     own = local_covariance(covariance, scans.world_from_sensor)
     interpolation_error_scale = _interpolation_error_scale(
-        judged[inside], (own + known)[inside], leave_one_out_error[inside]
+        judged[seen.inside], (own + known)[seen.inside], seen.leave_one_out_error[seen.inside]
     )
-    interpolated = _interpolated(leave_one_out_error, interpolation_error_scale)
+    interpolated = _interpolated(seen.leave_one_out_error, interpolation_error_scale)
     of_cameras = known + interpolated
     distance = _distance(judged, own + of_cameras)
-    variance_factor = max(1.0, float(np.median(distance[inside])) / _MEDIAN) if inside.any() else 1.0
-    contradicted = near & (distance > CONTRADICTION**2 * variance_factor)
-    used = near & ~contradicted
-    camera_information = np.linalg.inv(of_cameras) * used[:, None, None]
+    variance_factor = 1.0
+    if seen.inside.any():
+        variance_factor = max(variance_factor, float(np.median(distance[seen.inside])) / _MEDIAN)
+    contradicted = seen.near & (distance > CONTRADICTION**2 * variance_factor)
+    used = seen.near & ~contradicted
     step = _corrections(
         # where motions are known, a group of scans may be off as far as it is uncertain within the trajectory: cameras
         # far apart in time see it beside others
@@ -160,28 +150,74 @@ def fuse(
         covariance.step,
         scans.world_from_sensor,
         # what both do not promise is the cameras': the scans' own share in it is in what groups are off
-        variance_factor * alone + at_ends + interpolated,
+        variance_factor * seen.alone + seen.at_ends + interpolated,
         used,
-        differences,
-        shared,
+        seen.differences,
+        seen.shared,
         open_,
     )
-    # promised is only what each scan gains against the map around it: cameras that see no more than a group of scans does
-    # are off with it, and that they agree with it is no proof
-    conditional = covariance.conditional + LEAST * np.eye(6)
-    posterior = np.linalg.inv(np.linalg.inv(conditional) + camera_information)
-    posterior = np.where(used[:, None, None], posterior * variance_factor, posterior)
     moved = geometry.retract(scans.world_from_sensor, step)
     still = np.all(step == 0.0, axis=1)
     return Fused(
         world_from_scan=np.where(still[:, None, None], scans.world_from_sensor, moved),
-        covariance=posterior + positive(covariance.marginal - covariance.conditional),
+        covariance=_promised(covariance, np.linalg.inv(of_cameras), used, variance_factor),
         moved_m=np.linalg.norm(step[:, 3:], axis=1),
         interpolation_error_scale=float(np.median(interpolation_error_scale)),
         variance_factor=variance_factor,
         contradicted=int(np.count_nonzero(contradicted)),
         slide_sigma_m=open_.shift_m(of_cameras, used) if open_ else 0.0,
     )
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Where a spline through the cameras has the scans.
+
+    differences: (S, 6), from the scans there; leave_one_out_error: (S, 6), by axis
+    inside: (S,) bool, of the times of images; near: (S,) bool, or just past their ends
+    alone, at_ends: (S, 6, 6), covariances of the cameras about each, and of the spline near its ends
+    shared: (S, 6, 7), what one standard deviation of each number that all cameras share does
+    """
+
+    differences: np.ndarray
+    leave_one_out_error: np.ndarray
+    inside: np.ndarray
+    near: np.ndarray
+    alone: np.ndarray
+    at_ends: np.ndarray
+    shared: np.ndarray
+
+
+def _seen(cameras: Cameras, scans: Trajectory) -> _Seen:
+    path = cameras.world_from_scan
+    past = spline.past_ends(path, scans.times)
+    by_cameras = spline.through(path, scans.times, beyond=_PAST_ENDS * float(np.diff(path.times).max()))
+    leave_one_out_error = spline.leave_one_out_error_by_axis(path, scans.times)
+    extrapolated = spline.extrapolation_error(np.minimum(past, _PAST_ENDS))
+    least = np.maximum(spline.boundary_error(path, scans.times), extrapolated)
+    return _Seen(
+        differences=geometry.log(geometry.inverse(scans.world_from_sensor) @ by_cameras),
+        leave_one_out_error=leave_one_out_error,
+        inside=past == 0.0,
+        near=past <= _PAST_ENDS,
+        alone=_of_neighbors(cameras, scans.times),
+        at_ends=_interpolated(leave_one_out_error, least[:, None]),
+        shared=_shared(cameras, scans.times),
+    )
+
+
+def _promised(
+    covariance: Covariance, information: np.ndarray, used: np.ndarray, variance_factor: float
+) -> np.ndarray:
+    """(S, 6, 6) of scans with what cameras know (S, 6, 6), of those used (S,) bool.
+
+    Only what each scan gains against the map around it: cameras that see no more than a group of scans does are off with
+    it, and that they agree with it is no proof.
+    """
+    conditional = covariance.conditional + LEAST * np.eye(6)
+    posterior = np.linalg.inv(np.linalg.inv(conditional) + information * used[:, None, None])
+    posterior = np.where(used[:, None, None], posterior * variance_factor, posterior)
+    return np.asarray(posterior + positive(covariance.marginal - covariance.conditional))
 
 
 @dataclass(frozen=True)
