@@ -4,6 +4,7 @@ A narrow LiDAR before one wall leaves its scan half open: planes may hold it to 
 cameras just before and after it to millimetres. So each scan becomes the mean of its own pose and of where a spline
 through the refined cameras has it, through the extrinsic and the time offset found, each weighed by what is known of it.
 What is common to all cameras (extrinsic, time offset) is found with the errors of the scans, and moves none of them.
+Along motions that planes leave open for all scans (a corridor) each slides by itself to where the cameras have it.
 Source: Barfoot and Furgale 2014, for fusing poses in the tangent space; Li et al. leave the scans as they are.
 """
 
