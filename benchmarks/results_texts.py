@@ -12,8 +12,9 @@ the first rows compile, too); for what a run takes by itself see [benchmarks.md]
 Which version the tables are of:
 
 - **Real recordings, degenerate directions, and of the severely disturbed scenes those with foliage, rough drift or no
-  disturbance:** this one. Map entropy is that of surfaces; older tables but the next count stray points, too, by which
-  it is some hundredths of a nat higher.
+  disturbance:** this one, but for scans just before the first and after the last image, which followed these as others
+  do. Map entropy is that of surfaces; older tables but the next count stray points, too, by which it is some hundredths
+  of a nat higher.
 - **Severely disturbed rooms of seed 821; severely disturbed courtyards of this seed with rain, people, mirrors, jumps,
   gaps, noise of ranges, wrong clocks, motion left in scans, or another extrinsic, focal length, principal point or k1;
   seed 822 with motion left:** one before, in which scans stay as the odometry has them along what planes leave open for

@@ -153,6 +153,7 @@ def fuse(
         # what both do not promise is the cameras': the scans' own share in it is in what groups are off
         variance_factor * seen.alone + seen.at_ends + interpolated,
         used,
+        seen.inside,
         seen.differences,
         seen.shared,
         open_,
@@ -161,7 +162,7 @@ def fuse(
     still = np.all(step == 0.0, axis=1)
     return Fused(
         world_from_scan=np.where(still[:, None, None], scans.world_from_sensor, moved),
-        covariance=_promised(covariance, np.linalg.inv(of_cameras), used, variance_factor),
+        covariance=_promised(covariance, np.linalg.inv(of_cameras), used & seen.inside, variance_factor),
         moved_m=np.linalg.norm(step[:, 3:], axis=1),
         interpolation_error_scale=float(np.median(interpolation_error_scale)),
         variance_factor=variance_factor,
@@ -283,6 +284,7 @@ def _corrections(
     world_from_scan: np.ndarray,
     of_cameras: np.ndarray,
     used: np.ndarray,
+    inside: np.ndarray,
     differences: np.ndarray,
     shared: np.ndarray,
     open_: _Open | None,
@@ -292,15 +294,15 @@ def _corrections(
     Planes know how scans lie to each other in all other ways far better than the covariances of neighbors say (one wall
     for all scans of a corridor); a slide of decimeters must not leak into these.
     of_cameras: (S, 6, 6), covariances of what cameras say; used: (S,) bool, where they say anything
+    inside: (S,) bool, where there are images before and after: past their ends they say how far scans have slid, no more
     """
     carry = geometry.adjoint(geometry.inverse(world_from_scan[1:]) @ world_from_scan[:-1])
     information = np.linalg.inv(of_cameras) * used[:, None, None]
 
+    within = information * inside[:, None, None]
     if open_ is None:
-        return error_chain.most_likely(own, step, carry, information, differences, shared)
-    fixed = error_chain.most_likely(
-        own, step, carry, information, differences - open_.part(differences), shared
-    )
+        return error_chain.most_likely(own, step, carry, within, differences, shared)
+    fixed = error_chain.most_likely(own, step, carry, within, differences - open_.part(differences), shared)
     slide = error_chain.most_likely(
         open_.covariance(own) + _OPEN**2 * np.eye(open_.count),
         open_.covariance(step),

@@ -212,15 +212,12 @@ def test_vague_cameras_change_nothing():
     assert found.moved_m.max() < 1e-4
 
 
-def test_scans_just_before_the_first_and_after_the_last_image_follow_the_cameras_and_no_others_do():
-    """Images begin .137 s after the scans, and end .063 s before: scans .037 and .063 s past the ends move."""
+def test_scans_before_the_first_and_after_the_last_image_stay():
     rng = np.random.default_rng(2)
-    given, covariance, truth = scans(rng, loose=(0, 1, 59))
+    given, covariance, _ = scans(rng, loose=(0, 1, 59))
     found = pose_fusion.fuse(given, covariance, cameras(rng))
-    assert (found.world_from_scan[0] == given.world_from_sensor[0]).all()
-    np.testing.assert_allclose(found.covariance[0], covariance.marginal[0], atol=1e-11)
-    assert errors(given.world_from_sensor, truth)[[1, 59]].min() > 0.02
-    assert errors(found.world_from_scan, truth)[[1, 59]].max() < 0.006
+    assert (found.world_from_scan[[0, 1, 59]] == given.world_from_sensor[[0, 1, 59]]).all()
+    np.testing.assert_allclose(found.covariance[[0, 1, 59]], covariance.marginal[[0, 1, 59]], atol=1e-11)
 
 
 @pytest.mark.parametrize("past", [0.1, 0.3, 0.6, 1.0])
@@ -317,7 +314,10 @@ PRIOR = np.repeat([0.01, 0.05], 3)
 
 
 def test_what_planes_leave_open_for_all_scans_goes_where_the_cameras_have_it():
-    """A corridor: planes let each scan slide along x, and images hold the cameras there."""
+    """A corridor: planes let each scan slide along x, and images hold the cameras there.
+
+    Images begin .137 s after the scans, and end .063 s before: scans .037 and .063 s past the ends slide, too.
+    """
     given, covariance, truth = corridor(np.random.default_rng(5))
     found = pose_fusion.fuse(given, covariance, cameras(np.random.default_rng(6)), [ALONG], PRIOR)
     assert errors(given.world_from_sensor, truth).max() > 0.1
