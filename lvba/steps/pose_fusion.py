@@ -153,9 +153,7 @@ def fuse(
         # what both do not promise is the cameras': the scans' own share in it is in what groups are off
         variance_factor * seen.alone + seen.at_ends + interpolated,
         used,
-        seen.inside,
-        seen.differences,
-        seen.shared,
+        seen,
         open_,
     )
     moved = geometry.retract(scans.world_from_sensor, step)
@@ -237,9 +235,13 @@ class _Open:
         """D."""
         return int(self.motion.shape[2])
 
+    def along(self, of: np.ndarray) -> np.ndarray:
+        """(S, D): how far tangents (S, 6) go along them."""
+        return np.asarray((self.coefficient @ of[..., None])[..., 0])
+
     def part(self, of: np.ndarray) -> np.ndarray:
         """(S, 6): what of tangents (S, 6) is along them."""
-        return np.asarray((self.motion @ (self.coefficient @ of[..., None]))[..., 0])
+        return np.asarray((self.motion @ self.along(of)[..., None])[..., 0])
 
     def shift_m(self, of: np.ndarray, used: np.ndarray) -> float:
         """Root mean square of shifts along them, from covariances (S, 6, 6) of tangents, of those used (S,) bool."""
@@ -284,9 +286,7 @@ def _corrections(
     world_from_scan: np.ndarray,
     of_cameras: np.ndarray,
     used: np.ndarray,
-    inside: np.ndarray,
-    differences: np.ndarray,
-    shared: np.ndarray,
+    seen: _Seen,
     open_: _Open | None,
 ) -> np.ndarray:
     """The most likely errors (S, 6) of the scans, those along open directions by themselves.
@@ -294,12 +294,12 @@ def _corrections(
     Planes know how scans lie to each other in all other ways far better than the covariances of neighbors say (one wall
     for all scans of a corridor); a slide of decimeters must not leak into these.
     of_cameras: (S, 6, 6), covariances of what cameras say; used: (S,) bool, where they say anything
-    inside: (S,) bool, where there are images before and after: past their ends they say how far scans have slid, no more
     """
     carry = geometry.adjoint(geometry.inverse(world_from_scan[1:]) @ world_from_scan[:-1])
     information = np.linalg.inv(of_cameras) * used[:, None, None]
-
-    within = information * inside[:, None, None]
+    # past the ends of the images these say how far scans have slid, no more
+    within = information * seen.inside[:, None, None]
+    differences, shared = seen.differences, seen.shared
     if open_ is None:
         return error_chain.most_likely(own, step, carry, within, differences, shared)
     fixed = error_chain.most_likely(own, step, carry, within, differences - open_.part(differences), shared)
@@ -309,7 +309,7 @@ def _corrections(
         np.broadcast_to(np.eye(open_.count), (len(step), open_.count, open_.count)),
         # given the rest of a camera's pose, which scans know: cameras of one place are off together in all of it
         np.swapaxes(open_.motion, -1, -2) @ information @ open_.motion,
-        (open_.coefficient @ differences[..., None])[..., 0],
+        open_.along(differences),
         open_.coefficient @ shared,
     )
     return np.asarray(fixed - open_.part(fixed) + (open_.motion @ slide[..., None])[..., 0])

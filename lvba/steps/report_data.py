@@ -81,8 +81,9 @@ def collect(
     of_ranges_m = 0.0 if errors is None or errors.ranges is None else errors.ranges.poses_off[1]
     open_ = () if lidar.result is None else lidar.result.degenerate_directions
     along_open_m = expected_error.along_open(expected.scans, accepted.world_from_scan, open_)
-    slid = along_open_m > 0 and accepted.fusion.accepted and fused.result is not None
-    by_images_m = fused.result.slide_sigma_m if slid and fused.result else None
+    by_images_m = None
+    if along_open_m and accepted.fusion.accepted and fused.result is not None:
+        by_images_m = fused.result.slide_sigma_m
     facts["expected_error"] = expected_error.collect(
         expected, pieces, noise, of_ranges_m, along_open_m, by_images_m
     )

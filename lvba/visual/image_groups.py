@@ -20,7 +20,7 @@ from lvba import geometry
 from lvba.arrays import Indices, Pose, Poses
 from lvba.visual.image import Pyramid
 from lvba.visual.photometric import Problem
-from lvba.visual.relocalization import BY_CHANCE, ENOUGH, FARTHEST_DEG, FEW, Matcher, apart, distance, nearest
+from lvba.visual.relocalization import BY_CHANCE, FEW, Matcher, apart, distance, nearest, usual
 from lvba.visual.scene_points import Observations, ScenePoints
 from lvba.visual.states import VisualState
 
@@ -49,10 +49,11 @@ def find(points: ScenePoints, observations: Observations, images: int) -> np.nda
     ones = np.ones(len(reference), np.int64)
     pairs = coo_matrix((ones, (reference, observations.target)), shape=(images, images)).tocsr()
     pairs = pairs + pairs.T
-    usual = float(np.median(pairs.max(axis=1).toarray()))
-    if usual < ENOUGH:
+    strongest = usual(pairs.max(axis=1).toarray().ravel())
+    if not strongest:
         return np.zeros(images, np.int64)
-    return np.asarray(connected_components(pairs > max(BY_CHANCE, FEW * usual), directed=False)[1], np.int64)
+    tied = pairs > max(BY_CHANCE, FEW * strongest)
+    return np.asarray(connected_components(tied, directed=False)[1], np.int64)
 
 
 def rejoined(problem: Problem, pyramid: Pyramid, state: VisualState) -> VisualState:
@@ -146,11 +147,8 @@ def _by_features(matcher: Matcher, image: int, near: Indices, poses: Poses) -> t
     """The motion (4, 4) that an image makes to where features have it, and how many agree; None: they do not say."""
     # few at a time where many dilute it: what those far away match is chance
     for count in (len(near), *_FEWER):
-        by_features = matcher.pose(image, near[:count], poses)
-        if by_features is None:
-            continue
-        meters, degrees = apart(by_features[0], poses[image])
-        if meters <= _FARTHEST_M and degrees <= FARTHEST_DEG:
+        by_features = matcher.pose(image, near[:count], poses, _FARTHEST_M)
+        if by_features is not None:
             return by_features[0] @ geometry.inverse(poses[image]), by_features[1]
     return None
 

@@ -27,7 +27,7 @@ logger = logging.getLogger(__name__)
 
 FEW = 0.05
 """An image is lost that has less than this part of the pairs that half of the images have ..."""
-ENOUGH = 100
+_ENOUGH = 100
 """... where that half has as many as this: else pairs are few anyway."""
 BY_CHANCE = 12
 """Pairs that an image has by chance: of a thousand patches that see something else, so many may look alike."""
@@ -46,7 +46,7 @@ _FEWEST_INLIERS = 30
 """Chance brings five."""
 _LEAST_AGREEING = 0.3
 """Part of the matches that must be inliers."""
-FARTHEST_DEG, _FARTHEST_M = 30.0, 1.0
+_FARTHEST_DEG, _FARTHEST_M = 30.0, 1.0
 """The trajectory is not off by more: what says so is another place that looks alike."""
 _LEAST_DEPTH_M = 0.2
 
@@ -54,7 +54,7 @@ _LEAST_DEPTH_M = 0.2
 def lost(points: ScenePoints, observations: Observations, images: int) -> np.ndarray:
     """(n,) int64, images that hardly any other is compared with, where others are with many."""
     pairs = _pairs(points, observations, images)
-    return np.flatnonzero(pairs < FEW * _usual(pairs))
+    return np.flatnonzero(pairs < FEW * usual(pairs))
 
 
 def _pairs(points: ScenePoints, observations: Observations, images: int) -> np.ndarray:
@@ -63,10 +63,10 @@ def _pairs(points: ScenePoints, observations: Observations, images: int) -> np.n
     return np.bincount(ends, minlength=images)
 
 
-def _usual(pairs: np.ndarray) -> float:
-    """What half of the images have; 0: so few that no image is missing any."""
-    usual = float(np.median(pairs))
-    return usual if usual >= ENOUGH else 0.0
+def usual(pairs: Indices) -> float:
+    """What half of the images have of (I,) pairs each; 0: so few that no image is missing any."""
+    middle = float(np.median(pairs))
+    return middle if middle >= _ENOUGH else 0.0
 
 
 def without_chance(
@@ -77,7 +77,7 @@ def without_chance(
     Three patches that look alike by chance hold an image to a millimeter, wherever it is.
     """
     pairs = _pairs(points, observations, images)
-    chance = pairs < min(BY_CHANCE, FEW * _usual(pairs))
+    chance = pairs < min(BY_CHANCE, FEW * usual(pairs))
     kept = ~chance[points.reference[observations.point]] & ~chance[observations.target]
     if kept.all():
         return points, observations
@@ -99,12 +99,12 @@ def relocalized(problem: Problem, pyramid: Pyramid, state: VisualState) -> Visua
     poses = state.cameras.world_from_camera.copy()
     others = np.setdiff1d(np.arange(len(poses)), missing)
     for image in missing:
-        by_features = matcher.pose(int(image), nearest(poses, int(image), others), poses)
-        pose = poses[image] if by_features is None else by_features[0]
-        meters, degrees = apart(pose, poses[image])
-        if by_features is None or meters > _FARTHEST_M or degrees > FARTHEST_DEG:
+        by_features = matcher.pose(int(image), nearest(poses, int(image), others), poses, _FARTHEST_M)
+        if by_features is None:
             logger.info("image %d is lost, and features do not say where it is", image)
             continue
+        pose, _ = by_features
+        meters, degrees = apart(pose, poses[image])
         logger.info("image %d was lost by %.0f mm and %.2f degrees", image, 1e3 * meters, degrees)
         poses[image] = pose
     return replace(state, cameras=replace(state.cameras, world_from_camera=poses))
@@ -119,14 +119,19 @@ class Matcher:
         self._camera = pyramid.camera.at_level(level)
         self._look = cache(lambda image: _features(self._images[image]))
 
-    def pose(self, image: int, near: Indices, poses: Poses) -> tuple[Pose, int] | None:
+    def pose(self, image: int, near: Indices, poses: Poses, farthest_m: float) -> tuple[Pose, int] | None:
         """world_from_camera (4, 4) of an image by those (n,) near it, where poses (I, 4, 4) have them, and how many
-        features agree on it; None: too few do."""
+        features agree on it; None: too few do, or on one further than so many m from where it is."""
         places = [
             _places(self._points, int(each), poses[each], self._camera, self._look(int(each)))
             for each in near
         ]
-        return _pose(self._look(image), [each for each in places if len(each.descriptor) > 1], self._camera)
+        seen = self._look(image)
+        by_features = _pose(seen, [each for each in places if len(each.descriptor) > 1], self._camera)
+        if by_features is None:
+            return None
+        meters, degrees = apart(by_features[0], poses[image])
+        return by_features if meters <= farthest_m and degrees <= _FARTHEST_DEG else None
 
 
 def _level(pyramid: Pyramid) -> int:
