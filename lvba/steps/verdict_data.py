@@ -10,7 +10,8 @@ from lvba.lidar.bundle_adjustment import odometry_dependent_steps
 from lvba.products import lengths, renamed_facts
 from lvba.steps import verdict
 from lvba.steps.acceptance import CONTRADICTION, standard_error
-from lvba.steps.verdict import Figures, InputFits, Judged, Truth, Verdict
+from lvba.steps.verdict import Verdict
+from lvba.steps.verdict_figures import Figures, InputFits, Judged, Truth
 from lvba.wording import joined
 
 Facts = Mapping[str, Any]

@@ -7,7 +7,7 @@ import pytest
 
 from lvba.products import lengths
 from lvba.steps import verdict, verdict_data
-from lvba.steps.verdict import Figures, Judged, Truth
+from lvba.steps.verdict_figures import Figures, Judged, Truth
 
 
 def scaled(what, error, rough, promised, after):

@@ -1,0 +1,132 @@
+"""What a verdict is made from, and the reasons it is made of: plain data."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+Level = Literal["good", "check", "bad"]
+
+_PROMISE_KEPT = 3.0
+"""Times the promised error up to which a promise counts as kept."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A part of the result that was judged against its input. accepted: None if there is nothing to judge"""
+
+    accepted: bool | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class InputFits:
+    """How well the input's scan poses lay points on planes, where nothing speaks against them.
+
+    further_m: by how much more points scatter about the planes that scans share than at the refined poses (squared: the
+        difference of the squares); noise_m: what they scatter by there
+    """
+
+    further_m: float
+    noise_m: float
+
+
+@dataclass(frozen=True)
+class Truth:
+    """An error against the reference, of the result and of the input, and the promised one (None: nothing promised).
+
+    what: scans or cameras; unit: m or degrees
+    scaled: the error after one common factor, which promises leave out; None: not known
+    """
+
+    what: str
+    unit: Literal["m", "degrees"]
+    error: float
+    rough: float | None = None
+    promised: float | None = None
+    scaled: float | None = None
+
+    @property
+    def broken(self) -> bool:
+        """Whether the promise is, in the scale of the LiDAR's ranges, which nothing in a recording tells."""
+        error = self.error if self.scaled is None else self.scaled
+        return self.promised is not None and error > _PROMISE_KEPT * self.promised
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What the verdict is made from; None or 0 where there is none.
+
+    variance_factor: actual over modeled variance of the pixels
+    spline_error: how far the path through the cameras misses the scans, as part of the error of leaving a camera out
+    fusion_variance_factor: how many times scans and cameras are further apart, squared, than both promise
+    vague_scans, vague_cameras: frames expected to be off by `verdict.VAGUE` times the median and more, or by nobody
+        knows what
+    vague_exposures: numbers of the images whose exposures are, and to worse than can be seen
+    white_balance: percent, root mean square, by which it changes between images that joint rounds take as they are
+    moved_m: how far a scan moved at most in the last round that did not settle; scan_p95_m: what 95 % of the scans are
+        expected to be off by less
+    range_errors: systematic errors of the range sensor that are in the points
+    registered: whether rough poses were so far off that scans were registered to each other first; rough_m, rough_deg: by
+        how much from scan to scan; open_steps, left_steps: motions between scans that this left open, and that are wrong
+        in the result
+    jumps: frames after which the rough poses jump; jump_m, jump_deg: by at most; untied_jumps: those where surfaces
+        do not say how scans before and after are to each other
+    extrinsic_sigmas: by how many standard deviations the extrinsic found differs from the calibrated one
+    scale: of the reference over the result; None: there is no reference
+    input_fits: None: the input's poses are not as good as what was refined, or something speaks against both
+    ssim: of images predicted from the map, before and after, where the loss is beyond chance
+    small_losses: what used parts lost in how well images are predicted, beyond chance, without being refused for it
+    """
+
+    scans: int = 0
+    images: int = 0
+    scan_poses: Judged = field(default_factory=Judged)
+    camera_poses: Judged = field(default_factory=Judged)
+    exposures: Judged = field(default_factory=Judged)
+    scans_with_cameras: Judged = field(default_factory=Judged)
+    variance_factor: float | None = None
+    spline_error: float | None = None
+    fusion_variance_factor: float | None = None
+    common_degenerate: int = 0
+    degenerate_scans: int = 0
+    odometry_dependent_steps: int = 0
+    vague_scans: int = 0
+    vague_cameras: int = 0
+    vague_exposures: tuple[int, ...] = ()
+    white_balance: float | None = None
+    moved_m: float | None = None
+    scan_p95_m: float | None = None
+    cameras_converged: bool = True
+    range_errors: int = 0
+    registered: bool = False
+    rough_m: float = 0.0
+    rough_deg: float = 0.0
+    open_steps: int = 0
+    left_steps: int = 0
+    jumps: int = 0
+    jump_m: float = 0.0
+    jump_deg: float = 0.0
+    untied_jumps: tuple[int, ...] = ()
+    extrinsic_sigmas: float | None = None
+    extrinsic_m: float = 0.0
+    extrinsic_deg: float = 0.0
+    ssim: tuple[float, float] | None = None
+    small_losses: tuple[str, ...] = ()
+    thickness: tuple[float, float] | None = None
+    truth: tuple[Truth, ...] = ()
+    scale: float | None = None
+    input_fits: InputFits | None = None
+
+
+@dataclass(frozen=True)
+class Reason:
+    """Why a result is not simply good, and what to do about it.
+
+    level: what it makes of the result at best; more: whether errors are likely larger than the covariances promise
+    unknown: whether the covariances say nothing about the errors
+    """
+
+    text: str
+    mend: str
+    level: Level = "check"
+    more: bool = False
+    unknown: bool = False
