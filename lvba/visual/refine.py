@@ -218,23 +218,27 @@ def _solved(
     """The next level: what it leaves, its solution, and the directions that no image holds."""
     level = len(scene.pyramid) - 1 - coarser.levels
     solution = _solve_level(scene, level, coarser, config, progress)
-    directions = degeneracy.find(solution.problem, solution.linearization, scene.surfaces.planes)
-    prior, state = solution.prior, solution.state
-    if prior is not None:
-        state = degeneracy.return_to_prior(state, prior, directions)
+    state, directions = _returned(scene, solution)
     if level == 1:
         joined = image_groups.rejoined(solution.problem, scene.pyramid, state)
         if joined is not state:
             # features put them to centimeters: once more, with pairs of the one group with the other
             solution = _solve_level(scene, level, _from_there(coarser, solution, joined), config, progress)
-            prior, state = solution.prior, solution.state
+            state, directions = _returned(scene, solution)
         state = relocalization.relocalized(solution.problem, scene.pyramid, state)
     report = results.level_report(level, solution)
     logger.info("%s", report)
-    left = Coarser(
-        state, prior, solution.problem.variance_factor, (*coarser.reports, report), coarser.levels + 1
-    )
+    reports = (*coarser.reports, report)
+    left = Coarser(state, solution.prior, solution.problem.variance_factor, reports, coarser.levels + 1)
     return left, solution, directions
+
+
+def _returned(scene: Scene, solution: LevelSolution) -> tuple[VisualState, DegenerateDirections]:
+    """The solution's state with what no image holds as its prior has it, and these directions."""
+    directions = degeneracy.find(solution.problem, solution.linearization, scene.surfaces.planes)
+    if solution.prior is None:
+        return solution.state, directions
+    return degeneracy.return_to_prior(solution.state, solution.prior, directions), directions
 
 
 def _none_yet(scene: Scene) -> Coarser:
