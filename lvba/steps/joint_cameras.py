@@ -25,6 +25,7 @@ from lvba.visual import (
     covariance,
     exposures_between,
     fixed_calibration,
+    image_groups,
     radiometry,
     trajectory_prior,
 )
@@ -296,7 +297,7 @@ def finish_cameras(
                 calibration, prior.calibration, np.diag(sigma**2)
             ),
             clock_epoch=prior.epoch,
-            ties=_ties(cores, stages, len(times)),
+            group=_groups(cores, stages, keyframes, len(times)),
         )
     )
 
@@ -330,14 +331,18 @@ def _of_parts(
     return spread, local_covariance
 
 
-def _ties(cores: Sequence[Part], stages: Sequence[VisualStage], images: int) -> np.ndarray:
-    """As `VisualResult.ties`: each gap as the part that has most pairs over it; what others add may be the same pairs."""
-    ties = np.zeros(images - 1, np.int64)
+def _groups(
+    cores: Sequence[Part], stages: Sequence[VisualStage], keyframes: Indices, images: int
+) -> np.ndarray:
+    """As `VisualResult.group`, of so many images. keyframes: (K,), of all parts"""
+    known = []
     for core, part in zip(cores, stages, strict=True):
-        if part.result is not None and len(part.result.ties):
-            inside = slice(core.images[0], core.images[1] - 1)
-            ties[inside] = np.maximum(ties[inside], part.result.ties)
-    return ties
+        if part.result is not None and len(part.result.group):
+            own = part.result.keyframes
+            known.append((core.images[0] + own, part.result.group[own]))
+    group = np.full(images, -1)
+    group[keyframes] = image_groups.of_all(known, images)[keyframes]
+    return group
 
 
 def _levels(results: Sequence[VisualResult]) -> tuple[LevelReport, ...]:

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from lvba import geometry
-from lvba.arrays import Poses
 from lvba.dataset import Dataset
 from lvba.io.reference import Reference
 from lvba.lidar import range_errors
@@ -22,9 +21,9 @@ from lvba.products.reference import matched
 from lvba.steps import (
     expected_error,
     fused_cameras,
+    odometry_data,
     plane_thickness,
     reference_data,
-    trajectory_jumps,
     verdict,
     verdict_data,
 )
@@ -32,7 +31,6 @@ from lvba.steps.acceptance import ROUGH
 from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, ScanPoses, VisualStage
 from lvba.steps.plane_thickness import PlaneChange
 from lvba.steps.uncertainty import Expected
-from lvba.trajectory import Trajectory
 from lvba.visual import exposures_between, fixed_calibration, self_calibration
 from lvba.visual.radiometry import Radiometry
 from lvba.visual.response import GREY_VALUES
@@ -88,43 +86,10 @@ def collect(
         expected, pieces, noise, of_ranges_m, along_open_m, by_images_m
     )
     facts["planes"] = plane_thickness.facts(planes)
-    facts["odometry"] = of_odometry(dataset, accepted, lidar, visual)
+    facts["odometry"] = odometry_data.of_odometry(dataset, accepted, lidar, visual)
     if merge is not None:
         facts["merge"] = merge
     return verdict_data.add(plain(facts))
-
-
-def of_odometry(
-    dataset: Dataset, accepted: Accepted, lidar: LidarStage, visual: VisualStage
-) -> dict[str, Any]:
-    """Where the rough scan poses jump, and where nothing says how scans after it are to those before."""
-    rough = trajectory_jumps.find(dataset.scans)
-    rough = rough.without(_confirmed(dataset.scans.world_from_sensor, lidar))
-    surfaces = _confirmed(accepted.world_from_scan, lidar)
-    return {
-        "jumps_after": rough.after,
-        "jumps_m": rough.meters,
-        "jumps_deg": rough.degrees,
-        "untied_after": rough.without(surfaces).without(_tied(dataset, accepted, visual)).after,
-        "too_far_off": lidar.rough_error,
-    }
-
-
-def _confirmed(world_from_scan: Poses, lidar: LidarStage) -> np.ndarray:
-    """(K,) int64, scans after which poses (S, 4, 4) go on unlike before and after, and surfaces confirm it: a sensor may
-    truly move so fast."""
-    if lidar.result is None:
-        return np.zeros(0, np.int64)
-    other = trajectory_jumps.differ(lidar.result.world_from_scan, world_from_scan)
-    return np.asarray(lidar.confirmed[~other[lidar.confirmed]])
-
-
-def _tied(dataset: Dataset, accepted: Accepted, visual: VisualStage) -> np.ndarray:
-    """(K,) int64, scans after which images say how the next is to it, and agree with the poses in use."""
-    if visual.result is None or not accepted.cameras.accepted:
-        return np.zeros(0, np.int64)
-    scans = Trajectory(dataset.scans.times, accepted.world_from_scan)
-    return trajectory_jumps.tied_by_images(scans, visual.result, dataset.images.times)
 
 
 def of_dataset(dataset: Dataset) -> dict[str, Any]:
@@ -249,7 +214,7 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
         but=(
             *("world_from_camera", "covariance", "local_covariance"),
             *("scan_from_camera", "degenerate", "log_exposure", "log_exposure_sigma"),
-            *("calibration_sigma", "radiometry", "extrinsic_change", "white_balance", "clock_epoch", "ties"),
+            *("calibration_sigma", "radiometry", "extrinsic_change", "white_balance", "clock_epoch", "group"),
         ),
     )
     if accepted.exposures.accepted:

@@ -16,8 +16,8 @@ _ORDINARY = 6.0
 people and cars speed up, brake and shake."""
 LEAST_M, LEAST_DEG = 0.15, 1.8
 """Smaller ones are within three standard deviations of what is expected of an odometry from frame to frame."""
-_MANY_PAIRS = 100
-"""Of patches, that say how images are to each other beyond any chance."""
+CONFIRMED_M, CONFIRMED_DEG = 0.03, 1.0
+"""By how much images may differ from a motion that they confirm: that of scans is interpolated at their times."""
 _FAST = 0.9
 """Part of the motions that are slower than the speed at which a sensor is turned now and then: jumps are fewer."""
 
@@ -103,13 +103,21 @@ def _usual(rate: np.ndarray) -> np.ndarray:
     return usual
 
 
-def tied_by_images(scans: Trajectory, images: VisualResult, times: Times) -> np.ndarray:
-    """(K,) int64, scans after which the motion to the next is as images on both sides of it have it, by many patches.
+def tied_by_images(
+    scans: Trajectory,
+    images: VisualResult,
+    times: Times,
+    most_m: float = LEAST_M,
+    most_deg: float = LEAST_DEG,
+) -> np.ndarray:
+    """(K,) int64, scans after which the motion to the next is as images on both sides of it have it, which are of one
+    group: patches of the ones are seen in the others, or each in some between.
 
-    scans: refined; images: times (I,) s of them, and what they were refined to
+    scans: refined; images: times (I,) s of them, and what they were refined to; most_m, most_deg: by how much the motions
+        of scans and images may differ
     """
     keyframes = images.keyframes
-    if not len(images.ties) or len(scans) < spline.FEWEST_SAMPLES:
+    if not len(images.group) or len(scans) < spline.FEWEST_SAMPLES:
         return np.zeros(0, np.int64)
     moments, cameras = images.moments(times)[keyframes], images.world_from_camera[keyframes]
     before = np.searchsorted(moments, scans.times[:-1], side="right") - 1
@@ -120,11 +128,10 @@ def tied_by_images(scans: Trajectory, images: VisualResult, times: Times) -> np.
     off = geometry.inverse(geometry.inverse(by_scans[first]) @ by_scans[last]) @ (
         geometry.inverse(cameras[first]) @ cameras[last]
     )
-    agree = np.linalg.norm(off[:, :3, 3], axis=1) < LEAST_M
-    agree &= geometry.rotation_angle_deg(off) < LEAST_DEG
-    gaps = zip(keyframes[first], keyframes[last], strict=True)
-    many = [images.ties[a:b].min() >= _MANY_PAIRS for a, b in gaps]
-    return np.asarray(within[agree & np.array(many, bool)])
+    agree = np.linalg.norm(off[:, :3, 3], axis=1) < most_m
+    agree &= geometry.rotation_angle_deg(off) < most_deg
+    group = images.group[keyframes]
+    return np.asarray(within[agree & (group[first] == group[last])])
 
 
 def differ(one: Poses, other: Poses) -> np.ndarray:

@@ -126,11 +126,19 @@ def _registered(figures: Figures) -> Iterator[Reason]:
         )
     if figures.open_steps:
         yield Reason(
-            f"Where the rough poses are wrong, surfaces leave {figures.open_steps} motions from scan to scan open.",
+            f"Where the rough poses are wrong, surfaces and images leave {figures.open_steps} motions from scan to scan "
+            "open.",
             "Look at the map on both sides; cut the recording there if surfaces are double.",
             "bad",
             more=True,
             unknown=True,
+        )
+    if figures.loose_ends:
+        yield Reason(
+            f"Where the rough poses are wrong, neither surfaces nor images say where scan "
+            f"{runs(figures.loose_ends, _NAMED)} at the end of the recording is to the others.",
+            "Leave it out, or take only the map of the others.",
+            more=True,
         )
     yield Reason(
         "The rough poses were too far off to start from (typically "
@@ -149,7 +157,8 @@ def _odometry(figures: Figures) -> Iterator[Reason]:
         words = f"The rough poses jump {times}, by {'up to ' * (figures.jumps > 1)}{size}"
         if untied := figures.untied_jumps:
             yield Reason(
-                f"{words}; after scan {runs(untied, _NAMED)}, surfaces do not say where scans are to those before.",
+                f"{words}; after scan {runs(untied, _NAMED)}, neither surfaces nor images say where scans are to those "
+                "before.",
                 "Run the odometry again, or cut the recording there.",
                 "bad",
                 more=True,

@@ -134,6 +134,7 @@ def _rough_poses(odometry: Facts) -> dict[str, Any]:
         "rough_m": far.get("step_m") or 0.0,
         "rough_deg": far.get("step_deg") or 0.0,
         "open_steps": len(far.get("open_after") or []),
+        "loose_ends": tuple(far.get("loose_ends") or ()),
         "left_steps": len(far.get("left_after") or []),
         "jumps": len(odometry.get("jumps_after") or []),
         "jump_m": max(odometry.get("jumps_m") or [0.0]),

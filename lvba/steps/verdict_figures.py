@@ -66,10 +66,10 @@ class Figures:
         expected to be off by less
     range_errors: systematic errors of the range sensor that are in the points
     registered: whether rough poses were so far off that scans were registered to each other first; rough_m, rough_deg: by
-        how much from scan to scan; open_steps, left_steps: motions between scans that this left open, and that are wrong
-        in the result
-    jumps: frames after which the rough poses jump; jump_m, jump_deg: by at most; untied_jumps: those where surfaces
-        do not say how scans before and after are to each other
+        how much from scan to scan; open_steps, left_steps: motions between scans that this left open and images do not
+        confirm, and that are wrong in the result; loose_ends: scans at the ends that only an open motion ties
+    jumps: frames after which the rough poses jump; jump_m, jump_deg: by at most; untied_jumps: those where
+        neither surfaces nor images say how scans before and after are to each other
     extrinsic_sigmas: by how many standard deviations the extrinsic found differs from the calibrated one
     scale: of the reference over the result; None: there is no reference
     input_fits: None: the input's poses are not as good as what was refined, or something speaks against both
@@ -101,6 +101,7 @@ class Figures:
     rough_m: float = 0.0
     rough_deg: float = 0.0
     open_steps: int = 0
+    loose_ends: tuple[int, ...] = ()
     left_steps: int = 0
     jumps: int = 0
     jump_m: float = 0.0

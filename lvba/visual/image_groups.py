@@ -10,6 +10,7 @@ well, its images are right as they are beside it.
 """
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -44,16 +45,36 @@ that part of how far it moves: features put images to centimeters and tenths of 
 
 
 def find(points: ScenePoints, observations: Observations, images: int) -> np.ndarray:
-    """(I,) int64: the group of each image; more pairs than chance brings tie the images of one to each other."""
+    """(I,) int64: the group of each image; more pairs than chance brings tie the images of one to each other.
+
+    Where images have few pairs anyway, each is alone.
+    """
     reference = points.reference[observations.point]
     ones = np.ones(len(reference), np.int64)
     pairs = coo_matrix((ones, (reference, observations.target)), shape=(images, images)).tocsr()
     pairs = pairs + pairs.T
     strongest = usual(pairs.max(axis=1).toarray().ravel())
     if not strongest:
-        return np.zeros(images, np.int64)
+        return np.arange(images)
     tied = pairs > max(BY_CHANCE, FEW * strongest)
     return np.asarray(connected_components(tied, directed=False)[1], np.int64)
+
+
+def of_all(parts: Sequence[tuple[Indices, Indices]], images: int) -> np.ndarray:
+    """(I,) int64: the groups of all images; those of two parts are one where both parts have an image of it.
+
+    parts: for each, numbers (k,) of its images and their groups (k,) there
+    """
+    image, group, count = [], [], images
+    for numbers, own in parts:
+        image.append(numbers)
+        group.append(count + own)
+        count += int(own.max(initial=-1)) + 1
+    if not image:
+        return np.arange(images)
+    ends = np.concatenate(image), np.concatenate(group)
+    graph = coo_matrix((np.ones(len(ends[0])), ends), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1][:images], np.int64)
 
 
 def rejoined(problem: Problem, pyramid: Pyramid, state: VisualState) -> VisualState:

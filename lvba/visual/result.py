@@ -13,6 +13,7 @@ from lvba.visual import (
     calibration_prior,
     degeneracy,
     exposures_between,
+    image_groups,
     photometric,
     trajectory_prior,
 )
@@ -75,7 +76,8 @@ class VisualResult:
         each 0 on average, and exposures are means over the colors; None: it does not change
     substituted: (r,) int64, images whose poses are their neighbors' (`lvba.steps.camera_outliers`)
     clock_epoch: s, the stamp that the rate of the camera's clock counts from
-    ties: (I - 1,) int64, pairs of patches that tie images up to each to those after it; empty: not counted
+    group: (I,) int64, of keyframes: pairs of patches tie those of one group to each other (`image_groups.find`); -1 of
+        other images; empty: not known
     """
 
     world_from_camera: np.ndarray
@@ -98,7 +100,7 @@ class VisualResult:
     white_balance: np.ndarray | None = None
     substituted: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     clock_epoch: float = 0.0
-    ties: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    group: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @property
     def scan_from_camera(self) -> np.ndarray:
@@ -185,17 +187,15 @@ def collect(
         warnings=_warnings(last, levels, directions, own, times[keyframes]),
         extrinsic_change=_extrinsic_change(state, last.prior, known),
         clock_epoch=prior.epoch,
-        ties=_ties(last.problem, keyframes, len(times)),
+        group=_groups(last.problem, keyframes, len(times)),
     )
 
 
-def _ties(problem: Problem, keyframes: Indices, images: int) -> np.ndarray:
-    """As `VisualResult.ties`, of so many images. keyframes: (K,)"""
-    one, other = problem.points.reference[problem.observations.point], problem.observations.target
-    change = np.zeros(images, np.int64)
-    np.add.at(change, keyframes[np.minimum(one, other)], 1)
-    np.add.at(change, keyframes[np.maximum(one, other)], -1)
-    return np.cumsum(change)[:-1]
+def _groups(problem: Problem, keyframes: Indices, images: int) -> np.ndarray:
+    """As `VisualResult.group`, of so many images. keyframes: (K,)"""
+    group = np.full(images, -1)
+    group[keyframes] = image_groups.find(problem.points, problem.observations, len(keyframes))
+    return group
 
 
 def with_white_balance(result: VisualResult, balance: WhiteBalance, times: Times) -> VisualResult:

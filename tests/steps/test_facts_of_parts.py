@@ -1,4 +1,4 @@
-"""What parts of a recording say together: pairs of patches that tie images across gaps, and what they warn of."""
+"""What parts of a recording say together: which images are of one group, and what they warn of."""
 
 from types import SimpleNamespace
 
@@ -7,18 +7,26 @@ import numpy as np
 from lvba.steps import joint_cameras
 
 
-def part(first, last, ties=None, number=0, warnings=(), problem=""):
-    result = None if ties is None else SimpleNamespace(ties=np.array(ties, np.int64), warnings=warnings)
+def part(first, last, group=None, number=0, warnings=(), problem=""):
+    keyframes = np.flatnonzero(np.array(group or [], np.int64) >= 0)
+    result = None
+    if group is not None:
+        result = SimpleNamespace(group=np.array(group, np.int64), keyframes=keyframes, warnings=warnings)
     return SimpleNamespace(images=(first, last), number=number), SimpleNamespace(
         result=result, problem=problem
     )
 
 
-def test_a_gap_has_the_pairs_of_the_part_that_has_most():
+def test_groups_of_two_parts_are_one_by_the_images_that_both_solved():
     cores, stages = zip(
-        part(0, 4, [5, 6, 7]), part(2, 6, [9, 1, 2]), part(5, 7, None), part(6, 8, []), strict=True
-    )
-    np.testing.assert_array_equal(joint_cameras._ties(cores, stages, 8), [5, 6, 9, 1, 2, 0, 0])
+        part(0, 4, [0, 0, -1, 1]), part(2, 6, [-1, 0, 0, 1]), part(5, 7, None), part(6, 9, [0, -1, 0]), strict=True
+    )  # fmt: skip
+    keyframes = np.array([0, 1, 3, 4, 5, 6, 8])
+    group = joint_cameras._groups(cores, stages, keyframes, 9)
+    assert (group[[2, 7]] == -1).all()
+    assert group[0] == group[1] != group[3] == group[4]
+    assert group[6] == group[8]
+    assert len({int(group[k]) for k in (0, 3, 5, 6)}) == 4
 
 
 def test_what_several_parts_warn_of_is_one_sentence():

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from lvba import geometry, spline
-from lvba.steps import report_data, trajectory_jumps
+from lvba.loop_closure.rough_poses import RoughError
+from lvba.steps import odometry_data, trajectory_jumps
 from lvba.steps.outcomes import LidarStage
 from lvba.trajectory import Trajectory
 
@@ -90,24 +91,31 @@ def test_few_frames_have_none(frames):
 MOUNT = geometry.exp(np.array([1.2, -1.1, 1.0, 0.05, -0.1, 0.08]))
 
 
-def seen(times, scans, pairs):
-    """Images a little after each scan, refined to where these scans have them, and pairs that tie each to the next."""
+def seen(times, scans, group):
+    """Images a little after each scan, refined to where these scans have them, and the group of each."""
     moments = times + 0.03
     cameras = spline.through(Trajectory(times, scans), moments) @ MOUNT
     return SimpleNamespace(
         keyframes=np.arange(len(times)), world_from_camera=cameras, scan_from_camera=MOUNT, moments=lambda t: t,
-        ties=np.asarray(pairs),
+        group=np.asarray(group),
     )  # fmt: skip
 
 
-def odometry(rough, refined, accepted, confirmed, images=None, used=True):
+def facts(rough, refined, accepted, confirmed, images=None, used=True, error=None):
     """What the report says of poses every tenth of a second."""
     times = np.arange(len(rough)) / 10
     dataset = SimpleNamespace(scans=Trajectory(times, rough), images=SimpleNamespace(times=times + 0.03))
-    stage = LidarStage(SimpleNamespace(world_from_scan=refined), confirmed=np.array(confirmed, np.int64))
+    stage = LidarStage(
+        SimpleNamespace(world_from_scan=refined), rough_error=error, confirmed=np.array(confirmed, np.int64)
+    )
     state = SimpleNamespace(world_from_scan=accepted, cameras=SimpleNamespace(accepted=used))
-    told = report_data.of_odometry(dataset, state, stage, SimpleNamespace(result=images))
-    return told["jumps_after"].tolist(), told["untied_after"].tolist()
+    return odometry_data.of_odometry(dataset, state, stage, SimpleNamespace(result=images))
+
+
+def odometry(*arguments, **options):
+    """The scans after which poses jump, and those where nothing ties the next ones."""
+    given = facts(*arguments, **options)
+    return given["jumps_after"].tolist(), given["untied_after"].tolist()
 
 
 def test_what_surfaces_confirm_is_no_jump_and_only_where_poses_go_as_they_say():
@@ -125,21 +133,45 @@ def test_what_surfaces_confirm_is_no_jump_and_only_where_poses_go_as_they_say():
     assert odometry(jumped, true, true, []) == ([12], [12])
 
 
-def test_a_jump_that_many_images_agree_with_is_tied():
+def test_a_jump_that_images_of_one_group_agree_with_is_tied():
     times = np.arange(30) / 10
     true = drive(times)
     jump = np.eye(4)
     jump[:2, 3] = 0.9, 0.4
     jumped = np.concatenate([true[:13], jump @ true[13:]])
-    right, wrong = seen(times, true, np.full(29, 400)), seen(times, jumped, np.full(29, 400))
+    one, two = np.zeros(30, int), np.repeat([3, 5], [13, 17])
+    right, wrong = seen(times, true, one), seen(times, jumped, one)
     assert odometry(jumped, true, true, [], right) == ([12], [])
-    # images that have the scans elsewhere, that say too little, or that are not used
+    # images that have the scans elsewhere, that nothing ties to those before, or that are not used
     assert odometry(jumped, true, true, [], wrong) == ([12], [12])
-    few = np.where(np.arange(29) == 12, 30, 400)
-    assert odometry(jumped, true, true, [], seen(times, true, few)) == ([12], [12])
+    assert odometry(jumped, true, true, [], seen(times, true, two)) == ([12], [12])
     assert odometry(jumped, true, true, [], right, used=False) == ([12], [12])
-    right.ties = np.zeros(0, np.int64)
+    right.group = np.zeros(0, np.int64)
     assert odometry(jumped, true, true, [], right) == ([12], [12])
+
+
+def test_images_of_one_group_confirm_motions_that_surfaces_leave_open():
+    times = np.arange(30) / 10
+    true = drive(times)
+    aside = np.eye(4)
+    aside[:2, 3] = 0.03, 0.04
+    off = np.concatenate([true[:13], aside @ true[13:]])
+    error = RoughError(0.1, 1.0, np.array([12, 20]), np.array([0, 12, 20, 28]), np.array([25]))
+    groups = np.repeat([0, 1], [21, 9])
+
+    def left(scans, images):
+        far = facts(true, scans, scans, [], images, error=error)["too_far_off"]
+        assert far["wrong_after"].tolist() == [12, 20]
+        assert far["left_after"].tolist() == [25]
+        return far["open_after"].tolist(), far["by_images_after"].tolist(), far["loose_ends"]
+
+    # what is open at either end concerns one scan alone
+    assert left(true, None) == ([12, 20], [], [0, 29])
+    # images at scans 12 and 13 are of one group, and at both ends, but not those at 20 and 21; none is before scan 0
+    assert left(true, seen(times, true, groups)) == ([20], [12, 28], [0])
+    # a step that images have 5 cm elsewhere is not what they confirm
+    assert left(off, seen(times, true, groups)) == ([12, 20], [28], [0])
+    assert facts(true, true, true, [])["too_far_off"] is None
 
 
 def test_expected_motions_are_those_around():

@@ -91,7 +91,10 @@ def test_jumps_are_counted_in_words_and_untied_ones_promise_nothing():
     known = replace(CLEAN, jumps=2, jump_m=1.0, untied_jumps=(4, 9))
     judged = verdict.judge(known)
     assert judged.unknown
-    assert "jump twice, by up to 1.00 m; after scan 4, 9, surfaces do not say" in judged.reasons[0].text
+    assert (
+        "jump twice, by up to 1.00 m; after scan 4, 9, neither surfaces nor images say"
+        in judged.reasons[0].text
+    )
     assert "not known" in verdict_data.summary(judged, {"scans": {"position_m": 0.001}})
     assert "jump 3 times" in verdict.judge(replace(known, jumps=3)).reasons[0].text
     assert "jump once, by 1.00 m." in verdict.judge(replace(known, jumps=1, untied_jumps=())).reasons[0].text
@@ -305,6 +308,16 @@ def test_where_motions_between_scans_stay_wrong_no_millimeters_are_promised():
     assert verdict["level"] == "check"
     assert "300 mm and 2.0 degrees" in verdict["reasons"][0]["text"]
     assert "Expect errors of about" in verdict["summary"]
+    # one scan that nothing ties is no reason against the others
+    given["odometry"]["too_far_off"]["loose_ends"] = [0, 39]
+    verdict = verdict_data.add(given)["verdict"]
+    assert verdict["level"] == "check"
+    assert "where scan 0, 39 at the end of the recording is to the others" in verdict["reasons"][0]["text"]
+    assert "Expect errors of at least" in verdict["summary"]
+    given["odometry"]["too_far_off"]["open_after"] = [7]
+    verdict = verdict_data.add(given)["verdict"]
+    assert verdict["level"] == "bad"
+    assert "surfaces and images leave 1 motions" in verdict["reasons"][0]["text"]
 
 
 def test_an_alarm_makes_the_expected_errors_lower_bounds():

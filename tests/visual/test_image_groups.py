@@ -93,15 +93,27 @@ def test_what_would_move_a_group_too_far_is_another_place_that_looks_alike(room,
     )
 
 
-def test_few_pairs_make_no_groups(room):
+def test_where_pairs_are_few_each_image_is_alone(room):
     inputs, truth, _ = room
-    problem, _ = solved(scene_of(Inputs(**inputs), DEFAULTS), truth)
+    scene = scene_of(Inputs(**inputs), DEFAULTS)
+    problem, state = solved(scene, truth)
     observations = problem.observations
     some = np.arange(0, len(observations), max(len(observations) // (20 * COUNT), 1))
     few = type(observations)(
         observations.point[some], observations.target[some], observations.is_global[some]
     )
-    assert len(set(image_groups.find(problem.points, few, COUNT))) == 1
+    assert len(set(image_groups.find(problem.points, few, COUNT))) == COUNT
+    assert image_groups.rejoined(replace(problem, observations=few), scene.pyramid, state) is state
+
+
+def test_groups_of_parts_are_one_where_they_have_an_image_in_common():
+    first = np.array([0, 1, 2, 3]), np.array([0, 0, 1, 1])
+    second = np.array([3, 4, 5]), np.array([7, 7, 2])
+    of_all = image_groups.of_all([first, second], 7)
+    assert [[int(k) for k in np.flatnonzero(of_all == group)] for group in dict.fromkeys(of_all)] == [
+        [0, 1], [2, 3, 4], [5], [6],
+    ]  # fmt: skip
+    assert len(set(image_groups.of_all([], 3))) == 3
 
 
 def test_motions_count_if_another_agrees_or_many_features_do():

@@ -61,12 +61,9 @@ def test_the_account_of_the_levels_goes_from_coarse_to_fine(refined):
     assert refined.calibration.clock_rate == 0.0
 
 
-def test_pairs_across_each_gap_between_images_are_counted(refined):
-    assert refined.ties.shape == (COUNT - 1,)
-    assert (refined.ties > 100).all()
-    # each pair ties at least one gap, and those that reach over several, each of these
-    finest = refined.levels[-1]
-    assert refined.ties.sum() >= finest.local_pairs + finest.global_pairs
+def test_images_that_see_the_same_are_of_one_group(refined):
+    assert refined.group.shape == (COUNT,)
+    assert len(set(refined.group)) == 1
 
 
 def test_the_same_input_gives_the_same_bytes(room, refined):
