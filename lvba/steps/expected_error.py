@@ -13,8 +13,10 @@ from lvba.arrays import PoseBlocks, Poses
 from lvba.lidar.degeneracy import DegenerateDirection
 from lvba.products.map_error import Tally
 from lvba.products.map_file import PointMap
+from lvba.steps.open_motions import OpenMotions
 from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, VisualStage
 from lvba.steps.uncertainty import Expected
+from lvba.visual.result import VisualResult
 
 _IS_A_SLIDE = 0.9
 """Of a degenerate direction, the least part that is a shift."""
@@ -29,7 +31,7 @@ def of_result(lidar: LidarStage, fused: FusionStage, visual: VisualStage, accept
     scans = scan_covariance(lidar, fused, accepted)
     cameras = None
     if scans is not None and visual.result is not None and accepted.cameras.accepted:
-        cameras = _known(visual.result.covariance)
+        cameras = _known(_of_cameras(visual.result, by_images(fused, accepted)))
     return Expected(None if scans is None else _known(scans), cameras)
 
 
@@ -41,6 +43,23 @@ def scan_covariance(lidar: LidarStage, fused: FusionStage, accepted: Accepted) -
     if fused.result is not None and accepted.fusion.accepted:
         return lidar.result.shared_factor * fused.result.covariance
     return lidar.result.shared_factor * lidar.result.whole_covariance.marginal
+
+
+def _of_cameras(result: VisualResult, open_motions: OpenMotions | None) -> np.ndarray:
+    """(I, 6, 6) of the cameras; along these motions as images know them, of the one group that nearly all are of."""
+    if open_motions is None:
+        return result.covariance
+    keyframes = result.group >= 0
+    largest = np.bincount(result.group[keyframes]).argmax()
+    along = open_motions.at(result.world_from_camera)
+    return along.known_by(result.covariance, result.local_covariance, ~keyframes | (result.group == largest))
+
+
+def by_images(fused: FusionStage, accepted: Accepted) -> OpenMotions | None:
+    """The motions that planes leave open for all scans, where these are as images of one group have them; else None."""
+    if fused.result is None or not (accepted.fusion.accepted and fused.result.open_by_images):
+        return None
+    return fused.result.open_motions
 
 
 def _known(covariance: np.ndarray) -> np.ndarray:
@@ -55,6 +74,7 @@ def collect(
     range_noise_m: float | None = None,
     of_ranges_m: float = 0.0,
     along_open_m: float = 0.0,
+    open_by: str = "odometry",
     open_by_images_m: float | None = None,
 ) -> dict[str, Any]:
     """The `expected_error` part of report.json.
@@ -62,7 +82,8 @@ def collect(
     pieces: read the map, one piece at a time; range_noise_m: how far single points are off their surface
     of_ranges_m: how far scans may be off by errors of ranges that stay in their points
     along_open_m: how far they may be off along motions that planes leave open for all of them
-    open_by_images_m: the same if images are right about these motions; None: they were not asked
+    open_by: images or odometry, by which that is known; open_by_images_m: the same if images are right about these
+        motions, where they are not of one group; None: they were not asked
     """
     tally = Tally()
     for piece in pieces:
@@ -75,6 +96,7 @@ def collect(
         "map": tally.facts(),
         "of_ranges_m": of_ranges_m if expected.scans is not None else None,
         "along_open_m": along_open_m if expected.scans is not None else None,
+        "open_by": open_by if expected.scans is not None and along_open_m else None,
         "open_by_images_m": open_by_images_m if expected.scans is not None else None,
         "note": _note(range_noise_m),
     }

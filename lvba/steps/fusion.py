@@ -31,6 +31,7 @@ def solve_fusion(
         result.local_covariance[known],
         result.scan_from_camera,
         result.extrinsic_sigma,
+        result.group[known] if len(result.group) else None,
     )
     fused = pose_fusion.fuse(
         Trajectory(dataset.scans.times, scans.world_from_scan),

@@ -9,16 +9,17 @@ Source: Barfoot and Furgale 2014, for fusing poses in the tangent space; Li et a
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from lvba import geometry, spline, trajectory
-from lvba.arrays import Pose, PoseBlocks, Poses, StepSigmas, Times
+from lvba.arrays import Indices, Pose, PoseBlocks, Poses, StepSigmas, Times
 from lvba.lidar.covariance import LEAST, Covariance, local_covariance, positive
 from lvba.lidar.degeneracy import DegenerateDirection
 from lvba.settings import setting
 from lvba.steps import error_chain
+from lvba.steps.open_motions import Open, OpenMotions
 from lvba.trajectory import Trajectory
 
 _MEDIAN = 5.348 / 6
@@ -34,6 +35,9 @@ _RATE_STEP_S = 0.02
 _PAST_ENDS = 1.0
 """Times the time from the first image to the second, or between the last two: so far past them the spline through the
 cameras is followed."""
+
+_NEARLY_ALL = 0.95
+"""Part of the images."""
 
 CONTRADICTION = 5.0
 """A scan and the cameras about it that are further apart than this many standard deviations contradict each other, and
@@ -60,12 +64,14 @@ class Cameras:
     covariance: (K, 6, 6), of these relative to the map around them, local tangent [rotation | translation], rad and m
     extrinsic_covariance: (6, 6), what all of them are off together because the extrinsic is, in the LiDAR's tangent
     offset_sigma: s, how far the clocks may be apart beyond the offset found
+    group: (K,) int64, as `VisualResult.group`; empty: not known
     """
 
     world_from_scan: Trajectory
     covariance: np.ndarray
     extrinsic_covariance: np.ndarray
     offset_sigma: float
+    group: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
 
 @dataclass(frozen=True)
@@ -80,6 +86,8 @@ class Fused:
     contradicted: scans that stayed because the cameras contradict them
     slide_sigma_m: m, root mean square: what the cameras say of how far scans have slid along what planes leave open for
         all of them is uncertain by so much; 0: nothing is open
+    open_motions: that these are; None: nothing is open
+    open_by_images: whether the covariance counts on images along these; else on the odometry alone
     """
 
     world_from_scan: np.ndarray
@@ -89,6 +97,8 @@ class Fused:
     variance_factor: float
     contradicted: int
     slide_sigma_m: float = 0.0
+    open_motions: OpenMotions | None = None
+    open_by_images: bool = False
 
 
 def scan_poses_from_cameras(
@@ -97,11 +107,12 @@ def scan_poses_from_cameras(
     covariance: PoseBlocks,
     scan_from_camera: Pose,
     extrinsic_sigma: np.ndarray,
+    group: Indices | None = None,
 ) -> Cameras:
     """Where cameras (K, 4, 4) have the LiDAR; those without a covariance are left out.
 
     moments: (K,) s, ascending, on the LiDAR's clock; covariance: (K, 6, 6), relative to the map, in the camera's tangent
-    extrinsic_sigma: (7,) float64, as in `VisualResult`
+    extrinsic_sigma: (7,) float64, as in `VisualResult`; group: (K,) int64, of each image; None: not known
     """
     known = np.isfinite(covariance).all((1, 2)) & (np.trace(covariance, axis1=1, axis2=2) > 0)
     carry = geometry.adjoint(scan_from_camera)
@@ -110,6 +121,7 @@ def scan_poses_from_cameras(
         carry @ covariance[known] @ carry.T,
         carry @ np.diag(np.square(extrinsic_sigma[:6])) @ carry.T,
         float(extrinsic_sigma[6]),
+        np.zeros(0, np.int64) if group is None else group[known],
     )
 
 
@@ -128,7 +140,8 @@ def fuse(
     if len(cameras.world_from_scan) < spline.FEWEST_SAMPLES:
         return None
     seen = _seen(cameras, scans)
-    open_ = _open_directions(scans.world_from_sensor, common, prior_sigmas)
+    open_motions = OpenMotions.of(common, prior_sigmas)
+    open_ = None if open_motions is None else open_motions.at(scans.world_from_sensor)
     # how far scans have slid, as the odometry has it, says nothing of how well both are known
     judged = seen.differences - open_.part(seen.differences) if open_ else seen.differences
     known = seen.alone + seen.shared @ np.swapaxes(seen.shared, -1, -2) + seen.at_ends
@@ -158,15 +171,36 @@ def fuse(
     )
     moved = geometry.retract(scans.world_from_sensor, step)
     still = np.all(step == 0.0, axis=1)
+    promised = _promised(covariance, np.linalg.inv(of_cameras), used & seen.inside, variance_factor)
+    tied = used & _of_one_group(cameras, scans.times)
+    if open_ is not None:
+        promised = open_.known_by(promised, variance_factor * of_cameras, tied)
     return Fused(
         world_from_scan=np.where(still[:, None, None], scans.world_from_sensor, moved),
-        covariance=_promised(covariance, np.linalg.inv(of_cameras), used & seen.inside, variance_factor),
+        covariance=promised,
         moved_m=np.linalg.norm(step[:, 3:], axis=1),
         interpolation_error_scale=float(np.median(interpolation_error_scale)),
         variance_factor=variance_factor,
         contradicted=int(np.count_nonzero(contradicted)),
         slide_sigma_m=open_.shift_m(of_cameras, used) if open_ else 0.0,
+        open_motions=open_motions,
+        open_by_images=open_ is not None and bool(tied.any()),
     )
+
+
+def _of_one_group(cameras: Cameras, times: np.ndarray) -> np.ndarray:
+    """(S,) bool: scans at times (S,) whose images, those about them, are of the one group that nearly all are of.
+
+    Groups that nothing ties may be meters apart, each of them certain to a millimeter.
+    """
+    if not len(cameras.group):
+        return np.zeros(len(times), bool)
+    name, count = np.unique(cameras.group, return_counts=True)
+    if count.max() < _NEARLY_ALL * len(cameras.group):
+        return np.zeros(len(times), bool)
+    largest = cameras.group == name[count.argmax()]
+    before, _ = trajectory.bracket(cameras.world_from_scan.times, times)
+    return np.asarray(largest[before] & largest[np.minimum(before + 1, len(largest) - 1)])
 
 
 @dataclass(frozen=True)
@@ -220,64 +254,9 @@ def _promised(
     return np.asarray(posterior + positive(covariance.marginal - covariance.conditional))
 
 
-@dataclass(frozen=True)
-class _Open:
-    """Motions that planes leave open for all scans, D of them.
-
-    coefficient: (S, D, 6), of each in a tangent of a scan; motion: (S, 6, D), that tangent
-    """
-
-    coefficient: np.ndarray
-    motion: np.ndarray
-
-    @property
-    def count(self) -> int:
-        """D."""
-        return int(self.motion.shape[2])
-
-    def along(self, of: np.ndarray) -> np.ndarray:
-        """(S, D): how far tangents (S, 6) go along them."""
-        return np.asarray((self.coefficient @ of[..., None])[..., 0])
-
-    def part(self, of: np.ndarray) -> np.ndarray:
-        """(S, 6): what of tangents (S, 6) is along them."""
-        return np.asarray((self.motion @ self.along(of)[..., None])[..., 0])
-
-    def shift_m(self, of: np.ndarray, used: np.ndarray) -> float:
-        """Root mean square of shifts along them, from covariances (S, 6, 6) of tangents, of those used (S,) bool."""
-        shift = self.motion[used, 3:] @ self.covariance(of)[used] @ np.swapaxes(self.motion[used, 3:], -1, -2)
-        return float(np.sqrt(np.trace(shift, axis1=1, axis2=2).mean())) if used.any() else 0.0
-
-    def covariance(self, of: np.ndarray) -> np.ndarray:
-        """(N, D, D) of the coefficients, from that of the last N tangents, (N, 6, 6)."""
-        coefficient = self.coefficient[len(self.coefficient) - len(of) :]
-        return np.asarray(coefficient @ of @ np.swapaxes(coefficient, -1, -2))
-
-
-def _open_directions(
-    world_from_scan: np.ndarray, common: Sequence[DegenerateDirection], prior_sigmas: np.ndarray | None
-) -> _Open | None:
-    """The degenerate directions of all scans, None without any; prior_sigmas: (6,), rad and m."""
-    if not common or prior_sigmas is None:
-        return None
-    basis = np.linalg.qr(np.stack([_plain(each.direction) for each in common], axis=1))[0]
-    back = np.zeros((len(world_from_scan), 6, 6))
-    back[:, :3, :3] = back[:, 3:, 3:] = np.swapaxes(world_from_scan[:, :3, :3], -1, -2)
-    coefficient = np.swapaxes(back @ (basis / prior_sigmas[:, None]), -1, -2)
-    return _Open(coefficient, back @ (basis * prior_sigmas[:, None]))
-
-
 _OPEN = 20.0
 """Times the odometry's sigmas from scan to scan: so far a scan may be off along what planes leave open, for all that is
 known without the cameras."""
-_LITTLE = 0.1
-"""Of a degenerate direction, in sigmas of the odometry: a turn that is no part of it."""
-
-
-def _plain(direction: np.ndarray) -> np.ndarray:
-    """A slide (6,) without the little turn that noise has added to it, which would be large where it is followed far."""
-    turn = np.linalg.norm(direction[:3]) < _LITTLE * np.linalg.norm(direction)
-    return np.asarray(np.where(turn & (np.arange(6) < 3), 0.0, direction))
 
 
 def _corrections(
@@ -287,7 +266,7 @@ def _corrections(
     of_cameras: np.ndarray,
     used: np.ndarray,
     seen: _Seen,
-    open_: _Open | None,
+    open_: Open | None,
 ) -> np.ndarray:
     """The most likely errors (S, 6) of the scans, those along open directions by themselves.
 

@@ -79,11 +79,12 @@ def collect(
     of_ranges_m = 0.0 if errors is None or errors.ranges is None else errors.ranges.poses_off[1]
     open_ = () if lidar.result is None else lidar.result.degenerate_directions
     along_open_m = expected_error.along_open(expected.scans, accepted.world_from_scan, open_)
-    by_images_m = None
-    if along_open_m and accepted.fusion.accepted and fused.result is not None:
-        by_images_m = fused.result.slide_sigma_m
+    open_by = "odometry" if expected_error.by_images(fused, accepted) is None else "images"
+    if_images_are_right = None
+    if open_by == "odometry" and along_open_m and accepted.fusion.accepted and fused.result is not None:
+        if_images_are_right = fused.result.slide_sigma_m
     facts["expected_error"] = expected_error.collect(
-        expected, pieces, noise, of_ranges_m, along_open_m, by_images_m
+        expected, pieces, noise, of_ranges_m, along_open_m, open_by, if_images_are_right
     )
     facts["planes"] = plane_thickness.facts(planes)
     facts["odometry"] = odometry_data.of_odometry(dataset, accepted, lidar, visual)
@@ -305,7 +306,8 @@ def of_fusion(fused: FusionStage, accepted: Accepted) -> dict[str, Any]:
         "judged": accepted.fusion.figures,
     }
     if fused.result is not None:
-        facts |= _fields(fused.result, but=("world_from_scan", "covariance"))
+        but = "world_from_scan", "covariance", "open_motions", "open_by_images"
+        facts |= _fields(fused.result, but=but)
     return facts
 
 

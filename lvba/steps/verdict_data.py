@@ -292,6 +292,11 @@ def _along_open(expected: Facts) -> str:
     rest = _rest(expected, "along_open_m")
     if rest is None:
         return ""
+    if expected.get("open_by") == "images":
+        return (
+            ". Most of that is along motions that surfaces leave open (as along a corridor), where scans are as images "
+            f"have them; in all others scan poses are off by about {lengths.text(rest)}"
+        )
     by_images = expected.get("open_by_images_m")
     certain = (
         "" if by_images is None else f", in these by about {lengths.text(by_images)} if images are right"

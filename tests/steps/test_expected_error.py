@@ -8,6 +8,7 @@ import pytest
 from lvba import geometry
 from lvba.lidar.degeneracy import DegenerateDirection
 from lvba.steps import expected_error
+from lvba.steps.open_motions import OpenMotions
 
 
 @pytest.mark.parametrize("with_cameras", [True, False])
@@ -20,6 +21,38 @@ def test_errors_that_planes_share_are_promised_of_scans(with_cameras):
     )
     promised = expected_error.scan_covariance(lidar, fused, accepted)
     np.testing.assert_array_equal(promised, np.full((3, 6, 6), 6.0 if with_cameras else 8.0))
+
+
+def test_cameras_of_one_group_are_expected_along_open_motions_as_images_have_them():
+    rng = np.random.default_rng(3)
+    poses = geometry.exp(rng.normal(size=(6, 6)))
+    x, y = (poses[:, axis, :3] for axis in (0, 1))
+    local = np.tile(1e-8 * np.eye(6), (6, 1, 1))
+    local[:, 3:, 3:] += 0.01**2 * x[:, :, None] * x[:, None, :]
+    whole = local.copy()
+    whole[:, 3:, 3:] += 0.3**2 * x[:, :, None] * x[:, None, :] + 0.02**2 * y[:, :, None] * y[:, None, :]
+    visual = SimpleNamespace(
+        world_from_camera=poses, covariance=whole, local_covariance=local, group=np.array([4, 4, -1, 4, 2, 4])
+    )
+    lidar = SimpleNamespace(result=SimpleNamespace(whole_covariance=None, shared_factor=1.0))
+    slide = OpenMotions.of([DegenerateDirection(np.eye(6)[3], 0.1)], np.repeat([0.01, 0.05], 3))
+
+    def cameras(by_images, used=True):
+        scans = SimpleNamespace(covariance=local, open_motions=slide, open_by_images=by_images)
+        lidar.result.whole_covariance = SimpleNamespace(marginal=local)
+        state = {name: SimpleNamespace(accepted=True) for name in ("scans", "cameras")}
+        accepted = SimpleNamespace(**state, fusion=SimpleNamespace(accepted=used))
+        expected = expected_error.of_result(
+            lidar, SimpleNamespace(result=scans), SimpleNamespace(result=visual), accepted
+        ).cameras
+        return [np.sqrt(np.einsum("si,sij,sj->s", one, expected[:, 3:, 3:], one)) for one in (x, y)]
+
+    for given in (cameras(False), cameras(True, used=False)):
+        np.testing.assert_allclose(given[0], 0.3, rtol=1e-2)
+    along, across = cameras(True)
+    # an image that nothing ties to the others stays as the odometry has it
+    np.testing.assert_allclose(along, [0.01, 0.01, 0.01, 0.01, 0.3, 0.01], rtol=1e-2)
+    np.testing.assert_allclose(across, 0.02, rtol=1e-2)
 
 
 def test_what_is_expected_along_open_directions_is_in_the_world_and_of_slides_alone():

@@ -262,6 +262,49 @@ def test_what_planes_leave_open_for_all_scans_goes_where_the_cameras_have_it():
     assert pose_fusion.fuse(given, covariance, cameras(np.random.default_rng(6))).slide_sigma_m == 0.0
 
 
+def test_images_of_one_group_are_counted_on_along_what_planes_leave_open():
+    given, covariance, truth = corridor(np.random.default_rng(5))
+    seen = cameras(np.random.default_rng(6))
+    images = len(seen.world_from_scan)
+
+    def along_x(group):
+        """(S,) m, promised, and whether images are counted on."""
+        fused = pose_fusion.fuse(given, covariance, replace(seen, group=group), [ALONG], PRIOR)
+        x = fused.world_from_scan[:, 0, :3]
+        return (
+            np.sqrt(np.einsum("si,sij,sj->s", x, fused.covariance[:, 3:, 3:], x)),
+            fused.open_by_images,
+            fused,
+        )
+
+    by_odometry, counted, _ = along_x(np.zeros(0, np.int64))
+    assert not counted
+    assert by_odometry.min() > 0.19
+    # two halves that nothing ties may be anywhere
+    halves, counted, _ = along_x(np.repeat([0, 1], [images // 2, images - images // 2]))
+    assert not counted
+    np.testing.assert_array_equal(halves, by_odometry)
+    one, counted, fused = along_x(np.full(images, 3))
+    assert counted
+    off = np.abs((fused.world_from_scan - truth)[:, 0, 3])
+    assert 0.3 * off.std() < one.mean() < 3 * off.std()
+    assert one[1:].max() < 0.02
+    # what planes hold is promised as before
+    without = pose_fusion.fuse(given, covariance, seen, [ALONG], PRIOR)
+    z = fused.world_from_scan[:, 2, :3]
+    by_group, by_none = (
+        np.einsum("si,sij,sj->s", z, each.covariance[:, 3:, 3:], z) for each in (fused, without)
+    )
+    np.testing.assert_allclose(by_group, by_none, rtol=0.05)
+    # the scans beside an image that is alone are as the odometry has them
+    lone = np.where(np.arange(images) == 20, 9, 3)
+    but_one, counted, _ = along_x(lone)
+    assert counted
+    beside = but_one > 0.15
+    assert 1 <= beside.sum() <= 4
+    np.testing.assert_allclose(but_one[~beside], one[~beside])
+
+
 def test_a_slide_does_not_leak_into_what_planes_hold():
     """Where scans slide along the whole corridor, planes hold their heights, whatever covariances of neighbors say."""
     given, covariance, truth = corridor(np.random.default_rng(5), rise=0.1)

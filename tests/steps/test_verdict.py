@@ -120,6 +120,10 @@ def test_open_motions_are_named_where_they_are_most_of_what_is_expected():
     assert "if images are right" not in said
     said = verdict_data.summary(verdict.judge(CLEAN), expected | {"open_by_images_m": 0.022})
     assert said.endswith("off by about 7.0 mm, in these by about 22 mm if images are right.")
+    said = verdict_data.summary(verdict.judge(CLEAN), expected | {"open_by": "images"})
+    assert said.endswith(
+        "where scans are as images have them; in all others scan poses are off by about 7.0 mm."
+    )
     assert "corridor" not in verdict_data.summary(verdict.judge(CLEAN), expected | {"along_open_m": 0.1})
 
 
