@@ -322,9 +322,7 @@ class _Chain(Chain):
     def fuse(self, lidar: Ref, scans: Ref, cameras: Ref) -> tuple[Ref, Ref]:
         """What the cameras say about the scans, and the scans as they are used with the cameras."""
         add, config = self.plan.add, self.config
-        learned = add(
-            "fusion", fusion.solve_fusion, self.dataset, lidar, scans, cameras, config.lidar, config.fusion
-        )
+        learned = add("fusion", fusion.solve_fusion, self.dataset, lidar, scans, cameras, config.fusion)
         entropies = self._each_region(
             "fusion-entropy", scan_acceptance.measure_fused_entropy,
             *(learned, self.survey, config.evaluate.entropy),

@@ -26,10 +26,12 @@ class DegenerateDirection:
     """A motion of the scans as a whole that the planes hardly determine.
 
     direction: (6,) unit after division by the prior's sigmas, world axes about the sensor, [rotation | translation]
+    sigmas: (6,), these, rad and m
     ratio: information of the planes over that of noise and odometry
     """
 
     direction: np.ndarray
+    sigmas: np.ndarray
     ratio: float
 
 
@@ -86,7 +88,7 @@ def judge(
             projector[index] = geometry.turn_tangent(inside, world_from_scan[index, :3, :3].T)
     values, vectors = scipy.linalg.eigh(signal.mean(0), noise.mean(0), check_finite=False)
     common = tuple(
-        DegenerateDirection(vector / np.linalg.norm(vector), float(value))
+        DegenerateDirection(vector / np.linalg.norm(vector), np.asarray(prior_sigmas), float(value))
         for value, vector in zip(values, vectors.T, strict=True)
         if value < 1.0
     )

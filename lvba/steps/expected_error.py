@@ -18,9 +18,6 @@ from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, VisualStage
 from lvba.steps.uncertainty import Expected
 from lvba.visual.result import VisualResult
 
-_IS_A_SLIDE = 0.9
-"""Of a degenerate direction, the least part that is a shift."""
-
 
 def of_result(lidar: LidarStage, fused: FusionStage, visual: VisualStage, accepted: Accepted) -> Expected:
     """What is known of the poses that are the result.
@@ -109,13 +106,11 @@ def along_open(
 
     covariance: (S, 6, 6), of scans; NaN where nothing is known; world_from_scan: (S, 4, 4)
     """
-    slides = [each.direction[3:] for each in directions if np.linalg.norm(each.direction[3:]) > _IS_A_SLIDE]
-    if covariance is None or not slides:
+    open_motions = OpenMotions.of(directions)
+    if covariance is None or open_motions is None:
         return 0.0
-    along = np.linalg.qr(np.stack(slides, axis=1))[0].T @ world_from_scan[:, :3, :3]
-    variance = np.einsum("sdi,sij,sdj->s", along, covariance[:, 3:, 3:], along)
-    known = np.isfinite(variance)
-    return float(np.sqrt(variance[known].mean())) if known.any() else 0.0
+    known = np.isfinite(covariance[:, 0, 0])
+    return open_motions.at(world_from_scan).shift_m(covariance, known)
 
 
 def of_poses(covariance: PoseBlocks | None) -> dict[str, Any] | None:

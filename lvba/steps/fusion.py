@@ -1,7 +1,6 @@
 """The step that fuses refined scans and cameras."""
 
 from lvba.dataset import Dataset
-from lvba.lidar.bundle_adjustment import LidarConfig
 from lvba.steps import pose_fusion
 from lvba.steps.outcomes import FusionStage, LidarStage, ScanPoses, VisualStage, scan_covariance
 from lvba.steps.pose_fusion import FusionConfig
@@ -13,7 +12,6 @@ def solve_fusion(
     lidar: LidarStage,
     scans: ScanPoses,
     visual: VisualStage,
-    lidar_config: LidarConfig,
     config: FusionConfig,
 ) -> FusionStage:
     """The scans refined with the cameras."""
@@ -38,6 +36,5 @@ def solve_fusion(
         covariance,
         cameras,
         lidar.result.degenerate_directions,
-        lidar_config.prior_sigmas,
     )
     return FusionStage(fused, "" if fused else "too few cameras")

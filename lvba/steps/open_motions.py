@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lvba.arrays import PoseBlocks, Poses, StepSigmas
+from lvba.arrays import PoseBlocks, Poses
 from lvba.lidar.degeneracy import DegenerateDirection
 
 _LITTLE = 0.1
@@ -23,12 +23,13 @@ class OpenMotions:
     coefficient: np.ndarray
 
     @staticmethod
-    def of(common: Sequence[DegenerateDirection], prior_sigmas: StepSigmas | None) -> "OpenMotions | None":
-        """The degenerate directions of all scans, None without any; prior_sigmas: (6,) float64, rad and m."""
-        if not common or prior_sigmas is None:
+    def of(common: Sequence[DegenerateDirection]) -> "OpenMotions | None":
+        """The degenerate directions of all scans, None without any."""
+        if not common:
             return None
         basis = np.linalg.qr(np.stack([_plain(each.direction) for each in common], axis=1))[0]
-        return OpenMotions(basis * prior_sigmas[:, None], (basis / prior_sigmas[:, None]).T)
+        sigmas = common[0].sigmas[:, None]
+        return OpenMotions(basis * sigmas, (basis / sigmas).T)
 
     def at(self, world_from_sensor: Poses) -> "Open":
         """The same at poses (S, 4, 4), in the tangent of each."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lvba import geometry, spline, trajectory
-from lvba.arrays import Indices, Pose, PoseBlocks, Poses, StepSigmas, Times
+from lvba.arrays import Indices, Pose, PoseBlocks, Poses, Times
 from lvba.lidar.covariance import LEAST, Covariance, local_covariance, positive
 from lvba.lidar.degeneracy import DegenerateDirection
 from lvba.settings import setting
@@ -130,17 +130,16 @@ def fuse(
     covariance: Covariance,
     cameras: Cameras,
     common: Sequence[DegenerateDirection] = (),
-    prior_sigmas: StepSigmas | None = None,
 ) -> Fused | None:
     """The scans refined with the cameras; None: too few cameras to tell.
 
-    common: motions of all scans that the planes leave open, with the (6,) sigmas (rad, m) that they are scaled by. Along
-        these each scan goes by itself: the planes do not mind, and no other motion of it has to do with that
+    common: motions of all scans that the planes leave open. Along these each scan goes by itself: the planes do not mind,
+        and no other motion of it has to do with that
     """
     if len(cameras.world_from_scan) < spline.FEWEST_SAMPLES:
         return None
     seen = _seen(cameras, scans)
-    open_motions = OpenMotions.of(common, prior_sigmas)
+    open_motions = OpenMotions.of(common)
     open_ = None if open_motions is None else open_motions.at(scans.world_from_sensor)
     # how far scans have slid, as the odometry has it, says nothing of how well both are known
     judged = seen.differences - open_.part(seen.differences) if open_ else seen.differences

@@ -153,9 +153,7 @@ def cameras_as_they_are(settings):
 
 def fused(settings):
     scans = SimpleNamespace(verdict=SimpleNamespace(accepted=False))
-    return solve_fusion(
-        ring(), LidarStage(None, "none"), scans, None, settings.lidar, settings.fusion
-    ).problem
+    return solve_fusion(ring(), LidarStage(None, "none"), scans, None, settings.fusion).problem
 
 
 def gate(settings):

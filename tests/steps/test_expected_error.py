@@ -10,6 +10,8 @@ from lvba.lidar.degeneracy import DegenerateDirection
 from lvba.steps import expected_error
 from lvba.steps.open_motions import OpenMotions
 
+SIGMAS = np.repeat([0.01, 0.05], 3)
+
 
 @pytest.mark.parametrize("with_cameras", [True, False])
 def test_errors_that_planes_share_are_promised_of_scans(with_cameras):
@@ -35,7 +37,7 @@ def test_cameras_of_one_group_are_expected_along_open_motions_as_images_have_the
         world_from_camera=poses, covariance=whole, local_covariance=local, group=np.array([4, 4, -1, 4, 2, 4])
     )
     lidar = SimpleNamespace(result=SimpleNamespace(whole_covariance=None, shared_factor=1.0))
-    slide = OpenMotions.of([DegenerateDirection(np.eye(6)[3], 0.1)], np.repeat([0.01, 0.05], 3))
+    slide = OpenMotions.of([DegenerateDirection(np.eye(6)[3], SIGMAS, 0.1)])
 
     def cameras(by_images, used=True):
         scans = SimpleNamespace(covariance=local, open_motions=slide, open_by_images=by_images)
@@ -62,8 +64,8 @@ def test_what_is_expected_along_open_directions_is_in_the_world_and_of_slides_al
     own = poses[:, :3, :3].swapaxes(1, 2) @ along
     covariance = np.tile(1e-6 * np.eye(6), (4, 1, 1))
     covariance[:, 3:, 3:] += 0.3**2 * own[:, :, None] * own[:, None, :]
-    slide = DegenerateDirection(np.array([0.001, 0.0, 0.0, *along]), 0.1)
-    turn = DegenerateDirection(np.array([1.0, 0, 0, 0, 0, 0]), 0.1)
+    slide = DegenerateDirection(np.array([0.001, 0.0, 0.0, *along]), SIGMAS, 0.1)
+    turn = DegenerateDirection(np.array([1.0, 0, 0, 0, 0, 0]), SIGMAS, 0.1)
     assert expected_error.along_open(covariance, poses, [turn, slide]) == pytest.approx(0.3, rel=1e-4)
     covariance[1] = np.nan
     assert expected_error.along_open(covariance, poses, [slide]) == pytest.approx(0.3, rel=1e-4)

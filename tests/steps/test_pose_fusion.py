@@ -244,8 +244,7 @@ def corridor(rng, rise=0.0):
     )
 
 
-ALONG = DegenerateDirection(np.array([0, 0.002, 0, 1.0, 0, 0]), 0.1)
-PRIOR = np.repeat([0.01, 0.05], 3)
+ALONG = DegenerateDirection(np.array([0, 0.002, 0, 1.0, 0, 0]), np.repeat([0.01, 0.05], 3), 0.1)
 
 
 def test_what_planes_leave_open_for_all_scans_goes_where_the_cameras_have_it():
@@ -254,7 +253,7 @@ def test_what_planes_leave_open_for_all_scans_goes_where_the_cameras_have_it():
     Images begin .137 s after the scans, and end .063 s before: scans .037 and .063 s past the ends slide, too.
     """
     given, covariance, truth = corridor(np.random.default_rng(5))
-    found = pose_fusion.fuse(given, covariance, cameras(np.random.default_rng(6)), [ALONG], PRIOR)
+    found = pose_fusion.fuse(given, covariance, cameras(np.random.default_rng(6)), [ALONG])
     assert errors(given.world_from_sensor, truth).max() > 0.1
     assert errors(found.world_from_scan, truth)[1:].max() < 0.005
     off = np.sqrt(np.square(errors(found.world_from_scan, truth)[2:-2]).mean())
@@ -269,7 +268,7 @@ def test_images_of_one_group_are_counted_on_along_what_planes_leave_open():
 
     def along_x(group):
         """(S,) m, promised, and whether images are counted on."""
-        fused = pose_fusion.fuse(given, covariance, replace(seen, group=group), [ALONG], PRIOR)
+        fused = pose_fusion.fuse(given, covariance, replace(seen, group=group), [ALONG])
         x = fused.world_from_scan[:, 0, :3]
         return (
             np.sqrt(np.einsum("si,sij,sj->s", x, fused.covariance[:, 3:, 3:], x)),
@@ -290,7 +289,7 @@ def test_images_of_one_group_are_counted_on_along_what_planes_leave_open():
     assert 0.3 * off.std() < one.mean() < 3 * off.std()
     assert one[1:].max() < 0.02
     # what planes hold is promised as before
-    without = pose_fusion.fuse(given, covariance, seen, [ALONG], PRIOR)
+    without = pose_fusion.fuse(given, covariance, seen, [ALONG])
     z = fused.world_from_scan[:, 2, :3]
     by_group, by_none = (
         np.einsum("si,sij,sj->s", z, each.covariance[:, 3:, 3:], z) for each in (fused, without)
@@ -311,7 +310,7 @@ def test_a_slide_does_not_leak_into_what_planes_hold():
     seen = cameras(np.random.default_rng(6))
     seen = replace(seen, covariance=seen.covariance + np.diag([0, 0, 0, 0, 0, 0.05**2]))
     alone, apart = (
-        pose_fusion.fuse(given, covariance, seen, *open_).world_from_scan for open_ in ((), ([ALONG], PRIOR))
+        pose_fusion.fuse(given, covariance, seen, open_).world_from_scan for open_ in ([], [ALONG])
     )
     risen = [np.abs((each - truth)[1:, 2, 3]).max() for each in (alone, apart)]
     assert risen[1] < 0.5 * risen[0]
