@@ -327,6 +327,8 @@ class _Chain(Chain):
             "fusion-entropy", scan_acceptance.measure_fused_entropy,
             *(learned, self.survey, config.evaluate.entropy),
         )  # fmt: skip
+        judged = scans, learned, entropies, config.gate
+        learned = add("fusion-choice", scan_acceptance.choose_fusion, *judged)
         fused = add("fusion-gate", scan_acceptance.judge_fusion, scans, learned, entropies, config.gate)
         return learned, fused
 

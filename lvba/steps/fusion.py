@@ -23,13 +23,15 @@ def solve_fusion(
     if visual.result is None:
         return FusionStage(None, f"there are no refined cameras: {visual.problem}")
     result, known = visual.result, visual.result.keyframes
+    # of parts, covariances are those within each: along a corridor they say nothing of one part beside the other
+    whole = visual.tuning is not None
     cameras = pose_fusion.scan_poses_from_cameras(
         result.world_from_camera[known],
         result.moments(dataset.images.times)[known],
         result.local_covariance[known],
         result.scan_from_camera,
         result.extrinsic_sigma,
-        result.group[known] if len(result.group) else None,
+        result.group[known] if whole and len(result.group) else None,
     )
     fused = pose_fusion.fuse(
         Trajectory(dataset.scans.times, scans.world_from_scan),

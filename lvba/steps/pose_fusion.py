@@ -9,7 +9,7 @@ Source: Barfoot and Furgale 2014, for fusing poses in the tangent space; Li et a
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -88,6 +88,8 @@ class Fused:
         all of them is uncertain by so much; 0: nothing is open
     open_motions: that these are; None: nothing is open
     open_by_images: whether the covariance counts on images along these; else on the odometry alone
+    only_slid: whether scans went along these, and learned nothing else
+    slid: what they are then; None: nothing is open, or this is that
     """
 
     world_from_scan: np.ndarray
@@ -99,6 +101,8 @@ class Fused:
     slide_sigma_m: float = 0.0
     open_motions: OpenMotions | None = None
     open_by_images: bool = False
+    only_slid: bool = False
+    slid: "Fused | None" = None
 
 
 def scan_poses_from_cameras(
@@ -156,7 +160,7 @@ def fuse(
         variance_factor = max(variance_factor, float(np.median(distance[seen.inside])) / _MEDIAN)
     contradicted = seen.near & (distance > CONTRADICTION**2 * variance_factor)
     used = seen.near & ~contradicted
-    step = _corrections(
+    step, slide = _corrections(
         # where motions are known, a group of scans may be off as far as it is uncertain within the trajectory: cameras
         # far apart in time see it beside others
         covariance.in_map + LEAST * np.eye(6) if len(covariance.step) else own,
@@ -168,23 +172,39 @@ def fuse(
         seen,
         open_,
     )
-    moved = geometry.retract(scans.world_from_sensor, step)
-    still = np.all(step == 0.0, axis=1)
-    promised = _promised(covariance, np.linalg.inv(of_cameras), used & seen.inside, variance_factor)
-    tied = used & _of_one_group(cameras, scans.times)
-    if open_ is not None:
-        promised = open_.known_by(promised, variance_factor * of_cameras, tied)
-    return Fused(
-        world_from_scan=np.where(still[:, None, None], scans.world_from_sensor, moved),
-        covariance=promised,
+    fused = Fused(
+        world_from_scan=_moved(scans.world_from_sensor, step),
+        covariance=_promised(covariance, np.linalg.inv(of_cameras), used & seen.inside, variance_factor),
         moved_m=np.linalg.norm(step[:, 3:], axis=1),
         interpolation_error_scale=float(np.median(interpolation_error_scale)),
         variance_factor=variance_factor,
         contradicted=int(np.count_nonzero(contradicted)),
-        slide_sigma_m=open_.shift_m(of_cameras, used) if open_ else 0.0,
-        open_motions=open_motions,
-        open_by_images=open_ is not None and bool(tied.any()),
     )
+    if open_ is None:
+        return fused
+    tied = used & _of_one_group(cameras, scans.times)
+    fused = replace(
+        fused,
+        covariance=open_.known_by(fused.covariance, variance_factor * of_cameras, tied),
+        slide_sigma_m=open_.shift_m(of_cameras, used),
+        open_motions=open_motions,
+        open_by_images=bool(tied.any()),
+    )
+    slid = replace(
+        fused,
+        world_from_scan=_moved(scans.world_from_sensor, slide),
+        covariance=open_.known_by(covariance.marginal, variance_factor * of_cameras, tied),
+        moved_m=np.linalg.norm(slide[:, 3:], axis=1),
+        only_slid=True,
+    )
+    return replace(fused, slid=slid)
+
+
+def _moved(world_from_scan: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Poses (S, 4, 4) after steps (S, 6); those without one keep their bits."""
+    still = np.all(step == 0.0, axis=1)
+    moved = geometry.retract(world_from_scan, step)
+    return np.where(still[:, None, None], world_from_scan, moved)
 
 
 def _of_one_group(cameras: Cameras, times: np.ndarray) -> np.ndarray:
@@ -266,8 +286,8 @@ def _corrections(
     used: np.ndarray,
     seen: _Seen,
     open_: Open | None,
-) -> np.ndarray:
-    """The most likely errors (S, 6) of the scans, those along open directions by themselves.
+) -> tuple[np.ndarray, np.ndarray]:
+    """The most likely errors (S, 6) of the scans, those along open directions by themselves, and these alone (S, 6).
 
     Planes know how scans lie to each other in all other ways far better than the covariances of neighbors say (one wall
     for all scans of a corridor); a slide of decimeters must not leak into these.
@@ -279,9 +299,10 @@ def _corrections(
     within = information * seen.inside[:, None, None]
     differences, shared = seen.differences, seen.shared
     if open_ is None:
-        return error_chain.most_likely(own, step, carry, within, differences, shared)
+        whole = error_chain.most_likely(own, step, carry, within, differences, shared)
+        return whole, np.zeros_like(whole)
     fixed = error_chain.most_likely(own, step, carry, within, differences - open_.part(differences), shared)
-    slide = error_chain.most_likely(
+    along = error_chain.most_likely(
         open_.covariance(own) + _OPEN**2 * np.eye(open_.count),
         open_.covariance(step),
         np.broadcast_to(np.eye(open_.count), (len(step), open_.count, open_.count)),
@@ -290,7 +311,8 @@ def _corrections(
         open_.along(differences),
         open_.coefficient @ shared,
     )
-    return np.asarray(fixed - open_.part(fixed) + (open_.motion @ slide[..., None])[..., 0])
+    slide = (open_.motion @ along[..., None])[..., 0]
+    return fixed - open_.part(fixed) + slide, slide
 
 
 def _of_neighbors(cameras: Cameras, times: np.ndarray) -> np.ndarray:

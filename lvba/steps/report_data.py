@@ -306,7 +306,7 @@ def of_fusion(fused: FusionStage, accepted: Accepted) -> dict[str, Any]:
         "judged": accepted.fusion.figures,
     }
     if fused.result is not None:
-        but = "world_from_scan", "covariance", "open_motions", "open_by_images"
+        but = "world_from_scan", "covariance", "open_motions", "open_by_images", "slid"
         facts |= _fields(fused.result, but=but)
     return facts
 

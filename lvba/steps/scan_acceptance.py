@@ -25,6 +25,7 @@ from lvba.steps.acceptance import CARRIED, ROUGH, GateConfig, Verdict
 from lvba.steps.lidar import carry_cameras, cloud_of
 from lvba.steps.outcomes import FusionStage, LidarStage, ScanPoses
 from lvba.steps.part_scores import as_in_whole, in_core, together
+from lvba.steps.pose_fusion import Fused
 from lvba.visual.prior_config import PriorConfig
 
 
@@ -34,6 +35,14 @@ class RegionEntropy:
 
     rough: EntropyBlocks
     refined: EntropyBlocks
+
+
+@dataclass(frozen=True)
+class FusedEntropy:
+    """The same at scans that cameras moved, and where these only slid along what planes leave open; None: nothing is."""
+
+    fused: EntropyBlocks
+    slid: EntropyBlocks | None = None
 
 
 def measure_entropy(
@@ -67,14 +76,18 @@ def measure_fused_entropy(
     survey: Survey,
     config: EntropyConfig,
     progress: Progress = silent,
-) -> EntropyBlocks | None:
-    """The entropies of map points in a part's region, at the scans that cameras moved; None: there are none."""
+) -> FusedEntropy | None:
+    """How crisp the map is in a part's region, at the scans that cameras moved; None: there are none."""
     if fused.result is None:
         return None
-    poses = fused.result.world_from_scan
-    return map_quality.entropy_blocks(
-        region_cloud(dataset, cores, part, points, poses, survey.reach_m, progress), config
-    )
+
+    def blocks(result: Fused) -> EntropyBlocks:
+        poses = result.world_from_scan
+        cloud = region_cloud(dataset, cores, part, points, poses, survey.reach_m, progress)
+        return map_quality.entropy_blocks(cloud, config)
+
+    slid = fused.result.slid
+    return FusedEntropy(blocks(fused.result), None if slid is None else blocks(slid))
 
 
 def compare(
@@ -174,8 +187,23 @@ def _of_all_regions(entropies: Sequence[RegionEntropy]) -> tuple[EntropyBlocks, 
     )
 
 
+def choose_fusion(
+    scans: ScanPoses, fused: FusionStage, entropies: Sequence[FusedEntropy | None], config: GateConfig
+) -> FusionStage:
+    """The fused scans; where the map would be less crisp with them, those that only slid along what planes leave open.
+
+    Errors of ranges turn scans to where planes are thinnest, and not where cameras have them; how far scans have slid has
+    nothing to do with it. entropies: of all regions
+    """
+    if fused.result is None or fused.result.slid is None:
+        return fused
+    if judge_fusion(scans, fused, entropies, config).verdict.accepted:
+        return fused
+    return FusionStage(fused.result.slid)
+
+
 def judge_fusion(
-    scans: ScanPoses, fused: FusionStage, entropies: Sequence[EntropyBlocks | None], config: GateConfig
+    scans: ScanPoses, fused: FusionStage, entropies: Sequence[FusedEntropy | None], config: GateConfig
 ) -> ScanPoses:
     """The fused scan poses where the map is as crisp with them, else those before; `entropy_rough` is of the latter.
 
@@ -183,8 +211,12 @@ def judge_fusion(
     """
     if fused.result is None:
         return not_fused(scans, fused)
-    after = map_quality.blocks_together([each for each in entropies if each is not None])
-    return decide_fusion(scans, fused.result.world_from_scan, after, config)
+    known = [each for each in entropies if each is not None]
+    if fused.result.only_slid:
+        blocks = [each.slid for each in known if each.slid is not None]
+    else:
+        blocks = [each.fused for each in known]
+    return decide_fusion(scans, fused.result.world_from_scan, map_quality.blocks_together(blocks), config)
 
 
 def keep_rough(rough: Poses, blocks: EntropyBlocks, problem: str) -> ScanPoses:

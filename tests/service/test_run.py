@@ -31,7 +31,7 @@ STAGES = [
         "visual-planes",
     ),
     *("visual-level-2", "visual-level-1", "visual", "visual-outliers", "visual-mended"),
-    *("fusion", "fusion-entropy", "fusion-gate", "fused-cameras"),
+    *("fusion", "fusion-entropy", "fusion-choice", "fusion-gate", "fused-cameras"),
     *("evaluate", "visual-gate", "evaluate-result", "expected-error"),
     *("map", "planes", "renderings", "pictures", "facts"),
 ]

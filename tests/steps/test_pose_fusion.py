@@ -261,6 +261,28 @@ def test_what_planes_leave_open_for_all_scans_goes_where_the_cameras_have_it():
     assert pose_fusion.fuse(given, covariance, cameras(np.random.default_rng(6))).slide_sigma_m == 0.0
 
 
+def test_scans_that_only_slide_stay_in_all_else():
+    given, covariance, truth = corridor(np.random.default_rng(5))
+    seen = cameras(np.random.default_rng(6))
+    seen = replace(seen, group=np.zeros(len(seen.world_from_scan), np.int64))
+    found = pose_fusion.fuse(given, covariance, seen, [ALONG])
+    slid = found.slid
+    assert slid.only_slid
+    assert not found.only_slid
+    assert slid.slid is None
+    before = given.world_from_sensor
+    np.testing.assert_allclose(slid.world_from_scan[:, :3, :3], before[:, :3, :3], atol=1e-12)
+    np.testing.assert_allclose(slid.world_from_scan[:, 1:3, 3], before[:, 1:3, 3], atol=1e-12)
+    assert np.abs((slid.world_from_scan - truth)[1:, 0, 3]).max() < 0.005
+    # certain along the corridor, and in nothing else
+    x, y = before[:, 0, :3], before[:, 1, :3]
+    promised = [np.einsum("si,sij,sj->s", one, slid.covariance[:, 3:, 3:], one) for one in (x, y)]
+    own = np.einsum("si,sij,sj->s", y, covariance.marginal[:, 3:, 3:], y)
+    assert promised[0][1:].max() < 0.02**2
+    np.testing.assert_allclose(promised[1], own, rtol=0.05)
+    assert pose_fusion.fuse(given, covariance, seen).slid is None
+
+
 def test_images_of_one_group_are_counted_on_along_what_planes_leave_open():
     given, covariance, truth = corridor(np.random.default_rng(5))
     seen = cameras(np.random.default_rng(6))
