@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lvba import geometry
-from lvba.arrays import Poses, Vector
+from lvba.arrays import Indices, Poses, Vector
 from lvba.errors import DegenerateProblemError
 from lvba.lidar import bundle_adjustment
 from lvba.lidar.config import LidarConfig
@@ -66,6 +66,22 @@ class RoughError:
     wrong_after: np.ndarray
     open_after: np.ndarray
     left_after: np.ndarray
+
+    @staticmethod
+    def of_jumps(config: LidarConfig) -> "RoughError":
+        """Of poses whose motions are as good as the settings let expect, but for jumps that are not known yet."""
+        none = np.zeros(0, np.int64)
+        return RoughError(
+            config.prior_translation, float(np.degrees(config.prior_rotation)), none, none, none
+        )
+
+    def with_open(self, after: Indices) -> "RoughError":
+        """The same with jumps after scans (J,) int64 that surfaces do not tell of, not yet."""
+        return replace(
+            self,
+            wrong_after=np.union1d(self.wrong_after, after),
+            open_after=np.union1d(self.open_after, after),
+        )
 
     def numbered(self, scans: np.ndarray) -> "RoughError":
         """The same with numbers of the whole. scans: (n,) int64, number of each scan in the whole"""

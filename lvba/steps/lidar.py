@@ -25,10 +25,11 @@ from lvba.lidar.scan import gather
 from lvba.lidar.scan_errors import ScanErrors
 from lvba.lidar.scan_evidence import View
 from lvba.loop_closure import rough_motions, rough_poses
+from lvba.loop_closure.rough_poses import RoughError, StartPoses
 from lvba.loop_closure.submap import Patch
 from lvba.products.cloud import Cloud, assemble
 from lvba.progress import Progress, silent
-from lvba.steps import trajectory_jumps
+from lvba.steps import jumps_by_images, trajectory_jumps
 from lvba.steps.outcomes import LidarStage
 from lvba.trajectory import Trajectory
 
@@ -57,6 +58,8 @@ def solve_lidar(
         begin = rough_poses.start(
             scans, surfels, rough, sensor_position=sensor, config=config, progress=progress
         )
+    begin = _jumps_by_images(dataset, surfels, begin, config)
+    if begin is not None:
         odometry = rough_poses.odometry_of(rough, begin.error, begin.world_from_scan, config)
     refine = partial(
         lidar_ba.refine, sensor_position=sensor, config=config, imu=_imu(dataset), progress=progress
@@ -79,6 +82,24 @@ def solve_lidar(
         confirmed=_confirmed(surfels, dataset.scans, Trajectory(dataset.scans.times, poses)),
         points_off=(0.0, 0.0) if errors is None else errors.points_off,
     )
+
+
+def _jumps_by_images(
+    dataset: Dataset, surfels: Sequence[Patch | None], begin: StartPoses | None, config: LidarConfig
+) -> StartPoses | None:
+    """Where the bundle adjustment begins, with jumps that surfaces do not tell of as images have them."""
+    poses = dataset.scans.world_from_sensor if begin is None else begin.world_from_scan
+    error = RoughError.of_jumps(config) if begin is None else begin.error
+    jumps = trajectory_jumps.find(dataset.scans).after
+    expected = trajectory_jumps.expected(Trajectory(dataset.scans.times, poses))
+    jumps = np.setdiff1d(jumps, rough_motions.confirmed(surfels, poses, jumps, expected))
+    unsure = np.union1d(jumps, np.intersect1d(error.open_after, error.wrong_after)).astype(np.int64)
+    if not len(unsure) or not dataset.image_paths:
+        return begin
+    poses, moved = jumps_by_images.mended(dataset, surfels, poses, unsure)
+    if not len(moved):
+        return begin
+    return StartPoses(poses, error.with_open(moved))
 
 
 def _met_at_planes(

@@ -35,6 +35,8 @@ _FEWER = (3, 1)
 """Images that one is put by, where the usual number does not tell."""
 _ENOUGH_ALONE = 60
 """Features by which a single image moves its group."""
+_MAJORITY = 0.5
+"""Part of all features that must agree: images that are not where their scans are contradict each other."""
 _AGREE_M, _AGREE_DEG = 0.1, 1.5
 """Two images that move their group no further apart than this agree."""
 _FARTHEST_M = 3.0
@@ -86,18 +88,36 @@ def rejoined(problem: Problem, pyramid: Pyramid, state: VisualState) -> VisualSt
     group = find(problem.points, problem.observations, len(problem.images))
     if np.count_nonzero(np.bincount(group) > 1) < 2:
         return state
-    matcher, poses = Matcher(problem.points, pyramid), state.cameras.world_from_camera.copy()
+    together = put_together(
+        Matcher.of(problem.points, pyramid), state.cameras.world_from_camera, group, problem.points
+    )
+    if together is None:
+        return state
+    return replace(state, cameras=replace(state.cameras, world_from_camera=together[0]))
+
+
+def put_together(
+    matcher: Matcher, poses: Poses, group: Indices, points: ScenePoints | None = None
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Poses (I, 4, 4) with groups of images where features have them beside larger ones, and which are of one group then,
+    (I,) int64; None: features do not say of any.
+
+    poses: (I, 4, 4); group: (I,) int64; points: groups move along the planes of theirs only; None: anywhere
+    """
+    poses, group = poses.copy(), np.array(group, np.int64)
     tried: set[tuple[bytes, bytes]] = set()
     moved = False
-    while _some_join(matcher, problem.points, poses, group, tried):
+    while _some_join(matcher, points, poses, group, tried):
         moved = True
-    if not moved:
-        return state
-    return replace(state, cameras=replace(state.cameras, world_from_camera=poses))
+    return (poses, group) if moved else None
 
 
 def _some_join(
-    matcher: Matcher, points: ScenePoints, poses: Poses, group: np.ndarray, tried: set[tuple[bytes, bytes]]
+    matcher: Matcher,
+    points: ScenePoints | None,
+    poses: Poses,
+    group: np.ndarray,
+    tried: set[tuple[bytes, bytes]],
 ) -> bool:
     """Whether features put a group beside a larger one that is near; it is moved there in poses, and is part of it then.
 
@@ -132,8 +152,10 @@ def _near(poses: Poses, group: np.ndarray, members: np.ndarray, size: np.ndarray
     return [int(each) for each in unique[np.argsort(first)][:_BESIDE]]
 
 
-def _joins(matcher: Matcher, points: ScenePoints, poses: Poses, members: Indices, others: Indices) -> bool:
-    """Whether features put some images (n,) beside others (m,), along surfaces; they are moved there in poses."""
+def _joins(
+    matcher: Matcher, points: ScenePoints | None, poses: Poses, members: Indices, others: Indices
+) -> bool:
+    """Whether features put some images (n,) beside others (m,); they are moved there in poses."""
     far = [distance(poses, int(each), others).min() for each in members]
     closest = members[np.argsort(far, kind="stable")[:_TRIED]]
     by_features = [
@@ -141,7 +163,7 @@ def _joins(matcher: Matcher, points: ScenePoints, poses: Poses, members: Indices
     ]
     seen = [each for each in by_features if each is not None]
     motion = _agreed(seen, poses[closest[0]])
-    if motion is None or not _along_surfaces(motion, points, members):
+    if motion is None or not (points is None or _along_surfaces(motion, points, members)):
         return False
     meters, degrees = apart(motion @ poses[members[0]], poses[members[0]])
     logger.info(
@@ -176,14 +198,17 @@ def _by_features(matcher: Matcher, image: int, near: Indices, poses: Poses) -> t
 
 def _agreed(seen: list[tuple[Pose, int]], at: Pose) -> Pose | None:
     """The mean (4, 4), by features, of the motions that one of them agrees with at a pose, as many as can be; None: no
-    two do, and none alone has features enough."""
+    two do, and none alone has features enough, or more features contradict it."""
     motions = [motion for motion, _ in seen]
     agree = np.array([[_alike(one, other, at) for other in motions] for one in motions], bool)
     if len(seen) == 0 or (agree.sum(axis=1).max() < 2 and max(count for _, count in seen) < _ENOUGH_ALONE):
         return None
     best = max(range(len(seen)), key=lambda k: (agree[k].sum(), seen[k][1]))
+    features = np.array([count for _, count in seen])
+    if features[agree[best]].sum() < _MAJORITY * features.sum():
+        return None
     off = geometry.log(geometry.inverse(motions[best] @ at) @ np.stack(motions) @ at)
-    mean = np.average(off, axis=0, weights=agree[best] * [count for _, count in seen])
+    mean = np.average(off, axis=0, weights=agree[best] * features)
     return np.asarray(geometry.retract(motions[best] @ at, mean) @ geometry.inverse(at))
 
 

@@ -8,6 +8,7 @@ its pose (perspective n-point in RANSAC, OpenCV); the levels that follow say wha
 """
 
 import logging
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -16,7 +17,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lvba import geometry
-from lvba.arrays import Indices, Pose, Poses
+from lvba.arrays import Indices, Picture, Pose, Poses
 from lvba.camera import Camera
 from lvba.visual.image import Pyramid
 from lvba.visual.photometric import Problem
@@ -37,6 +38,8 @@ _TURN_DEG, _STEP_M = 30.0, 1.0
 """They are those that look the same way from the same place: a turn counts as much as a step."""
 _FEATURES = 2000
 _MOST_PIXELS = 1_500_000
+"""Of an image: features need no more."""
+_LEVELS = 6
 _RATIO = 0.75
 """The best match must be this much nearer than the second best (Lowe 2004)."""
 _NEAR_POINT = 0.05
@@ -95,7 +98,7 @@ def relocalized(problem: Problem, pyramid: Pyramid, state: VisualState) -> Visua
     missing = lost(problem.points, problem.observations, len(problem.images))
     if not len(missing):
         return state
-    matcher = Matcher(problem.points, pyramid)
+    matcher = Matcher.of(problem.points, pyramid)
     poses = state.cameras.world_from_camera.copy()
     others = np.setdiff1d(np.arange(len(poses)), missing)
     for image in missing:
@@ -110,20 +113,36 @@ def relocalized(problem: Problem, pyramid: Pyramid, state: VisualState) -> Visua
     return replace(state, cameras=replace(state.cameras, world_from_camera=poses))
 
 
-class Matcher:
-    """Poses of images by their features, matched with places that those of other images have on planes."""
+PlanesOf = Callable[[int, Pose], tuple[np.ndarray, np.ndarray]]
+"""Of an image at a pose (4, 4): places (N, 3), m, world, that it sees, and the normals (N, 3) of the planes there."""
 
-    def __init__(self, points: ScenePoints, pyramid: Pyramid) -> None:
-        level = _level(pyramid)
-        self._points, self._images = points, pyramid.levels[level]
-        self._camera = pyramid.camera.at_level(level)
-        self._look = cache(lambda image: _features(self._images[image]))
+
+class Matcher:
+    """Poses of images by their features, matched with places that those of other images have on planes.
+
+    planes: that an image sees; camera: pinhole; image: gives one, (H, W, C) uint8, as that camera sees it
+    """
+
+    def __init__(self, planes: PlanesOf, camera: Camera, image: Callable[[int], Picture]) -> None:
+        self._planes, self._camera = planes, camera
+        self._look = cache(lambda number: _features(image(number)))
+
+    @staticmethod
+    def of(points: ScenePoints, pyramid: Pyramid) -> "Matcher":
+        """Of images whose planes are those of their scene points."""
+        level = _level([each.shape[1] * each.shape[2] for each in pyramid.levels])
+
+        def planes(image: int, _: Pose) -> tuple[np.ndarray, np.ndarray]:
+            mine = points.reference == image
+            return points.position_world[mine], points.normal_world[mine]
+
+        return Matcher(planes, pyramid.camera.at_level(level), lambda image: pyramid.levels[level][image])
 
     def pose(self, image: int, near: Indices, poses: Poses, farthest_m: float) -> tuple[Pose, int] | None:
         """world_from_camera (4, 4) of an image by those (n,) near it, where poses (I, 4, 4) have them, and how many
         features agree on it; None: too few do, or on one further than so many m from where it is."""
         places = [
-            _places(self._points, int(each), poses[each], self._camera, self._look(int(each)))
+            _places(*self._planes(int(each), poses[each]), poses[each], self._camera, self._look(int(each)))
             for each in near
         ]
         seen = self._look(image)
@@ -134,9 +153,14 @@ class Matcher:
         return by_features if meters <= farthest_m and degrees <= _FARTHEST_DEG else None
 
 
-def _level(pyramid: Pyramid) -> int:
-    """The finest level whose images are no larger than features need."""
-    sizes = [each.shape[1] * each.shape[2] for each in pyramid.levels]
+def at_features_size(camera: Camera) -> Camera:
+    """The camera of images no larger than features need."""
+    levels = [camera.at_level(level) for level in range(_LEVELS)]
+    return levels[_level([each.width * each.height for each in levels])]
+
+
+def _level(sizes: Sequence[int]) -> int:
+    """The finest level whose images, of so many pixels, are no larger than features need."""
     return next((level for level, size in enumerate(sizes) if size <= _MOST_PIXELS), len(sizes) - 1)
 
 
@@ -181,18 +205,19 @@ def distance(poses: Poses, image: int, others: Indices) -> np.ndarray:
     return np.asarray(angle / _TURN_DEG + np.linalg.norm(off[:, :3, 3], axis=1) / _STEP_M)
 
 
-def _places(points: ScenePoints, image: int, pose: Pose, camera: Camera, seen: _Features) -> _Places:
-    """The features of an image that are near one of its scene points, on the plane of that."""
-    mine = points.reference == image
-    inside = geometry.transform_points(geometry.inverse(pose), points.position_world[mine])
+def _places(position: np.ndarray, normal: np.ndarray, pose: Pose, camera: Camera, seen: _Features) -> _Places:
+    """The features of an image that are near one of the places (N, 3) that it sees, on the plane of that.
+
+    normal: (N, 3) of the planes
+    """
+    inside = geometry.transform_points(geometry.inverse(pose), position)
     inside = inside[:, :2] / inside[:, 2:]
     if not len(inside) or not len(seen.pixel):
         return _Places(np.zeros((0, 3)), np.zeros((0, 128), np.float32))
     distance, nearest = cKDTree(inside * [camera.fx, camera.fy] + [camera.cx, camera.cy]).query(seen.pixel)
     ray = np.column_stack([*camera.normalized(seen.pixel), np.ones(len(seen.pixel))]) @ pose[:3, :3].T
-    normal = points.normal_world[mine][nearest]
-    away = np.einsum("ni,ni->n", normal, points.position_world[mine][nearest] - pose[:3, 3])
-    along = np.einsum("ni,ni->n", normal, ray)
+    away = np.einsum("ni,ni->n", normal[nearest], position[nearest] - pose[:3, 3])
+    along = np.einsum("ni,ni->n", normal[nearest], ray)
     depth = away / np.where(np.abs(along) > 1e-6, along, np.inf)
     good = (distance < _NEAR_POINT * camera.width) & (depth > _LEAST_DEPTH_M)
     return _Places((pose[:3, 3] + depth[:, None] * ray)[good], seen.descriptor[good])
