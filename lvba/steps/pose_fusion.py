@@ -180,20 +180,41 @@ def fuse(
         variance_factor=variance_factor,
         contradicted=int(np.count_nonzero(contradicted)),
     )
-    if open_ is None:
+    if open_motions is None:
         return fused
     tied = used & _of_one_group(cameras, scans.times)
+    return _with_slides(
+        fused, open_motions, scans.world_from_sensor, slide, covariance.marginal, of_cameras, used, tied
+    )
+
+
+def _with_slides(
+    fused: Fused,
+    open_motions: OpenMotions,
+    world_from_scan: np.ndarray,
+    slide: np.ndarray,
+    own: np.ndarray,
+    of_cameras: np.ndarray,
+    used: np.ndarray,
+    tied: np.ndarray,
+) -> Fused:
+    """The same with what is known of slides (S, 6) along open motions, and the scans that do nothing but slide.
+
+    own, of_cameras: (S, 6, 6), covariances of scans and of what cameras say; used, tied: (S,) bool, where they say
+    anything, and where that is promised
+    """
+    open_, wide = open_motions.at(world_from_scan), fused.variance_factor * of_cameras
     fused = replace(
         fused,
-        covariance=open_.known_by(fused.covariance, variance_factor * of_cameras, tied),
+        covariance=open_.known_by(fused.covariance, wide, tied),
         slide_sigma_m=open_.shift_m(of_cameras, used),
         open_motions=open_motions,
         open_by_images=bool(tied.any()),
     )
     slid = replace(
         fused,
-        world_from_scan=_moved(scans.world_from_sensor, slide),
-        covariance=open_.known_by(covariance.marginal, variance_factor * of_cameras, tied),
+        world_from_scan=_moved(world_from_scan, slide),
+        covariance=open_.known_by(own, wide, tied),
         moved_m=np.linalg.norm(slide[:, 3:], axis=1),
         only_slid=True,
     )
