@@ -114,7 +114,16 @@ def _ranges(figures: Figures) -> Iterator[Reason]:
 
 def _registered(figures: Figures) -> Iterator[Reason]:
     """Rough poses that no bundle adjustment could start from."""
-    if not figures.registered or figures.scan_poses.accepted is False:
+    if not figures.registered:
+        return
+    if figures.scan_poses.accepted is False:
+        yield Reason(
+            "Surfaces that successive scans see contradict the rough poses, which were kept: they are decimeters off, or "
+            "jump.",
+            "Run the odometry again, or cut the recording where the map is double.",
+            "bad",
+            unknown=True,
+        )
         return
     if figures.left_steps:
         yield Reason(

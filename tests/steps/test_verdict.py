@@ -62,7 +62,7 @@ KEPT = (Truth("scans", "m", 0.001, 0.07, 0.0009), Truth("cameras", "degrees", 0.
         ({"registered": True}, "check", False),
         ({"registered": True, "odometry_dependent_steps": 1}, "check", True),
         ({"registered": True, "left_steps": 1}, "bad", True),
-        ({"registered": True, "left_steps": 1, "scan_poses": NOT_USED}, "check", False),
+        ({"registered": True, "left_steps": 1, "scan_poses": NOT_USED}, "bad", False),
         ({"extrinsic_sigmas": 3.1}, "check", False),
         ({"ssim": (0.47, 0.35)}, "check", False),
         ({"thickness": (0.012, 0.013)}, "check", False),
