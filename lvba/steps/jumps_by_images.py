@@ -79,6 +79,8 @@ def _beside_each_other(motion: np.ndarray, joined: np.ndarray) -> np.ndarray:
     for run, group in enumerate(joined):
         frame = placed.setdefault(int(group), last @ geometry.inverse(motion[run]))
         last = final[run] = frame @ motion[run]
+    # to the last bit
+    final[0] = np.eye(4)
     return final
 
 

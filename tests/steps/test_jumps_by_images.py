@@ -68,7 +68,7 @@ def test_scans_after_a_jump_go_where_images_have_them(room, recording):
     meters, degrees = off(poses, room.truth)
     assert meters < 0.04
     assert degrees < 0.5
-    np.testing.assert_allclose(poses[0], rough[0], atol=1e-12)
+    np.testing.assert_array_equal(poses[0], rough[0])
     # within each run nothing changes
     steps = np.delete(np.arange(len(poses) - 1), AFTER)
     np.testing.assert_allclose(geometry.steps(poses)[steps], geometry.steps(rough)[steps], atol=1e-9)
