@@ -10,8 +10,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import NoReturn
 
-from service.cli import import_parser, server_parser, stopping
-from service.system.threads import limit_threads
+from service.cli import stopping
+from service.system.threads import limit_blas, limit_threads
 
 _EPILOG = """\
 examples:
@@ -144,6 +144,7 @@ class Parser(argparse.ArgumentParser):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs a command. 0: done; 2: bad input or usage, one line on stderr; 130: Ctrl-C; 1: anything else."""
+    limit_blas()
     arguments = parser().parse_args(argv)
     limit_threads(arguments.threads)
     stopping.install()
@@ -177,11 +178,15 @@ def parser() -> argparse.ArgumentParser:
     _add_view(commands)
     _add_export(commands)
     _command(commands, "warm", "compile what runs need", _WARM, _WARM_EXAMPLES)
+    from service.cli import server_parser  # brings numpy, too
+
     server_parser.add(commands, _command)
     return top
 
 
 def _add_import(commands: "argparse._SubParsersAction[Parser]") -> None:
+    from service.cli import import_parser  # brings numpy, before which the threads of BLAS are limited
+
     summary = "make a recording folder of a bag"
     command = _command(commands, "import", summary, import_parser.IMPORT, import_parser.IMPORT_EXAMPLES)
     import_parser.add_arguments(command, _count)
@@ -227,6 +232,8 @@ def _add_batch(commands: "argparse._SubParsersAction[Parser]") -> None:
     batch.add_argument(
         "--store", metavar="URL", help="folder or URL of intermediate results (default: in OUT)"
     )
+    from service.cli import server_parser  # brings numpy, too
+
     server_parser.add_server(batch, asked=False)
     _add_cluster(batch)
 

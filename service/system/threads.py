@@ -9,13 +9,21 @@ _M_ARENA_MAX = -8
 _FEWEST_HEAPS = 2
 
 
-def limit_threads(threads: int | None) -> None:
-    """BLAS gets one thread: its threads beside numba's slow both down many times. Must come before numpy is imported.
+def limit_blas() -> None:
+    """BLAS gets one thread. Must come before numpy is imported.
 
-    Numba's threads sleep between two kernels: by default they spin, and take half a core from what runs meanwhile.
+    Its threads beside numba's slow both down many times, and with several of them sums depend on how many there are.
     """
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+
+
+def limit_threads(threads: int | None) -> None:
+    """So many threads for numba, one for BLAS. Must come before numpy is imported.
+
+    Numba's threads sleep between two kernels: by default they spin, and take half a core from what runs meanwhile.
+    """
+    limit_blas()
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     if threads is not None:
         os.environ["NUMBA_NUM_THREADS"] = str(threads)

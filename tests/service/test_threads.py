@@ -1,6 +1,9 @@
+import json
 import os
 import subprocess
 import sys
+
+import pytest
 
 _USED = """
 import ctypes, os, threading
@@ -42,3 +45,33 @@ def test_a_limit_of_the_user_holds():
     heaps, limit = _heaps(MALLOC_ARENA_MAX="5")
     assert limit == "5"
     assert 2 < heaps <= 5
+
+
+_LIBRARIES = """
+import json, sys
+from service.cli import {module}
+{call}
+import numpy, scipy.linalg
+from threadpoolctl import threadpool_info
+print(json.dumps([each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"]))
+"""
+"""Threads of each BLAS after a command: with several, sums depend on how many cores a machine has."""
+
+
+@pytest.mark.parametrize(
+    ("module", "call"),
+    [
+        (
+            "main",
+            "try: main.main(['run', '/nowhere', '--out', '/nowhere/out', '--quiet'])\nexcept SystemExit: pass",
+        ),
+        ("demo", "import service.system.threads as threads; threads.limit_threads(None)"),
+    ],
+)
+def test_commands_give_blas_one_thread(module, call):
+    told = {name: value for name, value in os.environ.items() if not name.endswith("NUM_THREADS")}
+    script = _LIBRARIES.format(module=module, call=call)
+    run = subprocess.run([sys.executable, "-c", script], env=told, capture_output=True, text=True, check=True)
+    threads = json.loads(run.stdout.splitlines()[-1])
+    assert len(threads) >= 2
+    assert set(threads) == {1}
