@@ -16,6 +16,7 @@ from lvba.products.map_file import PointMap
 from lvba.steps.open_motions import OpenMotions
 from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, VisualStage
 from lvba.steps.uncertainty import Expected
+from lvba.visual import image_groups
 from lvba.visual.result import VisualResult
 
 
@@ -46,10 +47,9 @@ def _of_cameras(result: VisualResult, open_motions: OpenMotions | None) -> np.nd
     """(I, 6, 6) of the cameras; along these motions as images know them, of the one group that nearly all are of."""
     if open_motions is None:
         return result.covariance
-    keyframes = result.group >= 0
-    largest = np.bincount(result.group[keyframes]).argmax()
+    tied = (result.group < 0) | image_groups.in_largest(result.group)
     along = open_motions.at(result.world_from_camera)
-    return along.known_by(result.covariance, result.local_covariance, ~keyframes | (result.group == largest))
+    return along.known_by(result.covariance, result.local_covariance, tied)
 
 
 def by_images(fused: FusionStage, accepted: Accepted) -> OpenMotions | None:

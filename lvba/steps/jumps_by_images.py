@@ -55,10 +55,8 @@ def mended(
         return world_from_scan, np.zeros(0, np.int64)
     motion, joined = _of_runs(*together, cameras, of_run, run[-1] + 1)
     moved = _beside_each_other(motion, joined)[run] @ world_from_scan
-    changed = [k for k in after if _differ(world_from_scan[k : k + 2], moved[k : k + 2])]
-    if not changed:
-        return world_from_scan, np.zeros(0, np.int64)
-    return moved, np.array(changed, np.int64)
+    changed = after[trajectory.motions_differ(world_from_scan, moved, LEAST_M, LEAST_DEG)[after]]
+    return (moved, changed) if len(changed) else (world_from_scan, changed)
 
 
 def _of_runs(
@@ -82,12 +80,6 @@ def _beside_each_other(motion: np.ndarray, joined: np.ndarray) -> np.ndarray:
     # to the last bit
     final[0] = np.eye(4)
     return final
-
-
-def _differ(one: Poses, other: Poses) -> bool:
-    """Whether the motion from the first to the second of two poses (2, 4, 4) differs by more than features are off."""
-    meters, degrees = relocalization.apart(*(geometry.steps(each)[0] for each in (one, other)))
-    return meters > LEAST_M or degrees > LEAST_DEG
 
 
 def _of_images(dataset: Dataset, run: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -88,13 +88,15 @@ def _jumps_by_images(
     dataset: Dataset, surfels: Sequence[Patch | None], begin: StartPoses | None, config: LidarConfig
 ) -> StartPoses | None:
     """Where the bundle adjustment begins, with jumps that surfaces do not tell of as images have them."""
+    if not dataset.image_paths:
+        return begin
     poses = dataset.scans.world_from_sensor if begin is None else begin.world_from_scan
     error = RoughError.of_jumps(config) if begin is None else begin.error
     jumps = trajectory_jumps.find(dataset.scans).after
     expected = trajectory_jumps.expected(Trajectory(dataset.scans.times, poses))
     jumps = np.setdiff1d(jumps, rough_motions.confirmed(surfels, poses, jumps, expected))
     unsure = np.union1d(jumps, np.intersect1d(error.open_after, error.wrong_after)).astype(np.int64)
-    if not len(unsure) or not dataset.image_paths:
+    if not len(unsure):
         return begin
     poses, moved = jumps_by_images.mended(dataset, surfels, poses, unsure)
     if not len(moved):

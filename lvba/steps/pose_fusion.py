@@ -21,6 +21,7 @@ from lvba.settings import setting
 from lvba.steps import error_chain
 from lvba.steps.open_motions import Open, OpenMotions
 from lvba.trajectory import Trajectory
+from lvba.visual import image_groups
 
 _MEDIAN = 5.348 / 6
 """Median of a chi-square of six degrees of freedom, over six."""
@@ -235,10 +236,9 @@ def _of_one_group(cameras: Cameras, times: np.ndarray) -> np.ndarray:
     """
     if not len(cameras.group):
         return np.zeros(len(times), bool)
-    name, count = np.unique(cameras.group, return_counts=True)
-    if count.max() < _NEARLY_ALL * len(cameras.group):
+    largest = image_groups.in_largest(cameras.group)
+    if np.count_nonzero(largest) < _NEARLY_ALL * len(largest):
         return np.zeros(len(times), bool)
-    largest = cameras.group == name[count.argmax()]
     before, _ = trajectory.bracket(cameras.world_from_scan.times, times)
     return np.asarray(largest[before] & largest[np.minimum(before + 1, len(largest) - 1)])
 

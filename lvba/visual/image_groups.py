@@ -62,6 +62,12 @@ def find(points: ScenePoints, observations: Observations, images: int) -> np.nda
     return np.asarray(connected_components(tied, directed=False)[1], np.int64)
 
 
+def in_largest(group: Indices) -> np.ndarray:
+    """(I,) bool: the images of the largest group. group: (I,) int64, -1: of none"""
+    name, count = np.unique(group[group >= 0], return_counts=True)
+    return np.asarray(group == name[count.argmax()])
+
+
 def of_all(parts: Sequence[tuple[Indices, Indices]], images: int) -> np.ndarray:
     """(I,) int64: the groups of all images; those of two parts are one where both parts have an image of it.
 
