@@ -44,8 +44,6 @@ _SUSPECT = 1e-2
 _BESIDE = 2.0
 """Standard deviations are so many times as large beside another error that is not known: what is not modeled is not in
 them."""
-_FALLS = 0.3
-"""An error that is one falls to less than this part of itself once it is corrected."""
 
 
 def measure(
@@ -116,7 +114,8 @@ class _Measurement:
         return self._closer(scan_windows.sampled(self.dataset), least, together)
 
     def _closer(self, windows: list[Window], least: np.ndarray, points: np.ndarray) -> RangeErrors:
-        errors = first = np.zeros(self.size)
+        errors = np.zeros(self.size)
+        rounds = [errors]
         self.cosines.clear()
         self.poses.clear()
         self.depths.clear()
@@ -132,14 +131,14 @@ class _Measurement:
             if not np.isfinite(covariance).all():
                 return self._unknown(total, "planes do not tell of them once they are corrected")
             kept, estimate = self._significant(errors + change, covariance, least, range_errors.CHANCE)
-            last, errors = estimate - errors, estimate
+            errors = estimate
+            rounds.append(errors)
             _log.info("errors of ranges: %s +- %s", errors, np.sqrt(np.diagonal(covariance)))
-            first = first if turn else estimate
-            if (np.abs(last) <= _CONVERGED * np.abs(errors)).all():
+            if (np.abs(errors - rounds[-2]) <= _CONVERGED * np.abs(errors)).all():
                 break
         if (by_direction := self._by_direction(total, points))[1] > 0:
             return self._beside_others(total, errors, least, by_direction)
-        if (np.abs(last) > _FALLS * np.abs(first))[kept].any():
+        if (kept & ~range_errors.falls(np.stack(rounds))).any():
             text = "no error of the sensor explains what is left"
             left = replace(self._errors(errors, covariance, kept & False), problem=text)
             return self._uncertain(left, errors + change, covariance, total)
@@ -162,7 +161,9 @@ class _Measurement:
         """
         names = self.beams.names
         corrected = np.array([errors.values[name] if name in errors.corrected else 0.0 for name in names])
-        moment = range_uncertainty.moment(names, estimate, covariance, corrected)
+        moment = range_uncertainty.moment(
+            range_uncertainty.usual(self.beams), estimate, covariance, corrected
+        )
         response = sum(self.responses.values(), range_uncertainty.none(self.size))
         return replace(
             errors,

@@ -43,9 +43,9 @@ class PoseResponse:
         rotation, place = world_from_scan[:, :3, :3], world_from_scan[:, :3, 3]
         place = place - place.mean(axis=0)
         turn, shift = (rotation @ moved[:, part] for part in (slice(3), slice(3, 6)))
-        common = turn.mean(axis=0)
-        turn, shift = turn - common, shift - shift.mean(axis=0)
-        shift = shift - np.cross(common.T[None], place[:, None], axis=2).transpose(0, 2, 1)
+        shift = shift - shift.mean(axis=0)
+        common = _common_turn(place, turn, shift)
+        turn, shift = turn - common, shift - _cross(common, place)
         square = float(np.sum(place**2))
         if square > 0:
             shift = shift - place[:, :, None] * (np.einsum("si,sik->k", place, shift) / square)
@@ -94,6 +94,22 @@ class PoseResponse:
             self.extent + other.extent,
             self.scans + other.scans,
         )
+
+
+def _common_turn(place: np.ndarray, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """(3, k): of all scans at places (S, 3) that turn (S, 3, k) and move (S, 3, k), world axes, about their mean.
+
+    By positions and orientations, an angle by what it moves a meter away (as `trajectory.align_for_errors`): where all
+    scans turn in their own frames, as by an error of elevation, positions are not turned.
+    """
+    squares = np.eye(3) * (np.sum(place**2) + len(place)) - place.T @ place
+    moments = np.cross(place[:, None], shift.transpose(0, 2, 1), axis=2).sum(axis=0).T
+    return np.asarray(np.linalg.solve(squares, moments + turn.sum(axis=0)))
+
+
+def _cross(turn: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """(S, 3, k): how places (S, 3) move by common turns (3, k)."""
+    return np.asarray(np.cross(turn.T[None], place[:, None], axis=2).transpose(0, 2, 1))
 
 
 def extent_of(world_from_scan: Poses) -> float:

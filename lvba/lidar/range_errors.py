@@ -3,7 +3,8 @@
 incidence: m, a surface is measured this much farther at grazing incidence than seen straight on
 offset: m, ranges are too long by this much
 brightness: m, a surface twice as bright as usual is measured this much farther than a usual one, and others in proportion
-elevation: rad, the beams of a sensor that turns go this much higher about its axis than it says
+elevation: rad, beams go this much higher about the axis of a sensor that turns, or the upright one of a sensor that looks
+    ahead, than it says
 distortion: ranges of a sensor that looks ahead are too long by this part 45 degrees off its axis, and in proportion to
     the squared tangent of the angle elsewhere, as those of depth cameras
 
@@ -49,6 +50,8 @@ CHANCE = 2e-9
 ones."""
 LEAST_M = 1e-3
 """And an error must move points by so much, root mean square: less is lost in the noise of usual sensors."""
+_FALLS = 0.3
+"""An error that is one falls to less than this part of itself once it is corrected."""
 _USUAL_COSINE = 2.0 / 3.0
 """Of incidence, where surfaces are not known yet."""
 _LEAST_COSINE = 0.2
@@ -70,6 +73,8 @@ class Beams:
 
     position: (3,) m, where they begin; axis: (3,), unit: the one it turns about, or looks along (`narrow`); None: neither
     is clear
+    up: (3,), unit, of a sensor that looks ahead: the axis that its elevations are about; None: it does not, or it is not
+    known
     usual: brightness of the usual surface, in the unit of the intensities; None: there are none
     plain: False: errors that do not depend on the beam's direction or its incidence are not looked for
     """
@@ -79,6 +84,7 @@ class Beams:
     narrow: bool
     usual: float | None = None
     plain: bool = True
+    up: np.ndarray | None = None
 
     @staticmethod
     def of(points: Iterable[np.ndarray], position: np.ndarray, axes: np.ndarray) -> "Beams":
@@ -88,7 +94,7 @@ class Beams:
         """
         seen = [directions(each, position)[0] for each in points if len(each)]
         if not seen:
-            return Beams(position, None, False)
+            return Beams(position=position, axis=None, narrow=False)
         local = np.concatenate(seen) @ axes
         mean, square = local.mean(axis=0), np.sort(np.mean(local**2, axis=0))
         length = float(np.linalg.norm(mean))
@@ -97,17 +103,24 @@ class Beams:
             nearest = int(np.argmax(np.abs(ahead)))
             if abs(ahead[nearest]) > _NEAR_AXIS:
                 ahead = np.sign(ahead[nearest]) * np.eye(3)[nearest]
-            return Beams(position, axes @ ahead, True)
+            return Beams(position=position, axis=axes @ ahead, narrow=True, up=axes @ _upright(ahead))
         if square[0] > _FLAT * square[1]:
-            return Beams(position, None, False)
-        return Beams(position, axes[:, int(np.argmin(np.mean(local**2, axis=0)))].copy(), False)
+            return Beams(position=position, axis=None, narrow=False)
+        axis = axes[:, int(np.argmin(np.mean(local**2, axis=0)))].copy()
+        return Beams(position=position, axis=axis, narrow=False)
 
     @property
     def names(self) -> tuple[str, ...]:
         """The errors that such a sensor may have."""
-        by_axis = () if self.axis is None else (DISTORTION if self.narrow else ELEVATION,)
+        ahead = (DISTORTION,) if self.narrow and self.axis is not None else ()
+        about = () if self.upright is None else (ELEVATION,)
         plain = (OFFSET,) if self.usual is None else (OFFSET, BRIGHTNESS)
-        return (INCIDENCE, *by_axis, *(plain if self.plain else ()))
+        return (INCIDENCE, *ahead, *about, *(plain if self.plain else ()))
+
+    @property
+    def upright(self) -> np.ndarray | None:
+        """(3,) float64, unit, scan frame: the axis that elevations are about; None: not known."""
+        return self.up if self.narrow else self.axis
 
     def shift(
         self, name: str, points: Vectors, cosine: np.ndarray, brighter: np.ndarray | None = None
@@ -124,13 +137,14 @@ class Beams:
             return -ray
         if name == BRIGHTNESS:
             return np.zeros(ray.shape) if brighter is None else np.asarray(-ray * brighter[:, None])
-        assert self.axis is not None
-        along = ray @ self.axis
         if name == DISTORTION:
-            ahead = np.maximum(along, math.sqrt(0.5))
+            assert self.axis is not None
+            ahead = np.maximum(ray @ self.axis, math.sqrt(0.5))
             return np.asarray(-ray * (length * (1 / ahead**2 - 1))[:, None])
+        assert self.upright is not None
+        along = ray @ self.upright
         across = np.maximum(np.sqrt(np.maximum(1 - along**2, 0.0)), 1e-3)
-        return np.asarray((self.axis - along[:, None] * ray) * (length / across)[:, None])
+        return np.asarray((self.upright - along[:, None] * ray) * (length / across)[:, None])
 
     def brighter(self, cosine: np.ndarray, intensity: np.ndarray | None) -> np.ndarray:
         """(N,) float64: by how many times the usual brightness surfaces are brighter than that; 0 where not known.
@@ -147,6 +161,12 @@ class Beams:
             return np.zeros(len(seen))
         relative = seen / self.usual
         return np.where(np.isfinite(relative), np.clip(relative, 0.0, _BRIGHTEST) - 1.0, 0.0)
+
+
+def _upright(ahead: np.ndarray) -> np.ndarray:
+    """(3,): the upright axis of a sensor that looks ahead (3,), both among its own: z, or, where it looks along z as
+    cameras do, -y."""
+    return np.array([0.0, -1.0, 0.0]) if abs(ahead[2]) > math.sqrt(0.5) else np.array([0.0, 0.0, 1.0])
 
 
 def brightness(intensity: np.ndarray, cosine: np.ndarray) -> np.ndarray:
@@ -249,6 +269,7 @@ class RangeErrors:
             "corrected": list(self.corrected),
             "noticed": list(self.noticed),
             "axis": self.beams.axis,
+            "up": self.beams.up,
             "narrow": self.beams.narrow,
             "sensor_position": self.beams.position,
             "usual_brightness": self.beams.usual,
@@ -261,13 +282,14 @@ class RangeErrors:
         if not facts or not facts.get("corrected"):
             return None
         try:
-            axis = None if facts["axis"] is None else np.array(facts["axis"], float).reshape(3)
+            axis, up = (_vector(facts.get(name)) for name in ("axis", "up"))
             usual = facts.get("usual_brightness")
             beams = Beams(
                 position=np.array(facts["sensor_position"], float).reshape(3),
                 axis=axis,
                 narrow=bool(facts["narrow"]),
                 usual=None if usual is None else float(usual),
+                up=up,
             )
             names = tuple(facts["corrected"])
             values = {name: float(facts["values"][name]) for name in names if name in beams.names}
@@ -276,6 +298,10 @@ class RangeErrors:
             )
         except (KeyError, TypeError, ValueError):
             return None
+
+
+def _vector(value: Any) -> np.ndarray | None:
+    return None if value is None else np.array(value, float).reshape(3)
 
 
 def sentence(name: str, value: float) -> str:
@@ -372,6 +398,15 @@ def significant(
         spread[out, :] = spread[:, out] = 0.0
         spread[out, out] = 1.0
     return kept, np.where(kept, off, 0.0)
+
+
+def falls(rounds: np.ndarray) -> np.ndarray:
+    """(k,) bool: which errors hardly change in the last round any more, beside what they first seemed to be.
+
+    rounds: (n, k) float64, as each round has them, zeros before the first one. Some only show once others are corrected.
+    """
+    first = rounds[(rounds != 0).argmax(axis=0), np.arange(rounds.shape[1])]
+    return np.asarray(np.abs(rounds[-1] - rounds[-2]) <= _FALLS * np.abs(first))
 
 
 def cosines_on_planes(view: View, beams: Beams) -> np.ndarray:

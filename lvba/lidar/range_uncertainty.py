@@ -26,6 +26,8 @@ USUAL = {
     INCIDENCE: 0.01, ELEVATION: math.radians(0.2), DISTORTION: 0.02, OFFSET: 0.01, BRIGHTNESS: 0.01
 }  # fmt: skip
 """What errors of sensors usually are, one standard deviation: planes that tell nothing of one say no more of it."""
+_USUAL_ELEVATION_AHEAD = math.radians(0.1)
+"""Of a sensor that looks ahead: data sheets of LiDARs with prisms promise as much. One that turns may be off by 0.2."""
 _NOT_KNOWN = 1e6
 """Times the usual variance that stands for an infinite one."""
 _THINNED = 8
@@ -77,18 +79,25 @@ def response(view: View, beams: Beams, brighter: np.ndarray | None) -> Response:
     return total
 
 
+def usual(beams: Beams) -> np.ndarray:
+    """(k,) float64: what the errors `beams.names` usually are, one standard deviation, in m, rad or as a part."""
+    known = USUAL | ({ELEVATION: _USUAL_ELEVATION_AHEAD} if beams.narrow else {})
+    return np.array([known[name] for name in beams.names])
+
+
 def moment(
-    names: tuple[str, ...], estimate: np.ndarray, covariance: np.ndarray, corrected: np.ndarray
+    usual: np.ndarray, estimate: np.ndarray, covariance: np.ndarray, corrected: np.ndarray
 ) -> np.ndarray:
     """(k, k) float64: second moments of what is left of errors.
 
+    usual: (k,) float64, what each usually is, one standard deviation
     estimate, covariance: (k,) and (k, k) float64, as the planes have them together
     corrected: (k,) float64, what is taken out of the points
-    Posterior of a normal prior, `USUAL` about zero: its variance, and what its mean is off the correction beyond that.
+    Posterior of a normal prior, `usual` about zero: its variance, and what its mean is off the correction beyond that.
     """
-    usual = np.diag(np.square([USUAL[name] for name in names]))
-    known = np.where(np.isfinite(covariance), covariance, _NOT_KNOWN * usual)
-    gain = np.linalg.solve(usual + known, usual).T
+    prior = np.diag(np.square(usual))
+    known = np.where(np.isfinite(covariance), covariance, _NOT_KNOWN * prior)
+    gain = np.linalg.solve(prior + known, prior).T
     left, spread = gain @ estimate - corrected, gain @ known
     # chance alone makes that mean as large as its deviations say, and these count already
     chance = len(left) / max(float(left @ np.linalg.solve(spread, left)), 1e-12)

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from lvba.blocks import decoded, range_errors, scan_errors, scan_windows, split
+from lvba.blocks import decoded, scan_errors, scan_windows, split
 from lvba.blocks.split import SplitConfig
 from lvba.geometry import closest_rotation
 from lvba.io import dataset as recordings
@@ -77,6 +77,7 @@ def error(dataset, errors=None):
         ("spinning", 6000, "elevation_bias", 0.3, "elevation", math.radians(0.3)),
         ("spinning", 10000, "incidence_bias", 0.03, "incidence", 0.03),
         ("non_repetitive", 6000, "depth_distortion", 0.02, "distortion", 0.02),
+        ("non_repetitive", 6000, "elevation_bias", 0.3, "elevation", math.radians(0.3)),
     ],
 )
 def test_an_error_is_found_and_taken_out(recorded, lidar, points, disturbance, value, name, expected):
@@ -90,7 +91,8 @@ def test_an_error_is_found_and_taken_out(recorded, lidar, points, disturbance, v
     )
     best = recorded.clean_error(lidar, points)
     before, after = error(dataset), error(dataset, errors)
-    assert before.ate_m > 2 * best.ate_m
+    # beams of a sensor that looks ahead that go higher turn its scans, and hardly move them
+    assert max(before.ate_m / best.ate_m, before.rotation_deg / best.rotation_deg) > 2
     assert after.ate_m < 1.6 * best.ate_m
     assert after.rotation_deg < 1.6 * best.rotation_deg + 0.01
 
@@ -206,7 +208,7 @@ def test_an_error_that_no_sensor_has_is_not_corrected(recorded):
 def test_what_no_error_explains_is_promised_as_far_as_errors_were_seen(recorded, monkeypatch):
     """The same where rounds do not end: errors are known too little to be taken out, and stay."""
     dataset = recorded.made("spinning", 6000, incidence_bias=0.03)
-    monkeypatch.setattr(range_errors, "_FALLS", 0.0)
+    monkeypatch.setattr("lvba.lidar.range_errors._FALLS", 0.0)
     errors = scan_errors.measure(dataset, LidarConfig())
     assert errors.ranges.problem
     assert not errors.corrected

@@ -76,3 +76,16 @@ def test_numbers_are_taken_apart():
     part = whole.of_numbers(slice(1, 3))
     assert part.by(np.eye(2), 7.0) == pytest.approx(only.by(np.eye(2), 7.0))
     assert part.by(np.eye(2), 7.0)[0] < whole.by(np.eye(3), 7.0)[0]
+
+
+def test_a_turn_of_all_scans_in_their_own_frames_is_one_and_moves_no_scan():
+    """As by beams that go higher than the sensor says: along a street as well as round a corner."""
+    for heading in (np.zeros(40), np.linspace(0, 1.5, 40)):
+        poses = np.tile(np.eye(4), (40, 1, 1))
+        poses[:, :3, :3] = Rotation.from_euler("z", heading[:, None]).as_matrix()
+        poses[1:, :3, 3] = np.cumsum(poses[:-1, :3, 0], axis=0)
+        tangent = np.zeros((40, 6, 1))
+        tangent[:, 1] = 2e-3
+        turn, shift = PoseResponse.of(tangent, poses).by(np.eye(1), extent_of(poses))
+        assert turn == pytest.approx(2e-3, rel=0.02)
+        assert shift < 0.01 * turn * extent_of(poses)

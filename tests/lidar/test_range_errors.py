@@ -2,6 +2,7 @@
 
 import itertools
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ from lvba.lidar.scan_motion import MotionLeft
 from lvba.steps import report_data
 from lvba.steps.lidar import with_errors
 
-AHEAD = Beams(np.array([0.1, -0.2, 0.3]), np.array([1.0, 0.0, 0.0]), True)
+AHEAD = Beams(np.array([0.1, -0.2, 0.3]), np.array([1.0, 0.0, 0.0]), True, up=np.array([0.0, 0.0, 1.0]))
 AROUND = Beams(np.array([0.1, -0.2, 0.3]), np.array([0.0, 0.0, 1.0]), False)
 MATT = Beams(np.array([0.1, -0.2, 0.3]), np.array([0.0, 0.0, 1.0]), False, usual=40.0)
 NORMALS = np.linalg.qr(np.random.default_rng(1).normal(size=(6, 3, 3)))[0][:, :, 0]
@@ -100,6 +101,7 @@ def room(beams, errors, seed=0, noise=0.0, bright=None):
         (AROUND, INCIDENCE, 0.02),
         (AROUND, ELEVATION, 0.005),
         (AHEAD, DISTORTION, 0.02),
+        (AHEAD, ELEVATION, 0.005),
         (AROUND, OFFSET, 0.02),
         (MATT, BRIGHTNESS, 0.02),
     ],
@@ -153,18 +155,20 @@ def test_derivatives_against_differences(beams):
     [
         (AROUND, {INCIDENCE: 0.01, ELEVATION: 0.002}),
         (AHEAD, {INCIDENCE: -0.01, DISTORTION: 0.004}),
+        (AHEAD, {ELEVATION: 0.004}),
         (AROUND, {}),
     ],
 )
 def test_errors_are_found_within_their_deviations(beams, errors):
     view = room(beams, errors, noise=0.01)
-    known = scan_evidence.evidence(view, range_errors.by_errors(beams), 3)
+    known = scan_evidence.evidence(view, range_errors.by_errors(beams), len(beams.names))
     expected = np.array([errors.get(name, 0.0) for name in beams.names])
     # the change is linear: errors turn with themselves by up to some percent
     assert (np.abs(known.change - expected) < 4 * known.sigma + 0.05 * np.abs(expected)).all()
     # seen by a sensor that looks ahead, an offset is much like incidence
-    like = 2e-2 if beams.narrow else 5e-3
-    assert (known.sigma < [like, 5e-4, like]).all()
+    like, angle = (4e-2, 1e-3) if beams.narrow else (5e-3, 5e-4)
+    most = {INCIDENCE: like, DISTORTION: angle, ELEVATION: angle, OFFSET: like}
+    assert (known.sigma < [most[name] for name in beams.names]).all()
 
 
 @pytest.mark.parametrize("errors", [{}, {BRIGHTNESS: 0.01, OFFSET: -0.004}, {INCIDENCE: 0.01}])
@@ -246,15 +250,26 @@ def test_beams_are_known_by_where_points_are():
     assert spinning.names == (INCIDENCE, ELEVATION, OFFSET)
     np.testing.assert_allclose(np.abs(spinning.axis @ axes[:, 2]), 1.0)
     camera = Beams.of([ahead @ axes.T + position], position, axes)
-    assert camera.names == (INCIDENCE, DISTORTION, OFFSET)
+    assert camera.names == (INCIDENCE, DISTORTION, ELEVATION, OFFSET)
     np.testing.assert_allclose(camera.axis, axes[:, 0], atol=1e-12)
+    np.testing.assert_allclose(camera.up, axes[:, 2], atol=1e-12)
+    optical = Beams.of([ahead[:, [1, 2, 0]] @ axes.T + position], position, axes)
+    np.testing.assert_allclose(optical.axis, axes[:, 2], atol=1e-12)
+    np.testing.assert_allclose(optical.up, -axes[:, 1], atol=1e-12)
     assert Beams.of([rng.normal(size=(900, 3))], np.zeros(3), np.eye(3)).names == (INCIDENCE, OFFSET)
     assert Beams.of([], np.zeros(3), np.eye(3)).axis is None
 
 
-def test_facts_bring_errors_back():
+def test_what_shows_late_falls_from_where_it_was_first_seen():
+    rounds = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 3.0], [4.5, 2.0, 0.0], [4.6, 2.4, 2.0]])
+    assert range_errors.falls(rounds).tolist() == [True, True, False]
+    assert range_errors.falls(rounds[:2]).tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("beams", [MATT, replace(AHEAD, usual=40.0)])
+def test_facts_bring_errors_back(beams):
     values = {INCIDENCE: 0.002, ELEVATION: 0.003, BRIGHTNESS: 0.004}
-    ranges = RangeErrors(MATT, values, {ELEVATION: 1e-4}, (ELEVATION, BRIGHTNESS))
+    ranges = RangeErrors(beams, values, {ELEVATION: 1e-4}, (ELEVATION, BRIGHTNESS))
     clock = PointClock(1.0, 0.1, -0.1, True)
     motion = MotionLeft(clock=clock, part=0.5, sigma=1e-3, motion=np.ones((2, 6)))
     errors = ScanErrors(ranges, motion)
@@ -293,15 +308,20 @@ def test_how_far_poses_go_by_a_number_that_is_not_known_of():
         return np.where(points.scan == 3, points.normal @ upward[3], 0.0)[:, None]
 
     turn, shift = scan_evidence.evidence(view, by_shared, 1).poses.by(np.eye(1), 0.0)
-    # of eight scans, about their mean and without a common scale
+    # of eight scans, about their mean, without a common turn, of which an angle counts by what it moves a meter away,
+    # and without a common scale
     place = view.world_from_scan[:, :3, 3] - view.world_from_scan[:, :3, 3].mean(axis=0)
     moved = np.zeros((8, 3))
     moved[3, 2] = 1.0
     moved -= moved.mean(axis=0)
+    by_turn = np.cross(np.eye(3)[None], place[:, None]).transpose(0, 2, 1)
+    turns = np.concatenate([by_turn.reshape(24, 3), np.tile(np.eye(3), (8, 1))])
+    common = np.linalg.lstsq(turns, np.r_[moved.ravel(), np.zeros(24)])[0]
+    moved -= by_turn @ common
     moved -= place * np.sum(place * moved) / np.sum(place**2)
     assert shift == pytest.approx(np.sqrt(np.sum(moved**2) / 8), rel=0.03)
-    assert 0.9 * np.sqrt(7) / 8 < shift < np.sqrt(7) / 8
-    assert turn < 1e-3
+    assert 0.7 * np.sqrt(7) / 8 < shift < np.sqrt(7) / 8
+    assert turn == pytest.approx(np.linalg.norm(common), rel=0.03)
     assert scan_evidence.nothing(1).poses.by(np.eye(1), 5.0) == (0.0, 0.0)
 
 

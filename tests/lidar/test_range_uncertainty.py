@@ -1,10 +1,12 @@
 """What errors of the range sensor may be, and what that makes of points, against definitions and samples."""
 
+import math
+
 import numpy as np
 import pytest
 
 from lvba.lidar import range_uncertainty, scan_evidence
-from lvba.lidar.range_errors import INCIDENCE, OFFSET, by_errors, cosines_on_planes
+from lvba.lidar.range_errors import DISTORTION, ELEVATION, INCIDENCE, OFFSET, by_errors, cosines_on_planes
 from lvba.lidar.range_uncertainty import USUAL, Response
 from tests.lidar.test_range_errors import AHEAD, AROUND, room
 
@@ -13,7 +15,7 @@ from tests.lidar.test_range_errors import AHEAD, AROUND, room
 def test_points_are_off_by_as_much_as_correcting_an_error_moves_them(beams):
     """All points, along the normals of their planes."""
     view = room(beams, {}, noise=0.01)
-    errors = dict(zip(beams.names, [0.004, 0.0002, -0.003], strict=True))
+    errors = dict(zip(beams.names, [0.004, 0.0002, 0.0003, -0.003][-len(beams.names) :], strict=True))
     cosine = cosines_on_planes(view, beams)
     points = view.scans.points.astype(float)
     moved = sum(value * beams.shift(name, points, cosine) for name, value in errors.items())
@@ -49,23 +51,31 @@ def test_what_is_left_of_errors_is_their_posterior_about_the_correction():
     known = np.cov(true[near].T)
     beyond = 1 - 2 / (off @ np.linalg.solve(known, off))
     assert 0 < beyond < 1
-    moment = range_uncertainty.moment(names, estimate, spread, corrected)
+    moment = range_uncertainty.moment(np.array([USUAL[name] for name in names]), estimate, spread, corrected)
     np.testing.assert_allclose(moment, known + beyond * np.outer(off, off), rtol=0.1, atol=2e-6)
 
 
 def test_errors_that_no_plane_tells_of_are_as_large_as_usual():
-    names = AROUND.names
-    unknown = np.diag(np.full(len(names), np.inf))
-    moment = range_uncertainty.moment(names, np.zeros(len(names)), unknown, np.zeros(len(names)))
-    expected = np.diag([USUAL[name] ** 2 for name in names])
+    usual = range_uncertainty.usual(AROUND)
+    assert usual.tolist() == [USUAL[name] for name in AROUND.names]
+    unknown = np.diag(np.full(len(usual), np.inf))
+    moment = range_uncertainty.moment(usual, np.zeros(len(usual)), unknown, np.zeros(len(usual)))
+    expected = np.diag(usual**2)
     np.testing.assert_allclose(moment, expected, rtol=1e-5, atol=1e-12)
 
 
+def test_elevations_of_a_sensor_that_looks_ahead_are_as_good_as_data_sheets_say():
+    ahead = dict(zip(AHEAD.names, range_uncertainty.usual(AHEAD), strict=True))
+    expected = USUAL | {ELEVATION: math.radians(0.1)}
+    assert ahead == {name: expected[name] for name in AHEAD.names}
+    assert {ELEVATION, DISTORTION} <= set(ahead)
+
+
 def test_an_error_that_is_well_known_leaves_nothing_of_its_usual_size():
-    names = (INCIDENCE, OFFSET)
-    moment = range_uncertainty.moment(names, np.array([0.02, 0.0]), 1e-8 * np.eye(2), np.array([0.02, 0.0]))
+    usual = np.array([USUAL[INCIDENCE], USUAL[OFFSET]])
+    moment = range_uncertainty.moment(usual, np.array([0.02, 0.0]), 1e-8 * np.eye(2), np.array([0.02, 0.0]))
     assert np.sqrt(np.diagonal(moment)) == pytest.approx(1e-4, rel=0.01)
-    kept = range_uncertainty.moment(names, np.array([0.02, 0.0]), 1e-8 * np.eye(2), np.zeros(2))
+    kept = range_uncertainty.moment(usual, np.array([0.02, 0.0]), 1e-8 * np.eye(2), np.zeros(2))
     assert np.sqrt(kept[0, 0]) == pytest.approx(0.02, rel=0.01)
 
 
@@ -78,7 +88,9 @@ def test_planes_off_by_an_error_are_as_far_off_as_is_said():
         view = room(AROUND, error, seed=seed, noise=0.02)
         known = scan_evidence.evidence(view, by_errors(AROUND), 3)
         none = np.zeros(3)
-        moment = range_uncertainty.moment(AROUND.names, known.change, known.covariance, none)
+        moment = range_uncertainty.moment(
+            range_uncertainty.usual(AROUND), known.change, known.covariance, none
+        )
         truth = np.array([error.get(name, 0.0) for name in AROUND.names])
         response = range_uncertainty.response(view, AROUND, None)
         ratios.append(response.off(np.outer(truth, truth))[1] / response.off(moment)[1])
