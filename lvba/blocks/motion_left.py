@@ -126,7 +126,7 @@ class _Measurement:
         change, sigma = float(evidence.change[0]), float(evidence.sigma[0])
         if not abs(change) >= max(_LEAST, _SUSPECT * sigma):
             return self._nothing(change, sigma)
-        sampled = [each.corrected(self.ranges) for each in scan_windows.sampled(self.dataset)]
+        sampled = [each.corrected(self.ranges) for each in scan_windows.sampled(self.dataset, self.config)]
         part, twists, changes = change, None, [change]
         for turn in range(_ROUNDS):
             self.progress("motion left in scans", turn, _ROUNDS)
@@ -145,8 +145,11 @@ class _Measurement:
     def _of_windows(
         self, windows: list[Window], part: float, twists: list[np.ndarray] | None
     ) -> tuple[ScanEvidence, list[np.ndarray]]:
-        """What windows tell together, and their twists at the poses found. twists: None: of the rough poses"""
-        twists = twists or [self._rough_twists(window) for window in windows]
+        """What windows tell together, and their twists at the poses found.
+
+        twists: None: of the poses that windows begin with
+        """
+        twists = twists or [self._first_twists(window) for window in windows]
         pairs = [self._evidence(*each) for each in zip(windows, [part] * len(windows), twists, strict=True)]
         evidence = sum((each for each, _ in pairs), nothing(1))
         _log.info("motion left: %.4f and %.5f more, +- %.5f", part, evidence.change[0], evidence.sigma[0])
@@ -183,7 +186,7 @@ class _Measurement:
         motion, deviation, covariance = np.zeros((count, 6)), np.zeros((count, 12)), np.zeros((count, 6, 6))
         for number, core in enumerate(windows):
             self.progress("motion during scans", number, len(windows))
-            window = corrected.get(core) or Window.of(self.dataset, core).corrected(self.ranges)
+            window = corrected.get(core) or Window.of(self.dataset, core, self.config).corrected(self.ranges)
             own, inside = slice(*core), window.core
             path = self._of_path(part, window)
             motion[own] = path[inside]
@@ -192,9 +195,9 @@ class _Measurement:
 
     def _of_path(self, part: float, window: Window) -> np.ndarray:
         """(n, 6), rad/s and m/s: that part of the motion of the path through the scans of a window."""
-        rough = self._rough_twists(window)
-        solved = self._solved(window, part * rough)
-        return part * (rough if solved is None else self._twists(window, solved.result.world_from_scan))
+        first = self._first_twists(window)
+        solved = self._solved(window, part * first)
+        return part * (first if solved is None else self._twists(window, solved.result.world_from_scan))
 
     def _wider(self, part: float, window: Window) -> np.ndarray:
         """(n, 2) rad/s and m/s, as of `scan_motion.most_likely`: of the first and the last scan of the recording."""
@@ -244,13 +247,13 @@ class _Measurement:
         times = self.dataset.scans.times[window.numbers]
         sizes = [
             path_motion.unpredicted(times, poses, self.clock)
-            for poses in (window.rough(self.dataset), self._latest(window))
+            for poses in (window.begin, self._latest(window))
         ]
         return np.asarray(_PLAUSIBLE * np.min(sizes, axis=0))
 
     def _latest(self, window: Window) -> Poses:
-        """(n, 4, 4), of a window's scans, as they were found last; the rough ones before that."""
-        return self.poses.get(tuple(window.numbers.tolist()), window.rough(self.dataset))
+        """(n, 4, 4), of a window's scans, as they were found last; those it begins with before that."""
+        return self.poses.get(tuple(window.numbers.tolist()), window.begin)
 
     def _evidence(self, window: Window, part: float, twist: np.ndarray) -> tuple[ScanEvidence, np.ndarray]:
         """Of a window, and its twists at the poses found."""
@@ -297,8 +300,8 @@ class _Measurement:
         """(n, 6), rad/s and m/s, scan frames: mean motion during the sweeps, by poses (n, 4, 4)."""
         return path_motion.sweep_twists(self.dataset.scans.times[window.numbers], world_from_scan, self.clock)
 
-    def _rough_twists(self, window: Window) -> np.ndarray:
-        return self._twists(window, window.rough(self.dataset))
+    def _first_twists(self, window: Window) -> np.ndarray:
+        return self._twists(window, window.begin)
 
 
 def point_times_of(window: Window, stamps: Times, clock: PointClock | RowClock) -> list[np.ndarray]:

@@ -111,7 +111,7 @@ class _Measurement:
         kept, _ = self._significant(estimate, covariance, least, _SUSPECT)
         if not kept.any() and total.chance(self.others) > _SUSPECT:
             return self._uncertain(self._errors(estimate, covariance, kept), estimate, covariance, own)
-        return self._closer(scan_windows.sampled(self.dataset), least, together)
+        return self._closer(scan_windows.sampled(self.dataset, self.config), least, together)
 
     def _closer(self, windows: list[Window], least: np.ndarray, points: np.ndarray) -> RangeErrors:
         errors = np.zeros(self.size)

@@ -13,6 +13,7 @@ from lvba.lidar import bundle_adjustment
 from lvba.lidar.bundle_adjustment import Aligned
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.range_errors import RangeErrors
+from lvba.loop_closure import rough_motions, rough_poses
 from lvba.parallel import in_order
 
 _CORE, _MARGIN, SAMPLED = 24, 4, 2
@@ -31,31 +32,42 @@ def cores(count: int) -> list[tuple[int, int]]:
 
 
 def probes(dataset: Dataset) -> list["Window"]:
-    """Few scans about some places of a recording; one window where these are the same, for they tell no more twice."""
+    """Few scans about some places of a recording; one window where these are the same, for they tell no more twice.
+
+    They begin at the rough poses, whatever surfaces say: a closer look does not, and asking surfaces takes half as long
+    as all that clean probes are for.
+    """
     places = (np.arange(SAMPLED) + 1) / (SAMPLED + 1)
     windows = {tuple(numbers.tolist()): numbers for numbers in (_about(dataset, place) for place in places)}
-    return _windows(dataset, [(each, slice(0, len(each))) for each in windows.values()], _PROBE_POINTS)
+    parts = [(each, slice(0, len(each))) for each in windows.values()]
+    return _windows(dataset, parts, _PROBE_POINTS, None)
 
 
-def sampled(dataset: Dataset) -> list["Window"]:
+def sampled(dataset: Dataset, config: LidarConfig) -> list["Window"]:
     """Some of the windows that share all scans."""
     every = cores(len(dataset.scan_paths))
     chosen = np.unique(np.linspace(0, len(every) - 1, SAMPLED + 2)[1:-1].astype(int))
-    return _windows(dataset, [_with_margin(dataset, every[number]) for number in chosen], _MOST_POINTS)
+    parts = [_with_margin(dataset, every[number]) for number in chosen]
+    return _windows(dataset, parts, _MOST_POINTS, config)
 
 
 @dataclass(frozen=True)
 class Window:
-    """Some scans of a recording, thinned. numbers: (n,), ascending; core: those that no other window has, in numbers"""
+    """Some scans of a recording, thinned.
+
+    numbers: (n,), ascending; core: those that no other window has, in numbers
+    begin: (n, 4, 4) float64, the rough poses, or, where surfaces contradict these, poses that surfaces agree with
+    """
 
     numbers: np.ndarray
     core: slice
     scans: list[Scan]
+    begin: np.ndarray
 
     @staticmethod
-    def of(dataset: Dataset, core: tuple[int, int]) -> "Window":
+    def of(dataset: Dataset, core: tuple[int, int], config: LidarConfig) -> "Window":
         """Successive scans with a margin on either side."""
-        return _windows(dataset, [_with_margin(dataset, core)], _MOST_POINTS)[0]
+        return _windows(dataset, [_with_margin(dataset, core)], _MOST_POINTS, config)[0]
 
     @property
     def own(self) -> tuple[int, int]:
@@ -88,17 +100,13 @@ class Window:
         try:
             return bundle_adjustment.align(
                 points,
-                self.rough(dataset),
+                self.begin,
                 start,
                 sensor_position=dataset.sensor_position_scan,
                 config=config,
             )
         except DegenerateProblemError:
             return None
-
-    def rough(self, dataset: Dataset) -> Poses:
-        """(n, 4, 4), of its scans."""
-        return np.asarray(dataset.scans.world_from_sensor[self.numbers])
 
 
 def _with_margin(dataset: Dataset, core: tuple[int, int]) -> tuple[np.ndarray, slice]:
@@ -116,11 +124,35 @@ def _about(dataset: Dataset, place: float) -> np.ndarray:
     return np.arange(first, min(first + _PROBE * step, count), step)
 
 
-def _windows(dataset: Dataset, parts: list[tuple[np.ndarray, slice]], most: int) -> list[Window]:
-    """Windows of such numbers and cores; a scan that several have is read once."""
+def _windows(
+    dataset: Dataset, parts: list[tuple[np.ndarray, slice]], most: int, config: LidarConfig | None
+) -> list[Window]:
+    """Windows of such numbers and cores; a scan that several have is read once.
+
+    config: None: they begin at the rough poses
+    """
     numbers = np.unique(np.concatenate([each for each, _ in parts])).tolist()
     scans = dict(zip(numbers, _thinned(dataset, numbers, most), strict=True))
-    return [Window(each, core, [scans[number] for number in each.tolist()]) for each, core in parts]
+    windows = []
+    for each, core in parts:
+        own = [scans[number] for number in each.tolist()]
+        windows.append(Window(each, core, own, _begin(dataset, each, own, config)))
+    return windows
+
+
+def _begin(
+    dataset: Dataset, numbers: np.ndarray, scans: list[Scan], config: LidarConfig | None
+) -> np.ndarray:
+    """(n, 4, 4), as `Window.begin`: beside a jump of a meter that stays, a window would tell of errors and of motion that
+    are none."""
+    rough, sensor = dataset.scans.world_from_sensor[numbers], dataset.sensor_position_scan
+    if config is None:
+        return np.asarray(rough)
+    points = [scan.points for scan in scans]
+    surfels = rough_poses.surfels_of(points, sensor)
+    if not len(rough_motions.contradicted(surfels, rough)):
+        return np.asarray(rough)
+    return rough_poses.start(points, surfels, rough, sensor_position=sensor, config=config).world_from_scan
 
 
 def _thinned(dataset: Dataset, numbers: list[int], most: int) -> list[Scan]:

@@ -224,7 +224,7 @@ def _by_chance(
     if disturb.range_noise:
         distance = distance + rng.normal(0, disturb.range_noise, count)
     if leafy is not None:
-        inside = (echoes.surface >= 0) & leafy[echoes.surface]
+        inside = np.where(echoes.surface >= 0, leafy[np.maximum(echoes.surface, 0)], False)
         distance = distance + inside * rng.exponential(disturb.foliage, count)
     if disturb.rain:
         drop = rng.random(count) < disturb.rain

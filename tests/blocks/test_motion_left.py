@@ -95,6 +95,17 @@ def test_what_is_left_is_found_and_taken_out(recording, found):
     assert (np.linalg.eigvalsh(told.step - result.step_covariance) > -1e-12).all()
 
 
+def test_a_jump_of_the_rough_poses_is_no_motion(recording, found):
+    """Within a window: the scans beside a jump of a meter were moved as if the sensor had jumped with them."""
+    dataset = recording["left"]
+    rough = dataset.scans.world_from_sensor.copy()
+    rough[18:, :3, 3] += [0.3, -0.5, 0.8]
+    jumping = measured(replace(dataset, scans=Trajectory(dataset.scans.times, rough)))
+    assert jumping.part == pytest.approx(found.part, abs=5e-3)
+    np.testing.assert_allclose(jumping.motion[:, 3:], found.motion[:, 3:], atol=0.03)
+    np.testing.assert_allclose(jumping.motion[:, :3], found.motion[:, :3], atol=0.01)
+
+
 def test_deskewed_scans_keep_their_bytes(recording):
     dataset = recording["clean"]
     motion = measured(dataset)

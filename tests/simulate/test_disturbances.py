@@ -276,6 +276,13 @@ def test_leaves_are_entered_and_rain_is_nearer():
     assert np.mean(wet < clean - 0.05) == pytest.approx(0.2, rel=0.15)
 
 
+def test_people_have_no_leaves(tmp_path):
+    """In a corridor of fewer surfaces than people, in which numbers of people count from the end."""
+    disturb = Disturbances(people=10, foliage=0.2)
+    simulate("corridor", tmp_path, disturb=disturb, **{**SMALL, "frames": 2, "scans": 6, "length": 8.0})
+    assert len(open_dataset(tmp_path).scan_paths) == 6
+
+
 @pytest.mark.parametrize("pattern", ["spinning", "non_repetitive"])
 def test_motion_left_in_a_scan_can_be_undone_by_the_times_of_its_points(tmp_path, pattern):
     """With nothing deskewed, the true motion puts the points where those of a scan are of which all is deskewed."""
