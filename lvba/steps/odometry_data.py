@@ -20,8 +20,9 @@ def of_odometry(
 
     accepted: what is in use; lidar, visual: what was found
     """
-    rough = trajectory_jumps.find(dataset.scans)
-    rough = rough.without(_confirmed(dataset.scans.world_from_sensor, lidar))
+    poses = dataset.scans.world_from_sensor
+    rough = trajectory_jumps.find(dataset.scans).without(_confirmed(poses, lidar))
+    rough = rough.without(_kept(poses, accepted, _seen(dataset, accepted, visual)))
     surfaces = _confirmed(accepted.world_from_scan, lidar)
     return {
         "jumps_after": rough.after,
@@ -39,7 +40,7 @@ def _too_far_off(
 
     A motion of the first or last scan alone concerns no other one.
     """
-    confirmed = _tied(dataset, accepted, visual, trajectory_jumps.CONFIRMED_M, trajectory_jumps.CONFIRMED_DEG)
+    confirmed = _seen(dataset, accepted, visual)
     by_images = np.intersect1d(error.open_after, confirmed)
     left_open, last = np.setdiff1d(error.open_after, by_images), len(dataset.scans) - 1
     ends = [end for end, after in ((0, 0), (last, last - 1)) if after in left_open]
@@ -56,6 +57,17 @@ def _confirmed(world_from_scan: Poses, lidar: LidarStage) -> np.ndarray:
         return np.zeros(0, np.int64)
     other = trajectory_jumps.differ(lidar.result.world_from_scan, world_from_scan)
     return np.asarray(lidar.confirmed[~other[lidar.confirmed]])
+
+
+def _kept(rough: Poses, accepted: Accepted, confirmed: np.ndarray) -> np.ndarray:
+    """(J,) int64, of the scans after which images confirm the motion in use, (K,) int64, those after which rough poses
+    (S, 4, 4) have it already: a sensor that turns round a corner between sparse scans goes on unlike before and after."""
+    return np.asarray(confirmed[~trajectory_jumps.differ(accepted.world_from_scan, rough)[confirmed]])
+
+
+def _seen(dataset: Dataset, accepted: Accepted, visual: VisualStage) -> np.ndarray:
+    """(K,) int64, scans after which images confirm the motion in use."""
+    return _tied(dataset, accepted, visual, trajectory_jumps.CONFIRMED_M, trajectory_jumps.CONFIRMED_DEG)
 
 
 def _tied(

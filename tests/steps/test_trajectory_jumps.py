@@ -150,6 +150,26 @@ def test_a_jump_that_images_of_one_group_agree_with_is_tied():
     assert odometry(jumped, true, true, [], right) == ([12], [12])
 
 
+def test_a_fast_motion_that_images_confirm_is_no_jump_of_the_rough_poses():
+    times = np.arange(30) / 10
+    true = drive(times)
+    jump = np.eye(4)
+    jump[:2, 3] = 0.9, 0.4
+    fast = np.concatenate([true[:13], jump @ true[13:]])
+    one, two = np.zeros(30, int), np.repeat([3, 5], [13, 17])
+    assert odometry(fast, fast, fast, [], seen(times, fast, one)) == ([], [])
+    assert odometry(fast, fast, fast, [], seen(times, fast, two)) == ([12], [12])
+    # 5 cm from where images have it, it may be anything
+    aside = np.eye(4)
+    aside[1, 3] = 0.05
+    assert odometry(
+        fast, fast, fast, [], seen(times, np.concatenate([true[:13], aside @ fast[13:]]), one)
+    ) == ([12], [])
+    # a jump of the rough poses that was mended is one
+    assert odometry(true, fast, fast, [], seen(times, fast, one)) == ([], [])
+    assert odometry(fast, true, true, [], seen(times, true, one)) == ([12], [])
+
+
 def test_images_of_one_group_confirm_motions_that_surfaces_leave_open():
     times = np.arange(30) / 10
     true = drive(times)
