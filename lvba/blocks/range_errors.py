@@ -79,6 +79,8 @@ class _Measurement:
     cosines: of each window, of its points on planes; poses: of its scans, in the round before
     depths: of each window, as `beam_depth.Depths.squares`; responses: of each, of its points to errors
     poses_by_depth: as of `RangeErrors.poses_off`, by that
+    by_grazing: (k,) float64, of the round before: how errors would move by a range that is too long on surfaces met at
+        grazing angles
     """
 
     dataset: Dataset
@@ -91,6 +93,7 @@ class _Measurement:
     depths: dict[int, np.ndarray] = field(default_factory=dict)
     responses: dict[int, Response] = field(default_factory=dict)
     poses_by_depth: tuple[float, float] = (0.0, 0.0)
+    by_grazing: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def of(self, probes: list[Window]) -> RangeErrors:
         """By some windows; only where they tell of an error, by larger ones."""
@@ -138,6 +141,7 @@ class _Measurement:
                 break
         if (by_direction := self._by_direction(total, points))[1] > 0:
             return self._beside_others(total, errors, least, by_direction)
+        covariance = covariance + self._of_grazing(errors)
         if (kept & ~range_errors.falls(np.stack(rounds))).any():
             text = "no error of the sensor explains what is left"
             left = replace(self._errors(errors, covariance, kept & False), problem=text)
@@ -249,6 +253,13 @@ class _Measurement:
         off = float(np.sqrt(np.mean((part * length) ** 2)))
         return (float(np.sqrt(np.mean(part**2))), off) if off > range_errors.LEAST_M else (0.0, 0.0)
 
+    def _of_grazing(self, errors: np.ndarray) -> np.ndarray:
+        """(k, k): what it adds to the covariance of the errors (k,) that nobody knows how bright surfaces are that are
+        met at grazing angles, where ranges depend on that."""
+        value = dict(zip(self.beams.names, errors, strict=True)).get(range_errors.BRIGHTNESS, 0.0)
+        moved = range_uncertainty.GRAZING * value * self.by_grazing
+        return np.outer(moved, moved)
+
     def _likely(self, total: ScanEvidence) -> np.ndarray:
         """The shared numbers, of which only what else depends on the direction of a beam is not zero."""
         numbers = np.zeros(self.others.stop)
@@ -276,9 +287,11 @@ class _Measurement:
 
     def _total(self, windows: list[Window], errors: np.ndarray) -> ScanEvidence:
         """What windows tell of all shared numbers, their points corrected by some errors (k,)."""
-        total = scan_evidence.nothing(self.others.stop)
+        every = scan_evidence.nothing(self.others.stop + 1)
         for number, window in enumerate(windows):
-            total += self._evidence(number, window, errors, len(total.gradient))
+            every += self._evidence(number, window, errors, len(every.gradient))
+        self.by_grazing = every.follows(self.own, self.others.stop)[: self.size]
+        total = every.of(slice(0, self.others.stop))
         by_depth = np.diag(np.eye(self.others.stop)[self.own.stop - 1])
         self.poses_by_depth = total.poses.by(by_depth, self._extent)
         return total
@@ -327,7 +340,7 @@ class _Measurement:
             tau = motion_left.point_times_of(window, stamps, self.clock)
             twist = path_motion.sweep_twists(stamps, result.world_from_scan, self.clock)
             terms.append(scan_motion.by_part(np.concatenate(tau), twist))
-        terms += [by_depth, range_errors.by_directions(self.beams)]
+        terms += [by_depth, range_errors.by_directions(self.beams), range_uncertainty.by_grazing(self.beams)]
 
         def derivative(points: OnPlanes) -> np.ndarray:
             return np.concatenate([each(points) for each in terms], axis=1)

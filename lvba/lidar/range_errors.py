@@ -54,8 +54,9 @@ _FALLS = 0.3
 """An error that is one falls to less than this part of itself once it is corrected."""
 _USUAL_COSINE = 2.0 / 3.0
 """Of incidence, where surfaces are not known yet."""
-_LEAST_COSINE = 0.2
-"""Of incidence, that intensities are divided by: what returns from surfaces met more grazing says little of them."""
+_LEAST_COSINE = 0.1
+"""Of incidence, that intensities are divided by: what returns from surfaces met more grazing says little of them. With
+0.2, a road far ahead seemed darker than it is, and beams .0035 degrees higher: a street of 240 m was bent by 15 mm."""
 _BRIGHTEST = 3.0
 """Times the usual brightness that a surface counts as at most: reflectors return a hundred times as much."""
 _VARIED = 0.05

@@ -20,7 +20,7 @@ from lvba.lidar.range_errors import (
     by_errors,
     directions,
 )
-from lvba.lidar.scan_evidence import OnPlanes, View
+from lvba.lidar.scan_evidence import ByShared, OnPlanes, View
 
 USUAL = {
     INCIDENCE: 0.01, ELEVATION: math.radians(0.2), DISTORTION: 0.02, OFFSET: 0.01, BRIGHTNESS: 0.01
@@ -30,6 +30,11 @@ _USUAL_ELEVATION_AHEAD = math.radians(0.1)
 """Of a sensor that looks ahead: data sheets of LiDARs with prisms promise as much. One that turns may be off by 0.2."""
 _NOT_KNOWN = 1e6
 """Times the usual variance that stands for an infinite one."""
+GRAZING = 0.5
+"""How much brighter or darker surfaces that are met at grazing angles may be than their intensities say, all together,
+one standard deviation, times the usual brightness: rough ones return more than matt ones do."""
+_GRAZING_COSINE = 0.2
+"""Of incidence, below which that holds."""
 _THINNED = 8
 """Every so many points on planes are enough for a mean square."""
 
@@ -77,6 +82,18 @@ def response(view: View, beams: Beams, brighter: np.ndarray | None) -> Response:
         parts = moved / directions(place, beams.position)[1][:, None]
         total += Response(np.stack([parts.T @ parts, moved.T @ moved]), len(chosen))
     return total
+
+
+def by_grazing(beams: Beams) -> ByShared:
+    """Derivative of points' distances from their planes by ranges that are too long on surfaces met at grazing angles,
+    (n, 1)."""
+
+    def derivative(points: OnPlanes) -> np.ndarray:
+        ray, _ = directions(points.place, beams.position)
+        along = np.einsum("ni,ni->n", points.normal, ray)
+        return np.asarray(np.where(np.abs(along) < _GRAZING_COSINE, -along, 0.0)[:, None])
+
+    return derivative
 
 
 def usual(beams: Beams) -> np.ndarray:

@@ -112,6 +112,14 @@ class ScanEvidence:
         """(k,) standard deviations; infinite where nothing tells."""
         return np.asarray(np.sqrt(np.diagonal(self.covariance)))
 
+    def follows(self, columns: slice, number: int) -> np.ndarray:
+        """(n,): how the change of some of the numbers moves by a unit of another one that is not estimated, the rest
+        known to be zero; zeros of those that nothing tells of."""
+        known, inverse = self.of(columns)._inverse()
+        moved = np.zeros(len(known))
+        moved[known] = -inverse @ self.information[columns, number][known]
+        return moved
+
     def of(self, columns: slice) -> "ScanEvidence":
         """Of some of the numbers, the others known to be zero."""
         return ScanEvidence(

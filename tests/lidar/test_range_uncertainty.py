@@ -1,13 +1,22 @@
 """What errors of the range sensor may be, and what that makes of points, against definitions and samples."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from lvba.lidar import range_uncertainty, scan_evidence
-from lvba.lidar.range_errors import DISTORTION, ELEVATION, INCIDENCE, OFFSET, by_errors, cosines_on_planes
-from lvba.lidar.range_uncertainty import USUAL, Response
+from lvba.lidar.range_errors import (
+    DISTORTION,
+    ELEVATION,
+    INCIDENCE,
+    OFFSET,
+    by_errors,
+    cosines_on_planes,
+    directions,
+)
+from lvba.lidar.range_uncertainty import USUAL, Response, by_grazing
 from tests.lidar.test_range_errors import AHEAD, AROUND, room
 
 
@@ -95,3 +104,27 @@ def test_planes_off_by_an_error_are_as_far_off_as_is_said():
         response = range_uncertainty.response(view, AROUND, None)
         ratios.append(response.off(np.outer(truth, truth))[1] / response.off(moment)[1])
     assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 1.5
+
+
+def test_errors_follow_ranges_that_are_too_long_at_grazing_angles(monkeypatch):
+    """As far as the evidence of the same planes foretells; here at angles that the walls of a room are met at."""
+    monkeypatch.setattr(range_uncertainty, "_GRAZING_COSINE", 0.8)
+    view, long = room(AROUND, {}, noise=0.002), 0.02
+    points = view.scans.points.astype(float)
+    pose = np.repeat(view.world_from_scan, np.diff(view.scans.offsets), axis=0)
+    normal = np.einsum("nji,nj->ni", pose[:, :3, :3], view.planes.normal[view.labels.plane])
+    ray, _ = directions(points, AROUND.position)
+    grazing = np.abs(np.einsum("ni,ni->n", ray, normal)) < 0.8
+    assert 0.05 < grazing.mean() < 0.5
+    moved = (points + long * ray * grazing[:, None]).astype(np.float32)
+    longer = replace(view, scans=replace(view.scans, points=moved))
+    terms = by_errors(AROUND), by_grazing(AROUND)
+    before, after = (
+        scan_evidence.evidence(each, lambda on: np.concatenate([term(on) for term in terms], axis=1), 4)
+        for each in (view, longer)
+    )
+    own = slice(0, 3)
+    by_evidence = after.of(own).change - before.of(own).change
+    follows = before.follows(own, 3)
+    assert (np.abs(follows) > 0).all()
+    np.testing.assert_allclose(by_evidence, -long * follows, rtol=0.15, atol=2e-4)
