@@ -53,24 +53,22 @@ def solve_lidar(
     reader, sensor = ScanReader(points), dataset.sensor_position_scan
     scans = reader.load(part.scan_numbers)
     surfels = rough_poses.surfels_of(scans, sensor)
-    rough, begin, odometry = dataset.scans.world_from_sensor, None, None
+    rough, begin = dataset.scans.world_from_sensor, None
+    registered = partial(
+        rough_poses.start, scans, surfels, rough, sensor_position=sensor, config=config, progress=progress
+    )
     if len(rough_motions.contradicted(surfels, rough)):
-        begin = rough_poses.start(
-            scans, surfels, rough, sensor_position=sensor, config=config, progress=progress
-        )
+        begin = registered()
     begin = _jumps_by_images(dataset, surfels, begin, config)
-    if begin is not None:
-        odometry = rough_poses.odometry_of(rough, begin.error, begin.world_from_scan, config)
     refine = partial(
-        lidar_ba.refine, sensor_position=sensor, config=config, imu=_imu(dataset), progress=progress
+        _refined, scans, rough, reader.cosines(part.scan_numbers), errors, dataset, config, progress
     )
     try:
-        result = refine(scans, rough if begin is None else begin.world_from_scan, odometry=odometry)
-        cosine = reader.cosines(part.scan_numbers)
-        if errors is not None and errors.ranges is not None and cosine is not None:
-            scans = _met_at_planes(scans, cosine, result, errors.ranges)
-            known = odometry or odometry_prior(rough, config.prior_rotation, config.prior_translation)
-            result = refine(scans, result.world_from_scan, odometry=known)
+        result = refine(begin)
+        most = rough_motions.WRONG_MINIMUM_M
+        if begin is None and rough_motions.typically_off(surfels, result.world_from_scan) > most:
+            begin = registered()
+            result = refine(begin)
     except DegenerateProblemError as error:
         return LidarStage(None, str(error))
     poses = result.world_from_scan
@@ -82,6 +80,36 @@ def solve_lidar(
         confirmed=_confirmed(surfels, dataset.scans, Trajectory(dataset.scans.times, poses)),
         points_off=(0.0, 0.0) if errors is None else errors.points_off,
     )
+
+
+def _refined(
+    scans: Sequence[np.ndarray],
+    rough: Poses,
+    cosine: np.ndarray | None,
+    errors: ScanErrors | None,
+    dataset: Dataset,
+    config: LidarConfig,
+    progress: Progress,
+    begin: StartPoses | None,
+) -> LidarResult:
+    """Scans (N, 3) m with the poses that the LiDAR bundle adjustment gives them.
+
+    cosine: (M,) float64, of the angles of incidence that points were moved by; None: they were not
+    begin: instead of the rough poses (S, 4, 4); None: at these
+    Raises DegenerateProblemError: no plane is seen by two scans.
+    """
+    sensor, odometry = dataset.sensor_position_scan, None
+    refine = partial(
+        lidar_ba.refine, sensor_position=sensor, config=config, imu=_imu(dataset), progress=progress
+    )
+    if begin is not None:
+        odometry = rough_poses.odometry_of(rough, begin.error, begin.world_from_scan, config)
+    result = refine(scans, rough if begin is None else begin.world_from_scan, odometry=odometry)
+    if errors is None or errors.ranges is None or cosine is None:
+        return result
+    scans = _met_at_planes(scans, cosine, result, errors.ranges)
+    known = odometry or odometry_prior(rough, config.prior_rotation, config.prior_translation)
+    return refine(scans, result.world_from_scan, odometry=known)
 
 
 def _jumps_by_images(
