@@ -6,6 +6,7 @@ poses of all windows tell how the sensor moved.
 """
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -53,13 +54,14 @@ _FALLS = 0.3
 def measure(
     dataset: Dataset,
     probes: list[Window],
+    sampled: Callable[[], list[Window]],
     config: LidarConfig,
     ranges: RangeErrors | None = None,
     progress: Progress = silent,
 ) -> MotionLeft | None:
     """What is left in the scans of a whole recording; None: nothing says when their points were measured.
 
-    probes: of the recording; ranges: errors of the sensor, which are taken out first
+    probes, sampled: of the recording, as `scan_windows` has them; ranges: errors of the sensor, which are taken out first
     Raises InputError: a scan cannot be read.
     """
     known = clock(dataset, probes)
@@ -67,9 +69,8 @@ def measure(
         return None
     if isinstance(known, str):
         return _not_corrected(None, problem=known)
-    return _Measurement(dataset=dataset, clock=known, config=config, ranges=ranges, progress=progress).of(
-        probes
-    )
+    measurement = _Measurement(dataset=dataset, clock=known, config=config, ranges=ranges, progress=progress)
+    return measurement.of(probes, sampled)
 
 
 def _not_corrected(
@@ -119,23 +120,23 @@ class _Measurement:
     progress: Progress
     poses: dict[tuple[int, ...], Poses] = field(default_factory=dict)
 
-    def of(self, probes: list[Window]) -> MotionLeft:
+    def of(self, probes: list[Window], sampled: Callable[[], list[Window]]) -> MotionLeft:
         """By some windows; only where they tell of a part, by more of the recording."""
         probes = [each.corrected(self.ranges) for each in probes]
         evidence, _ = self._of_windows(probes, 0.0, None)
         change, sigma = float(evidence.change[0]), float(evidence.sigma[0])
         if not abs(change) >= max(_LEAST, _SUSPECT * sigma):
             return self._nothing(change, sigma)
-        sampled = [each.corrected(self.ranges) for each in scan_windows.sampled(self.dataset, self.config)]
+        windows = [each.corrected(self.ranges) for each in sampled()]
         part, twists, changes = change, None, [change]
         for turn in range(_ROUNDS):
             self.progress("motion left in scans", turn, _ROUNDS)
-            evidence, twists = self._of_windows(sampled, part, twists)
+            evidence, twists = self._of_windows(windows, part, twists)
             changes.append(float(evidence.change[0]))
             part += changes[-1]
             if abs(changes[-1]) < _CONVERGED:
                 break
-        return self._judged(part, float(evidence.sigma[0]), changes, sampled)
+        return self._judged(part, float(evidence.sigma[0]), changes, windows)
 
     def _nothing(self, part: float, sigma: float) -> MotionLeft:
         """Of a part that may be chance."""

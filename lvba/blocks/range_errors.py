@@ -6,12 +6,13 @@ with poses and planes free. What cannot be chance is taken out of the points, un
 
 import logging
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from lvba.arrays import Poses
-from lvba.blocks import motion_left, scan_windows
+from lvba.blocks import motion_left
 from lvba.blocks.scan_windows import Window
 from lvba.dataset import Dataset
 from lvba.lidar import (
@@ -47,9 +48,13 @@ them."""
 
 
 def measure(
-    dataset: Dataset, probes: list[Window], config: LidarConfig, progress: Progress = silent
+    dataset: Dataset,
+    probes: list[Window],
+    sampled: Callable[[], list[Window]],
+    config: LidarConfig,
+    progress: Progress = silent,
 ) -> RangeErrors:
-    """The errors of a recording's sensor. probes: of the recording
+    """The errors of a recording's sensor. probes, sampled: of the recording, as `scan_windows` has them
 
     Raises InputError: a scan cannot be read.
     """
@@ -58,9 +63,8 @@ def measure(
     beams = replace(beams, usual=_usual_brightness(probes, beams))
     clock = motion_left.clock(dataset, probes)
     known = None if isinstance(clock, str) else clock
-    return _Measurement(dataset=dataset, beams=beams, clock=known, config=config, progress=progress).of(
-        probes
-    )
+    measurement = _Measurement(dataset=dataset, beams=beams, clock=known, config=config, progress=progress)
+    return measurement.of(probes, sampled)
 
 
 def _usual_brightness(probes: list[Window], beams: Beams) -> float | None:
@@ -95,11 +99,11 @@ class _Measurement:
     poses_by_depth: tuple[float, float] = (0.0, 0.0)
     by_grazing: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
-    def of(self, probes: list[Window]) -> RangeErrors:
+    def of(self, probes: list[Window], sampled: Callable[[], list[Window]]) -> RangeErrors:
         """By some windows; only where they tell of an error, by larger ones."""
-        return self._with_depth(self._of(probes))
+        return self._with_depth(self._of(probes, sampled))
 
-    def _of(self, probes: list[Window]) -> RangeErrors:
+    def _of(self, probes: list[Window], sampled: Callable[[], list[Window]]) -> RangeErrors:
         scans = [scan for window in probes for scan in window.scans]
         together = np.concatenate([scan.points for scan in scans]) if scans else np.zeros((0, 3))
         known = [each for window in probes if (each := window.intensity) is not None]
@@ -114,7 +118,7 @@ class _Measurement:
         kept, _ = self._significant(estimate, covariance, least, _SUSPECT)
         if not kept.any() and total.chance(self.others) > _SUSPECT:
             return self._uncertain(self._errors(estimate, covariance, kept), estimate, covariance, own)
-        return self._closer(scan_windows.sampled(self.dataset, self.config), least, together)
+        return self._closer(sampled(), least, together)
 
     def _closer(self, windows: list[Window], least: np.ndarray, points: np.ndarray) -> RangeErrors:
         errors = np.zeros(self.size)

@@ -1,5 +1,7 @@
 """What is systematically wrong with the scans of a recording: errors of the range sensor, then motion left in scans."""
 
+from functools import cache, partial
+
 from lvba.blocks import motion_left, range_errors, scan_windows
 from lvba.dataset import Dataset
 from lvba.lidar.config import LidarConfig
@@ -18,5 +20,6 @@ def measure(
     if not enabled:
         return None
     probes = scan_windows.probes(dataset)
-    ranges = range_errors.measure(dataset, probes, config, progress)
-    return ScanErrors(ranges, motion_left.measure(dataset, probes, config, ranges, progress))
+    sampled = cache(partial(scan_windows.sampled, dataset, config))  # read, and laid out, once for both
+    ranges = range_errors.measure(dataset, probes, sampled, config, progress)
+    return ScanErrors(ranges, motion_left.measure(dataset, probes, sampled, config, ranges, progress))

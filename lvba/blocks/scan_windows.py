@@ -13,7 +13,7 @@ from lvba.lidar import bundle_adjustment
 from lvba.lidar.bundle_adjustment import Aligned
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.range_errors import RangeErrors
-from lvba.loop_closure import rough_motions, rough_poses
+from lvba.loop_closure import rough_poses
 from lvba.parallel import in_order
 
 _CORE, _MARGIN, SAMPLED = 24, 4, 2
@@ -150,9 +150,8 @@ def _begin(
         return np.asarray(rough)
     points = [scan.points for scan in scans]
     surfels = rough_poses.surfels_of(points, sensor)
-    if not len(rough_motions.contradicted(surfels, rough)):
-        return np.asarray(rough)
-    return rough_poses.start(points, surfels, rough, sensor_position=sensor, config=config).world_from_scan
+    start = rough_poses.start_if_contradicted(points, surfels, rough, sensor_position=sensor, config=config)
+    return np.asarray(rough if start is None else start.world_from_scan)
 
 
 def _thinned(dataset: Dataset, numbers: list[int], most: int) -> list[Scan]:

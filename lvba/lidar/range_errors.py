@@ -283,7 +283,7 @@ class RangeErrors:
         if not facts or not facts.get("corrected"):
             return None
         try:
-            axis, up = (_vector(facts.get(name)) for name in ("axis", "up"))
+            axis, up = _vector(facts["axis"]), _vector(facts.get("up"))  # results of 0.2 do not have `up`
             usual = facts.get("usual_brightness")
             beams = Beams(
                 position=np.array(facts["sensor_position"], float).reshape(3),

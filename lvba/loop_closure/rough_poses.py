@@ -175,6 +175,23 @@ def surfels_of(scans: Sequence[np.ndarray], sensor_position: Vector | None = Non
     return [scan_steps.surfels(thinned(points, number), sensor) for number, points in enumerate(scans)]
 
 
+def start_if_contradicted(
+    scans: Sequence[np.ndarray],
+    patches: Sequence[Patch | None],
+    world_from_scan: Poses,
+    *,
+    sensor_position: Vector | None = None,
+    config: LidarConfig | None = None,
+    progress: Progress = silent,
+) -> StartPoses | None:
+    """As `start`; None: surfaces have nothing against the rough poses."""
+    if not len(rough_motions.contradicted(patches, world_from_scan)):
+        return None
+    return start(
+        scans, patches, world_from_scan, sensor_position=sensor_position, config=config, progress=progress
+    )
+
+
 def start(
     scans: Sequence[np.ndarray],
     patches: Sequence[Patch | None],

@@ -187,7 +187,7 @@ def _reflected(around: Surroundings, center: np.ndarray, rays: np.ndarray, direc
     """Beams that meet a mirror go on from there, and come back the same way: longer, along their first direction."""
     assert around.mirror is not None
     world = around.world
-    [hit] = np.nonzero((direct.surface >= 0) & around.mirror[direct.surface])
+    [hit] = np.nonzero(_on(around.mirror, direct.surface))
     normal = world.normal[direct.surface[hit]]
     place = np.broadcast_to(center, rays.shape)[hit] + direct.distance[hit, None] * rays[hit]
     onward = rays[hit] - 2 * np.einsum("ij,ij->i", rays[hit], normal)[:, None] * normal
@@ -212,6 +212,13 @@ def _measured(
     return np.asarray(distance * factor + bias)
 
 
+def _on(chosen: np.ndarray, surface: np.ndarray) -> np.ndarray:
+    """(M,) bool: beams that met one of some surfaces. chosen: (R,) bool; surface: (M,) int, as `_Echoes.surface`"""
+    met = surface >= 0
+    met[met] = chosen[surface[met]]
+    return met
+
+
 def _by_chance(
     distance: np.ndarray,
     echoes: _Echoes,
@@ -224,8 +231,7 @@ def _by_chance(
     if disturb.range_noise:
         distance = distance + rng.normal(0, disturb.range_noise, count)
     if leafy is not None:
-        inside = np.where(echoes.surface >= 0, leafy[np.maximum(echoes.surface, 0)], False)
-        distance = distance + inside * rng.exponential(disturb.foliage, count)
+        distance = distance + _on(leafy, echoes.surface) * rng.exponential(disturb.foliage, count)
     if disturb.rain:
         drop = rng.random(count) < disturb.rain
         distance = np.where(drop, distance * rng.uniform(0.05, 1.0, count), distance)

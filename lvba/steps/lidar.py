@@ -53,21 +53,20 @@ def solve_lidar(
     reader, sensor = ScanReader(points), dataset.sensor_position_scan
     scans = reader.load(part.scan_numbers)
     surfels = rough_poses.surfels_of(scans, sensor)
-    rough, begin = dataset.scans.world_from_sensor, None
-    registered = partial(
-        rough_poses.start, scans, surfels, rough, sensor_position=sensor, config=config, progress=progress
+    rough = dataset.scans.world_from_sensor
+    begin = rough_poses.start_if_contradicted(
+        scans, surfels, rough, sensor_position=sensor, config=config, progress=progress
     )
-    if len(rough_motions.contradicted(surfels, rough)):
-        begin = registered()
     begin = _jumps_by_images(dataset, surfels, begin, config)
-    refine = partial(
-        _refined, scans, rough, reader.cosines(part.scan_numbers), errors, dataset, config, progress
-    )
+    cosines = partial(reader.cosines, part.scan_numbers)
+    refine = partial(_refined, dataset, scans, cosines, errors, config, progress)
     try:
         result = refine(begin)
         most = rough_motions.WRONG_MINIMUM_M
         if begin is None and rough_motions.typically_off(surfels, result.world_from_scan) > most:
-            begin = registered()
+            begin = rough_poses.start(
+                scans, surfels, rough, sensor_position=sensor, config=config, progress=progress
+            )
             result = refine(begin)
     except DegenerateProblemError as error:
         return LidarStage(None, str(error))
@@ -83,28 +82,33 @@ def solve_lidar(
 
 
 def _refined(
-    scans: Sequence[np.ndarray],
-    rough: Poses,
-    cosine: np.ndarray | None,
-    errors: ScanErrors | None,
     dataset: Dataset,
+    scans: Sequence[np.ndarray],
+    cosines: Callable[[], np.ndarray | None],
+    errors: ScanErrors | None,
     config: LidarConfig,
     progress: Progress,
     begin: StartPoses | None,
 ) -> LidarResult:
     """Scans (N, 3) m with the poses that the LiDAR bundle adjustment gives them.
 
-    cosine: (M,) float64, of the angles of incidence that points were moved by; None: they were not
-    begin: instead of the rough poses (S, 4, 4); None: at these
+    cosines: give (M,) float64, of the angles of incidence that points were moved by; None: they were not. Asked late, for
+        they take memory
+    begin: instead of the rough poses; None: at these
     Raises DegenerateProblemError: no plane is seen by two scans.
     """
-    sensor, odometry = dataset.sensor_position_scan, None
+    rough, odometry = dataset.scans.world_from_sensor, None
     refine = partial(
-        lidar_ba.refine, sensor_position=sensor, config=config, imu=_imu(dataset), progress=progress
+        lidar_ba.refine,
+        sensor_position=dataset.sensor_position_scan,
+        config=config,
+        imu=_imu(dataset),
+        progress=progress,
     )
     if begin is not None:
         odometry = rough_poses.odometry_of(rough, begin.error, begin.world_from_scan, config)
     result = refine(scans, rough if begin is None else begin.world_from_scan, odometry=odometry)
+    cosine = cosines()
     if errors is None or errors.ranges is None or cosine is None:
         return result
     scans = _met_at_planes(scans, cosine, result, errors.ranges)

@@ -21,28 +21,28 @@ def of_odometry(
     accepted: what is in use; lidar, visual: what was found
     """
     poses = dataset.scans.world_from_sensor
-    rough = trajectory_jumps.find(dataset.scans).without(_confirmed(poses, lidar))
-    rough = rough.without(_kept(poses, accepted, _seen(dataset, accepted, visual)))
+    by_images = _tied(dataset, accepted, visual, trajectory_jumps.CONFIRMED_M, trajectory_jumps.CONFIRMED_DEG)
+    # a sensor that turns round a corner between sparse scans goes on unlike before and after
+    as_images = _alike(by_images, accepted.world_from_scan, poses)
+    rough = trajectory_jumps.find(dataset.scans).without(_confirmed(poses, lidar)).without(as_images)
     surfaces = _confirmed(accepted.world_from_scan, lidar)
     return {
         "jumps_after": rough.after,
         "jumps_m": rough.meters,
         "jumps_deg": rough.degrees,
         "untied_after": rough.without(surfaces).without(_tied(dataset, accepted, visual)).after,
-        "too_far_off": lidar.rough_error and _too_far_off(lidar.rough_error, dataset, accepted, visual),
+        "too_far_off": lidar.rough_error and _too_far_off(lidar.rough_error, by_images, len(poses)),
     }
 
 
-def _too_far_off(
-    error: RoughError, dataset: Dataset, accepted: Accepted, visual: VisualStage
-) -> dict[str, Any]:
+def _too_far_off(error: RoughError, confirmed: np.ndarray, scans: int) -> dict[str, Any]:
     """How far rough poses were off that scans were registered for, and what is open that images do not confirm, either.
 
+    confirmed: (K,) int64, scans after which images confirm the motion in use
     A motion of the first or last scan alone concerns no other one.
     """
-    confirmed = _seen(dataset, accepted, visual)
     by_images = np.intersect1d(error.open_after, confirmed)
-    left_open, last = np.setdiff1d(error.open_after, by_images), len(dataset.scans) - 1
+    left_open, last = np.setdiff1d(error.open_after, by_images), scans - 1
     ends = [end for end, after in ((0, 0), (last, last - 1)) if after in left_open]
     return asdict(replace(error, open_after=np.setdiff1d(left_open, [0, last - 1]))) | {
         "by_images_after": by_images,
@@ -55,19 +55,12 @@ def _confirmed(world_from_scan: Poses, lidar: LidarStage) -> np.ndarray:
     truly move so fast."""
     if lidar.result is None:
         return np.zeros(0, np.int64)
-    other = trajectory_jumps.differ(lidar.result.world_from_scan, world_from_scan)
-    return np.asarray(lidar.confirmed[~other[lidar.confirmed]])
+    return _alike(lidar.confirmed, lidar.result.world_from_scan, world_from_scan)
 
 
-def _kept(rough: Poses, accepted: Accepted, confirmed: np.ndarray) -> np.ndarray:
-    """(J,) int64, of the scans after which images confirm the motion in use, (K,) int64, those after which rough poses
-    (S, 4, 4) have it already: a sensor that turns round a corner between sparse scans goes on unlike before and after."""
-    return np.asarray(confirmed[~trajectory_jumps.differ(accepted.world_from_scan, rough)[confirmed]])
-
-
-def _seen(dataset: Dataset, accepted: Accepted, visual: VisualStage) -> np.ndarray:
-    """(K,) int64, scans after which images confirm the motion in use."""
-    return _tied(dataset, accepted, visual, trajectory_jumps.CONFIRMED_M, trajectory_jumps.CONFIRMED_DEG)
+def _alike(after: np.ndarray, one: Poses, other: Poses) -> np.ndarray:
+    """(J,) int64, of scans (K,) int64 those after which poses (S, 4, 4) and others have the same motion."""
+    return np.asarray(after[~trajectory_jumps.differ(one, other)[after]])
 
 
 def _tied(

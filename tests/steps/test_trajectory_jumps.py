@@ -88,6 +88,13 @@ def test_few_frames_have_none(frames):
     assert len(trajectory_jumps.find(Trajectory(times, drive(times))).after) == 0
 
 
+def aside(poses, x, y):
+    """The poses from the 13th on moved by so much."""
+    moved = np.eye(4)
+    moved[:2, 3] = x, y
+    return np.concatenate([poses[:13], moved @ poses[13:]])
+
+
 MOUNT = geometry.exp(np.array([1.2, -1.1, 1.0, 0.05, -0.1, 0.08]))
 
 
@@ -120,9 +127,7 @@ def odometry(*arguments, **options):
 
 def test_what_surfaces_confirm_is_no_jump_and_only_where_poses_go_as_they_say():
     true = drive(np.arange(30) / 10)
-    jump = np.eye(4)
-    jump[:2, 3] = 0.9, 0.4
-    jumped = np.concatenate([true[:13], jump @ true[13:]])
+    jumped = aside(true, 0.9, 0.4)
     # a fast motion that all poses have, or a jump that all have: what surfaces say decides
     assert odometry(jumped, jumped, jumped, [12]) == ([], [])
     assert odometry(jumped, jumped, jumped, []) == ([12], [12])
@@ -136,9 +141,7 @@ def test_what_surfaces_confirm_is_no_jump_and_only_where_poses_go_as_they_say():
 def test_a_jump_that_images_of_one_group_agree_with_is_tied():
     times = np.arange(30) / 10
     true = drive(times)
-    jump = np.eye(4)
-    jump[:2, 3] = 0.9, 0.4
-    jumped = np.concatenate([true[:13], jump @ true[13:]])
+    jumped = aside(true, 0.9, 0.4)
     one, two = np.zeros(30, int), np.repeat([3, 5], [13, 17])
     right, wrong = seen(times, true, one), seen(times, jumped, one)
     assert odometry(jumped, true, true, [], right) == ([12], [])
@@ -153,18 +156,12 @@ def test_a_jump_that_images_of_one_group_agree_with_is_tied():
 def test_a_fast_motion_that_images_confirm_is_no_jump_of_the_rough_poses():
     times = np.arange(30) / 10
     true = drive(times)
-    jump = np.eye(4)
-    jump[:2, 3] = 0.9, 0.4
-    fast = np.concatenate([true[:13], jump @ true[13:]])
+    fast = aside(true, 0.9, 0.4)
     one, two = np.zeros(30, int), np.repeat([3, 5], [13, 17])
     assert odometry(fast, fast, fast, [], seen(times, fast, one)) == ([], [])
     assert odometry(fast, fast, fast, [], seen(times, fast, two)) == ([12], [12])
     # 5 cm from where images have it, it may be anything
-    aside = np.eye(4)
-    aside[1, 3] = 0.05
-    assert odometry(
-        fast, fast, fast, [], seen(times, np.concatenate([true[:13], aside @ fast[13:]]), one)
-    ) == ([12], [])
+    assert odometry(fast, fast, fast, [], seen(times, aside(fast, 0.0, 0.05), one)) == ([12], [])
     # a jump of the rough poses that was mended is one
     assert odometry(true, fast, fast, [], seen(times, fast, one)) == ([], [])
     assert odometry(fast, true, true, [], seen(times, true, one)) == ([12], [])
@@ -173,9 +170,7 @@ def test_a_fast_motion_that_images_confirm_is_no_jump_of_the_rough_poses():
 def test_images_of_one_group_confirm_motions_that_surfaces_leave_open():
     times = np.arange(30) / 10
     true = drive(times)
-    aside = np.eye(4)
-    aside[:2, 3] = 0.03, 0.04
-    off = np.concatenate([true[:13], aside @ true[13:]])
+    off = aside(true, 0.03, 0.04)
     error = RoughError(0.1, 1.0, np.array([12, 20]), np.array([0, 12, 20, 28]), np.array([25]))
     groups = np.repeat([0, 1], [21, 9])
 
