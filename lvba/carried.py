@@ -16,6 +16,8 @@ FAR_M, FAR_DEG = 0.1, 1.0
 """A rough motion from scan to scan that is wrong by more is interpolated only where the result fits the refined scans."""
 _OF_LEFT_OUT = 1.5
 """A spline is off between scans by 0.3 of what leaving a scan out changes: three standard deviations in three axes."""
+_UNEXPLAINED = 2.0
+"""In the middle between scans, rough motions are off by about half of how wrong they are from scan to scan."""
 _LEAST = np.array([np.radians(0.3), 0.02])
 """rad and m: frames leave the trajectory by as much anyway (`visual.trajectory_prior`)."""
 
@@ -25,11 +27,15 @@ class Carried:
     """Where rough poses and refined scans put another sensor.
 
     world_from_sensor: (I, 4, 4) float64
-    by_rough: (I,) bool, by the rough motion since a scan, as eq. (1) has it; else by a spline through the refined scans
+    by_rough: (I, 2) bool, rotation and position: by the rough motion since a scan, as eq. (1) has it; else by a spline
+        through the refined scans
+    wrong: (I, 2) float64, rad and m: by how much the rough motion from the scan before to the scan after is wrong; zeros
+        where that is usual, and beyond the ends
     """
 
     world_from_sensor: np.ndarray
     by_rough: np.ndarray
+    wrong: np.ndarray
 
 
 def carry(rough: Trajectory, refined: Poses, others: Trajectory, mounted: Pose) -> Carried:
@@ -39,13 +45,16 @@ def carry(rough: Trajectory, refined: Poses, others: Trajectory, mounted: Pose) 
     mounted: (4, 4) `sensor_from_other` as calibrated
     Where a rough motion is wrong, the other sensor may have followed it evenly, or the scan before or the scan after:
     whichever leaves it mounted most as calibrated. Where all of these contradict a spline through the refined scans
-    by more than that can be off, the spline has it.
+    by more than that can be off, the spline has it, unless rough motions are wrong by less than that, or by less than
+    explains how far they are from it: in a second between scans hands turn a sensor by more than an odometry errs, which
+    no spline knows. Rotation and position are judged apart.
     """
     corrections = trajectory.interpolate_corrections(rough, refined, others.times)
-    poses, by_rough = np.asarray(corrections @ others.world_from_sensor), np.ones(len(others), bool)
-    there = np.flatnonzero(_far(rough, refined, others))
+    poses, by_rough = np.asarray(corrections @ others.world_from_sensor), np.ones((len(others), 2), bool)
+    wrong = _wrong(rough, refined, others)
+    there = np.flatnonzero(wrong.any(axis=1))
     if len(there) == 0:
-        return Carried(poses, by_rough)
+        return Carried(poses, by_rough, wrong)
     moving = Trajectory(rough.times, refined)
     smooth = _between(moving, others) @ mounted
     choices = np.concatenate([poses[None, there], _sides(rough, refined, others, there)])
@@ -55,19 +64,32 @@ def carry(rough: Trajectory, refined: Poses, others: Trajectory, mounted: Pose) 
     own = np.arange(len(there))
     poses[there] = choices[nearest, own]
     if len(moving) >= spline.FEWEST_SAMPLES:
-        known = _OF_LEFT_OUT * spline.leave_one_out_error(moving, others.times[there])
-        by_rough[there] = (size[nearest, own] <= known + _LEAST).all(axis=1)
-        poses[~by_rough] = smooth[~by_rough]
-    return Carried(poses, by_rough)
+        known = _OF_LEFT_OUT * spline.leave_one_out_error(moving, others.times[there]) + _LEAST
+        apart = size[nearest, own]
+        expected = np.maximum(wrong[there], np.median(wrong[there], axis=0))
+        by_rough[there] = (apart <= known) | (expected <= np.maximum(known, apart / _UNEXPLAINED))
+    other = np.flatnonzero(~by_rough.all(axis=1))
+    poses[other] = _mixed(poses[other], smooth[other], by_rough[other], mounted)
+    return Carried(poses, by_rough, wrong)
 
 
-def _far(rough: Trajectory, refined: Poses, others: Trajectory) -> np.ndarray:
-    """(I,) bool: taken during rough motions that are wrong by far; beyond the ends nothing is."""
+def _wrong(rough: Trajectory, refined: Poses, others: Trajectory) -> np.ndarray:
+    """(I, 2), as of `Carried`."""
     if len(rough) < 2:
-        return np.zeros(len(others), bool)
+        return np.zeros((len(others), 2))
     before, _ = trajectory.bracket(rough.times, others.times)
-    far = trajectory.motions_differ(rough.world_from_sensor, refined, FAR_M, FAR_DEG)[before]
-    return np.asarray(far & ~spline.outside(rough, others.times))
+    wrong = trajectory.motion_differences(rough.world_from_sensor, refined)[before]
+    far = (wrong > [np.radians(FAR_DEG), FAR_M]).any(axis=1) & ~spline.outside(rough, others.times)
+    return np.asarray(np.where(far[:, None], wrong, 0.0))
+
+
+def _mixed(one: Poses, other: Poses, by_one: np.ndarray, mounted: Pose) -> Poses:
+    """(J, 4, 4): the one where `by_one` (J, 2) says so for rotation and position of the first sensor, else the other."""
+    turns = np.where(by_one[:, 0, None, None], one, other)
+    sensor = turns @ geometry.inverse(mounted)
+    positions = [(each @ geometry.inverse(mounted))[:, :3, 3] for each in (one, other)]
+    sensor[:, :3, 3] = np.where(by_one[:, 1:], *positions)
+    return np.asarray(sensor @ mounted)
 
 
 def _between(samples: Trajectory, others: Trajectory) -> np.ndarray:

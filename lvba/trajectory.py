@@ -57,10 +57,14 @@ def motions_differ(one: Poses, other: Poses, meters: float, degrees: float) -> n
 
     meters: m; degrees: deg
     """
+    return np.asarray((motion_differences(one, other) > [np.radians(degrees), meters]).any(axis=1))
+
+
+def motion_differences(one: Poses, other: Poses) -> np.ndarray:
+    """(N - 1, 2) float64, rad and m: by how much motions to the next frame of poses (N, 4, 4) differ from others'."""
     steps = [geometry.steps(poses) for poses in (one, other)]
     off = geometry.log(geometry.inverse(steps[0]) @ steps[1])
-    far = np.linalg.norm(off[:, 3:], axis=1) > meters
-    return np.asarray(far | (np.linalg.norm(off[:, :3], axis=1) > np.radians(degrees)))
+    return np.asarray(np.linalg.norm(off.reshape(-1, 2, 3), axis=2))
 
 
 def sample(trajectory: Trajectory, times: Times) -> np.ndarray:

@@ -59,9 +59,9 @@ def prior_of_keyframes(
             if part.tuning is None or number >= len(part.tuning.correlation_inflation):
                 continue
             mine, inside = _keyframes_of_core(core, survey)
-            spoken = source.spoken[mine]
-            rotation[mine[spoken]] = part.tuning.sigma_rotation[number][inside][spoken]
-            position[mine[spoken]] = part.tuning.sigma_position[number][inside][spoken]
+            turns, moves = source.spoken[mine].T
+            rotation[mine[turns]] = part.tuning.sigma_rotation[number][inside][turns]
+            position[mine[moves]] = part.tuning.sigma_position[number][inside][moves]
             of_parts.append(part.tuning.correlation_inflation[number])
         factor = (
             tuple(float(value) for value in np.mean(of_parts, axis=0))

@@ -135,6 +135,10 @@ SCENE_POINTS = PatchRules()
 """Of scene points; runs take the size from their settings."""
 MIN_POINTS_IN_IMAGE = 1000
 """Fewer LiDAR points than this in an image widen its time window: their planes would cover a small part of it."""
+SUPPORT_IN_IMAGE = 2.0
+"""And fewer than so many times what patches all over the image need as support, for points are not spread evenly. The
+finer the level, the smaller a patch on its surface: of a scan a second, 2,500 points had patches at half the size of
+the images and 50 at full size, which took cameras 30 mm away from where the level before had them, 2 mm off."""
 MAX_POINTS = 1_000_000
 """At most about this many LiDAR points are tried per image (a regular subset of more): more fill no more cells."""
 OFF_PLANE_PART = 0.1
@@ -165,6 +169,12 @@ def cell_size(camera: Camera, config: PointsConfig, rules: PatchRules = SCENE_PO
     """Edge of a grid cell at this camera's size, px."""
     side = float((camera.width * camera.height / config.cells) ** 0.5)
     return max(round(side), rules.min_cell_px)
+
+
+def enough_points(camera: Camera, rules: PatchRules = SCENE_POINTS) -> float:
+    """LiDAR points in an image of this camera that widen its time window if they are fewer."""
+    patches_in_image = camera.width * camera.height / (2 * rules.size) ** 2
+    return max(MIN_POINTS_IN_IMAGE, SUPPORT_IN_IMAGE * MIN_SUPPORT * patches_in_image)
 
 
 def over(config: PointsConfig, pinhole: Camera, raw: Camera | None) -> PointsConfig:
@@ -259,7 +269,7 @@ def select(
     camera, scan_times = level.camera, surfaces.scan_times
     lidar, gates = kernel_points(surfaces.planes, surfaces.points), point_gates(camera, rules, level.noise)
     window = np.full(len(cameras), config.time_window_s)
-    cell = cell_size(camera, config, rules)
+    cell, enough = cell_size(camera, config, rules), enough_points(camera, rules)
 
     def of_images(chosen: np.ndarray | slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         ranges = near_ranges(
@@ -270,7 +280,7 @@ def select(
 
     pixel, own, seen = of_images(slice(None))
     for _ in range(3):
-        few = np.flatnonzero(seen < MIN_POINTS_IN_IMAGE)
+        few = np.flatnonzero(seen < enough)
         if len(few) == 0 or len(scan_times) == 1:
             break
         window[few] *= 2

@@ -33,6 +33,9 @@ SIGMA_POSITION_M, SIGMA_ROTATION_DEG = 0.02, 0.3
 """First guess of how far eq. (1) is off in a frame, m and degrees; estimated from the data afterwards."""
 BETWEEN_SCANS = 0.3
 """First guess of the spline's error between scans, as a part of what leaving a scan out changes."""
+OF_WRONG = 0.3
+"""Error in each axis of eq. (1) between scans, as a part of how wrong the rough motion from one to the next is: that of
+the middle of a random walk whose ends are known."""
 AT_ENDS = 1.5
 """Error of the spline near its ends, as a part of the least it can be there: what three simulated walks show."""
 CEILING_POSITION_M, CEILING_ROTATION_DEG = 0.02, 0.3
@@ -50,7 +53,8 @@ class Source:
     correlation_inflation: by what the variances of the latter (rotation, position) grow as neighboring frames share them
     late: (I, 6) of how the sensor moved while the clocks were apart, `[rotation | position]`, rad and m; None: taken for
         known
-    silent: (I,) bool, tells nothing of the image: its standard deviations are huge, and stay so; None: of no image
+    silent: (I, 2) bool, tells nothing of the image's rotation, position: standard deviations are huge, and stay so; None:
+        of no image
     """
 
     world_from_scan: np.ndarray
@@ -64,8 +68,8 @@ class Source:
 
     @property
     def spoken(self) -> np.ndarray:
-        """(I,) bool: tells something of the image."""
-        return np.ones(len(self.sigma_position), bool) if self.silent is None else ~self.silent
+        """(I, 2) bool: tells something of the image's rotation, position."""
+        return np.ones((len(self.sigma_position), 2), bool) if self.silent is None else ~self.silent
 
     def and_late(self, sigma: np.ndarray) -> np.ndarray:
         """(I, 6): these standard deviations, and what is not known of the motion while the clocks were apart.
@@ -125,13 +129,14 @@ def build(
     """
     scan_from_camera = geometry.inverse(camera_from_scan)
     carried = carry(scans, refined, images, scan_from_camera)
+    usual = np.array([np.radians(SIGMA_ROTATION_DEG), SIGMA_POSITION_M])
     # what rough motions do not tell counts for nothing
-    unknown = np.repeat(np.where(carried.by_rough, 1.0, _NOTHING)[:, None], 3, axis=1)
+    own = np.hypot(usual, OF_WRONG * carried.wrong) * np.where(carried.by_rough, 1.0, _NOTHING)
     scan_rotation, scan_position = _scan_sigmas(scans.times, scan_covariance, images.times)
     by_eq1 = Source(
         world_from_scan=carried.world_from_sensor @ camera_from_scan,
-        sigma_rotation=np.radians(SIGMA_ROTATION_DEG) * unknown,
-        sigma_position=SIGMA_POSITION_M * unknown,
+        sigma_rotation=np.repeat(own[:, :1], 3, axis=1),
+        sigma_position=np.repeat(own[:, 1:], 3, axis=1),
         scan_rotation=scan_rotation,
         scan_position=scan_position,
         silent=~carried.by_rough,
@@ -147,7 +152,7 @@ def build(
             sigma_position=within[:, 3:],
             scan_rotation=np.hypot(scan_rotation, at_ends[:, :3]),
             scan_position=np.hypot(scan_position, at_ends[:, 3:]),
-            silent=spline.outside(moving, images.times),
+            silent=np.repeat(spline.outside(moving, images.times)[:, None], 2, axis=1),
         )
         sources = (by_eq1, by_spline)
     known = calibration_prior.build(Calibration(scan_from_camera), config.sigma)
@@ -229,7 +234,7 @@ def fill(
     # the sigmas were rescaled in the solve: so are those of the images between
     spread = np.stack([_rescaled(prior.sources[n], solved.sources[n], keyframes) for n in by_order])
     used = (
-        np.where(prior.sources[by_order[0]].spoken, 0, spread.sum(axis=2).argmin(axis=0)),
+        np.where(prior.sources[by_order[0]].spoken.all(axis=1), 0, spread.sum(axis=2).argmin(axis=0)),
         np.arange(len(times)),
     )
     expected = predicted[used]
@@ -245,10 +250,11 @@ def fill(
 
 def _rescaled(source: Source, solved: Source, keyframes: Indices) -> np.ndarray:
     """(I, 6), rad and m: sigmas of all images, as much larger as those of the keyframes (K,) were found to be."""
-    if not solved.spoken.any():
+    heard = solved.spoken.all(axis=1)
+    if not heard.any():
         return sigmas(source)
-    scale = np.median((sigmas(solved) / sigmas(source)[keyframes])[solved.spoken], axis=0)
-    return np.asarray(np.where(source.spoken[:, None], scale, 1.0) * sigmas(source))
+    scale = np.median((sigmas(solved) / sigmas(source)[keyframes])[heard], axis=0)
+    return np.asarray(np.where(np.repeat(source.spoken, 3, axis=1), scale, 1.0) * sigmas(source))
 
 
 def _scan_sigmas(

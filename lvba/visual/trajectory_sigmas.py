@@ -48,8 +48,9 @@ def _rescaled(source: Source, deviation: np.ndarray, posterior: np.ndarray) -> S
     own = source.and_late(np.concatenate([source.sigma_rotation, source.sigma_position], axis=1))
     fraction = np.clip(1 - posterior / sigmas(source) ** 2, 0.0, 1.0)
     spoken = source.spoken
+    each = np.repeat(spoken, 3, axis=1)
     # any deviation is small beside an expectation that tells nothing: that is no agreement
-    fraction[~spoken], deviation = 0.0, np.where(spoken[:, None], deviation, 0.0)
+    fraction, deviation = np.where(each, fraction, 0.0), np.where(each, deviation, 0.0)
     rotation, position = (_own_scale(deviation, own, fraction, part) for part in (slice(3), slice(3, 6)))
     return replace(
         source,
@@ -57,17 +58,17 @@ def _rescaled(source: Source, deviation: np.ndarray, posterior: np.ndarray) -> S
             rotation * source.sigma_rotation,
             source.sigma_rotation,
             np.radians([FLOOR_ROTATION_DEG, CEILING_ROTATION_DEG]),
-            spoken,
+            spoken[:, 0],
         ),
         sigma_position=_within(
             position * source.sigma_position,
             source.sigma_position,
             np.array([FLOOR_POSITION_M, CEILING_POSITION_M]),
-            spoken,
+            spoken[:, 1],
         ),
         correlation_inflation=(
-            _correlation_inflation(deviation[:, :3], own[:, :3], source.scan_rotation, spoken),
-            _correlation_inflation(deviation[:, 3:], own[:, 3:], source.scan_position, spoken),
+            _correlation_inflation(deviation[:, :3], own[:, :3], source.scan_rotation, spoken[:, 0]),
+            _correlation_inflation(deviation[:, 3:], own[:, 3:], source.scan_position, spoken[:, 1]),
         ),
     )
 

@@ -249,12 +249,30 @@ def test_few_points_widen_the_time_window(monkeypatch):
         rec.plane_points, scan_offsets=np.append(offsets[:3], np.full(len(offsets) - 3, offsets[2]))
     )
     config = PointsConfig(time_window_s=0.25)
+    monkeypatch.setattr(scene_points, "SUPPORT_IN_IMAGE", 0.0)
     monkeypatch.setattr(scene_points, "MIN_POINTS_IN_IMAGE", 0)
     narrow = select(rec, config, plane_points=sparse)
     monkeypatch.setattr(scene_points, "MIN_POINTS_IN_IMAGE", 500)
     wide = select(rec, config, plane_points=sparse)
     assert narrow.reference.max() < 4
     assert wide.reference.max() >= 6
+
+
+def test_scans_too_sparse_for_patches_at_full_size_widen_the_time_window(monkeypatch):
+    rec = room_with_screen()
+    points = rec.plane_points
+    kept = np.arange(0, len(points.plane), 16)
+    sparse = replace(
+        points,
+        points_world=points.points_world[kept],
+        plane=points.plane[kept],
+        scan_offsets=np.searchsorted(kept, points.scan_offsets),
+    )
+    monkeypatch.setattr(scene_points, "MIN_POINTS_IN_IMAGE", 0)
+    wide = select(rec, PointsConfig(time_window_s=0.25), plane_points=sparse)
+    monkeypatch.setattr(scene_points, "SUPPORT_IN_IMAGE", 0.0)
+    narrow = select(rec, PointsConfig(time_window_s=0.25), plane_points=sparse)
+    assert len(wide) > 3 * len(narrow) > 0
 
 
 def test_near_ranges_take_whole_scans_and_at_least_the_nearest():

@@ -183,7 +183,7 @@ def test_images_of_which_a_source_tells_nothing_say_nothing_of_it():
         prior.sources[0],
         sigma_rotation=huge * prior.sources[0].sigma_rotation,
         sigma_position=huge * prior.sources[0].sigma_position,
-        silent=silent,
+        silent=np.stack([silent, silent], axis=1),
     )
     none = (np.zeros((30, 6)),)
     for _ in range(3):  # once a level: what is wrong adds up
