@@ -219,7 +219,8 @@ def judge_scans(
 ) -> Verdict:
     """Whether map and images together speak for refined scan poses: one gains beyond chance, the other does not deny it.
 
-    images: from cameras carried along with the scans, without exposures on both sides; none where there are no images
+    images: from cameras carried along with the scans, with the same exposures on both sides, or none; no figures where
+        there are no images
     Scan poses may make the map crisper and still be wrong, by sliding where planes leave it open: images see that, by
     PSNR. SSIM alone contradicts nothing here: the cameras are not refined yet, and where they are centimeters off, SSIM
     punishes a crisp map for structure in the wrong place, and a blurred one less. In a simulated courtyard, scans that
@@ -317,8 +318,7 @@ def _judge_by_images(before: Scores, after: Scores, what: str, config: GateConfi
     if "unknown" in (own.finding, same.finding):
         few = "hardly a pixel is seen by two images, so nothing can be judged"
         return Verdict(False, f"input {what} kept", f"{few}", figures)
-    # a state must not win by covering less: over all pixels covered, as reported, and over those that all cover
-    if not (own.finding == same.finding == "better" or _clearly_more_alike(figures, config)):
+    if not (_predicts_better(figures) or _clearly_more_alike(figures, config)):
         return Verdict(
             False,
             f"input {what} kept",
@@ -336,21 +336,36 @@ def _judge_by_images(before: Scores, after: Scores, what: str, config: GateConfi
     return Verdict(True, "accepted", f"{change}", figures)
 
 
-_ALONE = 1.5
-"""Times as many standard errors as else SSIM must gain where PSNR gains no more than chance may."""
+_EITHER = 1.0
+"""Standard errors that PSNR must gain over one kind of pixels where it gains beyond chance over the other: both are of
+the same images, and of few or small ones a right gain is seldom beyond chance over both."""
+
+
+def _predicts_better(figures: Sequence[Figure]) -> bool:
+    """Whether PSNR gains, over all pixels covered and over those that all states cover: none may win by covering less."""
+    return "better" in [each.finding for each in figures[:2]] and _beyond(figures, _EITHER)
+
+
+_TOGETHER = ((1.5, 0.0), (1.0, 1.0))
+"""Where PSNR gains no more than chance may, SSIM must gain by so many times the standard errors that a gain must exceed,
+and PSNR by so many standard errors."""
 
 
 def _clearly_more_alike(figures: Sequence[Figure], config: GateConfig) -> bool:
-    """Whether SSIM gains far beyond chance, and PSNR gains, too, by chance or not.
+    """Whether SSIM gains beyond chance, and PSNR, too: SSIM far beyond, and PSNR by chance or not, or each by less.
 
     Where noise, exposure control or shine make most of the differences, PSNR hardly tells what edges in place are worth.
     A headset's cameras, their extrinsic 0.3 degrees off: PSNR +0.05 +- 0.10 dB, SSIM +0.027 +- 0.003, orientations by the
-    headset's tracking 0.45 degrees off before and 0.25 after.
+    headset's tracking 0.45 degrees off before and 0.25 after. Exposures of 16 images that were 22 % off, right to a tenth
+    of a percent after: PSNR +2.0 +- 1.1 dB, for some images gain much more than others, SSIM +0.049 +- 0.024.
     """
     by_ssim = [each for each in figures if each.name in (_SSIM, "ssim_compared")]
-    least = _ALONE * config.confidence
-    clear = all(each.gain > max(LOSSES[each.name], least * each.error) for each in by_ssim)
-    return clear and _beyond(figures, 0.0)
+
+    def gains(errors: float) -> bool:
+        least = errors * config.confidence
+        return all(each.gain > max(LOSSES[each.name], least * each.error) for each in by_ssim)
+
+    return any(gains(by_edges) and _beyond(figures, by_psnr) for by_edges, by_psnr in _TOGETHER)
 
 
 def fused_entropy_allowed(rough_gain: float, entropy: Figure, config: GateConfig) -> bool:

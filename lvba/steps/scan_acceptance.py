@@ -3,19 +3,18 @@
 How crisp the map is, each part says of its region of space; what images say, of the images in its core.
 """
 
-import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lvba.arrays import Poses
+from lvba.arrays import Indices, Poses
 from lvba.blocks.decoded import PhotoReader, Pieces, ScanPoints, ScanReader, blank_photos
 from lvba.blocks.regions import region_cloud
 from lvba.blocks.split import Part
 from lvba.blocks.survey import Survey
 from lvba.dataset import Dataset
-from lvba.products import evaluate, map_quality
+from lvba.products import brightness, evaluate, map_quality
 from lvba.products.evaluate import EvaluateConfig, Scores, State
 from lvba.products.map_quality import EntropyBlocks, EntropyConfig
 from lvba.products.recorded_images import views_of
@@ -104,7 +103,8 @@ def compare(
     progress: Progress = silent,
 ) -> dict[str, Scores]:
     """What images in a part's core say of refined scans: scores of ROUGH and CARRIED, with cameras carried along. Where
-    they speak against these scans, also with other calibrations, by as much as the prior says one may be off.
+    they do not speak for these scans, as bright as exposures make each beside the others; where they speak against them
+    then, also with other calibrations, by as much as the prior says one may be off.
 
     dataset: of the part's frames, points, photos: of these; images: how many the whole recording has
     entropies: of all regions
@@ -119,7 +119,7 @@ def compare(
     before = cloud_of(dataset, dataset.scans.world_from_sensor, progress, read)
     after = cloud_of(dataset, refined, progress, read)
     views = views_of(dataset, PhotoReader(photos, dataset.camera, part.images[0]))
-    carried = dataclasses.replace(views, world_from_camera=carry_cameras(dataset, refined))
+    carried = replace(views, world_from_camera=carry_cameras(dataset, refined))
     states = {ROUGH: State(before, views), CARRIED: State(after, carried)}
     unknown = dict.fromkeys(states, float("nan"))
     entropy = acceptance.entropy_figure(map_quality.entropy_change(*_of_all_regions(entropies)), gates)
@@ -129,17 +129,23 @@ def compare(
             entropy, acceptance.image_figures(scores[ROUGH], scores[CARRIED], gates)
         )
 
-    scores = evaluate.evaluate(
-        states,
-        config,
-        entropies=unknown,
-        brief=tuple(states),
-        held_out=blank,
-        images=core - part.images[0],
-        enough=agree if part.core_images == (0, images) else None,
-        few=acceptance.FEW_SCAN_IMAGES,
-        progress=progress,
-    )
+    def judged() -> dict[str, Scores]:
+        return evaluate.evaluate(
+            states,
+            config,
+            entropies=unknown,
+            brief=tuple(states),
+            held_out=blank,
+            images=core - part.images[0],
+            enough=agree if part.core_images == (0, images) else None,
+            few=acceptance.FEW_SCAN_IMAGES,
+            progress=progress,
+        )
+
+    scores = judged()
+    if not agree(scores):
+        states = _exposed(states, config, blank, progress)
+        scores = judged()
     if acceptance.contradicted(acceptance.image_figures(scores[ROUGH], scores[CARRIED], gates)):
         few = evaluate.spread_evenly(scores[ROUGH].images, acceptance.FEW_SCAN_IMAGES)
         for number in range(other_calibrations.COUNT):
@@ -158,6 +164,20 @@ def compare(
                 progress=progress,
             )
     return as_in_whole(scores, part)
+
+
+def _exposed(
+    states: Mapping[str, State], config: EvaluateConfig, blank: Indices, progress: Progress
+) -> dict[str, State]:
+    """The states with the exposures that their maps show together. blank: images that color nothing"""
+    each = list(states.values())
+    colored = evaluate.color_by_paper(each, blank, progress)
+    views = [state.views for state in each]
+    log_exposure = brightness.log_exposures(list(zip(colored, views, strict=True)), config.render)
+    return {
+        name: replace(state, views=replace(state.views, log_exposure=log_exposure))
+        for name, state in states.items()
+    }
 
 
 def judge_lidar(

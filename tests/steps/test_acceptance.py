@@ -274,6 +274,8 @@ EDGES = np.array([0.01, 0.012, 0.009, 0.011, 0.008])
         (CHANCE, 0.4 * EDGES, False),  # less than contradicts anything
         (CHANCE, 0.01 + 0.04 * CHANCE, False),  # 1.3 standard errors
         (CHANCE - 0.2, EDGES, False),  # PSNR falls, if within chance
+        (CHANCE + 0.3, 0.01 + 0.02 * CHANCE, True),  # 2.6 standard errors, and PSNR by 1.6
+        (CHANCE + 0.1, 0.01 + 0.02 * CHANCE, False),  # and PSNR by 0.6
     ],
 )
 def test_edges_far_more_alike_are_a_gain_where_noise_hides_it_from_psnr(psnr, ssim, accepted):
@@ -281,6 +283,15 @@ def test_edges_far_more_alike_are_a_gain_where_noise_hides_it_from_psnr(psnr, ss
     assert verdicts(posed=posed, visual=scores(BASE + 1 + psnr, ssim=0.5 + ssim))[0] is accepted
     covering_less = scores(BASE + psnr, BASE - 0.1, ssim=0.5 + ssim)
     assert not verdicts(posed=covering_less, visual=covering_less)[0]
+
+
+@pytest.mark.parametrize(("own", "same", "accepted"), [(0.5, 0.3, True), (0.3, 0.5, True), (0.5, 0.1, False)])
+def test_gains_beyond_chance_over_either_kind_of_pixels_and_likely_over_the_other_are_accepted(
+    own, same, accepted
+):
+    """0.1, 0.3 and 0.5 are 0.6, 1.6 and 2.6 standard errors."""
+    after = scores(BASE + CHANCE + own, BASE + CHANCE + same)
+    assert verdicts(posed=after, visual=after)[0] is accepted
 
 
 def test_gain_only_by_covering_less_is_refused():

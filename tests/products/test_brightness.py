@@ -1,0 +1,34 @@
+"""Exposures by what a colored map shows of each image in the colors of the others."""
+
+import box_world
+import numpy as np
+import pytest
+
+from lvba import geometry
+from lvba.products import brightness, evaluate
+
+
+@pytest.mark.parametrize("off", [0.0, 0.03])
+def test_exposures_are_those_of_the_images_wherever_poses_are_a_little_off(off):
+    world = box_world.make()
+    moved = np.random.default_rng(1).normal(0, [0.3 * off] * 3 + [off] * 3, (6, 6))
+    views = [
+        world.views(poses, log_exposure=np.zeros(6))
+        for poses in (world.world_from_camera, geometry.retract(world.world_from_camera, moved))
+    ]
+    states = [evaluate.State(world.cloud(), each) for each in views]
+    maps = list(zip(evaluate.color_by_paper(states), views, strict=True))
+    estimated = brightness.log_exposures(maps[1:] if off else maps)
+    true = world.log_exposure - world.log_exposure[0]
+    assert np.abs(true).max() > 0.2
+    np.testing.assert_allclose(estimated - estimated[0], true, atol=0.03 if off else 0.01)
+
+
+def test_images_that_share_nothing_are_taken_as_they_are():
+    world = box_world.make()
+    views = world.views(log_exposure=np.zeros(6))
+    cloud = world.cloud()
+    nothing = evaluate.color_by_paper([evaluate.State(cloud, views)], np.arange(1, 6))[0]
+    alone = brightness.log_exposures([(nothing, views)])
+    assert alone.shape == (6,)
+    assert np.isfinite(alone).all()
