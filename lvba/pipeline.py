@@ -20,6 +20,7 @@ from lvba.loop_closure import candidates
 from lvba.plan import LazyRef, Plan, Ref, one_at_a_time
 from lvba.run_settings import Config as Config
 from lvba.steps import (
+    between_exposures,
     camera_outliers,
     evaluate,
     expected_error,
@@ -104,6 +105,7 @@ class _Chain(Chain):
         cameras = self.mend_cameras(scans, solved)
         learned, fused = self.fuse(lidar, scans, cameras)
         cameras = self.solve_over_fused(lidar, learned, fused, cameras)
+        cameras = self.expose_between(scans, fused, cameras)
         scores, accepted = self.choose(scans, fused, cameras)
         expected = add("expected-error", expected_error.of_result, lidar, learned, cameras, accepted)
         pieces = self.color_map(accepted, expected)
@@ -356,6 +358,15 @@ class _Chain(Chain):
             "fused-cameras", fused_cameras.finish,
             *(self.dataset, self.solved, cameras, merged, lidar, fused, *options),
         )  # fmt: skip
+
+    def expose_between(self, scans: Ref, fused: Ref, cameras: Ref) -> Ref:
+        """The cameras with the exposures of images between keyframes as the map shows them."""
+        if self.variant.exposures == "none":
+            return cameras
+        parts = self._each(
+            "exposures-between", between_exposures.measure, scans, fused, cameras, self.config.evaluate
+        )
+        return self.plan.add("exposures", between_exposures.merge, cameras, parts)
 
     def choose(self, scans: Ref, fused: Ref, cameras: Ref) -> tuple[Ref, Ref]:
         """The scores over all images, and the state that is the result."""

@@ -148,21 +148,7 @@ def compare(
         scores = judged()
     if acceptance.contradicted(acceptance.image_figures(scores[ROUGH], scores[CARRIED], gates)):
         few = evaluate.spread_evenly(scores[ROUGH].images, acceptance.FEW_SCAN_IMAGES)
-        for number in range(other_calibrations.COUNT):
-            scores |= evaluate.evaluate(
-                {
-                    other_calibrations.name(name, number): State(
-                        state.cloud, other_calibrations.views(state.views, number, prior)
-                    )
-                    for name, state in states.items()
-                },
-                config,
-                entropies={other_calibrations.name(name, number): float("nan") for name in states},
-                brief=tuple(other_calibrations.name(name, number) for name in states),
-                held_out=blank,
-                images=few,
-                progress=progress,
-            )
+        scores |= _with_other_calibrations(states, config, prior, few, blank, progress)
     return as_in_whole(scores, part)
 
 
@@ -178,6 +164,35 @@ def _exposed(
         name: replace(state, views=replace(state.views, log_exposure=log_exposure))
         for name, state in states.items()
     }
+
+
+def _with_other_calibrations(
+    states: Mapping[str, State],
+    config: EvaluateConfig,
+    prior: PriorConfig,
+    images: Indices,
+    blank: Indices,
+    progress: Progress,
+) -> dict[str, Scores]:
+    """Scores of the states over some images (J,), with calibrations as the prior says they may be, by name."""
+    scores = dict[str, Scores]()
+    for number in range(other_calibrations.COUNT):
+        others = {
+            other_calibrations.name(name, number): State(
+                state.cloud, other_calibrations.views(state.views, number, prior)
+            )
+            for name, state in states.items()
+        }
+        scores |= evaluate.evaluate(
+            others,
+            config,
+            entropies=dict.fromkeys(others, float("nan")),
+            brief=tuple(others),
+            held_out=blank,
+            images=images,
+            progress=progress,
+        )
+    return scores
 
 
 def judge_lidar(

@@ -32,3 +32,23 @@ def test_images_that_share_nothing_are_taken_as_they_are():
     alone = brightness.log_exposures([(nothing, views)])
     assert alone.shape == (6,)
     assert np.isfinite(alone).all()
+
+
+def test_exposures_of_images_that_colored_nothing_are_told_by_the_others():
+    world = box_world.make()
+    known, other = np.array([0, 1, 3, 4, 5], np.int32), np.array([2], np.int32)
+    views = world.views()
+    colored = evaluate.color_by_paper([evaluate.State(world.cloud(), views)], other)[0]
+    dull = world.views(log_exposure=np.where(np.arange(6) == 2, 0.0, world.log_exposure))
+    estimated, sigma = brightness.of_others(colored, dull, other, known)
+    assert abs(world.log_exposure[2]) > 0.1
+    assert estimated[0] == pytest.approx(world.log_exposure[2], abs=0.01)
+    assert sigma < 0.02
+
+
+def test_few_known_images_tell_nothing_of_how_good_others_are():
+    world = box_world.make()
+    other = np.array([2], np.int32)
+    colored = evaluate.color_by_paper([evaluate.State(world.cloud(), world.views())], other)[0]
+    _, sigma = brightness.of_others(colored, world.views(), other, np.array([0, 1], np.int32))
+    assert np.isinf(sigma)

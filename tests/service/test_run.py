@@ -32,6 +32,7 @@ STAGES = [
     ),
     *("visual-level-2", "visual-level-1", "visual", "visual-outliers", "visual-mended"),
     *("fusion", "fusion-entropy", "fusion-choice", "fusion-gate", "fused-cameras"),
+    *("exposures-between", "exposures"),
     *("evaluate", "visual-gate", "evaluate-result", "expected-error"),
     *("map", "planes", "renderings", "pictures", "facts"),
 ]

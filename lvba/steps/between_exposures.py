@@ -1,0 +1,117 @@
+"""The steps that find exposures of images between keyframes, by the map that keyframes color.
+
+Interpolated, they miss what the camera did between keyframes: 2 % where images are .3 s apart. A map colored by these,
+with their exposures, shows each other image as bright as it would be at an exposure of one.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lvba.blocks.decoded import PhotoReader, Pieces, ScanPoints, ScanReader, blank_photos
+from lvba.blocks.split import Part
+from lvba.dataset import Dataset
+from lvba.products import brightness
+from lvba.products import evaluate as evaluation
+from lvba.products.evaluate import EvaluateConfig, State
+from lvba.products.recorded_images import views_of
+from lvba.progress import Progress, silent
+from lvba.steps.evaluate import of_part, refined_cameras, views_at
+from lvba.steps.lidar import cloud_of
+from lvba.steps.outcomes import ScanPoses, VisualStage
+from lvba.trajectory import nearest_in_time
+from lvba.visual import exposures_between
+from lvba.visual.result import VisualResult
+
+_WITNESSES = 40
+"""Keyframes that tell how good exposures by the map are."""
+_LEAST = 1e-4
+"""No exposure is known better than that."""
+
+
+@dataclass(frozen=True)
+class BetweenKeyframes:
+    """images: (J,) int64, numbers in the whole recording; log_exposure: (J,) float64, natural logs, in the scale of the
+    keyframes' exposures; sigma: their standard deviation beside that of these; inf: not known"""
+
+    images: np.ndarray
+    log_exposure: np.ndarray
+    sigma: float
+
+
+def measure(
+    dataset: Dataset,
+    part: Part,
+    points: Pieces[ScanPoints],
+    photos: Pieces[np.ndarray],
+    scans: ScanPoses,
+    fused: ScanPoses,
+    visual: VisualStage,
+    config: EvaluateConfig,
+    progress: Progress = silent,
+) -> BetweenKeyframes:
+    """Exposures of the images in a part's core that are no keyframes, where the map shows them.
+
+    dataset: of the part's frames, points, photos: of these; scans, fused, visual: of the whole
+    """
+    nothing = BetweenKeyframes(np.zeros(0, np.int64), np.zeros(0), np.inf)
+    if visual.result is None:
+        return nothing
+    numbers = np.arange(*part.images)
+    keyframe = np.isin(numbers, visual.result.keyframes)
+    in_core = (numbers >= part.core_images[0]) & (numbers < part.core_images[1])
+    if not (in_core & ~keyframe).any():
+        return nothing
+    blank = blank_photos(photos, part.images)
+    certain = ~exposures_between.vague(visual.result.log_exposure_sigma[numbers], exposures_between.VAGUE)
+    known = np.setdiff1d(np.flatnonzero(keyframe & certain), blank).astype(np.int32)
+    asked = np.setdiff1d(np.flatnonzero(in_core & ~keyframe), blank).astype(np.int32)
+    if not (len(known) and len(asked)):
+        return nothing
+    own, _, mine = of_part(scans, fused, visual, part)
+    assert mine.result is not None
+    cameras = refined_cameras(dataset.camera, mine.result)
+    pictures = PhotoReader(photos, dataset.camera, part.images[0]).seen_by(cameras.camera)
+    views = views_at(views_of(dataset.with_camera(cameras.camera), pictures), cameras)
+    cloud = cloud_of(dataset, own.world_from_scan, progress, ScanReader(points, part.scans[0]))
+    others = np.setdiff1d(np.arange(len(numbers), dtype=np.int32), known)
+    [colored] = evaluation.color_by_paper([State(cloud, views)], others, progress)
+    witnesses = evaluation.spread_evenly(known, _WITNESSES)
+    log_exposure, sigma = brightness.of_others(colored, views, asked, witnesses, config.render)
+    seen = np.isfinite(log_exposure)
+    return BetweenKeyframes(numbers[asked[seen]], log_exposure[seen], sigma)
+
+
+def merge(visual: VisualStage, parts: Sequence[BetweenKeyframes]) -> VisualStage:
+    """The stage with the exposures of images between keyframes by what the map says and by interpolation, each by how far
+    it may be off."""
+    known = [each for each in parts if len(each.images) and np.isfinite(each.sigma)]
+    if visual.result is None or not known:
+        return visual
+    images = np.concatenate([each.images for each in known])
+    value = np.concatenate([each.log_exposure for each in known])
+    sigma = np.concatenate([np.full(len(each.images), each.sigma) for each in known])
+    # keyframes may have moved a little since
+    over = visual.over_fused
+    moved = 0.0 if over is None else (over.log_exposure - visual.result.log_exposure)[images]
+    return replace(
+        visual,
+        result=_with(visual.result, images, value, sigma),
+        over_fused=None if over is None else _with(over, images, value + moved, sigma),
+    )
+
+
+def _with(result: VisualResult, images: np.ndarray, value: np.ndarray, sigma: np.ndarray) -> VisualResult:
+    """The result with what the map says of the exposures of some images (J,)."""
+    log_exposure, spread = result.log_exposure.copy(), result.log_exposure_sigma.copy()
+    nearest = result.keyframes[nearest_in_time(result.keyframes, images)]
+    by_map = np.hypot(np.maximum(sigma, _LEAST), spread[nearest])
+    finite = np.isfinite(by_map)
+    images, value, by_map = images[finite], value[finite], by_map[finite]
+    weights = 1 / np.stack([by_map, np.maximum(spread[images], _LEAST)]) ** 2
+    log_exposure[images] = (weights * np.stack([value, log_exposure[images]])).sum(axis=0) / weights.sum(
+        axis=0
+    )
+    spread[images] = 1 / np.sqrt(weights.sum(axis=0))
+    return replace(result, log_exposure=log_exposure - log_exposure[0], log_exposure_sigma=spread)

@@ -1,0 +1,94 @@
+"""Exposures of images between keyframes, by the map that keyframes color."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from lvba import pipeline, plan, simulate
+from lvba.blocks.split import SplitConfig
+from lvba.io.dataset import open_dataset
+from lvba.run_settings import Config
+from lvba.steps import between_exposures
+from lvba.steps.between_exposures import BetweenKeyframes
+from lvba.steps.outcomes import VisualStage
+from lvba.visual.result import VisualResult
+
+
+def stage(log_exposure, sigma, keyframes):
+    nothing = dict.fromkeys((each.name for each in fields(VisualResult)), None)
+    given = {"log_exposure": log_exposure, "log_exposure_sigma": sigma, "keyframes": keyframes}
+    return VisualStage(VisualResult(**nothing | given))
+
+
+@pytest.fixture
+def interpolated():
+    """Keyframes 0, 2 and 4, known to 0.001; those between to 0.02, and far off."""
+    log_exposure, sigma = np.array([0.0, 0.05, 0.1, 0.15, 0.2]), np.array([0.001, 0.02, 0.001, 0.02, 0.001])
+    return stage(log_exposure, sigma, np.array([0, 2, 4]))
+
+
+def test_what_the_map_says_counts_by_how_far_keyframes_are_off_by_it(interpolated):
+    parts = [
+        BetweenKeyframes(np.array([1]), np.array([0.3]), 0.003),
+        BetweenKeyframes(np.array([3]), np.array([-0.1]), 0.02),
+    ]
+    result = between_exposures.merge(interpolated, parts).result
+    first, second = np.hypot(0.003, 0.001), np.hypot(0.02, 0.001)
+    expected = [
+        (value / by_map**2 + before / 0.02**2) / (1 / by_map**2 + 1 / 0.02**2)
+        for value, before, by_map in ((0.3, 0.05, first), (-0.1, 0.15, second))
+    ]
+    np.testing.assert_allclose(result.log_exposure[[1, 3]], expected)
+    np.testing.assert_array_equal(result.log_exposure[[0, 2, 4]], [0.0, 0.1, 0.2])
+    assert result.log_exposure_sigma[1] == pytest.approx(1 / np.hypot(1 / first, 1 / 0.02))
+    np.testing.assert_array_equal(result.log_exposure_sigma[[0, 2, 4]], 0.001)
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        BetweenKeyframes(np.array([1]), np.array([0.3]), np.inf),
+        BetweenKeyframes(np.zeros(0, int), np.zeros(0), 0.1),
+    ],
+)
+def test_where_the_map_tells_nothing_exposures_stay_interpolated(interpolated, part):
+    assert between_exposures.merge(interpolated, [part]) is interpolated
+
+
+def test_beside_a_keyframe_of_which_nothing_is_known_nothing_is_known():
+    known = stage(np.zeros(3), np.array([0.001, np.inf, np.inf]), np.array([0, 2]))
+    part = BetweenKeyframes(np.array([1]), np.array([0.3]), 0.003)
+    beside = stage(np.zeros(4), np.array([0.001, 0.02, np.inf, np.inf]), np.array([0, 3]))
+    result = between_exposures.merge(
+        beside, [BetweenKeyframes(np.array([1, 2]), np.array([0.3, 0.3]), 0.003)]
+    ).result
+    assert result.log_exposure[1] > 0.2
+    assert result.log_exposure[2] == 0.0
+    assert np.isinf(result.log_exposure_sigma[2])
+    assert np.isfinite(between_exposures.merge(known, [part]).result.log_exposure).all()
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory):
+    """A short street with an image every 20 cm, of which half are keyframes."""
+    folder = tmp_path_factory.mktemp("between") / "street"
+    sizes = {"width": 320, "height": 240, "points_per_scan": 6000}
+    simulate.simulate("street", folder, frames=40, scans=40, length=10.0, seed=5, **sizes)
+    return folder
+
+
+@pytest.mark.parametrize("split", [{"by": "none"}, {"by": "count", "size": 20}], ids=["one", "parts"])
+def test_in_a_run_they_are_better_than_interpolated_ones_and_as_good_as_promised(street, split):
+    steps = pipeline.refine(open_dataset(street), replace(Config(), split=SplitConfig(**split)))
+    results = plan.run(steps, {})
+    named = {step.name: results[key] for key, step in steps.steps.items() if key in results}
+    before, after = (named[name].result for name in ("fused-cameras", "exposures"))
+    exposure = np.loadtxt(street / "reference" / "exposures.csv", delimiter=",", skiprows=1)[:, 1]
+    off = [each.log_exposure - np.log(exposure / exposure[0]) for each in (before, after)]
+    between = np.setdiff1d(np.arange(40), before.keyframes)
+    assert len(between) > 10
+    interpolated, by_map = (float(np.sqrt(np.mean(each[between] ** 2))) for each in off)
+    assert by_map < 0.5 * interpolated
+    assert np.mean((off[1][between] / after.log_exposure_sigma[between]) ** 2) < 4.0
+    np.testing.assert_allclose(off[1][before.keyframes], off[0][before.keyframes], atol=1e-12)
