@@ -11,7 +11,6 @@ from math import sqrt
 import numpy as np
 
 from lvba.arrays import Indices
-from lvba.kernels import zbuffer
 from lvba.products import render
 from lvba.products.render import OTHERS, ColoredCloud, RenderConfig
 from lvba.products.views import Views
@@ -89,17 +88,18 @@ def _pixels(
     step = max(round(sqrt(views.camera.width * views.camera.height / _PIXELS)), 1)
     even = cloud.gray if cloud.even is None else cloud.even
     for image in map(int, images):
-        entries = render.nearest(cloud, views, image, config)[OTHERS:, ::step, ::step]
-        index = zbuffer.split(np.ascontiguousarray(entries))[1][0]
-        own, other = views.load(image)[::step, ::step], cloud.gray[index]
-        lowest, highest = np.minimum(own, other).mean(axis=2), np.maximum(own, other).mean(axis=2)
-        used = (index >= 0) & (lowest > DARK) & (highest < exposure.BRIGHT)
-        lights = views.load_even(image)[::step, ::step][used], even[index[used]]
+        index = render.points(render.nearest(cloud, views, image, config)[OTHERS, ::step, ::step])
+        covered = index >= 0
+        index, own = index[covered], views.load(image)[::step, ::step][covered]
+        lowest, highest = (pick(own, cloud.gray[index]).mean(axis=1) for pick in (np.minimum, np.maximum))
+        used = (lowest > DARK) & (highest < exposure.BRIGHT)
+        index = index[used]
+        lights = views.load_even(image)[::step, ::step][covered][used], even[index]
         logs = [np.log(np.maximum(each.mean(axis=1, dtype=np.float64), 1.0)) for each in lights]
         yield (
-            cloud.source[index[used]],
+            cloud.source[index],
             np.full(len(logs[0]), image),
             logs[0] - logs[1],
             0.5 * (logs[0] + logs[1]),
-            cloud.points_world[:, index[used]].T,
+            cloud.points_world[:, index].T,
         )

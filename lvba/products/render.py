@@ -154,6 +154,11 @@ def covered(entries: np.ndarray) -> np.ndarray:
     return np.asarray(entries != kernels.EMPTY)
 
 
+def points(entries: np.ndarray) -> np.ndarray:
+    """Which point of the cloud each pixel sees, int64 as the entries, -1: none. entries: (H, W) int64, of `nearest`"""
+    return np.asarray(np.where(entries == kernels.EMPTY, -1, entries & 0xFFFFFFFF))
+
+
 def shade(
     entries: np.ndarray,
     cloud: ColoredCloud,

@@ -34,6 +34,17 @@ def test_images_that_share_nothing_are_taken_as_they_are():
     assert np.isfinite(alone).all()
 
 
+def test_a_map_that_no_image_colored_tells_nothing():
+    world = box_world.make()
+    views = world.views(log_exposure=np.zeros(6))
+    blank = evaluate.color_by_paper([evaluate.State(world.cloud(), views)], np.arange(6))[0]
+    assert not len(blank.source)
+    np.testing.assert_array_equal(brightness.log_exposures([(blank, views)]), np.zeros(6))
+    estimated, sigma = brightness.of_others(blank, views, np.array([1], np.int32), np.array([0], np.int32))
+    assert np.isnan(estimated).all()
+    assert np.isinf(sigma)
+
+
 def test_exposures_of_images_that_colored_nothing_are_told_by_the_others():
     world = box_world.make()
     known, other = np.array([0, 1, 3, 4, 5], np.int32), np.array([2], np.int32)
