@@ -85,10 +85,9 @@ def _wrong(rough: Trajectory, refined: Poses, others: Trajectory) -> np.ndarray:
 
 def _mixed(one: Poses, other: Poses, by_one: np.ndarray, mounted: Pose) -> Poses:
     """(J, 4, 4): the one where `by_one` (J, 2) says so for rotation and position of the first sensor, else the other."""
-    turns = np.where(by_one[:, 0, None, None], one, other)
-    sensor = turns @ geometry.inverse(mounted)
-    positions = [(each @ geometry.inverse(mounted))[:, :3, 3] for each in (one, other)]
-    sensor[:, :3, 3] = np.where(by_one[:, 1:], *positions)
+    one, other = (each @ geometry.inverse(mounted) for each in (one, other))
+    sensor = np.where(by_one[:, 0, None, None], one, other)
+    sensor[:, :3, 3] = np.where(by_one[:, 1:], one[:, :3, 3], other[:, :3, 3])
     return np.asarray(sensor @ mounted)
 
 

@@ -105,7 +105,7 @@ class _Chain(Chain):
         cameras = self.mend_cameras(scans, solved)
         learned, fused = self.fuse(lidar, scans, cameras)
         cameras = self.solve_over_fused(lidar, learned, fused, cameras)
-        cameras = self.expose_between(scans, fused, cameras)
+        cameras = self.expose_between(scans, cameras)
         scores, accepted = self.choose(scans, fused, cameras)
         expected = add("expected-error", expected_error.of_result, lidar, learned, cameras, accepted)
         pieces = self.color_map(accepted, expected)
@@ -359,12 +359,12 @@ class _Chain(Chain):
             *(self.dataset, self.solved, cameras, merged, lidar, fused, *options),
         )  # fmt: skip
 
-    def expose_between(self, scans: Ref, fused: Ref, cameras: Ref) -> Ref:
+    def expose_between(self, scans: Ref, cameras: Ref) -> Ref:
         """The cameras with the exposures of images between keyframes as the map shows them."""
         if self.variant.exposures == "none":
             return cameras
         parts = self._each(
-            "exposures-between", between_exposures.measure, scans, fused, cameras, self.config.evaluate
+            "exposures-between", between_exposures.measure, scans, cameras, self.config.evaluate
         )
         return self.plan.add("exposures", between_exposures.merge, cameras, parts)
 

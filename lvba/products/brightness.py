@@ -15,6 +15,7 @@ from lvba.products import render
 from lvba.products.render import OTHERS, ColoredCloud, RenderConfig
 from lvba.products.views import Views
 from lvba.visual import exposure
+from lvba.visual.exposure_graph import robust_std
 from lvba.visual.image import DARK
 from lvba.visual.ratios import Ratios
 
@@ -26,8 +27,6 @@ _FEWEST_PIXELS = 100
 """That an exposure is told by."""
 _FEWEST_KNOWN = 5
 """Known exposures that tell how good others are."""
-_MAD = 1.4826
-"""Standard deviation of a normal variable over the median of its size."""
 
 
 def log_exposures(
@@ -67,7 +66,7 @@ def of_others(
     by_pixels = _medians(cloud, views, images, config)
     off = _medians(cloud, views, known, config) - views.log_exposure[known]
     off = off[np.isfinite(off)]
-    return by_pixels, float(_MAD * np.median(np.abs(off))) if len(off) >= _FEWEST_KNOWN else np.inf
+    return by_pixels, robust_std(off) if len(off) >= _FEWEST_KNOWN else np.inf
 
 
 def _medians(cloud: ColoredCloud, views: Views, images: Indices, config: RenderConfig | None) -> np.ndarray:

@@ -126,6 +126,7 @@ def evaluate(
     enough: Callable[[dict[str, Scores]], bool] | None = None,
     few: int = FIRST_IMAGES,
     colors: Literal["paper", "blended"] = "paper",
+    colored: Mapping[str, ColoredCloud] | None = None,
     progress: Progress = silent,
 ) -> dict[str, Scores]:
     """The scores of each state, all judged on the same images.
@@ -141,12 +142,13 @@ def evaluate(
     images: (J,) int32, those to judge, ascending; None: chosen evenly.
     enough: whether the scores over a few of them, spread evenly, will do; None: all are judged.
     colors: paper: a point has the color of one image, eq. (10); blended: of several, as in the map (slow).
+    colored: the clouds of all states, where they are colored so already; None: they are colored here.
     """
     config = config or EvaluateConfig()
     out_of_color = np.unique(np.asarray([] if held_out is None else held_out, np.int32))
     geometries = _geometries(states, colors)
-    lit = [_with_light([states[name] for name in names]) for names in geometries]
-    clouds = _colored(lit, colors, out_of_color, progress)
+    colored = colored or _colored(states, geometries, colors, out_of_color, progress)
+    clouds = [colored[names[0]] for names in geometries]
     if images is None:
         count = len(next(iter(states.values())).views)
         images = judged_images(count, out_of_color, config.max_images)
@@ -260,11 +262,19 @@ def _with_light(states: Sequence[State]) -> State:
 
 
 def _colored(
-    states: Sequence[State], colors: str, held_out: np.ndarray, progress: Progress
-) -> list[ColoredCloud]:
+    states: Mapping[str, State],
+    geometries: Sequence[Sequence[str]],
+    colors: str,
+    held_out: np.ndarray,
+    progress: Progress,
+) -> dict[str, ColoredCloud]:
+    """The cloud of each geometry, by the name of its first state."""
+    lit = [_with_light([states[name] for name in names]) for names in geometries]
     if colors == "paper":
-        return color_by_paper(states, held_out, progress)
-    return [render.blended_cloud(state.cloud, state.views, ColorizeConfig(), held_out) for state in states]
+        clouds = color_by_paper(lit, held_out, progress)
+    else:
+        clouds = [render.blended_cloud(state.cloud, state.views, ColorizeConfig(), held_out) for state in lit]
+    return {names[0]: cloud for names, cloud in zip(geometries, clouds, strict=True)}
 
 
 def color_by_paper(

@@ -15,11 +15,12 @@ from lvba.dataset import Dataset
 from lvba.products import brightness
 from lvba.products import evaluate as evaluation
 from lvba.products.evaluate import EvaluateConfig, State
-from lvba.products.recorded_images import views_of
+from lvba.products.views import Views
 from lvba.progress import Progress, silent
-from lvba.steps.evaluate import of_part, refined_cameras, views_at
+from lvba.steps.evaluate import refined_cameras, views_at, views_by
 from lvba.steps.lidar import cloud_of
 from lvba.steps.outcomes import ScanPoses, VisualStage
+from lvba.steps.part_scores import in_core
 from lvba.trajectory import nearest_in_time
 from lvba.visual import exposures_between
 from lvba.visual.result import VisualResult
@@ -46,41 +47,51 @@ def measure(
     points: Pieces[ScanPoints],
     photos: Pieces[np.ndarray],
     scans: ScanPoses,
-    fused: ScanPoses,
     visual: VisualStage,
     config: EvaluateConfig,
     progress: Progress = silent,
 ) -> BetweenKeyframes:
     """Exposures of the images in a part's core that are no keyframes, where the map shows them.
 
-    dataset: of the part's frames, points, photos: of these; scans, fused, visual: of the whole
+    dataset: of the part's frames, points, photos: of these; scans, visual: of the whole
     """
     nothing = BetweenKeyframes(np.zeros(0, np.int64), np.zeros(0), np.inf)
-    if visual.result is None:
+    result = visual.result
+    if result is None:
         return nothing
     numbers = np.arange(*part.images)
-    keyframe = np.isin(numbers, visual.result.keyframes)
-    in_core = (numbers >= part.core_images[0]) & (numbers < part.core_images[1])
-    if not (in_core & ~keyframe).any():
+    no_keyframes = in_core(np.setdiff1d(numbers, result.keyframes), part)
+    if not len(no_keyframes):
         return nothing
     blank = blank_photos(photos, part.images)
-    certain = ~exposures_between.vague(visual.result.log_exposure_sigma[numbers], exposures_between.VAGUE)
-    known = np.setdiff1d(np.flatnonzero(keyframe & certain), blank).astype(np.int32)
-    asked = np.setdiff1d(np.flatnonzero(in_core & ~keyframe), blank).astype(np.int32)
+    certain = np.isin(numbers, result.keyframes) & ~exposures_between.vague(
+        result.log_exposure_sigma[numbers]
+    )
+    known = np.setdiff1d(np.flatnonzero(certain), blank).astype(np.int32)
+    asked = np.setdiff1d(no_keyframes - part.images[0], blank).astype(np.int32)
     if not (len(known) and len(asked)):
         return nothing
-    own, _, mine = of_part(scans, fused, visual, part)
-    assert mine.result is not None
-    cameras = refined_cameras(dataset.camera, mine.result)
-    pictures = PhotoReader(photos, dataset.camera, part.images[0]).seen_by(cameras.camera)
-    views = views_at(views_of(dataset.with_camera(cameras.camera), pictures), cameras)
-    cloud = cloud_of(dataset, own.world_from_scan, progress, ScanReader(points, part.scans[0]))
+    views = _views(dataset, part, photos, result)
+    poses = scans.world_from_scan[slice(*part.scans)]
+    cloud = cloud_of(dataset, poses, progress, ScanReader(points, part.scans[0]))
     others = np.setdiff1d(np.arange(len(numbers), dtype=np.int32), known)
     [colored] = evaluation.color_by_paper([State(cloud, views)], others, progress)
     witnesses = evaluation.spread_evenly(known, _WITNESSES)
     log_exposure, sigma = brightness.of_others(colored, views, asked, witnesses, config.render)
     seen = np.isfinite(log_exposure)
     return BetweenKeyframes(numbers[asked[seen]], log_exposure[seen], sigma)
+
+
+def _views(dataset: Dataset, part: Part, photos: Pieces[np.ndarray], result: VisualResult) -> Views:
+    """The images of a part at the poses and exposures found. Arguments as of `measure`"""
+    mine, solved = slice(*part.images), refined_cameras(dataset.camera, result)
+    cameras = replace(
+        solved,
+        world_from_camera=result.world_from_camera[mine],
+        log_exposure=result.log_exposure[mine],
+    )
+    pictures = PhotoReader(photos, dataset.camera, part.images[0])
+    return views_at(views_by(dataset, pictures, cameras.camera), cameras)
 
 
 def merge(visual: VisualStage, parts: Sequence[BetweenKeyframes]) -> VisualStage:

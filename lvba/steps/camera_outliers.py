@@ -20,7 +20,6 @@ from lvba.blocks.split import Part
 from lvba.dataset import Dataset
 from lvba.products import evaluate as evaluation
 from lvba.products.evaluate import EvaluateConfig, Scores, State
-from lvba.products.recorded_images import views_of
 from lvba.progress import Progress, silent
 from lvba.steps import acceptance, evaluate
 from lvba.steps.lidar import carry_cameras, cloud_of
@@ -209,8 +208,8 @@ def compare(
         dataset, scans.world_from_scan[slice(*part.scans)], progress, ScanReader(points, part.scans[0])
     )
     solved = evaluate.refined_cameras(whole.camera, result)
-    pictures = PhotoReader(photos, whole.camera, part.images[0]).seen_by(solved.camera)
-    views = views_of(dataset.with_camera(solved.camera), pictures)
+    pictures = PhotoReader(photos, whole.camera, part.images[0])
+    views = evaluate.views_by(dataset, pictures, solved.camera)
     poses = {SOLVED: result.world_from_camera} | {
         each.name: substituted(outliers, whole.images.times, result.world_from_camera, each)
         for each in outliers.expectations

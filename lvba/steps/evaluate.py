@@ -214,10 +214,14 @@ def judged_states(
     pictures, states = PhotoReader(photos, dataset.camera, part.images[0]), {}
     for name, cameras in camera_states(dataset, scans, fused, visual).items():
         if cameras.camera not in views:
-            seen_by = dataset.with_camera(cameras.camera)
-            views[cameras.camera] = views_of(seen_by, pictures.seen_by(cameras.camera))
+            views[cameras.camera] = views_by(dataset, pictures, cameras.camera)
         states[name] = State(clouds.get(name, own), views_at(views[cameras.camera], cameras))
     return states
+
+
+def views_by(dataset: Dataset, pictures: PhotoReader, camera: Camera) -> Views:
+    """The images of a dataset as a camera has them, where the input has their poses. pictures: of the dataset"""
+    return views_of(dataset.with_camera(camera), pictures.seen_by(camera))
 
 
 def views_at(views: Views, cameras: Cameras) -> Views:

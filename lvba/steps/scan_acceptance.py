@@ -3,7 +3,7 @@
 How crisp the map is, each part says of its region of space; what images say, of the images in its core.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -121,7 +121,6 @@ def compare(
     views = views_of(dataset, PhotoReader(photos, dataset.camera, part.images[0]))
     carried = replace(views, world_from_camera=carry_cameras(dataset, refined))
     states = {ROUGH: State(before, views), CARRIED: State(after, carried)}
-    unknown = dict.fromkeys(states, float("nan"))
     entropy = acceptance.entropy_figure(map_quality.entropy_change(*_of_all_regions(entropies)), gates)
 
     def agree(scores: Mapping[str, Scores]) -> bool:
@@ -129,41 +128,54 @@ def compare(
             entropy, acceptance.image_figures(scores[ROUGH], scores[CARRIED], gates)
         )
 
-    def judged() -> dict[str, Scores]:
-        return evaluate.evaluate(
-            states,
-            config,
-            entropies=unknown,
-            brief=tuple(states),
-            held_out=blank,
-            images=core - part.images[0],
-            enough=agree if part.core_images == (0, images) else None,
-            few=acceptance.FEW_SCAN_IMAGES,
-            progress=progress,
-        )
-
-    scores = judged()
-    if not agree(scores):
-        states = _exposed(states, config, blank, progress)
-        scores = judged()
+    alone = part.core_images == (0, images)
+    scores, used = _judged(states, config, blank, core - part.images[0], agree, alone, progress)
     if acceptance.contradicted(acceptance.image_figures(scores[ROUGH], scores[CARRIED], gates)):
         few = evaluate.spread_evenly(scores[ROUGH].images, acceptance.FEW_SCAN_IMAGES)
-        scores |= _with_other_calibrations(states, config, prior, few, blank, progress)
+        scores |= _with_other_calibrations(used, config, prior, few, blank, progress)
     return as_in_whole(scores, part)
 
 
-def _exposed(
-    states: Mapping[str, State], config: EvaluateConfig, blank: Indices, progress: Progress
-) -> dict[str, State]:
-    """The states with the exposures that their maps show together. blank: images that color nothing"""
-    each = list(states.values())
-    colored = evaluate.color_by_paper(each, blank, progress)
-    views = [state.views for state in each]
-    log_exposure = brightness.log_exposures(list(zip(colored, views, strict=True)), config.render)
-    return {
+def _judged(
+    states: Mapping[str, State],
+    config: EvaluateConfig,
+    blank: Indices,
+    images: Indices,
+    agree: Callable[[dict[str, Scores]], bool],
+    alone: bool,
+    progress: Progress,
+) -> tuple[dict[str, Scores], Mapping[str, State]]:
+    """Scores of the states over some images (J,), and the states as they were judged: where images do not agree, with the
+    exposures that their maps show together.
+
+    blank: images that color nothing; alone: no other images are asked, so that few do if they agree
+    """
+    colored = dict(zip(states, evaluate.color_by_paper(list(states.values()), blank, progress), strict=True))
+
+    def scores_of(states: Mapping[str, State]) -> dict[str, Scores]:
+        return evaluate.evaluate(
+            states,
+            config,
+            entropies=dict.fromkeys(states, float("nan")),
+            brief=tuple(states),
+            held_out=blank,
+            images=images,
+            enough=agree if alone else None,
+            few=acceptance.FEW_SCAN_IMAGES,
+            colored=colored,
+            progress=progress,
+        )
+
+    scores = scores_of(states)
+    if agree(scores):
+        return scores, states
+    maps = [(colored[name], state.views) for name, state in states.items()]
+    log_exposure = brightness.log_exposures(maps, config.render)
+    exposed = {
         name: replace(state, views=replace(state.views, log_exposure=log_exposure))
         for name, state in states.items()
     }
+    return scores_of(exposed), exposed
 
 
 def _with_other_calibrations(
