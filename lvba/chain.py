@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from lvba.blocks import decoded, scan_errors, split, survey
+from lvba.blocks import decoded, scan_errors, scan_motions, split, survey
 from lvba.blocks.decoded import Made, Range, about_region, given
 from lvba.blocks.split import Part
 from lvba.dataset import Dataset
@@ -36,7 +36,19 @@ class Chain:
         add, config, cores = self.plan.add, self.config, [part.core_scans for part in self.parts]
         self.survey = add("survey", survey.survey, self.dataset, config.lidar, config.visual.keyframes)
         measured = config.refine_scans and self.variant.scan_errors
-        self.errors = add("scan-errors", scan_errors.measure, self.dataset, config.lidar, measured)
+        shared = add("sensor-errors", scan_errors.measure_shared, self.dataset, config.lidar, measured)
+        motions = [
+            add(
+                self._name(part, "scan-motion"),
+                scan_motions.measure,
+                self.dataset,
+                core,
+                shared,
+                config.lidar,
+            )
+            for part, core in zip(self.parts, cores, strict=True)
+        ]
+        self.errors = add("scan-errors", scan_motions.joined, shared, motions)
         self.photos, self.judging, self.keyframes = list[Made](), list[Made](), list[Made]()
         self.points = self._decode("scans", decoded.decode_scans, cores, self.errors, self.survey)
 

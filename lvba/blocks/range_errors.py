@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lvba.arrays import Poses
-from lvba.blocks import motion_left
+from lvba.blocks import motion_left, moving_windows
 from lvba.blocks.scan_windows import Window
 from lvba.dataset import Dataset
 from lvba.lidar import (
@@ -341,7 +341,7 @@ class _Measurement:
         terms = [range_errors.by_errors(self.beams, brighter)]
         if self.clock is not None:
             stamps = self.dataset.scans.times[window.numbers]
-            tau = motion_left.point_times_of(window, stamps, self.clock)
+            tau = moving_windows.point_times_of(window, stamps, self.clock)
             twist = path_motion.sweep_twists(stamps, result.world_from_scan, self.clock)
             terms.append(scan_motion.by_part(np.concatenate(tau), twist))
         terms += [by_depth, range_errors.by_directions(self.beams), range_uncertainty.by_grazing(self.beams)]

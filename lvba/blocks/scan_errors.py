@@ -2,7 +2,7 @@
 
 from functools import cache, partial
 
-from lvba.blocks import motion_left, range_errors, scan_windows
+from lvba.blocks import motion_left, range_errors, scan_motions, scan_windows
 from lvba.dataset import Dataset
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.scan_errors import ScanErrors
@@ -15,6 +15,19 @@ def measure(
     """Of a whole recording; None where nothing is measured.
 
     enabled: False: scan poses are not refined, and nothing is measured
+    Raises InputError: a scan cannot be read.
+    """
+    shared = measure_shared(dataset, config, enabled, progress)
+    everything = (0, len(dataset.scan_paths))
+    return scan_motions.joined(shared, [scan_motions.measure(dataset, everything, shared, config, progress)])
+
+
+def measure_shared(
+    dataset: Dataset, config: LidarConfig, enabled: bool = True, progress: Progress = silent
+) -> ScanErrors | None:
+    """What all scans of a recording have in common, with which part of their motion is left and no motions.
+
+    enabled: as of `measure`
     Raises InputError: a scan cannot be read.
     """
     if not enabled:

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lvba.blocks import decoded, motion_left, scan_errors
+from lvba.blocks import decoded, scan_errors, scan_motions
 from lvba.io import dataset as recordings
 from lvba.io import reference
 from lvba.io.dataset import open_dataset
@@ -225,16 +225,17 @@ def looking(likely, away, wider, monkeypatch):
     def deviations(*_):
         return SimpleNamespace(beside=lambda _: likely[len(seen) - 1])
 
-    monkeypatch.setattr(motion_left.scan_motion, "deviations", deviations)
+    monkeypatch.setattr(scan_motions.scan_motion, "deviations", deviations)
     monkeypatch.setattr(
-        motion_left.scan_motion,
+        scan_motions.scan_motion,
         "most_likely",
         lambda value, _: (np.full((3, 12), value), np.full((3, 6, 6), value)),
     )
+    moving = SimpleNamespace(
+        clock=SimpleNamespace(sweep=0.1), solved=lambda *_: SimpleNamespace(tau=np.zeros(1)), view=look
+    )
     measurement = SimpleNamespace(
-        clock=SimpleNamespace(sweep=0.1),
-        _solved=lambda *_: SimpleNamespace(tau=np.zeros(1)),
-        _view=look,
+        moving=moving,
         _most=lambda _: np.full(4, 50.0),
         _wider=lambda *_: wider,
     )
@@ -257,7 +258,7 @@ def test_deviations_are_as_large_as_the_path_allows_and_leave_points_near_planes
     likely, away, kept, looks, monkeypatch
 ):
     measurement, seen = looking(likely, away, np.zeros((3, 2)), monkeypatch)
-    deviation, covariance = motion_left._Measurement._deviations(measurement, 0.5, None, np.zeros((3, 6)))
+    deviation, covariance = scan_motions._Measurement._deviations(measurement, None, np.zeros((3, 6)))
     assert (deviation == kept).all()
     assert (covariance == kept).all()
     assert len(seen) == looks
@@ -267,9 +268,24 @@ def test_deviations_of_the_first_scan_are_as_large_as_its_points_say(monkeypatch
     """The path tells its motion from one side only; what it allows others says nothing of it."""
     wider = np.array([[1.0, 1.0], [0.0, 0.0], [0.0, 0.0]])
     measurement, seen = looking([200.0, 210.0, 210.0], [1.0, 0.9, 0.8], wider, monkeypatch)
-    deviation, covariance = motion_left._Measurement._deviations(measurement, 0.5, None, np.zeros((3, 6)))
+    deviation, covariance = scan_motions._Measurement._deviations(measurement, None, np.zeros((3, 6)))
     assert (deviation[0] == 210.0).all()
     assert (covariance[0] == 210.0).all()
     assert not deviation[1:].any()
     assert not covariance[1:].any()
     assert len(seen) == 3
+
+
+def test_motions_of_parts_are_those_of_the_whole(recording, found):
+    """Parts of a long recording are measured by themselves: a window is of the part that it begins in."""
+    dataset, config = recording["left"], LidarConfig()
+    shared = scan_errors.measure_shared(dataset, config)
+    assert not shared.corrected
+    parts = [(0, 18), (18, 20), (20, 36)]
+    motions = [scan_motions.measure(dataset, each, shared, config) for each in parts]
+    assert [len(each.motion) for each in motions].count(0) < len(parts)
+    together = scan_motions.joined(shared, motions).motion
+    for name in ("motion", "acceleration", "pose_covariance"):
+        np.testing.assert_array_equal(getattr(together, name), getattr(found, name))
+    assert scan_motions.measure(dataset, (0, 36), None, config) is None
+    assert scan_motions.joined(shared, [None, None]) is shared

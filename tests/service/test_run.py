@@ -20,6 +20,8 @@ ROOT = Path(__file__).resolve().parents[2]
 STAGES = [
     *(
         "survey",
+        "sensor-errors",
+        "scan-motion",
         "scan-errors",
         "scans",
         "lidar",

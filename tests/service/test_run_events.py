@@ -56,7 +56,10 @@ def test_redo_makes_what_depends_on_the_stage_again(undisturbed, recording, lvba
 def test_redo_of_no_stage_names_those_there_are(recording, lvba, tmp_path):
     events = tmp_path / "events.jsonl"
     done = lvba("run", recording, "--out", tmp_path / "out", "--redo", "colour", "--events", events, code=2)
-    assert "there is no such stage; one of these: survey, scan-errors, scans, lidar," in done.stderr
+    assert (
+        "there is no such stage; one of these: survey, sensor-errors, scan-motion, scan-errors, scans, lidar,"
+        in done.stderr
+    )
     end = lines(events)[-1]
     assert (end["code"], end["where"], end["problem"]) == (2, "--redo colour", "there is no such stage")
     assert end["reason"] == "input"
