@@ -14,35 +14,70 @@ def project(points, pose, intrinsics):
         return intrinsics[0] * x * inverse + intrinsics[2], intrinsics[1] * y * inverse + intrinsics[3], z
 
 
-def nearest_points(points, source, pose, intrinsics, image, guard, radius, height, width):
-    """Depth and index of the nearest point per pixel, all points and those of other images; one image."""
-    depth = np.full((2, height, width), np.inf, np.float32)
-    index = np.full((2, height, width), -1, np.int32)
+def nearest_points(points, pose, intrinsics, height, width):
+    """Depth and index of the nearest point per pixel of one image."""
+    depth = np.full((height, width), np.inf, np.float32)
+    index = np.full((height, width), -1, np.int32)
+    for i, row, column, _, _, z in pixels_of(points, pose, intrinsics, height, width):
+        if z < depth[row, column]:
+            depth[row, column], index[row, column] = z, i
+    return depth, index
+
+
+def pixels_of(points, pose, intrinsics, height, width):
+    """Of each point that is in an image: index, row, column, distance (px) to the right and down of its middle, depth."""
     u, v, z = project(points, pose, intrinsics)
     for i in range(len(points)):
         inside = -0.5 < u[i] < width - 0.5 and -0.5 < v[i] < height - 0.5
-        if z[i] < 0.05 or not inside:
-            continue
-        column, row = int(u[i] + np.float32(0.5)), int(v[i] + np.float32(0.5))
-        for variant in range(2):
+        if z[i] >= 0.05 and inside:
+            column, row = int(u[i] + np.float32(0.5)), int(v[i] + np.float32(0.5))
+            yield i, row, column, u[i] - column, v[i] - row, z[i]
+
+
+def splatted(points, source, pose, intrinsics, image, guard, radius, height, width):
+    """Depth and index of what each pixel sees, of all points and of those of other images; one image.
+
+    Each pixel has a point of its own: the nearest one, with depths 5 % larger for each pixel from its middle, along rows
+    and along columns, to eighths of a pixel. It shows that, unless it is behind those around: then the one of these that
+    is nearest to its middle.
+    """
+    depth = np.full((2, height, width), np.inf, np.float32)
+    index = np.full((2, height, width), -1, np.int32)
+    seen = list(pixels_of(points, pose, intrinsics, height, width))
+    for variant in range(2):
+        own = {}
+        for i, row, column, right, down, z in seen:
             if variant == 1 and abs(int(source[i]) - image) <= guard:
                 continue
-            for r in range(max(0, row - radius), min(height, row + radius + 1)):
-                for c in range(max(0, column - radius), min(width, column + radius + 1)):
-                    if z[i] < depth[variant, r, c]:
-                        depth[variant, r, c], index[variant, r, c] = z[i], i
+            right, down = ((np.floor(8 * (each + 0.5)) + 0.5) / 8 - 0.5 for each in (right, down))
+            counted = np.floor(min(z * (1 + 0.05 * (abs(right) + abs(down))), 2047) * 2**14)
+            if (row, column) not in own or counted < own[row, column][0]:
+                own[row, column] = (counted, column + right, row + down, z, i)
+        for row, column in np.ndindex(height, width):
+            around = [
+                own[r, c]
+                for r in range(row - radius, row + radius + 1)
+                for c in range(column - radius, column + radius + 1)
+                if (r, c) in own
+            ]
+            front = [each for each in around if each[3] <= 1.05 * min(other[3] for other in around)]
+            if (row, column) in own and own[row, column] in front:
+                front = [own[row, column]]
+            if front:
+                nearest = min(front, key=lambda each: np.hypot(each[1] - column, each[2] - row))
+                depth[variant, row, column], index[variant, row, column] = nearest[3:]
     return depth, index
 
 
 def seen_depths(points, pose, intrinsics, cell, height, width):
     """How deep each cell sees: its nearest point, the slope of its surface, and what stands in front next to it."""
-    depth, _ = nearest_points(points, np.zeros(len(points)), pose, intrinsics, 0, 0, 0, height, width)
+    depth, _ = nearest_points(points, pose, intrinsics, height, width)
     rows, columns = -(-height // cell), -(-width // cell)
     inverse = np.zeros((rows + 2, columns + 2))
     for r in range(rows):
         for c in range(columns):
             inverse[r + 1, c + 1] = 1 / min(
-                depth[0, r * cell : (r + 1) * cell, c * cell : (c + 1) * cell].min(), 1e30
+                depth[r * cell : (r + 1) * cell, c * cell : (c + 1) * cell].min(), 1e30
             )
     out = np.empty((rows, columns))
     for r in range(rows):
@@ -70,17 +105,17 @@ def bilinear(image, u, v):
 
 def first_points(points, surface, tolerance, pose, intrinsics, cell, height, width):
     """(h, w, 8) and (h, w, 2, 2): the nearest point of each cell, and the cell whose counts for each of its quarters."""
-    depth, index = nearest_points(points, np.zeros(len(points)), pose, intrinsics, 0, 0, 0, height, width)
+    depth, index = nearest_points(points, pose, intrinsics, height, width)
     rows, columns = -(-height // cell), -(-width // cell)
     out = np.zeros((rows, columns, 8))
     out[..., 7] = np.inf
     for r in range(rows):
         for c in range(columns):
-            window = depth[0, r * cell : (r + 1) * cell, c * cell : (c + 1) * cell]
+            window = depth[r * cell : (r + 1) * cell, c * cell : (c + 1) * cell]
             if np.isinf(window.min()):
                 continue
             found = np.unravel_index(window.argmin(), window.shape)
-            i = index[0, r * cell + found[0], c * cell + found[1]]
+            i = index[r * cell + found[0], c * cell + found[1]]
             normal = surface[i, :3]
             normal = normal * (1 if normal @ (pose[:3, 3] - points[i]) > 0 else -1)
             out[r, c] = [*points[i], *normal, allowed(surface[i], tolerance), window.min()]

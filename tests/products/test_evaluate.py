@@ -119,7 +119,7 @@ def test_held_out_images_are_judged_apart(world):
     assert scores.psnr_held_out == pytest.approx(by_image[[1, 4]].mean())
     assert scores.psnr_leave_one_out == pytest.approx(by_image[[0, 2, 3, 5]].mean())
     # all their points are of other images: the same pixels but for those beside or behind something nearer
-    np.testing.assert_allclose(scores.per_image["psnr"][[1, 4]], by_image[[1, 4]], atol=0.3)
+    np.testing.assert_allclose(scores.per_image["psnr"][[1, 4]], by_image[[1, 4]], atol=0.4)
 
 
 def test_a_wall_that_one_image_alone_colored_hides_what_other_images_saw_behind_it(world):

@@ -35,7 +35,7 @@ def scene():
 
 @pytest.mark.parametrize("radius", [0, 1, 2])
 @pytest.mark.parametrize("guard", [0, 1])
-def test_each_pixel_sees_the_nearest_splat(scene, radius, guard):
+def test_each_pixel_sees_the_point_in_its_middle_of_what_is_in_front(scene, radius, guard):
     points, views, _ = scene
     source = np.random.default_rng(0).integers(0, 6, len(points)).astype(np.int32)
     blocks = clouds.sort_into_blocks(points)
@@ -46,11 +46,9 @@ def test_each_pixel_sees_the_nearest_splat(scene, radius, guard):
             blocks.holding(by_axis(ordered)), sources, pose, views.intrinsics, i, guard, radius, HEIGHT, WIDTH
         )  # fmt: skip
         depth, index = kernels.split(entries)
-        expected = naive.nearest_points(
-            ordered, sources, pose, views.intrinsics, i, guard, radius, HEIGHT, WIDTH
-        )
+        expected = naive.splatted(ordered, sources, pose, views.intrinsics, i, guard, radius, HEIGHT, WIDTH)
         np.testing.assert_array_equal(index, expected[1])
-        np.testing.assert_allclose(depth, capped(expected[0]), atol=1e-6)
+        np.testing.assert_allclose(capped(depth), capped(expected[0]), atol=1e-4)
         assert (index >= 0).mean() > 0.01
         hidden += (index[0] != index[1]).sum()
     assert hidden > 100
@@ -64,13 +62,33 @@ def test_of_points_at_one_depth_the_first_wins():
     )  # fmt: skip
     depth, index = kernels.split(entries)
     assert index[0, 2, 2] == 1
-    assert depth[0, 2, 2] == 1.5
+    assert depth[0, 2, 2] == pytest.approx(1.5, abs=1e-4)
     assert (index >= 0).sum() == 2
 
 
+@pytest.mark.parametrize("per_pixel", [0.3, 1, 10])
+@pytest.mark.parametrize("slant", [[0.0, 0.3], [0.3, 0.0], [0.0, 0.0], [-0.4, -0.4]])
+def test_a_slanted_surface_stays_where_it_is(slant, per_pixel):
+    """Where the nearest point of a splat won, all that is seen was up to a pixel off, to where the surface is farther."""
+    rng = np.random.default_rng(0)
+    intrinsics = Intrinsics(*np.float32([40, 40, 27.5, 19.5]))
+    place = rng.uniform([-1, -1], [WIDTH, HEIGHT], (round(per_pixel * WIDTH * HEIGHT), 2))
+    ray = (place - [27.5, 19.5]) / 40
+    depth = 4 / (1 + ray @ slant)
+    points = np.column_stack([ray, np.ones(len(ray))]) * depth[:, None]
+    blocks = clouds.sort_into_blocks(points.astype(np.float32))
+    cloud = blocks.holding(by_axis(points[blocks.order].astype(np.float32)))
+    source, pose = np.zeros(len(points), np.int32), np.eye(4, dtype=np.float32)
+    _, index = kernels.split(kernels.splat(cloud, source, pose, intrinsics, 1, 0, 1, HEIGHT, WIDTH))
+    row, column = np.nonzero(index[0] >= 0)
+    inside = (row > 1) & (row < HEIGHT - 2) & (column > 1) & (column < WIDTH - 2)
+    off = place[blocks.order][index[0, row, column]] - np.column_stack([column, row])
+    np.testing.assert_allclose(off[inside].mean(0), 0, atol=0.06)
+
+
 def capped(depth):
-    """Depths up to the 2047 m that an entry can hold."""
-    return np.where(np.isfinite(depth), np.minimum(depth, 2047), depth)
+    """Depths up to what an entry holds, wherever in its pixel a point is."""
+    return np.where(np.isfinite(depth), np.minimum(depth, 1900), depth)
 
 
 def by_axis(points):
