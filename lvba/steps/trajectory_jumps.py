@@ -14,6 +14,8 @@ _FEWEST_STEPS = 2 * _NEIGHBORS + 1
 _ORDINARY = 6.0
 """Times the typical change from one motion to the next (some nine standard deviations of noise) that is nothing special:
 people and cars speed up, brake and shake."""
+_ORDINARY_ALONG = 13.0
+"""The same along one axis: as many standard deviations."""
 LEAST_M, LEAST_DEG = 0.15, 1.8
 """Smaller ones are within three standard deviations of what is expected of an odometry from frame to frame."""
 CONFIRMED_M, CONFIRMED_DEG = 0.03, 1.0
@@ -53,8 +55,32 @@ def find(trajectory: Trajectory) -> Jumps:
     for size, least in ((meters, LEAST_M), (degrees, np.maximum(LEAST_DEG, _swings(trajectory)))):
         ordinary = _ORDINARY * np.median((size / interval)[judged]) * interval
         jumps.append(np.where((size > np.maximum(ordinary, least)) & ~_pauses(interval), size, 0.0))
+    aside = np.zeros(len(meters), bool)
+    aside[judged] = _aside(trajectory)[judged]
+    jumps[0] = np.where(aside & ~_pauses(interval), meters, jumps[0])
     after = np.flatnonzero((jumps[0] > 0) | (jumps[1] > 0))
     return Jumps(after, jumps[0][after], jumps[1][after])
+
+
+def _aside(trajectory: Trajectory) -> np.ndarray:
+    """(N - 1,) bool: motions to the next frame that are extraordinary along an axis along which there is little.
+
+    Whoever walks or drives speeds up and turns, but hardly goes up or down: a jump of a meter that is nothing special in
+    between sparse frames still shows, unless it goes where the sensor goes.
+    """
+    poses, interval = trajectory.world_from_sensor, np.diff(trajectory.times)
+    rate = geometry.log(geometry.steps(poses)) / interval[:, None]
+    off = np.einsum("nij,nj->ni", poses[:-1, :3, :3], (rate - _usual(rate))[:, 3:])
+    inner = off[_NEIGHBORS:-_NEIGHBORS]
+    size = np.linalg.norm(inner, axis=1)
+    # each counts as far as a typical one, so that a jump makes no axis its own
+    bounded = inner * np.minimum(1.0, np.median(size) / np.maximum(size, 1e-12))[:, None]
+    axes = np.linalg.eigh(bounded.T @ bounded)[1]
+    along = np.abs(off @ axes)
+    ordinary = _ORDINARY_ALONG * np.median(along[_NEIGHBORS:-_NEIGHBORS], axis=0)
+    return np.asarray(
+        (along * interval[:, None] > np.maximum(ordinary * interval[:, None], LEAST_M)).any(axis=1)
+    )
 
 
 def _pauses(interval: np.ndarray) -> np.ndarray:

@@ -82,6 +82,19 @@ def test_a_sensor_that_swings_does_not_jump_where_it_turns_back():
     assert trajectory_jumps.find(Trajectory(times, poses)).after.tolist() == [20]
 
 
+def test_a_jump_upwards_shows_where_motions_change_as_much_along_the_ground():
+    rng = np.random.default_rng(4)
+    times = np.arange(0, 24, 0.8)
+    step = np.column_stack([rng.normal(0.5, 0.25, 30), rng.normal(0, 0.25, 30), rng.normal(0, 0.02, 30)])
+    poses = np.tile(np.eye(4), (30, 1, 1))
+    poses[:, :3, 3] = np.cumsum(step, axis=0)
+    assert len(trajectory_jumps.find(Trajectory(times, poses)).after) == 0
+    for way, jumps in (([0.7, 0.0, 0.0], []), ([0.4, 0.0, -0.7], [17])):
+        jumping = poses.copy()
+        jumping[18:, :3, 3] += way
+        assert trajectory_jumps.find(Trajectory(times, jumping)).after.tolist() == jumps
+
+
 @pytest.mark.parametrize("frames", [0, 1, 3, 5])
 def test_few_frames_have_none(frames):
     times = np.arange(float(frames))
