@@ -27,6 +27,8 @@ _FEWEST_PIXELS = 100
 """That an exposure is told by."""
 _FEWEST_KNOWN = 5
 """Known exposures that tell how good others are."""
+_NEARLY_ALL = 0.9
+"""Part of the images with known exposures whose pixels agree no less than is usual."""
 
 
 def log_exposures(
@@ -56,27 +58,37 @@ def log_exposures(
 
 def of_others(
     cloud: ColoredCloud, views: Views, images: Indices, known: Indices, config: RenderConfig | None = None
-) -> tuple[np.ndarray, float]:
-    """Natural logs of the relative exposures (J,) float64 of images that colored nothing, NaN where too little tells, and
-    their standard deviation: how far those that are known are off, found likewise; inf: too few are.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Natural logs of the relative exposures of images that colored nothing, NaN where too little tells, and their
+    standard deviations, inf where nobody knows, both (J,) float64.
 
+    They are as good as those of images that are known, found likewise; and no better than pixels of an image agree, where
+    these agree less than in nearly all of the known ones: people may stand before it.
     cloud: colored by images of known exposures, one source for each point; images: (J,) int32
     known: (K,) int32, of those that colored it
     """
-    by_pixels = _medians(cloud, views, images, config)
-    off = _medians(cloud, views, known, config) - views.log_exposure[known]
-    off = off[np.isfinite(off)]
-    return by_pixels, robust_std(off) if len(off) >= _FEWEST_KNOWN else np.inf
+    by_pixels, scatter = _medians(cloud, views, images, config)
+    of_known, usual = _medians(cloud, views, known, config)
+    off = of_known - views.log_exposure[known]
+    seen = np.isfinite(off)
+    if np.count_nonzero(seen) < _FEWEST_KNOWN:
+        return by_pixels, np.full(len(by_pixels), np.inf)
+    more = np.maximum(scatter**2 - np.quantile(usual[seen], _NEARLY_ALL) ** 2, 0.0)
+    sigma = np.sqrt(robust_std(off[seen]) ** 2 + more)
+    return by_pixels, np.where(np.isfinite(by_pixels), sigma, np.inf)
 
 
-def _medians(cloud: ColoredCloud, views: Views, images: Indices, config: RenderConfig | None) -> np.ndarray:
-    """(J,) float64: log exposures of images by the median of their pixels, NaN where there are few."""
-    return np.array(
-        [
-            np.median(value + views.log_exposure[source]) if len(value) >= _FEWEST_PIXELS else np.nan
-            for source, _, value, _, _ in _pixels(cloud, views, images, config)
-        ]
-    )
+def _medians(
+    cloud: ColoredCloud, views: Views, images: Indices, config: RenderConfig | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """(J,) float64: log exposures of images by the median of their pixels, and how far pixels are apart; NaN where there
+    are few."""
+    rows = np.full((len(images), 2), np.nan)
+    for row, (source, _, value, _, _) in enumerate(_pixels(cloud, views, images, config)):
+        ratio = value + views.log_exposure[source]
+        if len(ratio) >= _FEWEST_PIXELS:
+            rows[row] = np.median(ratio), robust_std(ratio - np.median(ratio))
+    return rows[:, 0], rows[:, 1]
 
 
 def _pixels(

@@ -1,7 +1,8 @@
 """The steps that find exposures of images between keyframes, by the map that keyframes color.
 
 Interpolated, they miss what the camera did between keyframes: 2 % where images are .3 s apart. A map colored by these,
-with their exposures, shows each other image as bright as it would be at an exposure of one.
+with their exposures, shows each other image as bright as it would be at an exposure of one. So it does keyframes whose
+own patches tell little of them.
 """
 
 from collections.abc import Sequence
@@ -34,11 +35,11 @@ _LEAST = 1e-4
 @dataclass(frozen=True)
 class BetweenKeyframes:
     """images: (J,) int64, numbers in the whole recording; log_exposure: (J,) float64, natural logs, in the scale of the
-    keyframes' exposures; sigma: their standard deviation beside that of these; inf: not known"""
+    keyframes' exposures; sigma: (J,) float64, their standard deviations beside those of these"""
 
     images: np.ndarray
     log_exposure: np.ndarray
-    sigma: float
+    sigma: np.ndarray
 
 
 def measure(
@@ -51,24 +52,23 @@ def measure(
     config: EvaluateConfig,
     progress: Progress = silent,
 ) -> BetweenKeyframes:
-    """Exposures of the images in a part's core that are no keyframes, where the map shows them.
+    """Exposures of the images in a part's core that are no keyframes, or of which little is known, where the map that the
+    others color shows them.
 
     dataset: of the part's frames, points, photos: of these; scans, visual: of the whole
     """
-    nothing = BetweenKeyframes(np.zeros(0, np.int64), np.zeros(0), np.inf)
+    nothing = BetweenKeyframes(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
     result = visual.result
     if result is None:
         return nothing
     numbers = np.arange(*part.images)
-    no_keyframes = in_core(np.setdiff1d(numbers, result.keyframes), part)
-    if not len(no_keyframes):
+    certain = np.intersect1d(numbers, _certain(result))
+    unknown = in_core(np.setdiff1d(numbers, certain), part)
+    if not len(unknown):
         return nothing
     blank = blank_photos(photos, part.images)
-    certain = np.isin(numbers, result.keyframes) & ~exposures_between.vague(
-        result.log_exposure_sigma[numbers]
-    )
-    known = np.setdiff1d(np.flatnonzero(certain), blank).astype(np.int32)
-    asked = np.setdiff1d(no_keyframes - part.images[0], blank).astype(np.int32)
+    known = np.setdiff1d(certain - part.images[0], blank).astype(np.int32)
+    asked = np.setdiff1d(unknown - part.images[0], blank).astype(np.int32)
     if not (len(known) and len(asked)):
         return nothing
     views = _views(dataset, part, photos, result)
@@ -78,8 +78,14 @@ def measure(
     [colored] = evaluation.color_by_paper([State(cloud, views)], others, progress)
     witnesses = evaluation.spread_evenly(known, _WITNESSES)
     log_exposure, sigma = brightness.of_others(colored, views, asked, witnesses, config.render)
-    seen = np.isfinite(log_exposure)
-    return BetweenKeyframes(numbers[asked[seen]], log_exposure[seen], sigma)
+    seen = np.isfinite(sigma)
+    return BetweenKeyframes(numbers[asked[seen]], log_exposure[seen], sigma[seen])
+
+
+def _certain(result: VisualResult) -> np.ndarray:
+    """(n,) int64, ascending: keyframes of whose exposures their own patches tell about as much as of most."""
+    sigma = result.log_exposure_sigma[result.keyframes]
+    return np.asarray(result.keyframes[np.isfinite(sigma) & ~exposures_between.vague(sigma)], np.int64)
 
 
 def _views(dataset: Dataset, part: Part, photos: Pieces[np.ndarray], result: VisualResult) -> Views:
@@ -97,12 +103,12 @@ def _views(dataset: Dataset, part: Part, photos: Pieces[np.ndarray], result: Vis
 def merge(visual: VisualStage, parts: Sequence[BetweenKeyframes]) -> VisualStage:
     """The stage with the exposures of images between keyframes by what the map says and by interpolation, each by how far
     it may be off."""
-    known = [each for each in parts if len(each.images) and np.isfinite(each.sigma)]
-    if visual.result is None or not known:
+    known = [each for each in parts if len(each.images)]
+    if visual.result is None or not known or not len(_certain(visual.result)):
         return visual
     images = np.concatenate([each.images for each in known])
     value = np.concatenate([each.log_exposure for each in known])
-    sigma = np.concatenate([np.full(len(each.images), each.sigma) for each in known])
+    sigma = np.concatenate([each.sigma for each in known])
     # keyframes may have moved a little since
     over = visual.over_fused
     moved = 0.0 if over is None else (over.log_exposure - visual.result.log_exposure)[images]
@@ -116,10 +122,9 @@ def merge(visual: VisualStage, parts: Sequence[BetweenKeyframes]) -> VisualStage
 def _with(result: VisualResult, images: np.ndarray, value: np.ndarray, sigma: np.ndarray) -> VisualResult:
     """The result with what the map says of the exposures of some images (J,)."""
     log_exposure, spread = result.log_exposure.copy(), result.log_exposure_sigma.copy()
-    nearest = result.keyframes[nearest_in_time(result.keyframes, images)]
+    certain = _certain(result)
+    nearest = certain[nearest_in_time(certain, images)]
     by_map = np.hypot(np.maximum(sigma, _LEAST), spread[nearest])
-    finite = np.isfinite(by_map)
-    images, value, by_map = images[finite], value[finite], by_map[finite]
     weights = 1 / np.stack([by_map, np.maximum(spread[images], _LEAST)]) ** 2
     log_exposure[images] = (weights * np.stack([value, log_exposure[images]])).sum(axis=0) / weights.sum(
         axis=0

@@ -30,8 +30,8 @@ def interpolated():
 
 def test_what_the_map_says_counts_by_how_far_keyframes_are_off_by_it(interpolated):
     parts = [
-        BetweenKeyframes(np.array([1]), np.array([0.3]), 0.003),
-        BetweenKeyframes(np.array([3]), np.array([-0.1]), 0.02),
+        BetweenKeyframes(np.array([1]), np.array([0.3]), np.array([0.003])),
+        BetweenKeyframes(np.array([3]), np.array([-0.1]), np.array([0.02])),
     ]
     result = between_exposures.merge(interpolated, parts).result
     first, second = np.hypot(0.003, 0.001), np.hypot(0.02, 0.001)
@@ -45,28 +45,26 @@ def test_what_the_map_says_counts_by_how_far_keyframes_are_off_by_it(interpolate
     np.testing.assert_array_equal(result.log_exposure_sigma[[0, 2, 4]], 0.001)
 
 
-@pytest.mark.parametrize(
-    "part",
-    [
-        BetweenKeyframes(np.array([1]), np.array([0.3]), np.inf),
-        BetweenKeyframes(np.zeros(0, int), np.zeros(0), 0.1),
-    ],
-)
-def test_where_the_map_tells_nothing_exposures_stay_interpolated(interpolated, part):
-    assert between_exposures.merge(interpolated, [part]) is interpolated
+def test_where_the_map_tells_nothing_exposures_stay_interpolated(interpolated):
+    nothing = BetweenKeyframes(np.zeros(0, int), np.zeros(0), np.zeros(0))
+    assert between_exposures.merge(interpolated, [nothing]) is interpolated
 
 
-def test_beside_a_keyframe_of_which_nothing_is_known_nothing_is_known():
-    known = stage(np.zeros(3), np.array([0.001, np.inf, np.inf]), np.array([0, 2]))
-    part = BetweenKeyframes(np.array([1]), np.array([0.3]), 0.003)
-    beside = stage(np.zeros(4), np.array([0.001, 0.02, np.inf, np.inf]), np.array([0, 3]))
-    result = between_exposures.merge(
-        beside, [BetweenKeyframes(np.array([1, 2]), np.array([0.3, 0.3]), 0.003)]
-    ).result
-    assert result.log_exposure[1] > 0.2
-    assert result.log_exposure[2] == 0.0
-    assert np.isinf(result.log_exposure_sigma[2])
-    assert np.isfinite(between_exposures.merge(known, [part]).result.log_exposure).all()
+def test_keyframes_that_little_is_known_of_are_known_by_the_map_and_by_others_than_themselves():
+    """0 to 3 and 5 are keyframes; 3 is far off by few patches, of 5 nothing is known."""
+    sigma = np.array([0.001, 0.001, 0.001, 0.2, np.inf, np.inf])
+    vague = stage(np.array([0.0, 0.1, 0.1, 0.6, 0.0, 0.0]), sigma, np.array([0, 1, 2, 3, 5]))
+    part = BetweenKeyframes(np.array([3, 4, 5]), np.array([0.3, 0.3, 0.3]), np.array([0.003, 0.003, 0.4]))
+    result = between_exposures.merge(vague, [part]).result
+    np.testing.assert_allclose(result.log_exposure, [0.0, 0.1, 0.1, 0.3, 0.3, 0.3], atol=1e-3)
+    known = np.hypot([0.003, 0.003, 0.4], 0.001)
+    np.testing.assert_allclose(result.log_exposure_sigma[3:], known, rtol=1e-3)
+
+
+def test_where_nothing_is_known_of_any_keyframe_exposures_stay():
+    unknown = stage(np.zeros(3), np.full(3, np.inf), np.array([0, 2]))
+    part = BetweenKeyframes(np.array([1]), np.array([0.3]), np.array([0.003]))
+    assert between_exposures.merge(unknown, [part]) is unknown
 
 
 @pytest.fixture(scope="module")
