@@ -6,6 +6,7 @@ import numpy as np
 
 from lvba.arrays import CloudPoints, Indices, LogExposures
 from lvba.kernels import colorize as color_kernels
+from lvba.kernels import splats
 from lvba.kernels import zbuffer as kernels
 from lvba.kernels.visibility_depth import HIDING_PART
 from lvba.products.cloud import Blocks, Cloud, sort_into_blocks
@@ -133,7 +134,7 @@ def nearest(
     if guard_images and cloud.samples is not None:
         raise ValueError("guard_images needs colors of one image each")
     config = config or RenderConfig()
-    entries = kernels.splat(
+    entries = splats.splat(
         cloud.blocks.holding(cloud.points_world),
         cloud.source,
         views.poses[image],
@@ -189,7 +190,7 @@ def shade(
         return Rendering(curve.grey(color) if curve else color, covered)
     ratio = np.exp(log_exposure[image] - log_exposure).astype(np.float32)
     gray = cloud.gray if light is None or cloud.even is None else cloud.even
-    kernels.shade(entries, gray, cloud.source, ratio, arriving, int(only_others), color, covered)
+    splats.shade(entries, gray, cloud.source, ratio, arriving, int(only_others), color, covered)
     return Rendering(curve.grey(color) if curve else color, covered)
 
 
@@ -198,7 +199,7 @@ def fill(entries: np.ndarray, radius_px: int) -> np.ndarray:
 
     entries: (2, H, W) int64, of `nearest`
     """
-    return kernels.fill(entries, radius_px)
+    return splats.fill(entries, radius_px)
 
 
 def depth(entries: np.ndarray) -> np.ndarray:

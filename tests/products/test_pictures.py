@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lvba import geometry
-from lvba.kernels import zbuffer
+from lvba.kernels import splats, zbuffer
 from lvba.products import evaluate, pictures
 
 
@@ -68,7 +68,7 @@ def test_identical_states_give_no_crops():
 def test_filling_closes_small_gaps_and_keeps_what_is_there():
     entries = np.full((2, 9, 9), zbuffer.EMPTY, np.int64)
     entries[:, 4, 4], entries[:, 4, 6] = 20 << 32 | 1, 10 << 32 | 2
-    filled = zbuffer.fill(entries, 2)
+    filled = splats.fill(entries, 2)
     assert filled[0, 4, 4] == entries[0, 4, 4]
     assert filled[0, 4, 5] == entries[0, 4, 6]
     assert filled[0, 2, 2] == entries[0, 4, 4]

@@ -8,7 +8,7 @@ import pytest
 from lvba import geometry
 from lvba.camera import Camera
 from lvba.kernels import colorize as colorize_kernels
-from lvba.kernels import occlusion
+from lvba.kernels import occlusion, splats
 from lvba.kernels import zbuffer as kernels
 from lvba.kernels.occlusion import FirstPoints
 from lvba.kernels.scene import BlockPoints, Intrinsics
@@ -42,7 +42,7 @@ def test_each_pixel_sees_the_point_in_its_middle_of_what_is_in_front(scene, radi
     ordered, sources = points[blocks.order], source[blocks.order]
     hidden = 0
     for i, pose in enumerate(views.poses):
-        entries = kernels.splat(
+        entries = splats.splat(
             blocks.holding(by_axis(ordered)), sources, pose, views.intrinsics, i, guard, radius, HEIGHT, WIDTH
         )  # fmt: skip
         depth, index = kernels.split(entries)
@@ -56,7 +56,7 @@ def test_each_pixel_sees_the_point_in_its_middle_of_what_is_in_front(scene, radi
 
 def test_of_points_at_one_depth_the_first_wins():
     points = np.array([[0, 0, 2.0], [0, 0, 1.5], [0, 0, 1.5]], np.float32)
-    entries = kernels.splat(
+    entries = splats.splat(
         BlockPoints(by_axis(points), np.array([0, 3]), np.array([[0, 0, 2, 1]], np.float32)),
         np.zeros(3, np.int32), np.eye(4, dtype=np.float32), Intrinsics(*np.float32([10, 10, 2, 2])), 1, 0, 0, 5, 5,
     )  # fmt: skip
@@ -79,7 +79,7 @@ def test_a_slanted_surface_stays_where_it_is(slant, per_pixel):
     blocks = clouds.sort_into_blocks(points.astype(np.float32))
     cloud = blocks.holding(by_axis(points[blocks.order].astype(np.float32)))
     source, pose = np.zeros(len(points), np.int32), np.eye(4, dtype=np.float32)
-    _, index = kernels.split(kernels.splat(cloud, source, pose, intrinsics, 1, 0, 1, HEIGHT, WIDTH))
+    _, index = kernels.split(splats.splat(cloud, source, pose, intrinsics, 1, 0, 1, HEIGHT, WIDTH))
     row, column = np.nonzero(index[0] >= 0)
     inside = (row > 1) & (row < HEIGHT - 2) & (column > 1) & (column < WIDTH - 2)
     off = place[blocks.order][index[0, row, column]] - np.column_stack([column, row])
@@ -119,7 +119,7 @@ def test_what_lies_behind_the_points_of_an_image_is_hidden_without_them(scene, c
     ordered, sources = points[blocks.order], source[blocks.order]
     taken = 0
     for i, pose in enumerate(views.poses):
-        entries = kernels.splat(
+        entries = splats.splat(
             blocks.holding(by_axis(ordered)), sources, pose, views.intrinsics, i, 0, 0, HEIGHT, WIDTH
         )
         left = entries.copy()
