@@ -78,8 +78,19 @@ def measure(
     [colored] = evaluation.color_by_paper([State(cloud, views)], others, progress)
     witnesses = evaluation.spread_evenly(known, _WITNESSES)
     log_exposure, sigma = brightness.of_others(colored, views, asked, witnesses, config.render)
-    seen = np.isfinite(sigma)
+    times, own = dataset.images.times, result.log_exposure_sigma[numbers[asked]]
+    line = exposures_between.off_line(times[known], result.log_exposure[numbers[known]], times[asked])
+    seen = _tells(sigma, own, line)
     return BetweenKeyframes(numbers[asked[seen]], log_exposure[seen], sigma[seen])
+
+
+def _tells(sigma: np.ndarray, own: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """(J,) bool: exposures to which the map adds something.
+
+    Of what nothing else is known, the line through the others may still be the better guess.
+    sigma: (J,) float64, standard deviations by the map; own: known before, inf: nothing; line: of that line
+    """
+    return np.asarray(np.isfinite(sigma) & (np.isfinite(own) | (sigma < line)))
 
 
 def _certain(result: VisualResult) -> np.ndarray:

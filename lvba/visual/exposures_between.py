@@ -79,6 +79,14 @@ def change_rate(times: Times, log_exposure: np.ndarray) -> float:
     return float(np.mean((log_exposure[1:-1] - line) ** 2) / max(np.mean(bridge), 1e-9))
 
 
+def off_line(sampled: Times, log_exposure: np.ndarray, times: Times) -> np.ndarray:
+    """(I,) float64: how far exposures at times (I,) s may be off the line through known ones at (K,) s, ascending.
+
+    log_exposure: (K,) float64, of the known ones
+    """
+    return np.sqrt(change_rate(sampled, log_exposure) * _bridge(sampled, times))
+
+
 def _bridge(sampled: Times, times: Times) -> np.ndarray:
     """(I,) s: variance of a random walk, of unit rate, at times (I,) between those it is known at (K,); outside, of one
     that begins there."""

@@ -67,6 +67,12 @@ def test_where_nothing_is_known_of_any_keyframe_exposures_stay():
     assert between_exposures.merge(unknown, [part]) is unknown
 
 
+def test_of_what_nothing_else_is_known_the_map_counts_where_it_tells_more_than_the_line():
+    sigma, own = np.array([0.2, 0.2, 0.01, np.inf]), np.array([0.02, np.inf, np.inf, 0.02])
+    tells = between_exposures._tells(sigma, own, np.full(4, 0.03))
+    assert tells.tolist() == [True, False, True, False]
+
+
 @pytest.fixture(scope="module")
 def street(tmp_path_factory):
     """A short street with an image every 20 cm, of which half are keyframes."""

@@ -98,3 +98,14 @@ def test_keyframes_of_which_nothing_is_known_stay_as_they_are():
     exposed, said = exposures_between.of_all(np.arange(4.0), np.arange(4), own, np.full(4, np.inf))
     np.testing.assert_array_equal(exposed, own)
     assert np.isinf(said).all()
+
+
+def test_the_line_is_as_good_as_the_walk_lets_it_be():
+    rng = np.random.default_rng(3)
+    times = np.arange(4001.0)
+    walk = np.cumsum(rng.normal(0, 0.02, 4001))
+    off = exposures_between.off_line(times[::4], walk[::4], times)
+    between = off > 0
+    line = np.interp(times, times[::4], walk[::4])
+    assert np.std((walk - line)[between] / off[between]) == pytest.approx(1, abs=0.1)
+    np.testing.assert_array_equal(off[::4], 0.0)
