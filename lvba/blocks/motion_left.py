@@ -64,7 +64,12 @@ def is_sure(motion: MotionLeft) -> bool:
     """Whether a part that was measured is no chance, so that points are to be moved by it."""
     if motion.part is None or motion.sigma is None or motion.problem:
         return False
-    return abs(motion.part) >= max(_LEAST, _SURE * motion.sigma)
+    return _exceeds(motion.part, _SURE * motion.sigma)
+
+
+def _exceeds(part: float, chance: float) -> bool:
+    """Whether a part is as large as chance may make it, and large enough to matter."""
+    return abs(part) >= max(_LEAST, chance)
 
 
 def _not_corrected(
@@ -108,7 +113,7 @@ class _Measurement:
         probes = [each.corrected(self.ranges) for each in probes]
         evidence, _ = self._of_windows(probes, 0.0, None)
         change, sigma = float(evidence.change[0]), float(evidence.sigma[0])
-        if not abs(change) >= max(_LEAST, _SUSPECT * sigma):
+        if not _exceeds(change, _SUSPECT * sigma):
             return self._nothing(change, sigma)
         windows = [each.corrected(self.ranges) for each in sampled()]
         part, twists, changes = change, None, [change]
@@ -140,7 +145,7 @@ class _Measurement:
         return evidence, [twist for _, twist in pairs]
 
     def _judged(self, part: float, sigma: float, changes: list[float]) -> MotionLeft:
-        if np.isfinite(sigma) and not abs(part) >= max(_LEAST, _SURE * sigma):
+        if np.isfinite(sigma) and not _exceeds(part, _SURE * sigma):
             return self._nothing(part, sigma)
         if not np.isfinite(sigma) or abs(part) > _MOST or abs(changes[-1]) > _FALLS * abs(changes[0]):
             problem = "no motion of the sensor explains what is left"

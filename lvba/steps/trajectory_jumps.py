@@ -55,9 +55,7 @@ def find(trajectory: Trajectory) -> Jumps:
     for size, least in ((meters, LEAST_M), (degrees, np.maximum(LEAST_DEG, _swings(trajectory)))):
         ordinary = _ORDINARY * np.median((size / interval)[judged]) * interval
         jumps.append(np.where((size > np.maximum(ordinary, least)) & ~_pauses(interval), size, 0.0))
-    aside = np.zeros(len(meters), bool)
-    aside[judged] = _aside(trajectory)[judged]
-    jumps[0] = np.where(aside & ~_pauses(interval), meters, jumps[0])
+    jumps[0] = np.where(_aside(trajectory) & ~_pauses(interval), meters, jumps[0])
     after = np.flatnonzero((jumps[0] > 0) | (jumps[1] > 0))
     return Jumps(after, jumps[0][after], jumps[1][after])
 
@@ -69,8 +67,7 @@ def _aside(trajectory: Trajectory) -> np.ndarray:
     between sparse frames still shows, unless it goes where the sensor goes.
     """
     poses, interval = trajectory.world_from_sensor, np.diff(trajectory.times)
-    rate = geometry.log(geometry.steps(poses)) / interval[:, None]
-    off = np.einsum("nij,nj->ni", poses[:-1, :3, :3], (rate - _usual(rate))[:, 3:])
+    off = np.einsum("nij,nj->ni", poses[:-1, :3, :3], _unusual(trajectory)[:, 3:])
     inner = off[_NEIGHBORS:-_NEIGHBORS]
     size = np.linalg.norm(inner, axis=1)
     # each counts as far as a typical one, so that a jump makes no axis its own
@@ -112,12 +109,17 @@ def expected(trajectory: Trajectory) -> np.ndarray:
 
 def unexpected(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """How far each motion to the next frame, (N - 1,) m and degrees, is from the one that is `expected`."""
-    poses, interval = trajectory.world_from_sensor, np.diff(trajectory.times)
+    interval = np.diff(trajectory.times)
     if len(interval) < _FEWEST_STEPS:
         return np.zeros(len(interval)), np.zeros(len(interval))
-    rate = geometry.log(geometry.steps(poses)) / interval[:, None]
-    off = (rate - _usual(rate)) * interval[:, None]
+    off = _unusual(trajectory) * interval[:, None]
     return np.linalg.norm(off[:, 3:], axis=1), np.degrees(np.linalg.norm(off[:, :3], axis=1))
+
+
+def _unusual(trajectory: Trajectory) -> np.ndarray:
+    """(N - 1, 6), rad/s and m/s: speeds to the next frame less those that are `_usual`; 0 at both ends."""
+    rate = geometry.log(geometry.steps(trajectory.world_from_sensor)) / np.diff(trajectory.times)[:, None]
+    return np.asarray(rate - _usual(rate))
 
 
 def _usual(rate: np.ndarray) -> np.ndarray:

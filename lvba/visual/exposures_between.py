@@ -37,11 +37,11 @@ def of_all(
     used = ~alone
     if alone.any():
         off = log_exposure - np.interp(sampled, sampled[~alone], log_exposure[~alone])
-        expected = np.hypot(sigma, np.sqrt(rate * _bridge(sampled[~alone], sampled)))
+        expected = np.hypot(sigma, _of_walk(rate, sampled[~alone], sampled))
         used |= np.isfinite(sigma) & (np.abs(off) <= _CONTRADICTS * expected)
     everywhere = np.interp(times, sampled[used], log_exposure[used])
     nearest = sigma[used][nearest_in_time(sampled[used], times)]
-    spread = np.hypot(nearest, np.sqrt(rate * _bridge(sampled[used], times)))
+    spread = np.hypot(nearest, _of_walk(rate, sampled[used], times))
     unknown = ~np.isfinite(sigma[nearest_in_time(sampled, times)])
     return everywhere - everywhere[0], np.where(unknown, np.inf, spread)
 
@@ -84,7 +84,12 @@ def off_line(sampled: Times, log_exposure: np.ndarray, times: Times) -> np.ndarr
 
     log_exposure: (K,) float64, of the known ones
     """
-    return np.sqrt(change_rate(sampled, log_exposure) * _bridge(sampled, times))
+    return _of_walk(change_rate(sampled, log_exposure), sampled, times)
+
+
+def _of_walk(rate: float, sampled: Times, times: Times) -> np.ndarray:
+    """(I,) float64: standard deviation of a random walk, as of `_bridge`. rate: 1/s, as of `change_rate`"""
+    return np.asarray(np.sqrt(rate * _bridge(sampled, times)))
 
 
 def _bridge(sampled: Times, times: Times) -> np.ndarray:
