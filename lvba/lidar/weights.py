@@ -99,17 +99,17 @@ def _within_scan_sigma(within: np.ndarray, count: np.ndarray) -> float:
     if not many.any():
         return 0.02
     variance = np.maximum(within[many], 0.0) / (count[many] - 1)
-    return float(max(np.sqrt(weighted_median(variance, count[many])), 1e-4))
+    return float(max(np.sqrt(weighted_quantile(variance, count[many], 0.5)), 1e-4))
 
 
-def weighted_median(values: np.ndarray, weight: np.ndarray) -> float:
-    """The value up to which half of the weight lies.
+def weighted_quantile(values: np.ndarray, weight: np.ndarray, part: float) -> float:
+    """The value up to which a part of the weight lies.
 
-    values, weight: (N,) float64, at least one
+    values, weight: (N,) float64, at least one; part: 0 to 1
     """
     order = np.argsort(values)
     mass = np.cumsum(weight[order])
-    return float(values[order][np.searchsorted(mass, 0.5 * mass[-1])])
+    return float(values[order][np.searchsorted(mass, part * mass[-1])])
 
 
 _MEDIAN = 0.4549

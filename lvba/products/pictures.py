@@ -194,8 +194,12 @@ def _where_it_shows(
         details.append(np.where(common, gray - cv2.blur(gray, (size, size)), 0.0))
     photo, *maps = details
     window = _window(common.shape, _LARGE)
-    own = _sums(photo**2, window)
-    before, after = (_sums(photo * one, window) / np.sqrt(own * _sums(one**2, window) + 1e-9) for one in maps)
+    # differences of sums over the whole image may be slightly below zero
+    own, *squares = (np.maximum(_sums(one**2, window), 0.0) for one in details)
+    before, after = (
+        _sums(photo * one, window) / np.sqrt(own * square + 1e-9)
+        for one, square in zip(maps, squares, strict=True)
+    )
     score = (after - before) * np.sqrt(own * _sums(common.astype(float), window)) / np.prod(window)
     return _largest(score, window)
 

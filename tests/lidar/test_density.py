@@ -64,21 +64,36 @@ def test_cells_that_are_thin_beside_the_noise_go():
     assert all(stage.sizes for stage in density.without_noisy(STAGES, worst))
 
 
-def _cluttered_scan(seed: int) -> np.ndarray:
-    """A floor with boxes of 0.4 m, each of another height, seen from above with a noise of 5 mm."""
+def _cluttered_scan(seed: int, noise: float, box: float = 0.4) -> np.ndarray:
+    """A floor with boxes (m), each of another height, seen from above: ranges are off by `noise` (m)."""
     rng = np.random.default_rng(seed)
-    height = np.random.default_rng(99).uniform(-0.5, 0.5, (16, 16))
+    height = np.random.default_rng(99).uniform(-0.7, 0.7, (16, 16))
     across = rng.uniform(0, 6, (60_000, 2))
-    box = (across / 0.4).astype(int)
-    points = np.column_stack([across - 3, height[box[:, 0], box[:, 1]] - 5])
-    return (points * (1 + rng.normal(0, 0.005 / 5, (len(points), 1)))).astype(np.float32)
+    number = (across / box).astype(int)
+    points = np.column_stack([across - 3, height[number[:, 0], number[:, 1]] - 5])
+    return (points * (1 + rng.normal(0, noise / 5, (len(points), 1)))).astype(np.float32)
 
 
 def test_clutter_of_large_cells_is_no_noise():
-    scans = gather([_cluttered_scan(seed) for seed in range(3)])
-    assert density.range_noise(scans, 1.0) > 0.065
+    scans = gather([_cluttered_scan(seed, noise=0.005) for seed in range(3)])
+    assert density.range_noise(scans, 1.0) > 0.05
     assert density.range_noise(scans, 0.5) < 0.03
     assert density.without_noisy(STAGES, scans) == STAGES
+
+
+def test_cells_too_small_for_the_noise_go_and_larger_ones_stay_whatever_clutter_is_in_them():
+    scans = gather([_cluttered_scan(seed, noise=0.055, box=0.7) for seed in range(3)])
+    assert 0.03125 < density.range_noise(scans, 0.5) < 0.0625
+    assert density.range_noise(scans, 1.0) > 0.0625
+    for before, after in zip(STAGES, density.without_noisy(STAGES, scans), strict=True):
+        assert after.sizes == tuple(size for size in before.sizes if size >= 0.5)
+
+
+def test_the_noise_is_that_of_plain_surfaces_where_more_than_half_of_all_cells_are_cluttered():
+    plain = [_noisy_scan(0.02, seed)[::3] for seed in range(3)]
+    cluttered = [_cluttered_scan(seed, noise=0.02) + np.float32([0, 0, -20]) for seed in range(3)]
+    scans = gather([np.concatenate(each) for each in zip(plain, cluttered, strict=True)])
+    assert density.range_noise(scans, 1.0) == pytest.approx(0.02, rel=0.15)
 
 
 def _depth_image(seed: int) -> np.ndarray:

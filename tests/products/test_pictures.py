@@ -56,6 +56,20 @@ def test_brightness_alone_does_not_choose_the_place():
     assert place[1].stop <= 84
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_black_area_of_the_photograph_is_no_place_where_detail_shows():
+    """Sums over its windows come out slightly below zero, as differences of sums over all that is above and before it."""
+    rng = np.random.default_rng(5)
+    raw = np.repeat(rng.integers(60, 200, (240, 640, 1)), 3, axis=2).astype(np.uint8)
+    raw[:, 240:] = 0
+    before = np.roll(raw.astype(np.float32), 3, axis=1)
+    before[:, 240:] = 0
+    covered = np.ones(raw.shape[:2], bool)
+    shown = [pictures._Shown(one, one, covered) for one in (before, raw.astype(np.float32))]
+    _, place = pictures._where_it_shows(raw, shown, covered)
+    assert place[1].start < 200
+
+
 def test_identical_states_give_no_crops():
     world = box_world.make(images=3)
     state = evaluate.State(world.cloud(), world.views())
