@@ -112,7 +112,7 @@ class _Measurement:
         """By some windows; only where they tell of a part, by more of the recording."""
         probes = [each.corrected(self.ranges) for each in probes]
         evidence, _ = self._of_windows(probes, 0.0, None)
-        change, sigma = float(evidence.change[0]), float(evidence.sigma[0])
+        change, sigma = float(evidence.change[0]), self._sigma(evidence)
         if not _exceeds(change, _SUSPECT * sigma):
             return self._nothing(change, sigma)
         windows = [each.corrected(self.ranges) for each in sampled()]
@@ -124,7 +124,11 @@ class _Measurement:
             part += changes[-1]
             if abs(changes[-1]) < _CONVERGED:
                 break
-        return self._judged(part, float(evidence.sigma[0]), changes)
+        return self._judged(part, self._sigma(evidence), changes)
+
+    def _sigma(self, evidence: ScanEvidence) -> float:
+        """Standard deviation of the part: errors of ranges that no model has bend surfaces, as motion does."""
+        return float(evidence.sigma[0]) * (1.0 if self.ranges is None else self.ranges.beside)
 
     def _nothing(self, part: float, sigma: float) -> MotionLeft:
         """Of a part that may be chance."""

@@ -42,9 +42,6 @@ _CONVERGED = 0.03
 """Rounds end when no error changes by more than this part of itself."""
 _SUSPECT = 1e-2
 """How often the first look at a right sensor may ask for a closer one."""
-_BESIDE = 2.0
-"""Standard deviations are so many times as large beside another error that is not known: what is not modeled is not in
-them."""
 
 
 def measure(
@@ -203,7 +200,7 @@ class _Measurement:
     ) -> RangeErrors:
         """What is significant whatever else depends on the direction of a beam, which is free and stays as it is."""
         change, covariance = self._estimate(total)
-        covariance = _BESIDE**2 * covariance
+        covariance = range_errors.BESIDE**2 * covariance
         if not np.isfinite(covariance).all():
             kept, estimate = np.zeros(self.size, bool), errors
         else:
@@ -241,7 +238,7 @@ class _Measurement:
 
     def _estimate(self, own: ScanEvidence) -> tuple[np.ndarray, np.ndarray]:
         """The change (k,) of the errors, and its covariance (k, k)."""
-        beside = _BESIDE if self._depth >= range_errors.LEAST_M else 1.0
+        beside = range_errors.BESIDE if self._depth >= range_errors.LEAST_M else 1.0
         return own.change[: self.size], beside**2 * own.covariance[: self.size, : self.size]
 
     def _by_direction(self, total: ScanEvidence, points: np.ndarray) -> tuple[float, float]:

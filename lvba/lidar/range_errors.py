@@ -48,6 +48,9 @@ LARGEST = {
 CHANCE = 2e-9
 """How often a right sensor may be taken for a wrong one: six standard deviations, for errors can be twice the promised
 ones."""
+BESIDE = 2.0
+"""Standard deviations are so many times as large beside another error that is not known: what is not modeled is not in
+them."""
 LEAST_M = 1e-3
 """And an error must move points by so much, root mean square: less is lost in the noise of usual sensors."""
 _FALLS = 0.3
@@ -224,6 +227,11 @@ class RangeErrors:
     noticed: tuple[str, ...] = ()
     points_off: tuple[float, float] = (0.0, 0.0)
     poses_off: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def beside(self) -> float:
+        """Times as large as planes say that standard deviations of what is measured after these errors are."""
+        return BESIDE if self.noticed else 1.0
 
     def points(
         self, points: np.ndarray, cosine: np.ndarray | None = None, intensity: np.ndarray | None = None
