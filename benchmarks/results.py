@@ -158,8 +158,13 @@ def save(table: str, row: str, values: dict[str, Any]) -> None:
     sys.stdout.flush()
 
 
+def held(data: Path) -> list[str]:
+    """The recordings that a folder has; rows of the others stay as they are."""
+    return [each for each in RECORDINGS if (data / each).is_dir()]
+
+
 def recordings(data: Path, work: Path) -> None:
-    for recording in RECORDINGS:
+    for recording in held(data):
         given = data / recording / "reference"
         reference = given if given.exists() else None
         for name, dataset in drawn(data / recording, work):
@@ -190,7 +195,7 @@ def foreign(data: Path, work: Path) -> None:
 
     Results of `recordings` in `work` are taken where they are there.
     """
-    for recording in RECORDINGS:
+    for recording in held(data):
         given = data / recording / "reference"
         reference = given if given.exists() else None
         for name, dataset in drawn(data / recording, work):

@@ -112,7 +112,7 @@ class _Measurement:
         """By some windows; only where they tell of a part, by more of the recording."""
         probes = [each.corrected(self.ranges) for each in probes]
         evidence, _ = self._of_windows(probes, 0.0, None)
-        change, sigma = float(evidence.change[0]), self._sigma(evidence)
+        change, sigma = float(evidence.change[0]), float(evidence.sigma[0])
         if not _exceeds(change, _SUSPECT * sigma):
             return self._nothing(change, sigma)
         windows = [each.corrected(self.ranges) for each in sampled()]

@@ -17,6 +17,10 @@ NEAR_M = np.float32(0.05)
 EMPTY = np.int64(0x7FFFFFFF_FFFFFFFF)
 FAR_M = np.float32(2047.0)
 STEPS = np.float32(1048576.0)
+_STRAY = 0.15
+"""Part of what shows in a cell that stray points may cover: of what moved, or of the vehicle that carries the sensors,
+there are some before every image of a drive. Where each hid what lies behind it, 14 % of the pixels were left to judge
+by."""
 RUN = 512
 """Points projected at a time: what is known about them stays in the nearest cache."""
 
@@ -237,6 +241,28 @@ def _cell_depths(nearest: np.ndarray) -> np.ndarray:
 
 
 @kernel
+def _surfaces_in_front(entries: np.ndarray, cell: int) -> np.ndarray:
+    """The entry (h, w) int64 of the nearest surface in each cell of `cell` pixels; EMPTY where there is none.
+
+    Surfaces cover more than a few pixels: `_STRAY` of those that show anything may be nearer. entries: (H, W) int64
+    """
+    height, width = entries.shape
+    out = np.full(((height + cell - 1) // cell, (width + cell - 1) // cell), EMPTY, np.int64)
+    shown = np.empty(cell * cell, np.int64)
+    for top in range(0, height, cell):
+        for left in range(0, width, cell):
+            count = 0
+            for row in range(top, min(top + cell, height)):
+                for column in range(left, min(left + cell, width)):
+                    shown[count] = entries[row, column]
+                    count += entries[row, column] != EMPTY
+            if count:
+                shown[:count].sort()
+                out[top // cell, left // cell] = shown[int(_STRAY * count)]
+    return out
+
+
+@kernel
 def take_out_hidden(entries: np.ndarray, cell: int, part: float, tolerance: float) -> None:
     """Empties the pixels of the second variant that show, through gaps of the first, what lies behind it; in place.
 
@@ -244,12 +270,8 @@ def take_out_hidden(entries: np.ndarray, cell: int, part: float, tolerance: floa
     part: of the depth, and tolerance, m: what is deeper than the first variant in that cell by more than both is behind
     """
     height, width = entries.shape[1:]
-    nearest = np.full(((height + cell - 1) // cell, (width + cell - 1) // cell), EMPTY, np.int64)
-    for row in range(height):
-        for column in range(width):
-            at = row // cell, column // cell
-            nearest[at] = min(nearest[at], entries[0, row, column])
-    limit = _cell_depths(nearest) * np.float32(1 + part) + np.float32(tolerance)
+    limit = _cell_depths(_surfaces_in_front(entries[0], cell))
+    limit = limit * np.float32(1 + part) + np.float32(tolerance)
     for row in range(height):
         for column in range(width):
             entry = entries[1, row, column]

@@ -72,13 +72,19 @@ def splatted(points, source, pose, intrinsics, image, guard, radius, height, wid
 def seen_depths(points, pose, intrinsics, cell, height, width):
     """How deep each cell sees: its nearest point, the slope of its surface, and what stands in front next to it."""
     depth, _ = nearest_points(points, pose, intrinsics, height, width)
+    return cell_depths(depth, cell, stray=0.0)
+
+
+def cell_depths(depth, cell, stray):
+    """The same of what pixels show; a part of those of a cell that show anything may be nearer than its surface."""
+    height, width = depth.shape
     rows, columns = -(-height // cell), -(-width // cell)
     inverse = np.zeros((rows + 2, columns + 2))
     for r in range(rows):
         for c in range(columns):
-            inverse[r + 1, c + 1] = 1 / min(
-                depth[r * cell : (r + 1) * cell, c * cell : (c + 1) * cell].min(), 1e30
-            )
+            window = depth[r * cell : (r + 1) * cell, c * cell : (c + 1) * cell]
+            shown = np.append(np.sort(window[np.isfinite(window)]), 1e30)
+            inverse[r + 1, c + 1] = 1 / shown[int(stray * (len(shown) - 1))]
     out = np.empty((rows, columns))
     for r in range(rows):
         for c in range(columns):

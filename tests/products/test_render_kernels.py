@@ -125,8 +125,8 @@ def test_what_lies_behind_the_points_of_an_image_is_hidden_without_them(scene, c
         left = entries.copy()
         kernels.take_out_hidden(left, cell, 0.02, 0.05)
         np.testing.assert_array_equal(left[0], entries[0])
-        depth = kernels.split(entries)[0][1]
-        limit = naive.seen_depths(ordered, pose, views.intrinsics, cell, HEIGHT, WIDTH) * 1.02 + 0.05
+        every, depth = kernels.split(entries)[0]
+        limit = naive.cell_depths(every, cell, stray=0.15) * 1.02 + 0.05
         limit = limit.repeat(cell, 0).repeat(cell, 1)[:HEIGHT, :WIDTH]
         clear = (left[1] != kernels.EMPTY) | (entries[1] == kernels.EMPTY)
         with np.errstate(invalid="ignore"):
@@ -134,6 +134,33 @@ def test_what_lies_behind_the_points_of_an_image_is_hidden_without_them(scene, c
         np.testing.assert_array_equal(clear[sure], ((depth <= limit) | np.isinf(depth))[sure])
         taken += (~clear).sum()
     assert taken > 100
+
+
+def _left_of_a_wall(front, own):
+    """The part of a wall 8 m away, in the colors of another image, that is shown behind points of an image's own."""
+    wall = np.column_stack([*np.random.default_rng(0).uniform(-8, 8, (2, 200_000)), np.full(200_000, 8.0)])
+    points = np.concatenate([wall, front]).astype(np.float32)
+    source = np.repeat([1, 0 if own else 1], [len(wall), len(front)]).astype(np.int32)
+    camera = Camera(320, 240, 250.0, 250.0, 159.5, 119.5)
+    views = Views(lambda _: None, camera, np.zeros(1), np.eye(4)[None], np.zeros(1))
+    blocks = clouds.sort_into_blocks(points)
+    ordered, sources = points[blocks.order], source[blocks.order]
+    entries = splats.splat(
+        blocks.holding(by_axis(ordered)), sources, views.poses[0], views.intrinsics, 0, 0, 1, 240, 320
+    )
+    kernels.take_out_hidden(entries, 16, 0.02, 0.05)
+    depth = kernels.split(entries)[0][1]
+    return np.mean(np.isfinite(depth) & (depth > 7.9))
+
+
+def test_stray_points_hide_nothing_beside_them_and_lines_of_a_wall_do():
+    """As of a vehicle that drove where the camera looks, a point each 0.1 m; and of a LiDAR's lines on a wall."""
+    x, y = np.meshgrid(np.arange(-1.5, 1.5, 0.1), np.arange(-1.2, 1.2, 0.1))
+    stray = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 2.0)])
+    x, y = np.meshgrid(np.arange(-1.5, 1.5, 0.01), np.arange(-1.2, 1.2, 0.1))
+    lines = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 2.0)])
+    assert _left_of_a_wall(stray, own=True) > 0.8
+    assert _left_of_a_wall(lines, own=True) < 0.05
 
 
 def test_a_floor_seen_at_a_grazing_angle_does_not_hide_itself():
