@@ -12,8 +12,8 @@ the first rows compile, too); for what a run takes by itself see [benchmarks.md]
 Which version the tables are of:
 
 - **Real recordings, poses of any method, gates of recordings and of seeds 119 and 120, and simulated scenes of medium
-  difficulty of these seeds:** this one, but that it finds exposures of keyframes that little tells of by the map.
-- **Severely disturbed courtyards of seed 821, but those with jumps, rough drift or noise of ranges:** one before. Its
+  difficulty of these seeds:** this one.
+- **Severely disturbed courtyards of seed 821, but those with jumps, rough drift or noise of ranges:** two before. Its
   renderings, and those of all tables below, show slanted surfaces up to a pixel off: PSNR and SSIM are other ones, and
   gates saw less. These runs have no images between keyframes, the exposures of which this one finds by the map.
 - **Of the other disturbed scenes those with errors by elevation or intensity, and those with no disturbance:** one
