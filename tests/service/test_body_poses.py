@@ -25,9 +25,8 @@ def test_the_same_result_as_with_the_camera_s_poses(lvba, tiny_recording, tiny_r
     exposures, others = (
         np.loadtxt(each / "exposures.csv", delimiter=",", skiprows=1) for each in (out, tiny_result)
     )
-    np.testing.assert_allclose(
-        exposures, others, atol=2e-9
-    )  # nine decimals in either file, of poses that differ in the last
+    # poses differ in the last bit, and so do pixels at edges, by which exposures are found that patches do not tell
+    np.testing.assert_allclose(exposures, others, rtol=1e-6)
     assert (tiny_result / "image_poses.txt").read_text().startswith("# image_poses: camera - ")
     assert (out / "image_poses.txt").read_text().startswith("# image_poses: body - ")
     expected = result_folder.read_cameras(tiny_result, cameras).world_from_sensor
