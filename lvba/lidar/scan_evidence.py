@@ -32,8 +32,8 @@ _ALIKE = 1e10
 """Condition of the information, by numbers of equal size, above which planes cannot tell them apart."""
 _HALVINGS = 6
 """Times that the planes of some scans are halved into neighborhoods. What a model lacks, such as errors of single rings
-of a LiDAR, is alike on planes beside each other: numbers were 2 to 3 standard deviations further off than if each plane
-erred by itself. Of simulated sensors, neighborhoods make no difference."""
+of a LiDAR, is alike on planes beside each other: on drives, standard deviations are 2 to 3 times those of planes that err
+each by itself. Of simulated sensors, neighborhoods make no difference."""
 _GRAZING = 0.05
 """Cosine of incidence below which where a beam meets its plane is as uncertain as the plane."""
 
