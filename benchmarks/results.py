@@ -22,6 +22,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -158,18 +159,20 @@ def save(table: str, row: str, values: dict[str, Any]) -> None:
     sys.stdout.flush()
 
 
-def held(data: Path) -> list[str]:
-    """The recordings that a folder has; rows of the others stay as they are."""
-    return [each for each in RECORDINGS if (data / each).is_dir()]
-
-
 def recordings(data: Path, work: Path) -> None:
-    for recording in held(data):
-        given = data / recording / "reference"
-        reference = given if given.exists() else None
+    for name, dataset, reference in held(data, work):
+        report = run_lvba(dataset, work / f"{name}_out", [], reference)
+        save("recordings", name, figures(report))
+
+
+def held(data: Path, work: Path) -> Iterator[tuple[str, Path, Path | None]]:
+    """Name, folder and reference of each recording that a folder has, and of each with other rough poses, as `drawn`."""
+    for recording in RECORDINGS:
+        if not (data / recording).is_dir():  # its rows stay as they are
+            continue
+        reference = data / recording / "reference"
         for name, dataset in drawn(data / recording, work):
-            report = run_lvba(dataset, work / f"{name}_out", [], reference)
-            save("recordings", name, figures(report))
+            yield name, dataset, reference if reference.exists() else None
 
 
 def drawn(dataset: Path, work: Path) -> list[tuple[str, Path]]:
@@ -195,31 +198,23 @@ def foreign(data: Path, work: Path) -> None:
 
     Results of `recordings` in `work` are taken where they are there.
     """
-    for recording in held(data):
-        given = data / recording / "reference"
-        reference = given if given.exists() else None
-        for name, dataset in drawn(data / recording, work):
-            result = work / f"{name}_out"
-            if not (result / "report.json").exists():
-                run_lvba(dataset, result, [], reference)
-            sources = {
-                "input": (dataset / "all_pcd_body", dataset / "all_image"),
-                "result": (result, result),
-                "reference": (given, given),
+    for name, dataset, reference in held(data, work):
+        result = work / f"{name}_out"
+        if not (result / "report.json").exists():
+            run_lvba(dataset, result, [], reference)
+        sources = {"input": (dataset / "all_pcd_body", dataset / "all_image"), "result": (result, result)}
+        if reference is not None:
+            sources["reference"] = (reference, reference)
+        for kind, (scans, images) in sources.items():
+            poses = {
+                "--lidar-poses": scans / "lidar_poses.txt",
+                "--image-poses": images / "image_poses.txt",
+                "--exposures": result / "exposures.csv",
+                "--calibration": result / "calibration.yaml",
             }
-            for kind, (scans, images) in sources.items():
-                poses = {
-                    "--lidar-poses": scans / "lidar_poses.txt",
-                    "--image-poses": images / "image_poses.txt",
-                    "--exposures": result / "exposures.csv",
-                    "--calibration": result / "calibration.yaml",
-                }
-                if poses["--lidar-poses"].exists():
-                    save(
-                        "foreign",
-                        f"{name}: {kind}",
-                        judged(dataset, poses, work / f"{name}_{kind}_judged", reference),
-                    )
+            if poses["--lidar-poses"].exists():
+                out = work / f"{name}_{kind}_judged"
+                save("foreign", f"{name}: {kind}", judged(dataset, poses, out, reference))
 
 
 def judged(dataset: Path, poses: dict[str, Path], out: Path, reference: Path | None) -> dict[str, Any]:

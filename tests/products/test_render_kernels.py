@@ -136,11 +136,11 @@ def test_what_lies_behind_the_points_of_an_image_is_hidden_without_them(scene, c
     assert taken > 100
 
 
-def _left_of_a_wall(front, own):
+def _left_of_a_wall(front):
     """The part of a wall 8 m away, in the colors of another image, that is shown behind points of an image's own."""
     wall = np.column_stack([*np.random.default_rng(0).uniform(-8, 8, (2, 200_000)), np.full(200_000, 8.0)])
     points = np.concatenate([wall, front]).astype(np.float32)
-    source = np.repeat([1, 0 if own else 1], [len(wall), len(front)]).astype(np.int32)
+    source = np.repeat([1, 0], [len(wall), len(front)]).astype(np.int32)
     camera = Camera(320, 240, 250.0, 250.0, 159.5, 119.5)
     views = Views(lambda _: None, camera, np.zeros(1), np.eye(4)[None], np.zeros(1))
     blocks = clouds.sort_into_blocks(points)
@@ -159,8 +159,8 @@ def test_stray_points_hide_nothing_beside_them_and_lines_of_a_wall_do():
     stray = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 2.0)])
     x, y = np.meshgrid(np.arange(-1.5, 1.5, 0.01), np.arange(-1.2, 1.2, 0.1))
     lines = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 2.0)])
-    assert _left_of_a_wall(stray, own=True) > 0.8
-    assert _left_of_a_wall(lines, own=True) < 0.05
+    assert _left_of_a_wall(stray) > 0.8
+    assert _left_of_a_wall(lines) < 0.05
 
 
 def test_a_floor_seen_at_a_grazing_angle_does_not_hide_itself():
