@@ -104,7 +104,7 @@ def _said(dataset: Path) -> float:
     config, opened = Config(), open_dataset(dataset)
     load = survey.load_of(opened)
     parts = split.parts(opened, split.SplitConfig(**_CUT), load)  # type: ignore[arg-type]
-    return memory.peaks(opened, parts, load, config.merge.near_m, config.visual.keyframes).largest / 1e6
+    return memory.peaks(opened, parts, load, config.visual.keyframes).largest / 1e6
 
 
 def _processor_seconds() -> float:

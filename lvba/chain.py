@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from lvba.arrays import Indices
 from lvba.blocks import decoded, scan_errors, scan_motions, split, survey
-from lvba.blocks.decoded import Made, Range, about_region, given
+from lvba.blocks.decoded import GivenScans, Made, Range, about_region, given, given_static
 from lvba.blocks.split import Part
 from lvba.dataset import Dataset
 from lvba.plan import Plan, Ref
@@ -51,6 +52,7 @@ class Chain:
         self.errors = add("scan-errors", scan_motions.joined, shared, motions)
         self.photos, self.judging, self.keyframes = list[Made](), list[Made](), list[Made]()
         self.points = self._decode("scans", decoded.decode_scans, cores, self.errors, self.survey)
+        self.moving = list[Made]()
 
     def _decode(self, name: str, function: Any, ranges: Sequence[Range], *arguments: Any) -> list[Made]:
         """A step for each range of frames, given those of its images that were decoded before, where any were."""
@@ -71,7 +73,13 @@ class Chain:
     def _of(self, part: Part, photos: bool = True) -> tuple[Any, ...]:
         """A part's frames, the part, and its scans and images that judge, decoded."""
         images = (given(self.judging, part.image_numbers),) if photos else ()
-        return (self.frames[part.number], part, given(self.points, part.scan_numbers), *images)
+        return (self.frames[part.number], part, self.scans_of(part.scan_numbers), *images)
+
+    def scans_of(self, numbers: Indices) -> list[GivenScans]:
+        """Scans, ascending numbers (n,), decoded; without points that move, as soon as these are known."""
+        if not self.moving:
+            return list(given(self.points, numbers))
+        return given_static(self.points, self.moving, numbers)
 
     def _each_region(self, one: str, function: Any, *arguments: Any) -> list[Ref]:
         """A step for each region, given the recording, all regions, the number of this one, and the scans about it."""

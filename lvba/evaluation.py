@@ -19,6 +19,7 @@ from lvba.io.exposures import Exposures, read_exposures
 from lvba.io.image_poses import Statement
 from lvba.io.reference import Reference, of_cameras
 from lvba.io.tum import read_pose_file, read_trajectory
+from lvba.lidar import moving_points
 from lvba.lidar.scan_errors import ScanErrors
 from lvba.parallel import in_order
 from lvba.pipeline import Config
@@ -105,7 +106,7 @@ def report(
     """report.json of the judgement: `rough` is the dataset, `refined` is what is given.
 
     What is systematically wrong with the scans is measured and corrected as in a run, before both are judged: else poses
-    that fit a distorted room would count as better than true ones.
+    that fit a distorted room would count as better than true ones. Images are compared with what does not move.
     Raises InputError: a scan or an image cannot be read.
     """
     dataset = given.dataset
@@ -122,7 +123,12 @@ def report(
             world_from_camera=given.world_from_camera,
             log_exposure=given.log_exposure,
         )
-        states = {ROUGH: State(rough, views), VISUAL: State(refined, claimed)}
+        none = np.zeros(len(rough), bool)
+        moving = _moving(given, read, progress) if config.remove_moving_points else none
+        states = {
+            ROUGH: State(rough.without(moving), views),
+            VISUAL: State(refined.without(moving), claimed),
+        }
         blank = _blank(dataset)
         judged = evaluation.judged_images(len(views), blank, config.evaluate.max_images)
         scores = evaluation.evaluate(
@@ -161,6 +167,14 @@ def _reader(given: Given, errors: ScanErrors | None) -> Callable[[int], np.ndarr
         return decoded.placed(given.recording, number, load_scan(given.recording, number), errors)[::every]
 
     return read
+
+
+def _moving(given: Given, read: Callable[[int], np.ndarray], progress: Progress) -> np.ndarray:
+    """Which points of all scans, one after another, move, at the dataset's poses and at those given, (M,) bool."""
+    scans, sensor = given.dataset.scans, given.dataset.sensor_position_scan
+    poses = [scans.world_from_sensor, given.world_from_scan]
+    masks = moving_points.moving_points(read, poses, scans.times, sensor, range(len(scans)), progress)
+    return np.concatenate(masks)
 
 
 def _against(given: Given, reference: Reference) -> dict[str, Any]:

@@ -30,6 +30,7 @@ from lvba.steps import (
     joint_scans,
     lidar,
     merge_data,
+    moving_points,
     plane_thickness,
     products,
     report_data,
@@ -116,6 +117,7 @@ class _Chain(Chain):
             "facts", report_data.collect,
             *(self.dataset, lidar, scans, cameras, learned, scores, accepted),
             *(expected, one_at_a_time(pieces), planes, reference, facts, self.errors),
+            moving=[ref for _, ref in self.moving],
         )  # fmt: skip
 
     def solve_scans(self) -> tuple[Ref, Ref, _Merged | None]:
@@ -131,6 +133,10 @@ class _Chain(Chain):
         entropies = self._each_region(
             "lidar-entropy", scan_acceptance.measure_entropy, solved, self.survey, config.evaluate.entropy
         )
+        moving = self._each(
+            "moving-points", moving_points.find, solved, config.remove_moving_points, photos=False
+        )
+        self.moving = [(part.core_scans, ref) for part, ref in zip(self.parts, moving, strict=True)]
         cores = [part.core_images for part in self.parts]
         full, judging = decoded.photo_ranges(self.dataset.camera, cores)
         self.photos = self.judging = self._decode("photos", decoded.decode_photos, full)
@@ -241,7 +247,7 @@ class _Chain(Chain):
     ) -> _Images:
         planes = self.plan.add(
             name, visual.find_planes,
-            *(dataset, frames, given(self.points, frames.scans), lidar, scans, self.survey, wanted),
+            *(dataset, frames, self.scans_of(frames.scans), lidar, scans, self.survey, wanted),
         )  # fmt: skip
         return _Images(dataset, frames, given(self.keyframes, frames.images), planes)
 
@@ -308,7 +314,7 @@ class _Chain(Chain):
         self, part: Part, own: _Images, lidar: Ref, scans: Ref, wanted: Ref | bool, over: str
     ) -> _Images:
         """A part's frames with those that others took at the same place, and the planes of all of them."""
-        frames = split.with_near(self.dataset, part, self.config.merge.near_m)
+        frames = split.with_near(self.dataset, part)
         if len(frames.images) == len(part.image_numbers):
             return own
         dataset = split.subset(self.dataset, frames.scans, frames.images)
@@ -343,7 +349,7 @@ class _Chain(Chain):
             [own], [stage], [part] = self.images, self.solved, self.parts
             return add(
                 "fused-cameras", fused_cameras.solve_alone,
-                *(own.dataset, own.frames, given(self.points, own.frames.scans), own.keyframes, stage),
+                *(own.dataset, own.frames, self.scans_of(own.frames.scans), own.keyframes, stage),
                 *(cameras, lidar, learned, fused, part, *options, self.config.merge.image_rounds),
             )  # fmt: skip
         merged = add(

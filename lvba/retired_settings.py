@@ -10,6 +10,7 @@ from typing import Any
 
 DEFAULTS: dict[str, Any] = {
     "merge.align": True,
+    "merge.near_m": 8.0,
     "lidar.stages": [
         {
             "sizes": [0.5, 1.0, 2.0],

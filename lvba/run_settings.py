@@ -31,6 +31,12 @@ class Config:
         meaning="Do the visual bundle adjustment. false: cameras only move along with the scans.",
         change_when="Only the LiDAR map is wanted: this saves most of the time.",
     )
+    remove_moving_points: bool = setting(
+        True,
+        meaning="Take points that other scans see through, of people, vehicles, rain, out of the map and of what images "
+        "are compared with. false: keep all.",
+        change_when="The map must hold all points, as to look for what moved.",
+    )
     split: SplitConfig = field(default_factory=SplitConfig)
     merge: MergeConfig = field(default_factory=MergeConfig)
     lidar: LidarConfig = field(default_factory=LidarConfig)

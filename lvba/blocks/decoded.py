@@ -8,7 +8,7 @@ import copy
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Generic, TypeVar
 
@@ -45,6 +45,8 @@ Pieces = Sequence[tuple[Range, Callable[[], T]]]
 Made = tuple[Range, Ref]
 Given = tuple[Range, StreamedRef]
 """A piece in a plan: as a step makes it, and as it is given to another one."""
+GivenScans = tuple[Range, StreamedRef | tuple[StreamedRef, StreamedRef]]
+"""The same of scans; of two, the second says which points of the first move."""
 _REGION_M = 300.0
 """Scans of parts whose paths come this near to a part's may have points in its region of space: twice the reach of usual
 sensors. Of parts further off, where there are such points all the same, the files are read again."""
@@ -56,6 +58,14 @@ def given(pieces: Sequence[Made], numbers: Indices) -> list[Given]:
         ((first, end), StreamedRef(ref.key))
         for (first, end), ref in pieces
         if np.searchsorted(numbers, first) < np.searchsorted(numbers, end)
+    ]
+
+
+def given_static(pieces: Sequence[Made], moving: Sequence[Made], numbers: Indices) -> list[GivenScans]:
+    """The pieces that hold some scans, ascending numbers (n,), without points that move. moving: of the same ranges"""
+    return [
+        (frames, (points, moves))
+        for (frames, points), (_, moves) in zip(given(pieces, numbers), given(moving, numbers), strict=True)
     ]
 
 
@@ -83,6 +93,20 @@ class ScanPoints:
     errors: ScanErrors | None = None
     cosine: np.ndarray | None = None
     every: int = 1
+
+
+@dataclass(frozen=True)
+class MovingPoints:
+    """Points of successive scans that move. numbers: (K,) int64, ascending, among the `count` points of the scans"""
+
+    numbers: np.ndarray
+    count: int
+
+
+ScanPieces = Sequence[
+    tuple[Range, Callable[[], ScanPoints] | tuple[Callable[[], ScanPoints], Callable[[], MovingPoints]]]
+]
+"""Pieces of scans, with the points that move, which readers take out, or without."""
 
 
 @dataclass(frozen=True)
@@ -251,13 +275,14 @@ class ScanReader:
 
     def __init__(
         self,
-        pieces: Pieces[ScanPoints],
+        pieces: ScanPieces,
         first: int = 0,
         whole: Dataset | None = None,
         all_points: bool = False,
     ) -> None:
-        self._pieces, self._first, self._whole, self._all = pieces, first, whole, all_points
-        self._reader = _Reader(pieces)
+        static = [(frames, _static(read) if isinstance(read, tuple) else read) for frames, read in pieces]
+        self._pieces, self._first, self._whole, self._all = static, first, whole, all_points
+        self._reader = _Reader(static)
 
     def __call__(self, scan: int) -> np.ndarray:
         """(N, 3) float32, m, scan frame.
@@ -315,6 +340,27 @@ class ScanReader:
 
     def _every(self, piece: ScanPoints) -> int:
         return 1 if self._all else piece.every
+
+
+def _static(
+    read: tuple[Callable[[], ScanPoints], Callable[[], MovingPoints]],
+) -> Callable[[], ScanPoints]:
+    return lambda: without_moving(read[0](), read[1]())
+
+
+def without_moving(points: ScanPoints, moving: MovingPoints) -> ScanPoints:
+    """The points of the same scans that do not move."""
+    if not len(moving.numbers):
+        return points
+    static = np.ones(len(points.points), bool)
+    static[moving.numbers] = False
+    return replace(
+        points,
+        points=points.points[static],
+        offsets=points.offsets - np.searchsorted(moving.numbers, points.offsets),
+        intensity=None if points.intensity is None else points.intensity[static],
+        cosine=None if points.cosine is None else points.cosine[static],
+    )
 
 
 class PhotoReader:

@@ -39,17 +39,15 @@ class Peaks:
         return max(self.part, self.region, self.joint, self.cameras)
 
 
-def peaks(
-    dataset: Dataset, parts: Sequence[Part], load: Load, near_m: float, chosen: KeyframeConfig
-) -> Peaks:
+def peaks(dataset: Dataset, parts: Sequence[Part], load: Load, chosen: KeyframeConfig) -> Peaks:
     """What a recording in these parts takes.
 
-    near_m: as `merge.near_m`; chosen: which images are keyframes
+    chosen: which images are keyframes
     """
     part = max(split.memory_bytes(load, len(part.scan_numbers), len(part.image_numbers)) for part in parts)
     if len(parts) == 1:
         return Peaks(part)
-    with_near = max(_with_near(dataset, each, load, near_m) for each in parts)
+    with_near = max(_with_near(dataset, each, load) for each in parts)
     regions = split.regions(parts, load)
     scans = max(region.core_scans[1] - region.core_scans[0] for region in regions)
     images = dataset.images
@@ -58,25 +56,25 @@ def peaks(
         max(part, with_near),
         split.BASE_BYTES + split.BYTES_PER_POINT * load.solved_per_scan * scans,
         split.BASE_BYTES + joint_bytes(dataset.scans.world_from_sensor, load.reach_m),
-        split.BASE_BYTES + camera_bytes(images.world_from_sensor[numbers], near_m),
+        split.BASE_BYTES + camera_bytes(images.world_from_sensor[numbers]),
     )
 
 
-def _with_near(dataset: Dataset, part: Part, load: Load, near_m: float) -> float:
-    frames = split.with_near(dataset, part, near_m)
+def _with_near(dataset: Dataset, part: Part, load: Load) -> float:
+    frames = split.with_near(dataset, part)
     return split.visual_bytes(load, len(frames.scans), len(frames.images))
 
 
-def camera_bytes(world_from_camera: Poses, near_m: float) -> float:
+def camera_bytes(world_from_camera: Poses) -> float:
     """What a joint round of all cameras holds at its peak: its equations, and the band that is their factor.
 
-    world_from_camera: (K, 4, 4), of keyframes; near_m: images within so much (m) of one part's path are looked at
-        together, so that all within twice of it may be tied
+    world_from_camera: (K, 4, 4), of keyframes. Images within `split.NEAR_M` of one part's path are looked at together,
+    so that all within twice of it may be tied.
     """
     count = len(world_from_camera)
     if not count:
         return 0.0
-    tied = cKDTree(world_from_camera[:, :3, 3]).query_pairs(2.0 * near_m, output_type="ndarray")
+    tied = cKDTree(world_from_camera[:, :3, 3]).query_pairs(2.0 * split.NEAR_M, output_type="ndarray")
     here = np.arange(count - 1)
     tied = np.concatenate([tied, np.column_stack([here, here + 1])])
     width = count

@@ -50,16 +50,6 @@ class MergeConfig(Group):
         change_when="The report says that cameras of joined parts still moved in the last round (more).",
         advanced=True,
     )
-    near_m: float = setting(
-        8.0,
-        meaning="Frames that other parts took within this distance of a part's path join it in the joint visual "
-        "bundle adjustment, so that places seen again tie poses and exposures. 0: none.",
-        unit="m",
-        low=0,
-        high=100,
-        change_when="Recordings from the air or of wide places (larger), or memory is short (smaller).",
-        advanced=True,
-    )
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,9 @@ FEWEST_REGIONS = 16
 """Of space: enough for many workers."""
 REGION_POINTS = 2e6
 """Points of a region up to which parts own space together: their map takes less memory than a part's images."""
+NEAR_M = 8.0
+"""Frames that other parts took within this distance of a part's path join it in the joint visual bundle adjustment, so
+that places seen again tie poses and exposures."""
 LEAST_OVERLAP = 3
 """Scans that neighboring parts must share at least: from fewer no relative pose can be trusted."""
 
@@ -245,22 +248,22 @@ def regions(parts: Sequence[Part], load: Load) -> tuple[Part, ...]:
     )
 
 
-def with_near(dataset: Dataset, part: Part, reach: float) -> Frames:
-    """The part's frames and those that other parts took at the same place, within `reach` (m) of its core by rough poses.
+def with_near(dataset: Dataset, part: Part) -> Frames:
+    """The part's frames and those that other parts took at the same place, within NEAR_M of its core by rough poses.
 
     At most half as many as the part has itself, spread evenly, so that a place seen often does not grow without bound.
     """
     own = part.frames
     core = cKDTree(dataset.scans.world_from_sensor[slice(*part.core_scans), :3, 3])
     return Frames(
-        _and_near(own.scans, dataset.scans.world_from_sensor, core, reach),
-        _and_near(own.images, dataset.images.world_from_sensor, core, reach),
+        _and_near(own.scans, dataset.scans.world_from_sensor, core),
+        _and_near(own.images, dataset.images.world_from_sensor, core),
         own.core_images,
     )
 
 
-def _and_near(own: np.ndarray, poses: np.ndarray, core: cKDTree, reach: float) -> np.ndarray:
-    near = np.flatnonzero(np.isfinite(core.query(poses[:, :3, 3], distance_upper_bound=reach)[0]))
+def _and_near(own: np.ndarray, poses: np.ndarray, core: cKDTree) -> np.ndarray:
+    near = np.flatnonzero(np.isfinite(core.query(poses[:, :3, 3], distance_upper_bound=NEAR_M)[0]))
     near = np.setdiff1d(near, own)
     most = len(own) // 2
     if len(near) > most:

@@ -1,7 +1,7 @@
 """The point cloud of all scans, sorted into blocks so that an image only meets the points in front of it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -57,6 +57,15 @@ class Cloud:
     def origins(self, points: Indices) -> Origins | None:
         """From where points of these numbers (K,) were measured; None: unknown."""
         return None if self.sensor_world is None else Origins(self.scan_of(points), self.sensor_world)
+
+    def without(self, points: np.ndarray) -> "Cloud":
+        """The cloud without some points. points: (M,) bool, which"""
+        before = np.concatenate([[0], np.cumsum(points, dtype=np.int64)])
+        return replace(
+            self,
+            points_world=self.points_world[~points],
+            scan_offsets=self.scan_offsets - before[self.scan_offsets],
+        )
 
 
 @dataclass(frozen=True)

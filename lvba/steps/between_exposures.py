@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lvba.blocks.decoded import PhotoReader, Pieces, ScanPoints, ScanReader, blank_photos
+from lvba.blocks.decoded import PhotoReader, Pieces, ScanPieces, ScanReader, blank_photos
 from lvba.blocks.split import Part
 from lvba.dataset import Dataset
 from lvba.products import brightness
@@ -45,7 +45,7 @@ class BetweenKeyframes:
 def measure(
     dataset: Dataset,
     part: Part,
-    points: Pieces[ScanPoints],
+    points: ScanPieces,
     photos: Pieces[np.ndarray],
     scans: ScanPoses,
     visual: VisualStage,

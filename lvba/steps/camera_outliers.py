@@ -15,7 +15,7 @@ import numpy as np
 
 from lvba import geometry, spline
 from lvba.arrays import Indices, Poses, Times
-from lvba.blocks.decoded import PhotoReader, Pieces, ScanPoints, ScanReader, blank_photos
+from lvba.blocks.decoded import PhotoReader, Pieces, ScanPieces, ScanReader, blank_photos
 from lvba.blocks.split import Part
 from lvba.dataset import Dataset
 from lvba.products import evaluate as evaluation
@@ -185,7 +185,7 @@ def substituted(outliers: Outliers, times: Times, poses: Poses, expected: Expect
 def compare(
     dataset: Dataset,
     part: Part,
-    points: Pieces[ScanPoints],
+    points: ScanPieces,
     photos: Pieces[np.ndarray],
     whole: Dataset,
     scans: ScanPoses,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lvba.blocks.decoded import PhotoReader, Pieces, ScanPoints, ScanReader, blank_photos
+from lvba.blocks.decoded import PhotoReader, Pieces, ScanPieces, ScanReader, blank_photos
 from lvba.blocks.split import Part
 from lvba.camera import Camera
 from lvba.dataset import Dataset
@@ -66,7 +66,7 @@ class Cameras:
 def evaluate(
     dataset: Dataset,
     part: Part,
-    points: Pieces[ScanPoints],
+    points: ScanPieces,
     photos: Pieces[np.ndarray],
     images: int,
     scans: ScanPoses,
@@ -111,7 +111,7 @@ def evaluate(
 def complete(
     dataset: Dataset,
     part: Part,
-    points: Pieces[ScanPoints],
+    points: ScanPieces,
     photos: Pieces[np.ndarray],
     images: int,
     scans: ScanPoses,

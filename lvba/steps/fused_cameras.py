@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lvba.blocks.decoded import Keyframes, Pieces, ScanPoints
+from lvba.blocks.decoded import Keyframes, Pieces, ScanPieces
 from lvba.blocks.split import Frames, Part
 from lvba.blocks.survey import Survey
 from lvba.blocks.visual_joint import JointCameras
@@ -71,7 +71,7 @@ def start(
 def solve_alone(
     dataset: Dataset,
     frames: Frames,
-    points: Pieces[ScanPoints],
+    points: ScanPieces,
     keyframes: Pieces[Keyframes],
     stage: VisualStage,
     cameras: VisualStage,

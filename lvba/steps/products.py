@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from lvba.blocks.decoded import PhotoReader, Pieces, ScanPoints, ScanReader
+from lvba.blocks.decoded import PhotoReader, Pieces, ScanPieces, ScanReader
 from lvba.blocks.lidar_block import Regions
 from lvba.blocks.regions import in_region, regions
 from lvba.blocks.split import Part
@@ -27,7 +27,7 @@ from lvba.steps.uncertainty import Expected
 def color_map(
     dataset: Dataset,
     part: Part,
-    points: Pieces[ScanPoints],
+    points: ScanPieces,
     photos: Pieces[np.ndarray],
     whole: Dataset,
     cores: Sequence[Part],
@@ -149,7 +149,7 @@ def _map_of_intensity(cloud: Cloud, intensity: np.ndarray, config: MapConfig) ->
 def show_images(
     dataset: Dataset,
     part: Part,
-    points: Pieces[ScanPoints],
+    points: ScanPieces,
     photos: Pieces[np.ndarray],
     accepted: Accepted,
     scores: Mapping[str, Scores],

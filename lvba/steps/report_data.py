@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from lvba import geometry
+from lvba.blocks.decoded import MovingPoints
 from lvba.dataset import Dataset
 from lvba.io.reference import Reference
 from lvba.lidar import range_errors
@@ -54,16 +55,19 @@ def collect(
     reference: Reference | None,
     merge: Mapping[str, Any] | None = None,
     errors: ScanErrors | None = None,
+    moving: Sequence[MovingPoints] = (),
 ) -> dict[str, Any]:
     """Everything the report says about the dataset, the stages, the evaluation and the reference, and the verdict on it.
 
     pieces: read the map, one piece at a time; planes: of all regions of space; merge: facts of a run in parts
-    errors: of the scans; None: not measured
+    errors: of the scans; None: not measured; moving: of all parts, taken out of the map
     """
     visual = fused_cameras.in_use(visual, accepted)
     facts: dict[str, Any] = {
         "dataset": of_dataset(dataset),
-        "lidar": of_lidar(lidar, scans, accepted) | of_scan_errors(errors),
+        "lidar": of_lidar(lidar, scans, accepted)
+        | of_scan_errors(errors)
+        | {"moving_points": of_moving_points(moving)},
         "visual": of_visual(dataset, visual, accepted),
         "fusion": of_fusion(fused, accepted),
         "trajectory": of_trajectories(dataset, accepted),
@@ -142,6 +146,12 @@ def of_scan_errors(errors: ScanErrors | None) -> dict[str, Any]:
         return {}
     facts: dict[str, Any] = {} if errors.motion is None else {"motion_left": errors.motion.facts()}
     return facts if errors.ranges is None else facts | {"range_errors": errors.ranges.facts()}
+
+
+def of_moving_points(moving: Sequence[MovingPoints]) -> dict[str, Any]:
+    """How many points move, and what part of all they are."""
+    count = sum(len(each.numbers) for each in moving)
+    return {"count": count, "part": count / max(sum(each.count for each in moving), 1)}
 
 
 def warnings_of_errors(errors: ScanErrors | None) -> list[str]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lvba.arrays import Indices, Poses
-from lvba.blocks.decoded import PhotoReader, Pieces, ScanPoints, ScanReader, blank_photos
+from lvba.blocks.decoded import PhotoReader, Pieces, ScanPieces, ScanPoints, ScanReader, blank_photos
 from lvba.blocks.regions import region_cloud
 from lvba.blocks.split import Part
 from lvba.blocks.survey import Survey
@@ -92,7 +92,7 @@ def measure_fused_entropy(
 def compare(
     dataset: Dataset,
     part: Part,
-    points: Pieces[ScanPoints],
+    points: ScanPieces,
     photos: Pieces[np.ndarray],
     images: int,
     lidar: LidarStage,

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from lvba.blocks.decoded import Keyframes, Pieces, ScanPoints, ScanReader, color_of_keyframes, keyframe_images
+from lvba.blocks.decoded import Keyframes, Pieces, ScanPieces, ScanReader, color_of_keyframes, keyframe_images
 from lvba.blocks.split import Frames
 from lvba.blocks.survey import Survey, keyframes_of
 from lvba.dataset import Dataset
@@ -30,7 +30,7 @@ def visual_levels(dataset: Dataset, config: VisualConfig) -> int:
 def find_planes(
     dataset: Dataset,
     frames: Frames,
-    points: Pieces[ScanPoints],
+    points: ScanPieces,
     lidar: LidarStage,
     scans: ScanPoses,
     survey: Survey,

@@ -23,7 +23,7 @@ def announce(arguments: argparse.Namespace, dataset: Dataset, config: Config, di
     """
     load = survey.load_of(dataset)
     cores = split.parts(dataset, config.split, load)
-    peaks = memory.peaks(dataset, cores, load, config.merge.near_m, config.visual.keyframes)
+    peaks = memory.peaks(dataset, cores, load, config.visual.keyframes)
     needed = peaks.largest
     given = clusters.memory_bytes(arguments)
     if given is not None and needed > given:

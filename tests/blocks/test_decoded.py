@@ -1,11 +1,13 @@
-"""Images in color without distortion, from pieces."""
+"""Images in color without distortion, and scans without points that move, from pieces."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from lvba.blocks import decoded
+from lvba.blocks.decoded import MovingPoints, ScanPoints
 from lvba.camera import Camera
 from lvba.parallel import in_order
 from lvba.visual import image
@@ -52,3 +54,39 @@ def test_an_image_without_distortion_is_as_it_was_taken():
     plain = replace(CAMERA, distortion=(0.0, 0.0, 0.0, 0.0))
     reader = decoded.PhotoReader([((0, 10), lambda: PHOTOS)], plain)
     np.testing.assert_array_equal(reader(3), PHOTOS[3])
+
+
+def scan_points(every=1, cosine=True):
+    """Four scans of which the second is empty."""
+    rng = np.random.default_rng(4)
+    return ScanPoints(
+        points=rng.normal(size=(30, 3)).astype(np.float32),
+        offsets=np.array([0, 7, 7, 18, 30]),
+        intensity=rng.random(30).astype(np.float32),
+        cosine=rng.random(30).astype(np.float16) if cosine else None,
+        every=every,
+    )
+
+
+@pytest.mark.parametrize("numbers", [[], [0, 6, 7, 17, 29], list(range(7)), list(range(30))])
+def test_readers_give_scans_without_the_points_that_move(numbers):
+    """With what is known of the other points."""
+    points, moving = scan_points(), MovingPoints(np.array(numbers, np.int64), 30)
+    reader = decoded.ScanReader([((5, 9), (lambda: points, lambda: moving))], first=5)
+    static = [np.setdiff1d(np.arange(*span), numbers) for span in pairwise(points.offsets)]
+    for scan, kept in enumerate(static):
+        np.testing.assert_array_equal(reader(scan), points.points[kept])
+    kept = np.concatenate(static)
+    np.testing.assert_array_equal(reader.intensities(range(4)), points.intensity[kept])
+    np.testing.assert_array_equal(reader.cosines(range(4)), points.cosine[kept].astype(float))
+
+
+def test_scans_are_solved_with_every_so_many_th_of_the_points_that_do_not_move():
+    points, moving = scan_points(every=3, cosine=False), MovingPoints(np.array([0, 8]), 30)
+    reader, whole = (
+        decoded.ScanReader([((0, 4), (lambda: points, lambda: moving))], all_points=everything)
+        for everything in (False, True)
+    )
+    np.testing.assert_array_equal(whole(2), points.points[[7, *range(9, 18)]])
+    np.testing.assert_array_equal(reader(2), whole(2)[::3])
+    assert reader.cosines([2]) is None

@@ -89,16 +89,16 @@ def test_a_joint_round_of_cameras_takes_what_is_said(places, within):
     )
     factor = linear_solver.factorize(tied, 1e-9).poses
     held = 3 * tied.blocks.nbytes + factor.lower.nbytes
-    assert held <= memory.camera_bytes(places, 8.0) <= within * held
+    assert held <= memory.camera_bytes(places) <= within * held
 
 
 def test_a_joint_round_of_cameras_grows_with_a_street_and_faster_in_a_site():
     def ratio(place):
-        return memory.camera_bytes(place(2_000), 8.0) / memory.camera_bytes(place(1_000), 8.0)
+        return memory.camera_bytes(place(2_000)) / memory.camera_bytes(place(1_000))
 
     assert ratio(street) == pytest.approx(2.0, rel=0.05)
     assert 3.5 < ratio(site) < 4.5
-    assert memory.camera_bytes(site(0), 8.0) == 0.0
+    assert memory.camera_bytes(site(0)) == 0.0
 
 
 def recording(scans, load, size=10):
@@ -109,7 +109,7 @@ def recording(scans, load, size=10):
     dataset = Dataset("site", names, path, names, path, (camera,))
     bounds = [(begin, begin + size) for begin in range(0, scans, size)]
     parts = [Part(n, each, each, each, each) for n, each in enumerate(bounds)]
-    return dataset, parts, load, 8.0, KeyframeConfig()
+    return dataset, parts, load, KeyframeConfig()
 
 
 def test_the_largest_of_part_region_and_joint_rounds_counts():
@@ -120,7 +120,7 @@ def test_the_largest_of_part_region_and_joint_rounds_counts():
     assert found.part == split.visual_bytes(load, 15, 15) > split.memory_bytes(load, 10, 10)
     assert found.region == split.BASE_BYTES + split.BYTES_PER_POINT * 3_000 * 40
     assert found.joint == split.BASE_BYTES + memory.joint_bytes(dataset.scans.world_from_sensor, 50.0)
-    assert found.cameras == split.BASE_BYTES + memory.camera_bytes(dataset.images.world_from_sensor, 8.0)
+    assert found.cameras == split.BASE_BYTES + memory.camera_bytes(dataset.images.world_from_sensor)
     assert found.largest == found.cameras > found.joint
     whole = (0, 600)
     alone = memory.peaks(dataset, [Part(0, whole, whole, whole, whole)], *rest)

@@ -284,7 +284,7 @@ def _read_manifest(folder: Path) -> None:
 
 def _settings(folder: Path) -> list[Files]:
     text = config.to_yaml(Config()).encode()
-    return [{"config.yaml": text, "set.txt": b"split.by=none\nmerge.near_m=3"},
+    return [{"config.yaml": text, "set.txt": b"split.by=none\nmerge.image_rounds=3"},
             {"config.yaml": b"split: {starts: [1, 4], memory_gb: 1e1}\n", "set.txt": b"refine_scans=false"}]  # fmt: skip
 
 

@@ -64,8 +64,8 @@ def test_config_of_an_earlier_version_is_read_with_one_short_warning(caplog):
     assert loaded == config.override(Config(), ["visual.levels=2"])
     (record,) = caplog.records
     assert record.getMessage() == (
-        "old.yaml: 97 settings of an earlier version are ignored: "
-        "evaluate.colors, evaluate.entropy.min_neighbors, evaluate.entropy.voxel_m and 94 more (--verbose names all)"
+        "old.yaml: 98 settings of an earlier version are ignored: "
+        "evaluate.colors, evaluate.entropy.min_neighbors, evaluate.entropy.voxel_m and 95 more (--verbose names all)"
     )
 
 

@@ -26,6 +26,7 @@ STAGES = [
         "scans",
         "lidar",
         "lidar-entropy",
+        "moving-points",
         "photos",
         "lidar-images",
         "lidar-gate",

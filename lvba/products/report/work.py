@@ -84,6 +84,9 @@ def lidar_rows(facts: Facts) -> list[tuple[str, str]]:
     if left.get("part") is not None:
         rows.append(_motion_row(left))
     rows += _range_error_rows(stage.get("range_errors") or {})
+    moving = stage.get("moving_points") or {}
+    if moving.get("part", 0.0) > _SAID_MOVING:
+        rows.append(("Points that move, not in the map", f"{formats.number(100.0 * moving['part'], 1)} %"))
     rows += _imu_rows(stage.get("imu") or {})
     scans = renamed_facts.value(stage, "degenerate_scans") or []
     if scans:
@@ -130,6 +133,8 @@ def _motion_row(left: Facts) -> tuple[str, str]:
     return text + taken, f"{formats.number(factor * left['part'], 2)}{error} {unit}"
 
 
+_SAID_MOVING = 5e-4
+"""Part of the points from which it is said that some move: fewer are noise at edges."""
 _HELD = " (kept near the odometry)"
 
 
