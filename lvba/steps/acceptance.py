@@ -255,7 +255,13 @@ def judge_scans(
         )
     seen = _PSNR in gained and (_SSIM not in lost or _beyond(asked, CONTRADICTION))
     if entropy.finding != "better" and not seen:
-        why = "not crisper" if entropy.gain <= 0 else "not crisper by more than chance"
+        chance = entropy.gain <= config.confidence * entropy.error
+        why = (
+            "by more than chance"
+            if chance
+            else f"by {config.min_entropy_gain:g} nats (gate.min_entropy_gain)"
+        )
+        why = "not crisper" if entropy.gain <= 0 else f"not crisper {why}"
         return Verdict(
             False,
             "input poses kept",

@@ -66,7 +66,7 @@ def images(before, after):
         (-3.0, -3.1, np.nan, True, "accepted"),
         (-3.0, -3.1, 0.06, False, "chance"),
         (-3.0, -3.0, 0.005, False, "not crisper"),
-        (-3.0, -3.019, 0.001, False, "not crisper"),
+        (-3.0, -3.019, 0.001, False, "not crisper by 0.02 nats"),
         (-3.0, -2.9, 0.005, False, "not crisper"),
         (np.nan, -3.0, np.nan, False, "too thin"),
         (-3.0, np.nan, np.nan, False, "too thin"),
