@@ -169,10 +169,11 @@ def evaluate(
                 curve=states[name].views.curve,
             )
 
-        seen = {state.views.camera: state.views for state in states.values()}
-        raw = {camera: metrics.prepare(views.load(image)) for camera, views in seen.items()}
+        # not by their cameras: two lenses may leave the same pinhole camera
+        seen = {id(state.views.load): state.views for state in states.values()}
+        raw = {source: metrics.prepare(views.load(image)) for source, views in seen.items()}
         valid = np.logical_and.reduce([views.mask for views in seen.values()])
-        by_state = {name: raw[state.views.camera] for name, state in states.items()}
+        by_state = {name: raw[id(state.views.load)] for name, state in states.items()}
         covered = {name: covers[number] for name, number in group.items()}
         return judge(by_state, covered, rendering, valid, brief, apart)
 
@@ -230,9 +231,9 @@ def completed(brief: Scores, full: Scores) -> Scores:
 
 
 def _geometries(states: Mapping[str, State], colors: str) -> list[list[str]]:
-    """Names of the states, those with the same cloud and camera poses together (blended colors need exposures and light,
-    too)."""
-    groups: dict[tuple[int, bytes], list[str]] = {}
+    """Names of the states, those with the same cloud, images and camera poses together (blended colors need exposures and
+    light, too)."""
+    groups: dict[tuple[int, int, bytes], list[str]] = {}
     for name, state in states.items():
         exposures = b""
         if colors == "blended":
@@ -240,7 +241,7 @@ def _geometries(states: Mapping[str, State], colors: str) -> list[list[str]]:
             exposures = state.views.log_exposure.tobytes() + (b"" if light is None else light.tobytes())
             exposures += states[name].views.curve.numbers.tobytes()
         poses = repr(state.views.camera).encode() + state.views.world_from_camera.tobytes()
-        key = id(state.cloud), poses + exposures
+        key = id(state.cloud), id(state.views.load), poses + exposures
         groups.setdefault(key, []).append(name)
     return list(groups.values())
 

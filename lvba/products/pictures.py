@@ -105,14 +105,14 @@ def show(
     def of_image(image: int) -> tuple[Picture | None, _Window | None, _Window | None]:
         own = image - first
         shown = [_shown(cloud, state, own, config) for state, cloud in clouds]
-        raw, title, mask = rough.views.load(own), f"image {image}", rough.views.mask
+        title, mask = f"image {image}", rough.views.mask & refined.views.mask
 
         def cut(window: tuple[float, tuple[slice, slice]] | None) -> _Window | None:
-            return None if window is None else (window[0], _picture(title, raw, shown, window[1], mask))
+            return None if window is None else (window[0], _picture(title, shown, window[1], mask))
 
         every = (slice(None), slice(None))
-        whole = _picture(title, raw, shown, every, mask) if image in choice.whole else None
-        return whole, cut(_most_changed(_change(raw, shown, mask))), cut(_where_it_shows(raw, shown, mask))
+        whole = _picture(title, shown, every, mask) if image in choice.whole else None
+        return whole, cut(_most_changed(_change(shown, mask))), cut(_where_it_shows(shown, mask))
 
     made = list(in_order(of_image, images))
     return Shown(
@@ -150,8 +150,12 @@ _Window = tuple[float, Picture]
 
 @dataclass(frozen=True)
 class _Shown:
-    """A rendering as it is judged, and with its gaps closed for the eye, (H, W, 3) float32; covered: (H, W) bool."""
+    """A rendering as it is judged, and with its gaps closed for the eye, (H, W, 3) float32; covered: (H, W) bool.
 
+    photo: (H, W, 3) uint8 RGB, the image as the camera of the state has it: a refined lens leaves another one
+    """
+
+    photo: np.ndarray
     color: np.ndarray
     filled: np.ndarray
     covered: np.ndarray
@@ -163,7 +167,8 @@ def _shown(cloud: ColoredCloud, state: State, image: int, config: RenderConfig |
         shade(seen, cloud, state.views.log_exposure, image, light=state.views.light, curve=state.views.curve)
         for seen in (entries, fill(entries, _FILL_PX))
     )
-    return _Shown(plain.color[OTHERS], filled.color[OTHERS], plain.covered[OTHERS])
+    photo = state.views.load(image)
+    return _Shown(photo, plain.color[OTHERS], filled.color[OTHERS], plain.covered[OTHERS])
 
 
 def leave_one_out(cloud: ColoredCloud, state: State, image: int) -> np.ndarray:
@@ -171,34 +176,39 @@ def leave_one_out(cloud: ColoredCloud, state: State, image: int) -> np.ndarray:
     return np.asarray(np.rint(_shown(cloud, state, image, None).filled).astype(np.uint8))
 
 
-def _change(raw: np.ndarray, shown: list[_Shown], valid: np.ndarray) -> np.ndarray:
+def _change(shown: list[_Shown], valid: np.ndarray) -> np.ndarray:
     """By how much the squared error of each pixel that both cover became smaller, (H, W)."""
     common = shown[0].covered & shown[1].covered & valid
-    gain = ((shown[0].color - raw) ** 2).sum(2) - ((shown[1].color - raw) ** 2).sum(2)
-    return np.where(common, gain, 0.0)
+    before, after = (((one.color - one.photo) ** 2).sum(2) for one in shown)
+    return np.where(common, before - after, 0.0)
 
 
-def _where_it_shows(
-    raw: np.ndarray, shown: list[_Shown], valid: np.ndarray
-) -> tuple[float, tuple[slice, slice]] | None:
+def _where_it_shows(shown: list[_Shown], valid: np.ndarray) -> tuple[float, tuple[slice, slice]] | None:
     """The large window in which detail comes out clearer, and how much; None: it does nowhere.
 
     Detail correlated with the photo's, so that being brighter than the photo counts for nothing; times the photo's own
     contrast, so that there is something to see; times the part that both maps cover.
     """
-    size = 2 * (min(raw.shape[:2]) // 2 // _DETAIL) + 1
+    size = 2 * (min(valid.shape) // 2 // _DETAIL) + 1
     common = shown[0].covered & shown[1].covered & valid
-    details = []
-    for picture in (raw, shown[0].filled, shown[1].filled):
+
+    def detail(picture: np.ndarray) -> np.ndarray:
         gray = picture.astype(np.float32).mean(2)
-        details.append(np.where(common, gray - cv2.blur(gray, (size, size)), 0.0))
-    photo, *maps = details
+        return np.where(common, gray - cv2.blur(gray, (size, size)), 0.0)
+
     window = _window(common.shape, _LARGE)
-    # differences of sums over the whole image may be slightly below zero
-    own, *squares = (np.maximum(_sums(one**2, window), 0.0) for one in details)
+
+    def power(detail: np.ndarray) -> np.ndarray:
+        # differences of sums over the whole image may be slightly below zero
+        return np.asarray(np.maximum(_sums(detail**2, window), 0.0))
+
+    photos, maps = (
+        [detail(one) for one in of] for of in zip(*((s.photo, s.filled) for s in shown), strict=True)
+    )
+    own = power(photos[1])
     before, after = (
-        _sums(photo * one, window) / np.sqrt(own * square + 1e-9)
-        for one, square in zip(maps, squares, strict=True)
+        _sums(photo * one, window) / np.sqrt(power(photo) * power(one) + 1e-9)
+        for photo, one in zip(photos, maps, strict=True)
     )
     score = (after - before) * np.sqrt(own * _sums(common.astype(float), window)) / np.prod(window)
     return _largest(score, window)
@@ -238,14 +248,17 @@ def _sums(values: np.ndarray, window: tuple[int, int]) -> np.ndarray:
     )
 
 
-def _picture(
-    title: str, raw: np.ndarray, shown: list[_Shown], place: tuple[slice, slice], valid: np.ndarray
-) -> Picture:
+def _picture(title: str, shown: list[_Shown], place: tuple[slice, slice], valid: np.ndarray) -> Picture:
     mask = (shown[0].covered & shown[1].covered & valid)[place]
     rgb = [np.rint(one.filled[place]).astype(np.uint8) for one in shown]
-    psnr = [_psnr(one.color[place], raw[place], mask) for one in shown]
+    psnr = [_psnr(one.color[place], one.photo[place], mask) for one in shown]
     return Picture(
-        title=title, raw=raw[place], before=rgb[0], after=rgb[1], psnr_before=psnr[0], psnr_after=psnr[1]
+        title=title,
+        raw=shown[1].photo[place],
+        before=rgb[0],
+        after=rgb[1],
+        psnr_before=psnr[0],
+        psnr_after=psnr[1],
     )
 
 

@@ -29,8 +29,9 @@ def find(
         return MovingPoints(np.zeros(0, np.int64), sum(len(read(scan)) for scan in core))
     if lidar.result is not None:
         poses.append(lidar.result.world_from_scan[slice(*part.scans)])
+    scans = read.load(range(len(dataset.scans)))
     masks = moving_points.moving_points(
-        read, poses, dataset.scans.times, dataset.sensor_position_scan, core, progress
+        scans.__getitem__, poses, dataset.scans.times, dataset.sensor_position_scan, core, progress
     )
     numbers = np.flatnonzero(np.concatenate(masks)).astype(np.int64)
     return MovingPoints(numbers, sum(len(each) for each in masks))

@@ -1,5 +1,7 @@
 """Coloring, rendering and judging, end to end on a box with known radiance."""
 
+from dataclasses import replace
+
 import box_world
 import numpy as np
 import pytest
@@ -246,12 +248,29 @@ def test_states_of_one_geometry_score_as_when_judged_alone(world, scores):
         "dull"
     ]
     shared = evaluate.State(world.cloud(), world.views())
-    dull = evaluate.State(shared.cloud, world.views(log_exposure=np.zeros(6)))
+    dull = evaluate.State(shared.cloud, replace(shared.views, log_exposure=np.zeros(6)))
     together = evaluate.evaluate({"true": shared, "dull": dull}, entropies={"true": 1.5})
     for name in ("psnr", "ssim_leave_one_out", "coverage"):
         np.testing.assert_array_equal(together["dull"].per_image[name], alone.per_image[name])
     assert together["true"].psnr == pytest.approx(scores["true"].psnr)
     assert together["dull"].map_entropy == 1.5
+
+
+def test_each_state_is_compared_with_its_own_images_where_two_lenses_leave_one_pinhole(world):
+    """A lens that was refined leaves other undistorted images, and often the same focal lengths."""
+    calibrated, refined = world.views(), world.views()
+    other = np.roll(world.pictures, 3, axis=2)
+    refined = replace(refined, load=lambda i: other[i])
+    states = {
+        name: evaluate.State(world.cloud(), views)
+        for name, views in (("calibrated", calibrated), ("refined", refined))
+    }
+    together = evaluate.evaluate(states)
+    for name, state in states.items():
+        alone = evaluate.evaluate({name: state})[name]
+        assert together[name].psnr == alone.psnr
+        assert together[name].psnr_leave_one_out == alone.psnr_leave_one_out
+    assert together["calibrated"].psnr != together["refined"].psnr
 
 
 @pytest.mark.parametrize(("enough", "judged"), [(True, [0, 2, 5]), (False, [0, 1, 2, 3, 4, 5])])

@@ -51,8 +51,8 @@ def test_brightness_alone_does_not_choose_the_place():
     before[:, :80] = np.roll(before[:, :80], 3, axis=1)
     before[:, 80:] -= 60
     covered = np.ones(raw.shape[:2], bool)
-    shown = [pictures._Shown(one, one, covered) for one in (before, raw.astype(np.float32))]
-    _, place = pictures._where_it_shows(raw, shown, covered)
+    shown = [pictures._Shown(raw, one, one, covered) for one in (before, raw.astype(np.float32))]
+    _, place = pictures._where_it_shows(shown, covered)
     assert place[1].stop <= 84
 
 
@@ -65,8 +65,8 @@ def test_a_black_area_of_the_photograph_is_no_place_where_detail_shows():
     before = np.roll(raw.astype(np.float32), 3, axis=1)
     before[:, 240:] = 0
     covered = np.ones(raw.shape[:2], bool)
-    shown = [pictures._Shown(one, one, covered) for one in (before, raw.astype(np.float32))]
-    _, place = pictures._where_it_shows(raw, shown, covered)
+    shown = [pictures._Shown(raw, one, one, covered) for one in (before, raw.astype(np.float32))]
+    _, place = pictures._where_it_shows(shown, covered)
     assert place[1].start < 200
 
 
