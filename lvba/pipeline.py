@@ -21,6 +21,7 @@ from lvba.plan import LazyRef, Plan, Ref, one_at_a_time
 from lvba.run_settings import Config as Config
 from lvba.steps import (
     between_exposures,
+    camera_choice,
     camera_outliers,
     evaluate,
     expected_error,
@@ -214,9 +215,7 @@ class _Chain(Chain):
         self.keyframes = self._decode("images", decoded.keyframes_of_photos, cores, *options)
         wanted = self.config.refine_cameras
         self.images = [self._images_of(part, lidar, scans, wanted) for part in self.parts]
-        self.solved = [
-            self._solve_part(part, own, lidar) for part, own in zip(self.parts, self.images, strict=True)
-        ]
+        self.solved = self._solve_parts(lidar, scans)
         if merged is None:
             return self.solved[0], None
         tied = self.plan.add(
@@ -233,14 +232,8 @@ class _Chain(Chain):
     def _images_of(
         self, part: Part, lidar: Ref, scans: Ref, wanted: Ref | bool, over: str = "visual"
     ) -> _Images:
-        return self._images(
-            f"{over}-planes{self._name(part, '')}",
-            self.frames[part.number],
-            part.frames,
-            lidar,
-            scans,
-            wanted,
-        )
+        name = f"{over}-planes{self._name(part, '')}"
+        return self._images(name, self.frames[part.number], part.frames, lidar, scans, wanted)
 
     def _images(
         self, name: str, dataset: Dataset, frames: Frames, lidar: Ref, scans: Ref, wanted: Ref | bool
@@ -251,7 +244,24 @@ class _Chain(Chain):
         )  # fmt: skip
         return _Images(dataset, frames, given(self.keyframes, frames.images), planes)
 
-    def _solve_part(self, part: Part, images: _Images, lidar: Ref) -> Ref:
+    def _solve_parts(self, lidar: Ref, scans: Ref) -> list[Ref]:
+        """The cameras of each part, with the camera that images speak for: as they correct it, or as calibrated."""
+        add, config = self.plan.add, self.config
+        both = [self._solve_part(part, own, lidar) for part, own in zip(self.parts, self.images, strict=True)]
+        compared = [
+            add(
+                self._name(part, "visual-compared"), camera_choice.compare,
+                *self._of(part), len(self.dataset.image_paths), scans, *solved, config.evaluate,
+            )
+            for part, solved in zip(self.parts, both, strict=True)
+        ]  # fmt: skip
+        return [
+            add(self._name(part, "visual-choice"), camera_choice.choose, *solved, compared, config.gate)
+            for part, solved in zip(self.parts, both, strict=True)
+        ]
+
+    def _solve_part(self, part: Part, images: _Images, lidar: Ref) -> tuple[Ref, Ref]:
+        """With the camera as images correct it, and as calibrated."""
         config, coarser = self.config, VisualLevel(None)
         level: Ref | VisualLevel = coarser
         for number in range(visual.visual_levels(images.dataset, config.visual) - 1, 0, -1):
@@ -260,11 +270,20 @@ class _Chain(Chain):
                 *(images.dataset, images.frames, images.keyframes, lidar, images.planes, level),
                 *(config.visual, self.variant),
             )  # fmt: skip
-        return self.plan.add(
+        photos = [given(each, part.image_numbers) for each in (self.photos, self.judging)]
+        own, options = (
+            (images.dataset, images.frames, images.keyframes),
+            (config.visual, self.variant, *photos),
+        )
+        solved = self.plan.add(
             self._name(part, "visual", "visual-part"), visual.solve_finest,
-            *(images.dataset, images.frames, images.keyframes, lidar, images.planes, level),
-            *(config.visual, self.variant, *(given(each, part.image_numbers) for each in (self.photos, self.judging))),
+            *(*own, lidar, images.planes, level, *options),
         )  # fmt: skip
+        calibrated = self.plan.add(
+            self._name(part, "visual-as-calibrated"), visual.solve_as_calibrated,
+            *(*own, lidar, images.planes, level, solved, *options),
+        )  # fmt: skip
+        return solved, calibrated
 
     def _solve_cameras_jointly(
         self,

@@ -17,6 +17,7 @@ from lvba.progress import Progress, silent
 from lvba.steps.outcomes import LidarStage, MapPlanes, ScanPoses, VisualLevel, VisualStage
 from lvba.visual import image, refine
 from lvba.visual.config import VisualConfig
+from lvba.visual.fixed_calibration import CORRECTIONS
 from lvba.visual.scene import Inputs
 from lvba.visual.tuning import tuning
 from lvba.visual.variant import PRODUCT, Variant
@@ -138,6 +139,31 @@ def solve_finest(
     except DegenerateProblemError as error:
         return VisualStage(None, str(error))
     return VisualStage(result, "", tuning(last))
+
+
+def solve_as_calibrated(
+    dataset: Dataset,
+    frames: Frames,
+    keyframes: Pieces[Keyframes],
+    lidar: LidarStage,
+    planes: MapPlanes,
+    coarser: VisualLevel,
+    solved: VisualStage,
+    config: VisualConfig,
+    variant: Variant = PRODUCT,
+    photos: Pieces[np.ndarray] = (),
+    judging: Pieces[np.ndarray] = (),
+    progress: Progress = silent,
+) -> VisualStage | None:
+    """The same without any correction of the camera; None: it was not corrected. solved: what `solve_finest` gave"""
+    tuned = solved.tuning
+    if solved.result is None or tuned is None or not config.calibrate or set(CORRECTIONS) <= set(tuned.fixed):
+        return None
+    variant = replace(variant, camera="as calibrated")
+    stage = solve_finest(
+        dataset, frames, keyframes, lidar, planes, coarser, config, variant, photos, judging, progress
+    )
+    return None if stage.result is None else stage
 
 
 def _why_not(dataset: Dataset, planes: MapPlanes) -> str:

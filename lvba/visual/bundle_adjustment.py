@@ -127,7 +127,8 @@ def solve(
     problem, at = _about(problem, at, shifts)
     sums = photometric.sums(problem, at.photometric)
     wall_clusters = covariance.find_wall_clusters(problem)
-    fixed: tuple[str, ...] = ()
+    chosen = variant.camera == "refined"
+    fixed: tuple[str, ...] = () if chosen else fixed_calibration.CORRECTIONS
     for turn in range(config.rounds):
         last = turn == config.rounds - 1
         scatter = noise.estimate(sums, problem.samples)
@@ -141,7 +142,7 @@ def solve(
         if not last:
             one_left = turn == config.rounds - 2
             solved = _Turn(problem, wall_clusters, at, linearization, free)
-            if shifts is not None and prior is not None and one_left:
+            if shifts is not None and prior is not None and one_left and chosen:
                 fixed = _fixed(solved, prior)
             if config.finest and prior is not None and one_left:
                 prior, at = _with_clock(solved, prior)

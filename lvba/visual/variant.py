@@ -18,6 +18,8 @@ class Variant:
     score: best view of a voxel, eq. (4): "area", pixels per m^2, or "as printed"
     white_balance: where it changes from image to image, it is taken out of the images
     scan_errors: what is systematically wrong with scans is measured and taken out of their points
+    camera: "refined": what images call to correct of its calibration is; "as calibrated": nothing is, and what images
+        want otherwise counts as an error of the poses
     """
 
     prior: bool = True
@@ -28,6 +30,7 @@ class Variant:
     score: Literal["area", "as printed"] = "area"
     white_balance: bool = True
     scan_errors: bool = True
+    camera: Literal["refined", "as calibrated"] = "refined"
 
 
 PRODUCT = Variant()
