@@ -21,9 +21,10 @@ from lvba.steps.acceptance import Figure, GateConfig
 from lvba.steps.lidar import cloud_of
 from lvba.steps.outcomes import ScanPoses, VisualStage
 from lvba.steps.part_scores import as_in_whole, in_core, together
-from lvba.steps.scan_acceptance import asked_images
 
 CALIBRATED, CORRECTED = "calibrated", "corrected"
+IMAGES = 20
+"""So many images, spread evenly, say which it is: a camera that is wrong shows in all of them."""
 
 
 def compare(
@@ -45,7 +46,8 @@ def compare(
     corrected, calibrated: of the part; scans: of the recording
     """
     blank = blank_photos(photos, part.images)
-    core = np.setdiff1d(in_core(asked_images(images), part), blank + np.int32(part.images[0]))
+    asked = evaluation.judged_images(images, np.zeros(0, np.int32), IMAGES)
+    core = np.setdiff1d(in_core(asked, part), blank + np.int32(part.images[0]))
     if corrected.result is None or calibrated is None or calibrated.result is None or not len(core):
         return {}
     poses = scans.world_from_scan[slice(*part.scans)]
