@@ -35,7 +35,7 @@ def given(run):
     dataset, _, found = run
     cores = split.parts(dataset, Config().split, survey.load_of(dataset))
     return {
-        "dataset": dataset, "cores": cores, "stages": [found["visual"]],
+        "dataset": dataset, "cores": cores, "stages": [found["visual-choice"]],
         "cameras": found["visual-mended"], "lidar": found["lidar"], "learned": found["fusion"],
         "fused": found["fusion-gate"], "survey": found["survey"], "config": Config().visual,
     }  # fmt: skip
@@ -72,7 +72,8 @@ def test_one_step_gives_what_the_steps_of_many_parts_give(run):
     dataset, _, found = run
     [core], [stage] = arguments["cores"], arguments["stages"]
     survey, config, fused = (arguments[name] for name in ("survey", "config", "fused"))
-    scans, images = ([((0, 20), lambda each=each: found[each])] for each in ("scans", "images"))
+    scans = [((0, 20), (lambda: found["scans"], lambda: found["moving-points"]))]
+    images = [((0, 20), lambda: found["images"])]
     merged = fused_cameras.start(**arguments)
     assert fused_cameras.are_solved(merged)
     bare = fused_cameras.without_planes(arguments["lidar"])
