@@ -271,6 +271,7 @@ class ScanReader:
 
     first: number in the whole recording of the scan called 0; whole: the recording, whose files are read for scans that
     no piece holds; all_points: else those that are solved with, `ScanPoints.every`
+    static: without those that move, where these are known
     """
 
     def __init__(
@@ -279,10 +280,14 @@ class ScanReader:
         first: int = 0,
         whole: Dataset | None = None,
         all_points: bool = False,
+        static: bool = True,
     ) -> None:
-        static = [(frames, _static(read) if isinstance(read, tuple) else read) for frames, read in pieces]
-        self._pieces, self._first, self._whole, self._all = static, first, whole, all_points
-        self._reader = _Reader(static)
+        given = [
+            (frames, read if not isinstance(read, tuple) else _static(read) if static else read[0])
+            for frames, read in pieces
+        ]
+        self._pieces, self._first, self._whole, self._all = given, first, whole, all_points
+        self._reader = _Reader(given)
 
     def __call__(self, scan: int) -> np.ndarray:
         """(N, 3) float32, m, scan frame.
@@ -363,6 +368,22 @@ def without_moving(points: ScanPoints, moving: MovingPoints) -> ScanPoints:
     )
 
 
+def moving_solved(pieces: ScanPieces, scans: Indices) -> np.ndarray:
+    """Which of the points that some scans were solved with before any were taken out move, (M,) bool, in order.
+
+    scans: (n,) ascending numbers in the whole recording
+    """
+    masks = [np.zeros(0, bool)]
+    for (first, end), read in pieces:
+        points, moving = (read[0](), read[1]()) if isinstance(read, tuple) else (read(), None)
+        moves = np.zeros(len(points.points), bool)
+        if moving is not None:
+            moves[moving.numbers] = True
+        held = scans[(scans >= first) & (scans < end)] - first
+        masks += [moves[points.offsets[scan] : points.offsets[scan + 1] : points.every] for scan in held]
+    return np.concatenate(masks)
+
+
 class PhotoReader:
     """Images in color without distortion, as the camera has it, at the size at which they judge.
 
@@ -424,21 +445,3 @@ def keyframe_images(pieces: Pieces[Keyframes], numbers: Indices) -> np.ndarray:
             gathered = np.empty((len(numbers), *piece.images.shape[1:]), np.uint8)
         gathered[wanted] = piece.images[np.searchsorted(piece.numbers, numbers[wanted])]
     return np.zeros((0, 1, 1, 1), np.uint8) if gathered is None else gathered
-
-
-def color_of_keyframes(
-    pieces: Pieces[np.ndarray], numbers: Indices, camera: Camera, pinhole: Camera, color: int
-) -> np.ndarray:
-    """Red (0), green or blue of some keyframes (k,), (k, H, W, 1) uint8, as a pinhole camera sees it.
-
-    pieces: of raw images; camera: theirs, with its lens; numbers: ascending, in the whole recording
-    """
-    undistort = image.Undistorter(camera, pinhole)
-    gathered = np.zeros((len(numbers), pinhole.height, pinhole.width, 1), np.uint8)
-    for (first, end), read in pieces:
-        wanted = np.flatnonzero((numbers >= first) & (numbers < end))
-        if len(wanted):
-            raw = read()
-            for row in wanted:
-                gathered[row, ..., 0] = undistort(np.ascontiguousarray(raw[numbers[row] - first, ..., color]))
-    return gathered

@@ -1,6 +1,6 @@
 """The planes of the LiDAR map and the points that lie on them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,6 +48,10 @@ class PlanePoints:
     points_world: np.ndarray
     plane: np.ndarray
     scan_offsets: np.ndarray
+
+    def on_none(self, points: np.ndarray) -> "PlanePoints":
+        """The same with some points on no plane. points: (M,) bool, which"""
+        return replace(self, plane=np.where(points, np.int32(-1), self.plane))
 
 
 @dataclass(frozen=True)

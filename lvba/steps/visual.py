@@ -5,12 +5,22 @@ from functools import partial
 
 import numpy as np
 
-from lvba.blocks.decoded import Keyframes, Pieces, ScanPieces, ScanReader, color_of_keyframes, keyframe_images
+from lvba.arrays import Indices
+from lvba.blocks.decoded import (
+    Keyframes,
+    Pieces,
+    ScanPieces,
+    ScanReader,
+    keyframe_images,
+    moving_solved,
+)
 from lvba.blocks.split import Frames
 from lvba.blocks.survey import Survey, keyframes_of
+from lvba.camera import Camera
 from lvba.dataset import Dataset
 from lvba.errors import DegenerateProblemError
 from lvba.lidar import bundle_adjustment as lidar_ba
+from lvba.lidar.bundle_adjustment import LidarResult
 from lvba.lidar.covariance import Covariance
 from lvba.products import judging_size
 from lvba.progress import Progress, silent
@@ -52,17 +62,29 @@ def find_planes(
     if lidar.result is not None and scans.verdict.accepted:
         uncertainty = _uncertainty(lidar, frames.scans)
         if len(lidar.result.planes):
-            return replace(none, uncertainty=uncertainty)
+            return _without_moving(replace(none, uncertainty=uncertainty), points, frames.scans, lidar.result)
     try:
         planes, plane_points = lidar_ba.find_planes(
-            ScanReader(points).load(frames.scans),
+            ScanReader(points, static=False).load(frames.scans),
             poses,
             sensor_position=dataset.sensor_position_scan,
             config=survey.lidar,
         )
     except DegenerateProblemError as error:
         return replace(none, problem=str(error))
+    # what moves hides what is behind it, and is no surface to compare images on
+    plane_points = plane_points.on_none(moving_solved(points, frames.scans))
     return replace(none, planes=planes, points=plane_points, uncertainty=uncertainty)
+
+
+def _without_moving(
+    planes: MapPlanes, points: ScanPieces, scans: np.ndarray, lidar: LidarResult
+) -> MapPlanes:
+    """The planes of the LiDAR stage, with their points where some move: of all scans (S,) int64, of one part."""
+    moving = moving_solved(points, scans)
+    if not moving.any():
+        return planes
+    return replace(planes, planes=lidar.planes, points=lidar.plane_points.on_none(moving))
 
 
 def _uncertainty(lidar: LidarStage, scans: np.ndarray) -> Covariance:
@@ -130,10 +152,10 @@ def solve_finest(
         if len(photos):
             numbers, camera = frames.images[planes.keyframes], dataset.camera
             pinhole = image.measuring_camera(camera)
-            given = replace(given, colors=partial(color_of_keyframes, photos, numbers, camera, pinhole))
+            given = replace(given, colors=partial(_color_of_keyframes, photos, numbers, camera, pinhole))
             if level := judging_size.level(camera):
                 own, small = camera.at_level(level), pinhole.at_level(level)
-                smaller = partial(color_of_keyframes, judging, numbers, own, small)
+                smaller = partial(_color_of_keyframes, judging, numbers, own, small)
                 given = replace(given, smaller_colors=(smaller, small))
         result, last = refine.finest(given, coarser.solution, config, progress, variant)
     except DegenerateProblemError as error:
@@ -201,3 +223,21 @@ def inputs(
         range_errors=lidar.points_off,
         camera=dataset.camera,
     )
+
+
+def _color_of_keyframes(
+    pieces: Pieces[np.ndarray], numbers: Indices, camera: Camera, pinhole: Camera, color: int
+) -> np.ndarray:
+    """Red (0), green or blue of some keyframes (k,), (k, H, W, 1) uint8, as a pinhole camera sees it.
+
+    pieces: of raw images; camera: theirs, with its lens; numbers: ascending, in the whole recording
+    """
+    undistort = image.Undistorter(camera, pinhole)
+    gathered = np.zeros((len(numbers), pinhole.height, pinhole.width, 1), np.uint8)
+    for (first, end), read in pieces:
+        wanted = np.flatnonzero((numbers >= first) & (numbers < end))
+        if len(wanted):
+            raw = read()
+            for row in wanted:
+                gathered[row, ..., 0] = undistort(np.ascontiguousarray(raw[numbers[row] - first, ..., color]))
+    return gathered

@@ -90,3 +90,17 @@ def test_scans_are_solved_with_every_so_many_th_of_the_points_that_do_not_move()
     np.testing.assert_array_equal(whole(2), points.points[[7, *range(9, 18)]])
     np.testing.assert_array_equal(reader(2), whole(2)[::3])
     assert reader.cosines([2]) is None
+
+
+@pytest.mark.parametrize("every", [1, 3])
+def test_moving_points_are_those_of_the_scans_as_they_were_solved(every):
+    points, moving = scan_points(every=every), MovingPoints(np.array([0, 8, 9, 10, 21]), 30)
+    solved = np.concatenate([np.arange(first, end, every) for first, end in pairwise(points.offsets)])
+    found = decoded.moving_solved([((5, 9), (lambda: points, lambda: moving))], np.arange(5, 9))
+    np.testing.assert_array_equal(found, np.isin(solved, moving.numbers))
+    assert found.sum() == (5 if every == 1 else 3)
+    own = decoded.moving_solved([((5, 9), (lambda: points, lambda: moving))], np.array([5, 7]))
+    np.testing.assert_array_equal(
+        own, found[np.r_[0 : -(-7 // every), -(-7 // every) : -(-7 // every) - (-11 // every)]]
+    )
+    assert not decoded.moving_solved([((5, 9), lambda: points)], np.arange(5, 9)).any()
