@@ -16,6 +16,7 @@ import numpy as np
 from lvba import geometry
 from lvba.camera import Camera
 from lvba.io import ply
+from lvba.lidar import moving_points
 from lvba.products import cloud as clouds
 from lvba.products import colorize, evaluate, map_file, map_quality, pictures, render, report
 from lvba.products.evaluate import State
@@ -78,6 +79,9 @@ def run(scans: int = 100, points: int = 30_000, images: int = 100, repeats: int 
         out = Path(folder)
         works: dict[str, Callable[[], Any]] = {
             "assemble cloud": lambda: clouds.assemble(lambda s: loaded[s], poses, np.arange(float(scans))),
+            "moving points, of scans 1 s apart": lambda: moving_points.moving_points(
+                loaded.__getitem__, [poses], np.arange(float(scans)), np.zeros(3), range(scans)
+            ),
             "color by the paper": lambda: colorize.paper(cloud, views),
             "sort colored cloud": lambda: render.colored_cloud(cloud.points_world, colors),
             "render one image, one thread": lambda: render.render(colored, views, 0),
