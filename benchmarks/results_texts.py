@@ -11,9 +11,9 @@ the first rows compile, too); for what a run takes by itself see [benchmarks.md]
 
 Which version the tables are of:
 
-- **Real recordings, poses of any method, gates of recordings and of seeds 119 and 120, and simulated scenes of medium
-  difficulty of these seeds:** this one.
-- **Severely disturbed courtyards of seed 821, but those with jumps, rough drift or noise of ranges:** two before. Its
+- **Real recordings, poses of any method, gates of recordings and of seeds 119 and 120, simulated scenes of medium
+  difficulty of these seeds, and disturbed scenes with people:** this one.
+- **Severely disturbed courtyards of seed 821, but those with jumps, rough drift or noise of ranges:** three before. Its
   renderings, and those of all tables below, show slanted surfaces up to a pixel off: PSNR and SSIM are other ones, and
   gates saw less. These runs have no images between keyframes, the exposures of which this one finds by the map.
 - **Of the other disturbed scenes those with errors by elevation or intensity, and those with no disturbance:** one
@@ -32,7 +32,7 @@ Which version the tables are of:
   and whose verdicts also ask for a look where refined scans predict images worse with the input's cameras alone.
 - **Of the other severely disturbed scenes of seeds 821 and 822 those with errors by incidence:** one before
   that, by which maps are judged with stray points.
-- **Of the other disturbed scenes of these seeds those with rain or people:** one before that, whose promises of what
+- **Of the other disturbed scenes of these seeds those with rain:** one before that, whose promises of what
   errors of ranges make of poses have the common scale in them and do not grow with the path.
 - **Of the other ones of these with rows of depth images, and of the courtyard of
   seed 822 those with errors by place in depth images, mirrors, other times of stamps or gaps:** one

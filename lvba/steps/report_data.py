@@ -65,9 +65,7 @@ def collect(
     visual = fused_cameras.in_use(visual, accepted)
     facts: dict[str, Any] = {
         "dataset": of_dataset(dataset),
-        "lidar": of_lidar(lidar, scans, accepted)
-        | of_scan_errors(errors)
-        | {"moving_points": of_moving_points(moving)},
+        "lidar": of_lidar(lidar, scans, accepted) | of_scan_errors(errors) | of_moving_points(moving),
         "visual": of_visual(dataset, visual, accepted),
         "fusion": of_fusion(fused, accepted),
         "trajectory": of_trajectories(dataset, accepted),
@@ -151,7 +149,8 @@ def of_scan_errors(errors: ScanErrors | None) -> dict[str, Any]:
 def of_moving_points(moving: Sequence[MovingPoints]) -> dict[str, Any]:
     """How many points move, and what part of all they are."""
     count = sum(len(each.numbers) for each in moving)
-    return {"count": count, "part": count / max(sum(each.count for each in moving), 1)}
+    part = count / max(sum(each.count for each in moving), 1)
+    return {"moving_points": {"count": count, "part": part}}
 
 
 def warnings_of_errors(errors: ScanErrors | None) -> list[str]:
