@@ -134,10 +134,9 @@ class _Chain(Chain):
         entropies = self._each_region(
             "lidar-entropy", scan_acceptance.measure_entropy, solved, self.survey, config.evaluate.entropy
         )
-        moving = self._each(
-            "moving-points", moving_points.find, solved, config.remove_moving_points, photos=False
-        )
-        self.moving = [(part.core_scans, ref) for part, ref in zip(self.parts, moving, strict=True)]
+        if config.remove_moving_points:
+            moving = self._each("moving-points", moving_points.find, solved, photos=False)
+            self.moving = [(part.core_scans, ref) for part, ref in zip(self.parts, moving, strict=True)]
         cores = [part.core_images for part in self.parts]
         full, judging = decoded.photo_ranges(self.dataset.camera, cores)
         self.photos = self.judging = self._decode("photos", decoded.decode_photos, full)

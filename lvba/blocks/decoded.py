@@ -9,6 +9,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Generic, TypeVar
 
@@ -101,6 +102,13 @@ class MovingPoints:
 
     numbers: np.ndarray
     count: int
+
+    @property
+    def mask(self) -> np.ndarray:
+        """Which of the points move, (count,) bool."""
+        moves = np.zeros(self.count, bool)
+        moves[self.numbers] = True
+        return moves
 
 
 ScanPieces = Sequence[
@@ -283,7 +291,7 @@ class ScanReader:
         static: bool = True,
     ) -> None:
         given = [
-            (frames, read if not isinstance(read, tuple) else _static(read) if static else read[0])
+            (frames, read if not isinstance(read, tuple) else partial(_static, *read) if static else read[0])
             for frames, read in pieces
         ]
         self._pieces, self._first, self._whole, self._all = given, first, whole, all_points
@@ -347,18 +355,12 @@ class ScanReader:
         return 1 if self._all else piece.every
 
 
-def _static(
-    read: tuple[Callable[[], ScanPoints], Callable[[], MovingPoints]],
-) -> Callable[[], ScanPoints]:
-    return lambda: without_moving(read[0](), read[1]())
-
-
-def without_moving(points: ScanPoints, moving: MovingPoints) -> ScanPoints:
+def _static(read: Callable[[], ScanPoints], read_moving: Callable[[], MovingPoints]) -> ScanPoints:
     """The points of the same scans that do not move."""
+    points, moving = read(), read_moving()
     if not len(moving.numbers):
         return points
-    static = np.ones(len(points.points), bool)
-    static[moving.numbers] = False
+    static = ~moving.mask
     return replace(
         points,
         points=points.points[static],
@@ -375,10 +377,8 @@ def moving_solved(pieces: ScanPieces, scans: Indices) -> np.ndarray:
     """
     masks = [np.zeros(0, bool)]
     for (first, end), read in pieces:
-        points, moving = (read[0](), read[1]()) if isinstance(read, tuple) else (read(), None)
-        moves = np.zeros(len(points.points), bool)
-        if moving is not None:
-            moves[moving.numbers] = True
+        points = read[0]() if isinstance(read, tuple) else read()
+        moves = read[1]().mask if isinstance(read, tuple) else np.zeros(len(points.points), bool)
         held = scans[(scans >= first) & (scans < end)] - first
         masks += [moves[points.offsets[scan] : points.offsets[scan + 1] : points.every] for scan in held]
     return np.concatenate(masks)

@@ -13,6 +13,7 @@ from lvba import geometry
 from lvba.arrays import Poses, Times, Vector
 from lvba.kernels import range_images as kernels
 from lvba.progress import Progress, silent
+from lvba.trajectory import nearest_in_time
 
 LOOKS_S = (2.0, 4.0, 1.0, 3.0, 0.5)
 """How long before and after a scan others look at its points: what walks is elsewhere, and poses still agree."""
@@ -53,20 +54,23 @@ def moving_points(
             if other not in images:
                 images[other] = kernels.range_image(load(other) - sensor, cells)
         points = np.ascontiguousarray(load(scan), np.float32)
-        seen = np.ones(len(points), bool)
-        for poses in world_from_scan if others else ():
+        masks.append(np.zeros(len(points), bool))
+        if not others:
+            continue
+        seen, looks = np.arange(len(points)), np.stack([images[k] for k in others])
+        for poses in world_from_scan:
             image_from_points = _sensor_from_scan(poses, others, scan, sensor_position)
-            seen &= kernels.seen_through(points, np.stack([images[k] for k in others]), image_from_points)
-        moves = bool(others) and seen.mean() <= MOST_OF_A_SCAN if len(points) else False
-        masks.append(seen if moves else np.zeros(len(points), bool))
+            seen = seen[kernels.seen_through(points[seen], looks, image_from_points)]
+        if len(seen) <= MOST_OF_A_SCAN * len(points):
+            masks[-1][seen] = True
     return masks
 
 
 def looking(times: Times, scan: int) -> list[int]:
     """The scans that look at the points of one, each once. times: (S,), s, ascending"""
     wanted = [times[scan] + sign * after for after in LOOKS_S for sign in (-1.0, 1.0)]
-    middles = 0.5 * (times[1:] + times[:-1])
-    nearest = [int(np.searchsorted(middles, each)) for each in wanted if times[0] <= each <= times[-1]]
+    within = np.array([each for each in wanted if times[0] <= each <= times[-1]])
+    nearest = nearest_in_time(times, within).tolist()
     return [each for each in dict.fromkeys(nearest) if each != scan]
 
 

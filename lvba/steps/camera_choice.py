@@ -20,7 +20,7 @@ from lvba.steps import acceptance, evaluate
 from lvba.steps.acceptance import Figure, GateConfig
 from lvba.steps.lidar import cloud_of
 from lvba.steps.outcomes import ScanPoses, VisualStage
-from lvba.steps.part_scores import as_in_whole, in_core, together
+from lvba.steps.part_scores import as_in_whole, in_core, leave_one_out, together
 
 CALIBRATED, CORRECTED = "calibrated", "corrected"
 IMAGES = 20
@@ -45,10 +45,12 @@ def compare(
     dataset: of the part's frames, points, photos: of these; images: how many the whole recording has
     corrected, calibrated: of the part; scans: of the recording
     """
+    if corrected.result is None or calibrated is None or calibrated.result is None:
+        return {}
     blank = blank_photos(photos, part.images)
     asked = evaluation.judged_images(images, np.zeros(0, np.int32), IMAGES)
     core = np.setdiff1d(in_core(asked, part), blank + np.int32(part.images[0]))
-    if corrected.result is None or calibrated is None or calibrated.result is None or not len(core):
+    if not len(core):
         return {}
     poses = scans.world_from_scan[slice(*part.scans)]
     cloud = cloud_of(dataset, poses, progress, ScanReader(points, part.scans[0]))
@@ -58,16 +60,8 @@ def compare(
         cameras = evaluate.refined_cameras(dataset.camera, result)
         views = evaluate.views_by(dataset, pictures, cameras.camera)
         states[name] = State(cloud, evaluate.views_at(views, cameras))
-    scores = evaluation.evaluate(
-        states,
-        config,
-        entropies=dict.fromkeys(states, float("nan")),
-        brief=tuple(states),
-        held_out=blank,
-        images=(core - part.images[0]).astype(np.int32),
-        progress=progress,
-    )
-    return as_in_whole(scores, part)
+    own = (core - part.images[0]).astype(np.int32)
+    return as_in_whole(leave_one_out(states, config, own, blank, progress), part)
 
 
 def choose(

@@ -18,13 +18,12 @@ from lvba.arrays import Indices, Poses, Times
 from lvba.blocks.decoded import PhotoReader, Pieces, ScanPieces, ScanReader, blank_photos
 from lvba.blocks.split import Part
 from lvba.dataset import Dataset
-from lvba.products import evaluate as evaluation
 from lvba.products.evaluate import EvaluateConfig, Scores, State
 from lvba.progress import Progress, silent
 from lvba.steps import acceptance, evaluate
 from lvba.steps.lidar import carry_cameras, cloud_of
 from lvba.steps.outcomes import ScanPoses, VisualStage
-from lvba.steps.part_scores import as_in_whole, in_core, together
+from lvba.steps.part_scores import as_in_whole, in_core, leave_one_out, together
 from lvba.trajectory import Trajectory
 from lvba.visual.result import VisualResult
 from lvba.wording import first_of
@@ -224,16 +223,10 @@ def compare(
         )
         for name, each in poses.items()
     }
-    scores = evaluation.evaluate(
-        states,
-        config,
-        entropies=dict.fromkeys(states, float("nan")),
-        brief=tuple(states),
-        held_out=blank_photos(photos, part.images),
-        images=(core - part.images[0]).astype(np.int32),
-        progress=progress,
+    images = (core - part.images[0]).astype(np.int32)
+    return as_in_whole(
+        leave_one_out(states, config, images, blank_photos(photos, part.images), progress), part
     )
-    return as_in_whole(scores, part)
 
 
 def mend(

@@ -15,7 +15,6 @@ def find(
     part: Part,
     points: ScanPieces,
     lidar: LidarStage,
-    enabled: bool = True,
     progress: Progress = silent,
 ) -> MovingPoints:
     """The moving points of the scans in a part's core: those that are seen through at rough and at refined poses alike,
@@ -23,15 +22,14 @@ def find(
 
     dataset: of the part's frames; points: of its scans; lidar: of the whole recording
     """
-    read = ScanReader(points, part.scans[0], all_points=True)
-    core, poses = range(len(dataset.scans))[part.core_of_scans], [dataset.scans.world_from_sensor]
-    if not enabled:
-        return MovingPoints(np.zeros(0, np.int64), sum(len(read(scan)) for scan in core))
+    poses = [dataset.scans.world_from_sensor]
     if lidar.result is not None:
         poses.append(lidar.result.world_from_scan[slice(*part.scans)])
-    scans = read.load(range(len(dataset.scans)))
+    every = range(len(dataset.scans))
+    scans = ScanReader(points, part.scans[0], all_points=True).load(every)
     masks = moving_points.moving_points(
-        scans.__getitem__, poses, dataset.scans.times, dataset.sensor_position_scan, core, progress
+        *(scans.__getitem__, poses, dataset.scans.times, dataset.sensor_position_scan),
+        *(every[part.core_of_scans], progress),
     )
     numbers = np.flatnonzero(np.concatenate(masks)).astype(np.int64)
     return MovingPoints(numbers, sum(len(each) for each in masks))

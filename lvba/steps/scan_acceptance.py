@@ -23,7 +23,7 @@ from lvba.steps import acceptance, other_calibrations
 from lvba.steps.acceptance import CARRIED, ROUGH, GateConfig, Verdict
 from lvba.steps.lidar import carry_cameras, cloud_of
 from lvba.steps.outcomes import FusionStage, LidarStage, ScanPoses
-from lvba.steps.part_scores import as_in_whole, in_core, together
+from lvba.steps.part_scores import as_in_whole, in_core, leave_one_out, together
 from lvba.steps.pose_fusion import Fused
 from lvba.visual.prior_config import PriorConfig
 
@@ -153,17 +153,11 @@ def _judged(
     colored = dict(zip(states, evaluate.color_by_paper(list(states.values()), blank, progress), strict=True))
 
     def scores_of(states: Mapping[str, State]) -> dict[str, Scores]:
-        return evaluate.evaluate(
-            states,
-            config,
-            entropies=dict.fromkeys(states, float("nan")),
-            brief=tuple(states),
-            held_out=blank,
-            images=images,
+        return leave_one_out(
+            *(states, config, images, blank, progress),
             enough=agree if alone else None,
             few=acceptance.FEW_SCAN_IMAGES,
             colored=colored,
-            progress=progress,
         )
 
     scores = scores_of(states)
@@ -195,15 +189,7 @@ def _with_other_calibrations(
             )
             for name, state in states.items()
         }
-        scores |= evaluate.evaluate(
-            others,
-            config,
-            entropies=dict.fromkeys(others, float("nan")),
-            brief=tuple(others),
-            held_out=blank,
-            images=images,
-            progress=progress,
-        )
+        scores |= leave_one_out(others, config, images, blank, progress)
     return scores
 
 

@@ -12,8 +12,6 @@ import textured_room
 
 from lvba import config, pipeline
 from lvba.blocks import split
-from lvba.blocks.decoded import ScanPoints
-from lvba.blocks.split import Part
 from lvba.camera import Camera
 from lvba.dataset import Dataset, MountedCamera
 from lvba.lidar import bundle_adjustment
@@ -24,7 +22,6 @@ from lvba.products.map_quality import EntropyChange
 from lvba.steps import acceptance
 from lvba.steps.fusion import solve_fusion
 from lvba.steps.lidar import solve_lidar
-from lvba.steps.moving_points import find as find_moving
 from lvba.steps.outcomes import LidarStage, VisualLevel
 from lvba.steps.visual import find_planes, solve_finest, visual_levels
 from lvba.trajectory import Trajectory
@@ -142,22 +139,6 @@ def scans_as_they_are(settings):
         return type(error).__name__
 
 
-def moving(settings):
-    """A scan of which the others see through a third."""
-    rng = np.random.default_rng(0)
-    rays = rng.normal(size=(2000, 3))
-    scan = 5.0 * rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    nearer = np.where(np.arange(2000)[:, None] < 600, 0.6, 1.0) * scan
-    points = np.concatenate([scan, nearer, scan]).astype(np.float32)
-    whole = Part(0, (0, 3), (0, 3), (0, 0), (0, 0))
-    dataset = replace(
-        ring(), scan_paths=("",) * 3, scans=Trajectory(np.arange(3.0), np.stack([np.eye(4)] * 3))
-    )
-    pieces = [((0, 3), lambda: ScanPoints(points, np.arange(0, 6001, 2000)))]
-    stage = LidarStage(None, "none")
-    return find_moving(dataset, whole, pieces, stage, settings.remove_moving_points).numbers
-
-
 def cameras_as_they_are(settings):
     frames = SimpleNamespace(scans=slice(None), images=np.arange(0))
     nothing = SimpleNamespace(world_from_scan=np.zeros((0, 4, 4)))
@@ -200,7 +181,7 @@ IN_PARTS = ("split.by=count", "split.size=30")
 CASES = {
     "refine_scans": (scans_as_they_are, "false"),
     "refine_cameras": (cameras_as_they_are, "false"),
-    "remove_moving_points": (moving, "false"),
+    "remove_moving_points": (steps, "false"),
     "split.by": (parts, "time", "split.by=count", "split.size=25"),
     "split.size": (parts, "40", "split.by=count", "split.size=25"),
     "split.overlap": (parts, "12", "split.by=count", "split.size=40"),

@@ -1,10 +1,10 @@
 """The gate judges each part by itself: gains are accepted; losses, chance and what cannot be judged are not."""
 
-from dataclasses import fields
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from image_scores import scores_of
 
 from lvba.products.evaluate import Scores
 from lvba.products.map_quality import EntropyBlocks, EntropyChange
@@ -32,10 +32,6 @@ WEAK = 0.5 + CHANCE
 """A gain of 2.6 standard errors."""
 
 
-def _mean(values):
-    return float(np.nanmean(values)) if np.isfinite(values).any() else np.nan
-
-
 def scores(psnr, common=None, ssim=0.5):
     psnr = np.asarray(psnr, float)
     common = psnr if common is None else np.asarray(common, float)
@@ -46,9 +42,7 @@ def scores(psnr, common=None, ssim=0.5):
         "ssim_leave_one_out": ssim,
         "ssim_compared": ssim,
     }
-    given = {name: _mean(values) for name, values in per_image.items()}
-    given |= {"images": np.arange(len(psnr)), "per_image": per_image}
-    return Scores(**{f.name: given.get(f.name, 0.0) for f in fields(Scores)})
+    return scores_of(per_image)
 
 
 def entropy(before, after, error=0.005):

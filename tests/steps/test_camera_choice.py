@@ -1,15 +1,15 @@
 """The camera is used as images correct it, unless images are predicted better by it as calibrated."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from image_scores import scores_of
 
 from lvba import pipeline, plan, simulate
 from lvba.io.dataset import open_dataset
 from lvba.pipeline import Config
 from lvba.products import evaluate
-from lvba.products.evaluate import Scores
 from lvba.simulate.disturbances import Disturbances
 from lvba.steps import camera_choice
 from lvba.steps.acceptance import GateConfig
@@ -41,9 +41,7 @@ def scores(psnr, ssim, count=12, seed=0):
         + (0.05 if "psnr" in name else 0.002) * rng.normal(size=count)
         for name in evaluate._FIGURES
     }
-    given = {name: float(values.mean()) for name, values in per_image.items()}
-    given |= {"images": np.arange(count, dtype=np.int32), "per_image": per_image}
-    return Scores(**{f.name: given.get(f.name, 0.0) for f in fields(Scores)})
+    return scores_of(per_image)
 
 
 @pytest.mark.parametrize(

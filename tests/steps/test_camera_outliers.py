@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from image_scores import scores_of
 
 from lvba import geometry, pipeline, plan, simulate
 from lvba.blocks.split import SplitConfig
@@ -13,7 +14,7 @@ from lvba.dataset import Dataset, MountedCamera
 from lvba.io.dataset import open_dataset
 from lvba.io.reference import read_reference
 from lvba.pipeline import Config
-from lvba.products.evaluate import Scores
+from lvba.products import evaluate
 from lvba.steps import acceptance, camera_outliers
 from lvba.steps.camera_outliers import SOLVED
 from lvba.steps.outcomes import VisualStage
@@ -96,14 +97,9 @@ class Walk:
 
 
 def scores(images, psnr, ssim):
-    values = {name: ssim if "ssim" in name else psnr for name in acceptance.LOSSES}
-    per_image = {name: np.full(len(images), value) for name, value in values.items()}
-    known = {"images": images, "per_image": per_image} | values
-    names = (each.name for each in fields(Scores))
-    per_image |= {
-        name: np.zeros(len(images)) for name in camera_outliers.evaluation._FIGURES if name not in values
-    }
-    return Scores(**{name: known.get(name, 0.0) for name in names})
+    per_image = {name: np.zeros(len(images)) for name in evaluate._FIGURES}
+    per_image |= {name: np.full(len(images), ssim if "ssim" in name else psnr) for name in acceptance.LOSSES}
+    return scores_of(per_image, images)
 
 
 def off(walk, result, image):

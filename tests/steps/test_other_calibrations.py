@@ -1,16 +1,16 @@
 """What images say of scans depends on how the camera is calibrated: by how much is an error of it."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from image_scores import scores_of
 from scipy.spatial.transform import Rotation
 
 from lvba import geometry, pipeline, plan
 from lvba.camera import Camera
 from lvba.io.dataset import open_dataset
 from lvba.products import evaluate
-from lvba.products.evaluate import Scores
 from lvba.products.map_quality import EntropyChange
 from lvba.products.views import Views
 from lvba.steps import acceptance, other_calibrations, part_scores
@@ -24,9 +24,7 @@ PER_IMAGE = evaluate._FIGURES
 def scores(gain, count=20, seed=0):
     psnr = 20.0 + gain + 0.2 * np.random.default_rng(seed).normal(size=count)
     per_image = {name: psnr if "psnr" in name else 0.5 + 0 * psnr for name in PER_IMAGE}
-    given = {name: float(values.mean()) for name, values in per_image.items()}
-    given |= {"images": np.arange(count, dtype=np.int32), "per_image": per_image}
-    return Scores(**{f.name: given.get(f.name, 0.0) for f in fields(Scores)})
+    return scores_of(per_image)
 
 
 def asked(gain, others=()):
