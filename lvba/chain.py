@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from lvba.arrays import Indices
-from lvba.blocks import decoded, scan_errors, scan_motions, split, survey
-from lvba.blocks.decoded import GivenScans, Made, Range, about_region, given, given_static
+from lvba.blocks import scan_errors, scan_motions, split, survey
+from lvba.blocks.decoded_scans import GivenScans, about_region, decode_scans, given_static
+from lvba.blocks.pieces import Made, Range, given
 from lvba.blocks.split import Part
 from lvba.dataset import Dataset
 from lvba.plan import Plan, Ref
@@ -51,7 +52,7 @@ class Chain:
         ]
         self.errors = add("scan-errors", scan_motions.joined, shared, motions)
         self.photos, self.judging, self.keyframes = list[Made](), list[Made](), list[Made]()
-        self.points = self._decode("scans", decoded.decode_scans, cores, self.errors, self.survey)
+        self.points = self._decode("scans", decode_scans, cores, self.errors, self.survey)
         self.moving = list[Made]()
 
     def _decode(self, name: str, function: Any, ranges: Sequence[Range], *arguments: Any) -> list[Made]:

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from lvba import config as settings
-from lvba.blocks import decoded, scan_errors, survey
+from lvba.blocks import scan_errors, survey
+from lvba.blocks.decoded_images import shows_nothing
+from lvba.blocks.decoded_scans import placed
 from lvba.camera import Camera
 from lvba.dataset import Dataset
 from lvba.io import image_poses as kinds
@@ -152,9 +154,7 @@ def report(
 
 def _blank(dataset: Dataset) -> np.ndarray:
     """The images that show nothing, (b,) int32: they judge nothing and color nothing."""
-    nothing = in_order(
-        lambda image: decoded.shows_nothing(load_image(dataset, image)), range(len(dataset.images))
-    )
+    nothing = in_order(lambda image: shows_nothing(load_image(dataset, image)), range(len(dataset.images)))
     return np.flatnonzero(list(nothing)).astype(np.int32)
 
 
@@ -164,7 +164,7 @@ def _reader(given: Given, errors: ScanErrors | None) -> Callable[[int], np.ndarr
 
     def read(index: int) -> np.ndarray:
         number = int(given.scan_numbers[index])
-        return decoded.placed(given.recording, number, load_scan(given.recording, number), errors)[::every]
+        return placed(given.recording, number, load_scan(given.recording, number), errors)[::every]
 
     return read
 

@@ -9,8 +9,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from lvba.blocks import decoded, split, survey
-from lvba.blocks.decoded import Given, given
+from lvba.blocks import decoded_images, split, survey
+from lvba.blocks.pieces import Given, given
 from lvba.blocks.split import Frames, Load, Part
 from lvba.chain import Chain
 from lvba.dataset import Dataset
@@ -138,10 +138,10 @@ class _Chain(Chain):
             moving = self._each("moving-points", moving_points.find, solved, photos=False)
             self.moving = [(part.core_scans, ref) for part, ref in zip(self.parts, moving, strict=True)]
         cores = [part.core_images for part in self.parts]
-        full, judging = decoded.photo_ranges(self.dataset.camera, cores)
-        self.photos = self.judging = self._decode("photos", decoded.decode_photos, full)
+        full, judging = decoded_images.photo_ranges(self.dataset.camera, cores)
+        self.photos = self.judging = self._decode("photos", decoded_images.decode_photos, full)
         if judging:
-            self.judging = self._decode("photos-judging", decoded.judging_photos, judging)
+            self.judging = self._decode("photos-judging", decoded_images.judging_photos, judging)
         compared = self._each(
             "lidar-images", scan_acceptance.compare,
             *(len(self.dataset.image_paths), solved, entropies, config.evaluate, config.gate, config.visual.prior),
@@ -211,7 +211,7 @@ class _Chain(Chain):
         """The cameras of the whole recording."""
         options = self.survey, self.config.visual.images, self.config.refine_cameras
         cores = [part.core_images for part in self.parts if self.dataset.image_paths]
-        self.keyframes = self._decode("images", decoded.keyframes_of_photos, cores, *options)
+        self.keyframes = self._decode("images", decoded_images.keyframes_of_photos, cores, *options)
         wanted = self.config.refine_cameras
         self.images = [self._images_of(part, lidar, scans, wanted) for part in self.parts]
         self.solved = self._solve_parts(lidar, scans)

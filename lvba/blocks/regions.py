@@ -7,8 +7,9 @@ import numpy as np
 from lvba import geometry
 from lvba.arrays import CloudPoints, Poses
 from lvba.blocks import lidar_block
-from lvba.blocks.decoded import Pieces, ScanPoints, ScanReader
+from lvba.blocks.decoded_scans import ScanPoints, ScanReader
 from lvba.blocks.lidar_block import Regions
+from lvba.blocks.pieces import Pieces
 from lvba.blocks.split import Part
 from lvba.dataset import Dataset
 from lvba.products.cloud import Cloud, assemble

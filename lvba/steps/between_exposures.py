@@ -10,7 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lvba.blocks.decoded import PhotoReader, Pieces, ScanPieces, ScanReader, blank_photos
+from lvba.blocks.decoded_images import PhotoReader, blank_photos
+from lvba.blocks.decoded_scans import ScanPieces, ScanReader
+from lvba.blocks.pieces import Pieces
 from lvba.blocks.split import Part
 from lvba.dataset import Dataset
 from lvba.products import brightness

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lvba.blocks.decoded import PhotoReader, Pieces, ScanPieces, ScanReader, blank_photos
+from lvba.blocks.decoded_images import PhotoReader, blank_photos
+from lvba.blocks.decoded_scans import ScanPieces, ScanReader
+from lvba.blocks.pieces import Pieces
 from lvba.blocks.split import Part
 from lvba.camera import Camera
 from lvba.dataset import Dataset

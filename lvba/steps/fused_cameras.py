@@ -10,7 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from lvba.blocks.decoded import Keyframes, Pieces, ScanPieces
+from lvba.blocks.decoded_images import Keyframes
+from lvba.blocks.decoded_scans import ScanPieces
+from lvba.blocks.pieces import Pieces
 from lvba.blocks.split import Frames, Part
 from lvba.blocks.survey import Survey
 from lvba.blocks.visual_joint import JointCameras

@@ -8,7 +8,8 @@ import numpy as np
 from lvba import geometry
 from lvba.arrays import Indices, Times
 from lvba.blocks import visual_block, visual_joint
-from lvba.blocks.decoded import Keyframes, Pieces, keyframe_images
+from lvba.blocks.decoded_images import Keyframes, keyframe_images
+from lvba.blocks.pieces import Pieces
 from lvba.blocks.split import Frames, Part
 from lvba.blocks.survey import Survey
 from lvba.blocks.visual_block import CameraBlock, CameraPoints

@@ -6,10 +6,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lvba.blocks import lidar_block, lidar_joint, merge
-from lvba.blocks.decoded import Pieces, ScanPoints, ScanReader
+from lvba.blocks.decoded_scans import ScanPoints, ScanReader
 from lvba.blocks.lidar_block import BlockClusters, BlockEquations
 from lvba.blocks.lidar_joint import JointState
 from lvba.blocks.merge import MergedScans, PartPoses
+from lvba.blocks.pieces import Pieces
 from lvba.blocks.regions import regions
 from lvba.blocks.split import Part
 from lvba.blocks.survey import Survey

@@ -8,7 +8,8 @@ import numpy as np
 
 from lvba import geometry
 from lvba.arrays import Indices, Poses
-from lvba.blocks.decoded import Pieces, ScanPoints, ScanReader
+from lvba.blocks.decoded_scans import ScanPoints, ScanReader
+from lvba.blocks.pieces import Pieces
 from lvba.blocks.split import Part
 from lvba.carried import carry
 from lvba.dataset import Dataset

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lvba.blocks.decoded import MovingPoints, ScanPieces, ScanReader
+from lvba.blocks.decoded_scans import MovingPoints, ScanPieces, ScanReader
 from lvba.blocks.split import Part
 from lvba.dataset import Dataset
 from lvba.lidar import moving_points

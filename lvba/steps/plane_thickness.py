@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lvba.blocks.decoded import Pieces, ScanPoints
+from lvba.blocks.decoded_scans import ScanPoints
+from lvba.blocks.pieces import Pieces
 from lvba.blocks.regions import region_cloud
 from lvba.blocks.split import Part
 from lvba.blocks.survey import Survey

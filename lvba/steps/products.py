@@ -5,8 +5,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from lvba.blocks.decoded import PhotoReader, Pieces, ScanPieces, ScanReader
+from lvba.blocks.decoded_images import PhotoReader
+from lvba.blocks.decoded_scans import ScanPieces, ScanReader
 from lvba.blocks.lidar_block import Regions
+from lvba.blocks.pieces import Pieces
 from lvba.blocks.regions import in_region, regions
 from lvba.blocks.split import Part
 from lvba.blocks.survey import Survey

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lvba import geometry
-from lvba.blocks.decoded import MovingPoints
+from lvba.blocks.decoded_scans import MovingPoints
 from lvba.dataset import Dataset
 from lvba.io.reference import Reference
 from lvba.lidar import range_errors

@@ -9,7 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lvba.arrays import Indices, Poses
-from lvba.blocks.decoded import PhotoReader, Pieces, ScanPieces, ScanPoints, ScanReader, blank_photos
+from lvba.blocks.decoded_images import PhotoReader, blank_photos
+from lvba.blocks.decoded_scans import ScanPieces, ScanPoints, ScanReader
+from lvba.blocks.pieces import Pieces
 from lvba.blocks.regions import region_cloud
 from lvba.blocks.split import Part
 from lvba.blocks.survey import Survey

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba.blocks import split
-from lvba.blocks.decoded import Pieces, ScanPoints, ScanReader
+from lvba.blocks.decoded_scans import ScanPoints, ScanReader
+from lvba.blocks.pieces import Pieces
 from lvba.blocks.split import Part
 from lvba.dataset import Dataset
 from lvba.products import map_quality

@@ -5,18 +5,11 @@ from functools import partial
 
 import numpy as np
 
-from lvba.arrays import Indices
-from lvba.blocks.decoded import (
-    Keyframes,
-    Pieces,
-    ScanPieces,
-    ScanReader,
-    keyframe_images,
-    moving_solved,
-)
+from lvba.blocks.decoded_images import Keyframes, color_of_keyframes, keyframe_images
+from lvba.blocks.decoded_scans import ScanPieces, ScanReader, moving_solved
+from lvba.blocks.pieces import Pieces
 from lvba.blocks.split import Frames
 from lvba.blocks.survey import Survey, keyframes_of
-from lvba.camera import Camera
 from lvba.dataset import Dataset
 from lvba.errors import DegenerateProblemError
 from lvba.lidar import bundle_adjustment as lidar_ba
@@ -152,10 +145,10 @@ def solve_finest(
         if len(photos):
             numbers, camera = frames.images[planes.keyframes], dataset.camera
             pinhole = image.measuring_camera(camera)
-            given = replace(given, colors=partial(_color_of_keyframes, photos, numbers, camera, pinhole))
+            given = replace(given, colors=partial(color_of_keyframes, photos, numbers, camera, pinhole))
             if level := judging_size.level(camera):
                 own, small = camera.at_level(level), pinhole.at_level(level)
-                smaller = partial(_color_of_keyframes, judging, numbers, own, small)
+                smaller = partial(color_of_keyframes, judging, numbers, own, small)
                 given = replace(given, smaller_colors=(smaller, small))
         result, last = refine.finest(given, coarser.solution, config, progress, variant)
     except DegenerateProblemError as error:
@@ -223,21 +216,3 @@ def inputs(
         range_errors=lidar.points_off,
         camera=dataset.camera,
     )
-
-
-def _color_of_keyframes(
-    pieces: Pieces[np.ndarray], numbers: Indices, camera: Camera, pinhole: Camera, color: int
-) -> np.ndarray:
-    """Red (0), green or blue of some keyframes (k,), (k, H, W, 1) uint8, as a pinhole camera sees it.
-
-    pieces: of raw images; camera: theirs, with its lens; numbers: ascending, in the whole recording
-    """
-    undistort = image.Undistorter(camera, pinhole)
-    gathered = np.zeros((len(numbers), pinhole.height, pinhole.width, 1), np.uint8)
-    for (first, end), read in pieces:
-        wanted = np.flatnonzero((numbers >= first) & (numbers < end))
-        if len(wanted):
-            raw = read()
-            for row in wanted:
-                gathered[row, ..., 0] = undistort(np.ascontiguousarray(raw[numbers[row] - first, ..., color]))
-    return gathered

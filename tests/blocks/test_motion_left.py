@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lvba.blocks import decoded, scan_errors, scan_motions
+from lvba.blocks import decoded_scans, scan_errors, scan_motions
 from lvba.io import dataset as recordings
 from lvba.io import reference
 from lvba.io.dataset import open_dataset
@@ -72,7 +72,7 @@ def test_what_is_left_is_found_and_taken_out(recording, found):
     assert motion is not None
     assert motion.corrected
     assert motion.part == pytest.approx(LEFT, abs=5 * motion.sigma + 0.005)
-    piece = decoded.decode_scans(dataset, (0, 36), ScanErrors(None, motion))
+    piece = decoded_scans.decode_scans(dataset, (0, 36), ScanErrors(None, motion))
     points = [piece.points[a:b] for a, b in zip(piece.offsets[:-1], piece.offsets[1:], strict=True)]
     clean = recordings.load_scans(recording["clean"])
     best, before = (error_m(dataset, each) for each in (clean, recordings.load_scans(dataset)))
@@ -112,8 +112,8 @@ def test_deskewed_scans_keep_their_bytes(recording):
     assert motion is not None
     assert not motion.corrected
     assert abs(motion.part) < 4 * motion.sigma
-    piece = decoded.decode_scans(dataset, (0, 36), ScanErrors(None, motion))
-    np.testing.assert_array_equal(piece.points, decoded.decode_scans(dataset, (0, 36)).points)
+    piece = decoded_scans.decode_scans(dataset, (0, 36), ScanErrors(None, motion))
+    np.testing.assert_array_equal(piece.points, decoded_scans.decode_scans(dataset, (0, 36)).points)
     assert piece.errors is None
 
 
@@ -165,9 +165,9 @@ def test_times_from_the_start_of_the_sweep_find_the_same_part(recording, found, 
 def test_a_scan_of_another_part_is_moved_as_well(recording, found):
     """The reader that finds a scan in no piece reads its file, and moves its points as the pieces' were."""
     dataset = recording["left"]
-    whole = decoded.decode_scans(dataset, (0, 6), ScanErrors(None, found))
-    few = decoded.decode_scans(dataset, (0, 3), ScanErrors(None, found))
-    reader = decoded.ScanReader([((0, 3), lambda: few)], whole=dataset)
+    whole = decoded_scans.decode_scans(dataset, (0, 6), ScanErrors(None, found))
+    few = decoded_scans.decode_scans(dataset, (0, 3), ScanErrors(None, found))
+    reader = decoded_scans.ScanReader([((0, 3), lambda: few)], whole=dataset)
     np.testing.assert_array_equal(reader(5), whole.points[whole.offsets[5] :][: len(reader(5))])
 
 
@@ -198,7 +198,7 @@ def test_rows_of_a_depth_camera_are_put_where_they_belong(depth_camera):
     given = MotionLeft.of_facts(json.loads(json.dumps(report_data.plain(motion.facts()))))
     np.testing.assert_array_equal(given.clock.down, motion.clock.down)
     errors = ScanErrors(None, given)
-    piece = decoded.decode_scans(dataset, (0, 48), errors)
+    piece = decoded_scans.decode_scans(dataset, (0, 48), errors)
     points = [piece.points[a:b] for a, b in zip(piece.offsets[:-1], piece.offsets[1:], strict=True)]
     best = error_m(depth_camera["at_once"], recordings.load_scans(depth_camera["at_once"]))
     before, after = error_m(dataset, recordings.load_scans(dataset)), error_m(dataset, points)

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from lvba.blocks import decoded, scan_errors, scan_windows, split
+from lvba.blocks import decoded_scans, scan_errors, scan_windows, split
 from lvba.blocks.split import SplitConfig
 from lvba.geometry import closest_rotation
 from lvba.io import dataset as recordings
@@ -55,7 +55,7 @@ def recorded(tmp_path_factory):
 
 def refined(dataset, errors=None):
     """Scan poses."""
-    piece = decoded.decode_scans(dataset, (0, 36), errors)
+    piece = decoded_scans.decode_scans(dataset, (0, 36), errors)
     points = [piece.points[a:b] for a, b in zip(piece.offsets[:-1], piece.offsets[1:], strict=True)]
     return bundle_adjustment.refine(
         points, dataset.scans.world_from_sensor, sensor_position=dataset.sensor_position_scan
@@ -125,7 +125,7 @@ def test_a_right_sensor_is_left_alone(recorded, lidar):
     assert (np.abs(list(errors.ranges.values.values())) < 4 * sigma).all()
     part, off = errors.points_off  # by what they may be
     assert 0 < part < off < 4e-3
-    piece = decoded.decode_scans(dataset, (0, 3), errors)
+    piece = decoded_scans.decode_scans(dataset, (0, 3), errors)
     np.testing.assert_array_equal(piece.points, np.concatenate(recordings.load_scans(dataset)[:3]))
     assert piece.errors is None
 
@@ -224,7 +224,7 @@ def test_points_meet_the_planes_of_the_map_whatever_a_single_scan_shows(recorded
     assert errors.ranges.corrected == ("incidence",)
     best = recorded.clean_error("spinning", 10000)
     monkeypatch.setattr(incidence, "cosines", lambda points, _: np.linspace(0.1, 1.0, len(points)))
-    piece = decoded.decode_scans(dataset, (0, 36), errors)
+    piece = decoded_scans.decode_scans(dataset, (0, 36), errors)
     assert piece.cosine.dtype == np.float16
     truth = true_scans(dataset)
 
@@ -233,7 +233,7 @@ def test_points_meet_the_planes_of_the_map_whatever_a_single_scan_shows(recorded
         return pose_error(stage.result.world_from_scan, truth).ate_m
 
     after = solved()
-    monkeypatch.setattr(decoded.ScanReader, "cosines", lambda reader, scans: None)
+    monkeypatch.setattr(decoded_scans.ScanReader, "cosines", lambda reader, scans: None)
     assert after < 1.6 * best.ate_m
     assert solved() > 2 * after
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lvba.blocks import decoded
+from lvba.blocks import decoded_images
 from lvba.camera import Camera
 from lvba.lens import Lens
 from lvba.products import judging_size
@@ -69,20 +69,20 @@ def test_the_judging_camera_sees_things_where_they_are(
 def test_photos_are_read_at_the_size_at_which_they_judge(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without distortion of the lens what is read is the reduced photo itself, whichever piece it lies in."""
     monkeypatch.setattr(judging_size, "MOST_PIXELS", 400)
-    monkeypatch.setattr(decoded, "PIECE_BYTES", 1 << 13)
+    monkeypatch.setattr(decoded_images, "PIECE_BYTES", 1 << 13)
     camera = camera_of(40, 30)
     photos = np.random.default_rng(2).integers(0, 256, (7, 30, 40, 3), np.uint8)
-    full, judging = decoded.photo_ranges(camera, [(0, 4), (4, 7)])
+    full, judging = decoded_images.photo_ranges(camera, [(0, 4), (4, 7)])
     raw = [(each, lambda each=each: photos[each[0] : each[1]]) for each in full]
     dataset: object = type("Recording", (), {"camera": camera})()
-    made = [(each, decoded.judging_photos(dataset, each, raw)) for each in judging]  # type: ignore[arg-type]
+    made = [(each, decoded_images.judging_photos(dataset, each, raw)) for each in judging]  # type: ignore[arg-type]
     assert len(made) < len(full)
-    reader = decoded.PhotoReader([(each, lambda piece=piece: piece) for each, piece in made], camera)
+    reader = decoded_images.PhotoReader([(each, lambda piece=piece: piece) for each, piece in made], camera)
     for number, photo in enumerate(photos):
         assert np.array_equal(reader(number), judging_size.reduced(photo, camera))
 
 
 def test_small_photos_need_no_second_size() -> None:
-    full, judging = decoded.photo_ranges(camera_of(640, 480), [(0, 3), (3, 9)])
+    full, judging = decoded_images.photo_ranges(camera_of(640, 480), [(0, 3), (3, 9)])
     assert [number for each in full for number in range(*each)] == list(range(9))
     assert judging == []

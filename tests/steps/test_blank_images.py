@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lvba import pipeline, plan
-from lvba.blocks import decoded
+from lvba.blocks import decoded_images
 from lvba.io.dataset import open_dataset
 from lvba.io.images import read_image, write_image
 from lvba.pipeline import Config
@@ -21,9 +21,9 @@ def test_black_and_clipped_images_are_blank_and_dark_or_bright_ones_are_not():
     images[1], images[2], images[3] = 0, 255, images[3] // 24 + 4
     images[4, 8:] = 0
     pieces = [((10, 13), lambda: images[:3]), ((13, 16), lambda: images[3:])]
-    assert list(decoded.blank_photos(pieces, (10, 16))) == [1, 2]
-    assert list(decoded.blank_photos(pieces, (12, 15))) == [0]
-    assert decoded.blank_photos([], (0, 0)).dtype == np.int32
+    assert list(decoded_images.blank_photos(pieces, (10, 16))) == [1, 2]
+    assert list(decoded_images.blank_photos(pieces, (12, 15))) == [0]
+    assert decoded_images.blank_photos([], (0, 0)).dtype == np.int32
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from lvba.blocks import decoded, split
+from lvba.blocks import decoded_scans, split
 from lvba.blocks.split import SplitConfig
 from lvba.io import dataset as recordings
 from lvba.io import reference
@@ -36,7 +36,7 @@ def test_scans_that_end_in_a_wrong_minimum_are_registered_and_refined_again(roun
     assert pose_error(alone, truth).ate_m > 0.1
     assert rough_motions.typically_off(surfels, alone) > rough_motions.WRONG_MINIMUM_M
     [part] = split.parts(dataset, SplitConfig(), split.Load(4000, 0.0))
-    piece = decoded.decode_scans(dataset, (0, 40))
+    piece = decoded_scans.decode_scans(dataset, (0, 40))
     stage = solve_lidar(dataset, part, [((0, 40), lambda: piece)], LidarConfig())
     assert pose_error(stage.result.world_from_scan, truth).ate_m < 0.005
     assert rough_motions.typically_off(surfels, stage.result.world_from_scan) < 0.02

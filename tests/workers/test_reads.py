@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lvba import pipeline
-from lvba.blocks import decoded, split, survey
+from lvba.blocks import decoded_images, decoded_scans, split, survey
 from lvba.blocks.split import SplitConfig
 from lvba.io import images, pcd
 from lvba.io.dataset import open_dataset
@@ -43,7 +43,7 @@ def reads(monkeypatch):
 def test_frames_are_decoded_once_for_each_use(street_in_two, reads, tmp_path, monkeypatch, size, held):
     """Also where nothing stays in memory between steps, and by all parts together where there are two."""
     monkeypatch.setattr(local, "HELD_BYTES", held)
-    monkeypatch.setattr(decoded, "PIECE_BYTES", 6 * 3 * 160 * 120)
+    monkeypatch.setattr(decoded_images, "PIECE_BYTES", 6 * 3 * 160 * 120)
     cut = SplitConfig(by="count", size=size, overlap=5) if size else SplitConfig(by="none")
     dataset = open_dataset(street_in_two)
     opened = Counter(reads)
@@ -68,9 +68,11 @@ def test_of_dense_scans_all_but_the_map_reads_every_second_point(street_in_two, 
     monkeypatch.setattr(split, "ENOUGH_POINTS", survey.load_of(dataset).points_per_scan / 2)
     known = survey.survey(dataset, Config().lidar, Config().visual.keyframes)
     assert known.every == 2
-    piece = decoded.decode_scans(dataset, decoded_scans, None, known)
+    piece = decoded_scans.decode_scans(dataset, decoded_scans, None, known)
     pieces = [(decoded_scans, lambda: piece)]
-    fewer, every = (decoded.ScanReader(pieces, whole=dataset, all_points=each) for each in (False, True))
+    fewer, every = (
+        decoded_scans.ScanReader(pieces, whole=dataset, all_points=each) for each in (False, True)
+    )
     for scan in (0, 3, 5, 6):
         points = pcd.read_pcd(dataset.scan_paths[scan]).points
         np.testing.assert_array_equal(every(scan), points)
@@ -81,9 +83,9 @@ def test_of_dense_scans_all_but_the_map_reads_every_second_point(street_in_two, 
 
 def test_a_scan_that_no_piece_holds_is_read_from_its_file(street_in_two):
     dataset = open_dataset(street_in_two)
-    piece = decoded.decode_scans(dataset, (3, 6))
-    reader = decoded.ScanReader([((3, 6), lambda: piece)], whole=dataset)
+    piece = decoded_scans.decode_scans(dataset, (3, 6))
+    reader = decoded_scans.ScanReader([((3, 6), lambda: piece)], whole=dataset)
     for scan in (0, 3, 5, 6):
         np.testing.assert_array_equal(reader(scan), pcd.read_pcd(dataset.scan_paths[scan]).points)
     with pytest.raises(IndexError, match="no piece holds scan 7"):
-        decoded.ScanReader([((3, 6), lambda: piece)], first=4)(3)
+        decoded_scans.ScanReader([((3, 6), lambda: piece)], first=4)(3)

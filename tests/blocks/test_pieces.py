@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lvba.blocks import decoded
-from lvba.blocks.decoded import MovingPoints, ScanPoints
+from lvba.blocks import decoded_images, decoded_scans
+from lvba.blocks.decoded_scans import MovingPoints, ScanPoints
 from lvba.camera import Camera
 from lvba.parallel import in_order
 from lvba.visual import image
@@ -31,7 +31,7 @@ def test_states_that_are_looked_at_together_undistort_an_image_once_for_each_cam
 
     monkeypatch.setattr(image.Undistorter, "__call__", counted)
     pieces = [((k + 5, k + 7), lambda k=k: piece(k, k + 2)) for k in range(0, 10, 2)]
-    reader = decoded.PhotoReader(pieces, CAMERA, first=5)
+    reader = decoded_images.PhotoReader(pieces, CAMERA, first=5)
     other = replace(CAMERA, fx=21.0)
     self_calibrated = reader.seen_by(other)
 
@@ -52,7 +52,7 @@ def test_states_that_are_looked_at_together_undistort_an_image_once_for_each_cam
 
 def test_an_image_without_distortion_is_as_it_was_taken():
     plain = replace(CAMERA, distortion=(0.0, 0.0, 0.0, 0.0))
-    reader = decoded.PhotoReader([((0, 10), lambda: PHOTOS)], plain)
+    reader = decoded_images.PhotoReader([((0, 10), lambda: PHOTOS)], plain)
     np.testing.assert_array_equal(reader(3), PHOTOS[3])
 
 
@@ -72,7 +72,7 @@ def scan_points(every=1, cosine=True):
 def test_readers_give_scans_without_the_points_that_move(numbers):
     """With what is known of the other points."""
     points, moving = scan_points(), MovingPoints(np.array(numbers, np.int64), 30)
-    reader = decoded.ScanReader([((5, 9), (lambda: points, lambda: moving))], first=5)
+    reader = decoded_scans.ScanReader([((5, 9), (lambda: points, lambda: moving))], first=5)
     static = [np.setdiff1d(np.arange(*span), numbers) for span in pairwise(points.offsets)]
     for scan, kept in enumerate(static):
         np.testing.assert_array_equal(reader(scan), points.points[kept])
@@ -84,7 +84,7 @@ def test_readers_give_scans_without_the_points_that_move(numbers):
 def test_scans_are_solved_with_every_so_many_th_of_the_points_that_do_not_move():
     points, moving = scan_points(every=3, cosine=False), MovingPoints(np.array([0, 8]), 30)
     reader, whole = (
-        decoded.ScanReader([((0, 4), (lambda: points, lambda: moving))], all_points=everything)
+        decoded_scans.ScanReader([((0, 4), (lambda: points, lambda: moving))], all_points=everything)
         for everything in (False, True)
     )
     np.testing.assert_array_equal(whole(2), points.points[[7, *range(9, 18)]])
@@ -96,11 +96,11 @@ def test_scans_are_solved_with_every_so_many_th_of_the_points_that_do_not_move()
 def test_moving_points_are_those_of_the_scans_as_they_were_solved(every):
     points, moving = scan_points(every=every), MovingPoints(np.array([0, 8, 9, 10, 21]), 30)
     solved = np.concatenate([np.arange(first, end, every) for first, end in pairwise(points.offsets)])
-    found = decoded.moving_solved([((5, 9), (lambda: points, lambda: moving))], np.arange(5, 9))
+    found = decoded_scans.moving_solved([((5, 9), (lambda: points, lambda: moving))], np.arange(5, 9))
     np.testing.assert_array_equal(found, np.isin(solved, moving.numbers))
     assert found.sum() == (5 if every == 1 else 3)
-    own = decoded.moving_solved([((5, 9), (lambda: points, lambda: moving))], np.array([5, 7]))
+    own = decoded_scans.moving_solved([((5, 9), (lambda: points, lambda: moving))], np.array([5, 7]))
     np.testing.assert_array_equal(
         own, found[np.r_[0 : -(-7 // every), -(-7 // every) : -(-7 // every) - (-11 // every)]]
     )
-    assert not decoded.moving_solved([((5, 9), lambda: points)], np.arange(5, 9)).any()
+    assert not decoded_scans.moving_solved([((5, 9), lambda: points)], np.arange(5, 9)).any()

@@ -1,65 +1,28 @@
-"""The frames of a recording decoded once, in pieces that all later steps read: points of scans, keyframes, images.
+"""Points of scans, decoded once, and who reads them: whole or without the points that move."""
 
-Each piece holds frames of one core, so that no frame is in two of them. A step is given the pieces of the frames that it
-works on, and holds one of them (PIECES_HELD of images) at a time beside what it copies out.
-"""
-
-import copy
-import threading
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
-from typing import Generic, TypeVar
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from lvba.arrays import Indices, Picture
+from lvba.arrays import Indices
+from lvba.blocks.pieces import Given, Made, PieceReader, Range, given
 from lvba.blocks.split import Part
 from lvba.blocks.survey import Survey
-from lvba.camera import Camera
 from lvba.dataset import Dataset, Scan
 from lvba.io import dataset as recordings
 from lvba.lidar.scan_errors import ScanErrors
 from lvba.parallel import in_order
-from lvba.plan import Ref, StreamedRef
-from lvba.products import judging_size
+from lvba.plan import StreamedRef
 from lvba.progress import Progress, silent
-from lvba.visual import image
-from lvba.visual.image import ImageConfig
 
-PIECE_BYTES = 1 << 25
-"""Images in color are kept in pieces of about this size ..."""
-PIECES_HELD = 3
-"""... of which so many are in memory at a time."""
-
-BLANK = 0.95
-"""Part of an image that is black or clipped from which it shows nothing."""
-
-T = TypeVar("T")
-Range = tuple[int, int]
-"""Half-open, of numbers of frames in the whole recording."""
-Pieces = Sequence[tuple[Range, Callable[[], T]]]
-"""Pieces by the frames they hold, ascending, as functions that read them."""
-Made = tuple[Range, Ref]
-Given = tuple[Range, StreamedRef]
-"""A piece in a plan: as a step makes it, and as it is given to another one."""
 GivenScans = tuple[Range, StreamedRef | tuple[StreamedRef, StreamedRef]]
-"""The same of scans; of two, the second says which points of the first move."""
+"""A piece of scans as a plan gives it to a step; of two, the second says which points of the first move."""
 _REGION_M = 300.0
 """Scans of parts whose paths come this near to a part's may have points in its region of space: twice the reach of usual
 sensors. Of parts further off, where there are such points all the same, the files are read again."""
-
-
-def given(pieces: Sequence[Made], numbers: Indices) -> list[Given]:
-    """The pieces that hold some frames, ascending numbers (n,)."""
-    return [
-        ((first, end), StreamedRef(ref.key))
-        for (first, end), ref in pieces
-        if np.searchsorted(numbers, first) < np.searchsorted(numbers, end)
-    ]
 
 
 def given_static(pieces: Sequence[Made], moving: Sequence[Made], numbers: Indices) -> list[GivenScans]:
@@ -117,14 +80,6 @@ ScanPieces = Sequence[
 """Pieces of scans, with the points that move, which readers take out, or without."""
 
 
-@dataclass(frozen=True)
-class Keyframes:
-    """Keyframes as the visual bundle adjustment reads them. numbers: (k,) int64; images: (k, H, W, C) uint8"""
-
-    numbers: np.ndarray
-    images: np.ndarray
-
-
 def decode_scans(
     dataset: Dataset,
     scans: Range,
@@ -168,112 +123,6 @@ def placed(
     return errors.points(scan, number, float(dataset.scans.times[number]), cosine)
 
 
-def keyframes_of_photos(
-    dataset: Dataset,
-    images: Range,
-    photos: Pieces[np.ndarray],
-    survey: Survey,
-    config: ImageConfig,
-    enabled: bool = True,
-    progress: Progress = silent,
-) -> Keyframes:
-    """The keyframes among some images, as `image.measuring_camera` sees them. enabled: False: none, nobody needs them.
-
-    photos: pieces that hold these images, raw, in color
-    """
-    numbers = survey.keyframes
-    chosen = numbers[(numbers >= images[0]) & (numbers < images[1])]
-    if not enabled or not len(chosen):
-        return Keyframes(chosen[:0], np.zeros((0, 1, 1, config.channels), np.uint8))
-    held = _Reader(photos, keep=PIECES_HELD)
-
-    gathered = image.load_undistorted(
-        lambda index: held.frame(int(chosen[index])), len(chosen), dataset.camera, config, progress
-    )
-    return Keyframes(chosen, gathered)
-
-
-def decode_photos(dataset: Dataset, images: Range, progress: Progress = silent) -> np.ndarray:
-    """Some images in color as they were taken, (n, H, W, 3) uint8: which lens they have is known better later.
-
-    Raises InputError: an image cannot be read.
-    """
-    camera, first = dataset.camera, images[0]
-    photos = np.empty((images[1] - first, camera.height, camera.width, 3), np.uint8)
-
-    def load(number: int) -> None:
-        photos[number - first] = recordings.load_image(dataset, number)
-
-    for done, _ in enumerate(in_order(load, range(*images))):
-        progress("images", done + 1, len(photos))
-    return photos
-
-
-def judging_photos(
-    dataset: Dataset, images: Range, photos: Pieces[np.ndarray], progress: Progress = silent
-) -> np.ndarray:
-    """Some images in color as they judge a map (`products.judging_size`), still with their lens, (n, h, w, 3) uint8.
-
-    photos: pieces that hold these images, raw, in color
-    """
-    camera, held = judging_size.judging(dataset.camera), _Reader(photos)
-    smaller = np.empty((images[1] - images[0], camera.height, camera.width, 3), np.uint8)
-    for done, number in enumerate(range(*images)):
-        smaller[done] = judging_size.reduced(held.frame(number), dataset.camera)
-        progress("images", done + 1, len(smaller))
-    return smaller
-
-
-def photo_ranges(camera: Camera, cores: Sequence[Range]) -> tuple[list[Range], list[Range]]:
-    """The images of a camera, by the parts that they belong to, cut into ranges of about PIECE_BYTES of color: the full
-    ones, and those that judge, none where the full ones do."""
-    smaller = judging_size.judging(camera)
-    full, judging = (
-        [piece for core in cores for piece in _cut(core, 3 * each.width * each.height)]
-        for each in (camera, smaller)
-    )
-    return full, judging if smaller != camera else []
-
-
-def _cut(images: Range, size: int) -> list[Range]:
-    """Some images of so many bytes each in ranges of about PIECE_BYTES."""
-    count = images[1] - images[0]
-    if not count:
-        return []
-    pieces = max(1, -(-count * size // PIECE_BYTES))
-    bounds = [images[0] + count * k // pieces for k in range(pieces + 1)]
-    return [each for each in pairwise(bounds) if each[0] < each[1]]
-
-
-class _Reader(Generic[T]):
-    """Reads pieces, and keeps the last ones. May be called from several threads."""
-
-    def __init__(self, pieces: Pieces[T], keep: int = 1) -> None:
-        self._pieces, self._keep = pieces, keep
-        self._kept: OrderedDict[int, T] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def find(self, number: int) -> tuple[int, T] | None:
-        """The first frame of the piece that holds a frame, and the piece; None where no piece does."""
-        for index, ((first, end), read) in enumerate(self._pieces):
-            if first <= number < end:
-                with self._lock:
-                    if index not in self._kept:
-                        while len(self._kept) >= self._keep:
-                            self._kept.popitem(last=False)
-                        self._kept[index] = read()
-                    self._kept.move_to_end(index)
-                    return first, self._kept[index]
-        return None
-
-    def frame(self: "_Reader[np.ndarray]", number: int) -> np.ndarray:
-        """One frame of pieces that are arrays of them."""
-        piece = self.find(number)
-        if piece is None:
-            raise IndexError(f"no piece holds image {number}")
-        return np.asarray(piece[1][number - piece[0]])
-
-
 class ScanReader:
     """Points of scans.
 
@@ -295,7 +144,7 @@ class ScanReader:
             for frames, read in pieces
         ]
         self._pieces, self._first, self._whole, self._all = given, first, whole, all_points
-        self._reader = _Reader(given)
+        self._reader = PieceReader(given)
 
     def __call__(self, scan: int) -> np.ndarray:
         """(N, 3) float32, m, scan frame.
@@ -382,66 +231,3 @@ def moving_solved(pieces: ScanPieces, scans: Indices) -> np.ndarray:
         held = scans[(scans >= first) & (scans < end)] - first
         masks += [moves[points.offsets[scan] : points.offsets[scan + 1] : points.every] for scan in held]
     return np.concatenate(masks)
-
-
-class PhotoReader:
-    """Images in color without distortion, as the camera has it, at the size at which they judge.
-
-    pieces: of `judging_photos`; camera: that took the images, with its lens; first: number in the whole recording of the
-    image called 0
-    """
-
-    def __init__(self, pieces: Pieces[np.ndarray], camera: Camera, first: int = 0) -> None:
-        self._reader, self._first = _Reader(pieces, keep=PIECES_HELD), first
-        self._undistort = _undistorter(camera)
-        # several states that are looked at together ask for one image after each other
-        self._last = threading.local()
-
-    def seen_by(self, camera: Camera) -> "PhotoReader":
-        """The same images as another camera has them; what is in memory of them is in it once."""
-        other = copy.copy(self)
-        other._undistort, other._last = _undistorter(camera), threading.local()
-        return other
-
-    def __call__(self, index: int) -> np.ndarray:
-        """(h, w, 3) uint8 RGB."""
-        if getattr(self._last, "index", None) != index:
-            self._last.image = self._undistort(self._reader.frame(self._first + index))
-            self._last.index = index
-        return np.asarray(self._last.image)
-
-
-def _undistorter(camera: Camera) -> image.Undistorter:
-    return image.Undistorter(judging_size.judging(camera))
-
-
-def blank_photos(pieces: Pieces[np.ndarray], images: Range) -> np.ndarray:
-    """Which of some images (half-open range) show nothing, (b,) int32, counted from the first of these."""
-    blank: list[int] = []
-    for (first, _), read in pieces:
-        at = first + np.flatnonzero([shows_nothing(photo) for photo in read()]) - images[0]
-        blank += [int(number) for number in at if 0 <= number < images[1] - images[0]]
-    return np.array(sorted(blank), np.int32)
-
-
-def shows_nothing(photo: Picture) -> bool:
-    """Whether an image (H, W, 3) uint8 is black, or clipped, nearly everywhere, by every 64th pixel."""
-    sample = photo[::8, ::8]
-    nothing = (sample.max(axis=-1) <= image.DARK) | (sample.min(axis=-1) >= image.SATURATED)
-    return bool(nothing.mean() > BLANK)
-
-
-def keyframe_images(pieces: Pieces[Keyframes], numbers: Indices) -> np.ndarray:
-    """The images (k, H, W, C) uint8 of some keyframes (k,), ascending numbers in the whole recording."""
-    gathered: np.ndarray | None = None
-    for (first, end), read in pieces:
-        wanted = np.flatnonzero((numbers >= first) & (numbers < end))
-        if not len(wanted):
-            continue
-        piece = read()
-        if len(wanted) == len(numbers) == len(piece.numbers):
-            return piece.images
-        if gathered is None:
-            gathered = np.empty((len(numbers), *piece.images.shape[1:]), np.uint8)
-        gathered[wanted] = piece.images[np.searchsorted(piece.numbers, numbers[wanted])]
-    return np.zeros((0, 1, 1, 1), np.uint8) if gathered is None else gathered
