@@ -124,7 +124,7 @@ def simulate(
     out: Path,
     *,
     seed: int,
-    lidar: str = "spinning",
+    lidar: str | None = None,
     difficulty: str = "medium",
     frames: int | None = None,
     extra: tuple[str, ...] = (),
@@ -140,8 +140,7 @@ def simulate(
         str(seed),
         "--difficulty",
         difficulty,
-        "--lidar",
-        lidar,
+        *(["--lidar", lidar] if lidar else []),
         *extra,
     ]
     if frames:

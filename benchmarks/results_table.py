@@ -119,7 +119,7 @@ def _disturbed(name: str, row: Row) -> list[str]:
         cells.append(_quantiles(reference, part))
         cells.append(number(reference, part, "predicted_ate_m", scale=1e3))
         cells.append(number(reference, part, "nees"))
-    said = str(row.get("verdict") or "-") + (", at least" if row.get("at_least") else "")
+    said = str(row.get("verdict") or "-") + (", perhaps more" if row.get("at_least") else "")
     if confident(row):
         said = f"**{said}**"
     error, promised = _exposures(reference)
@@ -270,7 +270,9 @@ def _models(name: str, row: Row) -> list[str]:
         for part in ("lidar", "camera")
     ]
     exposures = [_exposures(side.get("reference") or {})[0] for side in sides]
-    verdicts = [str(side.get("verdict")) + (", at least" if side.get("at_least") else "") for side in sides]
+    verdicts = [
+        str(side.get("verdict")) + (", perhaps more" if side.get("at_least") else "") for side in sides
+    ]
     return [
         name,
         ", ".join(row["disturbances"]) or "-",

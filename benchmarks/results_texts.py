@@ -116,9 +116,9 @@ One option each on the same simulated scenes, against truth, and leave-one-out.
 
 What real sensors do, one at a time ([list](simulation.md#disturbances)), not told to the program. "median, 95 %": half
 and 95 % of the frames are off by less than so many millimeters. "promised" is the error that the report predicts, and
-the verdict what a user without a reference reads; "at least": the report says that
-errors are likely larger than promised. Exposures are compared after the one power of the light that images leave open.
-**Bold**: more than three times the promised error without that word (exposures: without a reason that names them), but
+the verdict what a user without a reference reads; "perhaps more": the report says that
+errors may be larger than promised. Exposures are compared after the one power of the light that images leave open.
+**Bold**: more than three times the promised error without these words (exposures: without a reason that names them), but
 for a common scale of the LiDAR's ranges, which promises leave out ([evaluation.md](evaluation.md#how-good-is-my-map)).
 """,
     "models": """## What each model of sensors brings

@@ -117,24 +117,34 @@ class Alignment:
 _LEVER_M = 1.0
 
 
+def lever_for_errors(world_from_sensor: Poses) -> float:
+    """m: errors are counted after the rigid motion that brings positions closest, and orientations, each angle by what it
+    moves so far away; 0: positions alone.
+
+    world_from_sensor: (N, 4, 4), of the path. Positions alone count, as is usual (Umeyama), where it extends by a meter
+    (rms) across every axis: else they leave the roll of a straight path open, and all of the rotation of a sensor that
+    turns on the spot.
+    """
+    place = world_from_sensor[:, :3, 3] - world_from_sensor[:, :3, 3].mean(axis=0)
+    along = np.linalg.eigvalsh(place.T @ place / max(len(place), 1))
+    return _LEVER_M if along[0] + along[1] < _LEVER_M**2 else 0.0
+
+
 def align_for_errors(estimate: Poses, reference: Poses) -> Alignment:
     """The alignment that errors against a reference are counted after; no scale.
 
-    estimate, reference: (N, 4, 4), same order. By positions alone (Umeyama), as is usual, where the reference path
-    extends by a meter (rms) across every axis. Else orientations count as well, an angle by what it moves a meter away:
-    positions alone leave the roll of a straight path open, and all of the rotation of a sensor that turns on the spot.
-    Which of both does not depend on the estimate, so that all estimates are measured alike.
+    estimate, reference: (N, 4, 4), same order. By positions alone, or orientations as well (`lever_for_errors`). Which of
+    both does not depend on the estimate, so that all estimates are measured alike.
     """
     p, q = estimate[:, :3, 3], reference[:, :3, 3]
     p_mean, q_mean = p.mean(0), q.mean(0)
     cross = (q - q_mean).T @ (p - p_mean)
-    along = np.linalg.eigvalsh((q - q_mean).T @ (q - q_mean) / len(q))
     by: Literal["positions", "positions and orientations"] = "positions"
-    if along[0] + along[1] < _LEVER_M**2:
+    if lever := lever_for_errors(reference):
         by = "positions and orientations"
         # |R_a - R_b|^2 is twice the squared angle
         orientations = np.einsum("nij,nkj->ik", reference[:, :3, :3], estimate[:, :3, :3])
-        cross = cross + _LEVER_M**2 / 2 * orientations
+        cross = cross + lever**2 / 2 * orientations
     rotation = geometry.closest_rotation(cross)
     return Alignment(geometry.from_rotation_translation(rotation, q_mean - rotation @ p_mean), by)
 

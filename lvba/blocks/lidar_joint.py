@@ -241,13 +241,16 @@ def covariance(
 
     blocks = factors.covariance().blocks
     marginal, in_map = (
-        variance_factor * _aligned(factors, blocks, poses, lever_m) for lever_m in (0.0, MAP_M)
+        variance_factor * _aligned(factors, blocks, poses, lever_m) for lever_m in (None, MAP_M)
     )
     return JointCovariance(marginal, conditional, in_map, directions)
 
 
 def _aligned(
-    factors: linear_solver.Factors | TwoLevelFactors, blocks: np.ndarray, poses: np.ndarray, lever_m: float
+    factors: linear_solver.Factors | TwoLevelFactors,
+    blocks: np.ndarray,
+    poses: np.ndarray,
+    lever_m: float | None,
 ) -> np.ndarray:
     """(S, 6, 6), of each pose after an alignment, as by `dense_covariance.aligned`. blocks: (S, 6, 6), before it"""
     motion, pick = alignment(poses, lever_m)

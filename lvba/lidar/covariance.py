@@ -24,12 +24,12 @@ from lvba.optim.normal_equations import NormalEquations
 class Covariance:
     """Of poses, local tangent [rotation | translation], rad and m.
 
-    marginal: (S, 6, 6), relative to the trajectory as a whole: of what is left after a rigid motion has brought the
-        positions as close to the truth as it can. So the first pose has one too, and no pose is worse for being far from
-        the first.
+    marginal: (S, 6, 6), relative to the trajectory as a whole: of what is left after the alignment that errors against a
+        reference are counted after (`trajectory.align_for_errors`). So the first pose has one too, and no pose is worse
+        for being far from the first.
     conditional: (S, 6, 6), of each pose if all others were known: how far it may be off the map around it
     in_map: (S, 6, 6), as `marginal`, but after the rigid motion that brings the points about all scanners as close as it
-        can, so that orientations count too: of who turns in one place, positions say nothing about how the map is turned
+        can, however far the path extends
     step: (S - 1, 6, 6), of the motion from each scan to the next, in the later one's tangent
     variance_factor: actual over modeled variance of the gradients, at least 1
     shared_factor: what errors that planes close to each other share multiply `marginal` by, at least 1. It is for what is

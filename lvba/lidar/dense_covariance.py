@@ -3,7 +3,7 @@
 import numpy as np
 import scipy.linalg
 
-from lvba import geometry
+from lvba import geometry, trajectory
 from lvba.arrays import Poses
 
 
@@ -44,8 +44,8 @@ def _mirrored(matrix: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def aligned(covariance: np.ndarray, world_from_scan: Poses, lever_m: float = 0.0) -> np.ndarray:
-    """(S, 6, 6), of each pose (S, 4, 4) after the rigid motion that brings all positions closest to where they were:
+def aligned(covariance: np.ndarray, world_from_scan: Poses, lever_m: float | None = None) -> np.ndarray:
+    """(S, 6, 6), of each pose (S, 4, 4) after the rigid motion that brings all poses closest to where they were:
     diagonal blocks of (I - M Q) C (I - M Q)', M rigid motions of all poses and Q what finds them.
 
     covariance: (6 S - 6, 6 S - 6) float64, C, of all poses but the first; lever_m: as of `alignment`
@@ -62,11 +62,14 @@ def aligned(covariance: np.ndarray, world_from_scan: Poses, lever_m: float = 0.0
     return np.asarray(each - cross - np.swapaxes(cross, -1, -2) + own)
 
 
-def alignment(world_from_scan: Poses, lever_m: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def alignment(world_from_scan: Poses, lever_m: float | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Rigid motions (6 S, 6) of all poses, local tangents, and what picks them out of a motion of all poses, (6 S, 6).
 
-    lever_m: m, how far from each position a point is that counts as much as the position itself, and so the orientation
+    lever_m: m, how far from each position a point is that counts as much as the position itself, and so the orientation;
+        None: as errors against a reference are counted (`trajectory.lever_for_errors`)
     """
+    if lever_m is None:
+        lever_m = trajectory.lever_for_errors(world_from_scan)
     arm = world_from_scan[:, :3, 3] - world_from_scan[:, :3, 3].mean(0)
     rigid = np.zeros((len(arm), 6, 6))
     rigid[:, :3, :3] = rigid[:, 3:, 3:] = np.eye(3)

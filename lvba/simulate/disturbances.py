@@ -131,6 +131,11 @@ class Disturbances:
         """Those that are there, by name."""
         return {name: value for name, value in dataclasses.asdict(self).items() if value}
 
+    @property
+    def usual_lidar(self) -> str:
+        """Of the sensors that have such errors: depth_camera for those of depth cameras, else spinning."""
+        return "depth_camera" if self.depth_distortion or self.depth_readout else "spinning"
+
 
 _SIGNED = {
     "focal", "principal_point", "k1", "rolling_shutter", "range_scale", "intensity_bias", "incidence_bias",

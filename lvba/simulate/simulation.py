@@ -107,7 +107,7 @@ def simulate(
     frames: int | None = None,
     seed: int = 0,
     difficulty: str = "medium",
-    lidar: str = "spinning",
+    lidar: str | None = None,
     vignetting: bool = False,
     motion_blur: bool = False,
     shot_noise: bool = False,
@@ -128,7 +128,8 @@ def simulate(
 
     scene: one of `lvba.simulate.scenes.SCENES`; frames: images (100); scans: as many as images by default
     seed: of everything: geometry, textures, path, noise; the same seed writes the same bytes
-    difficulty: easy, medium or hard, of the rough poses; lidar: spinning, non_repetitive or depth_camera
+    difficulty: easy, medium or hard, of the rough poses; lidar: spinning, non_repetitive or depth_camera;
+        None: as `Disturbances.usual_lidar` has it
     points_per_scan: beams; some come back without echo
     length: m, of a street, corridor, flight over the plane, or way around a block or through a terrace
     closing: m and degrees, drift on top of the difficulty: by how much the rough ends of a loop miss each other
@@ -142,6 +143,7 @@ def simulate(
     """
     frames = DEFAULT_FRAMES if frames is None else frames
     scans = frames if scans is None else scans
+    lidar = disturb.usual_lidar if lidar is None else lidar
     counts = {"frames": frames, "scans": scans, "width": width, "height": height, "points": points_per_scan}
     _check(counts, lidar, seed, length)
     _check_choice("lens", lens, (PINHOLE, FISHEYE))

@@ -39,7 +39,7 @@ _HELD_OUT = {
 
 
 def add(facts: Facts) -> dict[str, Any]:
-    """The facts with `verdict` and `alarms`, and `at_least` among the expected errors: whether these are lower bounds.
+    """The facts with `verdict` and `alarms`, and `at_least` among the expected errors: whether errors may be larger.
 
     facts: plain data, the contents of report.json
     """
@@ -92,6 +92,7 @@ def figures(facts: Facts) -> Figures:
         exposures=Judged(visual.get("exposures_accepted"), _cause(visual, "exposures_")),
         scans_with_cameras=Judged(fusion.get("accepted") if fused else None, _cause(fusion)),
         variance_factor=renamed_facts.value(last, "variance_factor"),
+        camera_refined=_camera_refined(visual),
         spline_error=renamed_facts.value(fusion, "interpolation_error_scale"),
         fusion_variance_factor=renamed_facts.value(fusion, "variance_factor"),
         common_degenerate=len(renamed_facts.value(lidar, "degenerate_directions") or []) if used else 0,
@@ -118,6 +119,12 @@ def figures(facts: Facts) -> Figures:
             lidar, visual, planes, bool(odometry.get("too_far_off")), degenerate_scans + dependent_steps
         ),
     )
+
+
+def _camera_refined(visual: Facts) -> bool:
+    """Whether focal lengths, principal point, distortion or readout were refined with the poses."""
+    refined = (visual.get("calibration") or {}).get("sigma") or {}
+    return any(name in refined for name in ("focal", "principal_point", "distortion", "readout"))
 
 
 def _left_ranges(ranges: Facts, in_parts: bool) -> int:
@@ -274,8 +281,8 @@ def summary(judged: Verdict, expected: Facts, truth: Sequence[Truth] = ()) -> st
     if judged.unknown:
         sentence = "How large the errors are is not known"
     elif amounts:
-        size = "at least" if judged.at_least else "about"
-        sentence = f"Expect errors of {size} {joined(amounts)}, {_FRAME}"
+        more = ", perhaps more" if judged.at_least else ""
+        sentence = f"Expect errors of about {joined(amounts)}{more}, {_FRAME}"
     else:
         sentence = "How large the errors are is not known, for the scan poses are the input's"
     measured = [f"{each.what} are off by {lengths.text(each.error)}" for each in truth if each.unit == "m"]

@@ -57,6 +57,7 @@ class Figures:
 
     variance_factor: actual over modeled variance of the pixels
     spline_error: how far the path through the cameras misses the scans, as part of the error of leaving a camera out
+    camera_refined: whether images corrected the calibration of the camera
     fusion_variance_factor: how many times scans and cameras are further apart, squared, than both promise
     vague_scans, vague_cameras: frames expected to be off by `verdict.VAGUE` times the median and more, or by nobody
         knows what
@@ -84,6 +85,7 @@ class Figures:
     exposures: Judged = field(default_factory=Judged)
     scans_with_cameras: Judged = field(default_factory=Judged)
     variance_factor: float | None = None
+    camera_refined: bool = False
     spline_error: float | None = None
     fusion_variance_factor: float | None = None
     common_degenerate: int = 0
@@ -122,7 +124,7 @@ class Figures:
 class Reason:
     """Why a result is not simply good, and what to do about it.
 
-    level: what it makes of the result at best; more: whether errors are likely larger than the covariances promise
+    level: what it makes of the result at best; more: whether errors may well be larger than the covariances promise
     unknown: whether the covariances say nothing about the errors
     """
 

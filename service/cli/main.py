@@ -279,7 +279,8 @@ def _add_simulate(commands: "argparse._SubParsersAction[Parser]") -> None:
     levels = ["easy", "medium", "hard"]
     simulate.add_argument("--difficulty", choices=levels, default="medium", help="of the drift")
     patterns = ["spinning", "non_repetitive", "depth_camera"]
-    simulate.add_argument("--lidar", choices=patterns, default="spinning", help="its scan pattern")
+    pattern = "its scan pattern (default: spinning; depth_camera where --disturb has its errors)"
+    simulate.add_argument("--lidar", choices=patterns, help=pattern)
     simulate.add_argument("--scans", type=int, metavar="N", help="scans (default: as many as images)")
     simulate.add_argument(
         "--points", type=int, default=30_000, metavar="N", help="beams of a scan (default: 30000)"

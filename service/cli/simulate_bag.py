@@ -30,7 +30,7 @@ def write(arguments: argparse.Namespace, display: Display) -> None:
     if out.exists():
         raise InputError(out, "exists", "remove it, or choose another path")
     sensors = raw.Sensors(
-        lidar=arguments.lidar,
+        lidar=arguments.lidar or "spinning",
         points=arguments.points,
         width=arguments.width,
         height=arguments.height,

@@ -31,6 +31,8 @@ _CALIBRATIONS = (
     "dvlc",
     "opencv",
     "colmap",
+    "orb_slam",
+    "orb_slam2",
 )
 _FOLDERS: tuple[Callable[[Path], object], ...] = (
     *(rgbd_writers.tum, rgbd_writers.replica, rgbd_writers.scannet, rgbd_writers.stray, rgbd_writers.polycam),

@@ -90,6 +90,16 @@ def test_each_changes_what_it_should_and_nothing_else(clean, name, tmp_path):
     assert open_dataset(out).warnings == ()
 
 
+def test_errors_of_depth_cameras_are_of_one_where_nobody_says_otherwise(tmp_path):
+    for name in ("depth_distortion", "depth_readout"):
+        assert Disturbances(**{name: 0.01, "people": 1}).usual_lidar == "depth_camera"
+    assert Disturbances(range_scale=0.01).usual_lidar == "spinning"
+    for given, used in (({}, "depth_camera"), ({"lidar": "non_repetitive"}, "non_repetitive")):
+        simulate("courtyard", tmp_path / used, disturb=Disturbances(depth_distortion=0.01), **SMALL, **given)
+        facts = json.loads((tmp_path / used / "reference" / "simulation.json").read_text())
+        assert facts["lidar"] == used
+
+
 def test_words_become_numbers():
     found = disturbances.parse(["rolling-shutter=typical", "k1=-0.01", "people=severe"])
     assert found == Disturbances(rolling_shutter=0.015, k1=-0.01, people=10)

@@ -37,6 +37,7 @@ KEPT = (Truth("scans", "m", 0.001, 0.07, 0.0009), Truth("cameras", "degrees", 0.
         ({"scan_poses": NOT_USED, "camera_poses": NOT_USED}, "bad", False),
         ({"scan_poses": NOT_USED, "images": 0, "camera_poses": Judged()}, "bad", False),
         ({"variance_factor": 4.6}, "check", True),
+        ({"variance_factor": 90.0, "camera_refined": True}, "check", False),
         ({"spline_error": 0.81}, "check", True),
         ({"fusion_variance_factor": 1.21}, "check", True),
         ({"variance_factor": 4.5, "spline_error": 0.8, "fusion_variance_factor": 1.2}, "good", False),
@@ -312,24 +313,35 @@ def test_where_motions_between_scans_stay_wrong_no_millimeters_are_promised():
     assert verdict["level"] == "check"
     assert "300 mm and 2.0 degrees" in verdict["reasons"][0]["text"]
     assert "Expect errors of about" in verdict["summary"]
+    assert "perhaps" not in verdict["summary"]
     # one scan that nothing ties is no reason against the others
     given["odometry"]["too_far_off"]["loose_ends"] = [0, 39]
     verdict = verdict_data.add(given)["verdict"]
     assert verdict["level"] == "check"
     assert "where scan 0, 39 at the end of the recording is to the others" in verdict["reasons"][0]["text"]
-    assert "Expect errors of at least" in verdict["summary"]
+    assert "perhaps more" in verdict["summary"]
     given["odometry"]["too_far_off"]["open_after"] = [7]
     verdict = verdict_data.add(given)["verdict"]
     assert verdict["level"] == "bad"
     assert "surfaces and images leave 1 motions" in verdict["reasons"][0]["text"]
 
 
-def test_an_alarm_makes_the_expected_errors_lower_bounds():
+def test_with_an_alarm_errors_may_be_larger_unless_images_refined_the_camera_too():
     given = facts()
     alarmed(given)
     found = verdict_data.add(given)
-    assert "at least 2.5 mm in the map" in found["verdict"]["summary"]
+    assert "about 2.5 mm in the map" in found["verdict"]["summary"]
+    assert "in the camera poses, perhaps more, relative to" in found["verdict"]["summary"]
     assert found["expected_error"]["at_least"] is True
+    for name in ("focal", "distortion", "principal_point", "readout"):
+        given = facts()
+        alarmed(given)
+        given["visual"]["calibration"] = {"sigma": {"scan_from_camera": [1e-3] * 6, name: [1e-3]}}
+        found = verdict_data.add(given)
+        assert "also with the camera refined" in found["verdict"]["reasons"][0]["text"]
+        assert found["expected_error"]["at_least"] is False
+    given["visual"]["calibration"]["sigma"].pop(name)
+    assert verdict_data.add(given)["expected_error"]["at_least"] is True
 
 
 def test_with_a_reference_the_truth_is_told_first():
@@ -337,7 +349,7 @@ def test_with_a_reference_the_truth_is_told_first():
                            "predicted_ate_m": 0.0004, "predicted_rotation_deg": 0.5}}  # fmt: skip
     found = verdict_data.add(facts(reference=reference))["verdict"]
     assert found["summary"].startswith("Against the reference, scans are off by 30 mm")
-    assert "at least" in found["summary"]
+    assert "perhaps more" in found["summary"]
     assert "30 mm (expected: 0.40 mm)" in found["reasons"][0]["text"]
     assert "degrees" not in found["reasons"][0]["text"]
 

@@ -62,8 +62,8 @@ def _errors(facts: Facts) -> str:
         if errors and len(errors) == len(times):
             y = np.array([np.nan if value is None else 1000 * value for value in errors], float)
             lines.append(Line(name=name, x=np.asarray(times, float) - _start(trajectory), y=y, color=color))
-    least = "At least so much: see the reasons above" if expected.get("at_least") else ""
-    return charts.chart("Expected error by frame", lines, "time, s", "Position, mm", zero=True, note=least)
+    more = "Perhaps more: see the reasons above" if expected.get("at_least") else ""
+    return charts.chart("Expected error by frame", lines, "time, s", "Position, mm", zero=True, note=more)
 
 
 def _moved(trajectory: Facts) -> str:

@@ -51,14 +51,14 @@ def _list(items: list[str]) -> str:
 def tiles(facts: Facts) -> list[tuple[str, str, str]]:
     """Name, value and note of expected errors of map, scans and cameras, and thickness of planes."""
     expected, planes = facts.get("expected_error") or {}, facts.get("planes") or {}
-    sign = "\N{GREATER-THAN OR EQUAL TO} " if expected.get("at_least") else ""
+    more = expected.get("at_least")
     named = [
         (
             f"{name} error, expected",
-            sign + formats.length(part.get("position_m")),
+            formats.length(part.get("position_m")),
             f"95 % of {kind} below {formats.length(part.get('position_p95_m'))}"
-            if not sign
-            else "at least; see the reasons",
+            if not more
+            else "perhaps more: see the reasons",
         )
         for key, name, kind in (
             ("map", "Map", "points"),

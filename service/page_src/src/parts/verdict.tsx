@@ -50,7 +50,7 @@ function Reasons({ reasons }: { reasons: { text: string; mend: string }[] }) {
 
 function Tiles({ report }: { report: Report }) {
   const { expected_error: expected, planes } = report;
-  const least = expected?.at_least === true;
+  const more = expected?.at_least === true;
   const parts: [string, ExpectedError | null | undefined, string][] = [["Map", expected?.map, "points"], ["Scans", expected?.scans, "scans"]];
   if ((report.dataset?.images ?? 0) > 0) parts.push(["Cameras", expected?.cameras, "cameras"]);
   return (
@@ -60,8 +60,8 @@ function Tiles({ report }: { report: Report }) {
         return (
           <div key={name}>
             <dt>{name}, expected error</dt>
-            <dd><strong>{known && least ? "at least " : ""}{millimeters(error?.position_m)}</strong></dd>
-            <dd class="quiet small">{!known ? (name === "Cameras" ? "not refined: moved with the scans" : "not refined: the input poses") : least ? "see the reasons" : `95 % of ${kind} below ${millimeters(error.position_p95_m)}`}</dd>
+            <dd><strong>{millimeters(error?.position_m)}</strong></dd>
+            <dd class="quiet small">{!known ? (name === "Cameras" ? "not refined: moved with the scans" : "not refined: the input poses") : more ? "perhaps more: see the reasons" : `95 % of ${kind} below ${millimeters(error.position_p95_m)}`}</dd>
           </div>
         );
       })}
