@@ -7,6 +7,7 @@ random numbers: no recording is needed. Compilation is left out; the best of sev
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from lvba.products import cloud as clouds
 from lvba.products import colorize, evaluate, map_file, map_quality, pictures, render, report
 from lvba.products.evaluate import State
 from lvba.products.views import Views
+from lvba.visual.image import Undistorter
 
 HALF = np.array([5.0, 4.0, 1.5])
 CAMERA = Camera(640, 480, 460.0, 460.0, 319.5, 239.5)
@@ -75,6 +77,7 @@ def run(scans: int = 100, points: int = 30_000, images: int = 100, repeats: int 
     made = pictures.make(states["rough"], states["refined"], scores)
     facts = {"evaluation": {name: score.facts() for name, score in scores.items()}}
     kept = map_file.build(cloud, views)
+    undistort, picture = Undistorter(replace(views.camera, distortion=(-0.1, 0.03, 0.0, 0.0))), views.load(0)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
         works: dict[str, Callable[[], Any]] = {
@@ -82,6 +85,8 @@ def run(scans: int = 100, points: int = 30_000, images: int = 100, repeats: int 
             "moving points, of scans 1 s apart": lambda: moving_points.moving_points(
                 loaded.__getitem__, [poses], np.arange(float(scans)), np.zeros(3), range(scans)
             ),
+            "image without distortion": lambda: undistort(picture),
+            "the same, read row by row": lambda: undistort(picture, np.array([0.01, 0.02, -0.01])),
             "color by the paper": lambda: colorize.paper(cloud, views),
             "sort colored cloud": lambda: render.colored_cloud(cloud.points_world, colors),
             "render one image, one thread": lambda: render.render(colored, views, 0),

@@ -29,7 +29,8 @@ from lvba.products import evaluate as evaluation
 from lvba.products import map_quality
 from lvba.products import reference as references
 from lvba.products.evaluate import State
-from lvba.products.recorded_images import views_of
+from lvba.products.recorded_images import Undistorted, views_of
+from lvba.products.views import Views
 from lvba.progress import Progress, silent
 from lvba.steps import report_data
 from lvba.steps.acceptance import ROUGH, VISUAL, Verdict
@@ -38,6 +39,7 @@ from lvba.steps.outcomes import ScanPoses
 from lvba.trajectory import Trajectory
 from lvba.visual import radiometry
 from lvba.visual.radiometry import Radiometry
+from lvba.visual.trajectory_rates import turns_of
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,7 @@ class Given:
     scan_numbers: (S,) int64, of the dataset's scans in the recording
     camera, radiometry: that the poses go with, of the raw images
     world_from_scan: (S, 4, 4), world_from_camera: (I, 4, 4), in the dataset's frame; log_exposure: (I,)
+    readout: s, from the first to the last row of an image
     """
 
     recording: Dataset
@@ -59,6 +62,7 @@ class Given:
     camera: Camera
     radiometry: Radiometry
     warnings: tuple[str, ...]
+    readout: float = 0.0
 
 
 def read_given(
@@ -68,10 +72,12 @@ def read_given(
     exposures: Path | None = None,
     camera: Camera | None = None,
     supposed: Radiometry = radiometry.NONE,
+    readout: float = 0.0,
 ) -> Given:
     """Poses and exposures from files; where no file is given, those of the dataset (all equally exposed).
 
     camera: of the raw images, that the poses were found with; None: the dataset's; supposed: its radiometry
+    readout: s, from the first to the last row of its images, while it turns
 
     Raises InputError: a file is malformed, or its times are of another clock.
     """
@@ -99,6 +105,7 @@ def read_given(
         camera=camera or dataset.camera,
         radiometry=supposed,
         warnings=more + warnings,
+        readout=readout,
     )
 
 
@@ -120,11 +127,7 @@ def report(
     scores = {}
     if dataset.image_paths:
         views = views_of(dataset)
-        claimed = dataclasses.replace(
-            views_of(dataset.with_camera(given.camera), supposed=given.radiometry),
-            world_from_camera=given.world_from_camera,
-            log_exposure=given.log_exposure,
-        )
+        claimed = _claimed(given)
         none = np.zeros(len(rough), bool)
         moving = _moving(given, read, progress) if config.remove_moving_points else none
         states = {
@@ -150,6 +153,17 @@ def report(
     if reference is not None:
         facts["reference"] = _against(given, of_cameras(reference, dataset))
     return dict(report_data.plain(facts))
+
+
+def _claimed(given: Given) -> Views:
+    """The images as the cameras given took them."""
+    seen = given.dataset.with_camera(given.camera)
+    turns = turns_of(Trajectory(seen.images.times, given.world_from_camera), given.readout)
+    return dataclasses.replace(
+        views_of(seen, Undistorted(seen, full=False, turns=turns), given.radiometry),
+        world_from_camera=given.world_from_camera,
+        log_exposure=given.log_exposure,
+    )
 
 
 def _blank(dataset: Dataset) -> np.ndarray:

@@ -13,6 +13,8 @@ from lvba.io.images import read_image, write_image
 from lvba.lidar.scan_errors import ScanErrors
 from lvba.pipeline import Config
 from lvba.products import map_quality
+from lvba.simulate import simulate
+from lvba.simulate.disturbances import Disturbances
 from lvba.steps.lidar import cloud_of
 
 
@@ -68,3 +70,20 @@ def test_a_blank_image_is_not_judged_and_colors_nothing(recording, tmp_path):
     before = dict(zip(clean["images"], clean["per_image"]["psnr_leave_one_out"], strict=True))
     after = dict(zip(blank["images"], blank["per_image"]["psnr_leave_one_out"], strict=True))
     assert max(before[image] - after[image] for image in after) < 2.0
+
+
+def test_images_that_were_read_row_by_row_are_judged_as_if_at_once(tmp_path):
+    """Reference poses are those of the middle rows: they predict images better where the turn while rows are read is
+    taken out, and worse where it is put in twice."""
+    sizes = {"width": 240, "height": 180, "points_per_scan": 6000, "frames": 12, "scans": 12}
+    simulate("rooms", tmp_path / "rooms", seed=7, disturb=Disturbances(rolling_shutter=0.06), **sizes)
+    dataset, truth = open_dataset(tmp_path / "rooms"), tmp_path / "rooms" / "reference"
+    poses = [truth / name for name in ("lidar_poses.txt", "image_poses.txt", "exposures.csv")]
+    psnr = []
+    for readout in (0.0, 0.06, -0.06):
+        given = evaluation.read_given(dataset, *poses, readout=readout)
+        judged = evaluation.report(given, dataclasses.replace(Config(), refine_scans=False), None)
+        psnr.append(judged["evaluation"]["refined"]["psnr_leave_one_out"])
+    at_once, by_rows, wrong_way = psnr
+    assert by_rows > at_once + 0.3
+    assert at_once > wrong_way + 0.3

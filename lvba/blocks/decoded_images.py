@@ -118,25 +118,28 @@ class PhotoReader:
     """Images in color without distortion, as the camera has it, at the size at which they judge.
 
     pieces: of `judging_photos`; camera: that took the images, with its lens; first: number in the whole recording of the
-    image called 0
+    image called 0; turns: (I, 3) float64, rad, of these images (`Undistorter`); None: all rows were read at once
     """
 
-    def __init__(self, pieces: Pieces[np.ndarray], camera: Camera, first: int = 0) -> None:
+    def __init__(
+        self, pieces: Pieces[np.ndarray], camera: Camera, first: int = 0, turns: np.ndarray | None = None
+    ) -> None:
         self._reader, self._first = PieceReader(pieces, keep=PIECES_HELD), first
-        self._undistort = _undistorter(camera)
+        self._undistort, self._turns = _undistorter(camera), turns
         # several states that are looked at together ask for one image after each other
         self._last = threading.local()
 
-    def seen_by(self, camera: Camera) -> "PhotoReader":
+    def seen_by(self, camera: Camera, turns: np.ndarray | None = None) -> "PhotoReader":
         """The same images as another camera has them; what is in memory of them is in it once."""
         other = copy.copy(self)
-        other._undistort, other._last = _undistorter(camera), threading.local()
+        other._undistort, other._turns, other._last = _undistorter(camera), turns, threading.local()
         return other
 
     def __call__(self, index: int) -> np.ndarray:
         """(h, w, 3) uint8 RGB."""
         if getattr(self._last, "index", None) != index:
-            self._last.image = self._undistort(self._reader.frame(self._first + index))
+            turn = None if self._turns is None else self._turns[index]
+            self._last.image = self._undistort(self._reader.frame(self._first + index), turn)
             self._last.index = index
         return np.asarray(self._last.image)
 

@@ -107,6 +107,20 @@ def _numbers(folder: str | Path, name: str, lists: dict[str, int]) -> np.ndarray
     raise InputError(path, f"{name} is not {wanted}", "run again")
 
 
+def read_readout(folder: str | Path) -> float:
+    """s, from the first to the last row of an image; 0 where the result has no calibration.yaml, or this says none.
+
+    Raises InputError: its calibration.yaml is damaged.
+    """
+    path = Path(folder) / NAME
+    facts = yaml_files.read_yaml(path) if path.is_file() else None
+    value = facts.get("rolling_shutter_readout_s", 0.0) if isinstance(facts, dict) else 0.0
+    seconds = as_float(value)
+    if seconds is None or not np.isfinite(seconds):
+        raise InputError(path, "rolling_shutter_readout_s is no number", "run again")
+    return seconds
+
+
 def read_camera(folder: str | Path) -> Camera | None:
     """The camera of a result, for its raw images; None where the result has no calibration.yaml.
 

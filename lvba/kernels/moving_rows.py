@@ -13,6 +13,10 @@ from lvba.kernels.compiled import kernel, parallel_kernel
 from lvba.kernels.scene import Intrinsics, PlanePatches
 
 _CHUNK = 256
+_ROW_STEPS = 3
+"""Times that the row of a pixel is looked up where it has moved to: rows 20 px off are right to .01 px."""
+_STEP = 8
+"""px, between pixels whose way is found one by one."""
 _SMALL_ANGLE = 1e-2
 """rad, below which the series take the place of differences of nearly equal numbers: their next term is 1e-14 there."""
 
@@ -82,6 +86,74 @@ def into_images(
             place[o, 0] = local[0] / local[2] * intrinsics.fx + intrinsics.cx
             place[o, 1] = local[1] / local[2] * intrinsics.fy + intrinsics.cy
     return place
+
+
+@kernel
+def turned_back(
+    across: np.ndarray,
+    down: np.ndarray,
+    intrinsics: Intrinsics,
+    turn: np.ndarray,
+    height: int,
+    turned_across: np.ndarray,
+    turned_down: np.ndarray,
+) -> None:
+    """Fills where in a raw image that was read row by row the pixels of an undistorted one are that was taken at once.
+
+    across, down: (H, W) float32, px: where in the raw image each pixel of the undistorted one is, if all rows are read at
+    once. turn: (3,) float64, rad, of the camera during the readout of all `height` rows, about its own axes
+    turned_across, turned_down: (H, W) float32, px. Of rays alone: how far the camera moves during the readout is left in.
+    By how much pixels move is found for one in `_STEP` each way, and is linear between these.
+    """
+    moved = np.empty(((down.shape[0] - 2) // _STEP + 2, (down.shape[1] - 2) // _STEP + 2, 2))
+    phi, ray, local = np.empty(3), np.empty(3), np.empty(3)
+    ray[2] = 1.0
+    for j in range(moved.shape[0]):
+        ray[1] = (j * _STEP - intrinsics.cy) / intrinsics.fy
+        for i in range(moved.shape[1]):
+            ray[0] = (i * _STEP - intrinsics.cx) / intrinsics.fx
+            before_x, before_y = _at(across, i * _STEP, j * _STEP), _at(down, i * _STEP, j * _STEP)
+            x, y = before_x, before_y
+            for _ in range(_ROW_STEPS):
+                part = y / height - 0.5
+                square = 0.0
+                for axis in range(3):
+                    phi[axis] = part * turn[axis]
+                    square += phi[axis] ** 2
+                # a turn of .1 rad is right to 1e-5 rad
+                _with_crosses(phi, -(1 - square / 6), 0.5 - square / 24, ray, local)
+                u = local[0] / local[2] * intrinsics.fx + intrinsics.cx
+                v = local[1] / local[2] * intrinsics.fy + intrinsics.cy
+                x, y = _at(across, u, v), _at(down, u, v)
+            moved[j, i, 0], moved[j, i, 1] = x - before_x, y - before_y
+    along = np.empty((moved.shape[1], 2), np.float32)
+    for row in range(down.shape[0]):
+        j = row // _STEP
+        b = (row - j * _STEP) / _STEP
+        for i in range(moved.shape[1]):
+            for axis in range(2):
+                along[i, axis] = (1 - b) * moved[j, i, axis] + b * moved[j + 1, i, axis]
+        for i in range(moved.shape[1] - 1):
+            x, y = along[i, 0], along[i, 1]
+            per_x, per_y = (
+                (along[i + 1, 0] - x) / np.float32(_STEP),
+                (along[i + 1, 1] - y) / np.float32(_STEP),
+            )
+            first = i * _STEP
+            for column in range(first, min(first + _STEP, down.shape[1])):
+                turned_across[row, column] = across[row, column] + (x + np.float32(column - first) * per_x)
+                turned_down[row, column] = down[row, column] + (y + np.float32(column - first) * per_y)
+
+
+@kernel
+def _at(values: np.ndarray, x: float, y: float) -> float:
+    """Values (H, W) at a place, linear between pixels, and on beyond the rim."""
+    column = min(max(math.floor(x), 0), values.shape[1] - 2)
+    row = min(max(math.floor(y), 0), values.shape[0] - 2)
+    a, b = x - column, y - row
+    above = (1 - a) * values[row, column] + a * values[row, column + 1]
+    below = (1 - a) * values[row + 1, column] + a * values[row + 1, column + 1]
+    return (1 - b) * above + b * below
 
 
 @kernel

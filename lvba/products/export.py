@@ -21,6 +21,7 @@ from lvba.products.tracks import visible
 from lvba.products.views import Views
 from lvba.progress import Progress, silent
 from lvba.visual.image import Undistorter
+from lvba.visual.trajectory_rates import turns_of
 
 logger = logging.getLogger(__name__)
 
@@ -162,7 +163,8 @@ class _Scene:
         self.rgb = np.stack([columns[name] for name in ("red", "green", "blue")], axis=1)
         self.colored = columns["views"] > 0
         self._undistort = Undistorter(self.dataset.camera)
-        self._cut = valid_rectangle(_valid(self.dataset.camera, self._undistort))
+        self._turns = turns_of(trajectory, calibration.read_readout(result))
+        self._cut = valid_rectangle(_valid(self._undistort, self._turns))
         if min(side.stop - side.start for side in self._cut) < 1:
             mend = "check the camera's focal length, principal point and distortion"
             raise InputError(
@@ -182,7 +184,8 @@ class _Scene:
         )
 
     def _load(self, i: int) -> np.ndarray:
-        return np.ascontiguousarray(self._undistort(recordings.load_image(self.dataset, i))[self._cut])
+        turn = None if self._turns is None else self._turns[i]
+        return np.ascontiguousarray(self._undistort(recordings.load_image(self.dataset, i), turn)[self._cut])
 
     def write_images(self, folder: Path, progress: Progress) -> tuple[str, ...]:
         """Writes the images and returns their names, those of the recording."""
@@ -228,8 +231,12 @@ def valid_rectangle(valid: np.ndarray) -> tuple[slice, slice]:
     return slice(top, bottom), slice(left, right)
 
 
-def _valid(camera: Camera, undistort: Undistorter) -> np.ndarray:
-    return np.asarray(undistort(np.full((camera.height, camera.width, 3), 255, np.uint8))[..., 0] == 255)
+def _valid(undistort: Undistorter, turns: np.ndarray | None) -> np.ndarray:
+    """(H, W) bool: which pixels hold a picture in all images. turns: (I, 3) float64, rad; those that turn most decide"""
+    if turns is None:
+        return ~undistort.empty()
+    extreme = {*turns.argmin(axis=0), *turns.argmax(axis=0)}
+    return np.asarray(~np.logical_or.reduce([undistort.empty(turns[image]) for image in extreme]))
 
 
 def _cut_camera(camera: Camera, cut: tuple[slice, slice]) -> Camera:

@@ -19,10 +19,18 @@ class Undistorted:
     """Undistorted images by index; the first ones that fit are kept in memory, the rest read again each time.
 
     full: as large as they were taken; else at the size at which they judge
+    turns: (I, 3) float64, rad, of the cameras while the rows of each image are read; None: they are read at once
     """
 
-    def __init__(self, dataset: Dataset, kept_bytes: int = 1 << 28, *, full: bool = True) -> None:
-        self._dataset, self._full = dataset, full
+    def __init__(
+        self,
+        dataset: Dataset,
+        kept_bytes: int = 1 << 28,
+        *,
+        full: bool = True,
+        turns: np.ndarray | None = None,
+    ) -> None:
+        self._dataset, self._full, self._turns = dataset, full, turns
         camera = dataset.camera if full else judging_size.judging(dataset.camera)
         self._undistort = image.Undistorter(camera)
         size = max(1, camera.width * camera.height * 3)
@@ -37,7 +45,8 @@ class Undistorted:
 
     def _keep(self, index: int, raw: np.ndarray) -> np.ndarray:
         raw = raw if self._full else judging_size.reduced(raw, self._dataset.camera)
-        picture = np.ascontiguousarray(self._undistort(raw))
+        turn = None if self._turns is None else self._turns[index]
+        picture = np.ascontiguousarray(self._undistort(raw, turn))
         if len(self._kept) < self._capacity:
             self._kept[index] = picture
         return picture

@@ -10,17 +10,18 @@ import numpy as np
 
 from lvba.dataset import Dataset
 from lvba.errors import InputError
+from lvba.io import calibration, exposures, files, images, result_folder
 from lvba.io import dataset as recordings
-from lvba.io import exposures, files, images, result_folder
 from lvba.io.dataset import IMAGE_POSES
 from lvba.parallel import in_order
 from lvba.products import evaluate, pictures
 from lvba.products.cloud import Cloud, assemble
 from lvba.products.evaluate import State
-from lvba.products.recorded_images import light_in, radiometry_of, views_of
+from lvba.products.recorded_images import Undistorted, light_in, radiometry_of, views_of
 from lvba.products.views import Views
 from lvba.progress import Progress, silent
 from lvba.trajectory import Trajectory
+from lvba.visual.trajectory_rates import turns_of
 
 MAX_PICTURES = 400
 """Images with pictures, spread evenly over longer recordings."""
@@ -125,10 +126,12 @@ def _write_pictures(
     for kind in KINDS:
         files.make_folder(folder / kind)
     rough = views_of(dataset, full=True)
+    turns = turns_of(Trajectory(dataset.images.times, cameras), calibration.read_readout(result))
+    photographs = Undistorted(dataset, turns=turns)
     log_exposure = np.log(exposures.read_exposures(result / "exposures.csv").relative)
     supposed = radiometry_of(result)
     refined = Views(
-        load=rough.load,
+        load=photographs,
         camera=rough.camera,
         times=rough.times,
         world_from_camera=cameras,
@@ -143,7 +146,7 @@ def _write_pictures(
     }
     chosen = [int(i) for i in evaluate.judged_images(len(rough), np.empty(0, np.int32), MAX_PICTURES)]
     _each(
-        lambda image: _save(folder, "photo", image, rough.load(image)), chosen, "write photographs", progress
+        lambda image: _save(folder, "photo", image, photographs(image)), chosen, "write photographs", progress
     )
     for kind, state in states.items():
         render = _renderer(state, folder, kind, progress)

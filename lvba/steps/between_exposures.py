@@ -103,14 +103,9 @@ def _certain(result: VisualResult) -> np.ndarray:
 
 def _views(dataset: Dataset, part: Part, photos: Pieces[np.ndarray], result: VisualResult) -> Views:
     """The images of a part at the poses and exposures found. Arguments as of `measure`"""
-    mine, solved = slice(*part.images), refined_cameras(dataset.camera, result)
-    cameras = replace(
-        solved,
-        world_from_camera=result.world_from_camera[mine],
-        log_exposure=result.log_exposure[mine],
-    )
+    cameras = refined_cameras(dataset.camera, result).of(slice(*part.images))
     pictures = PhotoReader(photos, dataset.camera, part.images[0])
-    return views_at(views_by(dataset, pictures, cameras.camera), cameras)
+    return views_at(views_by(dataset, pictures, cameras), cameras)
 
 
 def merge(visual: VisualStage, parts: Sequence[BetweenKeyframes]) -> VisualStage:

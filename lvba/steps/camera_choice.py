@@ -60,7 +60,7 @@ def compare(
     states = {}
     for name, result in ((CALIBRATED, calibrated.result), (CORRECTED, corrected.result)):
         cameras = evaluate.refined_cameras(dataset.camera, result)
-        views = evaluate.views_by(dataset, pictures, cameras.camera)
+        views = evaluate.views_by(dataset, pictures, cameras)
         states[name] = State(cloud, evaluate.views_at(views, cameras))
     own = (core - part.images[0]).astype(np.int32)
     return as_in_whole(leave_one_out(states, config, own, blank, progress), part)

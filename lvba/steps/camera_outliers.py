@@ -208,9 +208,9 @@ def compare(
     cloud = cloud_of(
         dataset, scans.world_from_scan[slice(*part.scans)], progress, ScanReader(points, part.scans[0])
     )
-    solved = evaluate.refined_cameras(whole.camera, result)
+    solved = evaluate.refined_cameras(whole.camera, result).of(mine)
     pictures = PhotoReader(photos, whole.camera, part.images[0])
-    views = evaluate.views_by(dataset, pictures, solved.camera)
+    views = evaluate.views_by(dataset, pictures, solved)
     poses = {SOLVED: result.world_from_camera} | {
         each.name: substituted(outliers, whole.images.times, result.world_from_camera, each)
         for each in outliers.expectations
@@ -220,7 +220,7 @@ def compare(
             cloud,
             evaluate.views_at(
                 views,
-                replace(solved, world_from_camera=each[mine], log_exposure=result.log_exposure[mine]),
+                replace(solved, world_from_camera=each[mine]),
             ),
         )
         for name, each in poses.items()

@@ -57,12 +57,22 @@ class Choice:
 @dataclass(frozen=True)
 class Cameras:
     """world_from_camera: (I, 4, 4); log_exposure: (I,); camera: of the raw images, as these poses suppose it; radiometry:
-    as these exposures do"""
+    as these exposures do; turns: (I, 3) rad, while their rows are read, as of `VisualResult`"""
 
     world_from_camera: np.ndarray
     log_exposure: np.ndarray
     camera: Camera
     radiometry: Radiometry = NONE
+    turns: np.ndarray | None = None
+
+    def of(self, images: slice) -> "Cameras":
+        """Those of some images."""
+        return dataclasses.replace(
+            self,
+            world_from_camera=self.world_from_camera[images],
+            log_exposure=self.log_exposure[images],
+            turns=None if self.turns is None else self.turns[images],
+        )
 
 
 def evaluate(
@@ -171,7 +181,10 @@ def _of_images(result: VisualResult | None, part: Part) -> VisualResult | None:
         return None
     mine = slice(*part.images)
     return dataclasses.replace(
-        result, world_from_camera=result.world_from_camera[mine], log_exposure=result.log_exposure[mine]
+        result,
+        world_from_camera=result.world_from_camera[mine],
+        log_exposure=result.log_exposure[mine],
+        turns=None if result.turns is None else result.turns[mine],
     )
 
 
@@ -212,18 +225,19 @@ def judged_states(
     clouds = {ROUGH: rough}
     if fused.verdict.accepted:
         clouds[FUSED] = clouds[FUSED_POSED] = cloud_of(dataset, fused.world_from_scan, progress, read)
-    views: dict[Camera, Views] = {}
+    views: dict[tuple[Camera, int], Views] = {}
     pictures, states = PhotoReader(photos, dataset.camera, part.images[0]), {}
     for name, cameras in camera_states(dataset, scans, fused, visual).items():
-        if cameras.camera not in views:
-            views[cameras.camera] = views_by(dataset, pictures, cameras.camera)
-        states[name] = State(clouds.get(name, own), views_at(views[cameras.camera], cameras))
+        seen = cameras.camera, id(cameras.turns)
+        if seen not in views:
+            views[seen] = views_by(dataset, pictures, cameras)
+        states[name] = State(clouds.get(name, own), views_at(views[seen], cameras))
     return states
 
 
-def views_by(dataset: Dataset, pictures: PhotoReader, camera: Camera) -> Views:
-    """The images of a dataset as a camera has them, where the input has their poses. pictures: of the dataset"""
-    return views_of(dataset.with_camera(camera), pictures.seen_by(camera))
+def views_by(dataset: Dataset, pictures: PhotoReader, cameras: Cameras) -> Views:
+    """The images of a dataset as these cameras took them, where the input has their poses. pictures: of the dataset"""
+    return views_of(dataset.with_camera(cameras.camera), pictures.seen_by(cameras.camera, cameras.turns))
 
 
 def views_at(views: Views, cameras: Cameras) -> Views:
@@ -249,20 +263,20 @@ def camera_states(
         return states
     refined = refined_cameras(camera, visual.result)
     states |= {
-        EXPOSED: dataclasses.replace(refined, world_from_camera=carried, camera=camera),
-        POSED: Cameras(refined.world_from_camera, equal, refined.camera),
+        EXPOSED: dataclasses.replace(refined, world_from_camera=carried, camera=camera, turns=None),
+        POSED: dataclasses.replace(refined, log_exposure=equal, radiometry=NONE),
         VISUAL: refined,
     }
     if fused.verdict.accepted:
         moved = refined if visual.over_fused is None else refined_cameras(camera, visual.over_fused)
-        states |= {FUSED_POSED: Cameras(moved.world_from_camera, equal, moved.camera), FUSED: moved}
+        states |= {FUSED_POSED: dataclasses.replace(moved, log_exposure=equal, radiometry=NONE), FUSED: moved}
     return states
 
 
 def refined_cameras(camera: Camera, result: VisualResult) -> Cameras:
     """The cameras as the visual stage has them. camera: of the raw images, as calibrated"""
     refined = self_calibration.corrected(camera, result.calibration)
-    return Cameras(result.world_from_camera, result.log_exposure, refined, result.radiometry)
+    return Cameras(result.world_from_camera, result.log_exposure, refined, result.radiometry, result.turns)
 
 
 def choose(
@@ -332,6 +346,7 @@ def decide(
         world_from_camera=cameras.world_from_camera,
         log_exposure=cameras.log_exposure,
         camera=cameras.camera if dataset.image_paths else None,
+        turns=cameras.turns,
         radiometry=cameras.radiometry,
         scans=scans.verdict,
         cameras=chosen.cameras,

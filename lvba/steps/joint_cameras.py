@@ -298,6 +298,7 @@ def finish_cameras(
                 calibration, prior.calibration, np.diag(sigma**2)
             ),
             clock_epoch=prior.epoch,
+            turns=_turns(cores, stages, len(times)),
             group=_groups(cores, stages, keyframes, len(times)),
         )
     )
@@ -330,6 +331,15 @@ def _of_parts(
             spread[mine] = part.result.covariance[own]
             local_covariance[mine] = part.result.local_covariance[own]
     return spread, local_covariance
+
+
+def _turns(cores: Sequence[Part], stages: Sequence[VisualStage], images: int) -> np.ndarray | None:
+    """As `VisualResult.turns`, each image as the part of its core has it."""
+    turns = np.zeros((images, 3))
+    for core, part in zip(cores, stages, strict=True):
+        if part.result is not None and part.result.turns is not None:
+            turns[slice(*core.core_images)] = part.result.turns[core.core_of_images]
+    return turns if turns.any() else None
 
 
 def _groups(

@@ -109,6 +109,7 @@ class Accepted:
 
     world_from_scan: (S, 4, 4), world_from_camera: (I, 4, 4) float64; log_exposure: (I,) float64
     camera: of the raw images, as the camera poses suppose it; None: there are none
+    turns: (I, 3) float64, rad, of the cameras while their rows are read, as of `VisualResult`
     """
 
     world_from_scan: np.ndarray
@@ -125,6 +126,7 @@ class Accepted:
     remark: str = ""
     radiometry: Radiometry = NONE
     """Of the images, as the exposures suppose it."""
+    turns: np.ndarray | None = None
     white_balance: np.ndarray | None = None
     """(I, 3) float64, log of how much brighter colors are than the exposures say; None: all alike."""
 

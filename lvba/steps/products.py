@@ -66,7 +66,9 @@ def _seen_by(dataset: Dataset, accepted: Accepted) -> Dataset:
 
 def _photos(photos: Pieces[np.ndarray], accepted: Accepted, part: Part) -> PhotoReader | None:
     """A part's images without distortion, as the result has it; None where there are none."""
-    return None if accepted.camera is None else PhotoReader(photos, accepted.camera, part.images[0])
+    if accepted.camera is None:
+        return None
+    return PhotoReader(photos, accepted.camera, part.images[0], _of_part(accepted, part).turns)
 
 
 def _of_part(accepted: Accepted, part: Part) -> Accepted:
@@ -78,6 +80,7 @@ def _of_part(accepted: Accepted, part: Part) -> Accepted:
         world_from_camera=accepted.world_from_camera[mine],
         log_exposure=accepted.log_exposure[mine],
         white_balance=None if accepted.white_balance is None else accepted.white_balance[mine],
+        turns=None if accepted.turns is None else accepted.turns[mine],
     )
 
 

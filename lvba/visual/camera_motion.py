@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from lvba import geometry
-from lvba.arrays import Times
+from lvba.arrays import Indices, Times
 from lvba.camera import Camera
 from lvba.kernels import photometric_shared as kernels
 from lvba.kernels.photometric import XR, XX, XY, YR, YY
@@ -46,6 +46,22 @@ def rates(prior: Prior, state: VisualState) -> tuple[np.ndarray, np.ndarray]:
     if moving is None or moving is prior.scans:
         return prior.velocity_world, prior.rate_scan
     return trajectory_rates.rates_of(moving, moments)
+
+
+def turns(prior: Prior, state: VisualState, keyframes: Indices, times: Times) -> np.ndarray | None:
+    """(I, 3) float64, rad, about each camera's own axes: how far it turns from the first row of its image to the last;
+    None: all rows are read at once.
+
+    prior, state: of the keyframes (K,); times: (I,) s, of all images
+    """
+    calibration, readout = state.calibration, state.calibration.readout
+    moving, _ = _moving(prior, state)
+    if not readout or moving is None:
+        return None
+    rate = trajectory_rates.rates_of(moving, calibration.moments(times, prior.epoch))[1]
+    turn = readout * rate @ calibration.scan_from_camera[:3, :3]
+    turn[keyframes] += readout * _motion(state)[:, :3]
+    return np.asarray(turn)
 
 
 def rate_sigmas(prior: Prior, state: VisualState) -> np.ndarray | None:

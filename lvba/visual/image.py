@@ -10,6 +10,7 @@ import numpy as np
 from lvba import lens
 from lvba.arrays import Images, Picture
 from lvba.camera import Camera
+from lvba.kernels import moving_rows
 from lvba.kernels.noise import block_residuals
 from lvba.kernels.patches_pyramid import halve
 from lvba.kernels.scene import Intrinsics
@@ -118,42 +119,96 @@ class Undistorter:
     """
 
     def __init__(self, camera: Camera, pinhole: Camera | None = None) -> None:
-        self.camera = camera
+        self.camera, self._pinhole = camera, pinhole or camera
         self.identity = camera.is_pinhole
+        self._maps: tuple[np.ndarray, np.ndarray] | None = None
+        self._empty: np.ndarray | None = None
         if self.identity:
             return
-        target = pinhole or camera
-        size, coefficients = (target.width, target.height), np.array(camera.distortion)
-        if camera.lens is Lens.EQUIDISTANT:
-            self._map_x, self._map_y = cv2.fisheye.initUndistortRectifyMap(
-                camera.matrix, coefficients, np.eye(3), target.matrix, size, cv2.CV_32FC1
-            )
-        else:
-            self._map_x, self._map_y = cv2.initUndistortRectifyMap(
-                camera.matrix, coefficients, None, target.matrix, size, cv2.CV_32FC1
-            )
-        # whole pixels; those far outside are empty anyway
-        corner = np.floor(np.nan_to_num(np.stack([self._map_x, self._map_y], axis=-1)))
-        self._upper_left = np.clip(corner, -1, np.iinfo(np.int16).max).astype(np.int16)
-        inside = (self._map_x >= 0) & (self._map_x <= camera.width - 1)
-        inside &= (self._map_y >= 0) & (self._map_y <= camera.height - 1)
+        self._maps = _maps(camera, self._pinhole)
+        self._upper_left = _upper_left(*self._maps)
         # beyond its widest angle the model folds back into the picture
-        self._outside = ~inside | (_angles(target) >= widest_angle(camera.lens, camera.distortion))
+        folded = _angles(self._pinhole) >= widest_angle(camera.lens, camera.distortion)
+        self._empty = _outside(*self._maps, camera) | folded
 
-    def __call__(self, image: np.ndarray) -> np.ndarray:
-        """The undistorted (H, W) or (H, W, C) uint8 image."""
-        if self.identity:
+    def __call__(self, image: np.ndarray, turn: np.ndarray | None = None) -> np.ndarray:
+        """The undistorted (H, W) or (H, W, C) uint8 image.
+
+        turn: (3,) float64, rad, by which the camera turned about its own axes from the first row of the image to the
+            last: as if all rows had been read with the middle one; None: they were. What the middle row's camera would
+            see beyond the rim of the image has the color of the rim
+        """
+        turned = turn is not None and bool(turn.any())
+        if self.identity and not turned:
             return image
-        resampled = cv2.remap(
-            image, self._map_x, self._map_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
-        )
+        maps = self._turned(turn) if turn is not None and turned else self._whole_maps()
+        resampled = cv2.remap(image, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         clipped = cv2.threshold(image, SATURATED - 1, 255, cv2.THRESH_BINARY)[1]
         if clipped.any():
             # a mixture of clipped and good pixels is no measurement either: any of the 4 x 4 that are mixed
             wide = cv2.dilate(clipped, np.ones((4, 4), np.uint8), anchor=(1, 1))
-            cv2.max(resampled, cv2.remap(wide, self._upper_left, _NO_MAP, cv2.INTER_NEAREST), resampled)
-        resampled[self._outside] = 0
+            corner = _upper_left(*maps) if turned else self._upper_left
+            cv2.max(resampled, cv2.remap(wide, corner, _NO_MAP, cv2.INTER_NEAREST), resampled)
+        if self._empty is not None:
+            resampled[self._empty] = 0
         return resampled
+
+    def empty(self, turn: np.ndarray | None = None) -> np.ndarray:
+        """(H, W) bool: which pixels of the undistorted image the camera did not see. turn: as for the image"""
+        nowhere = (
+            np.zeros((self._pinhole.height, self._pinhole.width), bool)
+            if self._empty is None
+            else self._empty
+        )
+        if turn is None or not turn.any():
+            return nowhere
+        return np.asarray(nowhere | _outside(*self._turned(turn), self.camera))
+
+    def _whole_maps(self) -> tuple[np.ndarray, np.ndarray]:
+        """As `_maps`, of an image that was taken at once."""
+        if self._maps is None:
+            self._maps = _maps(self.camera, self._pinhole)
+        return self._maps
+
+    def _turned(self, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As `_maps`, of an image during which the camera turned."""
+        maps = self._whole_maps()
+        across, down = (np.empty_like(each) for each in maps)
+        moving_rows.turned_back(
+            *maps,
+            intrinsics_of(self._pinhole),
+            np.ascontiguousarray(turn, float),
+            self.camera.height,
+            across,
+            down,
+        )
+        return across, down
+
+
+def _maps(camera: Camera, pinhole: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Where in an image the pixels of its undistorted one are, across and down, each (H, W) float32, px."""
+    size, coefficients = (pinhole.width, pinhole.height), np.array(camera.distortion)
+    if camera.lens is Lens.EQUIDISTANT:
+        maps = cv2.fisheye.initUndistortRectifyMap(
+            camera.matrix, coefficients, np.eye(3), pinhole.matrix, size, cv2.CV_32FC1
+        )
+    else:
+        maps = cv2.initUndistortRectifyMap(
+            camera.matrix, coefficients, None, pinhole.matrix, size, cv2.CV_32FC1
+        )
+    return maps[0], maps[1]
+
+
+def _upper_left(across: np.ndarray, down: np.ndarray) -> np.ndarray:
+    """(H, W, 2) int16: the whole pixels up and left of places (H, W), px; those far outside are empty anyway."""
+    corner = np.floor(np.nan_to_num(np.stack([across, down], axis=-1)))
+    return np.asarray(np.clip(corner, -1, np.iinfo(np.int16).max), np.int16)
+
+
+def _outside(across: np.ndarray, down: np.ndarray, camera: Camera) -> np.ndarray:
+    """(H, W) bool: which places (H, W), px, are in no image of the camera."""
+    inside = (across >= 0) & (across <= camera.width - 1) & (down >= 0) & (down <= camera.height - 1)
+    return np.asarray(~inside)
 
 
 def _angles(pinhole: Camera) -> np.ndarray:

@@ -11,6 +11,7 @@ from lvba.trajectory import nearest_in_time
 from lvba.visual import (
     bundle_adjustment,
     calibration_prior,
+    camera_motion,
     degeneracy,
     exposures_between,
     image_groups,
@@ -76,6 +77,8 @@ class VisualResult:
         each 0 on average, and exposures are means over the colors; None: it does not change
     substituted: (r,) int64, images whose poses are their neighbors' (`lvba.steps.camera_outliers`)
     clock_epoch: s, the stamp that the rate of the camera's clock counts from
+    turns: (I, 3) float64, rad, about each camera's own axes, from the first row of its image to the last; None: all rows
+        are read at once
     group: (I,) int64, of keyframes: pairs of patches tie those of one group to each other (`image_groups.find`); -1 of
         other images; empty: not known
     """
@@ -100,6 +103,7 @@ class VisualResult:
     white_balance: np.ndarray | None = None
     substituted: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     clock_epoch: float = 0.0
+    turns: np.ndarray | None = None
     group: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @property
@@ -187,6 +191,7 @@ def collect(
         warnings=_warnings(last, levels, directions, own, times[keyframes]),
         extrinsic_change=_extrinsic_change(state, last.prior, known),
         clock_epoch=prior.epoch,
+        turns=camera_motion.turns(solved, state, keyframes, times),
         group=_groups(last.problem, keyframes, len(times)),
     )
 

@@ -26,6 +26,15 @@ def rates_of(scans: Trajectory, times: Times) -> tuple[np.ndarray, np.ndarray]:
     return (after[:, :3, 3] - before[:, :3, 3]) / (2 * _RATE_STEP_S), rate
 
 
+def turns_of(cameras: Trajectory, readout: float) -> np.ndarray | None:
+    """(I, 3) float64, rad, about each camera's own axes: how far it turns while the rows of its image are read, by the
+    path of all cameras; None: they are read at once.
+
+    readout: s, from the first to the last row
+    """
+    return rates_of(cameras, cameras.times)[1] * readout if readout else None
+
+
 def rate_sigmas_of(samples: Trajectory, times: Times) -> np.ndarray | None:
     """(Q, 6): how far `rates_of` may be off in each component at times (Q,), rad/s and m/s; None: too few samples tell.
 

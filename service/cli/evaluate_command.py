@@ -28,9 +28,15 @@ def evaluate(arguments: argparse.Namespace, display: Display) -> None:
     display.stage("input", 0, 2)
     dataset = open_dataset(arguments.dataset)
     reference = read_reference(arguments.reference) if arguments.reference else None
-    camera, radiometry = _camera(dataset, arguments.calibration)
+    camera, radiometry, readout = _camera(dataset, arguments.calibration)
     given = evaluation.read_given(
-        dataset, arguments.lidar_poses, arguments.image_poses, arguments.exposures, camera, radiometry
+        dataset,
+        arguments.lidar_poses,
+        arguments.image_poses,
+        arguments.exposures,
+        camera,
+        radiometry,
+        readout,
     )
     result_folder.prepare(arguments.out)
     display.stage("evaluate", 1, 2)
@@ -42,15 +48,17 @@ def evaluate(arguments: argparse.Namespace, display: Display) -> None:
     result_table.show(report, arguments.out)
 
 
-def _camera(dataset: Dataset, file: Path | None) -> tuple[Camera | None, Radiometry]:
-    """Of a calibration file, for the images of a recording; None: no file is given, or it holds no camera.
+def _camera(dataset: Dataset, file: Path | None) -> tuple[Camera | None, Radiometry, float]:
+    """Of a calibration file, for the images of a recording, and how long their rows are read, s; None: no file is given.
 
     Raises InputError: it cannot be read, or is of images of another shape.
     """
     if file is None or not dataset.image_paths:
-        return None, NONE
+        return None, NONE, 0.0
     size = ImageSize(dataset.camera.width, dataset.camera.height)
     camera = calibrations.read([file]).camera_for(size)
     if camera is None:
         raise InputError(file, "holds no camera", "give the file that has the intrinsics")
-    return camera, radiometry_of(file.parent) if file.name == calibration.NAME else NONE
+    if file.name != calibration.NAME:
+        return camera, NONE, 0.0
+    return camera, radiometry_of(file.parent), calibration.read_readout(file.parent)

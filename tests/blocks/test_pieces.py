@@ -21,9 +21,9 @@ def test_states_that_are_looked_at_together_undistort_an_image_once_for_each_cam
     undistorted, read = [], []
     real = image.Undistorter.__call__
 
-    def counted(self, raw):
+    def counted(self, raw, turn=None):
         undistorted.append(self.camera)
-        return real(self, raw)
+        return real(self, raw, turn)
 
     def piece(first, end):
         read.append(first)
@@ -48,6 +48,20 @@ def test_states_that_are_looked_at_together_undistort_an_image_once_for_each_cam
         assert np.array_equal(second_again, second)
     with pytest.raises(IndexError, match="no piece holds image 15"):
         reader(10)
+
+
+def test_images_of_rows_are_as_if_all_were_read_at_once():
+    """Each by its own turn; another look at the same images has turns of its own."""
+    turns = 0.1 * np.random.default_rng(5).normal(size=(5, 3))
+    turns[3] = 0.0
+    pieces = [((5, 10), lambda: PHOTOS[5:])]
+    reader = decoded_images.PhotoReader(pieces, CAMERA, 5, turns)
+    undistorter = image.Undistorter(CAMERA)
+    for index in range(5):
+        np.testing.assert_array_equal(reader(index), undistorter(PHOTOS[5 + index], turns[index]))
+        assert np.array_equal(reader(index), image.undistort(PHOTOS[5 + index], CAMERA)) == (index == 3)
+        at_once = reader.seen_by(CAMERA)(index)
+        np.testing.assert_array_equal(at_once, image.undistort(PHOTOS[5 + index], CAMERA))
 
 
 def test_an_image_without_distortion_is_as_it_was_taken():

@@ -2,15 +2,19 @@
 
 import dataclasses
 import json
+import shutil
 
 import box_world
 import numpy as np
 import pytest
 
 from lvba.errors import InputError
-from lvba.io import exposures, images, pcd, ply, tum
+from lvba.io import calibration, exposures, images, pcd, ply, tum
+from lvba.io.dataset import open_dataset
 from lvba.products import export, map_file, tracks
 from lvba.trajectory import Trajectory
+from lvba.visual.image import Undistorter
+from lvba.visual.trajectory_rates import turns_of
 
 ORIGIN = np.array([500000.0, 4000000.0, 50.0])
 
@@ -115,6 +119,32 @@ def test_nerfstudio_dataset_is_complete(result, tmp_path):
     for frame in content["frames"]:
         assert images.read_image(out / frame["file_path"]).shape[:2] == (content["h"], content["w"])
     assert len(ply.read_ply(out / content["ply_file_path"])["x"]) > 1000
+
+
+def test_images_that_were_read_row_by_row_are_exported_as_if_at_once(result, tmp_path):
+    rows = shutil.copytree(result, tmp_path / "rows")
+    dataset = open_dataset(json.loads((rows / "report.json").read_text())["dataset"]["path"])
+    camera = dataset.camera
+    calibration.write(rows, camera, np.eye(4), 0.0, 0.1, {})
+    sizes = []
+    for folder in (result, rows):
+        out = export.export(folder, "nerfstudio", tmp_path / f"nerf_{folder.name}")
+        content = json.loads((out / "transforms.json").read_text())
+        sizes.append((content["w"], content["h"]))
+    assert sizes[1][0] <= sizes[0][0]
+    assert sizes[1][1] <= sizes[0][1]
+    # pixel centers are at .5 there
+    left, top = round(camera.cx + 0.5 - content["cx"]), round(camera.cy + 0.5 - content["cy"])
+    turns = turns_of(tum.read_trajectory(rows / "image_poses.txt"), 0.1)
+    assert np.abs(turns).max() > 1e-3
+    undistort = Undistorter(camera)
+    assert len(content["frames"]) == len(turns)
+    for frame, path, turn in zip(content["frames"], dataset.image_paths, turns, strict=True):
+        expected = undistort(images.read_image(path), turn)[
+            top : top + content["h"], left : left + content["w"]
+        ]
+        np.testing.assert_array_equal(images.read_image(out / frame["file_path"]), expected)
+        assert not undistort.empty(turn)[top : top + content["h"], left : left + content["w"]].any()
 
 
 def test_las_is_in_the_frame_of_the_recording(result, tmp_path):

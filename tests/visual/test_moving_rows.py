@@ -2,10 +2,14 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from lvba import geometry
+from lvba import geometry, lens
+from lvba.camera import Camera
 from lvba.kernels import moving_rows
 from lvba.kernels.scene import Intrinsics, PlanePatches
+from lvba.lens import Lens
+from lvba.visual import image
 
 INTRINSICS = Intrinsics(300.0, 310.0, 160.0, 120.0)
 IMAGES, PATCHES, SEEN = 5, 40, 700
@@ -53,3 +57,34 @@ def test_points_are_where_the_rows_that_show_them_have_the_camera(scene):
     local = np.einsum("oij,oj->oi", camera_from_world[:, :3, :3], world) + camera_from_world[:, :3, 3]
     expected = local[:, :2] / local[:, 2:] * INTRINSICS[:2] + INTRINSICS[2:]
     np.testing.assert_allclose(place, expected, rtol=1e-10, atol=1e-8)
+
+
+@pytest.mark.parametrize("turn", [(0.03, 0.0, 0.0), (0.0, -0.04, 0.0), (0.02, 0.05, -0.06)])
+@pytest.mark.parametrize(
+    ("kind", "coefficients"),
+    [
+        (Lens.RADIAL_TANGENTIAL, (0.0,) * 4),
+        (Lens.RADIAL_TANGENTIAL, (-0.12, 0.03, 5e-4, -3e-4)),
+        (Lens.EQUIDISTANT, (0.01, -0.004, 1e-3, 0.0)),
+    ],
+)
+def test_pixels_are_where_the_row_that_shows_their_ray_has_turned_it(turn, kind, coefficients):
+    """Raw pixels, back through the lens and the turn until their row, by rotations of another library."""
+    camera = Camera(160, 120, 90.0, 91.0, 80.3, 58.6, coefficients, kind)
+    pinhole = camera.undistorted()
+    across, down = image._maps(camera, pinhole)
+    x, y = np.empty_like(across), np.empty_like(down)
+    turn = np.array(turn)
+    moving_rows.turned_back(across, down, image.intrinsics_of(pinhole), turn, camera.height, x, y)
+    raw = np.stack([x, y], axis=-1).reshape(-1, 2).astype(float)
+    seen = np.stack(lens.undistort(kind, coefficients, *camera.normalized(raw)), axis=-1)
+    part = raw[:, 1] / camera.height - 0.5
+    rows = Rotation.from_rotvec(part[:, None] * turn)
+    ray = rows.apply(np.concatenate([seen, np.ones((len(seen), 1))], axis=1))
+    place = ray[:, :2] / ray[:, 2:] * [pinhole.fx, pinhole.fy] + [pinhole.cx, pinhole.cy]
+    expected = np.stack(np.meshgrid(np.arange(pinhole.width), np.arange(pinhole.height)), axis=-1)
+    # the lens is linear between pixels, 0.5 degrees each, and beyond the rim
+    inside = ((raw >= 0) & (raw <= [camera.width - 1, camera.height - 1])).all(axis=1)
+    assert inside.mean() > 0.7
+    np.testing.assert_allclose(place[inside], expected.reshape(-1, 2)[inside], atol=0.2)
+    assert np.abs(raw - np.stack([across, down], axis=-1).reshape(-1, 2))[inside].max() > 1.0
