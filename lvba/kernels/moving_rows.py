@@ -93,7 +93,7 @@ def turned_back(
     across: np.ndarray,
     down: np.ndarray,
     intrinsics: Intrinsics,
-    turn: np.ndarray,
+    over: np.ndarray,
     height: int,
     turned_across: np.ndarray,
     turned_down: np.ndarray,
@@ -101,7 +101,7 @@ def turned_back(
     """Fills where in a raw image that was read row by row the pixels of an undistorted one are that was taken at once.
 
     across, down: (H, W) float32, px: where in the raw image each pixel of the undistorted one is, if all rows are read at
-    once. turn: (3,) float64, rad, of the camera during the readout of all `height` rows, about its own axes
+    once. over: (3,) float64, rad, how far the camera turns about its own axes while all `height` rows are read
     turned_across, turned_down: (H, W) float32, px. Of rays alone: how far the camera moves during the readout is left in.
     By how much pixels move is found for one in `_STEP` each way, and is linear between these.
     """
@@ -118,7 +118,7 @@ def turned_back(
                 part = y / height - 0.5
                 square = 0.0
                 for axis in range(3):
-                    phi[axis] = part * turn[axis]
+                    phi[axis] = part * over[axis]
                     square += phi[axis] ** 2
                 # a turn of .1 rad is right to 1e-5 rad
                 _with_crosses(phi, -(1 - square / 6), 0.5 - square / 24, ray, local)

@@ -154,7 +154,10 @@ class Undistorter:
         return resampled
 
     def empty(self, turn: np.ndarray | None = None) -> np.ndarray:
-        """(H, W) bool: which pixels of the undistorted image the camera did not see. turn: as for the image"""
+        """(H, W) bool: which pixels of the undistorted image the camera did not see.
+
+        turn: (3,) float64, rad, as for the image
+        """
         nowhere = (
             np.zeros((self._pinhole.height, self._pinhole.width), bool)
             if self._empty is None
