@@ -224,7 +224,15 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
         but=(
             *("world_from_camera", "covariance", "local_covariance"),
             *("scan_from_camera", "degenerate", "log_exposure", "log_exposure_sigma"),
-            *("calibration_sigma", "radiometry", "extrinsic_change", "white_balance", "clock_epoch", "group"),
+            *(
+                "calibration_sigma",
+                "radiometry",
+                "extrinsic_change",
+                "white_balance",
+                "clock_epoch",
+                "group",
+                "turns",
+            ),
         ),
     )
     if accepted.exposures.accepted:

@@ -61,15 +61,15 @@ def test_frames_are_decoded_once_for_each_use(street_in_two, reads, tmp_path, mo
     assert store[next(step.key for step in plan.steps.values() if step.name == "visual-gate")].scans.accepted
 
 
-@pytest.mark.parametrize("decoded_scans", [(3, 6), (0, 3)])
-def test_of_dense_scans_all_but_the_map_reads_every_second_point(street_in_two, monkeypatch, decoded_scans):
+@pytest.mark.parametrize("held", [(3, 6), (0, 3)])
+def test_of_dense_scans_all_but_the_map_reads_every_second_point(street_in_two, monkeypatch, held):
     """From pieces and from files alike."""
     dataset = open_dataset(street_in_two)
     monkeypatch.setattr(split, "ENOUGH_POINTS", survey.load_of(dataset).points_per_scan / 2)
     known = survey.survey(dataset, Config().lidar, Config().visual.keyframes)
     assert known.every == 2
-    piece = decoded_scans.decode_scans(dataset, decoded_scans, None, known)
-    pieces = [(decoded_scans, lambda: piece)]
+    piece = decoded_scans.decode_scans(dataset, held, None, known)
+    pieces = [(held, lambda: piece)]
     fewer, every = (
         decoded_scans.ScanReader(pieces, whole=dataset, all_points=each) for each in (False, True)
     )
