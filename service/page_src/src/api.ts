@@ -37,6 +37,9 @@ export function headers(): Record<string, string> {
   return key === null ? {} : { Authorization: `Bearer ${key}` };
 }
 
+/** Code of what was refused of a key that is not used any more: that says nothing about the one that is. */
+export const KEY_CHANGED = "key-changed";
+
 /** What the server refused, and why (RFC 9457). */
 export class Problem extends Error {
   constructor(
@@ -66,7 +69,9 @@ export async function problemOf(response: Response): Promise<Problem> {
 
 /** The answer of the server. Throws Problem for what it refuses, TypeError where it cannot be reached. */
 export async function request(path: string, init: RequestInit = {}): Promise<Response> {
+  const asked = key;
   const response = await fetch(path, { ...init, headers: { ...headers(), ...(init.headers as Record<string, string> | undefined) } });
+  if (response.status === 401 && asked !== key) throw new Problem(401, KEY_CHANGED, "Another key is used now.", "Try again.");
   if (response.status === 401 && key !== null) dispatchEvent(new Event("lvba-locked"));
   if (!response.ok) throw await problemOf(response);
   return response;

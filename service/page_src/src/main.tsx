@@ -4,7 +4,7 @@ import { render } from "preact";
 import { lazy, Suspense } from "preact/compat";
 import { useEffect, useState } from "preact/hooks";
 
-import { forgetKey, get, onLocked, Problem, useKey } from "./api";
+import { forgetKey, get, KEY_CHANGED, onLocked, Problem, useKey } from "./api";
 import { useRoute } from "./hooks";
 import { nextTheme, type Theme, theme, setTheme } from "./theme";
 import type { Me } from "./types";
@@ -72,6 +72,7 @@ function Frame() {
         setProblem("");
       },
       (error: unknown) => {
+        if (error instanceof Problem && error.code === KEY_CHANGED) return;
         const refused = error instanceof Problem && error.status === 401;
         if (refused) leave();
         setProblem(refused ? error.cause_ : "The server cannot be reached.");
