@@ -138,16 +138,17 @@ class Undistorter:
             last: as if all rows had been read with the middle one; None: they were. What the middle row's camera would
             see beyond the rim of the image has the color of the rim
         """
-        turned = turn is not None and bool(turn.any())
-        if self.identity and not turned:
+        if turn is not None and not turn.any():
+            turn = None
+        if self.identity and turn is None:
             return image
-        maps = self._turned(turn) if turn is not None and turned else self._whole_maps()
+        maps = self._whole_maps() if turn is None else self._turned(turn)
         resampled = cv2.remap(image, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         clipped = cv2.threshold(image, SATURATED - 1, 255, cv2.THRESH_BINARY)[1]
         if clipped.any():
             # a mixture of clipped and good pixels is no measurement either: any of the 4 x 4 that are mixed
             wide = cv2.dilate(clipped, np.ones((4, 4), np.uint8), anchor=(1, 1))
-            corner = _upper_left(*maps) if turned else self._upper_left
+            corner = self._upper_left if turn is None else _upper_left(*maps)
             cv2.max(resampled, cv2.remap(wide, corner, _NO_MAP, cv2.INTER_NEAREST), resampled)
         if self._empty is not None:
             resampled[self._empty] = 0
