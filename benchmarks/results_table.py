@@ -87,10 +87,10 @@ def _against_truth(name: str, row: Row) -> list[str]:
             + " / "
             + number(reference, part, "rotation_deg", digits=4)
         )
-        honest = (
+        expected = (
             number(reference, part, "predicted_ate_m", scale=1e3) + ", " + number(reference, part, "nees")
         )
-        return [f"{before} -> {after}", _quantiles(reference, part), honest]
+        return [f"{before} -> {after}", _quantiles(reference, part), expected]
 
     return [
         name,
@@ -122,26 +122,26 @@ def _disturbed(name: str, row: Row) -> list[str]:
     said = str(row.get("verdict") or "-") + (", perhaps more" if row.get("at_least") else "")
     if confident(row):
         said = f"**{said}**"
-    error, promised = _exposures(reference)
-    cells += ["-" if value is None else f"{value:.2f}" for value in (error, promised)]
+    error, expected = _exposures(reference)
+    cells += ["-" if value is None else f"{value:.2f}" for value in (error, expected)]
     return [*cells, number(reference, "exposure", "nees_after_power"), said, number(row, "seconds", digits=0)]
 
 
 def _exposures(reference: Row) -> tuple[float | None, float | None]:
-    """Error and promised one, percent, after the power that images leave open, where there is one."""
+    """Error and expected one, percent, after the power that images leave open, where there is one."""
     exposure = reference.get("exposure") or {}
-    promised, power = exposure.get("predicted_percent"), exposure.get("power") or 1.0
+    expected, power = exposure.get("predicted_percent"), exposure.get("power") or 1.0
     return (
         exposure.get("rms_percent_after_power", exposure.get("rms_percent")),
-        None if promised is None else promised / power,
+        None if expected is None else expected / power,
     )
 
 
 def confident(row: Row) -> bool:
-    """Whether a promise is broken, and no word of the report says so."""
+    """Whether an error is far above the expected one, and no word of the report says so."""
     reference: Row = row.get("reference") or {}
-    error, promised = _exposures(reference)
-    exposures = error is not None and promised is not None and error > _KEPT * promised
+    error, expected = _exposures(reference)
+    exposures = error is not None and expected is not None and error > _KEPT * expected
     named = any("exposures" in reason for reason in row.get("reasons") or ())
     return (_broken(reference) and not row.get("at_least")) or (exposures and not named)
 
@@ -150,7 +150,7 @@ _KEPT = 3.0
 
 
 def _broken(reference: Row) -> bool:
-    """Whether scans or cameras are off by more than three times what was promised, in the scale of the LiDAR's ranges."""
+    """Whether scans or cameras are off by more than three times what was expected, in the scale of the LiDAR's ranges."""
     parts = [reference.get(part) or {} for part in ("lidar", "camera")]
     return any(
         part.get("predicted_ate_m")
@@ -303,10 +303,10 @@ _TRUTH = [
     "scene",
     "scans mm / deg",
     "median, 95 %",
-    "promised mm, NEES",
+    "expected mm, NEES",
     "cameras mm / deg",
     "median, 95 %",
-    "promised mm, NEES",
+    "expected mm, NEES",
     "exposure %",
     "leave-one-out dB",
     "s",
@@ -359,14 +359,14 @@ COLUMNS: dict[str, tuple[list[str], Callable[[str, Row], list[str]]]] = {
             "scene",
             "scans mm / deg",
             "median, 95 %",
-            "promised mm",
+            "expected mm",
             "NEES",
             "cameras mm / deg",
             "median, 95 %",
-            "promised mm",
+            "expected mm",
             "NEES",
             "exposure %",
-            "promised %",
+            "expected %",
             "NEES",
             "verdict",
             "s",

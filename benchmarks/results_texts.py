@@ -14,13 +14,14 @@ Which version the tables are of:
 - **Real recordings, poses of any method, gates of recordings, severely disturbed scenes, and errors of depth cameras:**
   this one (severe ones but those with a rolling shutter and of depth cameras: one before, which gives the same there).
 - **Gates of seeds 119 and 120, simulated scenes of medium difficulty of these seeds, and scenes with three people:** two
-  before, which promise rotations of straight paths by positions alone.
+  before, which take expected rotations of straight paths from positions alone.
 - **Degenerate directions:** an older one, which does not measure by how much beams of a sensor that looks ahead go too
-  high, promises nothing of how bright surfaces met at grazing angles are, and refines no scans again that it left in a
-  wrong minimum. Its renderings, and those of all tables below, show slanted surfaces up to a pixel off: PSNR and SSIM are
-  other ones, and gates saw less. Map entropy counts stray points, too, by which it is some hundredths of a nat higher.
+  high, leaves out of the expected error how bright surfaces met at grazing angles are, and refines no scans again that
+  it left in a wrong minimum. Its renderings, and those of all tables below, show slanted surfaces up to a pixel off: PSNR
+  and SSIM are other ones, and gates saw less. Map entropy counts stray points, too, by which it is some hundredths of a
+  nat higher.
 - **The other typical disturbances (seed 821 in rooms, 823 in the courtyard):** several before that. In all but those with
-  errors by elevation or intensity, errors of ranges are promised without the common scale in them, and images take points
+  errors by elevation or intensity, the expected error leaves out the common scale of range errors, and images take points
   of scans by time alone; those with noise of ranges, rough drift or jumps are of two before the others.
 - **Gaussian splats:** the one of most typical disturbances.
 - **The other simulated scenes that are not disturbed (medium and hard difficulty), recordings in parts, and loops:** four
@@ -35,8 +36,8 @@ Which version the tables are of:
 - **What all models cost:** one before, which differs where rough motions are
   wrong by more than a decimeter or a degree, where images are large, and in how errors of scans are searched for.
 - **What the other models bring:** one before.
-- **Gates of other seeds:** the one whose promises of cameras leave out what cancels between images, before the motion
-  during images was found from their rows, and single cameras that failed were put back: their leave-one-out counts
+- **Gates of other seeds:** the one whose expected camera errors leave out what cancels between images; it neither
+  estimates the motion during images from their rows nor puts back single cameras that failed: their leave-one-out counts
   pixels that show what lies behind a surface ([evaluation.md](evaluation.md#which-figure-decides)), and is lower for
   it.
 - **The IMU:** one that finds exposures by color.
@@ -65,7 +66,8 @@ and motion capture (TUM): the result predicts images better than either, also wi
 
 Rough -> refined. Scans after alignment; cameras in the frame of the aligned LiDAR map; exposures after one common scale.
 After the root mean squares, "median, 95 %": half and 95 % of the frames are off by less than so many millimeters.
-"promised" is the error that the reported covariance predicts, NEES the normalized estimation error squared (1 is honest).
+"expected" is the error that the reported covariance predicts, NEES the normalized estimation error squared (1:
+consistent).
 """,
     "parts": """## Recordings in parts
 
@@ -91,11 +93,12 @@ One option each on the same simulated scenes, against truth, and leave-one-out.
     "disturbed": """## One disturbance at a time
 
 What real sensors do, one at a time ([list](simulation.md#disturbances)), not told to the program. "median, 95 %": half
-and 95 % of the frames are off by less than so many millimeters. "promised" is the error that the report predicts, and
+and 95 % of the frames are off by less than so many millimeters. "expected" is the error that the report predicts, and
 the verdict what a user without a reference reads; "perhaps more": the report says that
-errors may be larger than promised. Exposures are compared after the one power of the light that images leave open.
-**Bold**: more than three times the promised error without these words (exposures: without a reason that names them), but
-for a common scale of the LiDAR's ranges, which promises leave out ([evaluation.md](evaluation.md#how-good-is-my-map)).
+errors may be larger than expected. Exposures are compared after the one power of the light that images leave open.
+**Bold**: more than three times the expected error without these words (exposures: without a reason that names them), but
+for a common scale of the LiDAR's ranges, which the expected error leaves out
+([evaluation.md](evaluation.md#how-good-is-my-map)).
 """,
     "models": """## What each model of sensors brings
 
@@ -109,7 +112,7 @@ The map as users keep it, colored by the version before views were ranked by ang
 this one (before -> after), at the same poses and exposures. Wrong: points on the sides of a thin cabinet that carry the
 color of the floor it stands on, in percent of the colored ones: all, those up to 0.3 m above the floor, and those
 within 5 cm of an upright or upper edge; and points of the floor within 0.3 m of it that carry the cabinet's. Error: mean
-absolute difference from the true color, gray values (0..255), over all colored points. Range noise is 20 mm.
+absolute difference from the true color, grey values (0..255), over all colored points. Range noise is 20 mm.
 """,
     "imu": """## IMU
 
