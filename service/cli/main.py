@@ -187,14 +187,14 @@ def parser() -> argparse.ArgumentParser:
 def _add_import(commands: "argparse._SubParsersAction[Parser]") -> None:
     from service.cli import import_parser  # brings numpy, before which the threads of BLAS are limited
 
-    summary = "make a recording folder of a bag"
+    summary = "make a recording folder from a bag"
     command = _command(commands, "import", summary, import_parser.IMPORT, import_parser.IMPORT_EXAMPLES)
     import_parser.add_arguments(command, _count)
 
 
 def _add_run(commands: "argparse._SubParsersAction[Parser]") -> None:
     run = _command(commands, "run", "refine a recording", _RUN, _RUN_EXAMPLES)
-    _add_dataset_and_out(run)
+    _add_recording_and_out(run, "recording folder or bag")
     _add_settings(run)
     run.add_argument("--reference", type=Path, metavar="DIR", help="folder of true poses to compare with")
     run.add_argument(
@@ -206,13 +206,13 @@ def _add_run(commands: "argparse._SubParsersAction[Parser]") -> None:
         dest="import_options",
         type=Path,
         metavar="FILE",
-        help="of a bag: options of `lvba import`, YAML, such as `lidar: /points`",
+        help="for a bag: options of `lvba import`, YAML, such as `lidar: /points`",
     )
     run.add_argument(
         "--recording",
         type=Path,
         metavar="DIR",
-        help="of a bag: recording folder to make (default: OUT/recording)",
+        help="for a bag: recording folder to make (default: OUT/recording)",
     )
     run.add_argument("--name", help="name of the recording in the report (default: its folder)")
     run.add_argument("--events", type=Path, metavar="FILE", help="append events to FILE, as JSON lines")
@@ -249,7 +249,7 @@ def _add_worker(commands: "argparse._SubParsersAction[Parser]") -> None:
 
 def _add_evaluate(commands: "argparse._SubParsersAction[Parser]") -> None:
     evaluate = _command(commands, "evaluate", "evaluate poses and exposures", _EVALUATE, _EVALUATE_EXAMPLES)
-    _add_dataset_and_out(evaluate)
+    _add_recording_and_out(evaluate, "recording folder")
     _add_settings(evaluate)
     evaluate.add_argument("--lidar-poses", type=Path, metavar="FILE", help="TUM, world from scan")
     evaluate.add_argument("--image-poses", type=Path, metavar="FILE", help="TUM, world from camera or body")
@@ -273,7 +273,9 @@ def _add_simulate(commands: "argparse._SubParsersAction[Parser]") -> None:
         metavar="SCENE",
         help="courtyard, rooms, corridor, street, plane, block, terrace, cabinet, site",
     )
-    simulate.add_argument("--out", type=Path, required=True, metavar="DATASET", help="folder to write")
+    simulate.add_argument(
+        "--out", type=Path, required=True, metavar="RECORDING", help="folder, or with --bag the bag, to write"
+    )
     simulate.add_argument("--frames", type=int, metavar="N", help="images (default: the scene's)")
     simulate.add_argument("--seed", type=int, default=0, metavar="S", help="of all randomness (default: 0)")
     levels = ["easy", "medium", "hard"]
@@ -293,7 +295,7 @@ def _add_simulate(commands: "argparse._SubParsersAction[Parser]") -> None:
         "--length",
         type=float,
         metavar="M",
-        help="length of the path of a street, corridor, flight or loop, m",
+        help="length of the path, m (street, corridor, plane, block, terrace, site)",
     )
     simulate.add_argument(
         "--closing",
@@ -392,8 +394,8 @@ def _command(
     return command
 
 
-def _add_dataset_and_out(command: Parser) -> None:
-    command.add_argument("dataset", type=Path, metavar="DATASET", help="folder of the recording")
+def _add_recording_and_out(command: Parser, recording: str) -> None:
+    command.add_argument("dataset", type=Path, metavar="RECORDING", help=recording)
     command.add_argument("--out", type=Path, required=True, metavar="OUT", help="folder for the result")
 
 
@@ -411,7 +413,7 @@ def _add_cluster(command: Parser) -> None:
         "--scheduler", metavar="ADDRESS", help="run on a Dask cluster: tcp://HOST:PORT or tls://HOST:PORT"
     )
     command.add_argument(
-        "--memory-limit", metavar="GB", help="of each of the --workers (default: an even share)"
+        "--memory-limit", metavar="GB", help="of each of the --workers (default: an equal part)"
     )
     _add_tls(command)
 

@@ -5,6 +5,7 @@ python -m service.cli.reference > docs/cli.md
 
 import argparse
 import sys
+import textwrap
 from collections.abc import Iterator
 
 from service.cli import main
@@ -50,13 +51,9 @@ def _page(name: str, command: argparse.ArgumentParser) -> str:
         f"\n## {name}\n",
         description,
         _table(arguments).strip(),
-        f"    {examples.strip()}" if examples else "",
+        textwrap.indent(textwrap.dedent(examples).strip(), "    "),
     ]
-    return (
-        "\n\n".join(part.strip("\n") for part in parts if part)
-        .replace("\n  lvba", "\n    lvba")
-        .join(("\n", "\n"))
-    )
+    return "\n\n".join(part.strip("\n") for part in parts if part).join(("\n", "\n"))
 
 
 def _table(actions: Iterator[argparse.Action] | list[argparse.Action]) -> str:
@@ -67,6 +64,7 @@ def _table(actions: Iterator[argparse.Action] | list[argparse.Action]) -> str:
 def _names(action: argparse.Action) -> str:
     words = [action.metavar] if isinstance(action.metavar, str) else list(action.metavar or ())
     value = "" if action.nargs == 0 else " ".join(words) or ",".join(map(str, action.choices or ()))
+    value = value.replace("|", "\\|")  # else it ends the cell, in code, too
     if not action.option_strings:
         return f"`{value or action.dest}`"
     return ", ".join(f"`{f'{option} {value}'.strip()}`" for option in action.option_strings)
