@@ -126,21 +126,22 @@ def test_writes_everything_that_is_promised(undisturbed, recording):
 
 
 def test_every_fact_of_the_report_is_in_its_reference(undisturbed):
-    reference = (ROOT / "docs" / "report.md").read_text().splitlines()
-    rows = {
-        key: set(re.findall(r"`([\w.]+)`", row))
-        for row in reference
-        if row.startswith("| `")
-        for key in re.findall(r"`(\w+)`", row.split("|")[1])
-    }
+    overview, *sections = re.split(r"(?m)^## ", (ROOT / "docs" / "report.md").read_text())
+    known = {section.split("`")[1]: _keys(section) for section in sections}
     report = report_of(undisturbed[0])
-    assert set(report) <= set(rows)
-    sections = {
-        key: facts
+    assert set(report) <= _keys(overview)
+    facts = {
+        key: set(facts)
         for key, facts in report.items()
         if isinstance(facts, dict) and key not in ("config", "versions")
     }
-    assert {key: set(facts) - rows[key] for key, facts in sections.items() if set(facts) - rows[key]} == {}
+    assert {key: named - known[key] for key, named in facts.items() if named - known[key]} == {}
+
+
+def _keys(section: str) -> set[str]:
+    """The keys in the first cells of a section's tables."""
+    rows = re.findall(r"(?m)^\| (`[^|]*) \|", section)
+    return {key for row in rows for key in re.findall(r"`([\w.]+)`", row)}
 
 
 def test_the_report_says_how_many_millimeters_to_expect(undisturbed):
