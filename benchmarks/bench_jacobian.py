@@ -1,6 +1,6 @@
-"""Exact per-pixel Jacobian against the patch-centre Jacobian of the photometric cost: what exactness costs and brings.
+"""Exact per-pixel Jacobian against the patch-center Jacobian of the photometric cost: what exactness costs and brings.
 
-`lvba` moves all pixels of a patch as its centre moves: then a patch's sums are applied to one Jacobian. Here every pixel
+`lvba` moves all pixels of a patch as its center moves: then a patch's sums are applied to one Jacobian. Here every pixel
 has its own, otherwise the same residuals, weights and solver, in a room of textured planes with known truth. One
 thread; the least processor time of several runs, compilation apart; plane offsets, exposures and prior are left out.
 """
@@ -172,7 +172,7 @@ def run(patches: tuple[int, ...] = (7, 9, 11)) -> dict[str, Any]:
                 rows.append(
                     {
                         "patch": patch,
-                        "jacobian": "every pixel" if exact else "patch centre",
+                        "jacobian": "every pixel" if exact else "patch center",
                         "linearize_ms": 1e3
                         * best_seconds(lambda work=work, at=problem, state=start: work(at, state), 5),
                         "steps": len(solution.history),

@@ -273,9 +273,7 @@ def _add_simulate(commands: "argparse._SubParsersAction[Parser]") -> None:
         metavar="SCENE",
         help="courtyard, rooms, corridor, street, plane, block, terrace, cabinet, site",
     )
-    simulate.add_argument(
-        "--out", type=Path, required=True, metavar="RECORDING", help="folder, or with --bag the bag, to write"
-    )
+    simulate.add_argument("--out", type=Path, required=True, metavar="RECORDING", help="folder or bag")
     simulate.add_argument("--frames", type=int, metavar="N", help="images (default: the scene's)")
     simulate.add_argument("--seed", type=int, default=0, metavar="S", help="of all randomness (default: 0)")
     levels = ["easy", "medium", "hard"]
