@@ -22,7 +22,7 @@ from lvba.visual import (
     trajectory_sigmas,
 )
 from lvba.visual.calibration_prior import Evidence
-from lvba.visual.covariance import WallClusters
+from lvba.visual.covariance import WallClusters, WallGradients
 from lvba.visual.exposure_graph import components
 from lvba.visual.noise import NoiseModel
 from lvba.visual.patch_shifts import Shifts
@@ -141,7 +141,7 @@ def solve(
         sums = linearization.sums
         if not last:
             one_left = turn == config.rounds - 2
-            solved = _Turn(problem, wall_clusters, at, linearization, free)
+            solved = _turn(problem, wall_clusters, at, linearization, free, prior)
             if shifts is not None and prior is not None and one_left and chosen:
                 fixed = _fixed(solved, prior)
             if config.finest and prior is not None and one_left:
@@ -218,13 +218,33 @@ class _State:
 
 @dataclass(frozen=True)
 class _Turn:
-    """What a solve ended with. free: (I, 7) bool"""
+    """What a solve ended with.
+
+    free: (I, 7) bool; gradients: about what is known of the images with the prior, whatever that frees of what they
+        share; None without one
+    """
 
     problem: Problem
     wall_clusters: WallClusters
     at: _State
     linearization: Linearization
     free: np.ndarray
+    gradients: WallGradients | None
+
+
+def _turn(
+    problem: Problem,
+    wall_clusters: WallClusters,
+    at: _State,
+    linearization: Linearization,
+    free: np.ndarray,
+    prior: Prior | None,
+) -> _Turn:
+    gradients = None
+    if prior is not None:
+        total = joint(linearization.equations, prior, at.visual)
+        gradients = covariance.wall_gradients(problem, linearization, at.photometric, wall_clusters, total)
+    return _Turn(problem, wall_clusters, at, linearization, free, gradients)
 
 
 class _Model:
@@ -284,9 +304,8 @@ def _reweighted(solved: _Turn, prior: Prior | None, keep: bool) -> tuple[Problem
         total = joint(linearization.equations, prior, at.visual)
         known = linear_solver.covariance(total, solved.free)
         undecided = tuple(_undecided(prior, source, at.visual, known) for source in prior.sources)
-        clusters = covariance.bias_reduced_gradients(
-            problem, linearization, at.photometric, solved.wall_clusters, total
-        )
+        assert solved.gradients is not None
+        clusters = covariance.bias_reduced_gradients(solved.gradients, total.shared)
         said = _evidence(prior, at, clusters, known, problem.variance_factor / variance_factor)
         prior = trajectory_prior.weighed(prior, said, keep)
         prior = trajectory_prior.with_late(prior, at.calibration)
@@ -325,11 +344,12 @@ def covariance_of(solution: LevelSolution) -> Covariance:
     problem, prior, linearization = solution.problem, solution.prior, solution.linearization
     at = _State(solution.photometric, solution.state.calibration, solution.state.motion)
     total = joint(linearization.equations, prior, at.visual)
-    clusters = covariance.balanced_gradients(
+    gradients = covariance.wall_gradients(
         problem, linearization, at.photometric, solution.wall_clusters, total
     )
+    clusters = covariance.balanced_gradients(gradients, total.shared)
     poses = linear_solver.sandwich(total, clusters, _gradient_variance(prior, at), solution.free)
-    solved = _Turn(problem, solution.wall_clusters, at, linearization, solution.free)
+    solved = _Turn(problem, solution.wall_clusters, at, linearization, solution.free, gradients)
     own = _covariance_of_calibration(solved, prior, total)
     if prior is not None:
         # balanced gradients promise too much of the camera, which turns all images: on a road, a principal point that
@@ -376,9 +396,8 @@ def _precision(
 
 def _covariance_of_calibration(solved: _Turn, prior: Prior | None, total: NormalEquations) -> np.ndarray:
     """(k, k); total: `joint`, at this state."""
-    clusters = covariance.bias_reduced_gradients(
-        solved.problem, solved.linearization, solved.at.photometric, solved.wall_clusters, total
-    )
+    assert solved.gradients is not None
+    clusters = covariance.bias_reduced_gradients(solved.gradients, total.shared)
     return linear_solver.shared_sandwich(total, clusters, _gradient_variance(prior, solved.at), solved.free)
 
 

@@ -56,34 +56,54 @@ def cluster_gradients(problem: Problem, linearization: Linearization, walls: Wal
     return _by_wall(walls, _summed(walls, linearization), len(problem.images))
 
 
-def bias_reduced_gradients(
+@dataclass(frozen=True)
+class WallGradients:
+    """Gradients of the photometric cost per cluster, as they are and as they would be had no image been fitted to them.
+
+    own, reduced: (S, 7) float64, by the unknowns of the cluster's image; reduced: by its pose bias-reduced
+    of_images: (I, 6, 6) float64, all that is known of each image's pose when the other images stay
+    by_shared: (walls, c) float64, by the shared parameters that move patches; columns: (c,) int64, which they are
+    """
+
+    walls: WallClusters
+    own: np.ndarray
+    reduced: np.ndarray
+    of_images: np.ndarray
+    by_shared: np.ndarray
+    columns: np.ndarray
+
+
+def wall_gradients(
     problem: Problem,
     linearization: Linearization,
     state: PhotometricState,
     walls: WallClusters,
     known: NormalEquations,
-) -> csr_matrix:
-    """The same, each as large as it would be had the image not been fitted to it; (clusters, 7 I + k) sparse.
-
-    The last k columns are the gradients by the shared parameters, as they are.
+) -> WallGradients:
+    """The gradients at a state.
 
     A wall that holds an image in some direction bends it to itself there and leaves little gradient, however wrong it
     is (bias reduced linearization, CR2: Bell and McCaffrey 2002; leaving each wall out altogether, CR3, promises errors
-    twice as large as they are where few walls are seen). known: all that is known of images and shared parameters
+    twice as large as they are where few walls are seen). known: all that is known of the images
     """
-    gradients = _summed(walls, linearization)
+    own = _summed(walls, linearization)
     blocks = information(problem, linearization, state, walls)
-    gradients[:, :6] = bias_reduced(blocks, gradients[:, :6], walls.image, known)
-    return _with_shared(_by_wall(walls, gradients, len(problem.images)), linearization, walls, known)
+    reduced = own.copy()
+    reduced[:, :6] = bias_reduced(blocks, own[:, :6], walls.image, known)
+    by_shared, columns = _by_shared(walls, linearization)
+    return WallGradients(walls, own, reduced, _known_of_images(known), by_shared, columns)
 
 
-def balanced_gradients(
-    problem: Problem,
-    linearization: Linearization,
-    state: PhotometricState,
-    walls: WallClusters,
-    known: NormalEquations,
-) -> csr_matrix:
+def bias_reduced_gradients(gradients: WallGradients, shared: int) -> csr_matrix:
+    """Gradients summed per piece of wall, each as large as it would be had the image not been fitted to it;
+    (clusters, 7 I + k) sparse.
+
+    The last k columns are the gradients by the shared parameters, as they are. shared: how many these are, k
+    """
+    return _with_shared(gradients, gradients.reduced, shared)
+
+
+def balanced_gradients(gradients: WallGradients, shared: int) -> csr_matrix:
     """The same, each wall's gradient as large as bias reduction makes it on average over its images.
 
     A pair of patches pulls two images against each other: moved together, with what they share, they feel nothing of it.
@@ -91,30 +111,39 @@ def balanced_gradients(
     of all cameras together that no wall can make: of a Kinect 37 mm and 2.6 degrees, where cameras are 10 mm and 0.6
     degrees off.
     """
-    gradients = _summed(walls, linearization)
-    blocks = information(problem, linearization, state, walls)
-    reduced = bias_reduced(blocks, gradients[:, :6], walls.image, known)
-    inverse = np.linalg.inv(_known_of_images(known))[walls.image]
+    walls = gradients.walls
+    inverse = np.linalg.inv(gradients.of_images)[walls.image]
     before, after = (
-        np.bincount(walls.wall, np.einsum("si,sij,sj->s", each, inverse, each))
-        for each in (gradients[:, :6], reduced)
+        np.bincount(walls.wall, np.einsum("si,sij,sj->s", each[:, :6], inverse, each[:, :6]))
+        for each in (gradients.own, gradients.reduced)
     )
     grown = np.sqrt(np.maximum(after, before) / np.maximum(before, 1e-300))
-    every = _with_shared(_by_wall(walls, gradients, len(problem.images)), linearization, walls, known)
-    return (diags(grown) @ every).tocsr()
+    return (diags(grown) @ _with_shared(gradients, gradients.own, shared)).tocsr()
 
 
-def _with_shared(
-    images: csr_matrix, linearization: Linearization, walls: WallClusters, known: NormalEquations
-) -> csr_matrix:
-    """Gradients by the images, (clusters, 7 I), and those by the shared parameters beside them."""
-    by_shared = np.zeros((images.shape[0], known.shared))
+def _by_shared(walls: WallClusters, linearization: Linearization) -> tuple[np.ndarray, np.ndarray]:
+    """Gradients by the shared parameters that move patches, summed per piece of wall, (walls, c), and which these are."""
     shared = linearization.shared
-    if shared is not None:
-        summed = np.zeros((len(by_shared), len(shared.columns)))
-        np.add.at(summed, walls.wall[walls.of[:, 0]], shared.single)
-        by_shared[:, shared.columns] = summed
+    if shared is None:
+        return np.zeros((_count(walls), 0)), np.zeros(0, np.int64)
+    sums = np.zeros((_count(walls), len(shared.columns), 1))
+    offset_kernels.add_blocks(
+        sums, walls.wall[walls.of[:, 0]], np.ascontiguousarray(shared.single[:, :, None])
+    )
+    return sums[..., 0], np.asarray(shared.columns)
+
+
+def _with_shared(gradients: WallGradients, by_image: np.ndarray, shared: int) -> csr_matrix:
+    """Gradients by the images, (clusters, 7 I), and those by the shared parameters beside them."""
+    images = _by_wall(gradients.walls, by_image, len(gradients.of_images))
+    by_shared = np.zeros((images.shape[0], shared))
+    by_shared[:, gradients.columns] = gradients.by_shared
     return hstack([images, csr_matrix(by_shared)]).tocsr()
+
+
+def _count(walls: WallClusters) -> int:
+    """How many pieces of wall there are."""
+    return int(walls.wall.max(initial=-1)) + 1
 
 
 def _known_of_images(known: NormalEquations) -> np.ndarray:
@@ -134,7 +163,7 @@ def _summed(walls: WallClusters, linearization: Linearization) -> np.ndarray:
 
 def _by_wall(walls: WallClusters, gradients: np.ndarray, images: int) -> csr_matrix:
     columns = 7 * walls.image[:, None] + np.arange(7)
-    shape = (int(walls.wall.max(initial=-1)) + 1, 7 * images)
+    shape = (_count(walls), 7 * images)
     return csr_matrix((gradients.ravel(), (np.repeat(walls.wall, 7), columns.ravel())), shape=shape)
 
 

@@ -186,11 +186,11 @@ def test_what_cancels_between_the_images_of_a_wall_still_does_where_its_error_co
     )
     problem, at, walls = found.problem, found.photometric, covariance.find_wall_clusters(found.problem)
     known = bundle_adjustment.joint(found.linearization.equations, found.prior, found.state)
-    arguments = problem, found.linearization, at, walls, known
+    gradients = covariance.wall_gradients(problem, found.linearization, at, walls, known)
     plain = covariance.cluster_gradients(problem, found.linearization, walls).toarray()
     columns = plain.shape[1]
-    reduced = covariance.bias_reduced_gradients(*arguments).toarray()[:, :columns]
-    balanced = covariance.balanced_gradients(*arguments).toarray()[:, :columns]
+    reduced = covariance.bias_reduced_gradients(gradients, known.shared).toarray()[:, :columns]
+    balanced = covariance.balanced_gradients(gradients, known.shared).toarray()[:, :columns]
     pulls = np.abs(plain).max(axis=1) > 0
     plain, reduced, balanced = plain[pulls], reduced[pulls], balanced[pulls]
     factor = np.einsum("wi,wi->w", balanced, plain) / np.einsum("wi,wi->w", plain, plain)

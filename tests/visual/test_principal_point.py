@@ -228,7 +228,8 @@ def test_walls_tell_the_covariance_how_they_pull_at_it(scene):
     found = photometric.linearize(problem, at, by_shared=factor.by_shared(state))
     total = found.equations + trajectory_prior.linearize(prior, state)
     walls = covariance.find_wall_clusters(problem)
-    clusters = covariance.bias_reduced_gradients(problem, found, at, walls, total)
+    gradients = covariance.wall_gradients(problem, found, at, walls, total)
+    clusters = covariance.bias_reduced_gradients(gradients, total.shared)
     assert clusters.shape[1] == 7 * COUNT + SIZE
     summed = np.asarray(clusters[:, -SIZE:].sum(axis=0)).ravel()
     assert summed == pytest.approx(found.equations.border.gradient)
