@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba import geometry, spline, trajectory
-from lvba.arrays import Pose, Poses
+from lvba.arrays import Pose, Poses, Times
 from lvba.trajectory import JUMP_DEG, JUMP_M, Trajectory
 
 FAR_M, FAR_DEG = 0.1, 1.0
@@ -22,6 +22,12 @@ _LEAST = np.array([np.radians(0.3), 0.02])
 """rad and m: frames leave the trajectory by as much anyway (`visual.trajectory_prior`)."""
 
 
+_GAP = 3.0
+"""Times the usual interval of scans from which on what the odometry did in between is known by itself alone."""
+_MOST_ALIKE = 16
+"""Frames in one gap, or beyond one end, that err together: of more, the first and the last have little in common."""
+
+
 @dataclass(frozen=True)
 class Carried:
     """Where rough poses and refined scans put another sensor.
@@ -31,11 +37,15 @@ class Carried:
         through the refined scans
     wrong: (I, 2) float64, rad and m: by how much the rough motion from the scan before to the scan after is wrong; zeros
         where that is usual, and beyond the ends
+    drift: (I, 2) float64, rad and m: standard deviations of the rough motion since the scans, far beyond their ends and
+        in gaps between them, along each axis; as large as makes all frames there together as uncertain as one of them
+        is, for they drift together; zeros elsewhere
     """
 
     world_from_sensor: np.ndarray
     by_rough: np.ndarray
     wrong: np.ndarray
+    drift: np.ndarray
 
 
 def carry(rough: Trajectory, refined: Poses, others: Trajectory, mounted: Pose) -> Carried:
@@ -51,10 +61,10 @@ def carry(rough: Trajectory, refined: Poses, others: Trajectory, mounted: Pose) 
     """
     corrections = trajectory.interpolate_corrections(rough, refined, others.times)
     poses, by_rough = np.asarray(corrections @ others.world_from_sensor), np.ones((len(others), 2), bool)
-    wrong = _wrong(rough, refined, others)
+    wrong, drift = _wrong(rough, refined, others), _drift(rough, refined, others.times)
     there = np.flatnonzero(wrong.any(axis=1))
     if len(there) == 0:
-        return Carried(poses, by_rough, wrong)
+        return Carried(poses, by_rough, wrong, drift)
     moving = Trajectory(rough.times, refined)
     smooth = _between(moving, others) @ mounted
     choices = np.concatenate([poses[None, there], _sides(rough, refined, others, there)])
@@ -70,7 +80,7 @@ def carry(rough: Trajectory, refined: Poses, others: Trajectory, mounted: Pose) 
         by_rough[there] = (apart <= known) | (expected <= np.maximum(known, apart / _UNEXPLAINED))
     other = np.flatnonzero(~by_rough.all(axis=1))
     poses[other] = _mixed(poses[other], smooth[other], by_rough[other], mounted)
-    return Carried(poses, by_rough, wrong)
+    return Carried(poses, by_rough, wrong, drift)
 
 
 def _wrong(rough: Trajectory, refined: Poses, others: Trajectory) -> np.ndarray:
@@ -81,6 +91,57 @@ def _wrong(rough: Trajectory, refined: Poses, others: Trajectory) -> np.ndarray:
     wrong = trajectory.motion_differences(rough.world_from_sensor, refined)[before]
     far = (wrong > [np.radians(FAR_DEG), FAR_M]).any(axis=1) & ~spline.outside(rough, others.times)
     return np.asarray(np.where(far[:, None], wrong, 0.0))
+
+
+def _drift(rough: Trajectory, refined: Poses, times: Times) -> np.ndarray:
+    """(I, 2), as of `Carried`.
+
+    By how much rough motions over as long a time differ from refined ones, wherever scans tell: over the time from the
+    end; in a gap, over all of it, by the part that a random walk is off its line there.
+    """
+    drift = np.zeros((len(times), 2))
+    interval = np.diff(rough.times)
+    if not len(interval):
+        return drift
+    before, fraction = trajectory.bracket(rough.times, times)
+    gap = np.minimum(before, len(interval) - 1)
+    beyond = np.maximum(rough.times[0] - times, times - rough.times[-1])
+    usual = float(np.median(interval))
+    far, inside = beyond > usual, (beyond <= 0) & (interval[gap] > _GAP * usual)
+    lag, size = _differences(rough, refined)
+    if far.any():
+        drift[far] = _over(lag, size, beyond[far])
+    if inside.any():
+        bridge = np.sqrt(fraction * (1 - fraction))[inside, None]
+        drift[inside] = bridge * _over(lag, size, interval[gap[inside]])
+    # frames before, in each gap and after: one run each
+    run = np.where(far, np.where(times < rough.times[0], -1, len(interval)), gap)
+    _, which, count = np.unique(run, return_inverse=True, return_counts=True)
+    together = np.sqrt(np.minimum(count, _MOST_ALIKE))[which]
+    return np.asarray(drift * together[:, None] / np.sqrt(3.0))
+
+
+def _differences(rough: Trajectory, refined: Poses) -> tuple[np.ndarray, np.ndarray]:
+    """(L,) s and (L, 2), rad and m: root mean square difference of rough motions from refined ones over so long a time."""
+    count, lags = len(refined), [1]
+    while 4 * lags[-1] <= count:
+        lags.append(2 * lags[-1])
+    lag, size = np.zeros(len(lags) + 1), np.zeros((len(lags) + 1, 2))
+    for row, step in enumerate(lags, 1):
+        motions = (
+            geometry.inverse(each[:-step]) @ each[step:] for each in (rough.world_from_sensor, refined)
+        )
+        one, other = motions
+        off = geometry.log(geometry.inverse(one) @ other).reshape(-1, 2, 3)
+        lag[row] = np.median(rough.times[step:] - rough.times[:-step])
+        size[row] = np.sqrt(np.square(off).sum(axis=2).mean(axis=0))
+    return lag, size
+
+
+def _over(lag: np.ndarray, size: np.ndarray, span: np.ndarray) -> np.ndarray:
+    """(Q, 2): sizes (L, 2) at lags (L,) s, over spans (Q,) s; beyond the last, in proportion to the span."""
+    within = np.stack([np.interp(span, lag, size[:, k]) for k in range(2)], axis=1)
+    return np.asarray(within * np.maximum(span / lag[-1], 1.0)[:, None])
 
 
 def _mixed(one: Poses, other: Poses, by_one: np.ndarray, mounted: Pose) -> Poses:

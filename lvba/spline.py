@@ -60,11 +60,13 @@ def leave_one_out_error(samples: Trajectory, times: Times) -> np.ndarray:
     """(Q, 2): error (rad, m) of a sample at each time that is predicted from its neighbors.
 
     From the samples around that time, each predicted from two neighbors on either side. The interpolation error is a
-    fraction of it: largest half way between samples, where it is given in full, and zero at a sample.
+    fraction of it: largest half way between samples, where it is given in full, and zero at a sample. In an interval much
+    longer than those beside it, where the samples about it tell little, as much more as the cubic may be off there.
     """
     each = _leave_one_out(samples)
     before, fraction = trajectory.bracket(samples.times, times)
     around = np.maximum(each[before], each[np.minimum(before + 1, len(samples) - 1)])
+    around *= _in_gaps(samples.times)[np.minimum(before, len(samples) - 2), None]
     inside = ~outside(samples, times)
     around *= np.where(inside, 4 * fraction * (1 - fraction), 1.0)[:, None]
     return np.asarray(around)
@@ -107,8 +109,16 @@ def leave_one_out_rates(samples: Trajectory, times: Times, floor: np.ndarray) ->
     each = np.maximum(_leave_one_out(samples), floor)
     before, _ = trajectory.bracket(samples.times, times)
     after = np.minimum(before + 1, len(samples) - 1)
-    interval = np.diff(samples.times)[np.minimum(before, len(samples) - 2)]
-    return np.asarray(np.maximum(each[before], each[after]) / interval[:, None])
+    first = np.minimum(before, len(samples) - 2)
+    more = _in_gaps(samples.times)[first] / np.diff(samples.times)[first]
+    return np.asarray(np.maximum(each[before], each[after]) * more[:, None])
+
+
+def unknown(samples: Trajectory, times: Times) -> np.ndarray:
+    """(Q,) bool: times (Q,) before the first sample, after the last, or in a gap so long that splines tell nothing."""
+    before, _ = trajectory.bracket(samples.times, times)
+    lost = _in_gaps(samples.times)[np.minimum(before, len(samples) - 2)] > _LOST
+    return np.asarray(lost | outside(samples, times))
 
 
 def outside(samples: Trajectory, times: np.ndarray) -> np.ndarray:
@@ -123,6 +133,33 @@ def _leave_one_out(samples: Trajectory) -> np.ndarray:
     # of the two at each end nothing tells: they are as bad as the worse of the nearest two that are known
     each = np.pad(size, ((2, 2), (0, 0)), mode="maximum", stat_length=2)
     return np.asarray(each / np.sqrt(3.0))
+
+
+_USUAL = 9 / 64
+"""Error of the cubic half way between samples at equal intervals, over that of leaving one of them out."""
+_GAP = 2.0
+"""Times the usual that the first is larger where an interval is a gap; stamps that jitter make less of it."""
+_LOST = 10.0
+"""Times the usual from which on a spline across a gap tells nothing: five intervals."""
+
+
+def _in_gaps(times: Times) -> np.ndarray:
+    """(N - 1,): times that the error between two samples (N,), over that of leaving one of them out, is larger than at
+    equal intervals, in gaps; 1 elsewhere.
+
+    The remainder of a cubic through four samples (Lagrange) grows with the product of the times to these: by ten in a gap
+    of five intervals, by a hundred in one of twenty. Leaving out a sample beside it tells of the near side only.
+    """
+    count = len(times)
+    first = np.clip(np.arange(-1, count - 2), 0, count - 4)
+    used = times[first[:, None] + np.arange(4)]
+    middle = (times[:-1] + times[1:]) / 2
+    between = np.abs(np.prod(middle[:, None] - used, axis=1))
+    inner = np.arange(2, count - 2)
+    left_out = np.abs(np.prod(times[inner, None] - times[inner[:, None] + [-2, -1, 1, 2]], axis=1))
+    left_out = np.pad(left_out, 2, mode="edge")
+    more = between / (_USUAL * np.maximum(left_out[:-1], left_out[1:]))
+    return np.asarray(np.where(more > _GAP, more, 1.0))
 
 
 def _off(samples: Trajectory) -> np.ndarray:

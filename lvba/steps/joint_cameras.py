@@ -268,7 +268,9 @@ def finish_cameras(
         where = Trajectory(dataset.scans.times, scans.world_from_scan)
         unsolved = ~np.isfinite(spread[:, 0, 0])
         known = lidar.result.shared_factor * lidar.result.covariance
+        solved = now.prior if now.prior is not None else trajectory_prior.take(prior, keyframes)
         spread[unsolved] = covariance.of_map(poses, times, where, known)[unsolved]
+        spread[unsolved] += trajectory_prior.expected_spread(prior, solved, calibration, keyframes)[unsolved]
     degenerate = np.zeros(len(times), np.int32)
     for core, part in zip(cores, stages, strict=True):
         if part.result is not None:

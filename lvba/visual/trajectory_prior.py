@@ -133,12 +133,14 @@ def build(
     # what rough motions do not tell counts for nothing
     own = np.hypot(usual, OF_WRONG * carried.wrong) * np.where(carried.by_rough, 1.0, _NOTHING)
     scan_rotation, scan_position = _scan_sigmas(scans.times, scan_covariance, images.times)
+    # not scaled by what frames deviate: these are nearly all between scans that are near
+    drift_rotation, drift_position = carried.drift[:, :1], carried.drift[:, 1:]
     by_eq1 = Source(
         world_from_scan=carried.world_from_sensor @ camera_from_scan,
         sigma_rotation=np.repeat(own[:, :1], 3, axis=1),
         sigma_position=np.repeat(own[:, 1:], 3, axis=1),
-        scan_rotation=scan_rotation,
-        scan_position=scan_position,
+        scan_rotation=np.hypot(scan_rotation, drift_rotation),
+        scan_position=np.hypot(scan_position, drift_position),
         silent=~carried.by_rough,
     )
     moving = Trajectory(scans.times, refined)
@@ -152,7 +154,7 @@ def build(
             sigma_position=within[:, 3:],
             scan_rotation=np.hypot(scan_rotation, at_ends[:, :3]),
             scan_position=np.hypot(scan_position, at_ends[:, 3:]),
-            silent=np.repeat(spline.outside(moving, images.times)[:, None], 2, axis=1),
+            silent=np.repeat(spline.unknown(moving, images.times)[:, None], 2, axis=1),
         )
         sources = (by_eq1, by_spline)
     known = calibration_prior.build(Calibration(scan_from_camera), config.sigma)
@@ -228,24 +230,36 @@ def fill(
     the best tells nothing, another does.
     prior: of all I images; solved: of the K keyframes, with the sigmas found; times: (I,) s
     """
+    poses, spread = _expected(prior, solved, state.calibration, keyframes)
+    deviation = geometry.log(geometry.inverse(poses[keyframes]) @ state.cameras.world_from_camera)
+    moved = np.stack([np.interp(times, times[keyframes], deviation[:, n]) for n in range(6)], axis=1)
+    poses = geometry.retract(poses, moved)
+    poses[keyframes] = state.cameras.world_from_camera
+    spread[keyframes] = 0.0
+    return poses, spread
+
+
+def expected_spread(prior: Prior, solved: Prior, calibration: Calibration, keyframes: Indices) -> np.ndarray:
+    """(I, 6, 6): covariance of images that only the trajectory tells of, where `fill` puts them. Arguments as of `fill`."""
+    return _expected(prior, solved, calibration, keyframes)[1]
+
+
+def _expected(
+    prior: Prior, solved: Prior, calibration: Calibration, keyframes: Indices
+) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (I, 4, 4) of all images by the source that is best for each, and their covariances (I, 6, 6)."""
     order = [float(np.median(s.sigma_rotation)) + float(np.median(s.sigma_position)) for s in solved.sources]
     by_order = np.argsort(order, kind="stable")
-    predicted = np.stack([predict(prior, prior.sources[n], state.calibration) for n in by_order])
+    predicted = np.stack([predict(prior, prior.sources[n], calibration) for n in by_order])
     # the sigmas were rescaled in the solve: so are those of the images between
     spread = np.stack([_rescaled(prior.sources[n], solved.sources[n], keyframes) for n in by_order])
     used = (
         np.where(prior.sources[by_order[0]].spoken.all(axis=1), 0, spread.sum(axis=2).argmin(axis=0)),
-        np.arange(len(times)),
+        np.arange(len(prior)),
     )
-    expected = predicted[used]
-    deviation = geometry.log(geometry.inverse(expected[keyframes]) @ state.cameras.world_from_camera)
-    moved = np.stack([np.interp(times, times[keyframes], deviation[:, n]) for n in range(6)], axis=1)
-    poses = geometry.retract(expected, moved)
-    poses[keyframes] = state.cameras.world_from_camera
     camera_from_scan = prior.calibration.reference.scan_from_camera[:3, :3].T
-    added = geometry.turn_tangent(np.square(spread[used])[:, :, None] * np.eye(6), camera_from_scan)
-    added[keyframes] = 0.0
-    return poses, added
+    along = np.square(spread[used])[:, :, None] * np.eye(6)
+    return predicted[used], geometry.turn_tangent(along, camera_from_scan)
 
 
 def _rescaled(source: Source, solved: Source, keyframes: Indices) -> np.ndarray:
@@ -281,8 +295,8 @@ def _spline_sigmas(scans: Trajectory, times: Times) -> tuple[np.ndarray, np.ndar
     """
     left_out = spline.leave_one_out_error_by_axis(scans, times)
     within = BETWEEN_SCANS * left_out + np.repeat([np.radians(FLOOR_ROTATION_DEG), FLOOR_POSITION_M], 3)
-    # beyond the scans there is nothing to interpolate: what is extrapolated counts for nothing
-    within[spline.outside(scans, times)] *= _NOTHING
+    # beyond the scans, and far from them, there is nothing to interpolate: that counts for nothing
+    within[spline.unknown(scans, times)] *= _NOTHING
     return within, AT_ENDS * spline.boundary_error(scans, times)[:, None] * left_out
 
 
