@@ -122,7 +122,7 @@ def _drift(rough: Trajectory, refined: Poses, times: Times) -> np.ndarray:
 
 
 def _differences(rough: Trajectory, refined: Poses) -> tuple[np.ndarray, np.ndarray]:
-    """(L,) s and (L, 2), rad and m: root mean square difference of rough motions from refined ones over so long a time."""
+    """(L,) s and (L, 2), rad and m: root mean square difference of rough motions from refined ones over such times."""
     count, lags = len(refined), [1]
     while 4 * lags[-1] <= count:
         lags.append(2 * lags[-1])

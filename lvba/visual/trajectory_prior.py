@@ -240,7 +240,7 @@ def fill(
 
 
 def expected_spread(prior: Prior, solved: Prior, calibration: Calibration, keyframes: Indices) -> np.ndarray:
-    """(I, 6, 6): covariance of images that only the trajectory tells of, where `fill` puts them. Arguments as of `fill`."""
+    """(I, 6, 6): covariance of images that only the trajectory tells of, where `fill` puts them; arguments as of it."""
     return _expected(prior, solved, calibration, keyframes)[1]
 
 
