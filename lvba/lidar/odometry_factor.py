@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lvba import geometry
-from lvba.arrays import Indices, Poses
+from lvba.arrays import Indices, Poses, Times
 from lvba.optim import pose_graph
 from lvba.optim.normal_equations import NormalEquations
 from lvba.optim.pose_graph import Edges
@@ -22,6 +22,8 @@ _FLOOR_ROTATION, _FLOOR_TRANSLATION = 2e-4, 1e-3
 """rad and m: no odometry is taken for better than this from scan to scan."""
 JUMP = np.diag(np.repeat([np.radians(4.0), 0.6], 3) ** -2.0)
 """(6, 6), information of a step of which nothing is known yet."""
+_PAUSE = 3.0
+"""Times the usual time between scans from which on a step is longer than those that tell of the odometry."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +34,15 @@ class OdometryPrior:
     information: (S - 1, 6, 6), of the local tangent [rotation | translation] at the later scan
     ceiling: (6,), rad and m, standard deviations of a step that no estimate exceeds
     jumps: (K,) int64, steps that the odometry knows nothing of: they say nothing of the others, and stay uncertain
+    spans: (S - 1,) float64, times the usual time that a step takes, for as long an odometry drifts; 1: usual; None: all
+        are
     """
 
     previous_from_next: np.ndarray
     information: np.ndarray
     ceiling: np.ndarray
     jumps: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    spans: np.ndarray | None = None
 
     def cost(self, world_from_scan: Poses) -> float:
         """Half the sum of squared normalized residuals."""
@@ -59,6 +64,7 @@ class OdometryPrior:
             previous_from_next=self.previous_from_next[steps],
             information=self.information[steps],
             jumps=np.flatnonzero(np.isin(steps, self.jumps)),
+            spans=None if self.spans is None else self.spans[steps],
         )
 
     def _edges(self) -> Edges:
@@ -86,6 +92,20 @@ def with_jumps(prior: OdometryPrior, jumps: Indices, world_from_scan: Poses) -> 
     steps[jumps] = geometry.inverse(world_from_scan[jumps]) @ world_from_scan[jumps + 1]
     information[jumps] = JUMP
     return replace(prior, previous_from_next=steps, information=information, jumps=np.asarray(jumps))
+
+
+def with_pauses(prior: OdometryPrior, times: Times) -> OdometryPrior:
+    """The prior of scans at times (S,) s with steps that take much longer than usual as uncertain as the odometry may
+    drift in so long a time; as it is where there is none."""
+    interval = np.diff(times)
+    usual = float(np.median(interval)) if len(interval) else 0.0
+    long = interval > _PAUSE * usual
+    long[prior.jumps] = False
+    if not long.any() or not usual:
+        return prior
+    spans = np.where(long, interval / usual, 1.0)
+    information = prior.information / spans[:, None, None] ** 2
+    return replace(prior, information=information, spans=spans)
 
 
 def reestimated(prior: OdometryPrior, world_from_scan: Poses, held: np.ndarray) -> OdometryPrior:
@@ -123,12 +143,14 @@ def _telling(prior: OdometryPrior, held: np.ndarray) -> tuple[np.ndarray, np.nda
     """(S - 1,) bool each: steps that are no jumps, and those of them that tell how wrong the odometry is."""
     ordinary = np.ones(len(prior.information), bool)
     ordinary[prior.jumps] = False
-    return ordinary, held[1:] & held[:-1] & ordinary
+    telling = held[1:] & held[:-1] & ordinary
+    return ordinary, telling if prior.spans is None else telling & (prior.spans == 1)
 
 
 def _with_sigmas(prior: OdometryPrior, sigma: np.ndarray, steps: np.ndarray) -> OdometryPrior:
     """The prior with standard deviations (S - 1, 6) of some steps (S - 1,) bool."""
     information = prior.information.copy()
+    sigma = sigma if prior.spans is None else sigma * prior.spans[:, None]
     information[steps] = (sigma**-2)[steps][:, :, None] * np.eye(6)
     return replace(prior, information=information)
 

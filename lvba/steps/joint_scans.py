@@ -16,6 +16,7 @@ from lvba.blocks.split import Part
 from lvba.blocks.survey import Survey
 from lvba.dataset import Dataset
 from lvba.lidar.bundle_adjustment import LidarConfig, LidarResult, Round
+from lvba.lidar.odometry_factor import with_pauses
 from lvba.lidar.plane import no_plane_points, no_planes
 from lvba.lidar.rounds import OBLIQUE
 from lvba.lidar.scan_errors import ScanErrors
@@ -130,6 +131,7 @@ def merge_parts(
         poses = _side_by_side(cores, parts, dataset.scans.world_from_sensor)
     error = rough_poses.of_all([part.rough_error for part in parts if part.rough_error is not None])
     odometry = rough_poses.odometry_of(dataset.scans.world_from_sensor, error, poses, survey.lidar)
+    odometry = with_pauses(odometry, dataset.scans.times)
     state = lidar_joint.begin(odometry, poses, survey.reach_m)
     if all(part.problem for part in parts):
         state = replace(state, converged_stage=len(survey.stages))

@@ -20,7 +20,7 @@ from lvba.io import imu as imu_files
 from lvba.lidar import bundle_adjustment as lidar_ba
 from lvba.lidar import range_errors
 from lvba.lidar.bundle_adjustment import LidarConfig, LidarResult
-from lvba.lidar.odometry_factor import odometry_prior
+from lvba.lidar.odometry_factor import with_pauses
 from lvba.lidar.range_errors import RangeErrors
 from lvba.lidar.scan import gather
 from lvba.lidar.scan_errors import ScanErrors
@@ -98,7 +98,7 @@ def _refined(
     begin: instead of the rough poses; None: at these
     Raises DegenerateProblemError: no plane is seen by two scans.
     """
-    rough, odometry = dataset.scans.world_from_sensor, None
+    rough = dataset.scans.world_from_sensor
     refine = partial(
         lidar_ba.refine,
         sensor_position=dataset.sensor_position_scan,
@@ -106,15 +106,14 @@ def _refined(
         imu=_imu(dataset),
         progress=progress,
     )
-    if begin is not None:
-        odometry = rough_poses.odometry_of(rough, begin.error, begin.world_from_scan, config)
-    result = refine(scans, rough if begin is None else begin.world_from_scan, odometry=odometry)
+    error, start = (None, rough) if begin is None else (begin.error, begin.world_from_scan)
+    odometry = with_pauses(rough_poses.odometry_of(rough, error, start, config), dataset.scans.times)
+    result = refine(scans, start, odometry=odometry)
     cosine = cosines()
     if errors is None or errors.ranges is None or cosine is None:
         return result
     scans = _met_at_planes(scans, cosine, result, errors.ranges)
-    known = odometry or odometry_prior(rough, config.prior_rotation, config.prior_translation)
-    return refine(scans, result.world_from_scan, odometry=known)
+    return refine(scans, result.world_from_scan, odometry=odometry)
 
 
 def _jumps_by_images(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lvba import geometry
-from lvba.lidar.odometry_factor import by_turns, odometry_prior, reestimated, with_jumps
+from lvba.lidar.odometry_factor import by_turns, odometry_prior, reestimated, with_jumps, with_pauses
 
 CEILING = np.repeat([0.01, 0.05], 3)
 
@@ -98,3 +98,36 @@ def test_some_scans_have_the_odometry_between_them():
     part = prior.among(np.arange(100, 150))
     assert part.jumps.tolist() == [20]
     assert np.array_equal(part.residuals(refined[100:150]), prior.residuals(refined)[100:149])
+
+
+def test_steps_across_a_pause_are_as_uncertain_as_it_is_long_and_have_no_vote():
+    refined, rough = walk()
+    times = np.arange(201.0)
+    times[101:] += 19.0  # the step after scan 100 takes twenty times as long as the others
+    # in which the odometry drifted
+    rough[101:] = (
+        rough[100] @ geometry.exp(np.repeat([0.03, 0.15], 3)) @ geometry.inverse(rough[100]) @ rough[101:]
+    )
+    held = np.ones(201, bool)
+    plain = odometry_prior(rough, 0.01, 0.05)
+    prior = with_pauses(plain, times)
+    ordinary = np.delete(np.arange(200), 100)
+    np.testing.assert_array_equal(prior.information[ordinary], plain.information[ordinary])
+    assert sigmas(prior)[100] == pytest.approx(20 * sigmas(plain)[100])
+    for estimate in (reestimated, by_turns):
+        known = sigmas(estimate(prior, refined, held))
+        assert known[ordinary] == pytest.approx(np.tile(np.repeat([0.002, 0.008], 3), (199, 1)), rel=0.3)
+        assert known[100] == pytest.approx(20 * np.repeat([0.002, 0.008], 3), rel=0.3)
+    few = prior.among(np.arange(90, 111))
+    assert sigmas(few)[10] == pytest.approx(sigmas(prior)[100])
+    assert few.spans[10] == pytest.approx(20)
+
+
+def test_stamps_that_jitter_and_jumps_are_no_pauses():
+    refined, rough = walk()
+    times = np.arange(201.0) + np.random.default_rng(0).uniform(-0.4, 0.4, 201)
+    prior = odometry_prior(rough, 0.01, 0.05)
+    assert with_pauses(prior, times) is prior
+    times[101:] += 19.0
+    jumps = with_jumps(prior, np.array([100]), refined)
+    assert with_pauses(jumps, times) is jumps
