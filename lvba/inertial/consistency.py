@@ -1,7 +1,7 @@
 """Whether what an IMU felt and how planes have the scans move can both be true; if not, it is not used.
 
-Wrong axes, units, clocks or mountings make a factor that contradicts the planes by far more than both promise. Small
-offsets of mounting and clock, and biases, are unknowns of the factor; what is left makes its variances larger.
+Wrong axes, units, clocks or extrinsics make a factor that contradicts the planes by far more than both predict. Small
+offsets of extrinsic and clock, and biases, are unknowns of the factor; what is left makes its variances larger.
 """
 
 from dataclasses import dataclass, field, replace
@@ -28,7 +28,7 @@ _FEWEST = 5
 """Motions between scans that planes hold, to judge by."""
 _CHANCE, _MOST = 0.79, 3.0
 """Median of the squares of rotations over their degrees of freedom: of a chi-square of three, over three; and at most.
-The median, for a few scans may be off by more than their planes promise."""
+The median, for a few scans may be off by more than their planes predict."""
 _MOST_AFTER = 4.0
 """Mean of the squares over their degrees of freedom, of rotations, velocities or positions, where planes and the IMU
 agree as well as they can."""

@@ -161,7 +161,7 @@ def with_errors(result: LidarResult, errors: ScanErrors | None, scans: Indices) 
     """
     if errors is None:
         return result
-    # what is promised is `shared_factor` times the covariance
+    # expected errors are those of `shared_factor` times the covariance
     return replace(
         result,
         covariance=result.covariance + errors.shared_covariance / result.shared_factor,

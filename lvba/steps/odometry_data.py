@@ -30,7 +30,7 @@ def of_odometry(
         "jumps_after": rough.after,
         "jumps_m": rough.meters,
         "jumps_deg": rough.degrees,
-        "untied_after": rough.without(surfaces).without(_tied(dataset, accepted, visual)).after,
+        "unconfirmed_after": rough.without(surfaces).without(_tied(dataset, accepted, visual)).after,
         "too_far_off": lidar.rough_error and _too_far_off(lidar.rough_error, by_images, len(poses)),
     }
 
@@ -46,7 +46,7 @@ def _too_far_off(error: RoughError, confirmed: np.ndarray, scans: int) -> dict[s
     ends = [end for end, after in ((0, 0), (last, last - 1)) if after in left_open]
     return asdict(replace(error, open_after=np.setdiff1d(left_open, [0, last - 1]))) | {
         "by_images_after": by_images,
-        "loose_ends": ends,
+        "unconnected_ends": ends,
     }
 
 

@@ -332,8 +332,8 @@ def covariance_of(solution: LevelSolution) -> Covariance:
     solved = _Turn(problem, solution.wall_clusters, at, linearization, solution.free)
     own = _covariance_of_calibration(solved, prior, total)
     if prior is not None:
-        # balanced gradients promise too much of the camera, which turns all images: on a road, a principal point that
-        # was 0.6 px off to 0.2, where those of each image by itself say 0.8
+        # balanced gradients predict too small errors of the camera, which turns all images: on a road, 0.2 px for a
+        # principal point that was 0.6 px off, where those of each image by itself say 0.8
         plain, camera = linear_solver.covariance(total, solution.free), fixed_calibration.indices()
         poses = linear_solver.with_errors_of_shared(poses, own - poses.shared, plain, camera)
         place = Calibration.layout()["readout"].start
@@ -355,12 +355,14 @@ def _with_held(
     step = linear_solver.solve_step(total, 0.0, solved.free) if fixed else None
     if step is None:
         return known
-    part = fixed_calibration.doubtful_part(step.shared, _precision(known.shared, solved, total), fixed)
+    fraction = fixed_calibration.significant_fraction(
+        step.shared, _precision(known.shared, solved, total), fixed
+    )
     blocks, shared = step.blocks, step.shared
     return Covariance(
-        known.blocks + part * blocks[:, :, None] * blocks[:, None],
-        known.with_shared + part * blocks[:, :, None] * shared,
-        known.shared + part * np.outer(shared, shared),
+        known.blocks + fraction * blocks[:, :, None] * blocks[:, None],
+        known.with_shared + fraction * blocks[:, :, None] * shared,
+        known.shared + fraction * np.outer(shared, shared),
     )
 
 

@@ -147,7 +147,7 @@ def _check_room(server: Server, session: Session, principal: Principal, estimate
     quota.check(server.database, session, principal.owner, limits, disk_bytes, 1)
     _check_waiting(server, session, principal.owner)
     free = disk_space.free_bytes(server.paths.root)
-    needed = int(estimate.get("disk_bytes", 0)) + limits.disk_reserve_bytes + _promised(session)
+    needed = int(estimate.get("disk_bytes", 0)) + limits.disk_reserve_bytes + _reserved(session)
     if needed > free:
         raise Problem(
             "disk-full",
@@ -171,7 +171,7 @@ def _check_waiting(server: Server, session: Session, owner: str) -> None:
         raise Problem("quota", f"{most} jobs of this owner wait already", headers={"Retry-After": "60"})
 
 
-def _promised(session: Session) -> int:
+def _reserved(session: Session) -> int:
     """What the jobs that have not ended may still take."""
     pending = session.scalars(select(Job.estimate).where(Job.state.not_in(ENDED), Job.deleted.is_(False)))
     return sum(int(estimate.get("disk_bytes", 0)) for estimate in pending)
