@@ -345,12 +345,12 @@ def _calibration(truth: RawTruth, conventions: Conventions) -> list[tuple[str, R
     lidar_from_camera = geometry.inverse(camera_from_lidar)
     if conventions.extrinsic_inverse:
         lidar_from_camera = camera_from_lidar
-    mounted = TransformSample(
+    extrinsic = TransformSample(
         START_NS, BODY_FRAME if apart else IMU_FRAME, LIDAR_FRAME, truth.rig.body_from_lidar, True
     )
     return [
         (CAMERA_INFO, CameraInfo(START_NS, CAMERA_FRAME, truth.camera)),
-        (TF_STATIC, mounted),
+        (TF_STATIC, extrinsic),
         (TF_STATIC, TransformSample(START_NS, LIDAR_FRAME, CAMERA_FRAME, lidar_from_camera, True)),
         *apart,
     ]

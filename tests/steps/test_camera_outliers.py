@@ -10,7 +10,7 @@ from image_scores import scores_of
 from lvba import geometry, pipeline, plan, simulate
 from lvba.blocks.split import SplitConfig
 from lvba.camera import Camera
-from lvba.dataset import Dataset, MountedCamera
+from lvba.dataset import Dataset, RigCamera
 from lvba.io.dataset import open_dataset
 from lvba.io.reference import read_reference
 from lvba.pipeline import Config
@@ -68,7 +68,7 @@ class Walk:
         deviation = SPREAD * rng.normal(size=(COUNT, 6))
         self.truth = geometry.retract(rough, deviation)
         names = tuple(f"/somewhere/{number}.png" for number in range(COUNT))
-        mounted = MountedCamera(Camera(640, 480, 500, 500, 320, 240), np.eye(4))
+        mounted = RigCamera(Camera(640, 480, 500, 500, 320, 240), np.eye(4))
         at = Trajectory(times, rough)
         self.dataset = Dataset("walk", names, at, names, at, (mounted,))
         self.scans = SimpleNamespace(world_from_scan=rough)

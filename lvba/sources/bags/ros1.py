@@ -112,7 +112,7 @@ class Ros1Bag:
                 content = self._content(file, position, unpacker, losses)
                 yield from self._in_content(content, connections, names, losses)
             if not listing.indexed:
-                yield from self._loose(file, listing, connections, names, losses)
+                yield from self._outside_chunks(file, listing, connections, names, losses)
 
     def _listing(self) -> _Listing:
         if self._known is None:
@@ -307,7 +307,7 @@ class Ros1Bag:
                 except Damaged as error:
                     losses.add(f"{self.path.name}: a connection cannot be read: {error}")
 
-    def _loose(
+    def _outside_chunks(
         self,
         file: BufferedReader,
         listing: _Listing,
