@@ -6,6 +6,7 @@ from typing import Any
 BEFORE = {
     "degenerate_directions": ("weak_directions",),
     "degenerate_scans": ("weak_scans",),
+    "fraction": ("part",),
     "interpolation_error_scale": ("between",),
     "odometry_dependence": ("loose",),
     "offset_before_deg": ("jump_deg",),

@@ -139,7 +139,7 @@ def of_lidar(lidar: LidarStage, scans: ScanPoses, accepted: Accepted) -> dict[st
 
 
 def of_scan_errors(errors: ScanErrors | None) -> dict[str, Any]:
-    """Errors of the range sensor; the part of the motion that was left in scans, and by what their points were moved."""
+    """Errors of the range sensor; how much of the motion was left in scans, and by what their points were moved."""
     if errors is None:
         return {}
     facts: dict[str, Any] = {} if errors.motion is None else {"motion_left": errors.motion.facts()}
@@ -147,10 +147,10 @@ def of_scan_errors(errors: ScanErrors | None) -> dict[str, Any]:
 
 
 def of_moving_points(moving: Sequence[MovingPoints]) -> dict[str, Any]:
-    """How many points move, and what part of all they are."""
+    """How many points move, and what fraction of all they are."""
     count = sum(len(each.numbers) for each in moving)
-    part = count / max(sum(each.count for each in moving), 1)
-    return {"moving_points": {"count": count, "part": part}}
+    fraction = count / max(sum(each.count for each in moving), 1)
+    return {"moving_points": {"count": count, "fraction": fraction}}
 
 
 def warnings_of_errors(errors: ScanErrors | None) -> list[str]:
@@ -189,8 +189,8 @@ def warnings_of_motion(motion: MotionLeft | None) -> list[str]:
         ]
     if motion.corrected:
         return [
-            f"{100 * (motion.part or 0.0):.1f} % of the motion during scans was left in them: points were moved by the "
-            "refined trajectory. Deskew scans in the odometry to spare that"
+            f"{100 * (motion.fraction or 0.0):.1f} % of the motion during scans was left in them: points were moved by "
+            "the refined trajectory. Deskew scans in the odometry to spare that"
         ]
     if not motion.problem:
         return []
