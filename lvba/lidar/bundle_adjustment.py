@@ -190,7 +190,7 @@ def align(
     """What `refine` gives without saying how certain it is, also by the last stage alone.
 
     scans: S arrays (N, 3) float32, m, scan frame; world_from_scan: (S, 4, 4), rough; sensor_position: (3,), m
-    start: (S, 4, 4), as refined with about the same points, from where the last stage goes on; None: nothing is known
+    start: (S, 4, 4), as refined with about the same points, from where the last stage continues; None: nothing is known
     Raises DegenerateProblemError: no plane is seen by two scans.
     """
     points = gather(scans)

@@ -130,7 +130,7 @@ class Sensors:
 class RawTruth:
     """What is true of a raw recording. All times are int64 ns.
 
-    scans, images: (S,), (I,): begin of each sweep, and when each image was taken
+    scans, images: (S,), (I,): start of each sweep, and when each image was taken
     points: of each scan, (N, 3) float32, m, LiDAR frame, each as seen from where the sensor was at its own time
     point_times: of each scan, (N,): when each of its points was measured
     """

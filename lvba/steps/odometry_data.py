@@ -22,7 +22,7 @@ def of_odometry(
     """
     poses = dataset.scans.world_from_sensor
     by_images = _tied(dataset, accepted, visual, trajectory_jumps.CONFIRMED_M, trajectory_jumps.CONFIRMED_DEG)
-    # a sensor that turns round a corner between sparse scans goes on unlike before and after
+    # a sensor that turns round a corner between sparse scans continues unlike before and after
     as_images = _alike(by_images, accepted.world_from_scan, poses)
     rough = trajectory_jumps.find(dataset.scans).without(_confirmed(poses, lidar)).without(as_images)
     surfaces = _confirmed(accepted.world_from_scan, lidar)
@@ -51,8 +51,8 @@ def _too_far_off(error: RoughError, confirmed: np.ndarray, scans: int) -> dict[s
 
 
 def _confirmed(world_from_scan: Poses, lidar: LidarStage) -> np.ndarray:
-    """(K,) int64, scans after which poses (S, 4, 4) go on unlike before and after, and surfaces confirm it: a sensor may
-    truly move so fast."""
+    """(K,) int64, scans after which poses (S, 4, 4) continue unlike before and after, and surfaces confirm it: a sensor
+    may truly move so fast."""
     if lidar.result is None:
         return np.zeros(0, np.int64)
     return _alike(lidar.confirmed, lidar.result.world_from_scan, world_from_scan)

@@ -178,7 +178,7 @@ def _registered(figures: Figures) -> Iterator[Reason]:
         "The rough poses were too far off to start from (typically "
         f"{lengths.text(figures.rough_m)} and {figures.rough_deg:.1f} degrees from scan to scan, or jumps): scans were "
         "registered to each other first.",
-        "Look at the map for double surfaces; mend the odometry if you can.",
+        "Look at the map for double surfaces; correct the odometry if you can.",
         more=figures.odometry_dependent_steps > 0,  # on one that has proved to be wrong
     )
 

@@ -43,7 +43,7 @@ PLANE_FLOOR_M = 0.001
 """m: no plane is taken as better known than this; surfaces are not flatter."""
 SOLVER = SolverConfig(max_iterations=12, initial_damping=1e-6, relative_decrease=1e-4)
 """Of the last solve of a level. What lowers the cost by less moves each unknown, plane offsets among them, by a tenth of
-its standard deviation: poses that go on for eight more steps end 0.01 mm elsewhere. Damped by little: what turns all
+its standard deviation: poses after eight more steps end 0.01 mm elsewhere. Damped by little: what turns all
 cameras together and shifts the principal point (or changes the clock, or the readout) is known a million times less well
 than each camera by itself."""
 

@@ -99,7 +99,7 @@ def check_config(values: dict[str, Any]) -> None:
 
 
 def check_import(server: Server, dataset: Dataset, values: dict[str, Any] | None) -> None:
-    """Raises Problem: the dataset is not imported, or has not what is chosen of it."""
+    """Raises Problem: the dataset is not imported, or does not have what is chosen of it."""
     inspection = inspections.read(server.paths, dataset.id)
     if inspection is None:
         if values is not None:
@@ -134,7 +134,7 @@ def _check(server: Server, session: Session, principal: Principal, wanted: NewJo
 
 def _check_webhook(server: Server, url: str) -> None:
     if not server.settings.webhooks:
-        raise Problem("invalid", "this server tells no addresses", "leave `webhook` out")
+        raise Problem("invalid", "webhooks are switched off on this server", "leave `webhook` out")
     try:
         webhooks.check_url(url, server.settings.webhook_allow)
     except InputError as error:

@@ -278,7 +278,7 @@ class Ros1Bag:
         try:
             record = _read_record(file, position, self._size, (_CHUNK,))
             if record.op != _CHUNK:
-                raise Damaged("it is none")
+                raise Damaged("it is not a chunk")
             if record.length > MAX_MESSAGE:
                 raise Damaged(f"it has {record.length} bytes")
             file.seek(record.data)
@@ -369,7 +369,7 @@ def _fields(header: bytes) -> dict[bytes, bytes]:
         at += 4
         name, equal, value = header[at : at + length].partition(b"=")
         if not equal or at + length > end:
-            raise Damaged("its header is none")
+            raise Damaged("its header is invalid")
         listing[name] = value
         at += length
     return listing

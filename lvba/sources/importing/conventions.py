@@ -287,7 +287,7 @@ def _choices(
 
 
 def _shifts(survey: Survey, odometry: Track, clock: ScanClock, period: float) -> dict[str, float]:
-    """s, by name, what is tried: as stamped first. Poses with stamps of scans may be of the begin, middle or end."""
+    """s, by name, what is tried: as stamped first. Poses with stamps of scans may be of the start, middle or end."""
     sweep = clock.sweep or period
     values = [0.0, -sweep / 2, sweep / 2, -sweep, sweep]
     named: dict[str, float] = {}

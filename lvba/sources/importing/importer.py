@@ -58,7 +58,7 @@ def import_source(
     progress: Progress = silent,
     announce: Announce = silent,
 ) -> ImportReport:
-    """Writes the recording folder of a source; goes on where the same import was stopped, and gives the same bytes.
+    """Writes the recording folder of a source; continues where the same import was stopped, and gives the same bytes.
 
     Raises InputError: a stream, poses or a calibration are missing; data contradict what is said, or every way to read
     the source; the folder holds something else.

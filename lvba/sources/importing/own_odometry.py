@@ -117,7 +117,7 @@ def _inertial(survey: Survey, rig: RigFacts) -> tuple[Inertial | None, tuple[str
 
 
 def _track(estimated: Estimate, sweep: float) -> Track:
-    """Poses also at the begin of the first sweep and at the end of the last one, as the motion goes on."""
+    """Poses also at the start of the first sweep and at the end of the last one, as the motion continues."""
     times, poses = estimated.times, estimated.world_from_lidar
     if len(times) < 2 or not sweep:
         return Track(times, poses)
