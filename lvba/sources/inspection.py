@@ -71,7 +71,7 @@ class StreamFacts:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What is in a source. missing: what an import lacks, and how to give it; notes: what is odd; one sentence each
+    """What is in a source. missing: what an import lacks, and how to give it; notes: what is unusual; one sentence each
 
     presets: names of public data sets that it may be of, by its topics
     """

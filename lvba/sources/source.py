@@ -167,7 +167,7 @@ class SourceDescription:
 
     format: for people: "ROS 1 bag", "MCAP file", "TUM RGB-D folder"
     size: bytes of its files
-    notes: what is odd or lost, one sentence each: "the file is cut: 219 messages are left"
+    notes: what is unusual or lost, one sentence each: "the file is cut: 219 messages are left"
     """
 
     path: str
