@@ -44,7 +44,7 @@ T0 = 1_700_000_000_000_000_000
 
 @dataclass(frozen=True)
 class Drive:
-    """A source that goes on for so many seconds."""
+    """A source that continues for so many seconds."""
 
     seconds: int
 

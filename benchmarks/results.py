@@ -10,7 +10,7 @@
     python benchmarks/results.py write                        docs/results.md from docs/results.json
 
 Each command adds its rows to docs/results.json (one object per row, keyed by table and row) and rewrites docs/results.md.
-`disturbed` does not make rows again that this version has made: stopped, it goes on by the same command.
+`disturbed` does not make rows again that this version has made: stopped, it continues by the same command.
 """
 
 import argparse

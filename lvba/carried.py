@@ -48,13 +48,13 @@ class Carried:
     drift: np.ndarray
 
 
-def carry(rough: Trajectory, refined: Poses, others: Trajectory, mounted: Pose) -> Carried:
+def carry(rough: Trajectory, refined: Poses, others: Trajectory, extrinsic: Pose) -> Carried:
     """Poses of another sensor moved along with refined ones. Source: Li et al., eq. (1).
 
     rough: of the first sensor; refined: (N, 4, 4), poses at rough.times; others: rough poses of the other sensor
-    mounted: (4, 4) `sensor_from_other` as calibrated
+    extrinsic: (4, 4) `sensor_from_other` as calibrated
     Where a rough motion is wrong, the other sensor may have followed it evenly, or the scan before or the scan after:
-    whichever leaves it mounted most as calibrated. Where all of these contradict a spline through the refined scans
+    whichever leaves its extrinsic most as calibrated. Where all of these contradict a spline through the refined scans
     by more than that can be off, the spline has it, unless rough motions are wrong by less than that, or by less than
     explains how far they are from it: in a second between scans hands turn a sensor by more than an odometry errs, which
     no spline knows. Rotation and position are judged apart.
@@ -66,7 +66,7 @@ def carry(rough: Trajectory, refined: Poses, others: Trajectory, mounted: Pose) 
     if len(there) == 0:
         return Carried(poses, by_rough, wrong, drift)
     moving = Trajectory(rough.times, refined)
-    smooth = _between(moving, others) @ mounted
+    smooth = _between(moving, others) @ extrinsic
     choices = np.concatenate([poses[None, there], _sides(rough, refined, others, there)])
     off = geometry.log(geometry.inverse(smooth[there]) @ choices)
     size = np.linalg.norm(off.reshape(*off.shape[:2], 2, 3), axis=-1)
@@ -79,7 +79,7 @@ def carry(rough: Trajectory, refined: Poses, others: Trajectory, mounted: Pose) 
         expected = np.maximum(wrong[there], np.median(wrong[there], axis=0))
         by_rough[there] = (apart <= known) | (expected <= np.maximum(known, apart / _UNEXPLAINED))
     other = np.flatnonzero(~by_rough.all(axis=1))
-    poses[other] = _mixed(poses[other], smooth[other], by_rough[other], mounted)
+    poses[other] = _mixed(poses[other], smooth[other], by_rough[other], extrinsic)
     return Carried(poses, by_rough, wrong, drift)
 
 
@@ -144,12 +144,12 @@ def _over(lag: np.ndarray, size: np.ndarray, span: np.ndarray) -> np.ndarray:
     return np.asarray(within * np.maximum(span / lag[-1], 1.0)[:, None])
 
 
-def _mixed(one: Poses, other: Poses, by_one: np.ndarray, mounted: Pose) -> Poses:
+def _mixed(one: Poses, other: Poses, by_one: np.ndarray, extrinsic: Pose) -> Poses:
     """(J, 4, 4): the one where `by_one` (J, 2) says so for rotation and position of the first sensor, else the other."""
-    one, other = (each @ geometry.inverse(mounted) for each in (one, other))
+    one, other = (each @ geometry.inverse(extrinsic) for each in (one, other))
     sensor = np.where(by_one[:, 0, None, None], one, other)
     sensor[:, :3, 3] = np.where(by_one[:, 1:], one[:, :3, 3], other[:, :3, 3])
-    return np.asarray(sensor @ mounted)
+    return np.asarray(sensor @ extrinsic)
 
 
 def _between(samples: Trajectory, others: Trajectory) -> np.ndarray:

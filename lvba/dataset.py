@@ -33,7 +33,7 @@ class Scan:
 
 
 @dataclass(frozen=True)
-class MountedCamera:
+class RigCamera:
     """A camera and where it is on the sensor rig.
 
     camera: intrinsics of the raw (distorted) images, at the size of the files
@@ -59,7 +59,7 @@ class Dataset:
     image_paths: tuple[str, ...]
     images: Trajectory
     """world_from_camera of each image, (I, 4, 4); z forward."""
-    cameras: tuple[MountedCamera, ...]
+    cameras: tuple[RigCamera, ...]
     """The cameras that took the images: today one, or none if there are no images."""
     sensor_position_scan: np.ndarray = field(default_factory=lambda: np.zeros(3))
     """(3,), m: where the LiDAR is in the scan frame (from extrinsic_T); view directions start here."""
@@ -79,7 +79,7 @@ class Dataset:
     imu_path: str = ""
     """Readings of an IMU between the scans (`io.imu`); empty: there are none."""
     scan_from_imu: np.ndarray = field(default_factory=lambda: np.eye(4))
-    """(4, 4), m: its mounting in the scan frame (from body_from_imu)."""
+    """(4, 4), m: its extrinsic in the scan frame (from body_from_imu)."""
     warnings: tuple[str, ...] = ()
     """What was left out, and why, one sentence each."""
     digest: str = ""
@@ -88,18 +88,18 @@ class Dataset:
     @property
     def camera(self) -> Camera:
         """Intrinsics of the one camera; NO_CAMERA if there are no images."""
-        return self._mounted().camera
+        return self._rig_camera().camera
 
     @property
     def camera_from_scan(self) -> np.ndarray:
         """(4, 4) float64, m: rough extrinsic of the one camera; the identity if there are no images."""
-        return self._mounted().camera_from_scan
+        return self._rig_camera().camera_from_scan
 
     def with_camera(self, camera: Camera) -> "Dataset":
         """The recording with other intrinsics of its one camera."""
-        return replace(self, cameras=(replace(self._mounted(), camera=camera),))
+        return replace(self, cameras=(replace(self._rig_camera(), camera=camera),))
 
-    def _mounted(self) -> MountedCamera:
+    def _rig_camera(self) -> RigCamera:
         if len(self.cameras) > 1:
             raise NotImplementedError("images of several cameras are not refined yet")
-        return self.cameras[0] if self.cameras else MountedCamera(NO_CAMERA, np.eye(4))
+        return self.cameras[0] if self.cameras else RigCamera(NO_CAMERA, np.eye(4))

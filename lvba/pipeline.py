@@ -359,7 +359,7 @@ class _Chain(Chain):
         return learned, fused
 
     def solve_over_fused(self, lidar: Ref, learned: Ref, fused: Ref, cameras: Ref) -> Ref:
-        """The cameras, solved further over the planes at the scans that learned from them."""
+        """The cameras, solved further over the planes at the scans refined with them."""
         if self.variant != PRODUCT:  # rounds solve the full problem only
             return cameras
         add, options = self.plan.add, (self.survey, self.config.visual)

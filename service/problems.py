@@ -29,7 +29,7 @@ KINDS: dict[str, tuple[int, str, str]] = {
     "offset-mismatch": (409, "The bytes do not begin where the server's end", "continue from Upload-Offset"),
     "not-ready": (409, "There is no result yet", "wait for the state done"),
     "length-required": (411, "The length is needed", "send Content-Length"),
-    "too-large": (413, "Too large", "send less, or ask who runs the server for more"),
+    "too-large": (413, "Too large", "send less, or ask the server's administrator for more"),
     "unsupported": (415, "Not this kind of body", "send JSON, or raw bytes for an upload"),
     "range": (416, "There is no such part", "ask for bytes that the file has"),
     "invalid": (422, "The request does not fit", "mend what is named; see /docs and /v1/options"),
@@ -42,9 +42,13 @@ KINDS: dict[str, tuple[int, str, str]] = {
         "A result is not what the job made",
         "restart the job: it makes again what is missing or damaged, and keeps the stages that are whole",
     ),
-    "internal": (500, "The server failed", "try again; if it stays, tell who runs the server"),
+    "internal": (500, "The server failed", "try again; if it stays, tell the server's administrator"),
     "unavailable": (503, "Not now", "try again after a few seconds"),
-    "disk-full": (507, "The disk cannot hold it", "remove what is not needed, or ask who runs the server"),
+    "disk-full": (
+        507,
+        "The disk cannot hold it",
+        "remove what is not needed, or ask the server's administrator",
+    ),
 }
 """Status, title and hint of each code."""
 _ERRORS = 20

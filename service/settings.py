@@ -88,7 +88,7 @@ class Settings:
     hosts: tuple[str, ...] = ()
     """Names that requests may call this server by, beside loopback; empty: any, if keys are asked for."""
     proxies: tuple[str, ...] = ()
-    """Addresses or networks of reverse proxies whose word is taken for who asks (X-Forwarded-For), also on loopback."""
+    """Addresses or networks of reverse proxies whose X-Forwarded-For header is trusted, also on loopback."""
     roots: tuple[str, ...] = ()
     """Folders below which recordings may be registered in place, and URLs of object stores (s3://BUCKET/PATH)."""
     jobs: int = 1
@@ -112,11 +112,11 @@ class Settings:
     keep_uploads_days: float = 7.0
     """Days that unfinished uploads are kept without a request; 0: for good."""
     webhooks: bool = False
-    """Tell addresses that users give when their jobs have ended."""
+    """Call the webhook URLs that users give, when a job ends."""
     webhook_allow: tuple[str, ...] = ()
-    """Origins (http://host:port) that may be told although they are not public."""
+    """Origins (http://host:port) that may be called although they are not public."""
     webhook_timeout_s: float = 10.0
-    """Seconds that telling one address may take in all."""
+    """Seconds that calling one URL may take in all."""
     lease_s: float = 20.0
     """A job whose service has not been heard of for so long is taken over."""
     limits: Limits = field(default_factory=Limits)

@@ -18,6 +18,9 @@ IDENTIFIERS = {
     "WeakDirections": "DegenerateDirections",
     "excess": "variance_factor",
     "inflation": "variance_factor",
+    "MountedCamera": "RigCamera",
+    "ODD": "OUTLIER",
+    "odd_ones": "outlier_indices",
     "Share": "BlockClusters",
     "ShareEquations": "BlockEquations",
     "Shares": "WallClusters, DescriptorLimits",
@@ -62,6 +65,14 @@ WORDS = {
     "disagreement": "variance_factor, a standard deviation",
     "overstated": "variance_factor",
     "inflation": "variance_factor",
+    "inflated": "with_variance_factors",
+    "mounted": "extrinsic",
+    "loose": "odometry_dependence, unconnected, uncertain",
+    "vague": "uncertain",
+    "untied": "unconfirmed",
+    "doubtful": "insignificant, ambiguous",
+    "crisp": "sharp",
+    "crisper": "sharper",
     "excess": "variance_factor",
     "feigned": "noise_information",
     "mount": "extrinsic",
@@ -80,6 +91,8 @@ TEXT = {
     "with what the cameras know": "refined with the cameras",
     "images left out": "leave-one-out",
     "none any more": "removed",
+    "who runs the server": "the server's administrator",
+    "is none of a": "is not a",
     "not settled": "not converged",
     "feign": "look like, make up",
     "feigns": "looks like, makes up",
@@ -105,7 +118,7 @@ ALLOWED = {
 """Ordinary English, with the reason."""
 WORDS_ALLOWED = {
     "lvba/retired_settings.py": {"excess"},
-    "lvba/products/renamed_facts.py": {"disagreement", "inflation", "weak"},
+    "lvba/products/renamed_facts.py": {"disagreement", "inflation", "loose", "untied", "vague", "weak"},
 }
 """What older files hold. `correlation_inflation` is the standard term."""
 HISTORY = {"CHANGELOG.md"}

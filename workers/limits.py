@@ -11,7 +11,7 @@ from distributed.system import MEMORY_LIMIT
 
 _CONFIG: dict[str, Any] = {
     # what is kept between steps is a few hundred bytes: there is nothing to spill, and a process that holds memory
-    # after a large step must go on taking tasks; only the hard limit counts
+    # after a large step must keep taking tasks; only the hard limit counts
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,

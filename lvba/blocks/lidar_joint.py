@@ -27,7 +27,8 @@ from lvba.optim.normal_equations import NormalEquations
 from lvba.optim.two_level import Groups, TwoLevelEquations, TwoLevelFactors
 
 MOST_PAIRS = 200_000
-"""Pairs of scans near each other up to which all of them are coupled: 58 MB, and three times that while shares add up."""
+"""Pairs of scans near each other up to which all of them are coupled: 58 MB, and three times that while block
+equations add up."""
 NEAR = 0.25
 """Part of all pairs of scans that are near each other above which more of them are not coupled. Along a street each scan
 sees few others, and their number per scan stays: all pairs are a band, and steps at two levels converge slowly there."""
@@ -127,7 +128,7 @@ def step(
     equations, directions = assemble(state, whole, config)
     cost = 2.0 * whole.equations.cost / max(whole.points, 1.0)
     if state.group_size and state.projector is None and directions.count.any():
-        # shares did not know what planes leave open: a step would slide along it
+        # block equations did not know what planes leave open: a step would slide along it
         return replace(state, projector=directions.projector)
     change = _solve(equations, state.damping, config)
     moved = geometry.retract(state.world_from_scan, change)
@@ -180,7 +181,7 @@ def assemble(
 ) -> tuple[NormalEquations | TwoLevelEquations, DegenerateDirections]:
     """The equations of the sum of all blocks and of the prior, degenerate directions held at the odometry.
 
-    At two levels these directions are those that the shares knew of, of the round before.
+    At two levels these directions are those that the block equations knew of, of the round before.
     """
     whole = lidar_block.over_all(block, len(state.world_from_scan))
     directions = degeneracy.judge(

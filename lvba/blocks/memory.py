@@ -89,7 +89,7 @@ def _is_dense(poses: int, pairs: int) -> bool:
 
 
 def joint_bytes(world_from_scan: Poses, reach: float) -> float:
-    """What a joint round of all scans holds at its peak: the sum of all shares, and its factor.
+    """What a joint round of all scans holds at its peak: the sum of all block equations, and its factor.
 
     world_from_scan: (S, 4, 4); reach: m, of the LiDAR: of scans within twice of it all pairs count, an upper bound
     """
@@ -102,5 +102,5 @@ def joint_bytes(world_from_scan: Poses, reach: float) -> float:
     else:
         pairs = near
         factors = scans**2 if _is_dense(scans, near) else 2 * near
-    # two sums of shares and what they add up to; then that, it with the odometry, and its factor
+    # two sums of block equations and what they add up to; then that, it with the odometry, and its factor
     return _PAIR * max(3 * pairs, 2 * pairs + factors)

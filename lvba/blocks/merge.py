@@ -20,7 +20,7 @@ class MergeConfig(Group):
     loops: bool = setting(
         True,
         meaning="Look for places that parts see again.",
-        change_when="Different places look alike, and the report names a loop that is none.",
+        change_when="Different places look alike, and the report lists a false loop.",
     )
     coarse_rounds: int = setting(
         2,

@@ -1,7 +1,7 @@
-"""How much of the motion during scans is left in a recording: one part for all of its scans.
+"""How much of the motion during scans is left in a recording: one fraction for all of its scans.
 
 Points are measured when their times say, or the rows of the depth image that they are in.
-Measured in a few windows of successive scans, with poses, planes and the part found in turn. Where it is significant,
+Measured in a few windows of successive scans, with poses, planes and the fraction found in turn. Where it is significant,
 `scan_motions` measures how the sensor moved.
 """
 
@@ -27,15 +27,15 @@ _log = logging.getLogger(__name__)
 
 _ROUNDS = 5
 _CONVERGED = 2e-3
-"""Rounds end when the part changes by less."""
+"""Rounds end when the fraction changes by less."""
 _SUSPECT, _SURE = 2.0, 4.0
-"""Standard deviations above which a part is looked at closer, and is corrected."""
+"""Standard deviations above which a fraction is looked at closer, and is corrected."""
 _LEAST = 0.01
 """And at least so much: less moves scans by less than their noise."""
 _MOST = 1.3
 """What is more is no motion that was left."""
 _FALLS = 0.3
-"""A part that is one falls to less than this part of itself once it is corrected."""
+"""A fraction that is real falls to less than this part of itself once it is corrected."""
 
 
 def measure(
@@ -46,8 +46,8 @@ def measure(
     ranges: RangeErrors | None = None,
     progress: Progress = silent,
 ) -> MotionLeft | None:
-    """Which part is left in the scans of a whole recording, of motions that are not known yet; None: nothing says when
-    their points were measured.
+    """Which fraction is left in the scans of a whole recording, of motions that are not known yet; None: nothing says
+    when their points were measured.
 
     probes, sampled: of the recording, as `scan_windows` has them; ranges: errors of the sensor, which are taken out first
     Raises InputError: a scan cannot be read.
@@ -61,25 +61,25 @@ def measure(
 
 
 def is_sure(motion: MotionLeft) -> bool:
-    """Whether a part that was measured is no chance, so that points are to be moved by it."""
-    if motion.part is None or motion.sigma is None or motion.problem:
+    """Whether a fraction that was measured is no chance, so that points are to be moved by it."""
+    if motion.fraction is None or motion.sigma is None or motion.problem:
         return False
-    return _exceeds(motion.part, _SURE * motion.sigma)
+    return _exceeds(motion.fraction, _SURE * motion.sigma)
 
 
-def _exceeds(part: float, chance: float) -> bool:
-    """Whether a part is as large as chance may make it, and large enough to matter."""
-    return abs(part) >= max(_LEAST, chance)
+def _exceeds(fraction: float, chance: float) -> bool:
+    """Whether a fraction is as large as chance may make it, and large enough to matter."""
+    return abs(fraction) >= max(_LEAST, chance)
 
 
 def _not_corrected(
     clock: PointClock | RowClock | None,
-    part: float | None = None,
+    fraction: float | None = None,
     sigma: float | None = None,
     problem: str = "",
 ) -> MotionLeft:
     """Points stay as they are, until motions are known."""
-    return MotionLeft(clock=clock, part=part, sigma=sigma, motion=np.zeros((0, 6)), problem=problem)
+    return MotionLeft(clock=clock, fraction=fraction, sigma=sigma, motion=np.zeros((0, 6)), problem=problem)
 
 
 def clock(dataset: Dataset, windows: list[Window]) -> PointClock | RowClock | str | None:
@@ -102,64 +102,70 @@ def rows(dataset: Dataset, points: list[np.ndarray]) -> RowClock | None:
 
 @dataclass(frozen=True)
 class _Measurement:
-    """Finds poses, planes and the part in turn."""
+    """Finds poses, planes and the fraction in turn."""
 
     moving: MovingWindows
     ranges: RangeErrors | None
     progress: Progress
 
     def of(self, probes: list[Window], sampled: Callable[[], list[Window]]) -> MotionLeft:
-        """By some windows; only where they tell of a part, by more of the recording."""
+        """By some windows; only where they tell of a fraction, by more of the recording."""
         probes = [each.corrected(self.ranges) for each in probes]
         evidence, _ = self._of_windows(probes, 0.0, None)
         change, sigma = float(evidence.change[0]), float(evidence.sigma[0])
         if not _exceeds(change, _SUSPECT * sigma):
             return self._nothing(change, sigma)
         windows = [each.corrected(self.ranges) for each in sampled()]
-        part, twists, changes = change, None, [change]
+        fraction, twists, changes = change, None, [change]
         for turn in range(_ROUNDS):
             self.progress("motion left in scans", turn, _ROUNDS)
-            evidence, twists = self._of_windows(windows, part, twists)
+            evidence, twists = self._of_windows(windows, fraction, twists)
             changes.append(float(evidence.change[0]))
-            part += changes[-1]
+            fraction += changes[-1]
             if abs(changes[-1]) < _CONVERGED:
                 break
-        return self._judged(part, self._sigma(evidence), changes)
+        return self._judged(fraction, self._sigma(evidence), changes)
 
     def _sigma(self, evidence: ScanEvidence) -> float:
-        """Standard deviation of the part: errors of ranges that no model has bend surfaces, as motion does."""
+        """Standard deviation of the fraction: errors of ranges that no model has bend surfaces, as motion does."""
         return float(evidence.sigma[0]) * (1.0 if self.ranges is None else self.ranges.beside)
 
-    def _nothing(self, part: float, sigma: float) -> MotionLeft:
-        """Of a part that may be chance."""
+    def _nothing(self, fraction: float, sigma: float) -> MotionLeft:
+        """Of a fraction that may be chance."""
         known = bool(np.isfinite(sigma))
-        return _not_corrected(self.moving.clock, round(part, 6) if known else None, sigma if known else None)
+        return _not_corrected(
+            self.moving.clock, round(fraction, 6) if known else None, sigma if known else None
+        )
 
     def _of_windows(
-        self, windows: list[Window], part: float, twists: list[np.ndarray] | None
+        self, windows: list[Window], fraction: float, twists: list[np.ndarray] | None
     ) -> tuple[ScanEvidence, list[np.ndarray]]:
         """What windows tell together, and their twists at the poses found.
 
         twists: None: of the poses that windows begin with
         """
         twists = twists or [self.moving.first_twists(window) for window in windows]
-        pairs = [self._evidence(*each) for each in zip(windows, [part] * len(windows), twists, strict=True)]
+        pairs = [
+            self._evidence(*each) for each in zip(windows, [fraction] * len(windows), twists, strict=True)
+        ]
         evidence = sum((each for each, _ in pairs), nothing(1))
-        _log.info("motion left: %.4f and %.5f more, +- %.5f", part, evidence.change[0], evidence.sigma[0])
+        _log.info("motion left: %.4f and %.5f more, +- %.5f", fraction, evidence.change[0], evidence.sigma[0])
         return evidence, [twist for _, twist in pairs]
 
-    def _judged(self, part: float, sigma: float, changes: list[float]) -> MotionLeft:
-        if np.isfinite(sigma) and not _exceeds(part, _SURE * sigma):
-            return self._nothing(part, sigma)
-        if not np.isfinite(sigma) or abs(part) > _MOST or abs(changes[-1]) > _FALLS * abs(changes[0]):
+    def _judged(self, fraction: float, sigma: float, changes: list[float]) -> MotionLeft:
+        if np.isfinite(sigma) and not _exceeds(fraction, _SURE * sigma):
+            return self._nothing(fraction, sigma)
+        if not np.isfinite(sigma) or abs(fraction) > _MOST or abs(changes[-1]) > _FALLS * abs(changes[0]):
             problem = "no motion of the sensor explains what is left"
-            return _not_corrected(self.moving.clock, round(part, 6), problem=problem)
+            return _not_corrected(self.moving.clock, round(fraction, 6), problem=problem)
         # digits that sums in another order would not give are left out
-        return _not_corrected(self.moving.clock, round(part, 5), sigma)
+        return _not_corrected(self.moving.clock, round(fraction, 5), sigma)
 
-    def _evidence(self, window: Window, part: float, twist: np.ndarray) -> tuple[ScanEvidence, np.ndarray]:
+    def _evidence(
+        self, window: Window, fraction: float, twist: np.ndarray
+    ) -> tuple[ScanEvidence, np.ndarray]:
         """Of a window, and its twists at the poses found."""
-        solved = self.moving.solved(window, part * twist)
+        solved = self.moving.solved(window, fraction * twist)
         if solved is None:
             return nothing(1), twist
         own = self.moving.twists(window, solved.result.world_from_scan)

@@ -1,7 +1,7 @@
 """Whether what an IMU felt and how planes have the scans move can both be true; if not, it is not used.
 
-Wrong axes, units, clocks or mountings make a factor that contradicts the planes by far more than both promise. Small
-offsets of mounting and clock, and biases, are unknowns of the factor; what is left makes its variances larger.
+Wrong axes, units, clocks or extrinsics make a factor that contradicts the planes by far more than both predict. Small
+offsets of extrinsic and clock, and biases, are unknowns of the factor; what is left makes its variances larger.
 """
 
 from dataclasses import dataclass, field, replace
@@ -28,7 +28,7 @@ _FEWEST = 5
 """Motions between scans that planes hold, to judge by."""
 _CHANCE, _MOST = 0.79, 3.0
 """Median of the squares of rotations over their degrees of freedom: of a chi-square of three, over three; and at most.
-The median, for a few scans may be off by more than their planes promise."""
+The median, for a few scans may be off by more than their planes predict."""
 _MOST_AFTER = 4.0
 """Mean of the squares over their degrees of freedom, of rotations, velocities or positions, where planes and the IMU
 agree as well as they can."""
@@ -141,18 +141,16 @@ def before(
     median = float(np.median(state.squares[motions, 0])) / 3
     if median > _MOST:
         deviations = np.sqrt(median / _CHANCE)
-        problem = (
-            f"it turns otherwise than planes have the scans turn, by {deviations:.1f} standard deviations"
-        )
+        problem = f"its rotations differ from those by the planes by {deviations:.1f} standard deviations"
         return Judged(None, _with_pulls(problem, state))
     if pulls := _pulls(state):
         return Judged(None, pulls)
     wider = max(1.0, median / _CHANCE)
-    return Judged(factor.inflated(wider, 1.0), rotation=wider)
+    return Judged(factor.with_variance_factors(wider, 1.0), rotation=wider)
 
 
 def after(judged: Judged, world_from_scan: Poses) -> Judged:
-    """By poses (S, 4, 4) that planes and the IMU have settled on; variances grow where they have to."""
+    """By poses (S, 4, 4) at which planes and the IMU converged; variances grow where they have to."""
     assert judged.factor is not None
     state = judged.factor.solve(world_from_scan)
     rotation, *force = (float(mean) for mean in state.squares.mean(axis=0) / 3)
@@ -166,7 +164,7 @@ def after(judged: Judged, world_from_scan: Poses) -> Judged:
     turned, felt = max(1.0, rotation), max(1.0, *force)
     return replace(
         judged,
-        factor=judged.factor.inflated(turned, felt),
+        factor=judged.factor.with_variance_factors(turned, felt),
         rotation=judged.rotation * turned,
         force=judged.force * felt,
     )

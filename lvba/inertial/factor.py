@@ -1,7 +1,7 @@
 """The inertial factor: scans move from each to the next as the IMU felt it.
 
 Beside the poses of the scans it has unknowns of its own: the velocity at each scan, and what all share: biases of
-gyroscope and accelerometer, gravity, and small errors of mounting and clock. These are solved for at each evaluation and
+gyroscope and accelerometer, gravity, and small errors of extrinsic and clock. These are solved for at each evaluation and
 eliminated from the normal equations, so that to a solver this is one more term over poses. Gravity is free but for its
 length: which way is down is a result, and the world frame may be any.
 Source: Forster et al. 2017, section VII, for residuals and their derivatives.
@@ -26,7 +26,7 @@ OFFSET = slice(15, 16)
 IMU is off its place (m, scan axes), its axes are turned (rad, own axes), and its clock is ahead (s)."""
 SHARED = 16
 PRIOR_SIGMA = np.append(np.repeat([0.02, 0.2, np.inf, 0.05, 0.02], 3), 0.01)
-"""rad/s and m/s^2: MEMS without calibration (data sheets: 1 deg/s, 20 mg); m and rad: of a mounting; s: of clocks that
+"""rad/s and m/s^2: MEMS without calibration (data sheets: 1 deg/s, 20 mg); m and rad: of an extrinsic; s: of clocks that
 drivers hold together."""
 _GRAVITY_SIGMA = 0.03
 """m/s^2: its length by latitude and height."""
@@ -102,7 +102,7 @@ class InertialFactor:
             cost=0.5 * float(squares.sum() + pulls),
         )
 
-    def inflated(self, rotation: float, force: float) -> "InertialFactor":
+    def with_variance_factors(self, rotation: float, force: float) -> "InertialFactor":
         """The factor with its variances of rotations, and of velocities and positions, multiplied."""
         wider = np.repeat(np.sqrt([rotation, force, force]), 3)
         return replace(self, whitening=self.whitening / wider)
@@ -144,15 +144,15 @@ def factor(
     readings: in SI units, on the clock of `times` (s)
     step_covariance: as in `InertialFactor.beside`, of these poses; None: they are exact
     """
-    mounted = np.eye(4) if scan_from_imu is None else np.asarray(scan_from_imu, float)
+    extrinsic = np.eye(4) if scan_from_imu is None else np.asarray(scan_from_imu, float)
     bias, offset, built = np.zeros(6), 0.0, None
     for _ in range(_ABOUT):
         measured = preintegration.preintegrate(readings, times, bias, offset)
         if not len(measured):
             return None
         whitening = _whitening(preintegration.covariance(measured))
-        start = np.concatenate([bias, _down(measured, world_from_scan @ mounted), np.zeros(6), [offset]])
-        built = InertialFactor(measured, whitening, mounted, start)
+        start = np.concatenate([bias, _down(measured, world_from_scan @ extrinsic), np.zeros(6), [offset]])
+        built = InertialFactor(measured, whitening, extrinsic, start)
         weighed = built if step_covariance is None else built.beside(step_covariance)
         shared = weighed.solve(world_from_scan).shared
         bias, offset = (

@@ -98,7 +98,7 @@ def _covered(readings: np.ndarray, times: np.ndarray) -> np.ndarray:
     gaps = np.flatnonzero(np.diff(readings) > MOST_APART_S)
     gap_begin = np.concatenate([[-np.inf], readings[gaps], [readings[-1]]])
     gap_end = np.concatenate([[readings[0]], readings[gaps + 1], [np.inf]])
-    # the first gap that ends after the begin of the interval
+    # the first gap that ends after the start of the interval
     at = np.searchsorted(gap_end, times[:-1], side="right")
     return np.asarray(gap_begin[np.minimum(at, len(gap_begin) - 1)] >= times[1:])
 

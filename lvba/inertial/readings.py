@@ -33,7 +33,7 @@ class Imu:
     """An IMU that was recorded with scans.
 
     readings: as the driver has them; scan_times: (S,) float64, s, stamps of the scans, on the same clock
-    scan_from_imu: (4, 4) float64, m, its mounting as far as known
+    scan_from_imu: (4, 4) float64, m, its extrinsic as far as known
     """
 
     readings: ImuReadings

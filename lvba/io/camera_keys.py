@@ -44,7 +44,7 @@ _COEFFICIENTS = (
     *("distortion_coefficients", "distortion_coeffs", "distortion", "dist_coeffs", "dist_coeff"),
     *("camera_dist_coeffs", "D"),
 )
-_LOOSE = ("type", "size", "resolution", "image_size")
+_AMBIGUOUS = ("type", "size", "resolution", "image_size")
 """Names that mean a camera's only in its own section."""
 _NESTED = ("projection_parameters", "distortion_parameters", "mirror_parameters")
 _EXPLAINED = re.compile(
@@ -143,7 +143,7 @@ def _meanings(path: Path, name: str, mapping: dict[str, Any], alone: bool) -> It
         key = str(raw)
         bare = key if key in _LISTS else key.removeprefix("cam_")
         inner = isinstance(value, dict)
-        if not alone and key in _LOOSE:
+        if not alone and key in _AMBIGUOUS:
             continue
         if inner and "data" not in value and bare in _LISTS:
             yield from _meanings(path, key, value, True)
@@ -194,7 +194,7 @@ def _check_model(path: Path, mapping: dict[str, Any], alone: bool) -> None:
     """That the camera has a model that is known here, as far as names tell."""
     for raw, value in mapping.items():
         key = str(raw)
-        meaning = "" if not alone and key in _LOOSE else _canonical(key)
+        meaning = "" if not alone and key in _AMBIGUOUS else _canonical(key)
         if isinstance(value, dict):
             if key in _NESTED:
                 _check_model(path, value, True)

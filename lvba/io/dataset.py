@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from lvba import geometry
-from lvba.dataset import CAMERA, Dataset, MountedCamera, Scan
+from lvba.dataset import CAMERA, Dataset, RigCamera, Scan
 from lvba.errors import InputError
 from lvba.io import (
     bags,
@@ -120,13 +120,13 @@ def _with_imu(dataset: Dataset, root: Path, calibration: Calibration) -> Dataset
         return dataset
     imu.read(path)  # what is wrong with it is told before anything is computed
     both = f"{dataset.digest}\nimu {files.sha256(path)}\n"
-    mounted = calibration.body_from_imu
-    if mounted is not None:
-        both += f"mounted {mounted.tobytes().hex()}\n"
+    extrinsic = calibration.body_from_imu
+    if extrinsic is not None:
+        both += f"mounted {extrinsic.tobytes().hex()}\n"  # digests stay as they were
     return dataclasses.replace(
         dataset,
         imu_path=path,
-        scan_from_imu=np.eye(4) if mounted is None else mounted,
+        scan_from_imu=np.eye(4) if extrinsic is None else extrinsic,
         digest=hashlib.sha256(both.encode()).hexdigest(),
     )
 
@@ -144,7 +144,7 @@ def _with_images(
         dataset,
         image_paths=pictures.paths,
         images=Trajectory(pictures.poses.times, poses_of_camera),
-        cameras=(MountedCamera(camera_config.for_size(calibration, pictures.sizes[0]), camera_from_scan),),
+        cameras=(RigCamera(camera_config.for_size(calibration, pictures.sizes[0]), camera_from_scan),),
         image_stamps=pictures.stamps,
         image_poses=reading.kind,
         image_poses_reason=reading.reason,

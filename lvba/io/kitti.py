@@ -17,7 +17,7 @@ import numpy as np
 
 from lvba import geometry
 from lvba.camera import Camera
-from lvba.dataset import Dataset, MountedCamera
+from lvba.dataset import Dataset, RigCamera
 from lvba.errors import InputError
 from lvba.io import files, frames, images, posed_frames, velodyne
 from lvba.io.frames import Frame
@@ -43,7 +43,7 @@ def open_kitti(root: Path) -> Dataset:
     world_from_scan = world_from_camera0 @ calibration["Tr"]
     scans = _open_frames(root / SCAN_FOLDER, (velodyne.SUFFIX,), "scan", times, world_from_scan, pose_path)
     image_folder = next((name for name in IMAGE_FOLDERS if os.path.isdir(root / name)), None)
-    cameras: tuple[MountedCamera, ...] = ()
+    cameras: tuple[RigCamera, ...] = ()
     if image_folder is None:
         pictures = None
     else:
@@ -56,7 +56,7 @@ def open_kitti(root: Path) -> Dataset:
         fx, fy, cx, cy = intrinsics
         size = pictures.sizes[0]
         camera = Camera(width=size.width, height=size.height, fx=fx, fy=fy, cx=cx, cy=cy)
-        cameras = (MountedCamera(camera, camera_from_camera0 @ calibration["Tr"]),)
+        cameras = (RigCamera(camera, camera_from_camera0 @ calibration["Tr"]),)
     dataset = Dataset(
         root=str(root),
         scan_paths=scans.paths,

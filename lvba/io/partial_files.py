@@ -1,4 +1,4 @@
-"""Files of which only pieces are here, such as the begin and the end: what else is read is noted, and an error.
+"""Files of which only pieces are here, such as the start and the end: what else is read is noted, and an error.
 
 A recording can so be looked at before all of it has arrived, by the readers that read the whole: their file has the
 length of the whole, and holes.

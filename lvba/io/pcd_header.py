@@ -57,7 +57,7 @@ class Header:
 def parse(path: str | Path, content: bytes, file_size: int) -> Header:
     """The header at the start of `content`, of a file of `file_size` bytes.
 
-    Raises: InputError if it is malformed, or promises more than the file can hold.
+    Raises: InputError if it is malformed, or announces more than the file can hold.
     """
     entries, data_start = _entries(path, content)
     fields = _fields(path, entries)

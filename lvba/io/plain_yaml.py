@@ -51,7 +51,7 @@ def load(text: str, where: object, mend: str = "correct the YAML") -> Any:
         raise InputError(where, "nested too deep", mend) from error
     except (ValueError, ArithmeticError, TypeError, LookupError, AttributeError) as error:
         # the constructors of values let these pass: a date of month 13
-        raise InputError(where, f"a value that is none: {_shown(error)}", mend) from error
+        raise InputError(where, f"invalid value: {_shown(error)}", mend) from error
 
 
 def _shown(problem: object) -> str:

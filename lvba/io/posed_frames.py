@@ -89,13 +89,18 @@ def of_one_size(pictures: PosedFrames, where: object) -> PosedFrames:
     if count == len(pictures.sizes):
         return pictures
     good = [index for index, each in enumerate(pictures.sizes) if each == size]
-    odd = [Path(path).name for path, each in zip(pictures.paths, pictures.sizes, strict=True) if each != size]
+    others = [
+        Path(path).name for path, each in zip(pictures.paths, pictures.sizes, strict=True) if each != size
+    ]
     return PosedFrames(
         paths=tuple(pictures.paths[index] for index in good),
         poses=Trajectory(pictures.poses.times[good], pictures.poses.world_from_sensor[good]),
         fingerprints=(pictures.fingerprints[0], *(pictures.fingerprints[index + 1] for index in good)),
         sizes=tuple(pictures.sizes[index] for index in good),
-        warnings=(*pictures.warnings, *frames.left_out(odd, f"images that are not {_text(size)} px", where)),
+        warnings=(
+            *pictures.warnings,
+            *frames.left_out(others, f"images that are not {_text(size)} px", where),
+        ),
         stamps=tuple(pictures.stamps[index] for index in good) if pictures.stamps else (),
     )
 

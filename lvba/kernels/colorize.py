@@ -231,7 +231,7 @@ def _hidden(
 def _sort(values: np.ndarray, weights: np.ndarray, count: int) -> None:
     """Sorts the first `count` values in place, their weights along with them.
 
-    Neighbors change places without branches: for so few values, guessing wrong costs more than going on.
+    Neighbors change places without branches: for so few values, guessing wrong costs more than continuing.
     """
     for turn in range(count):
         for k in range(turn & 1, count - 1, 2):

@@ -81,7 +81,7 @@ def _take_step(
     by_bias: np.ndarray,
     covariance: np.ndarray,
 ) -> None:
-    """One step, in place: of the axes (3, 3) as they are turned since the begin, and of the rest as in `ImuMotions`."""
+    """One step, in place: of the axes (3, 3) as they are turned since the start, and of the rest as in `ImuMotions`."""
     angle, felt = np.empty(3), np.empty(3)
     for axis in range(3):
         angle[axis] = (rate[axis] - bias[axis]) * seconds
@@ -98,7 +98,7 @@ def _take_step(
             for axis in range(3):
                 covariance[row, column] += gyroscope * spread[row, axis] * spread[column, axis]
                 covariance[row, column] += accelerometer * spread[row, 3 + axis] * spread[column, 3 + axis]
-    # the position goes on by the velocity and the axes before the step, the velocity by these axes
+    # the position continues by the velocity and the axes before the step, the velocity by these axes
     faster, farther = _times(axes, gained), _times(axes, moved)
     for axis in range(3):
         position[axis] += velocity[axis] * seconds + farther[axis] * seconds**2
@@ -114,7 +114,7 @@ def _error_step(
     by_angle: tuple[np.ndarray, np.ndarray],
     done: tuple[np.ndarray, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How errors go on over a step, (9, 9), and what errors of rate and force add to them, (9, 6)."""
+    """How errors propagate over a step, (9, 9), and what errors of rate and force add to them, (9, 6)."""
     turn, once, twice = series
     carry, spread = np.zeros((9, 9)), np.zeros((9, 6))
     _put(carry, 3, 0, -seconds, _product(axes, _hat(done[0])))

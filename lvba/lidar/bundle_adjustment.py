@@ -43,7 +43,7 @@ class LidarResult:
     map_covariance: (S, 6, 6) float64, as `covariance`, but after aligning the map (`lidar.covariance.Covariance.in_map`)
     step_covariance: (S - 1, 6, 6) float64, of the motion from each scan to the next, in the later one's tangent
     variance_factor: actual over modeled variance of the planes' gradients; the covariances are multiplied by it
-    shared_factor: what `covariance` is to be multiplied by for what is promised, see `lidar.covariance.Covariance`
+    shared_factor: what `covariance` is to be multiplied by for expected errors, see `lidar.covariance.Covariance`
     own_covariance: (S, 6, 6) float64, local tangent, rad and m, of what each scan is off by itself beside that, because
         the motion that was taken out of its points is uncertain; (0, 6, 6): nothing. Neighbors do not share it, and the
         other covariances do not hold it
@@ -190,7 +190,7 @@ def align(
     """What `refine` gives without saying how certain it is, also by the last stage alone.
 
     scans: S arrays (N, 3) float32, m, scan frame; world_from_scan: (S, 4, 4), rough; sensor_position: (3,), m
-    start: (S, 4, 4), as refined with about the same points, from where the last stage goes on; None: nothing is known
+    start: (S, 4, 4), as refined with about the same points, from where the last stage continues; None: nothing is known
     Raises DegenerateProblemError: no plane is seen by two scans.
     """
     points = gather(scans)

@@ -1,7 +1,7 @@
 """How certain the refined poses are.
 
 The information leaves the planes' own parameters free, so it knows that they are estimated too. Where surfaces are not
-quite flat or cells hold bits of others, errors within a cell go together and it promises too much: then the spread of the
+quite flat or cells hold bits of others, errors within a cell go together and it is too large: then the spread of the
 planes' own gradients at the solution (the "sandwich" estimator: Huber 1967, White 1982; each plane one sample) is larger
 than the noise that they should have, and the covariance is scaled by as much. The sandwich itself is not used: gradients
 at the solution are smaller than those at the truth, and on simulated scenes it is too narrow by a half. Errors that
@@ -32,8 +32,8 @@ class Covariance:
         can, however far the path extends
     step: (S - 1, 6, 6), of the motion from each scan to the next, in the later one's tangent
     variance_factor: actual over modeled variance of the gradients, at least 1
-    shared_factor: what errors that planes close to each other share multiply `marginal` by, at least 1. It is for what is
-        promised; scans and cameras are weighed against each other without, for both follow the planes
+    shared_factor: what errors that planes close to each other share multiply `marginal` by, at least 1. It is for
+        expected errors; scans and cameras are weighed against each other without, for both follow the planes
     odometry_dependence: (S - 1,), of the translation of each step: its standard deviation with planes over that by the
         odometry alone, 0 to 1; none of more than MOST_NOISE_SCANS scans
     """

@@ -100,7 +100,7 @@ def _deals(features: PlaneFeatures, poses: np.ndarray, times: int) -> Iterator[n
 class _Whole:
     """What all planes of a problem say at poses (S, 4, 4), of all poses but the first.
 
-    information: (6 S - 6, 6 S - 6); gradient, solution: (6 S - 6,); promised: (S, 6, 6), covariance after alignment
+    information: (6 S - 6, 6 S - 6); gradient, solution: (6 S - 6,); predicted: (S, 6, 6), covariance after alignment
     weight: (S, 6, 6), its inverse
     """
 
@@ -109,7 +109,7 @@ class _Whole:
     information: np.ndarray
     gradient: np.ndarray
     solution: np.ndarray
-    promised: np.ndarray
+    predicted: np.ndarray
     weight: np.ndarray
 
     @classmethod
@@ -117,13 +117,13 @@ class _Whole:
         whole = problem.linearize(poses, exact=False)
         information, gradient = whole.dense()[6:, 6:], whole.gradient.ravel()[6:]
         covariance = inverse(information)
-        promised = aligned(covariance, poses)
-        weight = np.linalg.inv(promised + _LEAST * np.eye(6))
-        return cls(problem, poses, information, gradient, covariance @ gradient, promised, weight)
+        predicted = aligned(covariance, poses)
+        weight = np.linalg.inv(predicted + _LEAST * np.eye(6))
+        return cls(problem, poses, information, gradient, covariance @ gradient, predicted, weight)
 
 
 def _moves(whole: _Whole, group: np.ndarray) -> tuple[float, float]:
-    """Squared moves of the poses without each group of planes, and what they should be; each in what is promised."""
+    """Squared moves of the poses without each group of planes, and what they should be; each in predicted units."""
     poses, weight = whole.poses, whole.weight
     motion, pick = alignment(poses)
     finds = np.linalg.solve(pick.T @ motion, pick.T)
@@ -135,7 +135,7 @@ def _moves(whole: _Whole, group: np.ndarray) -> tuple[float, float]:
         step = np.concatenate([np.zeros(6), free])
         step = np.asarray(step - motion @ (finds @ step)).reshape(-1, 6)
         moved = float(np.einsum("si,sij,sj->", step, weight, step))
-        return moved, float(np.einsum("sij,sji->", weight, aligned(without, poses) - whole.promised))
+        return moved, float(np.einsum("sij,sji->", weight, aligned(without, poses) - whole.predicted))
 
     # kernels share their own work among threads, matrices do not: those of several groups are inverted at once
     groups = (

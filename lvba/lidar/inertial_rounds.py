@@ -54,4 +54,4 @@ def warnings(inertial: InertialResult | None) -> tuple[str, ...]:
     """That there is an IMU and it is not used."""
     if inertial is None or inertial.used:
         return ()
-    return (f"the IMU is not used ({inertial.problem}): check units, axes, mounting and clock of imu.csv",)
+    return (f"the IMU is not used ({inertial.problem}): check units, axes, extrinsic and clock of imu.csv",)

@@ -123,7 +123,7 @@ def reestimated(prior: OdometryPrior, world_from_scan: Poses, held: np.ndarray) 
 
 
 def by_turns(prior: OdometryPrior, world_from_scan: Poses, held: np.ndarray) -> OdometryPrior:
-    """The same for what is promised, each step as steps with turns like its own show, whatever was expected of it.
+    """The same for expected errors, each step as steps with turns like its own show, whatever was expected of it.
 
     An odometry errs more where the sensor turns more, which is where scans lose planes and depend on it. Solved by this
     prior, scans that hang on it follow whatever else there is: of nine rooms, one frame came off by 14 cm.

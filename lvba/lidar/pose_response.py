@@ -1,7 +1,7 @@
 """How scans move and turn by numbers that all of them share, such as errors of the range sensor, and what becomes of
 that along a path that is longer than what was looked at.
 
-Without a common rigid motion, and without a common scale, in which nothing is promised: what ranges are too long by with
+Without a common rigid motion, and without a common scale, in which nothing is predicted: what ranges are too long by with
 the direction of the beam is mostly such a scale, and poses of a car seemed to be off by half a meter that were off by
 centimeters. A sensor whose beams go higher than it says bends a map evenly, so that turns grow with the length of the
 path, and shifts with its square.

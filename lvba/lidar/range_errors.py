@@ -46,7 +46,7 @@ LARGEST = {
 }  # fmt: skip
 """What is more is not believed of a sensor: the planes are of a kind that tells something else, such as leaves."""
 CHANCE = 2e-9
-"""How often a right sensor may be taken for a wrong one: six standard deviations, for errors can be twice the promised
+"""How often a right sensor may be taken for a wrong one: six standard deviations, for errors can be twice the predicted
 ones."""
 BESIDE = 2.0
 """Standard deviations are so many times as large beside another error that is not known: what is not modeled is not in
@@ -331,7 +331,7 @@ def sentence(name: str, value: float) -> str:
             f"Ranges are off by {size} in a way that depends on the beam's direction, as no known error does"
         )
     if name == DEPTH:
-        return f"Beams go into surfaces, as into leaves: points are off by {1e3 * value:.0f} mm"
+        return f"The LiDAR measures {1e3 * value:.0f} mm (rms) behind some surfaces, such as leaves"
     return f"Surfaces 45 degrees off the sensor's axis are measured {abs(100 * value):.2f} % {farther} than ahead"
 
 

@@ -2,7 +2,7 @@
 
 What is measured of them is as good as the planes tell. An error of a centimeter that no plane shows clearly stays in the
 points and in all that is tied to them: in a courtyard before a narrow LiDAR, cameras were 3.8 mm off by one, and 1.4 mm
-were promised without it.
+were expected without it.
 """
 
 import math
@@ -27,7 +27,7 @@ USUAL = {
 }  # fmt: skip
 """What errors of sensors usually are, one standard deviation: planes that tell nothing of one say no more of it."""
 _USUAL_ELEVATION_AHEAD = math.radians(0.1)
-"""Of a sensor that looks ahead: data sheets of LiDARs with prisms promise as much. One that turns may be off by 0.2."""
+"""Of a sensor that looks ahead: data sheets of LiDARs with prisms say as much. One that turns may be off by 0.2."""
 _NOT_KNOWN = 1e6
 """Times the usual variance that stands for an infinite one."""
 GRAZING = 0.5

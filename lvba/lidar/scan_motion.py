@@ -1,8 +1,8 @@
-"""The part of the sensor's motion during a scan that deskewing left in its points, from the planes that scans share.
+"""The fraction of the sensor's motion during a scan that deskewing left in its points, from the planes that scans share.
 
 A point measured tau seconds from its scan's stamp by a sensor that moves by `twist` a second belongs at
-exp(part * tau * twist) p; part is 0 where scans are deskewed, 1 where they are raw. It is the one unknown that all scans
-share, linear in the distances of points from their planes, with poses and planes free beside it.
+exp(fraction * tau * twist) p; the fraction is 0 where scans are deskewed, 1 where they are raw. It is the one unknown
+that all scans share, linear in the distances of points from their planes, with poses and planes free beside it.
 
 What the points of a scan tell beside that is a motion of its own, and an acceleration: hands turn a sensor by 2 rad/s^2,
 which bends a sweep of 0.1 s so much that a pose by a steady motion is 0.1 degrees off.
@@ -39,7 +39,7 @@ def moved(
 class MotionLeft:
     """What is left of the motion in the scans of a recording, and how they are corrected.
 
-    part: of the motion; 0: deskewed, 1: raw; sigma: its standard deviation, both None where not measured
+    fraction: of the motion; 0: deskewed, 1: raw; sigma: its standard deviation, both None where not measured
     motion: (S, 6) float64, rad/s and m/s, scan frames, at the stamps; (0, 6): points stay as they are
     acceleration: (S, 6) float64, rad/s^2 and m/s^2, scan frames; (0, 6): none
     problem: why it was not measured, or not corrected
@@ -48,7 +48,7 @@ class MotionLeft:
     """
 
     clock: PointClock | RowClock | None
-    part: float | None
+    fraction: float | None
     sigma: float | None
     motion: np.ndarray
     problem: str = ""
@@ -63,7 +63,7 @@ class MotionLeft:
     @property
     def sweep(self) -> float:
         """Seconds of the sensor's motion that are left in a scan."""
-        return 0.0 if self.clock is None else (self.part or 0.0) * self.clock.sweep
+        return 0.0 if self.clock is None else (self.fraction or 0.0) * self.clock.sweep
 
     def points(self, points: np.ndarray, time: Times | None, index: int, stamp: float) -> np.ndarray:
         """(N, 3) float32, m: where the points of a scan belong.
@@ -78,7 +78,7 @@ class MotionLeft:
 
     def facts(self) -> dict[str, Any]:
         """As report.json has it (`lidar.motion_left`)."""
-        named = ("clock", "part", "sigma", "motion", "acceleration", "problem")
+        named = ("clock", "fraction", "sigma", "motion", "acceleration", "problem")
         return {name: getattr(self, name) for name in named}
 
     @staticmethod
@@ -94,7 +94,7 @@ class MotionLeft:
                 return None
             return MotionLeft(
                 clock=_clock(facts["clock"]),
-                part=facts["part"],
+                fraction=facts["fraction"] if "fraction" in facts else facts["part"],  # before 0.3
                 sigma=facts["sigma"],
                 motion=motion,
                 acceleration=acceleration,
@@ -111,7 +111,7 @@ def _clock(facts: Mapping[str, Any]) -> PointClock | RowClock:
 
 
 def by_part(tau: Times, twist: Tangents) -> ByShared:
-    """Derivative of points' distances by the part.
+    """Derivative of points' distances by the fraction.
 
     tau: (M,) s from the stamps; twist: (S, 6), rad/s and m/s, scan frames
     """
@@ -123,7 +123,7 @@ def by_part(tau: Times, twist: Tangents) -> ByShared:
 
 
 def evidence(view: View, tau: Times, twist: Tangents) -> ScanEvidence:
-    """What the planes of S scans tell of the part that is left: one number.
+    """What the planes of S scans tell of the fraction that is left: one number.
 
     tau: (M,) s from the stamps; twist: (S, 6), rad/s and m/s, scan frames
     """
@@ -156,9 +156,9 @@ class Deviations:
         return Deviations(self.information[:, :, :6, :6], self.gradient[:, :, :6], self.by_motion[:, :, :6])
 
     def beside(self, deviation: np.ndarray) -> "Deviations":
-        """The same of whole deviations, of which a part was taken out of the points already.
+        """The same of whole deviations, of which a fraction was taken out of the points already.
 
-        deviation: (S, 12) float64, that part
+        deviation: (S, 12) float64, that fraction
         """
         more = np.einsum("hsij,sj->hsi", self.information, deviation)
         return Deviations(self.information, self.gradient + more, self.by_motion)

@@ -106,7 +106,7 @@ class _Shifts:
 
 
 def _highest_about(values: np.ndarray, places: Sequence[np.ndarray]) -> np.ndarray:
-    """The highest of values (X, Y, Z) in the 3 x 3 x 3 cells about each place; the grid goes on at its other side.
+    """The highest of values (X, Y, Z) in the 3 x 3 x 3 cells about each place; the grid continues at its other side.
 
     places: of each axis. Only they are looked at: most shifts of a large grid are out of reach.
     """

@@ -38,7 +38,7 @@ class SolverConfig:
     relative_decrease: float = 1e-6
     """Stop when a step lowers the cost by less than this fraction; 0 to 0.1."""
     refusals: int = 3
-    """Stop when this many steps in a row are refused: what the cost still promises is below its own noise; 1 to 100."""
+    """Stop when this many steps in a row are refused: what is still predicted is below the cost's own noise; 1 to 100."""
     step_tolerance: float = 1e-7
     """Stop when no unknown moves by more than this, in the unknowns' units (rad, m); 0 to 1e-2."""
     dense_limit: int = 2500
@@ -145,7 +145,7 @@ def levenberg_marquardt(
             at, damping, refused = replace(at, equations=equations), damping.refused(), refused + 1
         history.append(Iteration(at.cost, size, damping.value, gain, accepted))
         logger.debug("cost %.6g step %.2g damping %.2g gain %.2f", at.cost, size, damping.value, gain)
-        # a step that promised little and was refused: the cost's own noise (samples that come and go) is reached
+        # a step of little predicted decrease that was refused: the cost's own noise (samples that come and go) is reached
         if done or (refused >= config.refusals and predicted <= 1e-3 * abs(at.cost)):
             return Solution(at.state, cost_initial, at.cost, True, tuple(history))
         if most_accepted is not None and sum(entry.accepted for entry in history) >= most_accepted:

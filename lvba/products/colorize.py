@@ -25,7 +25,7 @@ from lvba.visual.response import LINEAR, Response
 
 logger = logging.getLogger(__name__)
 
-_LOOSE = 3.0
+_WIDE = 3.0
 """Tolerance in standard deviations where there is no surface: these then are the extent of what is there, not noise."""
 
 
@@ -285,7 +285,7 @@ def _collect(scene: _Scene, span: slice, numbers: np.ndarray, pictures: np.ndarr
     """Adds the samples of some images to the lists of the best views, in place. numbers: of the pictures."""
     views, blocks = scene.views, scene.blocks
     poses, mask = views.poses[numbers], views.mask
-    tolerance = occlusion.Tolerance(np.float32(TOLERANCE), np.float32(_LOOSE))
+    tolerance = occlusion.Tolerance(np.float32(TOLERANCE), np.float32(_WIDE))
     cloud = blocks.holding(scene.points)
     seen_first = occlusion.first_points(
         cloud, scene.surface, tolerance, poses, views.intrinsics, CELL_PX, *mask.shape

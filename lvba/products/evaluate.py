@@ -68,7 +68,7 @@ class Scores:
     only by points of other images; with _full: over the whole image, holes black; with _common: leave-one-out over the
     pixels that every state covers, and with _compared over those that every state covers but the ones apart (see
     `evaluate`), NaN for these; with _held_out: images that colored nothing. Means over the images
-    judged; NaN where there is nothing to judge. map_entropy: nats, lower is crisper.
+    judged; NaN where there is nothing to judge. map_entropy: nats, lower is sharper.
     per_image: the same by image, each (J,) float64; images: (J,) int32, the images judged
     """
 

@@ -1,4 +1,4 @@
-"""How crisp a point map is, without truth: mean map entropy and plane thickness."""
+"""How sharp a point map is, without truth: mean map entropy and plane thickness."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -30,13 +30,13 @@ ENTROPY_VOXEL_M = 0.1
 """m: the map is thinned to the mean of the points in each voxel of this edge, so that dense places do not outvote."""
 STRAY_PART = 0.1
 """A voxel with fewer points than this part of the usual number about it is no surface: with rain and beams split at
-edges, no map is crisp. Where points are sparse, each voxel counts."""
+edges, no map is sharp. Where points are sparse, each voxel counts."""
 MIN_NEIGHBORS = 10
 """Points with fewer neighbors (itself counted) are left out: of fewer the entropy is chance."""
 
 
 def mean_map_entropy(cloud: Cloud, config: EntropyConfig | None = None) -> float:
-    """Mean over the map of ln sqrt(det(2 pi e S)), S the covariance of a point's neighborhood; nats, lower is crisper.
+    """Mean over the map of ln sqrt(det(2 pi e S)), S the covariance of a point's neighborhood; nats, lower is sharper.
 
     NaN where no point has neighbors enough. Source: Droeschel and Behnke 2014; radius and map as in HBA's tool, stray
     points included, for comparison with others'. Runs judge by `entropy_blocks`, without these.
@@ -132,9 +132,9 @@ def _merged(keys: np.ndarray, sums: np.ndarray) -> EntropyBlocks:
 
 
 def entropy_change(before: EntropyBlocks, after: EntropyBlocks) -> EntropyChange:
-    """How much crisper a map became, with the standard error of the gain over blocks of space.
+    """How much sharper a map became, with the standard error of the gain over blocks of space.
 
-    Both maps see the same places, so what makes one place less crisp than another cancels block by block. Linearized
+    Both maps see the same places, so what makes one place less sharp than another cancels block by block. Linearized
     ratio estimator, blocks as clusters; NaN below five blocks.
     """
     gain = before.mean - after.mean

@@ -23,7 +23,7 @@ _PARTS = (
     ("scans", "lidar", ""),
     ("cameras", "visual", ""),
     ("exposures", "visual", "exposures_"),
-    ("scans, from the cameras", "fusion", ""),
+    ("scans refined with the cameras", "fusion", ""),
 )
 
 

@@ -11,7 +11,7 @@ _BLOCK_M_PER_FRAME = 2.0
 _TERRACE_M_PER_FRAME = 1.5
 _EYE_M = 1.7
 _AGAIN_M = 8.0
-"""How far the drive around the block goes on past its start."""
+"""How far the drive around the block continues past its start."""
 
 _HALF_LANE_M, _PERIOD_M, _DEPTH_M, _HEIGHT_M = 3.0, 6.0, 2.5, 6.0
 LANE_SPACING_M = 2 * (_HALF_LANE_M + _DEPTH_M)

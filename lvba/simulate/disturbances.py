@@ -25,7 +25,7 @@ class Disturbances:
     """The size of each; 0: not there. Negative values turn the direction where there is one."""
 
     focal: float = _disturbance(
-        "focal lengths of the calibration are too long by this part", "", 0.003, 0.01, 0.2
+        "focal lengths of the calibration are too long by this fraction", "", 0.003, 0.01, 0.2
     )
     principal_point: float = _disturbance(
         "the principal point of the calibration is off by this much", "px", 2.0, 8.0, 50.0
@@ -41,7 +41,7 @@ class Disturbances:
     rolling_shutter: float = _disturbance(
         "time from the first to the last row of an image, stamped in the middle", "s", 0.015, 0.03, 0.1
     )
-    vignetting: float = _disturbance("part of the light missing in the corners", "", 0.35, 0.6, 0.9)
+    vignetting: float = _disturbance("fraction of the light missing in the corners", "", 0.35, 0.6, 0.9)
     response: float = _disturbance(
         "grey values are the light to the power of one over this; 1 is linear", "", 1.5, 2.2, 4.0
     )
@@ -50,7 +50,7 @@ class Disturbances:
         "grey values pass this much of a filmic curve, with a toe and a shoulder", "", 0.5, 1.0, 1.0
     )
     white_balance: float = _disturbance(
-        "colors drift apart and back by this part of their brightness", "", 0.05, 0.2, 0.5
+        "colors drift apart and back by this fraction of their brightness", "", 0.05, 0.2, 0.5
     )
     auto_exposure: float = _disturbance(
         "exposures follow the brightness of the scene: 1 holds the mean, 0.5 does half of it",
@@ -68,7 +68,7 @@ class Disturbances:
     )
     people: float = _disturbance("boxes of a person's size that walk near the path", "", 3, 10, 100)
     range_noise: float = _disturbance("standard deviation that ranges have more", "m", 0.02, 0.05, 1.0)
-    range_scale: float = _disturbance("ranges are too long by this part", "", 0.0005, 0.002, 0.1)
+    range_scale: float = _disturbance("ranges are too long by this fraction", "", 0.0005, 0.002, 0.1)
     intensity_bias: float = _disturbance(
         "a black surface is measured nearer than a white one by this much", "m", 0.01, 0.03, 0.5
     )
@@ -79,10 +79,10 @@ class Disturbances:
         "beams go this much higher than the sensor says", "deg", 0.1, 0.3, 5.0
     )
     depth_distortion: float = _disturbance(
-        "ranges are too long by this part where the beam is 45 degrees off the axis", "", 0.01, 0.03, 0.3
+        "ranges are too long by this fraction where the beam is 45 degrees off the axis", "", 0.01, 0.03, 0.3
     )
     motion_left: float = _disturbance(
-        "part of the motion during a scan of 0.1 s that deskewing left in it; points get times",
+        "fraction of the motion during a scan of 0.1 s that deskewing left in it; points get times",
         "",
         0.1,
         0.5,
@@ -99,9 +99,13 @@ class Disturbances:
         "mean depth to which beams go into half of the surfaces, as into leaves", "m", 0.05, 0.2, 2.0
     )
     mirrors: float = _disturbance(
-        "part of the surfaces that beams are reflected by: what they meet appears behind", "", 0.03, 0.1, 0.5
+        "fraction of the surfaces that beams are reflected by: what they meet appears behind",
+        "",
+        0.03,
+        0.1,
+        0.5,
     )
-    rain: float = _disturbance("part of the beams that come back from a drop", "", 0.01, 0.05, 0.5)
+    rain: float = _disturbance("fraction of the beams that come back from a drop", "", 0.01, 0.05, 0.5)
     time_offset: float = _disturbance("images are stamped this much too early", "s", 0.02, 0.1, 1.0)
     clock_drift: float = _disturbance(
         "image stamps run ahead of scan stamps by this much at the end, from none at the beginning", "s",

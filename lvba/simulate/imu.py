@@ -38,13 +38,13 @@ def exact(motion: Motion, times: Times, body_from_imu: Pose | None = None) -> tu
 
     body_from_imu: (4, 4), m; None: it is the body
     """
-    mounted = np.eye(4) if body_from_imu is None else body_from_imu
+    extrinsic = np.eye(4) if body_from_imu is None else body_from_imu
     before, here, after = (motion.poses(times + step)[:, :3, :3] for step in (-_STEP_S, 0.0, _STEP_S))
     turn = np.zeros((len(times), 4, 4)) + np.eye(4)
     turn[:, :3, :3] = np.swapaxes(before, -1, -2) @ after
-    lever = (before - 2 * here + after) @ mounted[:3, 3] / _STEP_S**2
+    lever = (before - 2 * here + after) @ extrinsic[:3, 3] / _STEP_S**2
     felt = np.einsum("nji,nj->ni", here, motion.position(times, 2) + lever + _UP)
-    return geometry.log(turn)[:, :3] @ mounted[:3, :3] / (2 * _STEP_S), felt @ mounted[:3, :3]
+    return geometry.log(turn)[:, :3] @ extrinsic[:3, :3] / (2 * _STEP_S), felt @ extrinsic[:3, :3]
 
 
 def measure(motion: Motion, rng: np.random.Generator) -> SimulatedImu:

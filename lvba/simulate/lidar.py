@@ -184,7 +184,7 @@ def _echoes(around: Surroundings, center: np.ndarray, rays: np.ndarray, moment: 
 
 
 def _reflected(around: Surroundings, center: np.ndarray, rays: np.ndarray, direct: _Echoes) -> _Echoes:
-    """Beams that meet a mirror go on from there, and come back the same way: longer, along their first direction."""
+    """Beams that meet a mirror continue from there, and come back the same way: longer, along their first direction."""
     assert around.mirror is not None
     world = around.world
     [hit] = np.nonzero(_on(around.mirror, direct.surface))

@@ -130,7 +130,7 @@ class Sensors:
 class RawTruth:
     """What is true of a raw recording. All times are int64 ns.
 
-    scans, images: (S,), (I,): begin of each sweep, and when each image was taken
+    scans, images: (S,), (I,): start of each sweep, and when each image was taken
     points: of each scan, (N, 3) float32, m, LiDAR frame, each as seen from where the sensor was at its own time
     point_times: of each scan, (N,): when each of its points was measured
     """
@@ -345,12 +345,12 @@ def _calibration(truth: RawTruth, conventions: Conventions) -> list[tuple[str, R
     lidar_from_camera = geometry.inverse(camera_from_lidar)
     if conventions.extrinsic_inverse:
         lidar_from_camera = camera_from_lidar
-    mounted = TransformSample(
+    extrinsic = TransformSample(
         START_NS, BODY_FRAME if apart else IMU_FRAME, LIDAR_FRAME, truth.rig.body_from_lidar, True
     )
     return [
         (CAMERA_INFO, CameraInfo(START_NS, CAMERA_FRAME, truth.camera)),
-        (TF_STATIC, mounted),
+        (TF_STATIC, extrinsic),
         (TF_STATIC, TransformSample(START_NS, LIDAR_FRAME, CAMERA_FRAME, lidar_from_camera, True)),
         *apart,
     ]

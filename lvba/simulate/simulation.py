@@ -86,9 +86,9 @@ def make(
 ) -> Made:
     """What is simulated, before anything is taken of it; arguments, as `length` (m), as of `simulate`."""
     level, on_top = drift.difficulty(difficulty), None if closing is None else drift.Closing(*closing)
-    layout, mounting, moves, optics, paint = _streams(scene, seed)
+    layout, extrinsics, moves, optics, paint = _streams(scene, seed)
     built = scenes.build(scene, layout, frames, length)
-    rig = truths.random_rig(scene, mounting)
+    rig = truths.random_rig(scene, extrinsics)
     truth = truths.build(built, rig, level, scans, frames, moves, on_top, disturb)
     return Made(
         scene=built,
@@ -236,7 +236,7 @@ def _check(counts: dict[str, int], lidar: str, seed: int, length: float | None) 
 
 
 def _streams(scene: str, seed: int) -> list[np.random.Generator]:
-    """Independent generators: layout, mounting, motion and drift, optics, textures."""
+    """Independent generators: layout, extrinsics, motion and drift, optics, textures."""
     sequence = np.random.SeedSequence([seed, zlib.crc32(scene.encode())])
     return [np.random.default_rng(child) for child in sequence.spawn(5)]
 

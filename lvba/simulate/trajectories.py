@@ -26,7 +26,7 @@ class Motion:
     angles: CubicSpline
 
     def poses(self, times: Times) -> np.ndarray:
-        """scene_from_body at (N,) seconds since the start, (N, 4, 4); goes on at its velocity before and after."""
+        """scene_from_body at (N,) seconds since the start, (N, 4, 4); continues at its velocity before and after."""
         yaw, pitch, roll = _going_on(self.angles, times).T
         zero = np.zeros_like(yaw)
         turns = (

@@ -21,7 +21,7 @@ _AXES = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
 
 @dataclass(frozen=True)
 class Rig:
-    """How the sensors are mounted: (4, 4) each."""
+    """The extrinsics of the sensors: (4, 4) each."""
 
     body_from_lidar: np.ndarray
     camera_from_body: np.ndarray
@@ -50,7 +50,7 @@ class Truth:
 
 
 def random_rig(scene: str, rng: np.random.Generator) -> Rig:
-    """The mounting: body and LiDAR frame are the same in rooms, as where the odometry calls the LiDAR its body."""
+    """The extrinsics: body and LiDAR frame are the same in rooms, as where the odometry calls the LiDAR its body."""
     lidar = np.concatenate([rng.normal(0, 0.03, 3), rng.uniform(-0.15, 0.15, 3)])
     turn = np.concatenate([rng.normal(0, 0.02, 3), np.zeros(3)])
     place = geometry.from_rotation_translation(_AXES, rng.uniform(-0.1, 0.1, 3))

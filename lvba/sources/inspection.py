@@ -71,7 +71,7 @@ class StreamFacts:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What is in a source. missing: what an import lacks, and how to give it; notes: what is odd; one sentence each
+    """What is in a source. missing: what an import lacks, and how to give it; notes: what is unusual; one sentence each
 
     presets: names of public data sets that it may be of, by its topics
     """
@@ -212,7 +212,7 @@ def _large(scan: RawScan, unit: float) -> bool:
 def _meaning(begin: float, sweep: float) -> str:
     """What the stamp is, by when the first point comes (s from it)."""
     for name, expected in (
-        ("begin of the sweep", 0.0),
+        ("start of the sweep", 0.0),
         ("end of the sweep", -sweep),
         ("middle of the sweep", -sweep / 2),
     ):

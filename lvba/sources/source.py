@@ -167,7 +167,7 @@ class SourceDescription:
 
     format: for people: "ROS 1 bag", "MCAP file", "TUM RGB-D folder"
     size: bytes of its files
-    notes: what is odd or lost, one sentence each: "the file is cut: 219 messages are left"
+    notes: what is unusual or lost, one sentence each: "the file is cut: 219 messages are left"
     """
 
     path: str
@@ -208,7 +208,7 @@ class Source(Protocol):
         """Records of the streams of these names, in the order in which they were recorded, in one pass.
 
         Memory is bounded by a few records. What cannot be decoded is counted in `losses`, not raised, unless most is so.
-        Raises InputError: naming the file, the topic and the mend.
+        Raises InputError: naming the file, the topic and the fix.
         """
 
     def losses(self) -> tuple[str, ...]:

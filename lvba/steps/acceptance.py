@@ -19,7 +19,7 @@ ROUGH, CARRIED, EXPOSED = "rough", "carried", "exposed"
 POSED, VISUAL = "posed", "visual"
 FUSED_POSED, FUSED = "fused_posed", "fused"
 """States under judgement. ROUGH: the input. All others have the scans that the first gate kept. CARRIED: cameras carried
-along with them; POSED: the camera poses found; FUSED_POSED: these, and the scans that learned from them; all without
+along with them; POSED: the camera poses found; FUSED_POSED: these, and the scans refined with them; all without
 exposures. EXPOSED, VISUAL, FUSED: the same with the exposures found."""
 
 Finding = Literal["better", "worse", "neither", "unknown"]
@@ -207,7 +207,7 @@ def standard_error(values: np.ndarray) -> float:
     return float(np.sqrt(max(total, alone) / count / (count - 1)))
 
 
-def may_be_crisper(entropy: Figure, config: GateConfig) -> bool:
+def may_be_sharper(entropy: Figure, config: GateConfig) -> bool:
     """Whether images are to be asked about refined scans: the map gains enough, whether beyond chance or not."""
     return entropy.finding == "better" or (
         entropy.finding == "neither" and entropy.gain > config.min_entropy_gain
@@ -221,12 +221,12 @@ def judge_scans(
 
     images: from cameras carried along with the scans, with the same exposures on both sides, or none; no figures where
         there are no images
-    Scan poses may make the map crisper and still be wrong, by sliding where planes leave it open: images see that, by
+    Scan poses may make the map sharper and still be wrong, by sliding where planes leave it open: images see that, by
     PSNR. SSIM alone contradicts nothing here: the cameras are not refined yet, and where they are centimeters off, SSIM
-    punishes a crisp map for structure in the wrong place, and a blurred one less. In a simulated courtyard, scans that
+    punishes a sharp map for structure in the wrong place, and a blurred one less. In a simulated courtyard, scans that
     come from 56 to 0.4 mm change PSNR by +0.05 +- 0.11 dB and SSIM by -0.019 +- 0.004. In small rooms few blocks make the
     error of the entropy large; there PSNR may decide: where SSIM denies it, by as many standard errors as deny anything.
-    open_motions: from scan to scan, of those that were registered first, which surfaces leave open. A map is as crisp
+    open_motions: from scan to scan, of those that were registered first, which surfaces leave open. A map is as sharp
     whatever these are, so that only images can tell: there the poses must not be the less likely ones by PSNR.
     """
     figures = (entropy, *images)
@@ -235,13 +235,13 @@ def judge_scans(
         return Verdict(True, "accepted unjudged (gate.enabled is false)", f"{change}", figures)
     if entropy.finding == "unknown":
         return Verdict(False, "input poses kept", "the map is too thin to be judged by its entropy", figures)
-    asked = images if may_be_crisper(entropy, config) else ()
+    asked = images if may_be_sharper(entropy, config) else ()
     lost, gained = ([each.name for each in _agreed(asked, way)] for way in ("worse", "better"))
     if _PSNR in lost and _SSIM not in gained:
         return Verdict(
             False,
             "input poses kept",
-            f"the refined map is crisper ({change}), "
+            f"the refined map is sharper ({change}), "
             f"but images are predicted worse ({_words(*_leading(images))})",
             figures,
         )
@@ -249,8 +249,8 @@ def judge_scans(
         return Verdict(
             False,
             "input poses kept",
-            f"the refined map is crisper ({change}), which says nothing of {open_motions} motions from scan to scan that "
-            f"surfaces leave open, and images are rather predicted worse ({_words(*_leading(images))})",
+            f"the refined map is sharper ({change}), but {open_motions} motions from scan to scan are not "
+            f"determined by surfaces, and the images are predicted worse ({_words(*_leading(images))})",
             figures,
         )
     seen = _PSNR in gained and (_SSIM not in lost or _beyond(asked, CONTRADICTION))
@@ -261,7 +261,7 @@ def judge_scans(
             if chance
             else f"by {config.min_entropy_gain:g} nats (gate.min_entropy_gain)"
         )
-        why = "not crisper" if entropy.gain <= 0 else f"not crisper {why}"
+        why = "not sharper" if entropy.gain <= 0 else f"not sharper {why}"
         return Verdict(
             False,
             "input poses kept",
@@ -272,7 +272,7 @@ def judge_scans(
 
 
 def images_agree(entropy: Figure, images: Sequence[Figure]) -> bool:
-    """Whether scans that make the map crisper beyond chance make PSNR better by more than its standard error: of more
+    """Whether scans that make the map sharper beyond chance make PSNR better by more than its standard error: of more
     images none then speak against them beyond chance."""
     return entropy.finding == "better" and _beyond(images, 1.0)
 
@@ -296,17 +296,17 @@ def judge_cameras(
     other: there the calibration contradicts, unless images know better.
     """
     verdict = _judge_by_images(before, after, "camera poses", config)
-    if not (config.enabled and verdict.accepted and _doubtful(extrinsic)):
+    if not (config.enabled and verdict.accepted and _implausible(extrinsic)):
         return verdict
     cause = (
         f"images are predicted better ({_words(*_leading(verdict.figures))}), but all cameras have left the scans: the "
-        f"extrinsic moved by {extrinsic.sigmas:.1f} standard deviations of its calibration, and images are only "
-        f"{extrinsic.certainty:.1f} times more certain of it than that"
+        f"extrinsic moved by {extrinsic.sigmas:.1f} standard deviations of its calibration, and the images "
+        f"determine it only {extrinsic.certainty:.1f} times as precisely as the calibration"
     )
     return Verdict(False, "input camera poses kept", cause, verdict.figures)
 
 
-def _doubtful(extrinsic: ExtrinsicChange) -> bool:
+def _implausible(extrinsic: ExtrinsicChange) -> bool:
     return extrinsic.sigmas > MOST_EXTRINSIC_SIGMAS and extrinsic.certainty < LEAST_CERTAINTY
 
 
@@ -328,7 +328,7 @@ def _judge_by_images(before: Scores, after: Scores, what: str, config: GateConfi
         return Verdict(
             False,
             f"input {what} kept",
-            f"images are not predicted better, beyond chance ({change}; "
+            f"the gain of the images is not significant ({change}; "
             f"{same.before:.3f} -> {same.after:.3f} dB over the pixels covered by all)",
             figures,
         )
@@ -375,9 +375,9 @@ def _clearly_more_alike(figures: Sequence[Figure], config: GateConfig) -> bool:
 
 
 def fused_entropy_allowed(rough_gain: float, entropy: Figure, config: GateConfig) -> bool:
-    """Whether scans that were moved towards the cameras still make a crisp map.
+    """Whether scans that were moved towards the cameras still make a sharp map.
 
-    It need not be crisper: the poses before are those at which the planes are thinnest, which are not the true ones where
+    It need not be sharper: the poses before are those at which the planes are thinnest, which are not the true ones where
     planes leave scans open. In two of five simulated rooms the map at the true poses has lost 1.3 % of what they gained.
     rough_gain: what the scans before had gained over the input, nats
     """
@@ -403,7 +403,7 @@ def judge_fusion(
     if not config.enabled:
         return Verdict(True, "accepted unjudged (gate.enabled is false)", f"{change}", figures)
     if not fused_entropy_allowed(rough_gain, entropy, config):
-        return Verdict(False, _STAY, f"the map would be less crisp ({_words(entropy)})", figures)
+        return Verdict(False, _STAY, f"the map would be less sharp ({_words(entropy)})", figures)
     gained = {figure.name: max(figure.gain, 0.0) for figure in cameras}
     lost = _agreed(images, "worse")
     if lost := [each for each in lost if -each.gain > FUSION_IMAGE_LOSS * gained.get(each.name, 0.0)]:
@@ -411,7 +411,7 @@ def judge_fusion(
     return Verdict(True, "accepted", f"{change}", figures)
 
 
-_STAY = "scans stay where the LiDAR has them"
+_STAY = "scans keep the LiDAR result"
 
 
 def _agreed(figures: Sequence[Figure], finding: Finding) -> list[Figure]:

@@ -98,7 +98,7 @@ def _tells(sigma: np.ndarray, own: np.ndarray, line: np.ndarray) -> np.ndarray:
 def _certain(result: VisualResult) -> np.ndarray:
     """(n,) int64, ascending: keyframes of whose exposures their own patches tell about as much as of most."""
     sigma = result.log_exposure_sigma[result.keyframes]
-    return np.asarray(result.keyframes[np.isfinite(sigma) & ~exposures_between.vague(sigma)], np.int64)
+    return np.asarray(result.keyframes[np.isfinite(sigma) & ~exposures_between.uncertain(sigma)], np.int64)
 
 
 def _views(dataset: Dataset, part: Part, photos: Pieces[np.ndarray], result: VisualResult) -> Views:

@@ -84,9 +84,9 @@ def choose(
         return corrected
     result, psnr = calibrated.result, figures[0]
     warning = (
-        "Images call to correct the camera's calibration, and are predicted worse by the corrected camera "
-        f"(PSNR {psnr.before:.2f} -> {psnr.after:.2f} dB): it was used as calibrated. Errors of ranges or of the "
-        "extrinsic do that"
+        "The visual bundle adjustment corrected the calibration, but the corrected camera predicts the images worse "
+        f"(PSNR {psnr.before:.2f} -> {psnr.after:.2f} dB). The run used the original calibration. Range or extrinsic "
+        "errors can cause this"
     )
     return replace(calibrated, result=replace(result, warnings=(*result.warnings, warning)))
 

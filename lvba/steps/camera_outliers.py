@@ -32,7 +32,7 @@ from lvba.wording import first_of
 
 SOLVED = "solved"
 """The state with the cameras as the visual stage left them; the others are named after their `Expectation`."""
-ODD = 5.0
+OUTLIER = 5.0
 """Times the median by which a camera must miss its neighbors' deviation to be asked about: 7.7 standard deviations, were
 these normal."""
 MOST = 0.05
@@ -40,7 +40,7 @@ MOST = 0.05
 LEAST = 2
 """... but so many always."""
 FEWEST = 8
-"""Keyframes below which no median says what is odd."""
+"""Keyframes below which no median says what an outlier is."""
 _NAMED = 8
 """Images that are named at most."""
 
@@ -61,12 +61,12 @@ class Expectation:
 
 @dataclass(frozen=True)
 class Outliers:
-    """odd: (r,) int64, keyframes that leave the trajectory by far more than their neighbors, as numbers of images
+    """outlying: (r,) int64, keyframes that leave the trajectory by far more than their neighbors, as numbers of images
     by_all: (r,) bool, by two expectations, and by all that say something about them
     others: (n,) int64, the other keyframes; expectations: that they contradict
     """
 
-    odd: np.ndarray
+    outlying: np.ndarray
     by_all: np.ndarray
     others: np.ndarray
     expectations: tuple[Expectation, ...]
@@ -74,7 +74,7 @@ class Outliers:
     @property
     def keyframes(self) -> np.ndarray:
         """(K,) int64, all of them."""
-        return np.union1d(self.odd, self.others)
+        return np.union1d(self.outlying, self.others)
 
     @property
     def kept(self) -> np.ndarray:
@@ -86,12 +86,12 @@ class Outliers:
         at = int(np.searchsorted(self.keyframes, image))
         return [each.name for each in self.expectations if each.known[at]]
 
-    def about(self, images: int, odd: Indices) -> np.ndarray:
+    def about(self, images: int, outlying: Indices) -> np.ndarray:
         """(n,) int64, some of the outliers, and images between them and the next of the others: these follow both."""
         numbers = np.arange(images)
         gaps = np.searchsorted(self.others, numbers)
-        follow = ~np.isin(numbers, self.keyframes) & np.isin(gaps, gaps[odd])
-        return np.union1d(odd, numbers[follow])
+        follow = ~np.isin(numbers, self.keyframes) & np.isin(gaps, gaps[outlying])
+        return np.union1d(outlying, numbers[follow])
 
 
 def find(dataset: Dataset, scans: ScanPoses, visual: VisualStage) -> Outliers | None:
@@ -103,12 +103,12 @@ def find(dataset: Dataset, scans: ScanPoses, visual: VisualStage) -> Outliers | 
     contradicted = np.zeros_like(known)
     for row, each in zip(contradicted, expectations, strict=True):
         at = np.flatnonzero(each.known)
-        row[at[odd_ones(each.deviation[at])]] = True
-    odd = contradicted.any(axis=0)
-    if not odd.any():
+        row[at[outlier_indices(each.deviation[at])]] = True
+    outlying = contradicted.any(axis=0)
+    if not outlying.any():
         return None
     by_all = (contradicted == known).all(axis=0) & (known.sum(axis=0) > 1)
-    return Outliers(keyframes[odd], by_all[odd], keyframes[~odd], expectations)
+    return Outliers(keyframes[outlying], by_all[outlying], keyframes[~outlying], expectations)
 
 
 def _expectations(dataset: Dataset, scans: ScanPoses, result: VisualResult) -> tuple[Expectation, ...]:
@@ -130,23 +130,23 @@ def _expectations(dataset: Dataset, scans: ScanPoses, result: VisualResult) -> t
     )
 
 
-def odd_ones(deviation: np.ndarray) -> np.ndarray:
-    """Those of n successive cameras whose deviation (n, 6) is not their neighbors', (r,) int64, ascending: the oddest,
-    and again without it."""
+def outlier_indices(deviation: np.ndarray) -> np.ndarray:
+    """Those of n successive cameras whose deviation (n, 6) is not their neighbors', (r,) int64, ascending: that which
+    differs most, and again without it."""
     left, most = np.arange(len(deviation)), max(LEAST, int(MOST * len(deviation)))
     typical = np.median(_sizes(_from_most(deviation)), axis=0)
     if not (typical > 0).all():
         return np.zeros(0, np.int64)
     while len(deviation) - len(left) < most:
         off = (_sizes(_from_most(deviation[left])) / typical).max(axis=1)
-        if off.max() <= ODD:
+        if off.max() <= OUTLIER:
             break
         left = np.delete(left, off.argmax())
     return np.setdiff1d(np.arange(len(deviation)), left)
 
 
 def _from_most(values: np.ndarray) -> np.ndarray:
-    """(n, 6): by how much each of n values differs from the median of its four neighbors: two of these may be odd."""
+    """(n, 6): by how much each of n values differs from the median of its four neighbors, of which two may be off."""
     first = np.clip(np.arange(len(values)) - 2, 0, len(values) - 5)
     window = first[:, None] + np.arange(5)
     others = window[window != np.arange(len(values))[:, None]].reshape(-1, 4)
@@ -175,7 +175,7 @@ def substituted(outliers: Outliers, times: Times, poses: Poses, expected: Expect
 
     times: (I,) s; poses: as solved
     """
-    at = outliers.about(len(times), outliers.odd)
+    at = outliers.about(len(times), outliers.outlying)
     known, deviation = times[outliers.others], expected.deviation[outliers.kept]
     moved = np.stack([np.interp(times[at], known, deviation[:, n]) for n in range(6)], axis=1)
     changed = poses.copy()
@@ -201,7 +201,7 @@ def compare(
     outliers = find(whole, scans, visual)
     if outliers is None or visual.result is None:
         return {}
-    core = in_core(outliers.odd, part)
+    core = in_core(outliers.outlying, part)
     if not len(core):
         return {}
     result, mine = visual.result, slice(*part.images)
@@ -244,14 +244,16 @@ def mend(
     if outliers is None or visual.result is None or not scores:
         return visual
     result, times = visual.result, dataset.images.times
-    choices = [_better(scores, int(image), outliers.names_for(int(image))) for image in outliers.odd]
+    choices = [_better(scores, int(image), outliers.names_for(int(image))) for image in outliers.outlying]
     better = np.array(choices, object)
     better[(better == "") & outliers.by_all] = _nearest(outliers).name
     for expected in outliers.expectations:
-        result = _moved(result, outliers, times, expected, outliers.odd[better == expected.name])
-    result = _widened(result, outliers, times, outliers.odd[better == ""])
+        result = _moved(result, outliers, times, expected, outliers.outlying[better == expected.name])
+    result = _widened(result, outliers, times, outliers.outlying[better == ""])
     if len(result.substituted):
-        named = [dataset.image_paths[image] for image in outliers.odd[(better != "") & (better != SOLVED)]]
+        named = [
+            dataset.image_paths[image] for image in outliers.outlying[(better != "") & (better != SOLVED)]
+        ]
         result = replace(result, warnings=(*result.warnings, _warning(named)))
     return replace(visual, result=result)
 
@@ -322,7 +324,7 @@ def _moved(
 
 def _error(outliers: Outliers, times: Times, expected: Expectation, image: int) -> np.ndarray:
     """(6, 6): how far cameras are off that take their deviation from others as far away, as the others show."""
-    gaps = np.searchsorted(outliers.others, outliers.odd)
+    gaps = np.searchsorted(outliers.others, outliers.outlying)
     gap = int(np.searchsorted(outliers.others, image))
     missing = int(np.count_nonzero(gaps == gap))
     kept = outliers.kept & expected.known
@@ -360,7 +362,7 @@ def _warning(images: Sequence[str]) -> str:
     """images: their files"""
     listed = first_of([PurePath(image).name for image in images], _NAMED)
     return (
-        f"Cameras had left the trajectory, and their images ({listed}) do not speak for that: they were put where their "
-        "neighbors have them, and their expected errors are larger. Look at these images: blur, a covered lens and "
-        "people before the camera do that"
+        f"The cameras of {listed} left the trajectory, and their images do not support these poses. Each got the pose "
+        "that follows from its neighbors; its expected error is larger. Look at these images: blur, a covered lens and "
+        "people before the camera can cause this"
     )

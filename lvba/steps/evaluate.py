@@ -299,7 +299,7 @@ def choose(
         fusion = fused.verdict
         if fusion.accepted:
             fusion = Verdict(
-                False, "scans stay where the LiDAR has them", "the cameras were not accepted", fusion.figures
+                False, "scans keep the LiDAR result", "the cameras were not accepted", fusion.figures
             )
         return Choice(state, cameras, exposures, fusion)
     if not fused.verdict.accepted:

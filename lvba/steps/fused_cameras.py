@@ -1,8 +1,8 @@
 """The steps that solve cameras further over the planes at scan poses that these cameras had moved.
 
-Cameras are found over the planes of the LiDAR bundle adjustment. Where scans then learn from them by millimeters and more
-(a narrow LiDAR, a depth camera), the map moves, and the cameras belong to the one before: the joint problem of all parts
-goes on over the new one, in rounds that begin at these cameras.
+Cameras are found over the planes of the LiDAR bundle adjustment. Where scans that are then refined with them move by
+millimeters and more (a narrow LiDAR, a depth camera), the map moves, and the cameras belong to the one before: the joint
+problem of all parts continues over the new one, in rounds that begin at these cameras.
 """
 
 from collections.abc import Sequence
@@ -47,7 +47,7 @@ def start(
     """
     result = cameras.result
     if result is None or learned.result is None or not fused.verdict.accepted:
-        return MergedCameras(None, (), "no scan learned from the cameras")
+        return MergedCameras(None, (), "no scan refined with the cameras is in use")
     if np.sqrt(np.square(learned.result.moved_m).mean()) < LEAST_M:
         return MergedCameras(None, (), f"scans moved by less than {1e3 * LEAST_M:g} mm")
     prior = joint_prior.prior_of_keyframes(dataset, cores, stages, lidar, fused, survey, config)

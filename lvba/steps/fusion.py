@@ -16,7 +16,7 @@ def solve_fusion(
 ) -> FusionStage:
     """The scans refined with the cameras."""
     if not config.enabled:
-        return FusionStage(None, "scans do not learn from the cameras (fusion.enabled is false)")
+        return FusionStage(None, "scans are not refined with the cameras (fusion.enabled is false)")
     covariance = scan_covariance(lidar, scans)
     if lidar.result is None or covariance is None:
         return FusionStage(None, "the scans were not refined")

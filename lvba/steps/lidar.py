@@ -160,7 +160,7 @@ def with_errors(result: LidarResult, errors: ScanErrors | None, scans: Indices) 
     """
     if errors is None:
         return result
-    # what is promised is `shared_factor` times the covariance
+    # expected errors are those of `shared_factor` times the covariance
     return replace(
         result,
         covariance=result.covariance + errors.shared_covariance / result.shared_factor,
@@ -184,9 +184,9 @@ def _confirmed(surfels: Sequence[Patch | None], rough: Trajectory, refined: Traj
 
 def carry_cameras(dataset: Dataset, world_from_scan: Poses) -> np.ndarray:
     """Rough camera poses moved along with the scans, (I, 4, 4). Source: Li et al., eq. (1)."""
-    mounted = geometry.inverse(dataset.camera_from_scan)
+    extrinsic = geometry.inverse(dataset.camera_from_scan)
     return geometry.orthonormalize(
-        carry(dataset.scans, world_from_scan, dataset.images, mounted).world_from_sensor
+        carry(dataset.scans, world_from_scan, dataset.images, extrinsic).world_from_sensor
     )
 
 

@@ -22,7 +22,7 @@ def of_odometry(
     """
     poses = dataset.scans.world_from_sensor
     by_images = _tied(dataset, accepted, visual, trajectory_jumps.CONFIRMED_M, trajectory_jumps.CONFIRMED_DEG)
-    # a sensor that turns round a corner between sparse scans goes on unlike before and after
+    # a sensor that turns round a corner between sparse scans continues unlike before and after
     as_images = _alike(by_images, accepted.world_from_scan, poses)
     rough = trajectory_jumps.find(dataset.scans).without(_confirmed(poses, lidar)).without(as_images)
     surfaces = _confirmed(accepted.world_from_scan, lidar)
@@ -30,7 +30,7 @@ def of_odometry(
         "jumps_after": rough.after,
         "jumps_m": rough.meters,
         "jumps_deg": rough.degrees,
-        "untied_after": rough.without(surfaces).without(_tied(dataset, accepted, visual)).after,
+        "unconfirmed_after": rough.without(surfaces).without(_tied(dataset, accepted, visual)).after,
         "too_far_off": lidar.rough_error and _too_far_off(lidar.rough_error, by_images, len(poses)),
     }
 
@@ -46,13 +46,13 @@ def _too_far_off(error: RoughError, confirmed: np.ndarray, scans: int) -> dict[s
     ends = [end for end, after in ((0, 0), (last, last - 1)) if after in left_open]
     return asdict(replace(error, open_after=np.setdiff1d(left_open, [0, last - 1]))) | {
         "by_images_after": by_images,
-        "loose_ends": ends,
+        "unconnected_ends": ends,
     }
 
 
 def _confirmed(world_from_scan: Poses, lidar: LidarStage) -> np.ndarray:
-    """(K,) int64, scans after which poses (S, 4, 4) go on unlike before and after, and surfaces confirm it: a sensor may
-    truly move so fast."""
+    """(K,) int64, scans after which poses (S, 4, 4) continue unlike before and after, and surfaces confirm it: a sensor
+    may truly move so fast."""
     if lidar.result is None:
         return np.zeros(0, np.int64)
     return _alike(lidar.confirmed, lidar.result.world_from_scan, world_from_scan)

@@ -1,6 +1,6 @@
 """What images would say of scans were the cameras calibrated otherwise, by as much as a calibration may be off.
 
-Scans are judged before the cameras are refined. A camera that is a degree or some hundredths of a second off sees a crisp
+Scans are judged before the cameras are refined. A camera that is a degree or some hundredths of a second off sees a sharp
 map in the wrong place, and may predict images better by a blurred one. So where images speak against scans, they are
 asked again with other extrinsics and clocks, the same for both states; how far the gain differs is an error of it.
 """

@@ -47,12 +47,12 @@ the scan stays."""
 
 @dataclass(frozen=True)
 class FusionConfig:
-    """How scan poses learn from the refined cameras."""
+    """How scan poses are refined with the cameras."""
 
     enabled: bool = setting(
         True,
-        meaning="Scan poses learn from the refined cameras. false: scans stay where the LiDAR bundle "
-        "adjustment left them.",
+        meaning="Refine scan poses with the refined cameras. false: scans keep the poses of the LiDAR bundle "
+        "adjustment.",
         change_when="Only the LiDAR is to decide where scans are.",
     )
 
@@ -83,7 +83,7 @@ class Fused:
     moved_m: (S,) from where the LiDAR had them
     interpolation_error_scale: error of the spline between cameras over the leave-one-out error of the cameras, as
         the distances of the scans from the spline explain it; the median of the six axes
-    variance_factor: how many times scans and cameras are further apart (squared) than both promise, at least 1
+    variance_factor: actual over predicted variance of the differences between scans and cameras, at least 1
     contradicted: scans that stayed because the cameras contradict them
     slide_sigma_m: m, root mean square: what the cameras say of how far scans have slid along what planes leave open for
         all of them is uncertain by so much; 0: nothing is open
@@ -167,7 +167,7 @@ def fuse(
         covariance.in_map + LEAST * np.eye(6) if len(covariance.step) else own,
         covariance.step,
         scans.world_from_sensor,
-        # what both do not promise is the cameras': the scans' own share in it is in what groups are off
+        # what both do not predict is the cameras': the scans' own share in it is in what groups are off
         variance_factor * seen.alone + seen.at_ends + interpolated,
         used,
         seen,
@@ -175,7 +175,7 @@ def fuse(
     )
     fused = Fused(
         world_from_scan=_moved(scans.world_from_sensor, step),
-        covariance=_promised(covariance, np.linalg.inv(of_cameras), used & seen.inside, variance_factor),
+        covariance=_predicted(covariance, np.linalg.inv(of_cameras), used & seen.inside, variance_factor),
         moved_m=np.linalg.norm(step[:, 3:], axis=1),
         interpolation_error_scale=float(np.median(interpolation_error_scale)),
         variance_factor=variance_factor,
@@ -202,7 +202,7 @@ def _with_slides(
     """The same with what is known of slides (S, 6) along open motions, and the scans that do nothing but slide.
 
     own, of_cameras: (S, 6, 6), covariances of scans and of what cameras say; used, tied: (S,) bool, where they say
-    anything, and where that is promised
+    anything, and where the covariance counts on it
     """
     open_, wide = open_motions.at(world_from_scan), fused.variance_factor * of_cameras
     fused = replace(
@@ -280,7 +280,7 @@ def _seen(cameras: Cameras, scans: Trajectory) -> _Seen:
     )
 
 
-def _promised(
+def _predicted(
     covariance: Covariance, information: np.ndarray, used: np.ndarray, variance_factor: float
 ) -> np.ndarray:
     """(S, 6, 6) of scans with what cameras know (S, 6, 6), of those used (S,) bool.
@@ -365,7 +365,7 @@ def _interpolated(leave_one_out_error: np.ndarray, part: np.ndarray) -> np.ndarr
 def _interpolation_error_scale(
     differences: np.ndarray, known: np.ndarray, leave_one_out_error: np.ndarray
 ) -> np.ndarray:
-    """(6,): for each axis, the part of what is missed that makes half of the scans closer to the spline than promised."""
+    """(6,): for each axis, the part of the leave-one-out error at which half of the scans are closer to the spline."""
     low, high = np.full(6, np.log(_LEAST_BETWEEN)), np.zeros(6)
     if not len(differences):
         return np.exp(high)

@@ -1,4 +1,4 @@
-"""What a reference says of a run: of the result, of what it promises, and of each part that was judged."""
+"""What a reference says of a run: of the result, of the errors that it predicts, and of each part that was judged."""
 
 from typing import Any
 
@@ -98,7 +98,7 @@ def _predicted(
     final_images: Trajectory,
     reference: Reference,
 ) -> dict[str, dict[str, Any]]:
-    """Errors that the result promises. expected: of cameras nothing where the scans are the input's"""
+    """Errors that the result predicts. expected: of cameras nothing where the scans are the input's"""
     predicted: dict[str, dict[str, Any]] = {}
     scan_alignment = references.scan_alignment(reference, final_scans)
     aligned = None if scan_alignment is None else scan_alignment.reference_from_estimate

@@ -139,7 +139,7 @@ def of_lidar(lidar: LidarStage, scans: ScanPoses, accepted: Accepted) -> dict[st
 
 
 def of_scan_errors(errors: ScanErrors | None) -> dict[str, Any]:
-    """Errors of the range sensor; the part of the motion that was left in scans, and by what their points were moved."""
+    """Errors of the range sensor; how much of the motion was left in scans, and by what their points were moved."""
     if errors is None:
         return {}
     facts: dict[str, Any] = {} if errors.motion is None else {"motion_left": errors.motion.facts()}
@@ -147,10 +147,10 @@ def of_scan_errors(errors: ScanErrors | None) -> dict[str, Any]:
 
 
 def of_moving_points(moving: Sequence[MovingPoints]) -> dict[str, Any]:
-    """How many points move, and what part of all they are."""
+    """How many points move, and what fraction of all they are."""
     count = sum(len(each.numbers) for each in moving)
-    part = count / max(sum(each.count for each in moving), 1)
-    return {"moving_points": {"count": count, "part": part}}
+    fraction = count / max(sum(each.count for each in moving), 1)
+    return {"moving_points": {"count": count, "fraction": fraction}}
 
 
 def warnings_of_errors(errors: ScanErrors | None) -> list[str]:
@@ -158,9 +158,9 @@ def warnings_of_errors(errors: ScanErrors | None) -> list[str]:
     return [] if errors is None else [*warnings_of_ranges(errors.ranges), *warnings_of_motion(errors.motion)]
 
 
-_MENDS = {
-    range_errors.DIRECTION: "Calibrate the sensor",
-    range_errors.DEPTH: "The map and the cameras are as uncertain there",
+_NOT_CORRECTED = {
+    range_errors.DIRECTION: ": points were not corrected. Calibrate the sensor",
+    range_errors.DEPTH: ". The points were not corrected; the expected errors of map and cameras include this",
 }
 
 
@@ -174,8 +174,7 @@ def warnings_of_ranges(ranges: RangeErrors | None) -> list[str]:
         f"{range_errors.sentence(name, ranges.values[name])}: points were corrected. Calibrate the sensor to spare that"
         for name in ranges.corrected
     ] + [
-        f"{range_errors.sentence(name, ranges.values[name])}: points were not corrected. {_MENDS[name]}"
-        for name in ranges.noticed
+        f"{range_errors.sentence(name, ranges.values[name])}{_NOT_CORRECTED[name]}" for name in ranges.noticed
     ]
 
 
@@ -190,8 +189,8 @@ def warnings_of_motion(motion: MotionLeft | None) -> list[str]:
         ]
     if motion.corrected:
         return [
-            f"{100 * (motion.part or 0.0):.1f} % of the motion during scans was left in them: points were moved by the "
-            "refined trajectory. Deskew scans in the odometry to spare that"
+            f"{100 * (motion.fraction or 0.0):.1f} % of the motion during scans was left in them: points were moved by "
+            "the refined trajectory. Deskew scans in the odometry to spare that"
         ]
     if not motion.problem:
         return []
@@ -236,7 +235,7 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
         ),
     )
     if accepted.exposures.accepted:
-        facts["vague_exposures"] = _vague(result)
+        facts["uncertain_exposures"] = _uncertain(result)
     if result.white_balance is not None:
         size = 100 * float(np.sqrt(np.square(result.white_balance).mean()))
         facts["white_balance"] = {"used": accepted.exposures.accepted, "change_percent": size}
@@ -263,12 +262,12 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
     return facts
 
 
-def _vague(result: VisualResult) -> np.ndarray:
-    """Images whose exposures are known `verdict.VAGUE` times less well than others', and to worse than can be seen: of
-    keyframes, and of those whose cameras were put where others have them."""
+def _uncertain(result: VisualResult) -> np.ndarray:
+    """Images whose exposures have expected errors that are unknown or more than `verdict.UNCERTAIN` times the median, and
+    large enough to be seen: of keyframes, and of those whose cameras were put where others have them."""
     asked = np.union1d(result.keyframes, result.substituted).astype(np.int64)
     sigma = result.log_exposure_sigma[asked]
-    return np.asarray(asked[exposures_between.vague(sigma, verdict.VAGUE) & (sigma > _VISIBLE)])
+    return np.asarray(asked[exposures_between.uncertain(sigma, verdict.UNCERTAIN) & (sigma > _VISIBLE)])
 
 
 def _calibration(dataset: Dataset, result: VisualResult, accepted: Accepted) -> dict[str, Any]:

@@ -1,6 +1,6 @@
-"""The steps that judge scan poses: refined ones against the rough ones, and those that learned from the cameras.
+"""The steps that judge scan poses: refined ones against the rough ones, and those refined with the cameras.
 
-How crisp the map is, each part says of its region of space; what images say, of the images in its core.
+How sharp the map is, each part says of its region of space; what images say, of the images in its core.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -56,7 +56,7 @@ def measure_entropy(
     config: EntropyConfig,
     progress: Progress = silent,
 ) -> RegionEntropy:
-    """How crisp the map is in a part's region, before and after."""
+    """How sharp the map is in a part's region, before and after."""
     rough = dataset.scans.world_from_sensor
     before = map_quality.entropy_blocks(
         region_cloud(dataset, cores, part, points, rough, survey.reach_m, progress), config
@@ -78,7 +78,7 @@ def measure_fused_entropy(
     config: EntropyConfig,
     progress: Progress = silent,
 ) -> FusedEntropy | None:
-    """How crisp the map is in a part's region, at the scans that cameras moved; None: there are none."""
+    """How sharp the map is in a part's region, at the scans that cameras moved; None: there are none."""
     if fused.result is None:
         return None
 
@@ -225,7 +225,7 @@ def _of_all_regions(entropies: Sequence[RegionEntropy]) -> tuple[EntropyBlocks, 
 def choose_fusion(
     scans: ScanPoses, fused: FusionStage, entropies: Sequence[FusedEntropy | None], config: GateConfig
 ) -> FusionStage:
-    """The fused scans; where the map would be less crisp with them, those that only slid along what planes leave open.
+    """The fused scans; where the map would be less sharp with them, those that only slid along what planes leave open.
 
     Errors of ranges turn scans to where planes are thinnest, and not where cameras have them; how far scans have slid has
     nothing to do with it. entropies: of all regions
@@ -240,7 +240,7 @@ def choose_fusion(
 def judge_fusion(
     scans: ScanPoses, fused: FusionStage, entropies: Sequence[FusedEntropy | None], config: GateConfig
 ) -> ScanPoses:
-    """The fused scan poses where the map is as crisp with them, else those before; `entropy_rough` is of the latter.
+    """The fused scan poses where the map is as sharp with them, else those before; `entropy_rough` is of the latter.
 
     entropies: of all regions. The images are asked later, with the cameras that are in use.
     """
@@ -263,7 +263,7 @@ def keep_rough(rough: Poses, blocks: EntropyBlocks, problem: str) -> ScanPoses:
 def asks_images(entropies: Sequence[RegionEntropy], gates: GateConfig) -> bool:
     """Whether it is for the images to say if refined scan poses are accepted."""
     change = map_quality.entropy_change(*_of_all_regions(entropies))
-    return gates.enabled and acceptance.may_be_crisper(acceptance.entropy_figure(change, gates), gates)
+    return gates.enabled and acceptance.may_be_sharper(acceptance.entropy_figure(change, gates), gates)
 
 
 def asked_images(count: int) -> np.ndarray:
@@ -312,5 +312,5 @@ def rough_gain(scans: ScanPoses) -> float:
 
 def not_fused(scans: ScanPoses, fused: FusionStage) -> ScanPoses:
     """The scan poses as they were, because there are none that cameras had a part in."""
-    verdict = Verdict(False, "scans stay where the LiDAR has them", f"{fused.problem}")
+    verdict = Verdict(False, "scans keep the LiDAR result", f"{fused.problem}")
     return ScanPoses(scans.world_from_scan, verdict, scans.entropy, scans.entropy, scans.map_blocks)

@@ -1,4 +1,4 @@
-"""Jumps of a trajectory: motions between neighboring frames that do not go on as those before and after them do."""
+"""Jumps of a trajectory: motions between neighboring frames that do not continue as those before and after them do."""
 
 from dataclasses import dataclass
 

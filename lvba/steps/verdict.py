@@ -1,11 +1,11 @@
 """Whether a result is good, in words: figures in, level and reasons out. Nothing here looks at the recording.
 
-The limits of the alarms are those above which promises were found to be wrong, whatever the scene, before sensors were
+The limits of the alarms are those above which expected errors were too small, whatever the scene, before sensors were
 refined with the poses: of 89 runs, most with one disturbance of the sensors each, one of the three was raised in 30 of
-the 36 whose errors were far above the promised ones, and in 3 of the 53 others.
+the 36 whose errors were far above the expected ones, and in 3 of the 53 others.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from lvba.products import lengths
@@ -19,8 +19,8 @@ _NAMED = 8
 """Images that are named at most."""
 _FEW = 0.05
 """Part of the frames that may be less certain than the others: the 95th percentile leaves them out."""
-VAGUE = 3.0
-"""Times the median expected error from which a frame counts as known less well than the others."""
+UNCERTAIN = 3.0
+"""Times the median expected error above which a frame counts as uncertain."""
 _UNSURE = 3.0
 """Standard deviations of the calibrated extrinsic by which the one found may differ from it."""
 _OF_EXPECTED = 0.05
@@ -64,20 +64,20 @@ def _rejected(figures: Figures) -> Iterator[Reason]:
             "Nothing to do; gate.min_entropy_gain and gate.confidence let smaller gains count.",
         )
     for part, name, mend in (
-        (figures.scan_poses, "scan poses",
+        (figures.scan_poses, "refined scan poses",
          "Make sure that scans overlap, and that rough poses are within a few decimeters from scan to scan."),
-        (figures.camera_poses, "camera poses",
+        (figures.camera_poses, "refined camera poses",
          "Check focal length, distortion, extrinsic and time stamps; images need texture, and overlap."),
-        (figures.exposures, "relative exposures",
+        (figures.exposures, "refined relative exposures",
          "Nothing to do if all images were exposed alike; else check that neighboring images overlap."),
-        (figures.scans_with_cameras, "scan poses as the cameras have them",
-         "Scans are as the LiDAR has them. Check time stamps and extrinsic if cameras should know better."),
+        (figures.scans_with_cameras, "scans refined with the cameras",
+         "The scans keep the LiDAR result. Check time stamps and extrinsic if you expect the cameras to be better."),
     ):  # fmt: skip
         if part.accepted is False and (
             fits is None or part not in (figures.scan_poses, figures.camera_poses)
         ):
             yield Reason(
-                f"Not used: refined {name} ({part.reason}).",
+                f"Not used: {name} ({part.reason}).",
                 mend,
                 "bad" if nothing and part in (figures.scan_poses, figures.camera_poses) else "check",
             )
@@ -85,14 +85,14 @@ def _rejected(figures: Figures) -> Iterator[Reason]:
 
 def _alarms(figures: Figures) -> Iterator[Reason]:
     if figures.scan_poses.accepted is False and figures.camera_poses.accepted is not True:
-        return  # nothing is promised
+        return  # of the input, no errors are predicted
     yield from _images(figures)
     for value, limit, text, mend in (
         (figures.spline_error, MOST_SPLINE_ERROR,
          "Between frames, cameras and scans do not move alike (spline error {value:.2f}, limit {limit})",
          "Check that scans were undistorted for the motion within them, that clocks agree, and for gaps in time."),
         (figures.fusion_variance_factor, MOST_FUSION_VARIANCE_FACTOR,
-         "Scans and cameras are further apart than both promise ({value:.2f} times, squared; limit {limit})",
+         "Scans and cameras differ by {value:.2f} times the variance that their covariances predict (limit {limit})",
          "Check extrinsic, time stamps and camera calibration."),
     ):  # fmt: skip
         if value is not None and value > limit:
@@ -101,7 +101,7 @@ def _alarms(figures: Figures) -> Iterator[Reason]:
 
 
 def _images(figures: Figures) -> Iterator[Reason]:
-    """Images that contradict each other: what is expected of cameras is wider by as much.
+    """Images that contradict each other: the expected camera errors include the factor.
 
     That is not enough where the calibration may be to blame: with one that is wrong and stays as it is, cameras were 9 to
     20 times further off. It is enough where images corrected it: of 50 runs no camera was off by twice what was expected,
@@ -116,7 +116,7 @@ def _images(figures: Figures) -> Iterator[Reason]:
     )
     if figures.camera_refined:
         yield Reason(
-            f"{words}, also with the camera refined; what is expected of the cameras is wider by that.",
+            f"{words}, also with the camera refined; the expected camera errors include this factor.",
             "Look at the pictures below: blur, people who walk by and surfaces that shine do that.",
         )
     else:
@@ -167,10 +167,10 @@ def _registered(figures: Figures) -> Iterator[Reason]:
             more=True,
             unknown=True,
         )
-    if figures.loose_ends:
+    if ends := figures.unconnected_ends:
         yield Reason(
-            f"Where the rough poses are wrong, neither surfaces nor images say where scan "
-            f"{runs(figures.loose_ends, _NAMED)} at the end of the recording is to the others.",
+            f"Where the rough poses are wrong, neither surfaces nor images determine the pose of {_scans(ends)} at the "
+            "end of the recording relative to the others.",
             "Leave it out, or take only the map of the others.",
             more=True,
         )
@@ -178,7 +178,7 @@ def _registered(figures: Figures) -> Iterator[Reason]:
         "The rough poses were too far off to start from (typically "
         f"{lengths.text(figures.rough_m)} and {figures.rough_deg:.1f} degrees from scan to scan, or jumps): scans were "
         "registered to each other first.",
-        "Look at the map for double surfaces; mend the odometry if you can.",
+        "Look at the map for double surfaces; correct the odometry if you can.",
         more=figures.odometry_dependent_steps > 0,  # on one that has proved to be wrong
     )
 
@@ -189,10 +189,9 @@ def _odometry(figures: Figures) -> Iterator[Reason]:
         size = " and ".join(sizes + ([f"{figures.jump_deg:.1f} degrees"] if figures.jump_deg else []))
         times = {1: "once", 2: "twice"}.get(figures.jumps, f"{figures.jumps} times")
         words = f"The rough poses jump {times}, by {'up to ' * (figures.jumps > 1)}{size}"
-        if untied := figures.untied_jumps:
+        if unconfirmed := figures.unconfirmed_jumps:
             yield Reason(
-                f"{words}; after scan {runs(untied, _NAMED)}, neither surfaces nor images say where scans are to those "
-                "before.",
+                f"{words}; neither surfaces nor images determine the motion after {_scans(unconfirmed)}.",
                 "Run the odometry again, or cut the recording there.",
                 "bad",
                 more=True,
@@ -225,19 +224,20 @@ def _odometry(figures: Figures) -> Iterator[Reason]:
 
 def _frames(figures: Figures) -> Iterator[Reason]:
     for count, total, kind in (
-        (figures.vague_scans, figures.scans, "scans"),
-        (figures.vague_cameras, figures.images, "cameras"),
+        (figures.uncertain_scans, figures.scans, "scans"),
+        (figures.uncertain_cameras, figures.images, "cameras"),
     ):
         if count > _FEW * total:
             yield Reason(
-                f"{count} of {total} {kind} are known {VAGUE:.0f} times less well than the others, or not at all.",
+                f"{count} of {total} {kind} have expected errors that are unknown or more than {UNCERTAIN:.0f} times the "
+                "median.",
                 "See the expected error by frame.",
             )
-    if vague := figures.vague_exposures:
+    if uncertain := figures.uncertain_exposures:
         yield Reason(
-            f"The exposures of {len(vague)} of {figures.images} images ({runs(vague, _NAMED)}) are known {VAGUE:.0f} "
-            "times less well than the others, or not at all: few surfaces tie them to others, or they contradict each "
-            "other.",
+            f"The exposures of {len(uncertain)} of {figures.images} images ({runs(uncertain, _NAMED)}) have expected "
+            f"errors that are unknown or more than {UNCERTAIN:.0f} times the median: few surfaces tie them to others, or "
+            "they contradict each other.",
             "Look at these images: people who walk by, glass and mirrors do that. Colors may differ there.",
         )
     if figures.white_balance is not None:
@@ -257,7 +257,7 @@ def _frames(figures: Figures) -> Iterator[Reason]:
         )
 
 
-def _settled(figures: Figures) -> Iterator[Reason]:
+def _converged(figures: Figures) -> Iterator[Reason]:
     moved, known = figures.moved_m, figures.scan_p95_m
     if moved is not None and (known is None or moved > _OF_EXPECTED * known):
         yield Reason(
@@ -302,11 +302,11 @@ def _looks(figures: Figures) -> Iterator[Reason]:
 
 
 def _scale(figures: Figures) -> Iterator[Reason]:
-    """Errors that are more than promised, and that a common factor takes out."""
+    """Errors that are more than expected, and that a common factor takes out."""
     off = [
         one
         for one in figures.truth
-        if one.scaled is not None and replace(one, scaled=None).broken and not one.broken
+        if one.scaled is not None and replace(one, scaled=None).inconsistent and not one.inconsistent
     ]
     if off and figures.scale is not None:
         way = "smaller" if figures.scale > 1 else "larger"
@@ -320,11 +320,11 @@ def _scale(figures: Figures) -> Iterator[Reason]:
 def _truth(figures: Figures) -> Iterator[Reason]:
     for what in dict.fromkeys(one.what for one in figures.truth):
         mine = [one for one in figures.truth if one.what == what]
-        broken = [(one, one.promised) for one in mine if one.promised is not None and one.broken]
-        if broken:
+        larger = [(one, one.predicted) for one in mine if one.predicted is not None and one.inconsistent]
+        if larger:
             listed = " and ".join(
-                f"{_amount(one.error, one.unit)} (expected: {_amount(promised, one.unit)})"
-                for one, promised in broken
+                f"{_amount(one.error, one.unit)} (expected: {_amount(predicted, one.unit)})"
+                for one, predicted in larger
             )
             yield Reason(
                 f"Against the reference, {what} are off by {listed}.",
@@ -338,12 +338,17 @@ def _truth(figures: Figures) -> Iterator[Reason]:
                 f"{_amount(one.error, one.unit)} instead of {_amount(rough, one.unit)}"
                 for one, rough in worse
             )
-            spoiled = any(one.unit == "m" and one.error > (one.promised or 0.0) for one, _ in worse)
+            spoiled = any(one.unit == "m" and one.error > (one.predicted or 0.0) for one, _ in worse)
             yield Reason(
                 f"Against the reference, {what} are worse than the input: {listed}.",
                 f"Keep the input's {what}, unless the reference is no better itself.",
                 "bad" if spoiled else "check",
             )
+
+
+def _scans(numbers: Sequence[int]) -> str:
+    """Their numbers, for people."""
+    return f"scan{'s' * (len(numbers) > 1)} {runs(numbers, _NAMED)}"
 
 
 def _amount(value: float, unit: str) -> str:
@@ -361,7 +366,7 @@ _RULES: tuple[Callable[[Figures], Iterator[Reason]], ...] = (
     _registered,
     _odometry,
     _frames,
-    _settled,
+    _converged,
     _extrinsic,
     _looks,
 )

@@ -29,7 +29,7 @@ _JUDGED = (
     ("refined scans", "lidar", ""),
     ("exposures", "visual", "exposures_"),
     ("cameras", "visual", ""),
-    ("scans as the cameras have them", "fusion", ""),
+    ("scans refined with the cameras", "fusion", ""),
 )
 _HELD_OUT = {
     "psnr_leave_one_out": ("{:.2f} \N{PLUS-MINUS SIGN} {:.2f} dB PSNR", 0.02),
@@ -59,7 +59,7 @@ def add(facts: Facts) -> dict[str, Any]:
 
 
 def _alarms(known: Figures) -> dict[str, dict[str, float | None]]:
-    """What tells that covariances promise too much, each with the limit above which it does."""
+    """What tells that covariances predict errors that are too small, each with the limit above which it does."""
     return {
         "variance_factor": {"value": known.variance_factor, "limit": verdict.MOST_VARIANCE_FACTOR},
         "spline_error": {"value": known.spline_error, "limit": verdict.MOST_SPLINE_ERROR},
@@ -98,9 +98,9 @@ def figures(facts: Facts) -> Figures:
         common_degenerate=len(renamed_facts.value(lidar, "degenerate_directions") or []) if used else 0,
         degenerate_scans=degenerate_scans if used else 0,
         odometry_dependent_steps=dependent_steps if used else 0,
-        vague_scans=_vague(expected.get("scans")),
-        vague_cameras=_vague(expected.get("cameras")),
-        vague_exposures=tuple(visual.get("vague_exposures") or ()),
+        uncertain_scans=_uncertain(expected.get("scans")),
+        uncertain_cameras=_uncertain(expected.get("cameras")),
+        uncertain_exposures=tuple(renamed_facts.value(visual, "uncertain_exposures") or ()),
         white_balance=balance.get("change_percent") if balance.get("used") and facts.get("merge") else None,
         moved_m=history[-1].get("moved") if used and lidar.get("converged") is False else None,
         scan_p95_m=(expected.get("scans") or {}).get("position_p95_m"),
@@ -141,12 +141,12 @@ def _rough_poses(odometry: Facts) -> dict[str, Any]:
         "rough_m": far.get("step_m") or 0.0,
         "rough_deg": far.get("step_deg") or 0.0,
         "open_steps": len(far.get("open_after") or []),
-        "loose_ends": tuple(far.get("loose_ends") or ()),
+        "unconnected_ends": tuple(renamed_facts.value(far, "unconnected_ends") or ()),
         "left_steps": len(far.get("left_after") or []),
         "jumps": len(odometry.get("jumps_after") or []),
         "jump_m": max(odometry.get("jumps_m") or [0.0]),
         "jump_deg": max(odometry.get("jumps_deg") or [0.0]),
-        "untied_jumps": tuple(odometry.get("untied_after") or ()),
+        "unconfirmed_jumps": tuple(renamed_facts.value(odometry, "unconfirmed_after") or ()),
     }
 
 
@@ -181,18 +181,18 @@ def _cause(part: Facts, prefix: str = "") -> str:
     return str(next(filter(None, known), None) or part.get("problem") or "no reason is known")
 
 
-def _vague(expected: Facts | None) -> int:
-    """Frames that are known verdict.VAGUE times less well than the others, or not at all."""
+def _uncertain(expected: Facts | None) -> int:
+    """How many frames have expected errors that are unknown or more than verdict.UNCERTAIN times the median."""
     if not expected:
         return 0
     errors = np.array([np.nan if value is None else value for value in expected["per_frame_m"]], float)
-    return int(np.sum(~(errors <= verdict.VAGUE * np.nanmedian(errors))))
+    return int(np.sum(~(errors <= verdict.UNCERTAIN * np.nanmedian(errors))))
 
 
 def _small_losses(facts: Facts, ssim_rose: bool) -> Iterator[str]:
     """What each used part lost in held-out scores, beyond chance and not only in the last digits.
 
-    Scans are judged with the input's cameras. Where these are off, a crisper map looks worse: of 28 simulations that lost
+    Scans are judged with the input's cameras. Where these are off, a sharper map looks worse: of 28 simulations that lost
     so, scans were nearer to the truth in all. So not where refined cameras predict images better in the end.
     """
     better = ssim_rose and (facts.get("visual") or {}).get("accepted") is True
@@ -249,7 +249,7 @@ def _truth(reference: Facts) -> list[Truth]:
                 unit="m",
                 error=error["ate_m"],
                 rough=rough.get("ate_m"),
-                promised=error.get("predicted_ate_m"),
+                predicted=error.get("predicted_ate_m"),
                 scaled=error.get("scaled_ate_m"),
             ),
             Truth(
@@ -257,7 +257,7 @@ def _truth(reference: Facts) -> list[Truth]:
                 unit="degrees",
                 error=error["rotation_alone_deg"],
                 rough=rough.get("rotation_alone_deg"),
-                promised=error.get("predicted_rotation_deg"),
+                predicted=error.get("predicted_rotation_deg"),
             ),
         ]
     return truths
@@ -299,18 +299,16 @@ def _along_open(expected: Facts) -> str:
     rest = _rest(expected, "along_open_m")
     if rest is None:
         return ""
+    most = ". Most of it lies along directions that no surface determines (as in a corridor); there "
+    others = f". In all other directions scan poses are off by about {lengths.text(rest)}"
     if expected.get("open_by") == "images":
-        return (
-            ". Most of that is along motions that surfaces leave open (as along a corridor), where scans are as images "
-            f"have them; in all others scan poses are off by about {lengths.text(rest)}"
-        )
+        return f"{most}the scans follow the images{others}"
     by_images = expected.get("open_by_images_m")
-    certain = (
-        "" if by_images is None else f", in these by about {lengths.text(by_images)} if images are right"
-    )
+    if by_images is None:
+        return f"{most}the scans follow the odometry{others}"
     return (
-        ". Most of that is along motions that surfaces leave open (as along a corridor), by the odometry alone; in all "
-        f"others scan poses are off by about {lengths.text(rest)}{certain}"
+        f"{most}the expected error is that of the odometry{others}. If the images are right, the error along the open "
+        f"directions is about {lengths.text(by_images)}"
     )
 
 
@@ -320,8 +318,8 @@ def _of_ranges(expected: Facts) -> str:
     if rest is None:
         return ""
     return (
-        ". Most of that is how far the map may be bent by errors of the LiDAR's beams too small for its planes to tell; "
-        f"if it has none, scan poses are off by about {lengths.text(rest)}"
+        ". Most of it is a possible bend of the map by beam errors too small for the planes to show; without such "
+        f"errors, scan poses are off by about {lengths.text(rest)}"
     )
 
 

@@ -5,8 +5,8 @@ from typing import Literal
 
 Level = Literal["good", "check", "bad"]
 
-_PROMISE_KEPT = 3.0
-"""Times the promised error up to which a promise counts as kept."""
+_CONSISTENT = 3.0
+"""Times the predicted error up to which an error is consistent with it."""
 
 
 @dataclass(frozen=True)
@@ -31,24 +31,25 @@ class InputFits:
 
 @dataclass(frozen=True)
 class Truth:
-    """An error against the reference, of the result and of the input, and the promised one (None: nothing promised).
+    """An error against the reference, of the result and of the input, and the predicted one (None: nothing is predicted).
 
     what: scans or cameras; unit: m or degrees
-    scaled: the error after one common factor, which promises leave out; None: not known
+    scaled: the error after one common factor, which predictions do not include; None: not known
     """
 
     what: str
     unit: Literal["m", "degrees"]
     error: float
     rough: float | None = None
-    promised: float | None = None
+    predicted: float | None = None
     scaled: float | None = None
 
     @property
-    def broken(self) -> bool:
-        """Whether the promise is, in the scale of the LiDAR's ranges, which nothing in a recording tells."""
+    def inconsistent(self) -> bool:
+        """Whether the error is too large for the predicted one, in the scale of the LiDAR's ranges: nothing in a
+        recording tells that."""
         error = self.error if self.scaled is None else self.scaled
-        return self.promised is not None and error > _PROMISE_KEPT * self.promised
+        return self.predicted is not None and error > _CONSISTENT * self.predicted
 
 
 @dataclass(frozen=True)
@@ -58,19 +59,19 @@ class Figures:
     variance_factor: actual over modeled variance of the pixels
     spline_error: how far the path through the cameras misses the scans, as part of the error of leaving a camera out
     camera_refined: whether images corrected the calibration of the camera
-    fusion_variance_factor: how many times scans and cameras are further apart, squared, than both promise
-    vague_scans, vague_cameras: frames expected to be off by `verdict.VAGUE` times the median and more, or by nobody
-        knows what
-    vague_exposures: numbers of the images whose exposures are, and to worse than can be seen
+    fusion_variance_factor: actual over predicted variance of the differences between scans and cameras
+    uncertain_scans, uncertain_cameras: how many frames have expected errors that are unknown or more than
+        `verdict.UNCERTAIN` times the median
+    uncertain_exposures: numbers of the images whose exposures have, if errors of this size can be seen
     white_balance: percent, root mean square, by which it changes between images that joint rounds take as they are
-    moved_m: how far a scan moved at most in the last round that did not settle; scan_p95_m: what 95 % of the scans are
+    moved_m: how far a scan moved at most in the last round that did not converge; scan_p95_m: what 95 % of the scans are
         expected to be off by less
     range_errors: systematic errors of the range sensor that are in the points
     registered: whether rough poses were so far off that scans were registered to each other first; rough_m, rough_deg: by
         how much from scan to scan; open_steps, left_steps: motions between scans that this left open and images do not
-        confirm, and that are wrong in the result; loose_ends: scans at the ends that only an open motion ties
-    jumps: frames after which the rough poses jump; jump_m, jump_deg: by at most; untied_jumps: those where
-        neither surfaces nor images say how scans before and after are to each other
+        confirm, and that are wrong in the result; unconnected_ends: scans at the ends that only an open motion ties
+    jumps: frames after which the rough poses jump; jump_m, jump_deg: by at most; unconfirmed_jumps: those where
+        neither surfaces nor images determine the motion
     extrinsic_sigmas: by how many standard deviations the extrinsic found differs from the calibrated one
     scale: of the reference over the result; None: there is no reference
     input_fits: None: the input's poses are not as good as what was refined, or something speaks against both
@@ -91,9 +92,9 @@ class Figures:
     common_degenerate: int = 0
     degenerate_scans: int = 0
     odometry_dependent_steps: int = 0
-    vague_scans: int = 0
-    vague_cameras: int = 0
-    vague_exposures: tuple[int, ...] = ()
+    uncertain_scans: int = 0
+    uncertain_cameras: int = 0
+    uncertain_exposures: tuple[int, ...] = ()
     white_balance: float | None = None
     moved_m: float | None = None
     scan_p95_m: float | None = None
@@ -103,12 +104,12 @@ class Figures:
     rough_m: float = 0.0
     rough_deg: float = 0.0
     open_steps: int = 0
-    loose_ends: tuple[int, ...] = ()
+    unconnected_ends: tuple[int, ...] = ()
     left_steps: int = 0
     jumps: int = 0
     jump_m: float = 0.0
     jump_deg: float = 0.0
-    untied_jumps: tuple[int, ...] = ()
+    unconfirmed_jumps: tuple[int, ...] = ()
     extrinsic_sigmas: float | None = None
     extrinsic_m: float = 0.0
     extrinsic_deg: float = 0.0
@@ -124,7 +125,7 @@ class Figures:
 class Reason:
     """Why a result is not simply good, and what to do about it.
 
-    level: what it makes of the result at best; more: whether errors may well be larger than the covariances promise
+    level: what it makes of the result at best; more: whether errors may well be larger than the covariances predict
     unknown: whether the covariances say nothing about the errors
     """
 

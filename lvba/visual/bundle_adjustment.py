@@ -43,7 +43,7 @@ PLANE_FLOOR_M = 0.001
 """m: no plane is taken as better known than this; surfaces are not flatter."""
 SOLVER = SolverConfig(max_iterations=12, initial_damping=1e-6, relative_decrease=1e-4)
 """Of the last solve of a level. What lowers the cost by less moves each unknown, plane offsets among them, by a tenth of
-its standard deviation: poses that go on for eight more steps end 0.01 mm elsewhere. Damped by little: what turns all
+its standard deviation: poses after eight more steps end 0.01 mm elsewhere. Damped by little: what turns all
 cameras together and shifts the principal point (or changes the clock, or the readout) is known a million times less well
 than each camera by itself."""
 
@@ -352,8 +352,8 @@ def covariance_of(solution: LevelSolution) -> Covariance:
     solved = _Turn(problem, solution.wall_clusters, at, linearization, solution.free, gradients)
     own = _covariance_of_calibration(solved, prior, total)
     if prior is not None:
-        # balanced gradients promise too much of the camera, which turns all images: on a road, a principal point that
-        # was 0.6 px off to 0.2, where those of each image by itself say 0.8
+        # balanced gradients predict too small errors of the camera, which turns all images: on a road, 0.2 px for a
+        # principal point that was 0.6 px off, where those of each image by itself say 0.8
         plain, camera = linear_solver.covariance(total, solution.free), fixed_calibration.indices()
         poses = linear_solver.with_errors_of_shared(poses, own - poses.shared, plain, camera)
         place = Calibration.layout()["readout"].start
@@ -375,12 +375,14 @@ def _with_held(
     step = linear_solver.solve_step(total, 0.0, solved.free) if fixed else None
     if step is None:
         return known
-    part = fixed_calibration.doubtful_part(step.shared, _precision(known.shared, solved, total), fixed)
+    fraction = fixed_calibration.significant_fraction(
+        step.shared, _precision(known.shared, solved, total), fixed
+    )
     blocks, shared = step.blocks, step.shared
     return Covariance(
-        known.blocks + part * blocks[:, :, None] * blocks[:, None],
-        known.with_shared + part * blocks[:, :, None] * shared,
-        known.shared + part * np.outer(shared, shared),
+        known.blocks + fraction * blocks[:, :, None] * blocks[:, None],
+        known.with_shared + fraction * blocks[:, :, None] * shared,
+        known.shared + fraction * np.outer(shared, shared),
     )
 
 

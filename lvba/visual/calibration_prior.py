@@ -6,8 +6,9 @@ each other about the calibration shows how much of that information is real; whe
 they claim, the calibrated values get a larger weight. Where an estimate would be less certain than the calibration itself
 all the same, the calibration stays.
 
-The calibration may overstate, too: one that was measured by hand is off by centimeters and degrees. How far the extrinsic
-that the images see deviates from it, beyond what they contradict themselves, shows how much (a variance component).
+The calibration may claim too high a certainty, too: one that was measured by hand is off by centimeters and degrees. How
+far the extrinsic that the images see deviates from it, beyond what they contradict themselves, shows how much (a variance
+component).
 """
 
 from collections.abc import Mapping

@@ -1,7 +1,7 @@
 """How far the solved cameras may be off, and along which directions nothing holds them.
 
-The inverse Hessian alone promises far too much: errors of planes and of interpolation are shared by all pixels of a
-patch and by all patches of a plane. Here the pixels' information is replaced by the sandwich `H^-1 M H^-1` of a
+The inverse Hessian alone predicts errors that are far too small: all pixels of a patch and all patches of a plane
+share errors of planes and of interpolation. Here the pixels' information is replaced by the sandwich `H^-1 M H^-1` of a
 composite likelihood (White 1982; Varin et al. 2011; `optim.linear_solver.sandwich`), where M sums the outer products of
 the gradients per cluster, and a cluster is all that hangs on one piece of wall.
 """
@@ -83,7 +83,7 @@ def wall_gradients(
     """The gradients at a state.
 
     A wall that holds an image in some direction bends it to itself there and leaves little gradient, however wrong it
-    is (bias reduced linearization, CR2: Bell and McCaffrey 2002; leaving each wall out altogether, CR3, promises errors
+    is (bias reduced linearization, CR2: Bell and McCaffrey 2002; leaving each wall out altogether, CR3, predicts errors
     twice as large as they are where few walls are seen). known: all that is known of the images
     """
     own = _summed(walls, linearization)
@@ -107,7 +107,7 @@ def balanced_gradients(gradients: WallGradients, shared: int) -> csr_matrix:
     """The same, each wall's gradient as large as bias reduction makes it on average over its images.
 
     A pair of patches pulls two images against each other: moved together, with what they share, they feel nothing of it.
-    Gradients that grow by other parts in each image no longer cancel, and a few walls that all images see promise errors
+    Gradients that grow by other parts in each image no longer cancel, and a few walls that all images see predict errors
     of all cameras together that no wall can make: of a Kinect 37 mm and 2.6 degrees, where cameras are 10 mm and 0.6
     degrees off.
     """

@@ -76,7 +76,7 @@ MIN_USABLE = 0.3
 """Least part of a patch's weight that must be left."""
 STRETCH_M = 8.0
 """Size of the larger pieces of surface that are left out in turn: a stretch of road, a wall. Shade and gloss make patches
-of one err alike, which pieces of a meter do not show: on a real street those promised a sixth of what stretches tell."""
+of one err alike, which pieces of a meter do not show: on a real street those predicted a sixth of what stretches tell."""
 _RADIOMETRY_ROUNDS = 20
 """Most times that patches are weighed anew while vignetting and response are found."""
 _RADIOMETRY_TOLERANCE = 1e-4

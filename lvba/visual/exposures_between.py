@@ -15,7 +15,7 @@ from lvba.trajectory import nearest_in_time
 
 _FEWEST = 3
 """Keyframes from which on some have neighbors on both sides."""
-_VAGUE = 3.0
+_UNCERTAIN = 3.0
 """Times the usual standard deviation from which on little tells of a keyframe."""
 _ALONE = 2
 """Most successive keyframes of these that are taken from their neighbors: more tell of each other."""
@@ -50,12 +50,12 @@ def _alone(sigma: np.ndarray) -> np.ndarray:
     """(K,) bool: keyframes that little tells of, where more tells of their neighbors."""
     if not np.isfinite(sigma).any():
         return np.zeros(len(sigma), bool)
-    little = vague(sigma)
+    little = uncertain(sigma)
     label = np.cumsum(np.r_[True, np.diff(little)])
     return np.asarray(little & (np.bincount(label)[label] <= _ALONE))
 
 
-def vague(sigma: np.ndarray, factor: float = _VAGUE) -> np.ndarray:
+def uncertain(sigma: np.ndarray, factor: float = _UNCERTAIN) -> np.ndarray:
     """(K,) bool: standard deviations that are more than a factor times the median of those known, or infinite.
 
     sigma: (K,) float64

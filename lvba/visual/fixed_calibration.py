@@ -25,7 +25,7 @@ INTRINSICS = ("focal", "principal_point", "distortion")
 CORRECTIONS = (*INTRINSICS, "readout")
 """Those that may be fixed at their calibrated values."""
 CHANCE = 2e-9
-"""How often a right value may be taken for a wrong one: six standard deviations, for errors can be twice the promised
+"""How often a right value may be taken for a wrong one: six standard deviations, for errors can be twice the predicted
 ones."""
 APART = 6e-7
 """The same where all other corrections are free: five standard deviations."""
@@ -37,7 +37,7 @@ BIAS_PX = 0.01
 """px, by which images are off that are interpolated: a correction that moves patches by less, once the poses have
 followed, may be that, however many standard deviations it is. In a clean street a ratio of focal lengths 0.12 % off, told
 from all others by six standard deviations, moved patches by 0.007 px, and cost cameras 1.5 -> 2.5 mm."""
-DOUBTFUL_PX = 0.02
+AMBIGUOUS_PX = 0.02
 """px, below which a correction must also be told from all others. In a clean street of 320 px a lens of 0.012 px was told
 by nine standard deviations, and cost cameras 2.5 -> 5.8 mm."""
 _FIXED = 1e8
@@ -78,18 +78,18 @@ def _eliminated(deviation: np.ndarray, known: Precision, likely: Mapping[str, fl
     fixed: list[str] = []
     while len(fixed) < len(CORRECTIONS):
         chance = {name: _chance(off, spread, index) for name, index in every.items() if name not in fixed}
-        doubtful = {name: each for name, each in chance.items() if each > likely.get(name, CHANCE)}
-        if not doubtful:
+        candidates = {name: each for name, each in chance.items() if each > likely.get(name, CHANCE)}
+        if not candidates:
             moves = {name: _squared(plain_off, plain, every[name]) / known.per_pixel for name in chance}
-            doubtful = {
+            candidates = {
                 name: each
                 for name, each in chance.items()
                 if moves[name] < BIAS_PX**2
-                or (apart[name] > likely.get(name, APART) and moves[name] < DOUBTFUL_PX**2)
+                or (apart[name] > likely.get(name, APART) and moves[name] < AMBIGUOUS_PX**2)
             }
-        if not doubtful:
+        if not candidates:
             break
-        least = max(doubtful, key=lambda name: doubtful[name])
+        least = max(candidates, key=lambda name: candidates[name])
         fixed.append(least)
         off, spread = _without(off, spread, every[least])
         plain_off, plain = _without(plain_off, plain, every[least])
@@ -102,8 +102,8 @@ def indices(names: Collection[str] = CORRECTIONS) -> np.ndarray:
     return np.concatenate([np.arange(layout.size)[layout[name]] for name in names])
 
 
-def doubtful_part(off: np.ndarray, known: Precision, names: Collection[str]) -> float:
-    """What part of its square counts as an error of parameters that are held: 0 where it may be chance, nearly 1 where
+def significant_fraction(off: np.ndarray, known: Precision, names: Collection[str]) -> float:
+    """The fraction of its square that is an error of parameters that are held: 0 where it may be chance, nearly 1 where
     it is many standard deviations. Whether calibration or images are right, nothing tells then. What interpolation does
     counts for a camera of which another number is refuted, for it may as well be off.
 

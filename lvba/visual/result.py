@@ -267,10 +267,10 @@ def _warnings(
     if len(unseen):
         warnings.append(f"{len(unseen)} images share no scene point with others: {_stamps(times[unseen])}")
     spread = np.sqrt(np.trace(blocks[:, 3:6, 3:6], axis1=1, axis2=2))
-    vague = np.flatnonzero(spread > 3 * np.median(spread))
-    if len(vague):
+    uncertain = np.flatnonzero(spread > 3 * np.median(spread))
+    if len(uncertain):
         warnings.append(
-            f"{len(vague)} images are known 3 times less well than the others: {_stamps(times[vague])}"
+            f"{len(uncertain)} images have expected errors more than 3 times the median: {_stamps(times[uncertain])}"
         )
     return tuple(warnings)
 

@@ -92,8 +92,8 @@ def scene_of(given: Inputs, config: VisualConfig, variant: Variant = PRODUCT) ->
         scans, given.refined_scans, given.images, given.camera_from_scan, config.prior, local_covariance,
         given.range_errors,
     )  # fmt: skip
-    mounted = prior.calibration.reference.scan_from_camera
-    start = carry(scans, given.refined_scans, given.images, mounted).world_from_sensor[given.keyframes]
+    extrinsic = prior.calibration.reference.scan_from_camera
+    start = carry(scans, given.refined_scans, given.images, extrinsic).world_from_sensor[given.keyframes]
     sensors = (given.refined_scans @ np.append(given.sensor_position_scan, 1.0))[:, :3]
     return Scene(
         pyramid=given.pyramid,

@@ -148,7 +148,7 @@ OFF_PLANE_SIGMA = 4.0
 OFF_PLANE_MIN_M = 0.03
 """m: never stricter than this (nor than 0.4 % of the distance), which is the noise of common LiDARs."""
 OFF_PLANE_MAX_M = 0.08
-"""m: never looser than this: a thing that stands out by more shifts visibly between two images."""
+"""m: never larger than this: a thing that stands out by more shifts visibly between two images."""
 MIN_SUPPORT = 4
 """Least number of LiDAR points on the plane within twice the patch: three make a plane by themselves."""
 ENOUGH_IN_BIN = 48

@@ -96,7 +96,7 @@ def _correlation_inflation(
 
     N frames whose deviations have lag-one correlation r tell of their common part only what N (1 - r) / (1 + r)
     independent ones do. That holds for the error of the scans' poses. The further what most neighbors have in common is
-    beyond that, the less of it the scans explain, and the less the factor grows: images that drift would loosen what
+    beyond that, the less of it the scans explain, and the less the factor grows: images that drift would weaken what
     holds them, and drift on.
     deviation: (I, 3); own, of_scans: (I, 3), its standard deviations, of each frame by itself and by the scans' error;
     spoken: (I,) bool, frames that deviate from something

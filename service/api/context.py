@@ -155,7 +155,7 @@ def needs(scope: str) -> Any:
 
     async def check(principal: Annotated[Principal, Depends(who)]) -> Principal:
         if not principal.may(scope):
-            raise Problem("forbidden", f"the key has not the scope {scope!r}")
+            raise Problem("forbidden", f"the key does not have the scope {scope!r}")
         return principal
 
     return Depends(check)

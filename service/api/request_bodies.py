@@ -55,7 +55,7 @@ async def whole(receive: Receive) -> bytes | None:
 
 
 def again(body: bytes, receive: Receive) -> Receive:
-    """A `receive` that begins with this body, and goes on with what comes after it."""
+    """A `receive` that begins with this body, and continues with what comes after it."""
     given = False
 
     async def replay() -> Message:

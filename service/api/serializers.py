@@ -116,7 +116,7 @@ def _waits_for_room(paths: Paths, needed: int = disk_space.LEAST_FREE) -> dict[s
     lack = disk_space.lacking(paths.root, needed)
     if lack is None:
         return None
-    hint = "it continues by itself when there is room: remove what is not needed, or ask who runs the server"
+    hint = "it continues by itself when there is room: remove what is not needed, or ask the server's administrator"
     return {
         "code": "disk-full",
         "stage": None,

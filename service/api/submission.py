@@ -99,7 +99,7 @@ def check_config(values: dict[str, Any]) -> None:
 
 
 def check_import(server: Server, dataset: Dataset, values: dict[str, Any] | None) -> None:
-    """Raises Problem: the dataset is not imported, or has not what is chosen of it."""
+    """Raises Problem: the dataset is not imported, or does not have what is chosen of it."""
     inspection = inspections.read(server.paths, dataset.id)
     if inspection is None:
         if values is not None:
@@ -134,7 +134,7 @@ def _check(server: Server, session: Session, principal: Principal, wanted: NewJo
 
 def _check_webhook(server: Server, url: str) -> None:
     if not server.settings.webhooks:
-        raise Problem("invalid", "this server tells no addresses", "leave `webhook` out")
+        raise Problem("invalid", "webhooks are switched off on this server", "leave `webhook` out")
     try:
         webhooks.check_url(url, server.settings.webhook_allow)
     except InputError as error:
@@ -147,7 +147,7 @@ def _check_room(server: Server, session: Session, principal: Principal, estimate
     quota.check(server.database, session, principal.owner, limits, disk_bytes, 1)
     _check_waiting(server, session, principal.owner)
     free = disk_space.free_bytes(server.paths.root)
-    needed = int(estimate.get("disk_bytes", 0)) + limits.disk_reserve_bytes + _promised(session)
+    needed = int(estimate.get("disk_bytes", 0)) + limits.disk_reserve_bytes + _reserved(session)
     if needed > free:
         raise Problem(
             "disk-full",
@@ -171,7 +171,7 @@ def _check_waiting(server: Server, session: Session, owner: str) -> None:
         raise Problem("quota", f"{most} jobs of this owner wait already", headers={"Retry-After": "60"})
 
 
-def _promised(session: Session) -> int:
+def _reserved(session: Session) -> int:
     """What the jobs that have not ended may still take."""
     pending = session.scalars(select(Job.estimate).where(Job.state.not_in(ENDED), Job.deleted.is_(False)))
     return sum(int(estimate.get("disk_bytes", 0)) for estimate in pending)

@@ -26,7 +26,7 @@ class BagSubmission:
 def prepare(options: ImportOptions, recording: Path, display: Display) -> BagSubmission | None:
     """What is sent of a bag, or a folder of another program, after it was looked at; None: it is a recording.
 
-    Raises InputError: it is damaged, has not what is chosen of it, or several streams fit.
+    Raises InputError: it is damaged, does not have what is chosen of it, or several streams fit.
     """
     if "{" in options.odometry:
         problem = "a server runs no commands of its users"

@@ -82,7 +82,7 @@ def _end(client: Client, job: Job, row: Row, out: Path, display: Display) -> Non
             batch_summary.take_report(row, out / row.name)
             return
         except (ValueError, LookupError, TypeError, AttributeError):
-            error = Failure("report.json is none of lvba", "do not trust this server")
+            error = Failure("report.json is not a report of lvba", "do not trust this server")
     else:
         error = job.error or Failure(job.state, "restart it on the server")
     row.state, row.message = FAILED, f"{error.cause}; {error.hint}"

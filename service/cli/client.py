@@ -1,4 +1,4 @@
-"""A server from elsewhere: uploads that go on where they were cut, jobs, results."""
+"""A server from elsewhere: uploads that continue where they were cut, jobs, results."""
 
 import base64
 import hashlib
@@ -186,7 +186,7 @@ class Client:
                     return
 
     def download(self, path: str, folder: OutFolder, result: Result) -> None:
-        """Get a file into a folder, going on where it was cut. It has its name only when it is whole, and right.
+        """Get a file into a folder, continuing where it was cut. It has its name only when it is whole, and right.
 
         Raises ServerError: it is not what the server said it would be.
         """
@@ -239,7 +239,9 @@ class Client:
             return
         target.forget()
         said = "digest" if size == result.bytes else "size"
-        raise ServerError(f"{self._url}: {printable(result.name)} has not the {said} that was announced")
+        raise ServerError(
+            f"{self._url}: {printable(result.name)} does not have the {said} that was announced"
+        )
 
     def wait_while(self, path: str, read: Callable[[Any], Waited], states: tuple[str, ...]) -> Waited:
         """What a path answers, once its state is none of these."""
@@ -308,7 +310,7 @@ class Client:
 
 
 class _Again(Exception):  # noqa: N818
-    """Not now: ask what has arrived, and go on."""
+    """Not now: ask what has arrived, and continue."""
 
 
 @contextmanager

@@ -104,7 +104,7 @@ def _choices_by_name(arguments: argparse.Namespace) -> dict[str, Any] | None:
 def send(
     client: Client, recording: Path, name: str, display: Display, bag: "BagSubmission | None" = None
 ) -> str:
-    """The id of a dataset with this recording, once the server has found it good. An upload that was cut goes on.
+    """The id of a dataset with this recording, once the server has found it good. An upload that was cut continues.
 
     Raises InputError: it is no recording, or the server finds it bad.
     """

@@ -1,4 +1,4 @@
-"""`lvba import`: a bag, or a folder of another program, to a recording folder; goes on where it was stopped."""
+"""`lvba import`: a bag, or a folder of another program, to a recording folder; continues where it was stopped."""
 
 import argparse
 import contextlib

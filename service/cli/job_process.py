@@ -30,7 +30,7 @@ def main(task: str, *words: str) -> int:
             code = command_line.main(words)
             return code or _keep(wanted)
     except BlockingIOError:
-        sys.stderr.write("lvba: the attempt before has not let go of the job yet\n")
+        sys.stderr.write("lvba: the previous attempt still holds the job's lock\n")
         return file_lock.EXIT_LOCKED
     except Exception as error:
         if not disk_space.is_full(error):

@@ -1,4 +1,4 @@
-"""`lvba run`: a recording to a result folder, going on from the stages that are finished."""
+"""`lvba run`: a recording to a result folder, continuing from the stages that are finished."""
 
 import argparse
 import dataclasses

@@ -212,7 +212,9 @@ def page(value: Any, read: Callable[[Any], Value]) -> tuple[tuple[Value, ...], s
 
 def _failure(value: Any) -> Failure:
     of = Fields(value, "an error")
-    return Failure(of.text("cause") or "it does not say why", of.text("hint") or "ask who runs the server")
+    return Failure(
+        of.text("cause") or "it does not say why", of.text("hint") or "ask the server's administrator"
+    )
 
 
 def _stage(value: Any) -> Stage:

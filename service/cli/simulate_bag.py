@@ -12,7 +12,7 @@ _NOT_IN_BAGS = ("scans", "length", "closing", "disturb", "vignetting", "motion_b
 
 
 def write(arguments: argparse.Namespace, display: Display) -> None:
-    """Write the bag, and OUT.truth.txt: TUM poses of the body at the begin of each sweep.
+    """Write the bag, and OUT.truth.txt: TUM poses of the body at the start of each sweep.
 
     Raises InputError: OUT exists, or an option does not go with bags.
     """

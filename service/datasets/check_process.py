@@ -69,7 +69,7 @@ def _answer(task: dict[str, Any], limits: Limits) -> dict[str, Any]:
         if not says_full(error):
             raise
         return _refused(
-            "disk-full", "the disk is full", "try again when there is room, or ask who runs the server"
+            "disk-full", "the disk is full", "try again when there is room, or ask the server's administrator"
         )
 
 

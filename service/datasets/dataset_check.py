@@ -94,7 +94,7 @@ class DatasetCheck:
             return {
                 "code": "too-much",
                 "cause": f"the check took longer than {self._settings.limits.validation_s:.0f} s",
-                "hint": "try with fewer or smaller files, or ask who runs the server for more time",
+                "hint": "try with fewer or smaller files, or ask the server's administrator for more time",
             }
         if check_memory.ended(code, self._log, self._log_begin):
             return check_memory.said(self._settings.limits)

@@ -148,7 +148,7 @@ class _Taken:
     def write(self) -> None:
         """Have the file hold what is in memory."""
         data, self._buffer = self._buffer, bytearray()
-        # looked at when the request came, too; but many come at once, and each was promised what is free
+        # looked at when the request came, too; but many come at once, and each was granted what is free
         if data and (lack := disk_space.lacking(self._stream.fileno(), self._reserve + len(data))):
             raise Problem("disk-full", f"the disk is full: {lack}")
         self._stream.write(data)

@@ -104,7 +104,7 @@ def _needs(sent: list[_Sent]) -> list[dict[str, Any]]:
 
 
 def _lay_out(root: Path, body: IO[bytes], largest: int) -> list[_Sent]:
-    """Raises InputError: the list of files is none, or names what cannot be."""
+    """Raises InputError: the list of files is invalid, or names what cannot be."""
     taken: set[str] = set()
     sent = []
     for name, size, pieces in _files(body, largest):
@@ -125,7 +125,7 @@ def _lay_out(root: Path, body: IO[bytes], largest: int) -> list[_Sent]:
 
 def _files(body: IO[bytes], largest: int) -> list[tuple[str, int, list[tuple[int, int]]]]:
     wrong = InputError(
-        "the list of files", "is none", 'send {"files": [{"path", "size", "pieces"}]}, then the bytes'
+        "the list of files", "is invalid", 'send {"files": [{"path", "size", "pieces"}]}, then the bytes'
     )
     try:
         listed = json.loads(body.readline(_MOST_HEAD))["files"]

@@ -11,7 +11,7 @@ from service.settings import Limits
 from service.system import disk_space
 
 _SMALL = 1 << 20
-"""Bytes that anything may inflate to: what is small harms nobody, and text packs well."""
+"""Bytes that anything may decompress to: what is small harms nobody, and text packs well."""
 
 
 EXCEEDED = "the datasets and results of this owner would be too large, or too many files"
@@ -79,7 +79,7 @@ class IntakeBudget:
             raise InputError(
                 "the archive",
                 f"is more than {self.limits.archive_ratio:g} times smaller than what it holds",
-                "it looks like a bomb: upload the files themselves",
+                "it looks like a decompression bomb: upload the files themselves",
             )
 
     def _check_room(self) -> None:

@@ -46,7 +46,7 @@ def _lay_out(root: Path, lines: Iterable[bytes], most: int) -> None:
             entry = json.loads(line)
             path, text = str(entry["path"]), str(entry.get("text", ""))
         except (ValueError, KeyError, TypeError, AttributeError):
-            raise InputError("the list of files", "holds a line that is none", "send {path, text}") from None
+            raise InputError("the list of files", "has an invalid line", "send {path, text}") from None
         file = root / file_names.take(path, taken)
         if len(taken) > most:
             raise InputError("the recording", f"has more than {most} files", "split it into datasets")

@@ -74,7 +74,7 @@ def _opened(url: str) -> tuple[Any, str]:
         store, root = url_to_fs(url, use_listings_cache=False, skip_instance_cache=True)
     except ImportError as error:
         raise InputError(
-            url, f"needs a package that is not here ({error})", "ask who runs the server"
+            url, f"needs a package that is not here ({error})", "ask the server's administrator"
         ) from None
     except Exception as error:  # every file system has errors of its own
         raise _unreadable(url, error) from error

@@ -215,7 +215,7 @@ def take_back(database: Database, lease: Lease, why: str) -> None:
                 "code": "unavailable",
                 "stage": None,
                 "cause": f"the server cannot begin it now: {why}",
-                "hint": "it is tried again; if it stays, tell who runs the server",
+                "hint": "it is tried again; if it stays, tell the server's administrator",
             }
             database.order_events(session)
             journal.state(session, row)

@@ -10,23 +10,31 @@ from service.system.paths import now
 
 def fail(database: Database, lease: Lease, cause: str) -> None:
     """Have the job fail, or the dataset be invalid."""
-    error = {"code": "files", "cause": f"it could not be begun: {cause}"}
     with database.write() as session:
         row = lease.row(session)
         if row is None:
             return
         row.lease_owner, row.updated = None, now()
         if isinstance(row, Dataset):
-            row.state, row.error = INVALID, {**error, "hint": "ask who runs the server to look at its folder"}
+            row.state, row.error = (
+                INVALID,
+                {
+                    "code": "files",
+                    "cause": f"the recording could not be checked: {cause}",
+                    "hint": "ask the server's administrator to look at its folder",
+                },
+            )
             return
         row.state = CANCELED if row.state == CANCELING else FAILED
+        failed = f"the job could not be started: {cause}"
         row.error = {
-            **error,
+            "code": "files",
+            "cause": failed,
             "stage": None,
-            "hint": "ask who runs the server to look at its folder, then restart it",
+            "hint": "ask the server's administrator to look at its folder, then restart it",
         }
         row.finished = now()
-        leases.close_attempt(session, row, Outcome(row.state), error["cause"])
+        leases.close_attempt(session, row, Outcome(row.state), failed)
         database.order_events(session)
         journal.state(session, row)
         webhooks.enqueue(session, row)

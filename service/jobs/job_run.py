@@ -166,7 +166,7 @@ class JobRun:
             for kind, data in self._pending:
                 journal.add(session, job, kind, data)
                 if kind == journal.STAGES and "write" in data["stages"]:  # not only those of an import
-                    job.redo = None  # done by now: an attempt after this one goes on
+                    job.redo = None  # done by now: an attempt after this one continues
         self._pending, self._wrote_at = [], time.monotonic()
         return True
 
@@ -180,7 +180,9 @@ class JobRun:
         end = self._timeline.end
         stopped = end is not None and end.reason is EndReason.STOPPED
         if code == EXIT_LOCKED:
-            leases.lose(self._database, self.lease, "the attempt before was still at it", counts=False)
+            leases.lose(
+                self._database, self.lease, "the previous attempt still holds the job's lock", counts=False
+            )
         elif code == EXIT_LEASE_EXPIRED or self._stopping:
             why = "the service was stopped" if self._stopping else "the service lost its lease"
             leases.lose(self._database, self.lease, why, counts=code == EXIT_LEASE_EXPIRED)
@@ -294,7 +296,7 @@ class JobRun:
             return {**error, "hint": hint, "needed_bytes": needed}
         if job.state == QUEUED:
             return None
-        hint = "the log may say more; finished stages are kept: restart the job once it is mended"
+        hint = "the log may say more; finished stages are kept: restart the job once the cause is removed"
         if code == -signal.SIGKILL:
             hint = "the system does this when memory runs out: use a machine with more of it, or fewer frames"
         cause = f"{messages.of_exit(code)}, {job.crashes} times"

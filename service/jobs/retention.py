@@ -65,7 +65,7 @@ class Retention:
 
 
 def remove_marked(database: Database, paths: Paths) -> int:
-    """Remove files, then records, of what nobody sees any more. Cut short, the next call goes on."""
+    """Remove files, then records, of what nobody sees any more. Cut short, the next call continues."""
     with database.read() as session:
         jobs = session.scalars(select(Job.id).where(Job.deleted.is_(True))).all()
         used = select(Job.dataset_id)

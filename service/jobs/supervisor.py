@@ -30,7 +30,7 @@ _ROUND_S = 0.2
 _LOOK_S = 1.0
 """Seconds between looks at what others did: cancellations, services that died."""
 _BACK_OFF_S = 2.0
-"""Seconds until a job is tried again by the instance that could not go on with it."""
+"""Seconds until a job is tried again by the instance that could not continue with it."""
 _LACK_S = 20.0
 """Seconds until something is begun again after that failed for want of what this service needs."""
 _CHECKS = 2

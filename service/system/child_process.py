@@ -30,7 +30,7 @@ class Child:
         self.extend_deadline(deadline_s)
 
     def extend_deadline(self, seconds: float) -> None:
-        """It may go on for so many seconds from now."""
+        """It may continue for so many seconds from now."""
         if self._stopped is None and seconds > 0 and self._process.stdin is not None:
             with suppress(BrokenPipeError):
                 self._process.stdin.write(b"%f\n" % seconds)

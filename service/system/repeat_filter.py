@@ -33,7 +33,7 @@ class RepeatFilter(logging.Filter):
                 self._kinds.clear()
             self._kinds[kind] = begin, count + 1
         if count + 1 == _MOST:
-            text = f"{record.getMessage()} (what follows of this kind is told once a minute)"
+            text = f"{record.getMessage()} (more of this kind in this minute are only counted)"
             record.msg, record.args = text, None
         return count < _MOST
 

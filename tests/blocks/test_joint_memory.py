@@ -8,7 +8,7 @@ import pytest
 from lvba.blocks import lidar_joint, memory, split
 from lvba.blocks.split import Load, Part
 from lvba.camera import Camera
-from lvba.dataset import Dataset, MountedCamera
+from lvba.dataset import Dataset, RigCamera
 from lvba.kernels.lidar import TILE
 from lvba.optim import linear_solver, two_level
 from lvba.optim.normal_equations import NormalEquations
@@ -105,7 +105,7 @@ def recording(scans, load, size=10):
     """So many scans of a site, each with an image, in parts without overlap: dataset, parts, load and settings."""
     path = Trajectory(np.arange(float(scans)), site(scans))
     names = tuple(map(str, range(scans)))
-    camera = MountedCamera(Camera(640, 480, 500, 500, 320, 240), np.eye(4))
+    camera = RigCamera(Camera(640, 480, 500, 500, 320, 240), np.eye(4))
     dataset = Dataset("site", names, path, names, path, (camera,))
     bounds = [(begin, begin + size) for begin in range(0, scans, size)]
     parts = [Part(n, each, each, each, each) for n, each in enumerate(bounds)]

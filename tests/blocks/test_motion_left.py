@@ -71,7 +71,7 @@ def test_what_is_left_is_found_and_taken_out(recording, found):
     dataset, motion = recording["left"], found
     assert motion is not None
     assert motion.corrected
-    assert motion.part == pytest.approx(LEFT, abs=5 * motion.sigma + 0.005)
+    assert motion.fraction == pytest.approx(LEFT, abs=5 * motion.sigma + 0.005)
     piece = decoded_scans.decode_scans(dataset, (0, 36), ScanErrors(None, motion))
     points = [piece.points[a:b] for a, b in zip(piece.offsets[:-1], piece.offsets[1:], strict=True)]
     clean = recordings.load_scans(recording["clean"])
@@ -101,7 +101,7 @@ def test_a_jump_of_the_rough_poses_is_no_motion(recording, found):
     rough = dataset.scans.world_from_sensor.copy()
     rough[18:, :3, 3] += [0.3, -0.5, 0.8]
     jumping = measured(replace(dataset, scans=Trajectory(dataset.scans.times, rough)))
-    assert jumping.part == pytest.approx(found.part, abs=5e-3)
+    assert jumping.fraction == pytest.approx(found.fraction, abs=5e-3)
     np.testing.assert_allclose(jumping.motion[:, 3:], found.motion[:, 3:], atol=0.03)
     np.testing.assert_allclose(jumping.motion[:, :3], found.motion[:, :3], atol=0.01)
 
@@ -111,7 +111,7 @@ def test_deskewed_scans_keep_their_bytes(recording):
     motion = measured(dataset)
     assert motion is not None
     assert not motion.corrected
-    assert abs(motion.part) < 4 * motion.sigma
+    assert abs(motion.fraction) < 4 * motion.sigma
     piece = decoded_scans.decode_scans(dataset, (0, 36), ScanErrors(None, motion))
     np.testing.assert_array_equal(piece.points, decoded_scans.decode_scans(dataset, (0, 36)).points)
     assert piece.errors is None
@@ -159,7 +159,7 @@ def test_times_from_the_start_of_the_sweep_find_the_same_part(recording, found, 
     motion = measured(dataset)
     assert motion is not None
     assert motion.clock.unit == 1e-6
-    assert motion.part == pytest.approx(found.part, abs=0.01)
+    assert motion.fraction == pytest.approx(found.fraction, abs=0.01)
 
 
 def test_a_scan_of_another_part_is_moved_as_well(recording, found):
@@ -210,7 +210,7 @@ def test_a_depth_camera_that_reads_rows_at_once_keeps_its_points(depth_camera):
     motion = scan_errors.measure(depth_camera["at_once"], LidarConfig()).motion
     assert motion is not None
     assert not motion.corrected
-    assert abs(motion.part) < 5 * motion.sigma
+    assert abs(motion.fraction) < 5 * motion.sigma
 
 
 def looking(likely, away, wider, monkeypatch):

@@ -190,7 +190,7 @@ def test_beams_that_go_into_surfaces_are_noticed_and_not_taken_for_a_known_error
     part, off = errors.points_off  # by that, and by what errors of ranges may be beside it
     assert depth < off < 1.2 * depth
     assert 0 < part < off
-    assert "go into surfaces" in report_data.warnings_of_errors(errors)[0]
+    assert "behind some surfaces" in report_data.warnings_of_errors(errors)[0]
     turn, shift = errors.ranges.poses_off
     # but for the scale, of which planes tell nothing
     assert off_but_for_scale(dataset, poses := refined(dataset)) < 3 * shift

@@ -8,7 +8,7 @@ import pytest
 from lvba.blocks import split
 from lvba.blocks.split import Load, Part, SplitConfig, memory_bytes, parts, regions, subset
 from lvba.camera import Camera
-from lvba.dataset import Dataset, MountedCamera
+from lvba.dataset import Dataset, RigCamera
 from lvba.errors import InputError
 from lvba.trajectory import Trajectory
 
@@ -26,7 +26,7 @@ def recording(scans=100, images=150, step=1.0):
         scans=Trajectory(0.5 * np.arange(scans), poses),
         image_paths=tuple(f"{k}.png" for k in range(images)),
         images=Trajectory(stamps, cameras),
-        cameras=(MountedCamera(Camera(640, 480, 500.0, 500.0, 320.0, 240.0), np.eye(4)),),
+        cameras=(RigCamera(Camera(640, 480, 500.0, 500.0, 320.0, 240.0), np.eye(4)),),
         digest="d",
     )
 

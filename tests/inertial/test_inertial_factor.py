@@ -143,7 +143,7 @@ def test_squares_of_white_noise_are_as_many_as_they_should_be():
         mean.append(state.squares.sum() / (9 * len(given.measured) - 3 * len(scans) - 16))
         # a MEMS is off by more than its noise
         assert allowed < 0.5 * state.squares.sum()
-        assert given.inflated(4.0, 4.0).solve(poses).squares.sum() == pytest.approx(
+        assert given.with_variance_factors(4.0, 4.0).solve(poses).squares.sum() == pytest.approx(
             state.squares.sum() / 4, rel=0.1
         )
     assert np.mean(mean) == pytest.approx(1.0, abs=0.25)

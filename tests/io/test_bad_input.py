@@ -1,4 +1,4 @@
-"""Every kind of bad input ends in one line that names the file and the mend."""
+"""Every kind of bad input ends in one line that names the file and the fix."""
 
 import codecs
 import errno

@@ -63,7 +63,7 @@ def test_a_recording_has_it_and_its_digest_knows(tmp_path):
         open_dataset(tmp_path)
 
 
-def test_its_mounting_is_in_config_yaml(tmp_path):
+def test_its_extrinsic_is_in_config_yaml(tmp_path):
     small_recording.write(tmp_path)
     (tmp_path / imu.NAME).write_text(imu.HEADER + LINE)
     same = open_dataset(tmp_path)

@@ -1,7 +1,7 @@
 """The rough poses as the oracle computed with them: matrices that are rotations to six decimals only.
 
 The recording came with a 4x4 matrix a scan, rounded to six decimals. The oracle took the first pose out of all of them,
-by the transpose of its rotation part, and went on with what that gave; the pose files hold unit quaternions, nine and
+by the transpose of its rotation part, and continued with what that gave; the pose files hold unit quaternions, nine and
 twelve decimals. So `file = (R0' M_i, R0' (P_i - P_0))` with M_i, P_i on a grid of 1e-6, and that tells both: the
 translations give R0 (only at the right one do all of them fall on the grid), and each quaternion then has a single matrix
 M_i on the grid that rounds to its twelve decimals; the next best is off by a hundred times as much.

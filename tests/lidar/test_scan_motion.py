@@ -298,11 +298,15 @@ def test_points_move_as_the_sensor_did():
 def test_facts_bring_it_back():
     clock = PointClock(1e-6, 0.1, -0.1, True)
     motion = MotionLeft(
-        clock=clock, part=0.5, sigma=1e-3, motion=np.arange(12.0).reshape(2, 6), acceleration=np.ones((2, 6))
+        clock=clock,
+        fraction=0.5,
+        sigma=1e-3,
+        motion=np.arange(12.0).reshape(2, 6),
+        acceleration=np.ones((2, 6)),
     )
     facts = {
         "clock": {"unit": 1e-6, "sweep": 0.1, "begin": -0.1, "absolute": True},
-        "part": 0.5,
+        "fraction": 0.5,
         "sigma": 1e-3,
         "motion": motion.motion.tolist(),
         "acceleration": motion.acceleration.tolist(),
@@ -316,5 +320,7 @@ def test_facts_bring_it_back():
     older = MotionLeft.of_facts({name: value for name, value in facts.items() if name != "acceleration"})
     assert older is not None
     assert not older.acceleration.size, "results of 0.2 have none"
+    named = {"part" if name == "fraction" else name: value for name, value in facts.items()}
+    assert MotionLeft.of_facts(named).fraction == 0.5, "as results before 0.3 have it"
     assert MotionLeft.of_facts({"motion": []}) is None
     assert MotionLeft.of_facts(None) is None

@@ -126,7 +126,7 @@ def test_mistakes_are_one_line_that_names_the_setting(option, message):
     [
         ("levels: [", r"my.yaml:\d+: not YAML"),
         ("- 1\n", "my.yaml: holds a list, not settings"),
-        ("levels: 2021-13-45", "my.yaml: a value that is none"),
+        ("levels: 2021-13-45", "my.yaml: invalid value"),
         ("levels: " + "[" * 3000, "my.yaml: nested too deep"),
         ("solver:\n  iteratons: 3\n", "my.yaml: solver.iteratons: no such setting"),
     ],

@@ -11,7 +11,7 @@ import lvba
 from lvba import config, pipeline
 from lvba.blocks.split import Load, SplitConfig
 from lvba.camera import Camera
-from lvba.dataset import Dataset, MountedCamera
+from lvba.dataset import Dataset, RigCamera
 from lvba.pipeline import Config
 from lvba.trajectory import Trajectory
 from lvba.visual.variant import Variant
@@ -28,7 +28,7 @@ def plan_of(monkeypatch):
     poses[:, 0, 3] = np.arange(60.0)
     path = Trajectory(np.arange(60.0), poses)
     names = tuple(map(str, range(60)))
-    camera = MountedCamera(Camera(640, 480, 500, 500, 320, 240), np.eye(4))
+    camera = RigCamera(Camera(640, 480, 500, 500, 320, 240), np.eye(4))
     dataset = Dataset("line", names, path, names, path, (camera,))
 
     def make(size, settings=None, **options):

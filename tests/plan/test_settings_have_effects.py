@@ -13,7 +13,7 @@ import textured_room
 from lvba import config, pipeline
 from lvba.blocks import split
 from lvba.camera import Camera
-from lvba.dataset import Dataset, MountedCamera
+from lvba.dataset import Dataset, RigCamera
 from lvba.lidar import bundle_adjustment
 from lvba.pipeline import Config
 from lvba.plan import digest, identity
@@ -41,7 +41,7 @@ def ring(scans=120):
         scans=Trajectory(0.5 * np.arange(scans), poses),
         image_paths=tuple(f"{k}.png" for k in range(scans)),
         images=Trajectory(0.5 * np.arange(scans), poses.copy()),
-        cameras=(MountedCamera(Camera(640, 480, 500.0, 500.0, 320.0, 240.0), np.eye(4)),),
+        cameras=(RigCamera(Camera(640, 480, 500.0, 500.0, 320.0, 240.0), np.eye(4)),),
         digest="d",
     )
 

@@ -54,7 +54,7 @@ def room_in_rain(rng, off):
     return cloud_of(np.concatenate([surfaces, drops]))
 
 
-def test_surfaces_tell_a_crisp_map_where_all_that_is_in_the_air_does_not():
+def test_surfaces_tell_a_sharp_map_where_all_that_is_in_the_air_does_not():
     rng = np.random.default_rng(8)
     apart, together = (room_in_rain(rng, off) for off in (0.03, 0.0))
     everything = [map_quality.mean_map_entropy(cloud) for cloud in (apart, together)]

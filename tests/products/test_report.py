@@ -190,7 +190,7 @@ def test_lengths_have_the_unit_that_suits_them(meters, expected):
 def test_each_part_has_its_own_verdict():
     """Exposures that were refused are named, beside cameras that are used; and the other way round."""
     some = facts()
-    some["lidar"] |= {"accepted": True, "reason": "crisper"}
+    some["lidar"] |= {"accepted": True, "reason": "sharper"}
     some["visual"] |= {
         "exposures_accepted": False,
         "exposures_reason": "darker by chance",
@@ -207,7 +207,7 @@ def test_each_part_has_its_own_verdict():
     some["verdict"] = {"level": "check", "summary": "Expect 12 mm.", "reasons": []}
     result_table.show(some, Path("out"), said.append)
     assert "check: Expect 12 mm.\n" in said
-    assert "scans: crisper\n" in said
+    assert "scans: sharper\n" in said
     assert "exposures: darker by chance\n" in said
 
 

@@ -21,7 +21,7 @@ def test_text_has_streams_conventions_and_the_line_to_type(lvba, bag):
     shown = lvba("inspect", bag).stdout
     assert "ROS 1 bag, " in shown.splitlines()[0]
     assert (
-        "times of points: offset_time, ns from the stamp; a sweep takes 0.098 s; the stamp is begin of the sweep"
+        "times of points: offset_time, ns from the stamp; a sweep takes 0.098 s; the stamp is start of the sweep"
         in shown
     )
     assert "missing: no camera: give its intrinsics, --calibration FILE" in shown

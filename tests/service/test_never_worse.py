@@ -30,7 +30,7 @@ def refined(folder):
 
 
 def assert_not_worse(report):
-    """A crisper map, and images predicted better or, said so, no worse than chance."""
+    """A sharper map, and images predicted better or, said so, no worse than chance."""
     rough, after = (report["evaluation"][state] for state in ("rough", "refined"))
     assert after["map_entropy"] <= rough["map_entropy"]
     # whichever state the result is

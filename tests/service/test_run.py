@@ -1,4 +1,4 @@
-"""`lvba run`: what it writes, that it goes on where it was stopped, and that nothing depends on how it got there."""
+"""`lvba run`: what it writes, that it continues where it was stopped, and that nothing depends on how it got there."""
 
 import json
 import os

@@ -328,7 +328,7 @@ def test_region_and_binning_of_a_camera_info_are_counted_in(messages, tmp_path):
         ("thin_prism", (1.0,), "a lens of the model 'thin_prism'"),
         ("rational_polynomial", (*range(1, 9), 1, 0, 0, 0), "a lens with 12 coefficients"),
         ("equidistant", (0.1, 0.2), "a fisheye with 2 coefficients"),
-        ("plumb_bob", (np.nan,) * 5, "its distortion has numbers that are none"),
+        ("plumb_bob", (np.nan,) * 5, "its distortion has values that are not finite numbers"),
     ],
 )
 def test_lenses_that_are_not_known_say_so(model, coefficients, said, messages, tmp_path):
@@ -420,7 +420,7 @@ def test_lost_messages_are_counted_by_reason_and_the_others_read(messages, tmp_p
     assert [record.parent_from_child[0, 3] for record in records] == [0, 1, 2, 3, 4, 9]
     assert records[-1].stamp == T0 + 8
     assert source.losses() == (
-        "/a: 2 of 9 messages are lost: a pose of it has no orientation, or numbers that are none",
+        "/a: 2 of 9 messages are lost: a pose of it has no orientation, or values that are not finite numbers",
         "/a: 1 of 9 messages are lost: it is shorter than its type",
         "/a: 1 messages have no stamp; the time of recording is taken",
     )

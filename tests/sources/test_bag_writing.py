@@ -114,7 +114,7 @@ def test_a_bag_that_exists_is_kept(tmp_path):
 )
 def test_times_that_are_not_ns_from_the_begin_are_refused(times, tmp_path):
     scan = replace(SCANS[0], times=times)
-    with pytest.raises(InputError, match="does not hold ns from the begin of the scan"):
+    with pytest.raises(InputError, match="does not hold ns from the start of the scan"):
         write_bag(source_of([("/scans", scan)]), tmp_path / "a.bag")
 
 

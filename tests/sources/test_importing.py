@@ -142,7 +142,7 @@ def test_an_offset_in_time_that_is_no_convention_is_measured(tmp_path, truth):
     assert any("image_offset" in words for words in report.warnings)
 
 
-def test_poses_may_be_of_any_frame_that_is_mounted(tmp_path, truth):
+def test_poses_may_be_of_any_frame_whose_extrinsic_is_known(tmp_path, truth):
     """Without an IMU nobody says which of the frames the body is."""
     report = import_source(written(truth), tmp_path / "out", ImportOptions(imu="none"))
     assert_right(tmp_path / "out", truth)
@@ -225,8 +225,8 @@ def test_an_imu_that_is_not_the_body_is_used_where_it_is(tmp_path, truth, pose_o
     exact = np.tile(1e-8 * np.eye(6), (len(poses) - 1, 1, 1))
     held = np.ones(len(poses), bool)
     readings_of = imu.read(dataset.imu_path)
-    for mounted, used in ((dataset.scan_from_imu, True), (np.eye(4), False)):
-        felt = Imu(readings_of, stamps(dataset.scan_paths) * 1e-9, mounted)
+    for extrinsic, used in ((dataset.scan_from_imu, True), (np.eye(4), False)):
+        felt = Imu(readings_of, stamps(dataset.scan_paths) * 1e-9, extrinsic)
         factor = consistency.built(felt, poses, exact).factor
         assert (consistency.before(factor, poses, exact, held).factor is not None) is used
 
@@ -253,14 +253,14 @@ def test_an_imu_whose_stamps_are_a_sweep_early_is_put_onto_the_clock_of_the_poin
         import_source(replace(source, items=tuple(early)), tmp_path / "said", said)
 
 
-def test_an_imu_that_is_mounted_otherwise_than_is_said_is_a_warning(tmp_path, truth):
+def test_an_imu_with_another_extrinsic_than_given_is_a_warning(tmp_path, truth):
     source = written(truth)
     turned = [
         (name, replace(record, gyroscope=record.gyroscope[[1, 2, 0]]) if name == raw.IMU else record)
         for name, record in source.items
     ]
     report = import_source(replace(source, items=tuple(turned)), tmp_path / "out")
-    assert any("axes are turned by" in words for words in report.warnings)
+    assert any("axes are rotated by" in words for words in report.warnings)
 
 
 def rewritten(source, change):
@@ -288,7 +288,7 @@ def test_an_imu_of_other_units_and_sign_is_written_as_it_is_meant(tmp_path, trut
     np.testing.assert_allclose(mended.forces, right.forces, atol=1e-8)
 
 
-def test_an_imu_of_another_mounting_is_not_written(tmp_path, truth):
+def test_an_imu_of_another_extrinsic_is_not_written(tmp_path, truth):
     order, signs = [1, 0, 2], [1, -1, 1]
     other = rewritten(
         written(truth, imu=APART),

@@ -77,7 +77,7 @@ def test_an_accelerometer_with_the_sign_of_gravity_is_turned_over(motion: str, u
     read = found(motion, replace(right, forces=-right.forces / unit))
     assert read.forces == -1.0
     [words] = read.warnings
-    assert "has the sign of gravity" in words
+    assert "reads gravity instead of specific force" in words
     assert next(each for each in read.decisions if each.question == "accelerometer").by == "data"
     mended = read.mended(replace(right, forces=-right.forces))
     assert mended is not None
@@ -91,7 +91,7 @@ def test_an_imu_that_is_turned_against_what_is_said_is_left_out(motion: str, rot
     assert read.left_out
     [words] = read.warnings
     degrees = round(float(np.degrees(Rotation.from_matrix(rotation).magnitude())))
-    assert f"accelerometer's axes are turned by {degrees} degrees" in words
+    assert f"accelerometer's axes are rotated by {degrees} degrees" in words
     assert "it is left out" in words
     assert read.mended(readings(motion)) is None
 
@@ -100,15 +100,15 @@ def test_a_gyroscope_with_other_axes_than_its_accelerometer_is_left_out() -> Non
     right = readings(TURNING)
     read = found(TURNING, replace(right, rates=right.rates @ HALF.T))
     assert read.left_out
-    assert "its gyroscope's axes are turned by 1" in read.warnings[0]
+    assert "its gyroscope's axes are rotated by 1" in read.warnings[0]
 
 
-def test_a_mounting_that_is_not_along_axes_is_left_out() -> None:
+def test_an_extrinsic_that_is_not_along_axes_is_left_out() -> None:
     read = imu_clock.find(
         poses(TURNING), readings(TURNING), geometry.inverse(IMU_FROM_LIDAR), OFFSETS, {}, "source"
     )
     assert read.left_out
-    assert "accelerometer's axes are others than is said" in read.warnings[0]
+    assert "accelerometer's axes differ from the given extrinsic" in read.warnings[0]
 
 
 @pytest.mark.parametrize("rotation", [HALF, QUARTER])
@@ -154,7 +154,7 @@ def test_a_sign_that_an_option_gives_is_taken_but_not_against_the_data() -> None
         found(TURNING, readings(TURNING), accelerometer="down")
 
 
-def test_all_ways_to_mount_an_imu_along_axes_are_tried() -> None:
+def test_all_orientations_of_an_imu_along_axes_are_tried() -> None:
     assert len(imu_axes.ROTATIONS) == 24
     np.testing.assert_array_equal(imu_axes.ROTATIONS[0], np.eye(3))
     assert len({rotation.tobytes() for rotation in imu_axes.ROTATIONS + 0.0}) == 24

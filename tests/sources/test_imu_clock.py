@@ -43,8 +43,8 @@ def imu() -> ImuReadings:
     return ImuReadings(times, rates, forces)
 
 
-def found(poses: Track, imu: ImuReadings, mounted: np.ndarray = IMU_FROM_LIDAR) -> ImuRead:
-    return imu_clock.find(poses, imu, mounted, OFFSETS, {}, "source")
+def found(poses: Track, imu: ImuReadings, extrinsic: np.ndarray = IMU_FROM_LIDAR) -> ImuRead:
+    return imu_clock.find(poses, imu, extrinsic, OFFSETS, {}, "source")
 
 
 def turned_by(degrees: float) -> np.ndarray:
@@ -65,22 +65,22 @@ def test_other_axes_are_a_warning_with_how_far_they_are_turned(
 ) -> None:
     signs = [1, -1, -1] if order == [0, 1, 2] else [1, 1, 1]
     [words] = found(poses, replace(imu, rates=imu.rates[:, order] * signs)).warnings
-    degrees = int(words.split("turned by ")[1].split()[0])
+    degrees = int(words.split("rotated by ")[1].split()[0])
     assert abs(degrees - (180 if order == [0, 1, 2] else 120)) < 5
 
 
-def test_a_mounting_the_wrong_way_round_is_a_warning(poses: Track, imu: ImuReadings) -> None:
+def test_an_extrinsic_the_wrong_way_round_is_a_warning(poses: Track, imu: ImuReadings) -> None:
     [words] = found(poses, imu, geometry.inverse(IMU_FROM_LIDAR)).warnings
-    assert "axes are turned by" in words
+    assert "axes are rotated by" in words
     [words] = found(poses, imu, turned_by(6.0) @ IMU_FROM_LIDAR).warnings
-    assert "axes are turned by 6 degrees" in words
+    assert "axes are rotated by 6 degrees" in words
 
 
 def test_units_are_checked(poses: Track, imu: ImuReadings) -> None:
     [words] = found(poses, replace(imu, rates=np.degrees(imu.rates))).warnings
     assert "57 times as fast as the poses, as one that counts degrees would" in words
     [words] = found(poses, replace(imu, forces=1000 * imu.forces / 9.81)).warnings
-    assert "gravity neither in m/s^2 nor in g" in words
+    assert "is neither 9.81 m/s^2 nor 1 g" in words
 
 
 @pytest.mark.parametrize("late", [0.25, -0.65])
@@ -88,7 +88,7 @@ def test_a_clock_that_no_convention_explains_is_measured(poses: Track, imu: ImuR
     read = found(poses, replace(imu, times=imu.times + late))
     assert read.offset == pytest.approx(-late, abs=5e-3)
     [words] = read.warnings
-    assert "after its stamps: that is taken" in words
+    assert "after its stamps: applied" in words
 
 
 @pytest.mark.parametrize(("turned", "taken"), [(0.01, False), (0.2, True)])
@@ -107,7 +107,7 @@ def test_where_poses_hardly_turn_their_noise_is_no_clock(turned: float, taken: b
     )
     read = found(Track(at, rough), imu, np.eye(4))
     assert (read.offset != 0.0) == taken
-    assert any("after its stamps: that is taken" in words for words in read.warnings) == taken
+    assert any("after its stamps: applied" in words for words in read.warnings) == taken
 
 
 def test_a_clock_of_another_epoch_is_a_warning(poses: Track, imu: ImuReadings) -> None:

@@ -23,13 +23,13 @@ from lvba.sources.source import (
 )
 
 TOLD = {
-    PointLayout.LIVOX_CUSTOM_1: ("offset_time", "ns", "from the stamp", "begin of the sweep"),
-    PointLayout.LIVOX_CUSTOM_2: ("offset_time", "ns", "from the stamp", "begin of the sweep"),
-    PointLayout.LIVOX_CLOUD: ("timestamp", "ns", "since 1970", "begin of the sweep"),
-    PointLayout.OUSTER: ("t", "ns", "from the stamp", "begin of the sweep"),
+    PointLayout.LIVOX_CUSTOM_1: ("offset_time", "ns", "from the stamp", "start of the sweep"),
+    PointLayout.LIVOX_CUSTOM_2: ("offset_time", "ns", "from the stamp", "start of the sweep"),
+    PointLayout.LIVOX_CLOUD: ("timestamp", "ns", "since 1970", "start of the sweep"),
+    PointLayout.OUSTER: ("t", "ns", "from the stamp", "start of the sweep"),
     PointLayout.VELODYNE: ("time", "s", "from the stamp", "end of the sweep"),
-    PointLayout.HESAI: ("timestamp", "s", "since 1970", "begin of the sweep"),
-    PointLayout.ROBOSENSE: ("timestamp", "s", "since 1970", "begin of the sweep"),
+    PointLayout.HESAI: ("timestamp", "s", "since 1970", "start of the sweep"),
+    PointLayout.ROBOSENSE: ("timestamp", "s", "since 1970", "start of the sweep"),
 }
 
 

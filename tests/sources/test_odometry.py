@@ -306,7 +306,7 @@ def imported(
 def test_a_source_without_poses_is_imported(
     tmp_path: Path, without_poses: tuple[ListSource, raw.RawTruth], imported: tuple[Path, ImportReport]
 ) -> None:
-    """The IMU's mounting is in the static transforms."""
+    """The IMU's extrinsic is in the static transforms."""
     source, truth = without_poses
     with pytest.raises(InputError, match="--odometry auto"):
         import_source(source, tmp_path / "none")

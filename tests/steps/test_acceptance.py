@@ -59,9 +59,9 @@ def images(before, after):
         (-3.0, -3.1, 0.005, True, "accepted"),
         (-3.0, -3.1, np.nan, True, "accepted"),
         (-3.0, -3.1, 0.06, False, "chance"),
-        (-3.0, -3.0, 0.005, False, "not crisper"),
-        (-3.0, -3.019, 0.001, False, "not crisper by 0.02 nats"),
-        (-3.0, -2.9, 0.005, False, "not crisper"),
+        (-3.0, -3.0, 0.005, False, "not sharper"),
+        (-3.0, -3.019, 0.001, False, "not sharper by 0.02 nats"),
+        (-3.0, -2.9, 0.005, False, "not sharper"),
         (np.nan, -3.0, np.nan, False, "too thin"),
         (-3.0, np.nan, np.nan, False, "too thin"),
     ],
@@ -85,10 +85,10 @@ def test_scans_without_images(before, after, error, accepted, word):
         (CHANCE, CHANCE, 0.4, True),
     ],
 )
-def test_images_may_contradict_a_crisper_map(psnr, common, ssim, accepted):
+def test_images_may_contradict_a_sharper_map(psnr, common, ssim, accepted):
     """By PSNR over own and common pixels, not against SSIM; losses that mean nothing do not.
 
-    SSIM alone may not: at cameras that are not refined it punishes a crisp map more than a blurred one.
+    SSIM alone may not: at cameras that are not refined it punishes a sharp map more than a blurred one.
     """
     told = images(scores(BASE), scores(BASE + psnr, BASE + common, ssim))
     verdict = acceptance.judge_scans(entropy(-3.0, -3.1), told, CONFIG)
@@ -113,7 +113,7 @@ def test_images_may_contradict_a_crisper_map(psnr, common, ssim, accepted):
         (-2.9, 0.005, 1.0, 1.0, 0.5, False),
     ],
 )
-def test_images_may_speak_for_a_map_that_is_crisper_within_chance(after, error, psnr, common, ssim, accepted):
+def test_images_may_speak_for_a_map_that_is_sharper_within_chance(after, error, psnr, common, ssim, accepted):
     """By PSNR over own and common pixels, against SSIM only if far beyond chance; not for a map that gains too little, or
     loses."""
     told = images(scores(BASE), scores(BASE + psnr, BASE + common, ssim))
@@ -132,7 +132,7 @@ def test_images_may_speak_for_a_map_that_is_crisper_within_chance(after, error, 
         (-3.1, np.nan, False),
     ],
 )
-def test_few_images_do_where_they_speak_for_a_crisper_map(after, gain, agree):
+def test_few_images_do_where_they_speak_for_a_sharper_map(after, gain, agree):
     told = images(scores(BASE), scores(BASE + gain))
     assert acceptance.images_agree(entropy(-3.0, after), told) is agree
 
@@ -150,7 +150,7 @@ def test_few_images_do_where_they_speak_for_a_crisper_map(after, gain, agree):
 def test_where_surfaces_leave_motions_open_the_likelier_poses_by_images_are_used(
     psnr, common, ssim, accepted
 ):
-    """The map is as crisp whatever these motions are. A loss that is chance else contradicts nothing."""
+    """The map is as sharp whatever these motions are. A loss that is chance else contradicts nothing."""
     judged_by = images(scores(BASE), scores(BASE + psnr, BASE + common, ssim))
     assert acceptance.judge_scans(entropy(-3.0, -3.1), judged_by, CONFIG).accepted
     verdict = acceptance.judge_scans(entropy(-3.0, -3.1), judged_by, CONFIG, open_motions=40)
@@ -180,7 +180,7 @@ def test_scans_that_cameras_moved(rough_gain, before, after, error, accepted):
     """A twentieth of what refining gained may be lost, or what is chance."""
     verdict = acceptance.judge_fusion(rough_gain, entropy(before, after, error), (), CONFIG)
     assert verdict.accepted is accepted
-    assert ("accepted" if accepted else "less crisp") in verdict.reason
+    assert ("accepted" if accepted else "less sharp") in verdict.reason
 
 
 def test_scans_that_cameras_moved_may_be_contradicted_by_images():

@@ -10,7 +10,7 @@ from image_scores import scores_of
 from lvba import geometry, pipeline, plan, simulate
 from lvba.blocks.split import SplitConfig
 from lvba.camera import Camera
-from lvba.dataset import Dataset, MountedCamera
+from lvba.dataset import Dataset, RigCamera
 from lvba.io.dataset import open_dataset
 from lvba.io.reference import read_reference
 from lvba.pipeline import Config
@@ -38,19 +38,19 @@ def test_those_that_leave_their_neighbors_are_named_and_no_others(spoiled):
     for seed in range(30):
         values = deviations(np.random.default_rng(seed))
         values[list(spoiled)] += TURN
-        assert tuple(camera_outliers.odd_ones(values)) == spoiled
+        assert tuple(camera_outliers.outlier_indices(values)) == spoiled
 
 
 def test_no_more_are_named_than_a_few():
     values = deviations(np.random.default_rng(0))
     values[5:35:5] += TURN
-    assert len(camera_outliers.odd_ones(values)) == max(
+    assert len(camera_outliers.outlier_indices(values)) == max(
         camera_outliers.LEAST, int(camera_outliers.MOST * COUNT)
     )
 
 
-def test_where_all_follow_exactly_none_is_odd():
-    assert len(camera_outliers.odd_ones(np.zeros((COUNT, 6)))) == 0
+def test_where_all_follow_exactly_none_is_an_outlier():
+    assert len(camera_outliers.outlier_indices(np.zeros((COUNT, 6)))) == 0
 
 
 def path(rng):
@@ -68,7 +68,7 @@ class Walk:
         deviation = SPREAD * rng.normal(size=(COUNT, 6))
         self.truth = geometry.retract(rough, deviation)
         names = tuple(f"/somewhere/{number}.png" for number in range(COUNT))
-        mounted = MountedCamera(Camera(640, 480, 500, 500, 320, 240), np.eye(4))
+        mounted = RigCamera(Camera(640, 480, 500, 500, 320, 240), np.eye(4))
         at = Trajectory(times, rough)
         self.dataset = Dataset("walk", names, at, names, at, (mounted,))
         self.scans = SimpleNamespace(world_from_scan=rough)
@@ -90,9 +90,9 @@ class Walk:
 
     def mended(self, gain, ssim):
         """The result where images are predicted better by so much (dB, SSIM) at their neighbors' deviation."""
-        odd = camera_outliers.find(self.dataset, self.scans, self.visual).odd
-        compared = {SOLVED: scores(odd, 20.0, 0.5)}
-        compared |= {name: scores(odd, 20.0 + gain, 0.5 + ssim) for name in ("carried", "spline")}
+        outlying = camera_outliers.find(self.dataset, self.scans, self.visual).outlying
+        compared = {SOLVED: scores(outlying, 20.0, 0.5)}
+        compared |= {name: scores(outlying, 20.0 + gain, 0.5 + ssim) for name in ("carried", "spline")}
         return camera_outliers.mend(self.dataset, self.scans, self.visual, [compared]).result
 
 
@@ -120,7 +120,7 @@ def test_it_is_put_where_its_neighbors_are_and_is_named():
     )
     np.testing.assert_array_equal(result.covariance[others], walk.visual.result.covariance[others])
     [warning] = result.warnings
-    assert "(20.png)" in warning
+    assert "The cameras of 20.png left" in warning
 
 
 def test_its_promise_is_kept():
@@ -138,7 +138,7 @@ def test_where_images_do_not_say_it_is_where_all_expect_it(gain, ssim):
     result = walk.mended(gain, ssim)
     assert np.linalg.norm(off(walk, result, 20)[:3]) < np.radians(0.5)
     assert list(result.substituted) == [19, 20]
-    assert "(20.png)" in result.warnings[0]
+    assert "The cameras of 20.png left" in result.warnings[0]
 
 
 @pytest.mark.parametrize(("gain", "ssim"), [(0.05, 0.1), (3.0, 0.001), (3.0, -0.1), (0.0, 0.0)])
@@ -162,14 +162,14 @@ def test_where_images_say_that_it_is_right_nothing_changes():
 def test_splines_do_not_say_where_cameras_beyond_the_second_scan_are():
     """There they are cubics through scans on one side."""
     walk = Walk(3, 0)
-    odd = camera_outliers.find(walk.dataset, walk.scans, walk.visual)
-    assert list(odd.odd) == [0]
-    assert {each.name for each in odd.expectations} == {"carried", "spline"}
-    assert odd.names_for(0) == ["carried"]
-    assert odd.names_for(3) == ["carried", "spline"]
+    outliers = camera_outliers.find(walk.dataset, walk.scans, walk.visual)
+    assert list(outliers.outlying) == [0]
+    assert {each.name for each in outliers.expectations} == {"carried", "spline"}
+    assert outliers.names_for(0) == ["carried"]
+    assert outliers.names_for(3) == ["carried", "spline"]
 
 
-def test_where_none_is_odd_no_image_is_asked():
+def test_where_none_is_an_outlier_no_image_is_asked():
     walk = Walk(3, [])
     assert camera_outliers.find(walk.dataset, walk.scans, walk.visual) is None
     assert camera_outliers.mend(walk.dataset, walk.scans, walk.visual, [{}]) is walk.visual

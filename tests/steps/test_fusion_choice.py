@@ -1,4 +1,4 @@
-"""Whether scans follow the cameras in all, or along what planes leave open alone: the map's crispness says."""
+"""Whether scans follow the cameras in all, or along what planes leave open alone: the map's sharpness says."""
 
 from dataclasses import replace
 
@@ -47,7 +47,7 @@ def in_use(fused, whole, slid, config=None):
 @pytest.mark.parametrize(
     ("whole", "slid", "chosen", "accepted"),
     [
-        (-4.1, -4.2, WHOLE, True),  # as crisp with all that the cameras say
+        (-4.1, -4.2, WHOLE, True),  # as sharp with all that the cameras say
         (-3.7, -4.0, SLID, True),
         (-3.7, -3.6, SLID, False),
     ],

@@ -57,8 +57,8 @@ def test_people_are_seen_and_are_not_in_the_map(walked, runs):
 def test_the_report_says_how_many_points_move(walked, runs):
     moving = runs[0]["moving-points"]
     said = [run["facts"]["lidar"]["moving_points"] for run in runs]
-    assert said[0] == {"count": len(moving.numbers), "part": len(moving.numbers) / moving.count}
-    assert said[1] == {"count": 0, "part": 0.0}
+    assert said[0] == {"count": len(moving.numbers), "fraction": len(moving.numbers) / moving.count}
+    assert said[1] == {"count": 0, "fraction": 0.0}
 
 
 def test_images_show_less_that_is_not_there(runs):

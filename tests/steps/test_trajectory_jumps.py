@@ -135,7 +135,7 @@ def facts(rough, refined, accepted, confirmed, images=None, used=True, error=Non
 def odometry(*arguments, **options):
     """The scans after which poses jump, and those where nothing ties the next ones."""
     given = facts(*arguments, **options)
-    return given["jumps_after"].tolist(), given["untied_after"].tolist()
+    return given["jumps_after"].tolist(), given["unconfirmed_after"].tolist()
 
 
 def test_what_surfaces_confirm_is_no_jump_and_only_where_poses_go_as_they_say():
@@ -191,7 +191,7 @@ def test_images_of_one_group_confirm_motions_that_surfaces_leave_open():
         far = facts(true, scans, scans, [], images, error=error)["too_far_off"]
         assert far["wrong_after"].tolist() == [12, 20]
         assert far["left_after"].tolist() == [25]
-        return far["open_after"].tolist(), far["by_images_after"].tolist(), far["loose_ends"]
+        return far["open_after"].tolist(), far["by_images_after"].tolist(), far["unconnected_ends"]
 
     # what is open at either end concerns one scan alone
     assert left(true, None) == ([12, 20], [], [0, 29])

@@ -10,12 +10,12 @@ from lvba.steps import verdict, verdict_data
 from lvba.steps.verdict_figures import Figures, Judged, Truth
 
 
-def scaled(what, error, rough, promised, after):
+def scaled(what, error, rough, predicted, after):
     """An error in position, and what is left after one common factor."""
-    return Truth(what=what, unit="m", error=error, rough=rough, promised=promised, scaled=after)
+    return Truth(what=what, unit="m", error=error, rough=rough, predicted=predicted, scaled=after)
 
 
-USED, NOT_USED = Judged(True, "accepted"), Judged(False, "not crisper")
+USED, NOT_USED = Judged(True, "accepted"), Judged(False, "not sharper")
 CLEAN = Figures(
     scans=100, images=100, scan_poses=USED, camera_poses=USED, exposures=USED, scans_with_cameras=USED,
     variance_factor=2.4, spline_error=0.4, fusion_variance_factor=1.0, extrinsic_sigmas=1.0, thickness=(0.03, 0.012),
@@ -46,17 +46,17 @@ KEPT = (Truth("scans", "m", 0.001, 0.07, 0.0009), Truth("cameras", "degrees", 0.
         ({"degenerate_scans": 6}, "check", False),
         ({"degenerate_scans": 5}, "good", False),
         ({"odometry_dependent_steps": 1}, "check", False),
-        ({"vague_scans": 6}, "check", False),
-        ({"vague_cameras": 6}, "check", False),
-        ({"vague_cameras": 5}, "good", False),
-        ({"vague_exposures": (36, 37)}, "check", False),
+        ({"uncertain_scans": 6}, "check", False),
+        ({"uncertain_cameras": 6}, "check", False),
+        ({"uncertain_cameras": 5}, "good", False),
+        ({"uncertain_exposures": (36, 37)}, "check", False),
         ({"moved_m": 0.004}, "check", False),
         ({"moved_m": 0.004, "scan_p95_m": 0.005}, "check", False),
         ({"moved_m": 0.0002, "scan_p95_m": 0.005}, "good", False),
         ({"moved_m": 0.006, "scan_p95_m": 0.005}, "check", True),
         ({"cameras_converged": False}, "check", False),
         ({"jumps": 1, "jump_m": 0.3}, "check", False),
-        ({"jumps": 1, "jump_m": 1.0, "untied_jumps": (4,)}, "bad", True),
+        ({"jumps": 1, "jump_m": 1.0, "unconfirmed_jumps": (4,)}, "bad", True),
         ({"range_errors": 1}, "check", True),
         ({"registered": True, "rough_m": 0.3}, "check", False),
         ({"registered": True, "open_steps": 1}, "bad", True),
@@ -88,17 +88,20 @@ def test_figures_decide(change, level, at_least):
         assert reason.mend.endswith(".")
 
 
-def test_jumps_are_counted_in_words_and_untied_ones_promise_nothing():
-    known = replace(CLEAN, jumps=2, jump_m=1.0, untied_jumps=(4, 9))
+def test_jumps_are_counted_in_words_and_for_unconfirmed_ones_no_error_is_expected():
+    known = replace(CLEAN, jumps=2, jump_m=1.0, unconfirmed_jumps=(4, 9))
     judged = verdict.judge(known)
     assert judged.unknown
     assert (
-        "jump twice, by up to 1.00 m; after scan 4, 9, neither surfaces nor images say"
+        "jump twice, by up to 1.00 m; neither surfaces nor images determine the motion after scans 4, 9."
         in judged.reasons[0].text
     )
     assert "not known" in verdict_data.summary(judged, {"scans": {"position_m": 0.001}})
     assert "jump 3 times" in verdict.judge(replace(known, jumps=3)).reasons[0].text
-    assert "jump once, by 1.00 m." in verdict.judge(replace(known, jumps=1, untied_jumps=())).reasons[0].text
+    assert (
+        "jump once, by 1.00 m."
+        in verdict.judge(replace(known, jumps=1, unconfirmed_jumps=())).reasons[0].text
+    )
 
 
 @pytest.mark.parametrize(("of_ranges", "named"), [(0.76, "about 40 mm"), (0.4, ""), (None, "")])
@@ -106,7 +109,7 @@ def test_errors_of_ranges_are_named_where_they_are_most_of_what_is_expected(of_r
     whole = math.hypot(0.76, 0.04)
     expected = {"scans": {"position_m": whole}, "of_ranges_m": of_ranges}
     said = verdict_data.summary(verdict.judge(CLEAN), expected)
-    assert ("if it has none, scan poses are off by" in said) == bool(named)
+    assert ("without such errors, scan poses are off by" in said) == bool(named)
     assert named in said
     small = {"scans": {"position_m": whole / 100}, "of_ranges_m": (of_ranges or 0.0) / 100}
     assert "beams" not in verdict_data.summary(verdict.judge(CLEAN), small)
@@ -116,14 +119,15 @@ def test_open_motions_are_named_where_they_are_most_of_what_is_expected():
     whole = math.hypot(0.3, 0.007)
     expected = {"scans": {"position_m": whole}, "along_open_m": 0.3, "of_ranges_m": 0.29}
     said = verdict_data.summary(verdict.judge(CLEAN), expected)
-    assert "as along a corridor" in said
-    assert "in all others scan poses are off by about 7.0 mm" in said
-    assert "if images are right" not in said
+    assert "as in a corridor); there the scans follow the odometry. In all" in said
+    assert "In all other directions scan poses are off by about 7.0 mm" in said
+    assert "If the images are right" not in said
     said = verdict_data.summary(verdict.judge(CLEAN), expected | {"open_by_images_m": 0.022})
-    assert said.endswith("off by about 7.0 mm, in these by about 22 mm if images are right.")
+    assert "there the expected error is that of the odometry." in said
+    assert said.endswith("If the images are right, the error along the open directions is about 22 mm.")
     said = verdict_data.summary(verdict.judge(CLEAN), expected | {"open_by": "images"})
     assert said.endswith(
-        "where scans are as images have them; in all others scan poses are off by about 7.0 mm."
+        "there the scans follow the images. In all other directions scan poses are off by about 7.0 mm."
     )
     assert "corridor" not in verdict_data.summary(verdict.judge(CLEAN), expected | {"along_open_m": 0.1})
 
@@ -156,7 +160,7 @@ def facts(**more):
         "evaluation": {"rough": {"per_image": per_image}, "refined": {"per_image": per_image}},
         "expected_error": expected,
         "planes": {"thickness_before_m": 0.03, "thickness_after_m": 0.012},
-        "odometry": {"jumps_after": [], "jumps_m": [], "jumps_deg": [], "untied_after": []},
+        "odometry": {"jumps_after": [], "jumps_m": [], "jumps_deg": [], "unconfirmed_after": []},
     } | more  # fmt: skip
 
 
@@ -181,7 +185,7 @@ def dependent(facts):
     facts["lidar"]["odometry_dependence"][7] = 0.9
 
 
-def vague(facts):
+def uncertain(facts):
     facts["expected_error"]["cameras"]["per_frame_m"][:2] = [0.002, None]
 
 
@@ -221,18 +225,18 @@ def jumped(facts):
 def rejected(facts):
     facts["lidar"] |= {
         "accepted": False,
-        "cause": "the refined map is not crisper",
-        "reason": "input poses kept: the refined map is not crisper",
+        "cause": "the refined map is not sharper",
+        "reason": "input poses kept: the refined map is not sharper",
     }
 
 
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (alarmed, "15.0 times"), (open_scans, "3 of 20 scans"), (dependent, "1 motions"), (vague, "2 of 20 cameras"),
+        (alarmed, "15.0 times"), (open_scans, "3 of 20 scans"), (dependent, "1 motions"), (uncertain, "2 of 20 cameras"),
         (moved, "6.0 mm"), (extrinsic, "5.0 cm"), (blurred, "lost structure"), (lost, "loss of 0.07"),
         (balanced, "by 7.3 %"), (jumped, "jump once, by 0.40 m"),
-        (rejected, "not used: refined scan poses (the refined map is not crisper)"),
+        (rejected, "not used: refined scan poses (the refined map is not sharper)"),
     ],
 )  # fmt: skip
 def test_what_a_report_tells_reaches_the_verdict(spoil, words):
@@ -300,7 +304,7 @@ def test_poses_that_something_speaks_against_are_a_bad_result(more):
     assert verdict_data.add(kept(**more))["verdict"]["level"] == "bad"
 
 
-def test_where_motions_between_scans_stay_wrong_no_millimeters_are_promised():
+def test_where_motions_between_scans_stay_wrong_no_millimeters_are_expected():
     given = facts()
     error = {"step_m": 0.3, "step_deg": 2.0, "wrong_after": [4, 9], "open_after": [], "left_after": [9]}
     given["odometry"] |= {"too_far_off": error}
@@ -315,10 +319,13 @@ def test_where_motions_between_scans_stay_wrong_no_millimeters_are_promised():
     assert "Expect errors of about" in verdict["summary"]
     assert "perhaps" not in verdict["summary"]
     # one scan that nothing ties is no reason against the others
-    given["odometry"]["too_far_off"]["loose_ends"] = [0, 39]
+    given["odometry"]["too_far_off"]["unconnected_ends"] = [0, 39]
     verdict = verdict_data.add(given)["verdict"]
     assert verdict["level"] == "check"
-    assert "where scan 0, 39 at the end of the recording is to the others" in verdict["reasons"][0]["text"]
+    assert (
+        "determine the pose of scans 0, 39 at the end of the recording relative to"
+        in verdict["reasons"][0]["text"]
+    )
     assert "perhaps more" in verdict["summary"]
     given["odometry"]["too_far_off"]["open_after"] = [7]
     verdict = verdict_data.add(given)["verdict"]
@@ -354,7 +361,7 @@ def test_with_a_reference_the_truth_is_told_first():
     assert "degrees" not in found["reasons"][0]["text"]
 
 
-def test_an_empty_report_promises_nothing():
+def test_of_an_empty_report_no_error_is_known():
     found = verdict_data.add({})
     assert "not known" in found["verdict"]["summary"]
 
@@ -370,12 +377,12 @@ def test_lengths_have_about_two_digits(meters, words):
 def test_figures_of_arrays_of_nothing_known_count_every_frame():
     given = facts()
     given["expected_error"]["scans"]["per_frame_m"] = [0.001] * 19 + [None]
-    assert verdict_data.figures(given).vague_scans == 1
+    assert verdict_data.figures(given).uncertain_scans == 1
 
 
 def test_cameras_are_alarmed_about_where_scans_are_not_used():
-    """Nothing is promised where neither is used; images that contradict each other count wherever cameras are."""
-    off = replace(CLEAN, scan_poses=Judged(False, "not crisper"), variance_factor=190.0)
+    """No error is predicted where neither is used; images that contradict each other count wherever cameras are."""
+    off = replace(CLEAN, scan_poses=Judged(False, "not sharper"), variance_factor=190.0)
     texts = [
         [reason.text for reason in verdict.judge(replace(off, camera_poses=Judged(used, "why"))).reasons]
         for used in (True, False)
@@ -397,3 +404,19 @@ def test_cameras_are_alarmed_about_where_scans_are_not_used():
 def test_errors_of_ranges_that_joint_rounds_correct_by_single_scans_are_told(ranges, parts, count):
     facts = {"lidar": {"range_errors": ranges}} | ({"merge": {"seams": []}} if parts else {})
     assert verdict_data.figures(facts).range_errors == count
+
+
+def test_names_of_older_reports_are_read():
+    names = {"uncertain_exposures": "vague_exposures", "unconfirmed_after": "untied_after"}
+    known = []
+    for old in (False, True):
+        given = facts()
+        far = {"loose_ends" if old else "unconnected_ends": [19]}
+        given["visual"][names["uncertain_exposures"] if old else "uncertain_exposures"] = [3]
+        given["odometry"] = {
+            names["unconfirmed_after"] if old else "unconfirmed_after": [4],
+            "too_far_off": far,
+        }
+        figures = verdict_data.figures(given)
+        known.append((figures.uncertain_exposures, figures.unconfirmed_jumps, figures.unconnected_ends))
+    assert known == [((3,), (4,), (19,))] * 2

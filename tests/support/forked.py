@@ -47,7 +47,7 @@ def run_forked(*arguments, code=0, cwd=None, environment=None):
 
 
 class ForkedProcess:
-    """`lvba WORDS` that goes on, in a session of its own; what tests need of `subprocess.Popen`.
+    """`lvba WORDS` that continues, in a session of its own; what tests need of `subprocess.Popen`.
 
     forks_jobs: processes of its jobs are forked, too
     """

@@ -1,6 +1,6 @@
 """Imported by the process that others are forked from: kernels that were compiled before are loaded once for all of them.
 
-Not those that run in parallel: OpenMP refuses to go on in a process that was forked after it began.
+Not those that run in parallel: OpenMP refuses to continue in a process that was forked after it began.
 """
 
 import contextlib

@@ -111,7 +111,7 @@ def test_what_is_promised_with_a_number_held_covers_what_is_wrong_with_it(size):
     true, ratios, parts = wrong(principal_point=(size, 0)), [], []
     for seed in range(60):
         step, without, known = held_off(true, rows, "principal_point", seed)
-        part = fixed_calibration.doubtful_part(step, known, ["principal_point"])
+        part = fixed_calibration.significant_fraction(step, known, ["principal_point"])
         promised = known.covariance[turn, turn] + part * step[turn] ** 2
         ratios.append((without[turn] - true[turn]) ** 2 / promised)
         parts.append(part)
@@ -141,17 +141,17 @@ def test_what_interpolation_does_to_a_held_number_is_doubted_in_a_camera_that_is
     step, _, known = held_off(wrong(principal_point=(4, 0)), rows_of(300), "principal_point", 0)
     coarse = fixed_calibration.Precision(covariance=known.covariance, plain=known.plain, per_pixel=1e9)
     trusted = (*fixed_calibration.INTRINSICS, "readout")
-    assert fixed_calibration.doubtful_part(step, coarse, ["principal_point"]) > 0.9
-    assert fixed_calibration.doubtful_part(step, coarse, trusted) == 0.0
+    assert fixed_calibration.significant_fraction(step, coarse, ["principal_point"]) > 0.9
+    assert fixed_calibration.significant_fraction(step, coarse, trusted) == 0.0
 
 
 def test_what_interpolation_does_to_a_held_number_is_no_doubt():
     step, _, known = held_off(wrong(principal_point=(4, 0)), rows_of(300), "principal_point", 0)
     held = fixed_calibration.INTRINSICS
-    part = fixed_calibration.doubtful_part(step, known, held)
+    part = fixed_calibration.significant_fraction(step, known, held)
     coarse = fixed_calibration.Precision(covariance=known.covariance, plain=known.plain, per_pixel=1e9)
     assert part > 0.5
-    assert fixed_calibration.doubtful_part(step, coarse, held) == 0.0
+    assert fixed_calibration.significant_fraction(step, coarse, held) == 0.0
 
 
 def test_held_means_at_the_reference():
@@ -178,7 +178,7 @@ def test_what_moves_patches_by_less_than_interpolation_must_be_told_from_all_oth
     squared = fixed_calibration._squared(*alone, lens)
     assert fixed_calibration._chance(*alone, lens) < fixed_calibration.CHANCE
     assert fixed_calibration._chance(off, covariance, lens) > fixed_calibration.APART
-    bias = fixed_calibration.DOUBTFUL_PX
+    bias = fixed_calibration.AMBIGUOUS_PX
     corrected = set(fixed_calibration.CORRECTIONS) - set(
         insignificant(off, covariance, squared / (2 * bias) ** 2)
     )
@@ -193,5 +193,5 @@ def test_a_small_correction_that_is_told_from_all_others_is_made_unless_interpol
     off, covariance = estimate(wrong(focal=(0.01, 0)), rows_of(300))
     squared = fixed_calibration._squared(off, covariance, np.arange(LAYOUT.size)[LAYOUT["focal"]])
     per_pixel = squared / (moved * fixed_calibration.BIAS_PX) ** 2
-    assert fixed_calibration.BIAS_PX * moved < fixed_calibration.DOUBTFUL_PX
+    assert fixed_calibration.BIAS_PX * moved < fixed_calibration.AMBIGUOUS_PX
     assert ("focal" not in insignificant(off, covariance, per_pixel)) == made

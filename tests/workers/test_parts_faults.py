@@ -1,6 +1,6 @@
 """A plan in parts on a real cluster, whatever is killed, stopped or full: the same bytes, and nothing is redone in vain.
 
-The steps are toys: what dies, and what goes on, is the same as for a recording, see `test_split_run.py`.
+The steps are toys: what dies, and what continues, is the same as for a recording, see `test_split_run.py`.
 """
 
 import os

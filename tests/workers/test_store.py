@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lvba.camera import Camera
-from lvba.dataset import Dataset, MountedCamera
+from lvba.dataset import Dataset, RigCamera
 from lvba.errors import ArtifactError, InputError
 from lvba.trajectory import Trajectory
 from workers import codec
@@ -69,7 +69,7 @@ def test_value_comes_back_as_it_was(tmp_path, name):
 
 
 def test_dataset_comes_back(tmp_path):
-    camera = MountedCamera(Camera(4, 3, 1, 1, 2, 2), np.eye(4))
+    camera = RigCamera(Camera(4, 3, 1, 1, 2, 2), np.eye(4))
     dataset = Dataset("/d", ("a.pcd",), trajectory(1), (), trajectory(0), (camera,))
     ZarrStore(tmp_path)["input-1"] = dataset
     assert_same(ZarrStore(tmp_path)["input-1"], dataset)

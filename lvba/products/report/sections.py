@@ -246,9 +246,9 @@ def _reference(facts: Facts) -> str:
     if error := reference.get("exposure"):
         old = before.get("exposure") or {}
         name = "Exposure, after one scale"
-        promised = error.get("predicted_frames")
-        if promised and promised < error["frames"]:
-            name += f" (expected: of {promised} of {error['frames']} images)"
+        predicted = error.get("predicted_frames")
+        if predicted and predicted < error["frames"]:
+            name += f" (expected: of {predicted} of {error['frames']} images)"
         rows.append((name, *(formats.number(e.get("rms_percent"), 2, "%") for e in (old, error)),
                      formats.number(error.get("predicted_percent"), 2, "%")))  # fmt: skip
         if (after := error.get("rms_percent_after_power")) is not None and abs(error["power"] - 1) > _POWER:
@@ -266,7 +266,7 @@ def _stages(facts: Facts) -> str:
         for name, parts_of, rows in (
             ("LiDAR bundle adjustment", ("scans",), work.lidar_rows(facts)),
             ("Visual bundle adjustment", ("cameras", "exposures"), work.visual_rows(facts)),
-            ("Scans refined with the cameras", ("scans, from the cameras",), work.fusion_rows(facts)),
+            ("Scans refined with the cameras", ("scans refined with the cameras",), work.fusion_rows(facts)),
         )
         if rows
     )

@@ -81,12 +81,13 @@ def lidar_rows(facts: Facts) -> list[tuple[str, str]]:
         span = f"{formats.length(noise[0])}, {formats.length(noise[-1])}"
         rows.append(("Distance of points from their plane, first and last round", span))
     left = stage.get("motion_left") or {}
-    if left.get("part") is not None:
+    if renamed_facts.value(left, "fraction") is not None:
         rows.append(_motion_row(left))
     rows += _range_error_rows(stage.get("range_errors") or {})
     moving = stage.get("moving_points") or {}
-    if moving.get("part", 0.0) > _SAID_MOVING:
-        rows.append(("Points that move, not in the map", f"{formats.number(100.0 * moving['part'], 1)} %"))
+    moves = renamed_facts.value(moving, "fraction") or 0.0
+    if moves > _SAID_MOVING:
+        rows.append(("Points that move, not in the map", f"{formats.number(100.0 * moves, 1)} %"))
     rows += _imu_rows(stage.get("imu") or {})
     scans = renamed_facts.value(stage, "degenerate_scans") or []
     if scans:
@@ -123,14 +124,14 @@ def _range_error_rows(errors: Facts) -> list[tuple[str, str]]:
 
 
 def _motion_row(left: Facts) -> tuple[str, str]:
-    """The part of the motion that was left, or how long a depth camera reads its rows, with its standard deviation."""
+    """How much of the motion was left, or how long a depth camera reads its rows, with its standard deviation."""
     clock, sigma = left.get("clock") or {}, left.get("sigma")
     text, factor, unit = "Motion left in scans", 100.0, "%"
     if "down" in clock:
         text, factor, unit = "Readout of the rows of a depth image", 1000.0 * clock["sweep"], "ms"
     error = "" if sigma is None else f" \N{PLUS-MINUS SIGN} {formats.number(factor * sigma, 2)}"
     taken = ", taken out" if left.get("motion") else ""
-    return text + taken, f"{formats.number(factor * left['part'], 2)}{error} {unit}"
+    return text + taken, f"{formats.number(factor * renamed_facts.value(left, 'fraction'), 2)}{error} {unit}"
 
 
 _SAID_MOVING = 5e-4

@@ -43,7 +43,7 @@ _MAKERS: dict[str, Callable[[Path], Container]] = {
 def container_at(path: Path) -> Container | None:
     """What reads the bag at a path: a file, or a folder with the files of one. None: it is no bag.
 
-    Raises InputError: a file that belongs to it is missing, or is none of a bag.
+    Raises InputError: a file that belongs to it is missing, or is not a bag file.
     """
     if not os.path.isdir(path):
         return _file(path)
@@ -61,7 +61,7 @@ def container_at(path: Path) -> Container | None:
     containers = [_file(path / name) for name in members]
     several = [each for each in containers if each is not None]
     if not several:
-        raise InputError(path / members[0], "is none of a bag", "copy it again")
+        raise InputError(path / members[0], "is not a bag file", "copy it again")
     return BagFiles(path, several, _topics(about))
 
 

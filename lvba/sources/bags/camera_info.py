@@ -27,7 +27,7 @@ def camera(values: dict[str, Any], *, rectified: bool = False) -> Camera | None:
     if not any(matrix):
         return None
     if not all(map(math.isfinite, matrix)) or matrix[0] <= 0 or matrix[1] <= 0:
-        raise Undecodable("its matrix is none of a camera")
+        raise Undecodable("its matrix is not a camera matrix")
     fx, fy, cx, cy = map(float, matrix)
     lens, distortion = (Lens.RADIAL_TANGENTIAL, (0.0,) * 4) if rectified else _lens(values)
     whole = Camera(
@@ -51,7 +51,7 @@ def _lens(values: dict[str, Any]) -> tuple[Lens, tuple[float, ...]]:
     model = values["distortion_model"].strip().lower()
     coefficients = tuple(float(value) for value in values["d"][:20])
     if not all(map(math.isfinite, coefficients)):
-        raise Undecodable("its distortion has numbers that are none")
+        raise Undecodable("its distortion has values that are not finite numbers")
     if not any(coefficients):
         known = model in _FISHEYE
         return (Lens.EQUIDISTANT if known else Lens.RADIAL_TANGENTIAL), (0.0,) * 4

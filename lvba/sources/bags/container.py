@@ -48,7 +48,7 @@ class Message(NamedTuple):
 
 @dataclass(frozen=True)
 class Contents:
-    """What a file holds. format: for people; notes: what is odd or lost, one sentence each"""
+    """What a file holds. format: for people; notes: what is unusual or lost, one sentence each"""
 
     format: str
     topics: tuple[Topic, ...]

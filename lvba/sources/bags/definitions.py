@@ -61,7 +61,7 @@ def _fields(text: str, message_type: str) -> tuple[Field, ...]:
             continue
         match = _FIELD.match(line)
         if not match:
-            raise Undecodable(f"a line of its definition that is none: {bare[:40]!r}")
+            raise Undecodable(f"an invalid line of its definition: {bare[:40]!r}")
         kind, bounded, number, name, rest = match.groups()
         if rest.startswith("="):
             continue  # a constant

@@ -119,7 +119,7 @@ def offsets_ns(scan: RawScan) -> np.ndarray:
     ):
         raise InputError(
             f"field {scan.time_field}",
-            "does not hold ns from the begin of the scan",
+            "does not hold ns from the start of the scan",
             "convert its times first",
         )
     return offsets

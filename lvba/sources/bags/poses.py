@@ -45,7 +45,7 @@ def poses(rows: np.ndarray) -> np.ndarray:
     with np.errstate(over="ignore", invalid="ignore"):
         square = x * x + y * y + z * z + w * w
     if not np.isfinite(rows).all() or not np.isfinite(square).all() or (square < 1e-6).any():
-        raise Undecodable("a pose of it has no orientation, or numbers that are none")
+        raise Undecodable("a pose of it has no orientation, or values that are not finite numbers")
     return geometry.from_quaternion_translation(rows[:, 3:], rows[:, :3])
 
 
@@ -113,7 +113,7 @@ def fix(values: dict[str, Any], stamp: int, frame: str) -> Iterator[GnssFix]:
     status = int(values["status.status"])
     latitude, longitude, altitude = (float(values[name]) for name in ("latitude", "longitude", "altitude"))
     if status >= 0 and not np.isfinite([latitude, longitude]).all():
-        raise Undecodable("a position of it has numbers that are none")
+        raise Undecodable("a position of it has values that are not finite numbers")
     known = values["position_covariance_type"] != 0
     covariance = np.array(values["position_covariance"], float).reshape(3, 3) if known else None
     yield GnssFix(

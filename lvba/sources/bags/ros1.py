@@ -112,7 +112,7 @@ class Ros1Bag:
                 content = self._content(file, position, unpacker, losses)
                 yield from self._in_content(content, connections, names, losses)
             if not listing.indexed:
-                yield from self._loose(file, listing, connections, names, losses)
+                yield from self._outside_chunks(file, listing, connections, names, losses)
 
     def _listing(self) -> _Listing:
         if self._known is None:
@@ -278,7 +278,7 @@ class Ros1Bag:
         try:
             record = _read_record(file, position, self._size, (_CHUNK,))
             if record.op != _CHUNK:
-                raise Damaged("it is none")
+                raise Damaged("it is not a chunk")
             if record.length > MAX_MESSAGE:
                 raise Damaged(f"it has {record.length} bytes")
             file.seek(record.data)
@@ -307,7 +307,7 @@ class Ros1Bag:
                 except Damaged as error:
                     losses.add(f"{self.path.name}: a connection cannot be read: {error}")
 
-    def _loose(
+    def _outside_chunks(
         self,
         file: BufferedReader,
         listing: _Listing,
@@ -369,7 +369,7 @@ def _fields(header: bytes) -> dict[bytes, bytes]:
         at += 4
         name, equal, value = header[at : at + length].partition(b"=")
         if not equal or at + length > end:
-            raise Damaged("its header is none")
+            raise Damaged("its header is invalid")
         listing[name] = value
         at += length
     return listing

@@ -51,7 +51,7 @@ def write_bag(
 ) -> None:
     """Writes what a source has to a new bag; records are recorded at their stamps, in the order of the source.
 
-    Of scans, the stamp is the begin of the sweep, and times are ns from it.
+    Of scans, the stamp is the start of the sweep, and times are ns from it.
     streams: names of those that are written; None: all
     Raises InputError: the path exists, or rosbags is not installed.
     """

@@ -96,7 +96,7 @@ def _camera(path: Path, document: dict[str, Any], name: str, size: tuple[float, 
     if foreign is not None:
         said = document.get(_TYPE, "PinHole")
         mend = f"give {' '.join(used)} alone, or correct {_TYPE}"
-        raise InputError(path, f"{name}.{foreign} is none of a {str(said)[:40]} camera", mend)
+        raise InputError(path, f"{name}.{foreign} is not a parameter of a {str(said)[:40]} camera", mend)
     distortion = np.array([coefficients.get(key, 0.0) for key in used])
     return values.camera(path, lens, np.array(intrinsics), distortion, size)
 

@@ -166,7 +166,7 @@ def camera(
         or bool(width) != bool(height)
     ):
         raise InputError(
-            where, f"the image size {size[0]:g} x {size[1]:g} is none", "write width and height in px"
+            where, f"{size[0]:g} x {size[1]:g} is not a valid image size", "write width and height in px"
         )
     fx, fy, cx, cy = (float(value) for value in focal_and_center)
     wide, high = (width, height) if width else (_MAX_SIDE, _MAX_SIDE)

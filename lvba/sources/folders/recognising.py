@@ -55,7 +55,7 @@ _ARCHIVES = {
         "export color, depth, pose and intrinsic with its SensReader, and give the folder",
     ),
 }
-"""Files that hold such a folder, by their suffix: what they are, and the mend."""
+"""Files that hold such a folder, by their suffix: what they are, and the fix."""
 
 
 def is_known(path: Path) -> bool:
@@ -66,7 +66,7 @@ def is_known(path: Path) -> bool:
 def find(path: Path) -> Source | None:
     """The source of a folder of another program; None: it is none that is known.
 
-    Raises: InputError: it is one, damaged or of no use, with the mend.
+    Raises: InputError: it is one, damaged or of no use, with the fix.
     """
     if path.suffix.lower() in _ARCHIVES and os.path.isfile(path):
         raise InputError(path, *_ARCHIVES[path.suffix.lower()])

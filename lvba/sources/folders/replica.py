@@ -84,7 +84,7 @@ def _camera(path: Path) -> tuple[Camera, float]:
         and values["fx"] > 0
         and values["fy"] > 0
     ):
-        raise InputError(file, "camera has values that are none of a camera", "correct w, h, fx, fy, scale")
+        raise InputError(file, "camera has values that no camera has", "correct w, h, fx, fy, scale")
     camera = Camera(
         width=width, height=height, fx=values["fx"], fy=values["fy"], cx=values["cx"], cy=values["cy"]
     )

@@ -83,7 +83,7 @@ def lines_of_words(path: Path, separator: str | None = None) -> list[tuple[int, 
 
 
 def numbers(where: object, words: list[str], count: int, what: str) -> np.ndarray:
-    """(count,) float64. what: the numbers are, for the mend.
+    """(count,) float64. what: the numbers are, for the fix.
 
     Raises: InputError if there are not as many, or one is not finite.
     """
@@ -208,6 +208,6 @@ def image_size(where: object, width: float, height: float) -> ImageSize:
     """Width and height, px, as a file says them. Raises: InputError if they are none."""
     if not (width == int(width) and height == int(height) and 0 < width <= 20_000 and 0 < height <= 20_000):
         raise InputError(
-            where, f"the image size {width:g} x {height:g} is none", "write width and height in px"
+            where, f"{width:g} x {height:g} is not a valid image size", "write width and height in px"
         )
     return ImageSize(int(width), int(height))

@@ -20,7 +20,7 @@ FIELDS = (*XYZ, "intensity float32", f"{TIME_FIELD} uint32")
 
 
 def azimuth_times(points: np.ndarray, sweep_ns: int) -> np.ndarray:
-    """ns from the begin of the sweep at which the sensor looked at points, (N,) uint32.
+    """ns from the start of the sweep at which the sensor looked at points, (N,) uint32.
 
     points: (N, 3) float32, m, x forward, y left; sweep_ns: ns of a turn
     """

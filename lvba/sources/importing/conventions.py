@@ -15,7 +15,7 @@ from lvba.sources.importing.image_readings import ImageReading, ImageScorer, Ima
 from lvba.sources.importing.imu_clock import ImuRead
 from lvba.sources.importing.options import FRAME, NO_GUESS, Guess, ImportOptions
 from lvba.sources.importing.point_clock import ScanClock
-from lvba.sources.importing.readings import Choices, Mounts, Reading, ScansRead, Scorer
+from lvba.sources.importing.readings import Choices, Extrinsics, Reading, ScansRead, Scorer
 from lvba.sources.importing.rig import RigFacts
 from lvba.sources.importing.survey import Survey
 from lvba.sources.importing.thickness import TimedScan
@@ -95,9 +95,9 @@ def decide(
         [_timed(scan.stamp, scan.points, scan.times, survey, clock) for scan in segment.scans]
         for segment in survey.segments
     ]
-    mounts = _mounts(rig, survey)
-    choices = _choices(survey, rig, odometry, origin, clock, period, mounts, options, guess)
-    scorer = Scorer(odometry, mounts, readings.pairs_of(segments, odometry))
+    extrinsics = _extrinsics(rig, survey)
+    choices = _choices(survey, rig, odometry, origin, clock, period, extrinsics, options, guess)
+    scorer = Scorer(odometry, extrinsics, readings.pairs_of(segments, odometry))
     scans_read = readings.find(scorer, choices, clock.sweep, where)
     imu = _imu(scorer, scans_read.reading, survey, rig, clock, options, where, guess)
     survey = replace(survey, imu=imu.mended(survey.imu))
@@ -114,8 +114,8 @@ def decide(
         images = _images(survey, rig, lidar, segments, scans_read.reading, clock, options, where, guess)
         warnings += images.warnings
     pose_of = scans_read.reading.pose_of
-    body = np.eye(4) if pose_of in ("lidar", "camera") else mounts.child_from_lidar[pose_of]
-    if _body_is_open(survey, rig, mounts) and "pose_of" not in options.conventions:
+    body = np.eye(4) if pose_of in ("lidar", "camera") else extrinsics.child_from_lidar[pose_of]
+    if _body_is_open(survey, rig, extrinsics) and "pose_of" not in options.conventions:
         warnings.append(
             f"pose_of: nothing says where the body (IMU) is beside the LiDAR: poses are taken for the {pose_of}'s; "
             f"give --calibration FILE, or --convention pose_of={pose_of} if that is so"
@@ -152,7 +152,7 @@ def _imu(
     said = options.conventions.get(imu_clock.QUESTION, "")
     if said and said not in offsets:
         offsets[said] = float(said)
-    poses = readings.lidar_track(scorer.odometry, reading, scorer.mounts)
+    poses = readings.lidar_track(scorer.odometry, reading, scorer.extrinsics)
     known_by = guess.by if first else ""
     read = imu_clock.find(
         poses, survey.imu, rig.imu_from_lidar, offsets, options.conventions, where, known_by
@@ -171,7 +171,7 @@ def _motion(
     scorer: Scorer, reading: Reading, survey: Survey, rig: RigFacts, options: ImportOptions, where: str
 ) -> tuple[Track, tuple[Decision, ...]]:
     """World from LiDAR at any time: along the poses, or smooth, or with the gyroscope, as pairs of scans lie closest."""
-    poses = readings.lidar_track(scorer.odometry, reading, scorer.mounts)
+    poses = readings.lidar_track(scorer.odometry, reading, scorer.extrinsics)
     tracks: dict[str, Track] = {"poses": poses}
     if (smooth := smoothing.smooth(poses, None)) is not None:
         tracks["smooth"] = smooth
@@ -209,7 +209,7 @@ def _timed(
     return readings.timed(float(survey.seconds(np.array([stamp]))[0]), after, points)
 
 
-def _mounts(rig: RigFacts, survey: Survey) -> Mounts:
+def _extrinsics(rig: RigFacts, survey: Survey) -> Extrinsics:
     """What poses may be of, the likely one first. Without an extrinsic of the body, it is the LiDAR."""
     known: dict[str, np.ndarray] = {}
     if rig.body_from_lidar is not None and not _same(rig.body_from_lidar, np.eye(4)):
@@ -222,14 +222,14 @@ def _mounts(rig: RigFacts, survey: Survey) -> Mounts:
             known[f"{FRAME}{name}"] = frame_from_lidar
     if survey.child and survey.child == survey.lidar_frame:
         known = {"lidar": known["lidar"], **known}
-    return Mounts(known)
+    return Extrinsics(known)
 
 
-def _body_is_open(survey: Survey, rig: RigFacts, mounts: Mounts) -> bool:
+def _body_is_open(survey: Survey, rig: RigFacts, extrinsics: Extrinsics) -> bool:
     """Whether poses may be of a body that nothing is known of."""
     if rig.deskewed or rig.body_from_lidar is not None or survey.child == survey.lidar_frame != "":
         return False
-    return not set(mounts.child_from_lidar) - {"lidar", "camera"}
+    return not set(extrinsics.child_from_lidar) - {"lidar", "camera"}
 
 
 def _same(one: Pose, other: Pose) -> bool:
@@ -245,7 +245,7 @@ def _choices(
     origin: Origin,
     clock: ScanClock,
     period: float,
-    mounts: Mounts,
+    extrinsics: Extrinsics,
     options: ImportOptions,
     guess: Guess,
 ) -> Choices:
@@ -258,7 +258,7 @@ def _choices(
     every: dict[str, tuple[str, ...]] = {
         "quaternions": ("xyzw", "wxyz") if origin is Origin.FILE else ("xyzw",),
         "pose_direction": ("world_from",) if origin is Origin.OWN else ("world_from", "inverse"),
-        "pose_of": ("lidar",) if origin is Origin.OWN else tuple(mounts.child_from_lidar),
+        "pose_of": ("lidar",) if origin is Origin.OWN else tuple(extrinsics.child_from_lidar),
         "points": points,
     }
     for name, answers in every.items():
@@ -287,7 +287,7 @@ def _choices(
 
 
 def _shifts(survey: Survey, odometry: Track, clock: ScanClock, period: float) -> dict[str, float]:
-    """s, by name, what is tried: as stamped first. Poses with stamps of scans may be of the begin, middle or end."""
+    """s, by name, what is tried: as stamped first. Poses with stamps of scans may be of the start, middle or end."""
     sweep = clock.sweep or period
     values = [0.0, -sweep / 2, sweep / 2, -sweep, sweep]
     named: dict[str, float] = {}

@@ -47,7 +47,9 @@ def of_source(description: SourceDescription, options: ImportOptions) -> DataSet
         if there.get(key) and not getattr(options, name, "")
     }
     sequence = _sequence(preset, description)
-    guess = Guess(by, preset.stamp, preset.image_offsets_s.get(sequence), _mounted(preset, topics, options))
+    guess = Guess(
+        by, preset.stamp, preset.image_offsets_s.get(sequence), _imu_from_lidar(preset, topics, options)
+    )
     facts = {
         "name": preset.name,
         "streams": topics,
@@ -66,7 +68,7 @@ def of_source(description: SourceDescription, options: ImportOptions) -> DataSet
     )
 
 
-def _mounted(preset: Preset, topics: Mapping[str, str], options: ImportOptions) -> Pose | None:
+def _imu_from_lidar(preset: Preset, topics: Mapping[str, str], options: ImportOptions) -> Pose | None:
     """(4, 4), IMU from LiDAR, where both are those that the preset knows."""
     lidar, imu = (getattr(options, name) or topics.get(name, "") for name in ("lidar", "imu"))
     if not preset.imu_from_lidar or lidar not in preset.lidar or imu not in preset.imu:

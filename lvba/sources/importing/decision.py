@@ -58,7 +58,7 @@ class Decision:
         """A warning where data speak against what `known_by` says; "" where they do not, or an option decides."""
         if not known_by or self.by == "option" or self.taken == guessed:
             return ""
-        return f"{self.question}: {known_by} says {guessed}, the data say {self.taken}: that is taken"
+        return f"{self.question}: {known_by} says {guessed}, the data say {self.taken}: applied"
 
     def measured(self, name: str, score: float, warning: str) -> "Decision":
         """With an answer that no convention gives. score: as of the others"""

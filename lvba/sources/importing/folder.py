@@ -1,4 +1,4 @@
-"""The folder that a recording is written to: empty, or of the same import, which then goes on where it was stopped."""
+"""The folder that a recording is written to: empty, or of the same import, which then continues where it was stopped."""
 
 import json
 import os

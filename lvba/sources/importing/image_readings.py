@@ -34,7 +34,7 @@ _UNLIKE = 1.0
 _FIT_STEP_S = 8e-3
 _FIT_STEPS_S = (_FIT_STEP_S, 2 * _FIT_STEP_S, 4 * _FIT_STEP_S)
 """Between offsets that a parabola is laid through: where scores hardly change over one, a wider one knows more."""
-_ODD_SIGMAS, _ODD_S = 4.0, 0.02
+_SIGNIFICANT_SIGMAS, _SIGNIFICANT_S = 4.0, 0.02
 """An offset in time that is larger than both is no chance, and more than all pairs may have in common; smaller ones
 are found by the bundle adjustment, and no reason to take an unusual answer."""
 _TOLD_SIGMAS = 3.0
@@ -185,7 +185,7 @@ def find(
             Answer(key, scorer.scores(best.answered(question, value)) if scorer.pairs else np.ones(1))
             for key, value in every[question].items()
         ]
-        excluded = offset.away(offsets, place, sigma, _ODD_S) if question == "image_offset" else []
+        excluded = offset.away(offsets, place, sigma, _SIGNIFICANT_S) if question == "image_offset" else []
         said_here = said.get(question, "")
         known = known_by if question == "image_offset" else ""
         decided = decision.decide(
@@ -194,7 +194,11 @@ def find(
         decisions.append(decided)
         reading = reading.answered(question, every[question][decided.taken])
     usual = reading.offset == next(iter(offsets.values()))
-    far = max(_ODD_SIGMAS * sigma, _ODD_S) if usual else max(offset.NEAR_SIGMAS * sigma, _FIT_STEP_S)
+    far = (
+        max(_SIGNIFICANT_SIGMAS * sigma, _SIGNIFICANT_S)
+        if usual
+        else max(offset.NEAR_SIGMAS * sigma, _FIT_STEP_S)
+    )
     if abs(place - reading.offset) > far and "image_offset" not in said:
         reading, decisions[-1] = _measured(scorer, reading, decisions[-1], place, sigma, usual)
     else:
@@ -227,8 +231,8 @@ def _with_what_is_left(decided: Decision, reading: ImageReading, place: float, s
     if abs(place - reading.offset) <= max(_TOLD_SIGMAS * sigma, _FIT_STEP_S) or decided.warning:
         return decided
     words = (
-        f"image_offset: images seem to be taken {1000 * place:+.0f} ms (+- {1000 * sigma:.0f}) after their stamps, "
-        f"and {decided.taken} is taken: what is left is for the bundle adjustment, or --convention "
+        f"image_offset: the data suggest {1000 * place:+.0f} ms (+- {1000 * sigma:.0f}) after their stamps, and "
+        f"{decided.taken} was applied: the bundle adjustment estimates the rest, or give --convention "
         f"image_offset={place:.4f}"
     )
     return replace(decided, warning=words)
@@ -260,9 +264,9 @@ def _measured(
     # beside an unusual answer, what is measured is the better guess; the usual one must be beaten
     beaten = scores[1].score < scores[0].score if usual else not decision.better(*scores)
     if not beaten:
-        words = f"image_offset: images seem to be taken {size}, but points look no more alike by that"
+        words = f"image_offset: the data suggest {size}, but that does not improve the fit: not applied"
         return reading, replace(decided, warning=decided.warning or words)
-    words = f"image_offset: images were taken {size}, by what they show: that is taken"
+    words = f"image_offset: images were taken {size}, by what they show: applied"
     return other, decided.measured(f"{other.offset:+.4f}", scorer.score(other), words)
 
 

@@ -58,7 +58,7 @@ def import_source(
     progress: Progress = silent,
     announce: Announce = silent,
 ) -> ImportReport:
-    """Writes the recording folder of a source; goes on where the same import was stopped, and gives the same bytes.
+    """Writes the recording folder of a source; continues where the same import was stopped, and gives the same bytes.
 
     Raises InputError: a stream, poses or a calibration are missing; data contradict what is said, or every way to read
     the source; the folder holds something else.
@@ -269,8 +269,8 @@ def _write_texts(
     camera = facts.camera if written.images else None
     extrinsic = decided.camera_from_lidar if written.images else None
     more = {image_poses.KEY: BODY} if written.images else None
-    mounted = _body_from_imu(facts, decided)
-    config = calibration.recording_text(camera, decided.body_from_lidar, extrinsic, more, mounted)
+    body_from_imu = _body_from_imu(facts, decided)
+    config = calibration.recording_text(camera, decided.body_from_lidar, extrinsic, more, body_from_imu)
     files.write_text(out / "config.yaml", config)
 
 
@@ -278,8 +278,8 @@ def _body_from_imu(facts: RigFacts, decided: Conventions) -> np.ndarray | None:
     """(4, 4), of the frame that scans are written in; None: it is the IMU, not known, or there is no IMU."""
     if facts.imu_from_lidar is None or decided.imu.left_out:
         return None
-    mounted = np.asarray(decided.body_from_lidar @ geometry.inverse(facts.imu_from_lidar))
-    return None if np.allclose(mounted, np.eye(4), rtol=0, atol=1e-12) else mounted
+    body_from_imu = np.asarray(decided.body_from_lidar @ geometry.inverse(facts.imu_from_lidar))
+    return None if np.allclose(body_from_imu, np.eye(4), rtol=0, atol=1e-12) else body_from_imu
 
 
 def _evidence(

@@ -30,8 +30,8 @@ _BESIDE = {
 }
 _DOES = {GYROSCOPE: "turn", ACCELEROMETER: "turn or accelerate"}
 _EXPLAINED = 0.3
-"""Part of what is off that another way to mount it may leave, to be named as what it is."""
-_CHECK = "check its mounting (--calibration)"
+"""Part of what is off that other axes may leave, to be named as what they are."""
+_CHECK = "check its extrinsic (--calibration)"
 _MORE = "record some seconds in which the sensor turns about all its axes and changes its speed"
 
 Scores = Callable[[np.ndarray], np.ndarray]
@@ -105,7 +105,7 @@ def find(
         warnings.append(f"imu: the poses hardly accelerate: {decided.warning}, or {_MORE}")
     elif sign < 0 and not said:
         warnings.append(
-            "imu: its accelerometer has the sign of gravity (at rest, it reads down): that is turned over; "
+            "imu: its accelerometer reads gravity instead of specific force (down at rest): its sign was inverted; "
             f"{down.score:.2f} against {up.score:.2f} m/s^2 off the accelerations of the poses"
         )
     warnings += _axes_are_open(ACCELEROMETER, [answers[number, sign] for number in range(len(ROTATIONS))])
@@ -116,11 +116,11 @@ def _turned(sensor: str, best: tuple[int, int], scores: Sequence[Answer]) -> str
     """Why axes cannot be those that are said. scores: with the best rotation, and with none"""
     figures = f"({scores[0].score:.2g} against {scores[1].score:.2g} {_BESIDE[sensor]})"
     if scores[0].score > _EXPLAINED * scores[1].score:
-        return f"its {sensor}'s axes are others than is said {figures}"
+        return f"its {sensor}'s axes differ from the given extrinsic {figures}"
     turn = geometry.from_rotation_translation(ROTATIONS[best[0]], np.zeros(3))
     angle = round(float(geometry.rotation_angle_deg(turn)))
-    sign = " and its sign is the other one" if best[1] < 0 else ""
-    return f"its {sensor}'s axes are turned by {angle} degrees from what is said{sign} {figures}"
+    sign = " and its sign is inverted" if best[1] < 0 else ""
+    return f"its {sensor}'s axes are rotated by {angle} degrees from the given extrinsic{sign} {figures}"
 
 
 def _axes_are_open(sensor: str, answers: Sequence[Answer]) -> list[str]:
@@ -129,8 +129,8 @@ def _axes_are_open(sensor: str, answers: Sequence[Answer]) -> list[str]:
     if not left:
         return []
     return [
-        f"imu: the axes of its {sensor} cannot be checked: the poses hardly {_DOES[sensor]}, and {left} of 23 other ways "
-        f"to mount it would fit as well: {_CHECK}, or {_MORE}"
+        f"imu: the axes of its {sensor} cannot be checked: the poses hardly {_DOES[sensor]}, and {left} of 23 other "
+        f"orientations of them would fit as well: {_CHECK}, or {_MORE}"
     ]
 
 

@@ -23,7 +23,7 @@ _APART_S = 0.08
 _GROUPS, _FEWEST, _TURNS = 20, 4, 5
 """Parts of the recording that are scored each by itself, at least, and turns in each."""
 _STEP_S = 0.01
-_ODD_S = 0.03
+_SIGNIFICANT_S = 0.03
 """What is less is left to the bundle adjustment, which looks for it: poses may be late by as much, not the IMU."""
 _OTHERWISE, _TURNING = 0.5, 0.05
 """Part of turn rates that poses may differ from the gyroscope by, and the rates (rad/s) from which on that is asked, and
@@ -33,7 +33,7 @@ _SEARCHED = np.linspace(-1.0, 1.0, 21)
 _TURNED_DEG, _SCALED = 3.0, 1.1
 """Errors of axes and of scale that are named: what is less is left to the bundle adjustment, too."""
 _WRONG_DEG = 30.0
-"""Axes that are turned by more are those of another mounting: the IMU is left out."""
+"""Axes that are rotated by more are those of another extrinsic: the IMU is left out."""
 _DEGREES, _LIKE_DEGREES = np.degrees(1.0), 2.0
 """Scale of a gyroscope in deg/s, and the factor that it may be off by: noise of poses adds to their turns."""
 
@@ -112,7 +112,7 @@ def find(
         # by how much, also where that is along no axis
         why = [fit.words(), *(each for each in why if imu_axes.GYROSCOPE not in each)]
     if why:
-        words = f"imu: {'; '.join(why)}: it is left out: check its mounting (--calibration) and its units"
+        words = f"imu: {'; '.join(why)}: it is left out: check its extrinsic (--calibration) and its units"
         return replace(read, left_out=True, warnings=(*read.warnings, words))
     warnings = (*read.warnings, turns.otherwise(read.offset, fit), _unit(imu), *axes.warnings)
     return replace(
@@ -135,15 +135,15 @@ def _when(
     start = turns.near(offsets, min(answers, key=lambda answer: answer.score))
     left, sigma = offset.measure(lambda by: turns.scores(start + by), _STEP_S, 2)
     place = start + left
-    excluded = offset.away(offsets, place, sigma, _ODD_S)
+    excluded = offset.away(offsets, place, sigma, _SIGNIFICANT_S)
     decided = decision.decide(
         QUESTION, answers, said, next(iter(offsets)), "rad/s", where, excluded, known_by or _STAMPS
     )
     taken = offsets[decided.taken]
     # by turns that are as small as the noise of poses, chance seems to be an offset
-    if abs(place - taken) > max(4 * sigma, _ODD_S) and not said and turns.size >= _TURNING:
+    if abs(place - taken) > max(4 * sigma, _SIGNIFICANT_S) and not said and turns.size >= _TURNING:
         size = f"{1000 * place:+.0f} ms (+- {1000 * sigma:.0f})"
-        words = f"{QUESTION}: the IMU turns {size} after its stamps: that is taken"
+        words = f"{QUESTION}: the IMU turns {size} after its stamps: applied"
         taken = round(place, 4)
         decided = decided.measured(f"{taken:+.4g}", decision.mean(turns.scores(taken)), words)
     return ImuRead(
@@ -160,7 +160,7 @@ def _unit(imu: ImuReadings) -> str:
     if readings.in_si_units(readings.ordered(imu.times, imu.rates, imu.forces)) is not None:
         return ""
     norm = float(np.median(np.linalg.norm(imu.forces, axis=1)))
-    return f"imu: accelerations are not used: their median norm, {norm:.3g}, is gravity neither in m/s^2 nor in g"
+    return f"imu: accelerations are not used: their median norm, {norm:.3g}, is neither 9.81 m/s^2 nor 1 g"
 
 
 def shifted(imu: ImuReadings | None, by: float) -> ImuReadings | None:
@@ -218,11 +218,11 @@ class _Turns:
         if max(size, off) < _TURNING:
             return ""
         if fit is not None and (why := fit.words()):
-            return f"imu: {why}: check its mounting (--calibration) and its units"
+            return f"imu: {why}: check its extrinsic (--calibration) and its units"
         if off < _OTHERWISE * size:
             return ""
         return (
-            f"imu: it turns otherwise than the poses, by {off:.2g} of {size:.2g} rad/s: check its mounting "
+            f"imu: its rates differ from those of the poses by {off:.2g} of {size:.2g} rad/s: check its extrinsic "
             "(--calibration), its units and its clock"
         )
 
@@ -284,7 +284,7 @@ class _Fit:
         if self.counts_degrees:
             return f"its gyroscope turns {self.scale:.0f} times as fast as the poses, as one that counts degrees would"
         if self.degrees > _TURNED_DEG:
-            return f"its gyroscope's axes are turned by {self.degrees:.0f} degrees from what is said"
+            return f"its gyroscope's axes are rotated by {self.degrees:.0f} degrees from the given extrinsic"
         if abs(np.log(self.scale)) > np.log(_SCALED):
             return f"its gyroscope turns {self.scale:.3g} times as fast as the poses"
         return ""

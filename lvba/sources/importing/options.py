@@ -83,7 +83,7 @@ class ImportOptions(settings.Group):
     )
     start: float | None = setting(
         None,
-        meaning="Begin of what is imported, after the first scan, or since 1970.",
+        meaning="Start of what is imported, after the first scan, or since 1970.",
         unit="s",
         change_when="Only a part is wanted.",
         advanced=True,

@@ -49,7 +49,7 @@ def of_scans(
     wanted: Selection,
     progress: Progress,
 ) -> OwnOdometry:
-    """The poses by registering the scans of a stream one after another, with the IMU where its mounting is known.
+    """The poses by registering the scans of a stream one after another, with the IMU where its extrinsic is known.
 
     wanted: by time; scans a little before and after are registered, too, for images and clocks
     Raises InputError: the odometry is lost; small_gicp is not installed.
@@ -98,26 +98,26 @@ def _sweeps(
 
 
 def _inertial(survey: Survey, rig: RigFacts) -> tuple[Inertial | None, tuple[str, ...]]:
-    """The IMU in the LiDAR's axes, None without or where its mounting is not known, and warnings."""
+    """The IMU in the LiDAR's axes, None without or where its extrinsic is not known, and warnings."""
     imu = survey.imu
     if imu is None:
         return None, ()
     if rig.imu_from_lidar is None:
         return None, (
-            "odometry: the IMU is not used, for its mounting on the LiDAR is not known: give it by --calibration",
+            "odometry: the IMU is not used, for its extrinsic to the LiDAR is not known: give it by --calibration",
         )
     rotation = rig.imu_from_lidar[:3, :3].T
     norm = float(np.median(np.linalg.norm(imu.forces, axis=1)))
     scale = next((scale for scale, (low, high) in _NORMS.items() if low < norm < high), None)
     forces = None if scale is None else scale * imu.forces @ rotation.T
     unknown = (
-        f"odometry: accelerations are not used: their median norm, {norm:.3g}, is 1 in no unit of gravity"
+        f"odometry: accelerations are not used: their median norm, {norm:.3g}, is neither 9.81 m/s^2 nor 1 g"
     )
     return Inertial(imu.times, imu.rates @ rotation.T, forces), () if forces is not None else (unknown,)
 
 
 def _track(estimated: Estimate, sweep: float) -> Track:
-    """Poses also at the begin of the first sweep and at the end of the last one, as the motion goes on."""
+    """Poses also at the start of the first sweep and at the end of the last one, as the motion continues."""
     times, poses = estimated.times, estimated.world_from_lidar
     if len(times) < 2 or not sweep:
         return Track(times, poses)

@@ -80,7 +80,7 @@ def find(times: list[np.ndarray | None], stamps: np.ndarray, period: float) -> S
 
 
 def _begin(extents: np.ndarray, sweep: float) -> float:
-    """s from the stamp to the begin of a sweep, by first and last times (S, 2), s; the first point is a little later."""
+    """s from the stamp to the start of a sweep, by first and last times (S, 2), s; the first point is a little later."""
     begin = float(np.median(extents.mean(axis=1))) - sweep / 2
     usual = min((0.0, -sweep / 2, -sweep), key=lambda value: abs(value - begin))
     return usual if abs(usual - begin) < _ABOUT * sweep else begin

@@ -26,7 +26,7 @@ _ROUGH, _ROUGH_M = 4.0, 0.06
 _COMMON_S = 0.012
 _FIT_STEP = 0.1
 """Part of a sweep."""
-_ODD_SIGMAS, _ODD_SWEEPS = 4.0, 0.15
+_SIGNIFICANT_SIGMAS, _SIGNIFICANT_SWEEPS = 4.0, 0.15
 """An offset in time that is off conventions by more than both is no chance, and none of them."""
 
 
@@ -50,7 +50,7 @@ class Reading:
 
 
 @dataclass(frozen=True)
-class Mounts:
+class Extrinsics:
     """child_from_lidar, (4, 4), by what the poses may be of; what is not known is not there."""
 
     child_from_lidar: dict[str, np.ndarray]
@@ -61,14 +61,14 @@ class Scorer:
     """The thickness of pairs of scans by readings; each is measured once."""
 
     odometry: Track
-    mounts: Mounts
+    extrinsics: Extrinsics
     pairs: list[tuple[TimedScan, TimedScan]]
     _known: dict[Reading, np.ndarray] = field(default_factory=dict)
 
     def scores(self, reading: Reading) -> np.ndarray:
         """(P,) float64, m, of each pair."""
         if reading not in self._known:
-            lidar = lidar_track(self.odometry, reading, self.mounts)
+            lidar = lidar_track(self.odometry, reading, self.extrinsics)
             deskewed = reading.points == "deskewed"
             self._known[reading] = self.along(lidar, deskewed)
         return self._known[reading]
@@ -87,7 +87,7 @@ class Scorer:
         return decision.mean(self.scores(reading))
 
 
-def lidar_track(odometry: Track, reading: Reading, mounts: Mounts) -> Track:
+def lidar_track(odometry: Track, reading: Reading, extrinsics: Extrinsics) -> Track:
     """World from LiDAR on the clock of the points."""
     poses = odometry.poses
     if reading.quaternions == "wxyz":
@@ -95,7 +95,7 @@ def lidar_track(odometry: Track, reading: Reading, mounts: Mounts) -> Track:
         poses = geometry.from_quaternion_translation(turned, poses[:, :3, 3])
     if reading.pose_direction == "inverse":
         poses = geometry.inverse(poses)
-    return Track(odometry.times + reading.shift, poses @ mounts.child_from_lidar[reading.pose_of])
+    return Track(odometry.times + reading.shift, poses @ extrinsics.child_from_lidar[reading.pose_of])
 
 
 @dataclass(frozen=True)
@@ -159,12 +159,12 @@ def find(scorer: Scorer, choices: Choices, sweep: float, where: object) -> Scans
     # answers that data leave open, each by itself, need not be as good together
     if scorer.pairs and decision.better(Answer("", scorer.scores(best)), Answer("", scorer.scores(reading))):
         reading, decisions = best, [each.by_scores() for each in decisions]
-    odd: list[str] = []
+    more: list[str] = []
     usual = reading.shift == next(iter(choices.shifts.values()))
-    sigmas = _ODD_SIGMAS if usual else offset.NEAR_SIGMAS
-    if abs(place - reading.shift) > max(sigmas * sigma, _ODD_SWEEPS * sweep):
-        reading, decisions, odd = _measured(scorer, reading, decisions, choices, place, sigma)
-    warnings = [each.warning for each in decisions if each.warning] + odd
+    sigmas = _SIGNIFICANT_SIGMAS if usual else offset.NEAR_SIGMAS
+    if abs(place - reading.shift) > max(sigmas * sigma, _SIGNIFICANT_SWEEPS * sweep):
+        reading, decisions, more = _measured(scorer, reading, decisions, choices, place, sigma)
+    warnings = [each.warning for each in decisions if each.warning] + more
     thick, floor = _thickness(scorer, reading)
     words = f"{100 * thick:.1f} cm off at best, {100 * floor:.1f} cm within single scans"
     mend = "check that the odometry is of this recording, and its clock, unit (m) and calibration"
@@ -202,11 +202,17 @@ def _measured(
     other = reading.answered("time", shift)
     size = f"{1000 * shift:+.0f} ms (+- {1000 * sigma:.0f}) after their stamps"
     if not scorer.score(other) < scorer.score(reading):
-        return reading, decisions, [f"time: poses seem to hold {size}, but scans lie no closer by that"]
+        return (
+            reading,
+            decisions,
+            [
+                f"time: the data suggest that poses hold {size}, but that does not improve the fit: not applied"
+            ],
+        )
     if "time" in choices.said:
-        words = f"time: scans lie closest with poses that hold {size}; --convention time={shift} takes that"
+        words = f"time: scans lie closest with poses that hold {size}; --convention time={shift} applies that"
         return reading, decisions, [words]
-    words = f"time: poses hold {size}, which is no usual convention: that is taken, as measured"
+    words = f"time: poses hold {size}, which is no usual convention: applied"
     return other, [*decisions[:-1], decisions[-1].measured(f"{shift:+.4f}", scorer.score(other), words)], []
 
 
@@ -214,7 +220,7 @@ def _thickness(scorer: Scorer, reading: Reading) -> tuple[float, float]:
     """m: how far pairs of scans are from each other, and points of single scans from the planes of the others there."""
     if not scorer.pairs:
         return float("nan"), float("nan")
-    lidar = lidar_track(scorer.odometry, reading, scorer.mounts)
+    lidar = lidar_track(scorer.odometry, reading, scorer.extrinsics)
     floors = [thickness.floor(one.in_world(lidar, reading.points == "deskewed")) for one, _ in scorer.pairs]
     return scorer.score(reading), float(np.mean(floors))
 

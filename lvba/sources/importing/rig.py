@@ -1,4 +1,4 @@
-"""How the sensors are mounted, and the camera: from files that are given, the source's own, and what drivers publish."""
+"""Extrinsics of the sensors, and the camera: from files that are given, the source's own, and what drivers publish."""
 
 from dataclasses import dataclass, field, replace
 
@@ -83,8 +83,8 @@ def gather(
 
 
 def _with_imu(facts: RigFacts, survey: Survey) -> RigFacts:
-    """The same with the mounting of the IMU: the body of a calibration is the IMU, that of transforms may be another
-    frame; one frame for two sensors is one mounting."""
+    """The same with the extrinsic of the IMU: the body of a calibration is the IMU, that of transforms may be another
+    frame; one frame for two sensors is one extrinsic."""
     if survey.imu is None:
         return facts
     where = facts.origins.get("body_from_lidar", "")

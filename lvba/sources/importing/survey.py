@@ -25,11 +25,11 @@ from lvba.sources.source import (
 )
 
 _SEGMENT_S = 2.0
-"""Samples are taken at the begin of such pieces of time; twice as long ones as often as there are too many."""
+"""Samples are taken at the start of such pieces of time; twice as long ones as often as there are too many."""
 _MOST_SEGMENTS = 48
 _SCANS_AT = (0.0, 0.1, 0.3, 0.6, 1.0, 1.5)
 _IMAGES_AT = (0.0, 0.4, 0.8, 1.2)
-"""s after the begin of a segment."""
+"""s after the start of a segment."""
 _POINTS = 6000
 _LEAST_RANGE_M = 0.3
 _IMAGE_WIDTH = 640

@@ -118,6 +118,6 @@ def _texts(dataset: Dataset, out: Path, scans: list[int], images: list[int], wan
     camera = dataset.camera if wanted[1] else None
     extrinsic = np.asarray(dataset.camera_from_scan @ body_from_lidar) if wanted[1] else None
     more = {image_poses.KEY: dataset.image_poses} if wanted[1] else None
-    mounted = dataset.scan_from_imu if dataset.imu_path else None
-    config = calibration.recording_text(camera, body_from_lidar, extrinsic, more, mounted)
+    scan_from_imu = dataset.scan_from_imu if dataset.imu_path else None
+    config = calibration.recording_text(camera, body_from_lidar, extrinsic, more, scan_from_imu)
     files.write_text(out / "config.yaml", config)

@@ -11,7 +11,7 @@ from lvba.arrays import Poses, Times
 MAX_GAP_S = 0.5
 """Poses further apart are not interpolated between."""
 _CONTINUED, _CONTINUED_S = 0.1, 0.02
-"""Part of the usual time from pose to pose, and most, s, by which the motion goes on beyond the first and last pose."""
+"""Part of the usual time from pose to pose, and most, s, by which the motion continues beyond the first and last pose."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Track:
         return float(self.times[0] - before), float(self.times[-1] + after)
 
     def at(self, times: Times) -> np.ndarray:
-        """Poses (Q, 4, 4) at times (Q,) s, on the screw motion between neighbors, that goes on until `ends`."""
+        """Poses (Q, 4, 4) at times (Q,) s, on the screw motion between neighbors, that continues until `ends`."""
         before, _ = trajectory.bracket(self.times, times)
         after = np.minimum(before + 1, len(self) - 1)
         start, step = self.times[before], self.times[after] - self.times[before]

@@ -9,7 +9,7 @@ from scipy import special
 from lvba.sources.odometry.registration import OPEN, SURPRISING, Step
 
 _WARM_UP = 10
-"""Scans at the begin: speed, gravity and biases are not known yet."""
+"""Scans at the start: speed, gravity and biases are not known yet."""
 _BRIDGED_S = {True: 1.25, False: 0.25}
 """From the last scan before to the first one after: how long the prediction alone may hold a direction, with an IMU that
 feels accelerations, and without. Then half of `prediction._ACCELERATION` by the time squared is 6 cm."""

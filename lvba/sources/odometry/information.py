@@ -9,7 +9,7 @@ _ENOUGH, _LARGER = 40, 4
 _LEAST_SIGMA_M = 0.002
 _FLAT = 0.1
 """Smallest over middle eigenvalue of a plane's points, at most."""
-_LOOSE_RAD = 0.1
+_UNCERTAIN_RAD = 0.1
 """A normal that its points leave freer than this is not used: they lie along a line, as those of a single beam do."""
 
 
@@ -28,9 +28,9 @@ def of_planes(points: Vectors, cell: float) -> np.ndarray:
     # of few points, a thickness may be small by chance: no plane is thinner than the usual one
     thickness = np.maximum(thickness, np.median(thickness))
     scatter = thickness[:, None] / (counts[:, None] * np.maximum(values[:, 1:], 1e-12))
-    # what a loose normal tells is mostly noise, and what is subtracted for it is as uncertain: in a street, single
+    # what an uncertain normal tells is mostly noise, and what is subtracted for it is as uncertain: in a street, single
     # beams on the ground would take away all that surfaces across it tell
-    weight = counts / np.maximum(thickness, _LEAST_SIGMA_M**2) * (scatter[:, 0] < _LOOSE_RAD**2)
+    weight = counts / np.maximum(thickness, _LEAST_SIGMA_M**2) * (scatter[:, 0] < _UNCERTAIN_RAD**2)
     total = _squares(means, vectors[:, :, 0], weight)
     for axis in (1, 2):
         total -= _squares(means, vectors[:, :, axis], weight * scatter[:, axis - 1])

@@ -11,7 +11,7 @@ from lvba.sources.odometry.sweeps import Inertial, Sweep
 _TURN_ACCELERATION, _ACCELERATION = 4.0, 2.0
 """rad/s^2 and m/s^2: how hands and vehicles change a motion until the next scan, one standard deviation."""
 _GYROSCOPE_RAD = 0.002
-"""Turn between two scans by the gyroscope, one standard deviation: its noise, its bias and its mounting."""
+"""Turn between two scans by the gyroscope, one standard deviation: its noise, its bias and its extrinsic."""
 _FORCE_SIGMA = 0.5
 """m/s^2, of an acceleration by the IMU: attitude, bias and lever arm."""
 _FIRST_TURN, _FIRST_SPEED = 1.0, 20.0

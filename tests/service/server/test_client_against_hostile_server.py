@@ -188,8 +188,8 @@ def longer(to):
 @pytest.mark.parametrize(
     ("answer", "said"),
     [
-        (b"other", "has not the digest"),
-        (b"x", "has not the size"),
+        (b"other", "does not have the digest"),
+        (b"x", "does not have the size"),
         (longer, "is longer than was announced"),
         (lambda to: to.answer(b"oops", 500), "answered 500"),
         (lambda to: to.answer(b"right", 200, Content_Encoding="gzip"), "no lvba server would"),

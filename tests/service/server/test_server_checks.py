@@ -44,8 +44,8 @@ def test_what_is_wrong_is_told_with_its_place_and_the_mend(service, tiny_recordi
         ('{"path": "../../etc/passwd"}', ".."),
         ('{"path": "/etc/passwd"}', "passwd"),
         ('{"path": "a"}\n{"path": "a/b"}', "as a file and as a folder"),
-        ("[1, 2]", "holds a line that is none"),
-        ("\xff\x00", "holds a line that is none"),
+        ("[1, 2]", "has an invalid line"),
+        ("\xff\x00", "has an invalid line"),
         ("", "DATASET"),
     ],
 )

@@ -35,7 +35,7 @@ def address_of(service):
 
 
 def half_requests(service, count, stack):
-    """Connections that begin a request, and do not go on."""
+    """Connections that begin a request, and do not continue."""
     lines = []
     for _ in range(count):
         line = stack.enter_context(socket.create_connection(address_of(service), timeout=20))
@@ -181,7 +181,7 @@ def test_client_that_does_not_read_is_sent_away(hurried):
             while time.monotonic() < end:
                 line.sendall(request)
                 time.sleep(0.01)
-            raise AssertionError("it may go on for ever")
+            raise AssertionError("it may continue for ever")
 
 
 class Client:

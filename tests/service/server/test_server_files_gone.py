@@ -1,4 +1,4 @@
-"""Files of a job that disappear while it runs, or change after it: the job says so, and the queue goes on."""
+"""Files of a job that disappear while it runs, or change after it: the job says so, and the queue continues."""
 
 import io
 import os
@@ -9,7 +9,7 @@ import pytest
 from real_server import Service, ended, submit, until, upload
 from test_server_faults import job_processes, runs
 
-# what is gone, and what a job may be then: it goes on where nothing is lost by it
+# what is gone, and what a job may be then: it continues where nothing is lost by it
 VICTIMS = {
     ("log.txt", "config.yaml", "out/stages/.lock"): ("done",),
     ("events-1.jsonl", ".lock", "results.json"): ("done",),
@@ -110,7 +110,7 @@ def test_job_and_dataset_that_cannot_be_begun_fail_and_hold_up_nobody(wounded):
         service.http.post(f"/v1/jobs/{first}/cancel").raise_for_status()
     found = ended(service.http, job)
     assert (found["state"], found["error"]["code"]) == ("failed", "files")
-    assert found["error"]["cause"].startswith("it could not be begun: DATA/jobs/")
+    assert found["error"]["cause"].startswith("the job could not be started: DATA/jobs/")
 
 
 @pytest.fixture

@@ -56,9 +56,9 @@ def test_a_missing_part_is_told_before_anything_is_sent(service, bags):
 @pytest.mark.parametrize(
     ("body", "words"),
     [
-        (b"\xff\xff\n", "the list of files: is none"),
-        (b'{"files": [{"path": "a.bag", "size": 10, "pieces": [[5, 20]]}]}\n', "is none"),
-        (b'{"files": [{"path": "a.bag", "size": 99999999999999999, "pieces": []}]}\n', "is none"),
+        (b"\xff\xff\n", "the list of files: is invalid"),
+        (b'{"files": [{"path": "a.bag", "size": 10, "pieces": [[5, 20]]}]}\n', "is invalid"),
+        (b'{"files": [{"path": "a.bag", "size": 99999999999999999, "pieces": []}]}\n', "is invalid"),
         (b'{"files": [{"path": "../a.bag", "size": 1, "pieces": []}]}\n', "plain relative path"),
         (
             b'{"files": [{"path": "a.bag", "size": 9, "pieces": [[0, 9]]}]}\nno bag at ',
