@@ -154,11 +154,11 @@ def _in_gaps(times: Times) -> np.ndarray:
     first = np.clip(np.arange(-1, count - 2), 0, count - 4)
     used = times[first[:, None] + np.arange(4)]
     middle = (times[:-1] + times[1:]) / 2
-    between = np.abs(np.prod(middle[:, None] - used, axis=1))
+    halfway = np.abs(np.prod(middle[:, None] - used, axis=1))
     inner = np.arange(2, count - 2)
     left_out = np.abs(np.prod(times[inner, None] - times[inner[:, None] + [-2, -1, 1, 2]], axis=1))
     left_out = np.pad(left_out, 2, mode="edge")
-    more = between / (_USUAL * np.maximum(left_out[:-1], left_out[1:]))
+    more = halfway / (_USUAL * np.maximum(left_out[:-1], left_out[1:]))
     return np.asarray(np.where(more > _GAP, more, 1.0))
 
 

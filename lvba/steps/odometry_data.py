@@ -7,6 +7,7 @@ import numpy as np
 
 from lvba.arrays import Poses
 from lvba.dataset import Dataset
+from lvba.lidar.bundle_adjustment import odometry_dependent_steps
 from lvba.loop_closure.rough_poses import RoughError
 from lvba.steps import trajectory_jumps
 from lvba.steps.outcomes import Accepted, LidarStage, VisualStage
@@ -31,8 +32,19 @@ def of_odometry(
         "jumps_m": rough.meters,
         "jumps_deg": rough.degrees,
         "unconfirmed_after": rough.without(surfaces).without(_tied(dataset, accepted, visual)).after,
+        "pauses_after": _pauses(dataset, accepted, lidar, visual),
         "too_far_off": lidar.rough_error and _too_far_off(lidar.rough_error, by_images, len(poses)),
     }
+
+
+def _pauses(dataset: Dataset, accepted: Accepted, lidar: LidarStage, visual: VisualStage) -> np.ndarray:
+    """(K,) int64, scans after which the recording stood still for long, and neither surfaces nor images say how the next is
+    to it."""
+    if lidar.result is None:
+        return np.zeros(0, np.int64)
+    steps = odometry_dependent_steps(lidar.result.odometry_dependence, lidar.result.degenerate_scans)
+    open_steps = steps[trajectory_jumps.pauses(np.diff(dataset.scans.times))[steps]]
+    return np.setdiff1d(open_steps, _tied(dataset, accepted, visual))
 
 
 def _too_far_off(error: RoughError, confirmed: np.ndarray, scans: int) -> dict[str, Any]:

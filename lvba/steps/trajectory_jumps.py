@@ -54,8 +54,8 @@ def find(trajectory: Trajectory) -> Jumps:
     judged = slice(_NEIGHBORS, len(meters) - _NEIGHBORS)
     for size, least in ((meters, LEAST_M), (degrees, np.maximum(LEAST_DEG, _swings(trajectory)))):
         ordinary = _ORDINARY * np.median((size / interval)[judged]) * interval
-        jumps.append(np.where((size > np.maximum(ordinary, least)) & ~_pauses(interval), size, 0.0))
-    jumps[0] = np.where(_aside(trajectory) & ~_pauses(interval), meters, jumps[0])
+        jumps.append(np.where((size > np.maximum(ordinary, least)) & ~pauses(interval), size, 0.0))
+    jumps[0] = np.where(_aside(trajectory) & ~pauses(interval), meters, jumps[0])
     after = np.flatnonzero((jumps[0] > 0) | (jumps[1] > 0))
     return Jumps(after, jumps[0][after], jumps[1][after])
 
@@ -80,7 +80,7 @@ def _aside(trajectory: Trajectory) -> np.ndarray:
     )
 
 
-def _pauses(interval: np.ndarray) -> np.ndarray:
+def pauses(interval: np.ndarray) -> np.ndarray:
     """(N - 1,) bool: times (N - 1,) s between frames in which the recording stood still."""
     return np.asarray(interval > max(_PAUSE_S, _ORDINARY * float(np.median(interval))))
 

@@ -202,6 +202,13 @@ def _odometry(figures: Figures) -> Iterator[Reason]:
                 f"{words}.",
                 "Look at the map on both sides of the jump; if surfaces are double there, cut the recording in two.",
             )
+    if figures.open_pauses:
+        yield Reason(
+            "The recording paused, and neither surfaces nor images determine the motion meanwhile, after "
+            f"{_scans(figures.open_pauses)}: the odometry alone does.",
+            "Look at the map on both sides of the pause; cut the recording there if surfaces are double.",
+            more=True,
+        )
     if figures.odometry_dependent_steps:
         yield Reason(
             f"{figures.odometry_dependent_steps} motions from scan to scan depend on the odometry alone: scans "

@@ -146,6 +146,7 @@ def _rough_poses(odometry: Facts) -> dict[str, Any]:
         "jumps": len(odometry.get("jumps_after") or []),
         "jump_m": max(odometry.get("jumps_m") or [0.0]),
         "jump_deg": max(odometry.get("jumps_deg") or [0.0]),
+        "open_pauses": tuple(odometry.get("pauses_after") or ()),
         "unconfirmed_jumps": tuple(renamed_facts.value(odometry, "unconfirmed_after") or ()),
     }
 

@@ -71,7 +71,8 @@ class Figures:
         how much from scan to scan; open_steps, left_steps: motions between scans that this left open and images do not
         confirm, and that are wrong in the result; unconnected_ends: scans at the ends that only an open motion ties
     jumps: frames after which the rough poses jump; jump_m, jump_deg: by at most; unconfirmed_jumps: those where
-        neither surfaces nor images determine the motion
+        neither surfaces nor images determine the motion; open_pauses: frames after which the recording paused, and
+        only the odometry determines the motion meanwhile
     extrinsic_sigmas: by how many standard deviations the extrinsic found differs from the calibrated one
     scale: of the reference over the result; None: there is no reference
     input_fits: None: the input's poses are not as good as what was refined, or something speaks against both
@@ -110,6 +111,7 @@ class Figures:
     jump_m: float = 0.0
     jump_deg: float = 0.0
     unconfirmed_jumps: tuple[int, ...] = ()
+    open_pauses: tuple[int, ...] = ()
     extrinsic_sigmas: float | None = None
     extrinsic_m: float = 0.0
     extrinsic_deg: float = 0.0
