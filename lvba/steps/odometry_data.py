@@ -38,8 +38,8 @@ def of_odometry(
 
 
 def _pauses(dataset: Dataset, accepted: Accepted, lidar: LidarStage, visual: VisualStage) -> np.ndarray:
-    """(K,) int64, scans after which the recording stood still for long, and neither surfaces nor images say how the next is
-    to it."""
+    """(K,) int64, scans after which the recording paused, and neither surfaces nor images determine the motion to the
+    next."""
     if lidar.result is None:
         return np.zeros(0, np.int64)
     steps = odometry_dependent_steps(lidar.result.odometry_dependence, lidar.result.degenerate_scans)

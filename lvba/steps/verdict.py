@@ -23,6 +23,10 @@ UNCERTAIN = 3.0
 """Times the median expected error above which a frame counts as uncertain."""
 _UNSURE = 3.0
 """Standard deviations of the calibrated extrinsic by which the one found may differ from it."""
+_LATE_S = 0.06
+"""s: stamps of cameras that are off by more are wrong: three times what recordings are supposed to be good for."""
+_FEW_PATCHES = 15
+"""Pairs of patches per image that chance may choose: of images in the wrong order, 6; textured scenes have hundreds."""
 _OF_EXPECTED = 0.05
 """Part of the expected error that scans may still move by."""
 _WORSE = 1.1
@@ -279,6 +283,24 @@ def _converged(figures: Figures) -> Iterator[Reason]:
         )
 
 
+def _clock(figures: Figures) -> Iterator[Reason]:
+    if abs(figures.late_s) > _LATE_S:
+        yield Reason(
+            f"By the clock of the LiDAR, images were taken {1e3 * abs(figures.late_s):.0f} ms "
+            f"{'after' if figures.late_s > 0 else 'before'} their stamps; the cameras are corrected for it.",
+            "Correct the stamps by as much and run again; check that each image has its own stamp.",
+        )
+
+
+def _patches(figures: Figures) -> Iterator[Reason]:
+    if figures.patches_per_image is not None and figures.patches_per_image < _FEW_PATCHES:
+        yield Reason(
+            f"Only {figures.patches_per_image:.0f} pairs of patches per image look alike: chance may have chosen them.",
+            "Check that images belong to their stamps and to this recording, and look at the colors of the map.",
+            more=True,
+        )
+
+
 def _extrinsic(figures: Figures) -> Iterator[Reason]:
     if figures.extrinsic_sigmas is not None and figures.extrinsic_sigmas > _UNSURE:
         yield Reason(
@@ -374,6 +396,8 @@ _RULES: tuple[Callable[[Figures], Iterator[Reason]], ...] = (
     _odometry,
     _frames,
     _converged,
+    _clock,
+    _patches,
     _extrinsic,
     _looks,
 )

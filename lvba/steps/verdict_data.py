@@ -110,6 +110,7 @@ def figures(facts: Facts) -> Figures:
         extrinsic_sigmas=extrinsic.get("sigmas") if visual.get("accepted") is not False else None,
         extrinsic_m=extrinsic.get("change_m") or 0.0,
         extrinsic_deg=extrinsic.get("change_deg") or 0.0,
+        **_images(visual),
         small_losses=tuple(_small_losses(facts, ssim_rose)),
         ssim=None if ssim_rose else ssim,
         thickness=(planes["thickness_before_m"], planes["thickness_after_m"]) if planes else None,
@@ -119,6 +120,15 @@ def figures(facts: Facts) -> Figures:
             lidar, visual, planes, bool(odometry.get("too_far_off")), degenerate_scans + dependent_steps
         ),
     )
+
+
+def _images(visual: Facts) -> dict[str, Any]:
+    """How late images are, and how much ties them, where cameras are used."""
+    observations, keyframes = visual.get("observations"), visual.get("keyframes")
+    if visual.get("accepted") is False or not keyframes:
+        return {}
+    late = (visual.get("time_offset") or {}).get("seconds") or 0.0
+    return {"late_s": late, "patches_per_image": observations and observations / keyframes}
 
 
 def _camera_refined(visual: Facts) -> bool:

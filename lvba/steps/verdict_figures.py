@@ -73,6 +73,8 @@ class Figures:
     jumps: frames after which the rough poses jump; jump_m, jump_deg: by at most; unconfirmed_jumps: those where
         neither surfaces nor images determine the motion; open_pauses: frames after which the recording paused, and
         only the odometry determines the motion meanwhile
+    late_s: how long after their stamps images were taken, by the clock of the LiDAR
+    patches_per_image: pairs of patches that determine cameras; None: no cameras are used
     extrinsic_sigmas: by how many standard deviations the extrinsic found differs from the calibrated one
     scale: of the reference over the result; None: there is no reference
     input_fits: None: the input's poses are not as good as what was refined, or something speaks against both
@@ -115,6 +117,8 @@ class Figures:
     extrinsic_sigmas: float | None = None
     extrinsic_m: float = 0.0
     extrinsic_deg: float = 0.0
+    late_s: float = 0.0
+    patches_per_image: float | None = None
     ssim: tuple[float, float] | None = None
     small_losses: tuple[str, ...] = ()
     thickness: tuple[float, float] | None = None
