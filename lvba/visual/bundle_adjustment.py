@@ -244,7 +244,14 @@ def _turn(
     if prior is not None:
         total = joint(linearization.equations, prior, at.visual)
         gradients = covariance.wall_gradients(problem, linearization, at.photometric, wall_clusters, total)
-    return _Turn(problem, wall_clusters, at, linearization, free, gradients)
+    return _Turn(
+        problem=problem,
+        wall_clusters=wall_clusters,
+        at=at,
+        linearization=linearization,
+        free=free,
+        gradients=gradients,
+    )
 
 
 class _Model:
@@ -349,7 +356,14 @@ def covariance_of(solution: LevelSolution) -> Covariance:
     )
     clusters = covariance.balanced_gradients(gradients, total.shared)
     poses = linear_solver.sandwich(total, clusters, _gradient_variance(prior, at), solution.free)
-    solved = _Turn(problem, solution.wall_clusters, at, linearization, solution.free, gradients)
+    solved = _Turn(
+        problem=problem,
+        wall_clusters=solution.wall_clusters,
+        at=at,
+        linearization=linearization,
+        free=solution.free,
+        gradients=gradients,
+    )
     own = _covariance_of_calibration(solved, prior, total)
     if prior is not None:
         # balanced gradients promise too much of the camera, which turns all images: on a road, a principal point that

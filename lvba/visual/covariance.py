@@ -91,7 +91,14 @@ def wall_gradients(
     reduced = own.copy()
     reduced[:, :6] = bias_reduced(blocks, own[:, :6], walls.image, known)
     by_shared, columns = _by_shared(walls, linearization)
-    return WallGradients(walls, own, reduced, _known_of_images(known), by_shared, columns)
+    return WallGradients(
+        walls=walls,
+        own=own,
+        reduced=reduced,
+        of_images=_known_of_images(known),
+        by_shared=by_shared,
+        columns=columns,
+    )
 
 
 def bias_reduced_gradients(gradients: WallGradients, shared: int) -> csr_matrix:
