@@ -135,10 +135,11 @@ def report(
             VISUAL: State(refined.without(moving), claimed),
         }
         blank = _blank(dataset)
-        judged = evaluation.judged_images(len(views), blank, config.evaluate.max_images)
-        scores = evaluation.evaluate(
-            states, config.evaluate, held_out=blank, images=np.setdiff1d(judged, blank), progress=progress
-        )
+        judged = _judged(len(views), blank, config.evaluate.max_images)
+        if len(judged):
+            scores = evaluation.evaluate(
+                states, config.evaluate, held_out=blank, images=judged, progress=progress
+            )
     given_verdict = Verdict(True, "given")
     scans = ScanPoses(given.world_from_scan, given_verdict, before.mean, after.mean, after)
     facts: dict[str, Any] = {
@@ -164,6 +165,12 @@ def _claimed(given: Given) -> Views:
         world_from_camera=given.world_from_camera,
         log_exposure=given.log_exposure,
     )
+
+
+def _judged(count: int, blank: np.ndarray, most: int) -> np.ndarray:
+    """The images (J,) int32 that are judged, of so many: at most `most`, none of the blank ones (b,)."""
+    asked = evaluation.judged_images(count, np.zeros(0, np.int32), most)
+    return evaluation.instead_of_blank(asked, blank, (0, count))
 
 
 def _blank(dataset: Dataset) -> np.ndarray:

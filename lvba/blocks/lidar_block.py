@@ -122,6 +122,7 @@ def collect(
     load: numbers of scans -> their points (N, 3) float32, scan frame
     scans: those to look at; world_from_scan: (S, 4, 4) of the whole recording
     size, largest: m, edges of the finest cells and of the coarsest (owned as a whole), powers of two apart
+    Raises InputError: the grid does not reach over all these scans (`voxel_map.grid_origin`).
     """
     levels = round(np.log2(largest / size))
     poses = grid_from_world @ world_from_scan[scans]

@@ -30,6 +30,8 @@ REGION_POINTS = 2e6
 NEAR_M = 8.0
 """Frames that other parts took within this distance of a part's path join it in the joint visual bundle adjustment, so
 that places seen again tie poses and exposures."""
+_PAUSE = 3.0
+"""Ten scans that reach over so many times the core are before and after a pause, or a jump of the path."""
 LEAST_OVERLAP = 3
 """Scans that neighboring parts must share at least: from fewer no relative pose can be trusted."""
 
@@ -219,9 +221,9 @@ def parts(dataset: Dataset, config: SplitConfig, load: Load) -> list[Part]:
     _check_cores(bounds)
     cut = []
     for number, (begin, end) in enumerate(pairwise(bounds)):
-        reach = config.overlap or _default_overlap(position, begin, end)
-        low = int(np.searchsorted(position, position[begin] - reach, side="left"))
-        high = int(np.searchsorted(position, position[end - 1] + reach, side="right"))
+        back, on = (config.overlap,) * 2 if config.overlap else _default_overlaps(position, begin, end)
+        low = int(np.searchsorted(position, position[begin] - back, side="left"))
+        high = int(np.searchsorted(position, position[end - 1] + on, side="right"))
         cut.append(_part(dataset, number, (low, high), (begin, end)))
     _check_overlaps(cut, config)
     return cut
@@ -316,7 +318,28 @@ def _cuts(dataset: Dataset, config: SplitConfig, load: Load, position: np.ndarra
         return _equal(scans, _parts_for_memory(dataset, config, load))
     total = scans if config.by == "count" else position[-1]
     count = max(1, round(total / config.size))
-    return [int(np.searchsorted(position, total * k / count)) for k in range(count)]
+    first = [int(np.searchsorted(position, total * k / count)) for k in range(count)]
+    return _joined(sorted(set(first)), position)
+
+
+def _joined(first: list[int], position: np.ndarray) -> list[int]:
+    """The first scan of each core where cores of too few scans, as about a pause, are part of the nearer neighbor.
+
+    As given where cores of too few are the usual: then parts are too short.
+    """
+    bounds = [*first, len(position)]
+    if np.median(np.diff(bounds)) < FEWEST_SCANS:
+        return first
+    while len(bounds) > 2 and (sizes := np.diff(bounds)).min() < FEWEST_SCANS:
+        short = int(sizes.argmin())
+        gaps = [_gap(position, bound) for bound in bounds[short : short + 2]]
+        del bounds[short + int(gaps[1] < gaps[0])]
+    return bounds[:-1]
+
+
+def _gap(position: np.ndarray, bound: int) -> float:
+    """How far the scans on either side of a bound are apart; inf at the ends of the recording."""
+    return float(position[bound] - position[bound - 1]) if 0 < bound < len(position) else math.inf
 
 
 def _equal(scans: int, count: int) -> list[int]:
@@ -340,15 +363,17 @@ def _parts_for_memory(dataset: Dataset, config: SplitConfig, load: Load) -> int:
     )
 
 
-def _default_overlap(position: np.ndarray, begin: int, end: int) -> float:
-    """A quarter of the core, and at least 10 scans, along `position`."""
+def _default_overlaps(position: np.ndarray, begin: int, end: int) -> tuple[float, float]:
+    """How far a part reaches back and on: a quarter of the core, and at least 10 scans on either side, along `position`;
+    where there is a pause, as far as that on its own side only."""
     last = len(position) - 1
     core = position[end - 1] - position[begin]
-    ten = max(
-        position[min(end - 1 + 10, last)] - position[end - 1],
-        position[begin] - position[max(begin - 10, 0)],
-    )
-    return float(max(core / 4, ten))
+    if (longest := np.diff(position[begin:end]).max()) > core / 2:
+        core -= longest  # a pause within it
+    on = position[min(end - 1 + 10, last)] - position[end - 1]
+    back = position[begin] - position[max(begin - 10, 0)]
+    both = max([core / 4, *(ten for ten in (back, on) if ten <= _PAUSE * core)])
+    return float(max(both, back)), float(max(both, on))
 
 
 def _check_cores(bounds: list[int]) -> None:

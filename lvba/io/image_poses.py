@@ -40,6 +40,8 @@ FOREIGN_EXTRINSIC = (0.5, 0.01)
 """Standard deviation of the extrinsic, degrees and m, for poses that were not made with the calibration of the
 recording, such as a reference's: an odometry uses the very calibration that is in config.yaml, truth does not."""
 _SAME_FRAME_S = 1e-3
+_NEAR_SCAN_S, _NEAR_SCANS_S, _NEAR_SCANS_DEG = 0.1, 2.0, 45.0
+"""Between scans further apart the body may have been anywhere, unless the image is so near to one of them."""
 
 _STATED = re.compile(r"\bimage_poses: *(body|camera)\b")
 _COMMENTS = {
@@ -94,24 +96,30 @@ def decide(
     default: str = BODY,
     extrinsic_sigma: tuple[float, float] = (0.0, 0.0),
 ) -> Reading:
-    """What the poses are of, decided by the scan poses in the same world.
+    """What the poses are of, decided by the scan poses in the same world: by images near to scans, where there are any.
 
     camera_from_body: (4, 4), the calibrated extrinsic; extrinsic_sigma: degrees and m by which that of
         these poses may differ
     statement, default: what decides where the extrinsic is too small to tell
     where: names the file in errors
-    Raises: InputError if more than `MAX_LEFT_DEG` are left either way.
+    Raises: InputError if more than `MAX_LEFT_DEG` are left either way, of images near to scans.
     """
     times = poses.times
     inside = (times >= scans.times[0]) & (times <= scans.times[-1])
     if not inside.any():
         reason = "no image lies between two scans, so nothing can be compared"
         return _undecided(statement, default, reason, where)
-    carriers, sensors = _carriers(scans, times[inside]), poses.world_from_sensor[inside]
+    near = inside & _near_scans(scans, times)
+    compared = near if near.any() else inside
+    carriers, sensors = _carriers(scans, times[compared]), poses.world_from_sensor[compared]
     extrinsic = geometry.inverse(camera_from_body)
     evidence = _Evidence.of(
         _errors(carriers, sensors), _errors(carriers @ extrinsic, sensors), extrinsic, extrinsic_sigma
     )
+    if (
+        not near.any()
+    ):  # what interpolation misses is no noise that many images would average out, and nobody's mistake
+        return _judge(dataclasses.replace(evidence, images=1), statement, default, where)
     reading = _judge(evidence, statement, default, where)
     left_deg, left_m = evidence.left[reading.kind]
     if left_deg > MAX_LEFT_DEG:
@@ -254,6 +262,17 @@ def _carriers(scans: Trajectory, times: np.ndarray) -> np.ndarray:
     before, fraction = bracket(scans.times, times)
     after = np.minimum(before + 1, len(scans) - 1)
     return geometry.interpolate(scans.world_from_sensor[before], scans.world_from_sensor[after], fraction)
+
+
+def _near_scans(scans: Trajectory, times: np.ndarray) -> np.ndarray:
+    """(N,) bool: times at which interpolated scan poses tell where the body is."""
+    before, fraction = bracket(scans.times, times)
+    after = np.minimum(before + 1, len(scans) - 1)
+    gap = scans.times[after] - scans.times[before]
+    world_from_body = scans.world_from_sensor
+    turn = geometry.rotation_angle_deg(geometry.inverse(world_from_body[before]) @ world_from_body[after])
+    at_scan = gap * np.minimum(fraction, 1 - fraction) <= _NEAR_SCAN_S
+    return np.asarray(at_scan | ((gap <= _NEAR_SCANS_S) & (turn <= _NEAR_SCANS_DEG)))
 
 
 def _errors(expected: np.ndarray, poses: np.ndarray) -> np.ndarray:

@@ -18,6 +18,8 @@ from lvba.lidar.scan import Scans
 
 _LARGEST = 32.0
 """m, no cell is larger."""
+_MARGIN = 100.0
+"""m: scans are at least so far inside of the grid, as their points reach; an eighth of half of a small grid."""
 _MAX_SCANS = 1 << 15
 """Scans are sorted as int16."""
 _SIDES = 2
@@ -105,7 +107,7 @@ def build(
     """The voxel map of the scans at some poses.
 
     world_from_scan: (S, 4, 4); sizes: m, finest first, each twice the one before.
-    Raises InputError where the scans reach further than the grid does.
+    Raises InputError: too many scans, or the grid does not reach over all of them (`grid_origin`).
     """
     if len(scans) > _MAX_SCANS:
         raise InputError(
@@ -151,11 +153,31 @@ def at_origin(grid_from_scan: Poses, origin: Vector) -> np.ndarray:
 
 def grid_origin(positions: Vectors, finest: float) -> np.ndarray:
     """Lowest corner of the grid, (3,) m, on a multiple of the largest cells so that cells do not depend on window and
-    levels."""
+    levels.
+
+    positions: (S, 3) m, of the scans in the grid's frame; finest: m, edge of the finest cells
+    Raises InputError: the grid does not reach over all of them.
+    """
     largest = finest * 2.0 ** np.floor(np.log2(_LARGEST / finest) + 1e-6)
     middle = np.round(0.5 * (positions.min(0) + positions.max(0)) / largest) * largest
     half = np.floor(0.5 * kernel.AXIS_CELLS * finest / largest) * largest
+    within = half - min(_MARGIN, half / 8)
+    if not (np.abs(positions - middle) <= within).all():
+        extent = np.ptp(positions, axis=0).max()
+        raise InputError(
+            "scan poses",
+            f"the path extends by {extent / 1000:.1f} km along an axis, and cells of {finest:g} m only reach over "
+            f"{2 * within / 1000:.1f} km",
+            f"split the recording (--set split.by=length --set split.size={_round_down(within):g}), or correct poses "
+            "that are far from all others",
+        )
     return np.asarray(middle - half)
+
+
+def _round_down(length: float) -> float:
+    """To one digit."""
+    unit = 10.0 ** np.floor(np.log10(length))
+    return float(np.floor(length / unit) * unit)
 
 
 def _starts_of_runs(values: np.ndarray) -> np.ndarray:

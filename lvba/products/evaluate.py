@@ -114,6 +114,20 @@ def judged_images(count: int, held_out: Indices, limit: int) -> np.ndarray:
     return np.union1d(spread, held_out).astype(np.int32)
 
 
+def instead_of_blank(asked: Indices, blank: Indices, among: tuple[int, int]) -> np.ndarray:
+    """The images to judge (K,) int32, ascending: those asked that are not blank, and for each that is, the nearest image
+    that is neither blank nor judged already, while there is one.
+
+    asked: (J,); blank: (b,) images that show nothing; among: half-open range of the images that may be judged
+    """
+    judged = np.setdiff1d(asked, blank).astype(np.int32)
+    others = np.setdiff1d(np.arange(*among, dtype=np.int32), np.union1d(judged, blank))
+    for image in np.intersect1d(asked, blank)[: len(others)]:
+        nearest = others[np.argmin(np.abs(others - image))]
+        judged, others = np.append(judged, nearest), others[others != nearest]
+    return np.sort(judged)
+
+
 def evaluate(
     states: Mapping[str, State],
     config: EvaluateConfig | None = None,

@@ -62,6 +62,28 @@ def of_points(
     return out
 
 
+_STRAY, _STRAY_M = 5.0, 300.0
+"""A point is stray that is further from its scan than so many times what nine tenths of the points are, and than LiDARs
+reach."""
+
+
+def counted(point_map: PointMap, world_from_scan: Poses) -> np.ndarray:
+    """The errors (K,) float32, m, of points that count for the error of the whole map: NaN where not known, and of stray
+    points, which are no part of any surface: a turn moves them by so much that a few of them outweigh all others.
+
+    world_from_scan: (S, 4, 4); the map has errors (`with_error`)
+    """
+    if point_map.error is None or point_map.scan is None or not len(point_map):
+        return np.zeros(0, np.float32)
+    distance = np.empty(len(point_map), np.float32)
+    for low in range(0, len(point_map), _CHUNK):
+        mine = slice(low, low + _CHUNK)
+        arm = point_map.points_world[mine] - world_from_scan[point_map.scan[mine], :3, 3]
+        distance[mine] = np.linalg.norm(arm, axis=1)
+    stray = distance > max(_STRAY_M, _STRAY * float(np.quantile(distance, 0.9)))
+    return np.where(stray, np.float32(np.nan), point_map.error)
+
+
 _LEAST_M, _MOST_M, _BINS = 1e-6, 1e3, 4096
 
 

@@ -98,7 +98,8 @@ def evaluate(
     are. A part that is the whole recording is judged on a few images where these leave no doubt (`is_clear`).
     """
     blank = blank_photos(photos, part.images)
-    core = np.setdiff1d(_judged(images, part, config), blank + np.int32(part.images[0]))
+    asked = _judged(images, part, config)
+    core = evaluation.instead_of_blank(asked, blank + np.int32(part.images[0]), part.core_images)
     if not len(core):
         return {}
     read = ScanReader(points, part.scans[0])
@@ -285,23 +286,20 @@ def choose(
     """Each part that the visual stage and the fusion found, judged by itself: all else is equal on both sides.
 
     Exposures at the camera poses found, and once more at the carried ones where those are not used; cameras with the
-    exposures that are used; fused scans with the cameras and exposures that are used.
+    exposures that are used; fused scans with the cameras and exposures that are used. Without scores nothing is used.
     """
     if visual.result is None:
         nothing = Verdict(False, "input kept", f"{visual.problem}")
         return Choice(CARRIED, nothing, nothing, fused.verdict)
+    if not scores:
+        return _unjudged(fused, config)
     exposures = acceptance.judge_exposures(scores[POSED], scores[VISUAL], config)
     before, after = (EXPOSED, VISUAL) if exposures.accepted else (CARRIED, POSED)
     cameras = acceptance.judge_cameras(scores[before], scores[after], config, visual.result.extrinsic_change)
     if not cameras.accepted:
         exposures = acceptance.judge_exposures(scores[CARRIED], scores[EXPOSED], config)
         state = EXPOSED if exposures.accepted else CARRIED
-        fusion = fused.verdict
-        if fusion.accepted:
-            fusion = Verdict(
-                False, "scans keep the LiDAR result", "the cameras were not accepted", fusion.figures
-            )
-        return Choice(state, cameras, exposures, fusion)
+        return Choice(state, cameras, exposures, _without_cameras(fused.verdict))
     if not fused.verdict.accepted:
         return Choice(after, cameras, exposures, fused.verdict)
     together = FUSED if exposures.accepted else FUSED_POSED
@@ -310,6 +308,22 @@ def choose(
         scan_acceptance.rough_gain(scans), fused.verdict.figures[0], images, config, cameras.figures
     )
     return Choice(together if fusion.accepted else after, cameras, exposures, fusion)
+
+
+def _unjudged(fused: ScanPoses, config: GateConfig) -> Choice:
+    """What is used where every image that could be judged shows nothing: the input, unless the gate is off."""
+    if config.enabled:
+        kept = Verdict(False, "input kept", "no image can be judged (black or clipped)")
+        return Choice(CARRIED, kept, kept, _without_cameras(fused.verdict))
+    unjudged = Verdict(True, "accepted unjudged (gate.enabled is false)")
+    return Choice(FUSED if fused.verdict.accepted else VISUAL, unjudged, unjudged, fused.verdict)
+
+
+def _without_cameras(fusion: Verdict) -> Verdict:
+    """The verdict on fused scans where the cameras are not used."""
+    if not fusion.accepted:
+        return fusion
+    return Verdict(False, "scans keep the LiDAR result", "the cameras were not accepted", fusion.figures)
 
 
 def is_clear(

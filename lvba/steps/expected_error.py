@@ -11,7 +11,7 @@ import numpy as np
 
 from lvba.arrays import PoseBlocks, Poses
 from lvba.lidar.degeneracy import DegenerateDirection
-from lvba.products.map_error import Tally
+from lvba.products.map_error import Tally, counted
 from lvba.products.map_file import PointMap
 from lvba.steps.open_motions import OpenMotions
 from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, VisualStage
@@ -68,6 +68,7 @@ def _known(covariance: np.ndarray) -> np.ndarray:
 def collect(
     expected: Expected,
     pieces: Sequence[Callable[[], PointMap]],
+    world_from_scan: Poses,
     range_noise_m: float | None = None,
     of_ranges_m: float = 0.0,
     along_open_m: float = 0.0,
@@ -76,7 +77,8 @@ def collect(
 ) -> dict[str, Any]:
     """The `expected_error` part of report.json.
 
-    pieces: read the map, one piece at a time; range_noise_m: how far single points are off their surface
+    pieces: read the map, one piece at a time; world_from_scan: (S, 4, 4), that it was made with
+    range_noise_m: how far single points are off their surface
     of_ranges_m: how far scans may be off by errors of ranges that stay in their points
     along_open_m: how far they may be off along motions that planes leave open for all of them
     open_by: images or odometry, by which that is known; open_by_images_m: the same if images are right about these
@@ -84,9 +86,7 @@ def collect(
     """
     tally = Tally()
     for piece in pieces:
-        error = piece().error
-        if error is not None:
-            tally.add(error)
+        tally.add(counted(piece(), world_from_scan))
     return {
         "scans": of_poses(expected.scans),
         "cameras": of_poses(expected.cameras),

@@ -119,7 +119,9 @@ def balanced_gradients(gradients: WallGradients, shared: int) -> csr_matrix:
     degrees off.
     """
     walls = gradients.walls
-    inverse = np.linalg.inv(gradients.of_images)[walls.image]
+    # an image without any cluster may be undetermined
+    unique, where = np.unique(walls.image, return_inverse=True)
+    inverse = np.linalg.inv(gradients.of_images[unique])[where]
     before, after = (
         np.bincount(walls.wall, np.einsum("si,sij,sj->s", each[:, :6], inverse, each[:, :6]))
         for each in (gradients.own, gradients.reduced)

@@ -8,6 +8,7 @@ import pytest
 
 from lvba import geometry
 from lvba.blocks import lidar_block, lidar_joint
+from lvba.errors import InputError
 from lvba.kernels import voxel as kernel
 from lvba.lidar import bundle_adjustment, plane_factor, voxel_map
 from lvba.lidar.config import STAGES, LidarConfig
@@ -62,6 +63,14 @@ def test_every_point_is_in_one_share(world):
     assert sum(each.clusters.count.sum() for each in found) == whole.clusters.count.sum()
     assert whole.clusters.count.sum() == sum(len(scan) for scan in scans)
     assert min(len(each.key) for each in found) > 0
+
+
+def test_scans_further_apart_than_the_grid_reaches_are_an_error(world):
+    scans, _, rough = world
+    far = rough.copy()
+    far[-1, :3, 3] += 30_000.0
+    with pytest.raises(InputError, match="split the recording"):
+        blocks_of(scans, far, 1)
 
 
 @pytest.mark.parametrize("parts", [1, 3])

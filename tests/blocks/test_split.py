@@ -1,5 +1,6 @@
 """Cutting a recording into parts: everything in exactly one core, overlaps as asked for, limits said with numbers."""
 
+import dataclasses
 from itertools import pairwise
 
 import numpy as np
@@ -113,10 +114,60 @@ def test_dense_scans_are_solved_with_fewer_points_each():
 def test_too_short_parts_and_too_little_overlap_are_errors_with_the_numbers():
     with pytest.raises(InputError, match=r"would hold 5 scans of its own; at least 10"):
         parts(recording(), SplitConfig(by="count", size=5), LOAD)
+    with pytest.raises(InputError, match=r"would hold 4 scans of its own; at least 10"):
+        parts(recording(), SplitConfig(by="time", size=2.0), LOAD)
     with pytest.raises(InputError, match=r"would share 2 scans with an overlap of 1; at least 3"):
         parts(recording(), SplitConfig(by="count", size=20, overlap=1), LOAD)
     with pytest.raises(InputError, match=r"0.5 GB hold not even 30 scans"):
         parts(recording(), SplitConfig(memory_gb=0.5), Load(3_000_000, 640 * 480))
+
+
+def paused(*groups, images=150):
+    """A recording of groups of scans, half a second from scan to scan, and 600 s from group to group."""
+    dataset = recording(sum(groups), images)
+    times = np.concatenate(
+        [0.5 * np.arange(n) + start for n, start in zip(groups, _starts(groups), strict=True)]
+    )
+    stamps = np.interp(np.linspace(0, len(times) - 1, images), np.arange(len(times)), times)
+    return dataclasses.replace(
+        dataset,
+        scans=dataclasses.replace(dataset.scans, times=times),
+        images=dataclasses.replace(dataset.images, times=stamps),
+    )
+
+
+def _starts(groups):
+    return np.concatenate([[0.0], np.cumsum([0.5 * (n - 1) + 600.0 for n in groups[:-1]])])
+
+
+@pytest.mark.parametrize("size", [10.0, 20.0, 60.0, 250.0])
+@pytest.mark.parametrize("groups", [(120, 120), (137, 83), (125, 4, 200)])
+def test_recordings_with_pauses_are_split_by_time(groups, size):
+    """Before: `part 3 of 33 would hold 0 scans`."""
+    dataset = paused(*groups)
+    found = parts(dataset, SplitConfig(by="time", size=size), LOAD)
+    assert np.concatenate([np.arange(*part.core_scans) for part in found]).tolist() == list(
+        range(sum(groups))
+    )
+    assert np.concatenate([np.arange(*part.core_images) for part in found]).tolist() == list(range(150))
+    sizes = np.array([np.diff(part.core_scans)[0] for part in found])
+    assert sizes.min() >= split.FEWEST_SCANS
+    assert sizes.max() <= 2 * size / 0.5 + split.FEWEST_SCANS
+    for left, right in pairwise(found):
+        assert left.scans[1] - right.scans[0] >= 12
+    if size < 60.0:
+        held = max(np.diff(part.scans)[0] for part in found)
+        assert held <= 2 * sizes.max() + 20, "a pause beside a part does not make it reach far back"
+
+
+def test_too_few_scans_between_pauses_join_the_nearer_part():
+    dataset = paused(100, 5, 100)
+    times = dataset.scans.times.copy()
+    times[105:] -= 500.0
+    dataset = dataclasses.replace(dataset, scans=dataclasses.replace(dataset.scans, times=times))
+    found = parts(dataset, SplitConfig(by="time", size=60.0), LOAD)
+    assert 105 not in [part.core_scans[0] for part in found]
+    assert 100 in [part.core_scans[0] for part in found]
 
 
 @pytest.mark.parametrize(

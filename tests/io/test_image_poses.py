@@ -246,3 +246,57 @@ def test_results_of_versions_that_said_nothing_hold_the_camera_s(tmp_path: Path)
     bodies = dataclasses.replace(dataset, image_poses=BODY)
     read = result_folder.read_cameras(tmp_path, bodies)
     np.testing.assert_allclose(read.world_from_sensor, dataset.images.world_from_sensor, atol=2e-9)
+
+
+EXTRINSIC = small_recording.camera_from_body()
+
+
+def by_hand(times: np.ndarray) -> np.ndarray:
+    """World from body, (N, 4, 4), of a sensor swung by half a radian while it is carried round, a turn in 60 s."""
+    zero = np.zeros_like(times)
+    turned = geometry.exp(np.stack([zero, zero, 0.1 * times, zero, zero, zero], axis=1))
+    swung = geometry.exp(
+        np.stack([0.5 * np.sin(1.3 * times), 0.5 * np.sin(1.7 * times), zero, zero, zero, zero], axis=1)
+    )
+    poses = turned @ swung
+    poses[:, :3, 3] = 5 * np.stack([np.sin(0.1 * times), np.cos(0.1 * times), zero], axis=1)
+    return poses
+
+
+def decided(scan_times, image_times, kind, extrinsic=EXTRINSIC, mistake=lambda poses: poses, statement=None):
+    """What is decided of right poses of a kind, or of poses with a mistake."""
+    images = image_poses.from_camera(by_hand(image_times) @ geometry.inverse(extrinsic), kind, extrinsic)
+    return image_poses.decide(
+        Trajectory(image_times, mistake(images)), Trajectory(scan_times, by_hand(scan_times)),
+        extrinsic, statement or image_poses.Statement(), "poses.txt",
+    )  # fmt: skip
+
+
+FAR_APART = np.arange(0.0, 65.0, 16.0)
+IN_A_PAUSE = np.concatenate([np.arange(0.0, 4.0, 0.2), np.arange(60.0, 64.0, 0.2)])
+EVERY_HALF_SECOND = np.arange(0.37, 63.0, 0.5)
+
+
+@pytest.mark.parametrize("kind", [CAMERA, BODY])
+@pytest.mark.parametrize("scan_times", [FAR_APART, IN_A_PAUSE], ids=["far apart", "one pause"])
+def test_right_poses_between_scans_far_apart_are_not_refused(scan_times, kind):
+    """Before: `image poses and scan poses disagree by 34.2 degrees`."""
+    found = decided(scan_times, EVERY_HALF_SECOND, kind)
+    assert (found.kind, found.warnings) == (kind, ())
+
+
+@pytest.mark.parametrize("kind", [CAMERA, BODY])
+def test_between_scans_far_apart_a_small_extrinsic_is_not_decided_by_chance(kind):
+    small = geometry.exp(np.array([0.1, -0.1, 0.05, 0.1, 0.05, 0.1]))
+    found = decided(FAR_APART, EVERY_HALF_SECOND, kind, small)
+    assert found.kind == BODY
+    assert any("say `image_poses: body`" in warning for warning in found.warnings)
+    stated = decided(FAR_APART, EVERY_HALF_SECOND, kind, small, statement=image_poses.Statement(kind, "it"))
+    assert (stated.kind, stated.warnings) == (kind, ())
+    assert decided(IN_A_PAUSE, EVERY_HALF_SECOND, kind, small).kind == kind, "images before and after tell"
+
+
+def test_images_taken_with_scans_far_apart_show_mistakes():
+    assert decided(FAR_APART, FAR_APART + 0.02, CAMERA).kind == CAMERA
+    with pytest.raises(InputError, match="w first"):
+        decided(FAR_APART, FAR_APART + 0.02, CAMERA, mistake=_w_first)

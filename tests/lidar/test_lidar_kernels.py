@@ -7,6 +7,7 @@ import pytest
 import scipy.linalg
 
 from lvba import geometry
+from lvba.errors import InputError
 from lvba.kernels import lidar as kernel
 from lvba.kernels import point_cluster, voxel
 from lvba.lidar import (
@@ -105,6 +106,28 @@ def test_transform_against_the_points():
     expected = naive.cluster(geometry.transform_points(pose[0], sets[2]))
     np.testing.assert_allclose(moved.mean[2], expected[1], rtol=1e-12)
     np.testing.assert_allclose(moved.scatter[2], expected[2], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(("size", "longest"), [(0.25, 16_000.0), (0.0625, 3_800.0)])
+def test_a_path_longer_than_the_grid_is_an_error_that_names_both(size, longest):
+    """Before, points of the outermost scans were in no cell, and nobody was told."""
+    clouds = [np.random.default_rng(8).uniform(-20, 20, size=(50, 3)).astype(np.float32)] * 6
+    poses = np.tile(np.eye(4), (6, 1, 1))
+    poses[:, 1, 3] = np.linspace(0, longest, 6) - 321.0
+    clouds[2] = np.vstack([clouds[2], [[9e4, 0, 0]]]).astype(np.float32)
+    points = gather(clouds)
+    pair = voxel_map.build(points, poses, (size,)).pair
+    assert np.count_nonzero(pair < 0) == 1, "a stray point is no scan"
+    poses[:, 1, 3] *= 1.2
+    with pytest.raises(InputError, match=rf"extends by {1.2 * longest / 1000:.1f} km .* cells of {size} m"):
+        voxel_map.build(points, poses, (size,))
+    first = gather(clouds[:3])
+    assert np.count_nonzero(voxel_map.build(first, poses[:3], (size,)).pair < 0) == 1, "a part of it fits"
+
+
+def test_small_cells_about_one_place_need_no_margin():
+    cloud = np.random.default_rng(9).uniform(-2, 2, size=(50, 3)).astype(np.float32)
+    assert (voxel_map.build(gather([cloud]), np.eye(4)[None], (0.005,)).pair >= 0).all()
 
 
 def test_every_level_holds_the_clusters_of_its_cells_and_scans():

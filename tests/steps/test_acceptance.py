@@ -346,6 +346,16 @@ def test_nothing_to_judge_by():
     assert verdicts(**single) == (False, False, CARRIED)
 
 
+def test_without_an_image_that_can_be_judged_the_input_is_kept():
+    """Before, the gate ended in a KeyError."""
+    found = evaluate_steps.choose({}, *judged(fused=BASE + 2)[1:])
+    assert (found.state, found.cameras.accepted, found.exposures.accepted) == (CARRIED, False, False)
+    assert "no image can be judged" in found.cameras.reason
+    assert not found.fusion.accepted
+    unjudged = evaluate_steps.choose({}, *judged(fused=BASE + 2, config=GateConfig(enabled=False))[1:])
+    assert (unjudged.state, unjudged.cameras.accepted) == (FUSED, True)
+
+
 def test_switched_off_everything_is_accepted():
     config = GateConfig(enabled=False)
     found = choose(exposed=BASE - 1, posed=BASE - 1, visual=BASE - 2, fused=BASE - 5, config=config)

@@ -11,6 +11,8 @@ from lvba.blocks import decoded_images
 from lvba.io.dataset import open_dataset
 from lvba.io.images import read_image, write_image
 from lvba.pipeline import Config
+from lvba.products.evaluate import EvaluateConfig, instead_of_blank
+from lvba.steps.acceptance import VISUAL
 
 BLANK = 7
 
@@ -33,26 +35,53 @@ def store():
 
 
 @pytest.fixture(scope="module", params=[0, 255], ids=["black", "clipped"])
-def runs(request, recording, store, tmp_path_factory):
-    """Artifacts by the name of their steps, of the recording, and with one image blank."""
+def blanked(request, recording, tmp_path_factory):
+    """The recording with one image blank."""
     folder = tmp_path_factory.mktemp("blank") / "street"
     shutil.copytree(recording, folder)
     path = Path(open_dataset(folder).image_paths[BLANK])
     write_image(path, np.full_like(read_image(path), request.param))
-    made = []
-    for each in (recording, folder):
-        work = pipeline.refine(open_dataset(each), Config())
-        plan.run(work, store)
-        made.append({step.name: store[key] for key, step in work.steps.items()})
-    return made
+    return folder
+
+
+def run(folder, store, config):
+    """Artifacts by the name of their steps."""
+    work = pipeline.refine(open_dataset(folder), config)
+    plan.run(work, store)
+    return {step.name: store[key] for key, step in work.steps.items()}
+
+
+@pytest.fixture(scope="module")
+def runs(recording, blanked, store):
+    """Artifacts by the name of their steps, of the recording, and with one image blank."""
+    return [run(folder, store, Config()) for folder in (recording, blanked)]
 
 
 def test_a_blank_image_is_not_judged_and_its_neighbors_are_predicted_as_well(runs):
     """Before, points near it had its black or white, and its neighbors lost up to 10 dB."""
-    clean, blank = (run["evaluate-result"]["visual"] for run in runs)
+    clean, blank = (made["evaluate-result"][VISUAL] for made in runs)
     assert BLANK not in blank.images
     assert set(clean.images) - set(blank.images) == {BLANK}
     others = np.isin(clean.images, blank.images)
     lost = clean.per_image["psnr_leave_one_out"][others] - blank.per_image["psnr_leave_one_out"]
     assert lost.max() < 2.0
-    assert all(run["visual-gate"].cameras.accepted for run in runs)
+    assert all(made["visual-gate"].cameras.accepted for made in runs)
+
+
+def test_of_few_images_to_judge_another_one_is_judged_instead_of_a_blank_one(recording, blanked, store):
+    few = Config(evaluate=EvaluateConfig(max_images=10))
+    clean, blank = (run(folder, store, few)["evaluate"][VISUAL].images for folder in (recording, blanked))
+    assert len(blank) == len(clean) == 10
+    assert set(clean) ^ set(blank) == {BLANK, BLANK - 1}
+
+
+def test_each_blank_image_is_replaced_by_the_nearest_one_that_shows_something():
+    def judged(asked, blank, among):
+        return list(instead_of_blank(np.array(asked, np.int32), np.array(blank, np.int32), among))
+
+    assert judged([2, 5], [], (0, 8)) == [2, 5]
+    assert judged([0], [0, 1], (0, 8)) == [2]
+    assert judged([2, 5], [5, 6], (0, 8)) == [2, 4]
+    assert judged([0, 3], [0, 3], (0, 4)) == [1, 2]
+    assert judged([0, 1, 2], [1], (0, 3)) == [0, 2], "there is no other"
+    assert judged([4], [4, 5], (4, 6)) == [], "others are of another part"

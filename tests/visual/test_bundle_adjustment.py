@@ -209,6 +209,23 @@ def test_what_cancels_between_the_images_of_a_wall_still_does_where_its_error_co
     assert np.abs(reduced - factor[:, None] * plain).max() > 1e-3 * np.abs(plain).max()
 
 
+def test_an_image_that_shares_no_point_changes_the_covariance_of_no_other(scene):
+    """Before, without a prior: `LinAlgError: Singular matrix`."""
+    images, points, observations, poses, _ = scene
+
+    def covariance_with(more: int) -> np.ndarray:
+        rough = start(np.concatenate([poses, poses[:more]]))
+        rough.cameras.world_from_camera[:COUNT] = start(poses).cameras.world_from_camera
+        taken = np.concatenate([images, images[:more]])
+        found = bundle_adjustment.solve(taken, CAMERA, points, observations, rough, None, variant=JOINT)
+        return bundle_adjustment.covariance_of(found).blocks
+
+    alone, beside = covariance_with(0), covariance_with(1)
+    assert np.isfinite(alone).all()
+    assert (np.diagonal(alone[:, :6, :6], axis1=1, axis2=2) > 0).all()
+    np.testing.assert_allclose(beside[:COUNT], alone, rtol=1e-6, atol=1e-12)
+
+
 def test_a_wall_that_alone_holds_an_image_counts_for_as_much_as_it_may_be_wrong():
     # three walls, one to each axis of a position; the equations of the image are their sum and a weak prior
     walls = np.zeros((3, 6, 6))
