@@ -10,7 +10,8 @@ import numpy as np
 from lvba.camera import Camera
 from lvba.errors import InputError
 from lvba.lidar.point_times import find_clock
-from lvba.sources import packets, presets
+from lvba.sources import camera_topics, packets, presets
+from lvba.sources.camera_topics import CameraTopic
 from lvba.sources.choosing import Choice, choose
 from lvba.sources.source import (
     CameraInfo,
@@ -286,14 +287,13 @@ _RECORDS: dict[Kind, tuple[type, ...]] = {
 """A bag may have a topic twice, with messages of another type."""
 
 
-def camera_infos_of(image: str, facts: tuple[StreamFacts, ...]) -> list[StreamFacts]:
-    """Camera infos in the namespace of a topic of images, the nearest first."""
-    near = []
-    for each in facts:
-        beside = each.stream.name.rpartition("/")[0] + "/"
-        if each.stream.kind is Kind.CAMERA_INFO and image.startswith(beside):
-            near.append(each)
-    return sorted(near, key=lambda each: -len(each.stream.name.rpartition("/")[0]))
+def _has_camera(image: str, facts: tuple[StreamFacts, ...]) -> bool:
+    """Whether a camera info goes with a topic of images."""
+    topics = [
+        CameraTopic(each.stream.name, each.frame, each.camera) for each in facts if each.camera is not None
+    ]
+    frame = next((each.frame for each in facts if each.stream.name == image), "")
+    return camera_topics.of_images(topics, image, frame) is not None
 
 
 def _missing(source: Source, facts: tuple[StreamFacts, ...], choice: Choice) -> Iterator[str]:
@@ -301,7 +301,7 @@ def _missing(source: Source, facts: tuple[StreamFacts, ...], choice: Choice) -> 
     if not choice.image:
         return
     known = source.geometry()
-    has_camera = known.camera is not None or any(each.camera for each in camera_infos_of(choice.image, facts))
+    has_camera = known.camera is not None or _has_camera(choice.image, facts)
     if not has_camera:
         yield "no camera: give its intrinsics, --calibration FILE"
     if known.camera_from_lidar is None and not _connected(choice, facts):

@@ -224,7 +224,7 @@ def _check_images(facts: RigFacts, surveyed: Survey, chosen: Streams, where_it_i
     if missing:
         raise InputError(
             chosen.image,
-            f"nothing says {' and '.join(missing)}",
+            f"nothing says {' and '.join(missing)}{_other_cameras(facts, surveyed)}",
             "give --calibration FILE, or --image none to do without images"
             + (f" ({where_it_is})" if where_it_is else ""),
         )
@@ -232,6 +232,13 @@ def _check_images(facts: RigFacts, surveyed: Survey, chosen: Streams, where_it_i
         raise InputError(
             chosen.image, "has no image that can be decoded", "choose another by --image, or --image none"
         )
+
+
+def _other_cameras(facts: RigFacts, surveyed: Survey) -> str:
+    """Which camera infos are not taken for that of the images, where there is none; "": none."""
+    if facts.camera is not None or not surveyed.other_cameras:
+        return ""
+    return f" (not taken for its camera: {', '.join(surveyed.other_cameras[:8])})"
 
 
 def _check_written(written: Written, chosen: Streams, odometry: Track, surveyed: Survey) -> None:

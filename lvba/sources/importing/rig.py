@@ -65,7 +65,7 @@ def gather(
     facts = _filled(
         facts, known.camera, known.camera_from_lidar, known.body_from_lidar, "the source's own files"
     )
-    facts = _filled(facts, survey.camera, None, None, "camera info")
+    facts = _filled(facts, survey.camera, None, None, f"camera info {survey.camera_topic}")
     facts = _filled(facts, None, *_of_transforms(survey), _TRANSFORMS)
     facts = _filled(facts, None, None, guess.imu_from_lidar, guess.by)
     if facts.body_from_lidar is None:

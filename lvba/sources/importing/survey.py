@@ -9,7 +9,11 @@ import numpy as np
 from lvba.arrays import CloudPoints
 from lvba.camera import Camera
 from lvba.errors import InputError
+from lvba.io import camera_config
+from lvba.io.image_header import ImageSize
 from lvba.progress import Progress
+from lvba.sources import camera_topics
+from lvba.sources.camera_topics import CameraTopic
 from lvba.sources.importing import track
 from lvba.sources.importing.streams import Streams
 from lvba.sources.importing.track import Track
@@ -81,6 +85,8 @@ class Survey:
     scan_stamps, image_stamps: (S,), (I,) int64 ns, ascending
     odometry: as its source has it, None where it comes from a file; child: what it says it is of
     static: (parent, child) -> (4, 4), parent from child
+    camera: what the camera info of its images says, of the topic `camera_topic`; None: none goes with them
+    other_cameras: topics of camera infos that do not
     image_size: of the files, px, zeros without images; lidar_frame, image_frame, imu_frame: as drivers name them
     """
 
@@ -92,6 +98,8 @@ class Survey:
     child: str
     imu: ImuReadings | None
     camera: Camera | None
+    camera_topic: str
+    other_cameras: tuple[str, ...]
     image_size: tuple[int, int]
     static: dict[tuple[str, str], np.ndarray]
     lidar_frame: str
@@ -115,8 +123,7 @@ class _Collector:
         self.children: dict[tuple[str, str], int] = {}
         self.path: PathSample | None = None
         self.readings: list[tuple[int, np.ndarray, np.ndarray]] = []
-        self.camera: Camera | None = None
-        self.camera_frames: dict[str, Camera] = {}
+        self.cameras: dict[tuple[str, str], Camera] = {}
         self.image_frame = ""
         self.image_size = (0, 0)
         self.static: dict[tuple[str, str], np.ndarray] = {}
@@ -139,7 +146,7 @@ class _Collector:
             self.readings.append((record.stamp, record.gyroscope, record.accelerometer))
             self.imu_frame = record.frame
         elif isinstance(record, CameraInfo) and record.camera is not None:
-            self.camera_frames[record.frame] = record.camera
+            self.cameras[stream, record.frame] = record.camera
         elif isinstance(record, TransformSample):
             self._transform(stream, record)
 
@@ -251,9 +258,7 @@ def _finished(collector: _Collector) -> Survey:
             f"has transforms of several frames: {pairs}",
             "write those of one of them to a TUM file, and give it as --odometry FILE",
         )
-    camera = collector.camera_frames.get(collector.image_frame)
-    if camera is None and len(collector.camera_frames) == 1:
-        camera = next(iter(collector.camera_frames.values()))
+    camera, others = _camera(collector)
     imu = None
     if collector.readings:
         times = (np.array([time for time, _, _ in collector.readings], np.int64) - zero) * 1e-9
@@ -268,13 +273,28 @@ def _finished(collector: _Collector) -> Survey:
         odometry=_odometry(collector, zero),
         child=next((child for _, child in collector.children), ""),
         imu=imu,
-        camera=camera,
+        camera=camera.camera if camera is not None else None,
+        camera_topic=camera.name if camera is not None else "",
+        other_cameras=others,
         image_size=collector.image_size,
         static=collector.static,
         lidar_frame=collector.lidar_frame,
         image_frame=collector.image_frame,
         imu_frame=collector.imu_frame,
     )
+
+
+def _camera(collector: _Collector) -> tuple[CameraTopic | None, tuple[str, ...]]:
+    """The camera info of the images, None: none goes with them; and the topics of others."""
+    topics = [CameraTopic(name, frame, camera) for (name, frame), camera in collector.cameras.items()]
+    size = ImageSize(*collector.image_size)
+
+    def fits(camera: Camera) -> bool:
+        return not size.width or not camera.width or camera_config.factor(camera, size) is not None
+
+    chosen = camera_topics.of_images(topics, collector.streams.image, collector.image_frame, fits)
+    used = chosen.name if chosen is not None else ""
+    return chosen, tuple(sorted({each.name for each in topics if each.name != used}))
 
 
 def _odometry(collector: _Collector, zero: int) -> Track | None:
