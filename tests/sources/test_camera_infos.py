@@ -115,3 +115,22 @@ def test_the_only_camera_info_is_not_taken_where_it_is_of_another_camera(tmp_pat
     ):
         import_source(source, tmp_path / "out")
     assert any("no camera" in words for words in inspect(source).missing)
+
+
+def test_a_camera_info_without_a_size_is_of_the_size_of_the_images(tmp_path, truth):
+    def unsized(name, record):
+        camera = replace(record.camera, width=0, height=0) if isinstance(record, CameraInfo) else None
+        return [(name, record if camera is None else replace(record, camera=camera))]
+
+    import_source(changed(truth, unsized), tmp_path / "out")
+    camera = open_dataset(tmp_path / "out").camera
+    assert (camera.width, camera.height) == (SENSORS.width, SENSORS.height)
+    assert camera.fx == pytest.approx(truth.camera.fx)
+
+    def of_others(name, record):
+        [(_, record)] = unsized(name, record)
+        moved = isinstance(record, CameraInfo) and replace(record.camera, cx=3 * record.camera.cx)
+        return [(name, replace(record, camera=moved) if moved else record)]
+
+    with pytest.raises(InputError, match="principal point"):
+        import_source(changed(truth, of_others), tmp_path / "other")

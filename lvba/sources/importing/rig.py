@@ -78,7 +78,8 @@ def gather(
         facts = replace(facts, frames={name: way for name, way in ways.items() if way is not None})
     if facts.camera is not None and size is not None:
         where = facts.origins["camera"]
-        facts = replace(facts, camera=camera_config.fitted(facts.camera, size, where))
+        fitted = camera_config.fitted if facts.camera.width else calibrations.sized
+        facts = replace(facts, camera=fitted(facts.camera, size, where))
     return _with_imu(facts, survey)
 
 
