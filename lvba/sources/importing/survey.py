@@ -14,7 +14,7 @@ from lvba.io.image_header import ImageSize
 from lvba.progress import Progress
 from lvba.sources import camera_topics
 from lvba.sources.camera_topics import CameraTopic
-from lvba.sources.importing import track
+from lvba.sources.importing import stamp_order, track
 from lvba.sources.importing.streams import Streams
 from lvba.sources.importing.track import Track
 from lvba.sources.source import (
@@ -82,7 +82,8 @@ class Survey:
     """What a pass over a source found.
 
     zero: int64 ns, which times in s count from
-    scan_stamps, image_stamps: (S,), (I,) int64 ns, ascending
+    scan_stamps, image_stamps: (S,), (I,) int64 ns, ascending, of those in order
+    scans_in_order, images_in_order: bool, of each scan and image in the order of recording, whether its stamp is
     odometry: as its source has it, None where it comes from a file; child: what it says it is of
     static: (parent, child) -> (4, 4), parent from child
     camera: what the camera info of its images says, of the topic `camera_topic`; None: none goes with them
@@ -93,6 +94,8 @@ class Survey:
     zero: int
     scan_stamps: np.ndarray
     image_stamps: np.ndarray
+    scans_in_order: np.ndarray
+    images_in_order: np.ndarray
     segments: tuple[Segment, ...]
     odometry: Track | None
     child: str
@@ -249,7 +252,9 @@ def survey(
 
 
 def _finished(collector: _Collector) -> Survey:
-    stamps = np.array(sorted(collector.scan_stamps), np.int64)
+    (stamps, scans_in_order), (image_stamps, images_in_order) = (
+        _in_order(each) for each in (collector.scan_stamps, collector.image_stamps)
+    )
     zero = int(stamps[0])
     if len(collector.children) > 1:
         pairs = ", ".join(f"{parent} from {child}" for parent, child in collector.children)
@@ -268,8 +273,12 @@ def _finished(collector: _Collector) -> Survey:
     return Survey(
         zero=zero,
         scan_stamps=stamps,
-        image_stamps=np.array(sorted(collector.image_stamps), np.int64),
-        segments=tuple(collector.segments[number] for number in sorted(collector.segments)),
+        image_stamps=image_stamps,
+        scans_in_order=scans_in_order,
+        images_in_order=images_in_order,
+        segments=tuple(
+            _kept(collector.segments[number], stamps, image_stamps) for number in sorted(collector.segments)
+        ),
         odometry=_odometry(collector, zero),
         child=next((child for _, child in collector.children), ""),
         imu=imu,
@@ -281,6 +290,21 @@ def _finished(collector: _Collector) -> Survey:
         lidar_frame=collector.lidar_frame,
         image_frame=collector.image_frame,
         imu_frame=collector.imu_frame,
+    )
+
+
+def _in_order(stamps: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Those of stamps (ns) that are in order, (K,) int64, ascending; and of each, (N,) bool, whether it is."""
+    every = np.array(stamps, np.int64)
+    kept = stamp_order.in_order(every)
+    return every[kept], kept
+
+
+def _kept(segment: Segment, scans: np.ndarray, images: np.ndarray) -> Segment:
+    """The samples of a segment with stamps (ns) that are among those of scans (S,) and images (I,)."""
+    return Segment(
+        [each for each in segment.scans if np.isin(each.stamp, scans)],
+        [each for each in segment.images if np.isin(each.stamp, images)],
     )
 
 

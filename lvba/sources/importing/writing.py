@@ -76,8 +76,8 @@ class Writer:
     def __init__(self, out: Path, survey: Survey, conventions: Conventions, options: ImportOptions) -> None:
         self.out, self.survey, self.conventions = out, survey, conventions
         self.written = Written()
-        self._scans = Selection.of(options, survey.zero, options.every)
-        self._images = Selection.of(options, survey.zero, 1)
+        self._scans = Selection.of(options, survey.zero, options.every, survey.scans_in_order)
+        self._images = Selection.of(options, survey.zero, 1, survey.images_in_order)
         self._rest = Selection.of(options, survey.zero, 1)
         self._waiting: deque[Future[None]] = deque()
         self._with_images = conventions.images is not None
@@ -104,6 +104,8 @@ class Writer:
                     progress("scans and images", done, expected)
             while self._waiting:
                 self._waiting.popleft().result()
+        for what, selection in (("scans", self._scans), ("images", self._images)):
+            self.written.lose(f"{what} whose stamps are out of order", selection.unordered)
         return self.written
 
     def _drop(self) -> None:
