@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+from changed_sources import changed
 
 from lvba.camera import Camera
 from lvba.errors import InputError
@@ -14,7 +15,7 @@ from lvba.sources.camera_topics import CameraTopic
 from lvba.sources.importing import readings
 from lvba.sources.importing.importer import import_source
 from lvba.sources.inspection import inspect
-from lvba.sources.source import CameraInfo, ListSource, RawImage, TransformSample
+from lvba.sources.source import CameraInfo, RawImage, TransformSample
 
 SENSORS = Sensors(points=600, width=64, height=48, image_hz=5.0)
 ONE = Camera(width=640, height=480, fx=500, fy=500, cx=320, cy=240, distortion=(0.0,) * 4)
@@ -32,15 +33,8 @@ def one_pair(monkeypatch):
     monkeypatch.setattr(readings, "MOST_PAIRS", 1)
 
 
-def changed(truth, change):
-    """The simulated source; change: record and its topic to records and theirs."""
-    source = raw.written(truth, sensors=SENSORS)
-    items = [item for name, record in source.items for item in change(name, record)]
-    known = {each.name: each for each in source.description.streams}
-    kinds = {type(record): known[name] for name, record in source.items}
-    names = {name: type(record) for name, record in items}
-    streams = tuple(replace(kinds[kind], name=name) for name, kind in names.items())
-    return ListSource(replace(source.description, streams=streams), tuple(items))
+def source_with(truth, change):
+    return changed(raw.written(truth, sensors=SENSORS), change)
 
 
 def taken(topics, image="/left/image_raw", frame="camera", **more):
@@ -97,7 +91,7 @@ def stereo(name, record):
 
 
 def test_the_camera_of_the_images_is_taken_where_another_has_their_frame(tmp_path, truth):
-    source = changed(truth, stereo)
+    source = source_with(truth, stereo)
     report = import_source(source, tmp_path / "out")
     assert open_dataset(tmp_path / "out").camera.fx == pytest.approx(truth.camera.fx)
     assert report.facts["calibration"]["camera"] == "camera info /left/camera_info"
@@ -109,7 +103,7 @@ def test_the_only_camera_info_is_not_taken_where_it_is_of_another_camera(tmp_pat
         other = isinstance(record, CameraInfo)
         return [("/depth/camera_info", replace(record, frame="depth")) if other else (name, record)]
 
-    source = changed(truth, of_depth)
+    source = source_with(truth, of_depth)
     with pytest.raises(
         InputError, match=r"nothing says intrinsics of the camera \(not taken .*: /depth/camera_info\)"
     ):
@@ -122,7 +116,7 @@ def test_a_camera_info_without_a_size_is_of_the_size_of_the_images(tmp_path, tru
         camera = replace(record.camera, width=0, height=0) if isinstance(record, CameraInfo) else None
         return [(name, record if camera is None else replace(record, camera=camera))]
 
-    import_source(changed(truth, unsized), tmp_path / "out")
+    import_source(source_with(truth, unsized), tmp_path / "out")
     camera = open_dataset(tmp_path / "out").camera
     assert (camera.width, camera.height) == (SENSORS.width, SENSORS.height)
     assert camera.fx == pytest.approx(truth.camera.fx)
@@ -133,4 +127,4 @@ def test_a_camera_info_without_a_size_is_of_the_size_of_the_images(tmp_path, tru
         return [(name, replace(record, camera=moved) if moved else record)]
 
     with pytest.raises(InputError, match="principal point"):
-        import_source(changed(truth, of_others), tmp_path / "other")
+        import_source(source_with(truth, of_others), tmp_path / "other")

@@ -82,7 +82,7 @@ def import_source(
     facts = rig.gather(
         options.calibration, source.geometry(), surveyed, chosen.image, options.camera, known.guess
     )
-    _check_images(facts, surveyed, chosen, known.calibration)
+    _check_images(facts, surveyed, chosen, known.calibration, lost)
     origin, estimated = _origin(chosen), None
     if passes > 2:
         announce("odometry", 1, passes)
@@ -209,8 +209,10 @@ def _nanoseconds(text: str, time: float) -> int:
     return int(whole) * 10**9 + int(f"{decimals[:9]:0<9}")
 
 
-def _check_images(facts: RigFacts, surveyed: Survey, chosen: Streams, where_it_is: str) -> None:
-    """where_it_is: the calibration, for people; "": not known"""
+def _check_images(
+    facts: RigFacts, surveyed: Survey, chosen: Streams, where_it_is: str, lost: list[str]
+) -> None:
+    """where_it_is: the calibration, for people; "": not known; lost: what the survey could not read"""
     if not chosen.image:
         return
     missing = [
@@ -224,7 +226,7 @@ def _check_images(facts: RigFacts, surveyed: Survey, chosen: Streams, where_it_i
     if missing:
         raise InputError(
             chosen.image,
-            f"nothing says {' and '.join(missing)}{_other_cameras(facts, surveyed)}",
+            f"nothing says {' and '.join(missing)}{_other_cameras(facts, surveyed)}{_lost(chosen, lost)}",
             "give --calibration FILE, or --image none to do without images"
             + (f" ({where_it_is})" if where_it_is else ""),
         )
@@ -239,6 +241,12 @@ def _other_cameras(facts: RigFacts, surveyed: Survey) -> str:
     if facts.camera is not None or not surveyed.other_cameras:
         return ""
     return f" (not taken for its camera: {', '.join(surveyed.other_cameras[:8])})"
+
+
+def _lost(chosen: Streams, lost: list[str]) -> str:
+    """What was lost of camera infos and transforms, which might say it."""
+    lines = [each for each in lost if each.partition(": ")[0] in chosen.others]
+    return f" ({'; '.join(lines[:3])})" if lines else ""
 
 
 def _check_written(written: Written, chosen: Streams, odometry: Track, surveyed: Survey) -> None:

@@ -70,11 +70,10 @@ def gather(
     facts = _filled(facts, None, None, guess.imu_from_lidar, guess.by)
     if facts.body_from_lidar is None:
         names = sorted(
-            {name for pair in survey.static for name in pair} - {survey.lidar_frame, survey.image_frame}
+            {name for pair in survey.static or survey.repeated for name in pair}
+            - {survey.lidar_frame, survey.image_frame}
         )
-        ways = {
-            name: static_transform(survey.static, name, survey.lidar_frame) for name in names[:_MOST_FRAMES]
-        }
+        ways = {name: _from_lidar(survey, name) for name in names[:_MOST_FRAMES]}
         facts = replace(facts, frames={name: way for name, way in ways.items() if way is not None})
     if facts.camera is not None and size is not None:
         where = facts.origins["camera"]
@@ -91,7 +90,7 @@ def _with_imu(facts: RigFacts, survey: Survey) -> RigFacts:
     where = facts.origins.get("body_from_lidar", "")
     imu_from_lidar = facts.body_from_lidar
     if not where or where == _TRANSFORMS:
-        imu_from_lidar = static_transform(survey.static, survey.imu_frame, survey.lidar_frame)
+        imu_from_lidar = _from_lidar(survey, survey.imu_frame)
         where = _TRANSFORMS
     if imu_from_lidar is None and survey.imu_frame and survey.imu_frame == survey.lidar_frame:
         imu_from_lidar, where = np.eye(4), "names of frames"
@@ -149,10 +148,18 @@ def _of_transforms(survey: Survey) -> tuple[np.ndarray | None, np.ndarray | None
 
     The body is what the odometry says that it is of, or else the frame of the IMU.
     """
-    static = survey.static
-    body = static_transform(static, survey.child, survey.lidar_frame)
-    body = static_transform(static, survey.imu_frame, survey.lidar_frame) if body is None else body
-    return static_transform(static, survey.image_frame, survey.lidar_frame), body
+    body = _from_lidar(survey, survey.child)
+    body = _from_lidar(survey, survey.imu_frame) if body is None else body
+    return _from_lidar(survey, survey.image_frame), body
+
+
+def _from_lidar(survey: Survey, frame: str) -> np.ndarray | None:
+    """(4, 4), a frame from the LiDAR's, by static transforms, else also by those that are repeated and never change; None
+    where there is no way."""
+    way = static_transform(survey.static, frame, survey.lidar_frame)
+    if way is None and survey.repeated:
+        way = static_transform(survey.repeated | survey.static, frame, survey.lidar_frame)
+    return way
 
 
 def static_transform(static: dict[tuple[str, str], np.ndarray], target: str, start: str) -> np.ndarray | None:

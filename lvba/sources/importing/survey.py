@@ -1,12 +1,12 @@
 """One pass over a source that keeps what conventions are found from: small streams, and samples of scans and images."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 
-from lvba.arrays import CloudPoints
+from lvba.arrays import CloudPoints, Pose
 from lvba.camera import Camera
 from lvba.errors import InputError
 from lvba.io import camera_config
@@ -17,6 +17,7 @@ from lvba.sources.camera_topics import CameraTopic
 from lvba.sources.importing import stamp_order, track
 from lvba.sources.importing.streams import Streams
 from lvba.sources.importing.track import Track
+from lvba.sources.repeated_transforms import Pair, Repeated
 from lvba.sources.source import (
     CameraInfo,
     ImuSample,
@@ -37,6 +38,8 @@ _IMAGES_AT = (0.0, 0.4, 0.8, 1.2)
 _POINTS = 6000
 _LEAST_RANGE_M = 0.3
 _IMAGE_WIDTH = 640
+_SAID_FOR = 50
+"""Percent of the time of the scans for which a transform is repeated that holds for all of it."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +88,8 @@ class Survey:
     scan_stamps, image_stamps: (S,), (I,) int64 ns, ascending, of those in order
     scans_in_order, images_in_order: bool, of each scan and image in the order of recording, whether its stamp is
     odometry: as its source has it, None where it comes from a file; child: what it says it is of
-    static: (parent, child) -> (4, 4), parent from child
+    static: (parent, child) -> (4, 4), parent from child; repeated: the same of transforms that nothing says to be static,
+        and that never change
     camera: what the camera info of its images says, of the topic `camera_topic`; None: none goes with them
     other_cameras: topics of camera infos that do not
     image_size: of the files, px, zeros without images; lidar_frame, image_frame, imu_frame: as drivers name them
@@ -104,7 +108,8 @@ class Survey:
     camera_topic: str
     other_cameras: tuple[str, ...]
     image_size: tuple[int, int]
-    static: dict[tuple[str, str], np.ndarray]
+    static: dict[Pair, np.ndarray]
+    repeated: dict[Pair, np.ndarray]
     lidar_frame: str
     image_frame: str
     imu_frame: str
@@ -122,14 +127,14 @@ class _Collector:
         self.scan_stamps: list[int] = []
         self.image_stamps: list[int] = []
         self.segments: dict[int, Segment] = {}
-        self.poses: list[tuple[int, np.ndarray]] = []
-        self.children: dict[tuple[str, str], int] = {}
+        self.poses: dict[Pair, list[tuple[int, np.ndarray]]] = {}
         self.path: PathSample | None = None
         self.readings: list[tuple[int, np.ndarray, np.ndarray]] = []
         self.cameras: dict[tuple[str, str], Camera] = {}
         self.image_frame = ""
         self.image_size = (0, 0)
-        self.static: dict[tuple[str, str], np.ndarray] = {}
+        self.static: dict[Pair, np.ndarray] = {}
+        self.repeated = Repeated()
         self.lidar_frame = self.imu_frame = ""
         self._zero: int | None = None
         self._length = _SEGMENT_S
@@ -208,13 +213,14 @@ class _Collector:
     def _transform(self, stream: str, sample: TransformSample) -> None:
         if sample.static:
             self.static[sample.parent, sample.child] = sample.parent_from_child
-        elif stream == self.streams.odometry:
+            return
+        self.repeated.add(sample)
+        if stream == self.streams.odometry:
             self._pose(sample)
 
     def _pose(self, sample: PoseSample | TransformSample) -> None:
-        self.poses.append((sample.stamp, sample.parent_from_child))
-        key = (sample.parent, sample.child)
-        self.children[key] = self.children.get(key, 0) + 1
+        pose = (sample.stamp, sample.parent_from_child)
+        self.poses.setdefault((sample.parent, sample.child), []).append(pose)
 
 
 def is_return(points: CloudPoints) -> np.ndarray:
@@ -256,13 +262,8 @@ def _finished(collector: _Collector) -> Survey:
         _in_order(each) for each in (collector.scan_stamps, collector.image_stamps)
     )
     zero = int(stamps[0])
-    if len(collector.children) > 1:
-        pairs = ", ".join(f"{parent} from {child}" for parent, child in collector.children)
-        raise InputError(
-            collector.streams.odometry,
-            f"has transforms of several frames: {pairs}",
-            "write those of one of them to a TUM file, and give it as --odometry FILE",
-        )
+    repeated = collector.repeated.still(int(stamps[-1] - zero) * _SAID_FOR // 100)
+    pair = _moving(collector, repeated)
     camera, others = _camera(collector)
     imu = None
     if collector.readings:
@@ -279,14 +280,15 @@ def _finished(collector: _Collector) -> Survey:
         segments=tuple(
             _kept(collector.segments[number], stamps, image_stamps) for number in sorted(collector.segments)
         ),
-        odometry=_odometry(collector, zero),
-        child=next((child for _, child in collector.children), ""),
+        odometry=_odometry(collector.path, collector.poses.get(pair, []), zero),
+        child=pair[1],
         imu=imu,
         camera=camera.camera if camera is not None else None,
         camera_topic=camera.name if camera is not None else "",
         other_cameras=others,
         image_size=collector.image_size,
         static=collector.static,
+        repeated=repeated,
         lidar_frame=collector.lidar_frame,
         image_frame=collector.image_frame,
         imu_frame=collector.imu_frame,
@@ -321,11 +323,27 @@ def _camera(collector: _Collector) -> tuple[CameraTopic | None, tuple[str, ...]]
     return chosen, tuple(sorted({each.name for each in topics if each.name != used}))
 
 
-def _odometry(collector: _Collector, zero: int) -> Track | None:
-    if collector.path is not None:
-        times = np.asarray((collector.path.times - zero) * 1e-9, np.float64)
-        return track.made(times, collector.path.parent_from_child)
-    if not collector.poses:
+def _moving(collector: _Collector, repeated: Mapping[Pair, Pose]) -> Pair:
+    """The frames that the odometry has poses of, those that never change beside others left out; "" without poses.
+
+    Raises InputError: there are several.
+    """
+    pairs = [pair for pair in collector.poses if pair not in repeated] or list(collector.poses)
+    if len(pairs) > 1:
+        names = ", ".join(f"{parent} from {child}" for parent, child in pairs)
+        raise InputError(
+            collector.streams.odometry,
+            f"has transforms of several frames: {names}",
+            "write those of one of them to a TUM file, and give it as --odometry FILE",
+        )
+    return pairs[0] if pairs else ("", "")
+
+
+def _odometry(path: PathSample | None, samples: list[tuple[int, np.ndarray]], zero: int) -> Track | None:
+    if path is not None:
+        times = np.asarray((path.times - zero) * 1e-9, np.float64)
+        return track.made(times, path.parent_from_child)
+    if not samples:
         return None
-    times = np.asarray((np.array([time for time, _ in collector.poses], np.int64) - zero) * 1e-9, np.float64)
-    return track.made(times, np.array([pose for _, pose in collector.poses]))
+    times = np.asarray((np.array([time for time, _ in samples], np.int64) - zero) * 1e-9, np.float64)
+    return track.made(times, np.array([pose for _, pose in samples]))
