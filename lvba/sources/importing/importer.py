@@ -18,7 +18,17 @@ from lvba.io import calibration, files, image_poses, tum
 from lvba.io.dataset import IMAGE_POSES, SCAN_POSES
 from lvba.progress import Progress, silent
 from lvba.sources.importing import conventions as deciding
-from lvba.sources.importing import data_set, folder, imu_clock, own_odometry, rig, streams, survey, thinning
+from lvba.sources.importing import (
+    data_set,
+    folder,
+    image_bits,
+    imu_clock,
+    own_odometry,
+    rig,
+    streams,
+    survey,
+    thinning,
+)
 from lvba.sources.importing.conventions import Conventions, Origin
 from lvba.sources.importing.imu_clock import ImuRead
 from lvba.sources.importing.options import Guess, ImportOptions
@@ -341,7 +351,7 @@ def _evidence(
         },
         "calibration": dict(facts.origins),
         "losses": [*lost, *written.sentences()],
-        "notes": [*description.notes, *facts.notes],
+        "notes": [*description.notes, *facts.notes, *image_bits.notes(surveyed.image_bits)],
         "warnings": list(decided.warnings),
     }
     return result

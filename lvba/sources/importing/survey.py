@@ -1,7 +1,7 @@
 """One pass over a source that keeps what conventions are found from: small streams, and samples of scans and images."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ from lvba.io.image_header import ImageSize
 from lvba.progress import Progress
 from lvba.sources import camera_topics
 from lvba.sources.camera_topics import CameraTopic
-from lvba.sources.importing import stamp_order, track
+from lvba.sources.importing import image_bits, stamp_order, track
 from lvba.sources.importing.streams import Streams
 from lvba.sources.importing.track import Track
 from lvba.sources.repeated_transforms import Pair, Repeated
@@ -53,11 +53,15 @@ class ScanSample:
 
 @dataclass(frozen=True)
 class ImageSample:
-    """An image in gray, shrunk. stamp: ns; gray: (H, W) uint8; factor: its width by that of the image."""
+    """An image in gray, shrunk. stamp: ns; gray: (H, W) uint8; factor: its width by that of the image.
+
+    deep: (H, W) uint16, of an image of 16 bits, until it is known how many of them are used
+    """
 
     stamp: int
     gray: np.ndarray
     factor: float
+    deep: np.ndarray | None = None
 
 
 @dataclass
@@ -92,6 +96,7 @@ class Survey:
         and that never change
     camera: what the camera info of its images says, of the topic `camera_topic`; None: none goes with them
     other_cameras: topics of camera infos that do not
+    image_bits: how many of 16 bits images use, 16 also where they have 8
     image_size: of the files, px, zeros without images; lidar_frame, image_frame, imu_frame: as drivers name them
     """
 
@@ -108,6 +113,7 @@ class Survey:
     camera_topic: str
     other_cameras: tuple[str, ...]
     image_size: tuple[int, int]
+    image_bits: int
     static: dict[Pair, np.ndarray]
     repeated: dict[Pair, np.ndarray]
     lidar_frame: str
@@ -133,6 +139,7 @@ class _Collector:
         self.cameras: dict[tuple[str, str], Camera] = {}
         self.image_frame = ""
         self.image_size = (0, 0)
+        self.largest_value = 0
         self.static: dict[Pair, np.ndarray] = {}
         self.repeated = Repeated()
         self.lidar_frame = self.imu_frame = ""
@@ -174,6 +181,9 @@ class _Collector:
     def _image(self, image: RawImage) -> None:
         self.image_stamps.append(image.stamp)
         self.image_frame = image.frame
+        values = image_bits.values(image)
+        if values is not None:
+            self.largest_value = max(self.largest_value, int(values.max(initial=0)))
         segment = self._segment(image.stamp, _IMAGES_AT, "images")
         if segment is None:
             return
@@ -182,10 +192,8 @@ class _Collector:
             return
         self.image_size = (gray.shape[1], gray.shape[0])
         factor = min(1.0, _IMAGE_WIDTH / gray.shape[1])
-        if factor < 1:
-            size = (round(gray.shape[1] * factor), round(gray.shape[0] * factor))
-            gray = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
-        segment.images.append(ImageSample(image.stamp, gray, factor))
+        deep = None if values is None else _shrunk(_gray(values), factor)
+        segment.images.append(ImageSample(image.stamp, _shrunk(gray, factor), factor, deep))
 
     def _segment(self, stamp: int, at: tuple[float, ...], kind: str) -> Segment | None:
         """The segment that a record of this stamp is a sample of, or None."""
@@ -238,7 +246,18 @@ def gray_of(image: RawImage) -> np.ndarray | None:
         return None
     if pixels.dtype == np.uint16:
         pixels = (pixels >> 8).astype(np.uint8)
+    return _gray(pixels)
+
+
+def _gray(pixels: np.ndarray) -> np.ndarray:
     return np.asarray(pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY))
+
+
+def _shrunk(gray: np.ndarray, factor: float) -> np.ndarray:
+    if factor == 1:
+        return gray
+    size = (round(gray.shape[1] * factor), round(gray.shape[0] * factor))
+    return np.asarray(cv2.resize(gray, size, interpolation=cv2.INTER_AREA))
 
 
 def survey(
@@ -265,6 +284,7 @@ def _finished(collector: _Collector) -> Survey:
     repeated = collector.repeated.still(int(stamps[-1] - zero) * _SAID_FOR // 100)
     pair = _moving(collector, repeated)
     camera, others = _camera(collector)
+    bits = image_bits.used(collector.largest_value)
     imu = None
     if collector.readings:
         times = (np.array([time for time, _, _ in collector.readings], np.int64) - zero) * 1e-9
@@ -278,7 +298,8 @@ def _finished(collector: _Collector) -> Survey:
         scans_in_order=scans_in_order,
         images_in_order=images_in_order,
         segments=tuple(
-            _kept(collector.segments[number], stamps, image_stamps) for number in sorted(collector.segments)
+            _kept(collector.segments[number], stamps, image_stamps, bits)
+            for number in sorted(collector.segments)
         ),
         odometry=_odometry(collector.path, collector.poses.get(pair, []), zero),
         child=pair[1],
@@ -287,6 +308,7 @@ def _finished(collector: _Collector) -> Survey:
         camera_topic=camera.name if camera is not None else "",
         other_cameras=others,
         image_size=collector.image_size,
+        image_bits=bits,
         static=collector.static,
         repeated=repeated,
         lidar_frame=collector.lidar_frame,
@@ -302,12 +324,23 @@ def _in_order(stamps: list[int]) -> tuple[np.ndarray, np.ndarray]:
     return every[kept], kept
 
 
-def _kept(segment: Segment, scans: np.ndarray, images: np.ndarray) -> Segment:
-    """The samples of a segment with stamps (ns) that are among those of scans (S,) and images (I,)."""
+def _kept(segment: Segment, scans: np.ndarray, images: np.ndarray, bits: int) -> Segment:
+    """The samples of a segment with stamps (ns) that are among those of scans (S,) and images (I,).
+
+    bits: that images of 16 bits use
+    """
     return Segment(
         [each for each in segment.scans if np.isin(each.stamp, scans)],
-        [each for each in segment.images if np.isin(each.stamp, images)],
+        [_leveled(each, bits) for each in segment.images if np.isin(each.stamp, images)],
     )
+
+
+def _leveled(sample: ImageSample, bits: int) -> ImageSample:
+    """The sample by the bits that images of 16 use."""
+    if sample.deep is None:
+        return sample
+    gray = sample.gray if bits == image_bits.ALL else (sample.deep >> (bits - 8)).astype(np.uint8)
+    return replace(sample, gray=gray, deep=None)
 
 
 def _camera(collector: _Collector) -> tuple[CameraTopic | None, tuple[str, ...]]:

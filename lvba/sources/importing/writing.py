@@ -16,7 +16,7 @@ from lvba import geometry
 from lvba.io import files, imu, pcd, stream
 from lvba.progress import Progress
 from lvba.sources import placing
-from lvba.sources.importing import folder
+from lvba.sources.importing import folder, image_bits
 from lvba.sources.importing.conventions import Conventions
 from lvba.sources.importing.imu_clock import ImuRead
 from lvba.sources.importing.options import ImportOptions
@@ -165,7 +165,7 @@ class Writer:
         suffix = ".png" if image.encoded is None else image.suffix
         path = self.out / folder.IMAGES / f"{stamp_text(stamp)}{suffix}"
         if not path.exists():
-            self._submit(pool, partial(_write_image, path, image))
+            self._submit(pool, partial(_write_image, path, image, self.survey.image_bits))
 
     def _line(self, record: ImuSample | GnssFix, small: dict[type, BinaryIO], stack: ExitStack) -> None:
         kind = type(record)
@@ -189,7 +189,8 @@ class Writer:
         return float((stamp - self.survey.zero) * 1e-9)
 
 
-def _write_image(path: Path, image: RawImage) -> None:
+def _write_image(path: Path, image: RawImage, bits: int) -> None:
+    image = image_bits.widened(image, bits)
     if image.encoded is not None:
         files.write_bytes(path, image.encoded)
         return
