@@ -231,6 +231,30 @@ def test_an_imu_that_is_not_the_body_is_used_where_it_is(tmp_path, truth, pose_o
         assert (consistency.before(factor, poses, exact, held).factor is not None) is used
 
 
+def test_images_whose_frame_is_a_link_of_the_camera_are_turned(tmp_path, truth):
+    """x forward, y left, z up, as a driver without an optical frame says it."""
+    optical_from_link = np.eye(4)
+    optical_from_link[:3, :3] = [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
+    source = written(truth)
+    items = [
+        (
+            name,
+            replace(record, parent_from_child=record.parent_from_child @ optical_from_link)
+            if name == raw.TF_STATIC and record.child == raw.CAMERA_FRAME
+            else record,
+        )
+        for name, record in source.items
+    ]
+    report = import_source(replace(source, items=tuple(items)), tmp_path / "out")
+    assert_right(tmp_path / "out", truth)
+    decided = report.facts["conventions"]["extrinsic"]
+    assert (decided["taken"], decided["by"]) == ("camera_link_from_lidar", "data")
+    assert any("looks along x" in words for words in report.warnings)
+    said = ImportOptions(conventions=parse_conventions(["extrinsic=camera_link_from_lidar"]))
+    with pytest.raises(InputError, match="contradicts the data"):
+        import_source(source, tmp_path / "said", said)
+
+
 def first_reading(out):
     return int((out / "imu.csv").read_text().splitlines()[1].split(",")[0].replace(".", ""))
 

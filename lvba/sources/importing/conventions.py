@@ -11,12 +11,12 @@ from lvba.errors import InputError
 from lvba.sources.importing import decision, image_readings, imu_clock, point_clock, readings, smoothing
 from lvba.sources.importing import turning as turnings
 from lvba.sources.importing.decision import Answer, Decision
-from lvba.sources.importing.image_readings import ImageReading, ImageScorer, ImagesRead, TimedImage
+from lvba.sources.importing.image_readings import ImageScorer, ImagesRead, TimedImage
 from lvba.sources.importing.imu_clock import ImuRead
 from lvba.sources.importing.options import FRAME, NO_GUESS, Guess, ImportOptions
 from lvba.sources.importing.point_clock import ScanClock
 from lvba.sources.importing.readings import Choices, Mounts, Reading, ScansRead, Scorer
-from lvba.sources.importing.rig import RigFacts
+from lvba.sources.importing.rig import TRANSFORMS, RigFacts
 from lvba.sources.importing.survey import Survey
 from lvba.sources.importing.thickness import TimedScan
 from lvba.sources.importing.track import Track
@@ -120,6 +120,9 @@ def decide(
             f"pose_of: nothing says where the body (IMU) is beside the LiDAR: poses are taken for the {pose_of}'s; "
             f"give --calibration FILE, or --convention pose_of={pose_of} if that is so"
         )
+    extrinsic = None
+    if images is not None and rig.camera_from_lidar is not None:
+        extrinsic = images.reading.camera_from_lidar(rig.camera_from_lidar)
     return Conventions(
         clock=clock,
         lidar=lidar,
@@ -128,7 +131,7 @@ def decide(
         imu=imu,
         images=images,
         body_from_lidar=body,
-        camera_from_lidar=None if images is None else _extrinsic(rig, images.reading),
+        camera_from_lidar=extrinsic,
         warnings=tuple(warnings),
     )
 
@@ -193,13 +196,6 @@ def _motion(
     if decided.by == "default":  # better than along the poses; which of several such, changes little
         decided = replace(decided, by="data", warning="")
     return tracks[decided.taken], (decided,)
-
-
-def _extrinsic(rig: RigFacts, reading: ImageReading) -> np.ndarray:
-    assert rig.camera_from_lidar is not None
-    if reading.extrinsic == "lidar_from_camera":
-        return geometry.inverse(rig.camera_from_lidar)
-    return rig.camera_from_lidar
 
 
 def _timed(
@@ -376,7 +372,9 @@ def _images(
         ranked.append(image_readings.pairs_of(images, lidar, np.concatenate(placed), reach, number))
     pairs = [ranks[rank] for rank in range(6) for ranks in ranked if len(ranks) > rank]
     scorer = ImageScorer(lidar, rig.camera_from_lidar, pairs[: image_readings.MOST_PAIRS])
-    read = image_readings.find(scorer, offsets, said, where, known_by)
+    by_frames = rig.origins.get("camera_from_lidar") == TRANSFORMS
+    find = image_readings.find_with_links if by_frames else image_readings.find
+    read = find(scorer, offsets, said, where, known_by)
     against = read.decisions[-1].against(guessed, known_by)
     return replace(read, warnings=(*read.warnings, against)) if against else read
 

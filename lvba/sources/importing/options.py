@@ -15,7 +15,7 @@ QUESTIONS = {
     "points": ("raw", "deskewed"),
     "time": ("begin", "middle", "end"),
     "motion": ("poses", "smooth", "gyroscope", "smooth_gyroscope"),
-    "extrinsic": ("camera_from_lidar", "lidar_from_camera"),
+    "extrinsic": ("camera_from_lidar", "lidar_from_camera", "camera_link_from_lidar"),
     "image_offset": (),
     "imu_offset": (),
     "accelerometer": ("up", "down"),

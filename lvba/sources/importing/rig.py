@@ -15,7 +15,8 @@ from lvba.sources.importing.options import NO_GUESS, Guess
 from lvba.sources.importing.survey import Survey
 from lvba.sources.source import KnownGeometry
 
-_TRANSFORMS = "static transforms"
+TRANSFORMS = "static transforms"
+"""Origin of what they say."""
 _MOST_FRAMES = 8
 """That poses may be of, where nothing says which."""
 
@@ -66,7 +67,7 @@ def gather(
         facts, known.camera, known.camera_from_lidar, known.body_from_lidar, "the source's own files"
     )
     facts = _filled(facts, survey.camera, None, None, f"camera info {survey.camera_topic}")
-    facts = _filled(facts, None, *_of_transforms(survey), _TRANSFORMS)
+    facts = _filled(facts, None, *_of_transforms(survey), TRANSFORMS)
     facts = _filled(facts, None, None, guess.imu_from_lidar, guess.by)
     if facts.body_from_lidar is None:
         names = sorted(
@@ -89,9 +90,9 @@ def _with_imu(facts: RigFacts, survey: Survey) -> RigFacts:
         return facts
     where = facts.origins.get("body_from_lidar", "")
     imu_from_lidar = facts.body_from_lidar
-    if not where or where == _TRANSFORMS:
+    if not where or where == TRANSFORMS:
         imu_from_lidar = _from_lidar(survey, survey.imu_frame)
-        where = _TRANSFORMS
+        where = TRANSFORMS
     if imu_from_lidar is None and survey.imu_frame and survey.imu_frame == survey.lidar_frame:
         imu_from_lidar, where = np.eye(4), "names of frames"
     if imu_from_lidar is None:
