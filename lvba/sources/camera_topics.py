@@ -12,11 +12,13 @@ _TRANSPORTS = ("compressed",)
 
 @dataclass(frozen=True)
 class CameraTopic:
-    """What a topic of camera infos says. frame: of its header"""
+    """What a topic of camera infos says. frame: of its header; other, rectified: as of `CameraInfo`"""
 
     name: str
     frame: str
     camera: Camera
+    other: Camera | None = None
+    rectified: bool = False
 
 
 def any_size(camera: Camera) -> bool:

@@ -1,6 +1,7 @@
 """A bag as a source of records."""
 
 import contextlib
+import re
 from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
@@ -26,6 +27,7 @@ _MOST_LOOKED_AT = 50
 """Topics of clouds whose first message is read for its fields."""
 _WRONG = (KeyError, TypeError, ValueError, OverflowError, IndexError, AttributeError)
 """What comes of fields that are not those of the type's name."""
+_RECTIFIED = re.compile("rect|undistort")
 _NUMBERS_OF = ("poses",)
 """Of paths, which hold all poses so far in each message."""
 
@@ -277,7 +279,7 @@ def rectifies(info: str, streams: Collection[str]) -> bool:
     rests = [
         name[len(beside) :] for name in streams if name.startswith(beside) and "image" in name[len(beside) :]
     ]
-    return bool(rests) and all("rect" in rest for rest in rests)
+    return bool(rests) and all(_RECTIFIED.search(rest) for rest in rests)
 
 
 def _sentences(tallies: dict[str, _Tally]) -> Iterator[str]:

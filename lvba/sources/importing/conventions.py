@@ -8,7 +8,15 @@ import numpy as np
 from lvba import geometry
 from lvba.arrays import Pose
 from lvba.errors import InputError
-from lvba.sources.importing import decision, image_readings, imu_clock, point_clock, readings, smoothing
+from lvba.sources.importing import (
+    camera_choice,
+    decision,
+    image_readings,
+    imu_clock,
+    point_clock,
+    readings,
+    smoothing,
+)
 from lvba.sources.importing import turning as turnings
 from lvba.sources.importing.decision import Answer, Decision
 from lvba.sources.importing.image_readings import ImageScorer, ImagesRead, TimedImage
@@ -24,6 +32,7 @@ from lvba.sources.importing.turning import TurningTrack
 
 _SAME_STAMP_S = 2e-3
 _AGREEING = 0.9
+_OF_IMAGES = ("images", "extrinsic", "image_offset")
 _FORMAT, _FRAMES, _NO_GAIN = "the format", "names of frames", "no gain"
 
 
@@ -349,9 +358,7 @@ def _images(
     assert rig.camera_from_lidar is not None
     offsets, known_by = _offsets(survey, rig, clock, guess)
     guessed = next(iter(offsets))
-    said = {
-        name: value for name, value in options.conventions.items() if name in ("extrinsic", "image_offset")
-    }
+    said = {name: value for name, value in options.conventions.items() if name in _OF_IMAGES}
     if "image_offset" in said and said["image_offset"] not in offsets:
         offsets = {said["image_offset"]: float(said["image_offset"]), **offsets}
     reach = max(abs(value) for value in offsets.values())
@@ -372,11 +379,18 @@ def _images(
         ranked.append(image_readings.pairs_of(images, lidar, np.concatenate(placed), reach, number))
     pairs = [ranks[rank] for rank in range(6) for ranks in ranked if len(ranks) > rank]
     scorer = ImageScorer(lidar, rig.camera_from_lidar, pairs[: image_readings.MOST_PAIRS])
+    scorer, camera, chosen = camera_choice.choose(scorer, rig, offsets, said, where)
     by_frames = rig.origins.get("camera_from_lidar") == TRANSFORMS
     find = image_readings.find_with_links if by_frames else image_readings.find
     read = find(scorer, offsets, said, where, known_by)
     against = read.decisions[-1].against(guessed, known_by)
-    return replace(read, warnings=(*read.warnings, against)) if against else read
+    warnings = (*(each.warning for each in chosen), *read.warnings, against)
+    return replace(
+        read,
+        camera=camera,
+        decisions=(*chosen, *read.decisions),
+        warnings=tuple(words for words in warnings if words),
+    )
 
 
 def _offsets(survey: Survey, rig: RigFacts, clock: ScanClock, guess: Guess) -> tuple[dict[str, float], str]:

@@ -160,6 +160,7 @@ class ImagesRead:
 
     pairs: of images that were looked at; measured, measured_sigma: s, how long after their stamps images were taken, by
     what they show, and how uncertain that is
+    camera: of the images; None: not decided yet
     """
 
     reading: ImageReading
@@ -168,6 +169,26 @@ class ImagesRead:
     measured: float
     measured_sigma: float
     warnings: tuple[str, ...]
+    camera: Camera | None = None
+
+
+def best(scorer: ImageScorer, offsets: dict[str, float], said: dict[str, str]) -> ImageReading:
+    """The usual reading by which points look most alike; arguments as of `find`."""
+    every: dict[str, dict[str, object]] = {
+        "extrinsic": {
+            name: name for name in _directions(scorer.camera_from_lidar, said.get("extrinsic", ""))
+        },
+        "image_offset": dict(offsets),
+    }
+    return _best(scorer, every, said)
+
+
+def _best(scorer: ImageScorer, every: dict[str, dict[str, object]], said: dict[str, str]) -> ImageReading:
+    allowed = [
+        [answers[said[name]]] if name in said else list(answers.values()) for name, answers in every.items()
+    ]
+    tried = [ImageReading(*values) for values in product(*allowed)]  # type: ignore[arg-type]
+    return min(tried, key=scorer.score) if scorer.pairs else tried[0]
 
 
 def find_with_links(
@@ -207,17 +228,12 @@ def find(
         "extrinsic": {name: name for name in directions},
         "image_offset": dict(offsets),
     }
-    allowed = {
-        name: [answers[said[name]]] if name in said else list(answers.values())
-        for name, answers in every.items()
-    }
-    tried = [ImageReading(*values) for values in product(*allowed.values())]  # type: ignore[arg-type]
-    best = min(tried, key=scorer.score) if scorer.pairs else tried[0]
-    place, sigma = _offset(scorer, best)
-    reading, decisions = best, []
+    likely = _best(scorer, every, said)
+    place, sigma = _offset(scorer, likely)
+    reading, decisions = likely, []
     for question in every:
         answers = [
-            Answer(key, scorer.scores(best.answered(question, value)) if scorer.pairs else np.ones(1))
+            Answer(key, scorer.scores(likely.answered(question, value)) if scorer.pairs else np.ones(1))
             for key, value in every[question].items()
         ]
         excluded = offset.away(offsets, place, sigma, _ODD_S) if question == "image_offset" else []

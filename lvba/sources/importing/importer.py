@@ -291,7 +291,7 @@ def _write_texts(
             Trajectory(times, decided.lidar.at(times) @ lidar_from_body), comment=comment, stamps=lines
         )
         files.write_text(out / name, text)
-    camera = facts.camera if written.images else None
+    camera = decided.images.camera if decided.images is not None and written.images else None
     extrinsic = decided.camera_from_lidar if written.images else None
     more = {image_poses.KEY: BODY} if written.images else None
     mounted = _body_from_imu(facts, decided)

@@ -15,6 +15,7 @@ QUESTIONS = {
     "points": ("raw", "deskewed"),
     "time": ("begin", "middle", "end"),
     "motion": ("poses", "smooth", "gyroscope", "smooth_gyroscope"),
+    "images": ("raw", "rectified"),
     "extrinsic": ("camera_from_lidar", "lidar_from_camera", "camera_link_from_lidar"),
     "image_offset": (),
     "imu_offset": (),

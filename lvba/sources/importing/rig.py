@@ -1,5 +1,6 @@
 """How the sensors are mounted, and the camera: from files that are given, the source's own, and what drivers publish."""
 
+import contextlib
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from lvba.errors import InputError
 from lvba.io import camera_config
 from lvba.io.image_header import ImageSize
 from lvba.sources import calibrations
+from lvba.sources.camera_topics import CameraTopic
 from lvba.sources.importing.options import NO_GUESS, Guess
 from lvba.sources.importing.survey import Survey
 from lvba.sources.source import KnownGeometry
@@ -25,7 +27,8 @@ _MOST_FRAMES = 8
 class RigFacts:
     """What is known of the rig before data are asked.
 
-    camera: of the images' size; camera_from_lidar, body_from_lidar: (4, 4); each None: not known
+    camera: of the images' size; other_camera, rectified: as of `CameraInfo`
+    camera_from_lidar, body_from_lidar: (4, 4); each None: not known
     imu_from_lidar: (4, 4), None: not known, or there is no IMU
     image_offset: s, what a calibration says that is added to stamps of images; None: nothing says it
     frames: by name, what static transforms say beside: (4, 4), frame from LiDAR
@@ -34,6 +37,8 @@ class RigFacts:
     """
 
     camera: Camera | None = None
+    other_camera: Camera | None = None
+    rectified: bool = False
     camera_from_lidar: np.ndarray | None = None
     body_from_lidar: np.ndarray | None = None
     imu_from_lidar: np.ndarray | None = None
@@ -66,7 +71,8 @@ def gather(
     facts = _filled(
         facts, known.camera, known.camera_from_lidar, known.body_from_lidar, "the source's own files"
     )
-    facts = _filled(facts, survey.camera, None, None, f"camera info {survey.camera_topic}")
+    if survey.camera is not None:
+        facts = _of_info(facts, survey.camera)
     facts = _filled(facts, None, *_of_transforms(survey), TRANSFORMS)
     facts = _filled(facts, None, None, guess.imu_from_lidar, guess.by)
     if facts.body_from_lidar is None:
@@ -76,11 +82,30 @@ def gather(
         )
         ways = {name: _from_lidar(survey, name) for name in names[:_MOST_FRAMES]}
         facts = replace(facts, frames={name: way for name, way in ways.items() if way is not None})
-    if facts.camera is not None and size is not None:
-        where = facts.origins["camera"]
-        fitted = camera_config.fitted if facts.camera.width else calibrations.sized
-        facts = replace(facts, camera=fitted(facts.camera, size, where))
-    return _with_imu(facts, survey)
+    return _with_imu(facts if size is None else _sized(facts, size), survey)
+
+
+def _of_info(facts: RigFacts, info: CameraTopic) -> RigFacts:
+    if facts.camera is not None:
+        return facts
+    facts = _filled(facts, info.camera, None, None, f"camera info {info.name}")
+    return replace(facts, other_camera=info.other, rectified=info.rectified)
+
+
+def _sized(facts: RigFacts, size: ImageSize) -> RigFacts:
+    """With cameras of images of this size. Raises InputError: the camera is of others"""
+    if facts.camera is None:
+        return facts
+
+    def sized(camera: Camera) -> Camera:
+        fitted = camera_config.fitted if camera.width else calibrations.sized
+        return fitted(camera, size, facts.origins["camera"])
+
+    other = None
+    if facts.other_camera is not None:
+        with contextlib.suppress(InputError):  # that of images that these are not
+            other = sized(facts.other_camera)
+    return replace(facts, camera=sized(facts.camera), other_camera=other)
 
 
 def _with_imu(facts: RigFacts, survey: Survey) -> RigFacts:

@@ -94,7 +94,7 @@ class Survey:
     odometry: as its source has it, None where it comes from a file; child: what it says it is of
     static: (parent, child) -> (4, 4), parent from child; repeated: the same of transforms that nothing says to be static,
         and that never change
-    camera: what the camera info of its images says, of the topic `camera_topic`; None: none goes with them
+    camera: the camera info of its images; None: none goes with them
     other_cameras: topics of camera infos that do not
     image_bits: how many of 16 bits images use, 16 also where they have 8
     image_size: of the files, px, zeros without images; lidar_frame, image_frame, imu_frame: as drivers name them
@@ -109,8 +109,7 @@ class Survey:
     odometry: Track | None
     child: str
     imu: ImuReadings | None
-    camera: Camera | None
-    camera_topic: str
+    camera: CameraTopic | None
     other_cameras: tuple[str, ...]
     image_size: tuple[int, int]
     image_bits: int
@@ -136,7 +135,7 @@ class _Collector:
         self.poses: dict[Pair, list[tuple[int, np.ndarray]]] = {}
         self.path: PathSample | None = None
         self.readings: list[tuple[int, np.ndarray, np.ndarray]] = []
-        self.cameras: dict[tuple[str, str], Camera] = {}
+        self.cameras: dict[tuple[str, str], CameraTopic] = {}
         self.image_frame = ""
         self.image_size = (0, 0)
         self.largest_value = 0
@@ -161,7 +160,8 @@ class _Collector:
             self.readings.append((record.stamp, record.gyroscope, record.accelerometer))
             self.imu_frame = record.frame
         elif isinstance(record, CameraInfo) and record.camera is not None:
-            self.cameras[stream, record.frame] = record.camera
+            info = CameraTopic(stream, record.frame, record.camera, record.other, record.rectified)
+            self.cameras[stream, record.frame] = info
         elif isinstance(record, TransformSample):
             self._transform(stream, record)
 
@@ -304,8 +304,7 @@ def _finished(collector: _Collector) -> Survey:
         odometry=_odometry(collector.path, collector.poses.get(pair, []), zero),
         child=pair[1],
         imu=imu,
-        camera=camera.camera if camera is not None else None,
-        camera_topic=camera.name if camera is not None else "",
+        camera=camera,
         other_cameras=others,
         image_size=collector.image_size,
         image_bits=bits,
@@ -345,7 +344,7 @@ def _leveled(sample: ImageSample, bits: int) -> ImageSample:
 
 def _camera(collector: _Collector) -> tuple[CameraTopic | None, tuple[str, ...]]:
     """The camera info of the images, None: none goes with them; and the topics of others."""
-    topics = [CameraTopic(name, frame, camera) for (name, frame), camera in collector.cameras.items()]
+    topics = list(collector.cameras.values())
     size = ImageSize(*collector.image_size)
 
     def fits(camera: Camera) -> bool:
