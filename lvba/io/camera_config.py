@@ -174,17 +174,28 @@ def fitted(camera: Camera, size: ImageSize, where: object, scale: float = 1.0) -
 
     Raises: InputError as `for_size`
     """
-    if (size.width, size.height) == (camera.width, camera.height):
-        return camera
-    for factor in (scale, size.width / camera.width, size.height / camera.height):
-        off = max(abs(size.width - factor * camera.width), abs(size.height - factor * camera.height))
-        if off < 1 and size.width != camera.width and size.height != camera.height:
-            return replace(camera.scaled(factor), width=size.width, height=size.height)
+    by = factor(camera, size, scale)
+    if by is not None:
+        return camera if by == 1 else replace(camera.scaled(by), width=size.width, height=size.height)
     raise InputError(
         where,
         f"cam_width x cam_height is {camera.width} x {camera.height}, but the images are {size.width} x {size.height}",
         "give the calibration of these images",
     )
+
+
+def factor(camera: Camera, size: ImageSize, scale: float = 1.0) -> float | None:
+    """By which images of the camera were shrunk or enlarged to a size, 1 where they have it; None: they were not.
+
+    scale: what is tried first
+    """
+    if (size.width, size.height) == (camera.width, camera.height):
+        return 1.0
+    for by in (scale, size.width / camera.width, size.height / camera.height):
+        off = max(abs(size.width - by * camera.width), abs(size.height - by * camera.height))
+        if off < 1 and size.width != camera.width and size.height != camera.height:
+            return by
+    return None
 
 
 class _Documents:

@@ -10,8 +10,10 @@ import numpy as np
 from lvba.camera import Camera
 from lvba.errors import InputError
 from lvba.lidar.point_times import find_clock
-from lvba.sources import packets, presets
+from lvba.sources import camera_topics, packets, presets
+from lvba.sources.camera_topics import CameraTopic
 from lvba.sources.choosing import Choice, choose
+from lvba.sources.repeated_transforms import Pair, Repeated
 from lvba.sources.source import (
     CameraInfo,
     GnssFix,
@@ -57,6 +59,7 @@ class StreamFacts:
 
     rate: 1/s; first_stamp: ns; frame: of its records; facts: by name, as text, a number or a list of numbers
     problem: why its records cannot be read; "" where they can
+    transforms: pairs of frames whose transforms hold for all times
     """
 
     stream: Stream
@@ -66,7 +69,7 @@ class StreamFacts:
     facts: dict[str, Any] = field(default_factory=dict)
     problem: str = ""
     camera: Camera | None = None
-    transforms: tuple[tuple[str, str], ...] = ()
+    transforms: tuple[Pair, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -141,8 +144,17 @@ def _facts(source: Source, stream: Stream) -> StreamFacts:
         frame=first.parent if isinstance(first, PoseSample | PathSample | TransformSample) else first.frame,
         facts=_finite(_CONTENTS[stream.kind](records) | _clock(stream, first)),
         camera=first.camera if isinstance(first, CameraInfo) else None,
-        transforms=tuple((each.parent, each.child) for each in records if isinstance(each, TransformSample)),
+        transforms=_lasting([each for each in records if isinstance(each, TransformSample)]),
     )
+
+
+def _lasting(samples: list[TransformSample]) -> tuple[Pair, ...]:
+    """Pairs of frames whose transforms hold for all times, as far as some of them tell."""
+    repeated = Repeated()
+    for sample in samples:
+        if not sample.static:
+            repeated.add(sample)
+    return (*((each.parent, each.child) for each in samples if each.static), *repeated.still())
 
 
 def _finite(facts: dict[str, Any]) -> dict[str, Any]:
@@ -286,14 +298,13 @@ _RECORDS: dict[Kind, tuple[type, ...]] = {
 """A bag may have a topic twice, with messages of another type."""
 
 
-def camera_infos_of(image: str, facts: tuple[StreamFacts, ...]) -> list[StreamFacts]:
-    """Camera infos in the namespace of a topic of images, the nearest first."""
-    near = []
-    for each in facts:
-        beside = each.stream.name.rpartition("/")[0] + "/"
-        if each.stream.kind is Kind.CAMERA_INFO and image.startswith(beside):
-            near.append(each)
-    return sorted(near, key=lambda each: -len(each.stream.name.rpartition("/")[0]))
+def _has_camera(image: str, facts: tuple[StreamFacts, ...]) -> bool:
+    """Whether a camera info goes with a topic of images."""
+    topics = [
+        CameraTopic(each.stream.name, each.frame, each.camera) for each in facts if each.camera is not None
+    ]
+    frame = next((each.frame for each in facts if each.stream.name == image), "")
+    return camera_topics.of_images(topics, image, frame) is not None
 
 
 def _missing(source: Source, facts: tuple[StreamFacts, ...], choice: Choice) -> Iterator[str]:
@@ -301,7 +312,7 @@ def _missing(source: Source, facts: tuple[StreamFacts, ...], choice: Choice) -> 
     if not choice.image:
         return
     known = source.geometry()
-    has_camera = known.camera is not None or any(each.camera for each in camera_infos_of(choice.image, facts))
+    has_camera = known.camera is not None or _has_camera(choice.image, facts)
     if not has_camera:
         yield "no camera: give its intrinsics, --calibration FILE"
     if known.camera_from_lidar is None and not _connected(choice, facts):
@@ -326,7 +337,7 @@ def _connected(choice: Choice, facts: tuple[StreamFacts, ...]) -> bool:
     """Whether static transforms lead from the frame of the images to that of the scans."""
     frames = {each.stream.name: each.frame for each in facts}
     start, goal = frames.get(choice.image, ""), frames.get(choice.lidar, "")
-    pairs = {pair for each in facts for pair in each.transforms if each.stream.name.endswith("tf_static")}
+    pairs = {pair for each in facts for pair in each.transforms}
     reached, edge = {start}, {start}
     while edge:
         near = {b for a, b in pairs if a in edge} | {a for a, b in pairs if b in edge}

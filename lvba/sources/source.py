@@ -120,11 +120,17 @@ class GnssFix:
 
 @dataclass(frozen=True)
 class CameraInfo:
-    """The calibration that a camera's driver publishes. stamp: ns; camera: None where its matrix is empty."""
+    """The calibration that a camera's driver publishes. stamp: ns; camera: None where its matrix is empty.
+
+    other: that of rectified images where `camera` is of raw ones, and of raw ones where it is not; None: it is the same
+    rectified: what `camera` is of
+    """
 
     stamp: int
     frame: str
     camera: Camera | None
+    other: Camera | None = None
+    rectified: bool = False
 
 
 @dataclass(frozen=True)

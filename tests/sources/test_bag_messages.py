@@ -1,5 +1,7 @@
 """Messages as drivers write them, odd ones too; those that cannot be read say why."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -336,7 +338,12 @@ def test_lenses_that_are_not_known_say_so(model, coefficients, said, messages, t
 
 
 @pytest.mark.parametrize(
-    ("image", "width"), [("/camera/image_rect_color", 380.0), ("/camera/image_raw", 400.0)]
+    ("image", "width"),
+    [
+        ("/camera/image_rect_color", 380.0),
+        ("/camera/image_undistorted", 380.0),
+        ("/camera/image_raw", 400.0),
+    ],
 )
 def test_rectified_images_go_with_the_projection_and_have_no_distortion(image, width, messages, tmp_path):
     picture = flat(messages, "mono8", PIXELS[..., 0], 8)
@@ -348,7 +355,19 @@ def test_rectified_images_go_with_the_projection_and_have_no_distortion(image, w
     source = open_source(write(tmp_path / "a.bag", container, topics, messages))
     [(_, record), _] = source.records(set(topics))
     assert record.camera.fx == width
-    assert record.camera.is_pinhole == ("rect" in image)
+    assert record.rectified == record.camera.is_pinhole == (width == 380.0)
+    # the other one is kept: names may be wrong
+    assert record.other.fx == 780.0 - width
+    assert record.other.is_pinhole == (width == 400.0)
+
+
+def test_a_camera_info_of_one_camera_has_no_other(messages, tmp_path):
+    values = info(messages, coefficients=(0.0,) * 5)
+    field = "P" if hasattr(values, "P") else "p"
+    same = replace(values, **{field: np.array([400.0, 0, 319.5, 0, 0, 400.0, 239.5, 0, 0, 0, 1, 0])})
+    record = only(tmp_path, messages, same, KIND)
+    assert record.camera.fx == 400.0
+    assert record.other is None
 
 
 def test_transforms_poses_and_paths(messages, tmp_path):

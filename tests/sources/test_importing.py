@@ -231,6 +231,71 @@ def test_an_imu_that_is_not_the_body_is_used_where_it_is(tmp_path, truth, pose_o
         assert (consistency.before(factor, poses, exact, held).factor is not None) is used
 
 
+def test_images_whose_frame_is_a_link_of_the_camera_are_turned(tmp_path, truth):
+    """x forward, y left, z up, as a driver without an optical frame says it."""
+    optical_from_link = np.eye(4)
+    optical_from_link[:3, :3] = [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
+    source = written(truth)
+    items = [
+        (
+            name,
+            replace(record, parent_from_child=record.parent_from_child @ optical_from_link)
+            if name == raw.TF_STATIC and record.child == raw.CAMERA_FRAME
+            else record,
+        )
+        for name, record in source.items
+    ]
+    report = import_source(replace(source, items=tuple(items)), tmp_path / "out")
+    assert_right(tmp_path / "out", truth)
+    decided = report.facts["conventions"]["extrinsic"]
+    assert (decided["taken"], decided["by"]) == ("camera_link_from_lidar", "data")
+    assert any("looks along x" in words for words in report.warnings)
+    said = ImportOptions(conventions=parse_conventions(["extrinsic=camera_link_from_lidar"]))
+    with pytest.raises(InputError, match="contradicts the data"):
+        import_source(source, tmp_path / "said", said)
+
+
+def with_info(source, change):
+    """The source with another camera info."""
+    items = [(name, change(record) if name == raw.CAMERA_INFO else record) for name, record in source.items]
+    return replace(source, items=tuple(items))
+
+
+def test_rectified_images_that_are_called_raw_have_the_camera_of_rectified_ones(tmp_path, truth):
+    """As kitti2bag writes them: K and D of other images than those that are there."""
+    raw_camera = replace(
+        truth.camera, fx=1.33 * truth.camera.fx, fy=1.33 * truth.camera.fy, distortion=(-0.37, 0.2, 0.0, 0.0)
+    )
+    mixed = with_info(written(truth), lambda info: replace(info, camera=raw_camera, other=truth.camera))
+    report = import_source(mixed, tmp_path / "out")
+    dataset = assert_right(tmp_path / "out", truth)
+    assert dataset.camera.fx == pytest.approx(truth.camera.fx)
+    assert report.facts["conventions"]["images"]["taken"] == "rectified"
+    assert any("images: by their topic they are raw" in words for words in report.warnings)
+    said = ImportOptions(conventions=parse_conventions(["images=raw"]))
+    with pytest.raises(InputError, match="--convention images=raw contradicts the data"):
+        import_source(mixed, tmp_path / "said", said)
+
+
+def test_raw_images_keep_their_camera_beside_that_of_rectified_ones(tmp_path, truth):
+    pinhole = replace(truth.camera, distortion=(0.0,) * 4)
+    source = with_info(written(truth), lambda info: replace(info, other=pinhole))
+    report = import_source(source, tmp_path / "out")
+    assert open_dataset(tmp_path / "out").camera.distortion == pytest.approx(truth.camera.distortion)
+    assert report.facts["conventions"]["images"]["taken"] == "raw"
+    assert report.warnings == []
+    import_source(written(truth), tmp_path / "alone")
+    for name in ("config.yaml", "image_poses.txt", "lidar_poses.txt"):
+        if (tmp_path / "alone" / name).exists():
+            assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
+
+
+def test_images_are_rectified_only_where_a_camera_info_says_how(tmp_path, truth):
+    said = ImportOptions(conventions=parse_conventions(["images=rectified"]))
+    with pytest.raises(InputError, match="images=rectified: is not possible here"):
+        import_source(written(truth), tmp_path / "out", said)
+
+
 def first_reading(out):
     return int((out / "imu.csv").read_text().splitlines()[1].split(",")[0].replace(".", ""))
 

@@ -50,6 +50,7 @@ def everything():
     camera = Camera(
         width=40, height=30, fx=20.5, fy=20.25, cx=19.5, cy=14.75, distortion=(0.1, -0.2, 0.01, 0.02, 0.03)
     )
+    pinhole = replace(camera, distortion=(0.0,) * 4)
     fisheye = replace(camera, distortion=(0.1, 0.2, 0.3, 0.4), lens=Lens.EQUIDISTANT)
     rational = replace(camera, distortion=(0.1, -0.2, 0.01, 0.02, 0.03, 0.4, 0.5, 0.6))
     fix = GnssFix(
@@ -77,9 +78,9 @@ def everything():
         ]
     made += [
         ("/tf_static", TransformSample(stamps[0], "lidar", "camera", pose(7), static=True)),
-        ("/a/camera_info", CameraInfo(stamps[0], "camera", camera)),
-        ("/b/camera_info", CameraInfo(stamps[0], "camera", fisheye)),
-        ("/c/camera_info", CameraInfo(stamps[0], "camera", rational)),
+        ("/a/camera_info", CameraInfo(stamps[0], "camera", camera, pinhole)),
+        ("/b/camera_info", CameraInfo(stamps[0], "camera", fisheye, pinhole)),
+        ("/c/camera_info", CameraInfo(stamps[0], "camera", rational, pinhole)),
         ("/d/camera_info", CameraInfo(stamps[0], "camera", None)),
     ]
     return sorted(made, key=lambda item: item[1].stamp)

@@ -1,6 +1,7 @@
 """A bag as a source of records."""
 
 import contextlib
+import re
 from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
@@ -26,6 +27,7 @@ _MOST_LOOKED_AT = 50
 """Topics of clouds whose first message is read for its fields."""
 _WRONG = (KeyError, TypeError, ValueError, OverflowError, IndexError, AttributeError)
 """What comes of fields that are not those of the type's name."""
+_RECTIFIED = re.compile("rect|undistort")
 _NUMBERS_OF = ("poses",)
 """Of paths, which hold all poses so far in each message."""
 
@@ -59,8 +61,9 @@ def said_by_metadata(folder: Path) -> SourceDescription | None:
 
 @dataclass
 class _Tally:
-    """Of one topic in one pass. reasons: why messages were lost, each with how often; unstamped: had a stamp of zero
+    """Of one topic in one pass. reasons: why messages were lost, each with how often; damaged: the same of parts of them
 
+    unstamped: had a stamp of zero
     device: lidar_id of the first message that has one; others: messages of other devices, by theirs
     """
 
@@ -69,6 +72,7 @@ class _Tally:
     others: Counter[int] = field(default_factory=Counter)
     unstamped: int = 0
     reasons: Counter[str] = field(default_factory=Counter)
+    damaged: Counter[str] = field(default_factory=Counter)
 
     @property
     def lost(self) -> int:
@@ -150,7 +154,7 @@ class BagSource:
         return kept
 
     def _decoded(self, message: Message, make: Decoder, tally: _Tally) -> list[Record]:
-        """The records of a message, all or none. Raises Undecodable"""
+        """The records of a message, but parts that cannot be decoded. Raises Undecodable: it has none"""
         topic = message.topic
         if len(message.data) > MAX_MESSAGE:
             raise Undecodable("it has more than 1 GiB")
@@ -159,12 +163,12 @@ class BagSource:
             return []
         try:
             if "header.stamp.sec" not in values:
-                return list(make(values, message.time, ""))
+                return _all(make(values, message.time, ""), tally)
             stamp = poses.stamp_of(values)
             if stamp == 0:
                 tally.unstamped += 1
                 stamp = message.time
-            return list(make(values, stamp, poses.frame_of(values)))
+            return _all(make(values, stamp, poses.frame_of(values)), tally)
         except Undecodable:
             raise
         except _WRONG as error:
@@ -253,6 +257,18 @@ def _is_of_another_device(device: Any, tally: _Tally) -> bool:
     return True
 
 
+def _all(records: Iterator[Record], tally: _Tally) -> list[Record]:
+    """Records; what is damaged beside them is counted. Raises Undecodable: there is nothing beside it"""
+    kept: list[Record] = []
+    try:
+        kept.extend(records)  # what comes before it fails stays
+    except Undecodable as error:
+        if not kept:
+            raise
+        tally.damaged[str(error)] += 1
+    return kept
+
+
 def _none(values: dict[str, Any], stamp: int, frame: str) -> Iterator[Record]:
     raise Undecodable("nothing here reads its type")
 
@@ -263,7 +279,7 @@ def rectifies(info: str, streams: Collection[str]) -> bool:
     rests = [
         name[len(beside) :] for name in streams if name.startswith(beside) and "image" in name[len(beside) :]
     ]
-    return bool(rests) and all("rect" in rest for rest in rests)
+    return bool(rests) and all(_RECTIFIED.search(rest) for rest in rests)
 
 
 def _sentences(tallies: dict[str, _Tally]) -> Iterator[str]:
@@ -271,6 +287,8 @@ def _sentences(tallies: dict[str, _Tally]) -> Iterator[str]:
         total = tally.read + tally.lost
         for reason, count in tally.reasons.most_common(20):
             yield f"{name}: {count} of {total} messages are lost: {reason}"
+        for reason, count in tally.damaged.most_common(20):
+            yield f"{name}: {count} of {total} messages are damaged in part: {reason}"
         if tally.others:
             ids = ", ".join(map(str, sorted(tally.others)))
             count = sum(tally.others.values())

@@ -1,5 +1,6 @@
 """Cameras from sensor_msgs/CameraInfo."""
 
+import contextlib
 import math
 from dataclasses import replace
 from typing import Any
@@ -7,10 +8,23 @@ from typing import Any
 from lvba.camera import Camera
 from lvba.lens import Lens
 from lvba.sources.bags.definitions import Undecodable
+from lvba.sources.source import CameraInfo
 
 _BROWN = ("plumb_bob", "rational_polynomial", "radtan", "radial-tangential", "")
 _FISHEYE = ("equidistant", "fisheye", "kannala_brandt")
 _MOST = {"plumb_bob": 5, "radtan": 5, "radial-tangential": 5, "rational_polynomial": 8, "": 8}
+
+
+def info(values: dict[str, Any], stamp: int, frame: str, *, rectified: bool) -> CameraInfo:
+    """What a message says. stamp: ns; frame: of its header; rectified: what its images are, by their name
+
+    Raises Undecodable: as `camera`; of the other camera, that is none.
+    """
+    usual, other = camera(values, rectified=rectified), None
+    if usual is not None:
+        with contextlib.suppress(Undecodable):
+            other = camera(values, rectified=not rectified)
+    return CameraInfo(stamp, frame, usual, None if other == usual else other, rectified)
 
 
 def camera(values: dict[str, Any], *, rectified: bool = False) -> Camera | None:

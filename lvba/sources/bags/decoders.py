@@ -6,18 +6,18 @@ from typing import Any
 from lvba.sources import packets
 from lvba.sources.bags import camera_info, images, point_clouds, poses, velodyne_packets
 from lvba.sources.bags.definitions import short
-from lvba.sources.source import CameraInfo, Kind, Record
+from lvba.sources.source import Kind, Record
 
 Decoder = Callable[[dict[str, Any], int, str], Iterator[Record]]
 """Of the values of a message, the stamp (ns) and frame of its header."""
 
 
 def _camera_info(values: dict[str, Any], stamp: int, frame: str) -> Iterator[Record]:
-    yield CameraInfo(stamp, frame, camera_info.camera(values))
+    yield camera_info.info(values, stamp, frame, rectified=False)
 
 
 def _rectified(values: dict[str, Any], stamp: int, frame: str) -> Iterator[Record]:
-    yield CameraInfo(stamp, frame, camera_info.camera(values, rectified=True))
+    yield camera_info.info(values, stamp, frame, rectified=True)
 
 
 _LIVOX = ("livox_ros_driver", "livox_ros_driver2", "livox_interfaces")

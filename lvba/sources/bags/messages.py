@@ -156,6 +156,7 @@ def _camera_info(info: CameraInfo) -> tuple[str, Values]:
         if len(camera.distortion) != 4 or model != "plumb_bob"
         else (*camera.distortion, 0.0)
     )
+    of_rectified = info.other if info.other is not None and not info.rectified else camera
     values |= {
         "width": camera.width,
         "height": camera.height,
@@ -163,7 +164,7 @@ def _camera_info(info: CameraInfo) -> tuple[str, Values]:
         "d": coefficients,
         "k": camera.matrix.reshape(-1),
         "r": np.eye(3).reshape(-1),
-        "p": np.hstack([camera.matrix, np.zeros((3, 1))]).reshape(-1),
+        "p": np.hstack([of_rectified.matrix, np.zeros((3, 1))]).reshape(-1),
     }
     return "sensor_msgs/msg/CameraInfo", values
 

@@ -70,10 +70,23 @@ def transform(values: dict[str, Any], stamp: int, frame: str) -> Iterator[PoseSa
 
 
 def tree(values: dict[str, Any], *, static: bool) -> Iterator[TransformSample]:
-    """Of a tf2_msgs/TFMessage; static: its topic is tf_static."""
+    """Of a tf2_msgs/TFMessage; static: its topic is tf_static.
+
+    Raises Undecodable: a transform is none; after all others.
+    """
+    damaged = None
     for each in values["transforms"]:
         parent, child = frame_of(each), frame_of(each, "child_frame_id")
-        yield TransformSample(stamp_of(each), parent, child, pose(each, "transform."), static)
+        try:
+            parent_from_child = pose(each, "transform.")
+        except Undecodable:
+            damaged = Undecodable(
+                f"the transform {parent[:40]} <- {child[:40]} has no orientation, or numbers that are none"
+            )
+            continue
+        yield TransformSample(stamp_of(each), parent, child, parent_from_child, static)
+    if damaged is not None:
+        raise damaged
 
 
 def path(values: dict[str, Any], stamp: int, frame: str) -> Iterator[PathSample]:

@@ -8,15 +8,23 @@ import numpy as np
 from lvba import geometry
 from lvba.arrays import Pose
 from lvba.errors import InputError
-from lvba.sources.importing import decision, image_readings, imu_clock, point_clock, readings, smoothing
+from lvba.sources.importing import (
+    camera_choice,
+    decision,
+    image_readings,
+    imu_clock,
+    point_clock,
+    readings,
+    smoothing,
+)
 from lvba.sources.importing import turning as turnings
 from lvba.sources.importing.decision import Answer, Decision
-from lvba.sources.importing.image_readings import ImageReading, ImageScorer, ImagesRead, TimedImage
+from lvba.sources.importing.image_readings import ImageScorer, ImagesRead, TimedImage
 from lvba.sources.importing.imu_clock import ImuRead
 from lvba.sources.importing.options import FRAME, NO_GUESS, Guess, ImportOptions
 from lvba.sources.importing.point_clock import ScanClock
 from lvba.sources.importing.readings import Choices, Extrinsics, Reading, ScansRead, Scorer
-from lvba.sources.importing.rig import RigFacts
+from lvba.sources.importing.rig import TRANSFORMS, RigFacts
 from lvba.sources.importing.survey import Survey
 from lvba.sources.importing.thickness import TimedScan
 from lvba.sources.importing.track import Track
@@ -24,6 +32,7 @@ from lvba.sources.importing.turning import TurningTrack
 
 _SAME_STAMP_S = 2e-3
 _AGREEING = 0.9
+_OF_IMAGES = ("images", "extrinsic", "image_offset")
 _FORMAT, _FRAMES, _NO_GAIN = "the format", "names of frames", "no gain"
 
 
@@ -120,6 +129,9 @@ def decide(
             f"pose_of: nothing says where the body (IMU) is beside the LiDAR: poses are taken for the {pose_of}'s; "
             f"give --calibration FILE, or --convention pose_of={pose_of} if that is so"
         )
+    extrinsic = None
+    if images is not None and rig.camera_from_lidar is not None:
+        extrinsic = images.reading.camera_from_lidar(rig.camera_from_lidar)
     return Conventions(
         clock=clock,
         lidar=lidar,
@@ -128,7 +140,7 @@ def decide(
         imu=imu,
         images=images,
         body_from_lidar=body,
-        camera_from_lidar=None if images is None else _extrinsic(rig, images.reading),
+        camera_from_lidar=extrinsic,
         warnings=tuple(warnings),
     )
 
@@ -193,13 +205,6 @@ def _motion(
     if decided.by == "default":  # better than along the poses; which of several such, changes little
         decided = replace(decided, by="data", warning="")
     return tracks[decided.taken], (decided,)
-
-
-def _extrinsic(rig: RigFacts, reading: ImageReading) -> np.ndarray:
-    assert rig.camera_from_lidar is not None
-    if reading.extrinsic == "lidar_from_camera":
-        return geometry.inverse(rig.camera_from_lidar)
-    return rig.camera_from_lidar
 
 
 def _timed(
@@ -353,9 +358,7 @@ def _images(
     assert rig.camera_from_lidar is not None
     offsets, known_by = _offsets(survey, rig, clock, guess)
     guessed = next(iter(offsets))
-    said = {
-        name: value for name, value in options.conventions.items() if name in ("extrinsic", "image_offset")
-    }
+    said = {name: value for name, value in options.conventions.items() if name in _OF_IMAGES}
     if "image_offset" in said and said["image_offset"] not in offsets:
         offsets = {said["image_offset"]: float(said["image_offset"]), **offsets}
     reach = max(abs(value) for value in offsets.values())
@@ -376,9 +379,18 @@ def _images(
         ranked.append(image_readings.pairs_of(images, lidar, np.concatenate(placed), reach, number))
     pairs = [ranks[rank] for rank in range(6) for ranks in ranked if len(ranks) > rank]
     scorer = ImageScorer(lidar, rig.camera_from_lidar, pairs[: image_readings.MOST_PAIRS])
-    read = image_readings.find(scorer, offsets, said, where, known_by)
+    scorer, camera, chosen = camera_choice.choose(scorer, rig, offsets, said, where)
+    by_frames = rig.origins.get("camera_from_lidar") == TRANSFORMS
+    find = image_readings.find_with_links if by_frames else image_readings.find
+    read = find(scorer, offsets, said, where, known_by)
     against = read.decisions[-1].against(guessed, known_by)
-    return replace(read, warnings=(*read.warnings, against)) if against else read
+    warnings = (*(each.warning for each in chosen), *read.warnings, against)
+    return replace(
+        read,
+        camera=camera,
+        decisions=(*chosen, *read.decisions),
+        warnings=tuple(words for words in warnings if words),
+    )
 
 
 def _offsets(survey: Survey, rig: RigFacts, clock: ScanClock, guess: Guess) -> tuple[dict[str, float], str]:

@@ -41,20 +41,34 @@ _TOLD_SIGMAS = 3.0
 """A smaller one that is larger than this is told, at least."""
 WARN_SCORE = 0.9
 """Images that agree less than this with each other by the best reading say nothing about it."""
+_CLEAR_SCORE = 0.8
+"""Those that agree less do not show that an extrinsic is of a link: of many readings, the best agrees a bit by chance."""
 _SAME = 1e-6
 """Entries of two transforms that differ by less are one, but for the digits that files print."""
 
 
+AS_GIVEN, INVERSE, LINK = "camera_from_lidar", "lidar_from_camera", "camera_link_from_lidar"
+"""What a given extrinsic may be; of a link, the camera looks along x, with z up."""
+_OPTICAL_FROM_LINK = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+"""Source: REP 103 of ROS, suffix frames."""
+
+
 @dataclass(frozen=True)
 class ImageReading:
-    """extrinsic: "camera_from_lidar" as given, or "lidar_from_camera"; offset: s, added to stamps of images."""
+    """extrinsic: what the given one is, `AS_GIVEN`, `INVERSE` or `LINK`; offset: s, added to stamps of images."""
 
-    extrinsic: str = "camera_from_lidar"
+    extrinsic: str = AS_GIVEN
     offset: float = 0.0
 
     def answered(self, question: str, value: Any) -> "ImageReading":
         """With another answer to a question: extrinsic, or image_offset (s)."""
         return replace(self, **{"offset" if question == "image_offset" else question: value})
+
+    def camera_from_lidar(self, given: Pose) -> Pose:
+        """(4, 4), by a given extrinsic."""
+        if self.extrinsic == INVERSE:
+            return geometry.inverse(given)
+        return np.asarray(_OPTICAL_FROM_LINK @ given) if self.extrinsic == LINK else given
 
 
 @dataclass(frozen=True)
@@ -106,9 +120,7 @@ class ImageScorer:
         return decision.mean(self.scores(reading))
 
     def _unlike(self, pair: ImagePair, reading: ImageReading) -> float:
-        extrinsic = self.camera_from_lidar
-        if reading.extrinsic == "lidar_from_camera":
-            extrinsic = geometry.inverse(extrinsic)
+        extrinsic = reading.camera_from_lidar(self.camera_from_lidar)
         images = (pair.one, pair.other)
         poses = self.lidar.at(np.array([image.stamp + reading.offset for image in images]))
         seen = [
@@ -148,6 +160,7 @@ class ImagesRead:
 
     pairs: of images that were looked at; measured, measured_sigma: s, how long after their stamps images were taken, by
     what they show, and how uncertain that is
+    camera: of the images; None: not decided yet
     """
 
     reading: ImageReading
@@ -156,33 +169,71 @@ class ImagesRead:
     measured: float
     measured_sigma: float
     warnings: tuple[str, ...]
+    camera: Camera | None = None
+
+
+def best(scorer: ImageScorer, offsets: dict[str, float], said: dict[str, str]) -> ImageReading:
+    """The usual reading by which points look most alike; arguments as of `find`."""
+    every: dict[str, dict[str, object]] = {
+        "extrinsic": {
+            name: name for name in _directions(scorer.camera_from_lidar, said.get("extrinsic", ""))
+        },
+        "image_offset": dict(offsets),
+    }
+    return _best(scorer, every, said)
+
+
+def _best(scorer: ImageScorer, every: dict[str, dict[str, object]], said: dict[str, str]) -> ImageReading:
+    allowed = [
+        [answers[said[name]]] if name in said else list(answers.values()) for name, answers in every.items()
+    ]
+    tried = [ImageReading(*values) for values in product(*allowed)]  # type: ignore[arg-type]
+    return min(tried, key=scorer.score) if scorer.pairs else tried[0]
+
+
+def find_with_links(
+    scorer: ImageScorer, offsets: dict[str, float], said: dict[str, str], where: object, known_by: str = ""
+) -> ImagesRead:
+    """As `find`, of an extrinsic that frames of a driver give: where images say nothing by the usual readings, their
+    frame may be that of a link."""
+    read = find(scorer, offsets, said, where, known_by)
+    if "extrinsic" in said or not scorer.pairs or scorer.score(read.reading) <= WARN_SCORE:
+        return read
+    other = find(scorer, offsets, said, where, known_by, (LINK,))
+    if other.reading.extrinsic != LINK or scorer.score(other.reading) > _CLEAR_SCORE:
+        return read
+    words = (
+        "extrinsic: the frame of the images looks along x, as images show, not along z as those of cameras: "
+        f"{LINK} is taken"
+    )
+    return replace(other, warnings=(words, *other.warnings))
 
 
 def find(
-    scorer: ImageScorer, offsets: dict[str, float], said: dict[str, str], where: object, known_by: str = ""
+    scorer: ImageScorer,
+    offsets: dict[str, float],
+    said: dict[str, str],
+    where: object,
+    known_by: str = "",
+    more: tuple[str, ...] = (),
 ) -> ImagesRead:
     """The reading by which points look alike in pairs of images.
 
     offsets: s, by name, the first is taken where data cannot tell; said: answers that options give
-    known_by: what says the first offset, beside the data
+    known_by: what says the first offset, beside the data; more: answers to `extrinsic` beside the usual ones
     Raises InputError: data contradict what an option says.
     """
-    directions = _directions(scorer.camera_from_lidar, said.get("extrinsic", ""))
+    directions = (*_directions(scorer.camera_from_lidar, said.get("extrinsic", "")), *more)
     every: dict[str, dict[str, object]] = {
         "extrinsic": {name: name for name in directions},
         "image_offset": dict(offsets),
     }
-    allowed = {
-        name: [answers[said[name]]] if name in said else list(answers.values())
-        for name, answers in every.items()
-    }
-    tried = [ImageReading(*values) for values in product(*allowed.values())]  # type: ignore[arg-type]
-    best = min(tried, key=scorer.score) if scorer.pairs else tried[0]
-    place, sigma = _offset(scorer, best)
-    reading, decisions = best, []
+    likely = _best(scorer, every, said)
+    place, sigma = _offset(scorer, likely)
+    reading, decisions = likely, []
     for question in every:
         answers = [
-            Answer(key, scorer.scores(best.answered(question, value)) if scorer.pairs else np.ones(1))
+            Answer(key, scorer.scores(likely.answered(question, value)) if scorer.pairs else np.ones(1))
             for key, value in every[question].items()
         ]
         excluded = offset.away(offsets, place, sigma, _SIGNIFICANT_S) if question == "image_offset" else []
@@ -207,7 +258,8 @@ def find(
     if scorer.pairs and scorer.score(reading) > WARN_SCORE:
         warnings.append(
             "images: points do not look alike in different images by any reading (unlikeness "
-            f"{scorer.score(reading):.2f} of 1): check the calibration of the camera, and the clock of the images"
+            f"{scorer.score(reading):.2f} of 1): check the calibration of the camera, and the clock of the images, or "
+            "import without them: --image none"
         )
     return ImagesRead(
         reading=reading,
@@ -222,8 +274,8 @@ def find(
 def _directions(camera_from_lidar: Pose, said: str) -> tuple[str, ...]:
     """Answers to `extrinsic`: one where both are one transform, as where depth is registered to the image."""
     if np.allclose(camera_from_lidar, geometry.inverse(camera_from_lidar), rtol=0, atol=_SAME):
-        return (said or "camera_from_lidar",)
-    return ("camera_from_lidar", "lidar_from_camera")
+        return (said or AS_GIVEN,)
+    return (AS_GIVEN, INVERSE, LINK) if said == LINK else (AS_GIVEN, INVERSE)
 
 
 def _with_what_is_left(decided: Decision, reading: ImageReading, place: float, sigma: float) -> Decision:

@@ -18,7 +18,17 @@ from lvba.io import calibration, files, image_poses, tum
 from lvba.io.dataset import IMAGE_POSES, SCAN_POSES
 from lvba.progress import Progress, silent
 from lvba.sources.importing import conventions as deciding
-from lvba.sources.importing import data_set, folder, imu_clock, own_odometry, rig, streams, survey, thinning
+from lvba.sources.importing import (
+    data_set,
+    folder,
+    image_bits,
+    imu_clock,
+    own_odometry,
+    rig,
+    streams,
+    survey,
+    thinning,
+)
 from lvba.sources.importing.conventions import Conventions, Origin
 from lvba.sources.importing.imu_clock import ImuRead
 from lvba.sources.importing.options import Guess, ImportOptions
@@ -82,7 +92,7 @@ def import_source(
     facts = rig.gather(
         options.calibration, source.geometry(), surveyed, chosen.image, options.camera, known.guess
     )
-    _check_images(facts, surveyed, chosen, known.calibration)
+    _check_images(facts, surveyed, chosen, known.calibration, lost)
     origin, estimated = _origin(chosen), None
     if passes > 2:
         announce("odometry", 1, passes)
@@ -209,8 +219,10 @@ def _nanoseconds(text: str, time: float) -> int:
     return int(whole) * 10**9 + int(f"{decimals[:9]:0<9}")
 
 
-def _check_images(facts: RigFacts, surveyed: Survey, chosen: Streams, where_it_is: str) -> None:
-    """where_it_is: the calibration, for people; "": not known"""
+def _check_images(
+    facts: RigFacts, surveyed: Survey, chosen: Streams, where_it_is: str, lost: list[str]
+) -> None:
+    """where_it_is: the calibration, for people; "": not known; lost: what the survey could not read"""
     if not chosen.image:
         return
     missing = [
@@ -224,7 +236,7 @@ def _check_images(facts: RigFacts, surveyed: Survey, chosen: Streams, where_it_i
     if missing:
         raise InputError(
             chosen.image,
-            f"nothing says {' and '.join(missing)}",
+            f"nothing says {' and '.join(missing)}{_other_cameras(facts, surveyed)}{_lost(chosen, lost)}",
             "give --calibration FILE, or --image none to do without images"
             + (f" ({where_it_is})" if where_it_is else ""),
         )
@@ -232,6 +244,19 @@ def _check_images(facts: RigFacts, surveyed: Survey, chosen: Streams, where_it_i
         raise InputError(
             chosen.image, "has no image that can be decoded", "choose another by --image, or --image none"
         )
+
+
+def _other_cameras(facts: RigFacts, surveyed: Survey) -> str:
+    """Which camera infos are not taken for that of the images, where there is none; "": none."""
+    if facts.camera is not None or not surveyed.other_cameras:
+        return ""
+    return f" (not taken for its camera: {', '.join(surveyed.other_cameras[:8])})"
+
+
+def _lost(chosen: Streams, lost: list[str]) -> str:
+    """What was lost of camera infos and transforms, which might say it."""
+    lines = [each for each in lost if each.partition(": ")[0] in chosen.others]
+    return f" ({'; '.join(lines[:3])})" if lines else ""
 
 
 def _check_written(written: Written, chosen: Streams, odometry: Track, surveyed: Survey) -> None:
@@ -266,7 +291,7 @@ def _write_texts(
             Trajectory(times, decided.lidar.at(times) @ lidar_from_body), comment=comment, stamps=lines
         )
         files.write_text(out / name, text)
-    camera = facts.camera if written.images else None
+    camera = decided.images.camera if decided.images is not None and written.images else None
     extrinsic = decided.camera_from_lidar if written.images else None
     more = {image_poses.KEY: BODY} if written.images else None
     body_from_imu = _body_from_imu(facts, decided)
@@ -326,7 +351,7 @@ def _evidence(
         },
         "calibration": dict(facts.origins),
         "losses": [*lost, *written.sentences()],
-        "notes": [*description.notes, *facts.notes],
+        "notes": [*description.notes, *facts.notes, *image_bits.notes(surveyed.image_bits)],
         "warnings": list(decided.warnings),
     }
     return result

@@ -10,6 +10,7 @@ import numpy as np
 from lvba import geometry
 from lvba.errors import InputError
 from lvba.progress import Progress
+from lvba.sources.importing import stamp_order
 from lvba.sources.importing.point_clock import ScanClock
 from lvba.sources.importing.rig import RigFacts
 from lvba.sources.importing.selection import Selection
@@ -87,8 +88,9 @@ def of_command(command: str, path: str, survey: Survey, progress: Progress) -> T
 def _sweeps(
     source: Source, lidar: str, survey: Survey, clock: ScanClock, about: Selection
 ) -> Iterator[Sweep]:
-    for _, record in source.records((lidar,)):
-        if not isinstance(record, RawScan) or not about.inside(record.stamp):
+    scans = (record for _, record in source.records((lidar,)) if isinstance(record, RawScan))
+    for number, record in enumerate(scans):
+        if not stamp_order.is_in_order(survey.scans_in_order, number) or not about.inside(record.stamp):
             continue
         after = clock.of_times(record.times, record.stamp, len(record.points))
         good = is_return(record.points) & np.isfinite(after)

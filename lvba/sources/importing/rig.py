@@ -1,5 +1,6 @@
 """Extrinsics of the sensors, and the camera: from files that are given, the source's own, and what drivers publish."""
 
+import contextlib
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,11 +12,13 @@ from lvba.errors import InputError
 from lvba.io import camera_config
 from lvba.io.image_header import ImageSize
 from lvba.sources import calibrations
+from lvba.sources.camera_topics import CameraTopic
 from lvba.sources.importing.options import NO_GUESS, Guess
 from lvba.sources.importing.survey import Survey
 from lvba.sources.source import KnownGeometry
 
-_TRANSFORMS = "static transforms"
+TRANSFORMS = "static transforms"
+"""Origin of what they say."""
 _MOST_FRAMES = 8
 """That poses may be of, where nothing says which."""
 
@@ -24,7 +27,8 @@ _MOST_FRAMES = 8
 class RigFacts:
     """What is known of the rig before data are asked.
 
-    camera: of the images' size; camera_from_lidar, body_from_lidar: (4, 4); each None: not known
+    camera: of the images' size; other_camera, rectified: as of `CameraInfo`
+    camera_from_lidar, body_from_lidar: (4, 4); each None: not known
     imu_from_lidar: (4, 4), None: not known, or there is no IMU
     image_offset: s, what a calibration says that is added to stamps of images; None: nothing says it
     frames: by name, what static transforms say beside: (4, 4), frame from LiDAR
@@ -33,6 +37,8 @@ class RigFacts:
     """
 
     camera: Camera | None = None
+    other_camera: Camera | None = None
+    rectified: bool = False
     camera_from_lidar: np.ndarray | None = None
     body_from_lidar: np.ndarray | None = None
     imu_from_lidar: np.ndarray | None = None
@@ -65,21 +71,41 @@ def gather(
     facts = _filled(
         facts, known.camera, known.camera_from_lidar, known.body_from_lidar, "the source's own files"
     )
-    facts = _filled(facts, survey.camera, None, None, "camera info")
-    facts = _filled(facts, None, *_of_transforms(survey), _TRANSFORMS)
+    if survey.camera is not None:
+        facts = _of_info(facts, survey.camera)
+    facts = _filled(facts, None, *_of_transforms(survey), TRANSFORMS)
     facts = _filled(facts, None, None, guess.imu_from_lidar, guess.by)
     if facts.body_from_lidar is None:
         names = sorted(
-            {name for pair in survey.static for name in pair} - {survey.lidar_frame, survey.image_frame}
+            {name for pair in survey.static or survey.repeated for name in pair}
+            - {survey.lidar_frame, survey.image_frame}
         )
-        ways = {
-            name: static_transform(survey.static, name, survey.lidar_frame) for name in names[:_MOST_FRAMES]
-        }
+        ways = {name: _from_lidar(survey, name) for name in names[:_MOST_FRAMES]}
         facts = replace(facts, frames={name: way for name, way in ways.items() if way is not None})
-    if facts.camera is not None and size is not None:
-        where = facts.origins["camera"]
-        facts = replace(facts, camera=camera_config.fitted(facts.camera, size, where))
-    return _with_imu(facts, survey)
+    return _with_imu(facts if size is None else _sized(facts, size), survey)
+
+
+def _of_info(facts: RigFacts, info: CameraTopic) -> RigFacts:
+    if facts.camera is not None:
+        return facts
+    facts = _filled(facts, info.camera, None, None, f"camera info {info.name}")
+    return replace(facts, other_camera=info.other, rectified=info.rectified)
+
+
+def _sized(facts: RigFacts, size: ImageSize) -> RigFacts:
+    """With cameras of images of this size. Raises InputError: the camera is of others"""
+    if facts.camera is None:
+        return facts
+
+    def sized(camera: Camera) -> Camera:
+        fitted = camera_config.fitted if camera.width else calibrations.sized
+        return fitted(camera, size, facts.origins["camera"])
+
+    other = None
+    if facts.other_camera is not None:
+        with contextlib.suppress(InputError):  # that of images that these are not
+            other = sized(facts.other_camera)
+    return replace(facts, camera=sized(facts.camera), other_camera=other)
 
 
 def _with_imu(facts: RigFacts, survey: Survey) -> RigFacts:
@@ -89,9 +115,9 @@ def _with_imu(facts: RigFacts, survey: Survey) -> RigFacts:
         return facts
     where = facts.origins.get("body_from_lidar", "")
     imu_from_lidar = facts.body_from_lidar
-    if not where or where == _TRANSFORMS:
-        imu_from_lidar = static_transform(survey.static, survey.imu_frame, survey.lidar_frame)
-        where = _TRANSFORMS
+    if not where or where == TRANSFORMS:
+        imu_from_lidar = _from_lidar(survey, survey.imu_frame)
+        where = TRANSFORMS
     if imu_from_lidar is None and survey.imu_frame and survey.imu_frame == survey.lidar_frame:
         imu_from_lidar, where = np.eye(4), "names of frames"
     if imu_from_lidar is None:
@@ -148,10 +174,18 @@ def _of_transforms(survey: Survey) -> tuple[np.ndarray | None, np.ndarray | None
 
     The body is what the odometry says that it is of, or else the frame of the IMU.
     """
-    static = survey.static
-    body = static_transform(static, survey.child, survey.lidar_frame)
-    body = static_transform(static, survey.imu_frame, survey.lidar_frame) if body is None else body
-    return static_transform(static, survey.image_frame, survey.lidar_frame), body
+    body = _from_lidar(survey, survey.child)
+    body = _from_lidar(survey, survey.imu_frame) if body is None else body
+    return _from_lidar(survey, survey.image_frame), body
+
+
+def _from_lidar(survey: Survey, frame: str) -> np.ndarray | None:
+    """(4, 4), a frame from the LiDAR's, by static transforms, else also by those that are repeated and never change; None
+    where there is no way."""
+    way = static_transform(survey.static, frame, survey.lidar_frame)
+    if way is None and survey.repeated:
+        way = static_transform(survey.repeated | survey.static, frame, survey.lidar_frame)
+    return way
 
 
 def static_transform(static: dict[tuple[str, str], np.ndarray], target: str, start: str) -> np.ndarray | None:

@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from lvba.sources.importing import stamp_order
 from lvba.sources.importing.options import ImportOptions
 
 _ABSOLUTE_S = 1e8
@@ -9,21 +12,28 @@ _ABSOLUTE_S = 1e8
 
 @dataclass
 class Selection:
-    """Asked for each record of one kind in their order. zero: ns, of the first scan; every, rate as of the options."""
+    """Asked for each record of one kind in their order. zero: ns, of the first scan; every, rate as of the options.
+
+    in_order: (N,) bool, of each record, whether its stamp is in order; None: all are
+    unordered: how many were not wanted because theirs is not
+    """
 
     zero: int
     start: float | None
     stop: float | None
     every: int
     rate: float
+    in_order: np.ndarray | None = None
+    unordered: int = 0
     _seen: int = 0
-    _last: int | None = None
     _next: float = 0.0
 
     @classmethod
-    def of(cls, options: ImportOptions, zero: int, every: int) -> "Selection":
+    def of(
+        cls, options: ImportOptions, zero: int, every: int, in_order: np.ndarray | None = None
+    ) -> "Selection":
         """By the options."""
-        return cls(zero, options.start, options.stop, every, options.rate)
+        return cls(zero, options.start, options.stop, every, options.rate, in_order)
 
     def widened(self, seconds: float) -> "Selection":
         """One of the time that is wanted, and so much before and after it."""
@@ -41,12 +51,12 @@ class Selection:
         return self.stop is None or (absolute if self.stop > _ABSOLUTE_S else seconds) <= self.stop
 
     def wants(self, stamp: int) -> bool:
-        """Whether the record with this stamp (ns) is wanted; stamps that do not grow are not."""
+        """Whether the record with this stamp (ns) is wanted; stamps out of order are not."""
         number, self._seen = self._seen, self._seen + 1
-        if (self._last is not None and stamp <= self._last) or not self.inside(stamp):
+        if self.in_order is not None and not stamp_order.is_in_order(self.in_order, number):
+            self.unordered += 1
             return False
-        self._last = stamp
-        if number % self.every:
+        if not self.inside(stamp) or number % self.every:
             return False
         if self.rate:
             seconds = (stamp - self.zero) * 1e-9

@@ -12,7 +12,7 @@ from lvba.io import calibration, files, image_poses, imu, pcd, tum
 from lvba.io.dataset import IMAGE_POSES, SCAN_POSES, load_scan, open_dataset
 from lvba.progress import Progress
 from lvba.sources.folders import recordings
-from lvba.sources.importing import folder
+from lvba.sources.importing import folder, stamp_order
 from lvba.sources.importing.options import ImportOptions
 from lvba.sources.importing.selection import Selection
 from lvba.sources.importing.writing import stamp_text
@@ -67,7 +67,8 @@ def thin(path: str, options: ImportOptions, out: Path, progress: Progress) -> di
 
 def _wanted(stamps: list[int], zero: int, options: ImportOptions) -> list[int]:
     """Numbers of those of ascending stamps (ns) that options ask for."""
-    selection = Selection.of(options, zero, options.every)
+    in_order = stamp_order.in_order(np.array(stamps, np.int64))
+    selection = Selection.of(options, zero, options.every, in_order)
     return [number for number, stamp in enumerate(stamps) if selection.wants(stamp)]
 
 

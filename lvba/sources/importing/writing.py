@@ -16,7 +16,7 @@ from lvba import geometry
 from lvba.io import files, imu, pcd, stream
 from lvba.progress import Progress
 from lvba.sources import placing
-from lvba.sources.importing import folder
+from lvba.sources.importing import folder, image_bits
 from lvba.sources.importing.conventions import Conventions
 from lvba.sources.importing.imu_clock import ImuRead
 from lvba.sources.importing.options import ImportOptions
@@ -76,8 +76,8 @@ class Writer:
     def __init__(self, out: Path, survey: Survey, conventions: Conventions, options: ImportOptions) -> None:
         self.out, self.survey, self.conventions = out, survey, conventions
         self.written = Written()
-        self._scans = Selection.of(options, survey.zero, options.every)
-        self._images = Selection.of(options, survey.zero, 1)
+        self._scans = Selection.of(options, survey.zero, options.every, survey.scans_in_order)
+        self._images = Selection.of(options, survey.zero, 1, survey.images_in_order)
         self._rest = Selection.of(options, survey.zero, 1)
         self._waiting: deque[Future[None]] = deque()
         self._with_images = conventions.images is not None
@@ -104,6 +104,8 @@ class Writer:
                     progress("scans and images", done, expected)
             while self._waiting:
                 self._waiting.popleft().result()
+        for what, selection in (("scans", self._scans), ("images", self._images)):
+            self.written.lose(f"{what} whose stamps are out of order", selection.unordered)
         return self.written
 
     def _drop(self) -> None:
@@ -163,7 +165,7 @@ class Writer:
         suffix = ".png" if image.encoded is None else image.suffix
         path = self.out / folder.IMAGES / f"{stamp_text(stamp)}{suffix}"
         if not path.exists():
-            self._submit(pool, partial(_write_image, path, image))
+            self._submit(pool, partial(_write_image, path, image, self.survey.image_bits))
 
     def _line(self, record: ImuSample | GnssFix, small: dict[type, BinaryIO], stack: ExitStack) -> None:
         kind = type(record)
@@ -187,7 +189,8 @@ class Writer:
         return float((stamp - self.survey.zero) * 1e-9)
 
 
-def _write_image(path: Path, image: RawImage) -> None:
+def _write_image(path: Path, image: RawImage, bits: int) -> None:
+    image = image_bits.widened(image, bits)
     if image.encoded is not None:
         files.write_bytes(path, image.encoded)
         return
