@@ -81,7 +81,7 @@ def _aside(trajectory: Trajectory) -> np.ndarray:
 
 
 def pauses(interval: np.ndarray) -> np.ndarray:
-    """(N - 1,) bool: times (N - 1,) s between frames in which the recording stood still."""
+    """(N - 1,) bool: times between frames in which the recording stood still. interval: (N - 1,) float64, s"""
     return np.asarray(interval > max(_PAUSE_S, _ORDINARY * float(np.median(interval))))
 
 

@@ -125,9 +125,12 @@ def facts(rough, refined, accepted, confirmed, images=None, used=True, error=Non
     """What the report says of poses every tenth of a second."""
     times = np.arange(len(rough)) / 10
     dataset = SimpleNamespace(scans=Trajectory(times, rough), images=SimpleNamespace(times=times + 0.03))
-    stage = LidarStage(
-        SimpleNamespace(world_from_scan=refined), rough_error=error, confirmed=np.array(confirmed, np.int64)
+    lidar = SimpleNamespace(
+        world_from_scan=refined,
+        odometry_dependence=np.zeros(len(rough) - 1),
+        degenerate_scans=np.zeros(len(rough)),
     )
+    stage = LidarStage(lidar, rough_error=error, confirmed=np.array(confirmed, np.int64))
     state = SimpleNamespace(world_from_scan=accepted, cameras=SimpleNamespace(accepted=used))
     return odometry_data.of_odometry(dataset, state, stage, SimpleNamespace(result=images))
 
@@ -212,3 +215,21 @@ def test_expected_motions_are_those_around():
     # frames see the way they go from another side once they have turned, but they turn as before
     assert np.allclose(trajectory_jumps.expected(Trajectory(times, turned))[20, :3, :3], steps[20, :3, :3])
     assert trajectory_jumps.expected(Trajectory(times[:3], steady[:3])).shape == (2, 4, 4)
+
+
+@pytest.mark.parametrize("used", [True, False])
+def test_a_pause_that_only_the_odometry_bridges_is_named_unless_images_do(used):
+    times = np.arange(0, 6, 0.1)
+    times[30:] += 20.0
+    poses = drive(np.arange(0, 6, 0.1))
+    dependence = np.full(len(times) - 1, 0.01)
+    dependence[[10, 29]] = 0.99
+    dataset = SimpleNamespace(scans=Trajectory(times, poses), images=SimpleNamespace(times=times + 0.03))
+    lidar = SimpleNamespace(
+        world_from_scan=poses, odometry_dependence=dependence, degenerate_scans=np.zeros(len(times))
+    )
+    stage = LidarStage(lidar, rough_error=None, confirmed=np.zeros(0, np.int64))
+    state = SimpleNamespace(world_from_scan=poses, cameras=SimpleNamespace(accepted=used))
+    images = seen(times, poses, np.zeros(len(times), np.int64))
+    known = odometry_data.of_odometry(dataset, state, stage, SimpleNamespace(result=images))
+    assert list(known["pauses_after"]) == ([] if used else [29])
