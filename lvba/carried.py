@@ -83,6 +83,17 @@ def carry(rough: Trajectory, refined: Poses, others: Trajectory, extrinsic: Pose
     return Carried(poses, by_rough, wrong, drift)
 
 
+def far(rough: Times, times: Times) -> np.ndarray:
+    """(I,) bool: times (I,) in gaps between others (N,), or beyond their ends by more than the usual interval."""
+    interval = np.diff(rough)
+    if not len(interval):
+        return np.zeros(len(times), bool)
+    before, _ = trajectory.bracket(rough, times)
+    beyond, usual = np.maximum(rough[0] - times, times - rough[-1]), float(np.median(interval))
+    in_gap = (beyond <= 0) & (interval[np.minimum(before, len(interval) - 1)] > _GAP * usual)
+    return np.asarray((beyond > usual) | in_gap)
+
+
 def _wrong(rough: Trajectory, refined: Poses, others: Trajectory) -> np.ndarray:
     """(I, 2), as of `Carried`."""
     if len(rough) < 2:
@@ -99,23 +110,22 @@ def _drift(rough: Trajectory, refined: Poses, times: Times) -> np.ndarray:
     By how much rough motions over as long a time differ from refined ones, wherever scans tell: over the time from the
     end; in a gap, over all of it, by the part that a random walk is off its line there.
     """
-    drift = np.zeros((len(times), 2))
-    interval = np.diff(rough.times)
-    if not len(interval):
+    drift, is_far = np.zeros((len(times), 2)), far(rough.times, times)
+    if not is_far.any():
         return drift
+    interval = np.diff(rough.times)
     before, fraction = trajectory.bracket(rough.times, times)
     gap = np.minimum(before, len(interval) - 1)
     beyond = np.maximum(rough.times[0] - times, times - rough.times[-1])
-    usual = float(np.median(interval))
-    far, inside = beyond > usual, (beyond <= 0) & (interval[gap] > _GAP * usual)
+    outside, inside = is_far & (beyond > 0), is_far & (beyond <= 0)
     lag, size = _differences(rough, refined)
-    if far.any():
-        drift[far] = _over(lag, size, beyond[far])
+    if outside.any():
+        drift[outside] = _over(lag, size, beyond[outside])
     if inside.any():
         bridge = np.sqrt(fraction * (1 - fraction))[inside, None]
         drift[inside] = bridge * _over(lag, size, interval[gap[inside]])
     # frames before, in each gap and after: one run each
-    run = np.where(far, np.where(times < rough.times[0], -1, len(interval)), gap)
+    run = np.where(outside, np.where(times < rough.times[0], -1, len(interval)), gap)
     _, which, count = np.unique(run, return_inverse=True, return_counts=True)
     together = np.sqrt(np.minimum(count, _MOST_ALIKE))[which]
     return np.asarray(drift * together[:, None] / np.sqrt(3.0))

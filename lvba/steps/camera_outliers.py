@@ -19,6 +19,7 @@ from lvba.blocks.decoded_images import PhotoReader, blank_photos
 from lvba.blocks.decoded_scans import ScanPieces, ScanReader
 from lvba.blocks.pieces import Pieces
 from lvba.blocks.split import Part
+from lvba.carried import far
 from lvba.dataset import Dataset
 from lvba.products.evaluate import EvaluateConfig, Scores, State
 from lvba.progress import Progress, silent
@@ -99,6 +100,8 @@ def find(dataset: Dataset, scans: ScanPoses, visual: VisualStage) -> Outliers | 
     if visual.result is None or len(visual.result.keyframes) < FEWEST:
         return None
     keyframes, expectations = visual.result.keyframes, _expectations(dataset, scans, visual.result)
+    if not expectations:
+        return None
     known = np.stack([each.known for each in expectations])
     contradicted = np.zeros_like(known)
     for row, each in zip(contradicted, expectations, strict=True):
@@ -112,14 +115,14 @@ def find(dataset: Dataset, scans: ScanPoses, visual: VisualStage) -> Outliers | 
 
 
 def _expectations(dataset: Dataset, scans: ScanPoses, result: VisualResult) -> tuple[Expectation, ...]:
-    """Cameras carried along with the scans, and on splines through them; the latter not in the gaps at the ends, where
-    they are three times as far off."""
+    """Cameras carried along with the scans, and on splines through them, where scans are near; the latter not between the
+    two at either end, where they are three times as far off."""
     times, samples = dataset.images.times, Trajectory(dataset.scans.times, scans.world_from_scan)
-    everywhere = np.ones(len(result.keyframes), bool)
-    expected = [("carried", carry_cameras(dataset, scans.world_from_scan), everywhere)]
+    near = ~far(samples.times, times)
+    expected = [("carried", carry_cameras(dataset, scans.world_from_scan), near[result.keyframes])]
     if len(samples) >= spline.FEWEST_SAMPLES:
         moments = result.moments(times)
-        inside = (moments >= samples.times[1]) & (moments <= samples.times[-2])
+        inside = near & (moments >= samples.times[1]) & (moments <= samples.times[-2])
         poses = spline.through(samples, moments) @ result.scan_from_camera
         expected.append(("spline", poses, inside[result.keyframes]))
     solved = result.world_from_camera[result.keyframes]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lvba import geometry, spline
-from lvba.carried import carry
+from lvba.carried import carry, far
 from lvba.trajectory import Trajectory
 from lvba.visual import trajectory_prior
 
@@ -112,3 +112,10 @@ def test_cameras_far_from_scans_are_held_by_what_the_odometry_may_drift():
     assert (
         np.trace(spread[far, 3:, 3:], axis1=1, axis2=2) > np.square(sizes[0][far]).sum(axis=1) * 0.5
     ).all()
+
+
+def test_times_in_gaps_and_beyond_the_ends_are_far_from_scans():
+    scans = np.r_[np.arange(0, 5, 0.5), np.arange(9, 12, 0.5)]
+    at = np.array([-0.6, -0.4, 0.2, 4.4, 4.7, 8.9, 9.1, 11.8, 12.1])
+    assert far(scans, at).tolist() == [True, False, False, False, True, True, False, False, True]
+    assert not far(scans[:1], at).any()
