@@ -18,7 +18,17 @@ from lvba.io import calibration, files, image_poses, tum
 from lvba.io.dataset import IMAGE_POSES, SCAN_POSES
 from lvba.progress import Progress, silent
 from lvba.sources.importing import conventions as deciding
-from lvba.sources.importing import data_set, folder, imu_clock, own_odometry, rig, streams, survey, thinning
+from lvba.sources.importing import (
+    data_set,
+    folder,
+    imu_clock,
+    own_odometry,
+    pose_clock,
+    rig,
+    streams,
+    survey,
+    thinning,
+)
 from lvba.sources.importing.conventions import Conventions, Origin
 from lvba.sources.importing.imu_clock import ImuRead
 from lvba.sources.importing.options import Guess, ImportOptions
@@ -90,10 +100,9 @@ def import_source(
         wanted = Selection.of(options, surveyed.zero, 1)
         estimated = _own_odometry(source, chosen, surveyed, facts, known.guess, wanted, progress)
         odometry = estimated.track
-    elif chosen.odometry_command:
-        odometry = own_odometry.of_command(chosen.odometry_command, description.path, surveyed, progress)
     else:
-        odometry = _odometry(chosen, surveyed)
+        odometry, notes = _odometry(chosen, surveyed, description.path, options, progress)
+        facts = replace(facts, notes=(*facts.notes, *notes))
     decided = deciding.decide(surveyed, facts, odometry, origin, options, chosen.odometry_said, known.guess)
     announce("write", passes - 1, passes)
     writer = Writer(out, surveyed, decided, options)
@@ -190,23 +199,25 @@ def _own_odometry(
     return own_odometry.of_scans(source, chosen.lidar, on_clock, clock, facts, wanted, progress)
 
 
-def _odometry(chosen: Streams, surveyed: Survey) -> Track:
-    """Raises InputError: there are fewer than two poses."""
-    if chosen.odometry_file:
-        file = tum.read_pose_file(chosen.odometry_file)
-        nanoseconds = np.array(
-            [_nanoseconds(text, time) for text, time in zip(file.stamps, file.trajectory.times)]
-        )
-        return Track(surveyed.seconds(nanoseconds), file.trajectory.world_from_sensor)
-    if surveyed.odometry is None or len(surveyed.odometry) < 2:
+def _odometry(
+    chosen: Streams, surveyed: Survey, path: str, options: ImportOptions, progress: Progress
+) -> tuple[Track, tuple[str, ...]]:
+    """The poses that are given, and notes on them. path: of the source
+
+    Raises InputError: there are fewer than two poses, or they are of another clock.
+    """
+    notes: tuple[str, ...] = ()
+    if chosen.odometry_command:
+        command = chosen.odometry_command
+        odometry, notes = own_odometry.of_command(command, path, surveyed, progress)
+    elif chosen.odometry_file:
+        odometry, notes = pose_clock.of_file(chosen.odometry_file, surveyed)
+    elif surveyed.odometry is None or len(surveyed.odometry) < 2:
         raise InputError(chosen.odometry, "has fewer than two poses", "choose another one by --odometry")
-    return surveyed.odometry
-
-
-def _nanoseconds(text: str, time: float) -> int:
-    """int ns of a time in seconds, by the digits on file where there are any."""
-    whole, _, decimals = (text or f"{time:.9f}").partition(".")
-    return int(whole) * 10**9 + int(f"{decimals[:9]:0<9}")
+    else:
+        odometry = surveyed.odometry
+    pose_clock.check(odometry, surveyed, chosen.odometry_said, options.conventions)
+    return odometry, notes
 
 
 def _check_images(facts: RigFacts, surveyed: Survey, chosen: Streams, where_it_is: str) -> None:
@@ -236,13 +247,8 @@ def _check_images(facts: RigFacts, surveyed: Survey, chosen: Streams, where_it_i
 
 def _check_written(written: Written, chosen: Streams, odometry: Track, surveyed: Survey) -> None:
     if len(written.scans) < 2:
-        first, last = surveyed.seconds(surveyed.scan_stamps[[0, -1]])
-        raise InputError(
-            chosen.odometry or chosen.odometry_file,
-            f"{len(written.scans)} scans lie inside of its poses, which are from {odometry.times[0]:.1f} to "
-            f"{odometry.times[-1]:.1f} s, counted from the first scan; scans from {first:.1f} to {last:.1f} s",
-            "give poses of the same clock, at most 0.5 s apart, and check --from and --to",
-        )
+        where = chosen.odometry or chosen.odometry_file
+        raise pose_clock.outside(odometry, surveyed, where, len(written.scans))
 
 
 def _write_texts(
