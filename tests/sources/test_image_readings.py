@@ -27,6 +27,7 @@ class Parabolas:
 
     about: float
     spread: float
+    added: float = field(default=0.0, kw_only=True)
     flat: float = 1.0
     segments: int = 12
     rough: float = 0.0

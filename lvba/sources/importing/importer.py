@@ -17,8 +17,8 @@ from lvba.errors import InputError
 from lvba.io import calibration, files, image_poses, tum
 from lvba.io.dataset import IMAGE_POSES, SCAN_POSES
 from lvba.progress import Progress, silent
-from lvba.sources.importing import conventions as deciding
 from lvba.sources.importing import (
+    clocks,
     data_set,
     folder,
     imu_clock,
@@ -29,6 +29,8 @@ from lvba.sources.importing import (
     survey,
     thinning,
 )
+from lvba.sources.importing import conventions as deciding
+from lvba.sources.importing.clocks import Clocks
 from lvba.sources.importing.conventions import Conventions, Origin
 from lvba.sources.importing.imu_clock import ImuRead
 from lvba.sources.importing.options import Guess, ImportOptions
@@ -85,9 +87,7 @@ def import_source(
         return ImportReport(_read(out), reused=True)
     passes = 2 if chosen.odometry or chosen.odometry_file else 3
     announce("survey", 0, passes)
-    surveyed = survey.survey(
-        source.records(chosen.surveyed), chosen, _count(description, chosen.surveyed), progress
-    )
+    source, surveyed, apart = _surveyed(source, chosen, options, progress)
     lost = list(source.losses())
     facts = rig.gather(
         options.calibration, source.geometry(), surveyed, chosen.image, options.camera, known.guess
@@ -103,7 +103,8 @@ def import_source(
     else:
         odometry, notes = _odometry(chosen, surveyed, description.path, options, progress)
         facts = replace(facts, notes=(*facts.notes, *notes))
-    decided = deciding.decide(surveyed, facts, odometry, origin, options, chosen.odometry_said, known.guess)
+    where = chosen.odometry_said
+    decided = deciding.decide(surveyed, facts, odometry, origin, options, where, known.guess, apart)
     announce("write", passes - 1, passes)
     writer = Writer(out, surveyed, decided, options)
     frames = tuple(name for name in (chosen.lidar, chosen.image) if name)
@@ -121,6 +122,20 @@ def import_source(
     _write_evidence(out, evidence)
     folder.finish(out, key)
     return ImportReport(evidence, reused=False)
+
+
+def _surveyed(
+    source: Source, chosen: Streams, options: ImportOptions, progress: Progress
+) -> tuple[Source, Survey, Clocks]:
+    """The source with its streams on one clock, its survey, and what was added to stamps for that."""
+    description = source.describe()
+    count = _count(description, chosen.surveyed)
+    surveyed = survey.survey(source.records(chosen.surveyed), chosen, count, progress)
+    apart = clocks.find(description, chosen, surveyed, options)
+    if shifts := apart.shifts(chosen):
+        source = clocks.OnOneClock(source, shifts)
+        surveyed = survey.survey(source.records(chosen.surveyed), chosen, count, progress)
+    return source, surveyed, apart
 
 
 def _check_camera(options: ImportOptions) -> None:
@@ -249,6 +264,13 @@ def _check_written(written: Written, chosen: Streams, odometry: Track, surveyed:
     if len(written.scans) < 2:
         where = chosen.odometry or chosen.odometry_file
         raise pose_clock.outside(odometry, surveyed, where, len(written.scans))
+    left_out = [sentence for sentence in written.sentences() if " images " in sentence]
+    if chosen.image and left_out and not written.images:
+        raise InputError(
+            chosen.image,
+            f"no image is taken while there are poses: {', '.join(left_out)}: its clock is another one",
+            "give --convention image_offset=SECONDS, what is added to its stamps, or --image none",
+        )
 
 
 def _write_texts(
@@ -318,8 +340,8 @@ def _evidence(
         "conventions": answers,
         "applied": {
             "poses_hold_after_their_stamp_s": round(reading.reading.shift, 6),
-            "added_to_stamps_of_images_s": round(decided.image_offset, 6),
-            "added_to_stamps_of_imu_s": round(decided.imu.offset, 6),
+            "added_to_stamps_of_images_s": round(decided.clocks.image + decided.image_offset, 6),
+            "added_to_stamps_of_imu_s": round(decided.clocks.imu + decided.imu.offset, 6),
             **_applied_to_imu(decided.imu),
         },
         "evidence": {
@@ -327,7 +349,9 @@ def _evidence(
             "distance_of_scans_m": _rounded(reading.thickness),
             "distance_within_scans_m": _rounded(reading.floor),
             "poses_hold_after_their_stamp_s": _measured(reading.measured, reading.measured_sigma),
-            "imu_read_after_its_stamp_s": _measured(decided.imu.measured, decided.imu.measured_sigma),
+            "imu_read_after_its_stamp_s": _measured(
+                decided.clocks.imu + decided.imu.measured, decided.imu.measured_sigma
+            ),
             **_of_images(decided),
         },
         "calibration": dict(facts.origins),
@@ -350,7 +374,7 @@ def _of_images(decided: Conventions) -> dict[str, Any]:
     if decided.images is None:
         return {}
     images = decided.images
-    measured = _measured(images.measured, images.measured_sigma)
+    measured = _measured(decided.clocks.image + images.measured, images.measured_sigma)
     return {"pairs_of_images": images.pairs, "images_taken_after_their_stamp_s": measured}
 
 
