@@ -1,4 +1,4 @@
-"""The names under which YAML files give a camera, and what they mean: FAST-LIVO2's, ROS's, Kalibr's and OpenCV's.
+"""The names under which YAML files give a camera, and what they mean: FAST-LIVO2's, ROS's, Kalibr's, OpenCV's, VINS's.
 
 All become width, height, fx, fy, cx, cy, scale, lens, and d0 d1 ... = k1 k2 p1 p2 k3 k4 k5 k6, or k1 k2 k3 k4 where the
 lens is equidistant. What no name here means is an error in a section that holds a camera alone: a coefficient that is
@@ -24,8 +24,9 @@ _FOREIGN = (
     ("image_width", "camera_matrix"),
     ("resolution", "intrinsics"),
     ("image_width", "camera_intrinsic"),
+    ("image_width", "projection_parameters"),
 )
-"""What marks a mapping as a camera of ROS, Kalibr or R3LIVE."""
+"""What marks a mapping as a camera of ROS, Kalibr, R3LIVE or VINS."""
 
 _MOST = 14
 """Distortion coefficients of OpenCV's largest model."""
@@ -47,6 +48,11 @@ _COEFFICIENTS = (
 _AMBIGUOUS = ("type", "size", "resolution", "image_size")
 """Names that mean a camera's only in its own section."""
 _NESTED = ("projection_parameters", "distortion_parameters", "mirror_parameters")
+_VINS_FISHEYE = {
+    **{"mu": "fx", "mv": "fy", "u0": "cx", "v0": "cy"},
+    **{"k2": "d0", "k3": "d1", "k4": "d2", "k5": "d3"},
+}
+"""Names of VINS for an equidistant lens: the coefficient of the angle itself, k1 there, is 1."""
 _EXPLAINED = re.compile(
     r"(camera_|cam_)?(name|id|label|frame|frame_id|topic|fps|rate|hz|description|note|comment)|"
     r"(img|image)_topic|rostopic|T_.*|timeshift_.*|cam_overlaps|(rectification|projection)_matrix|R|P|"
@@ -87,7 +93,7 @@ def native(path: Path, name: str, mapping: dict[str, Any]) -> dict[str, Any]:
 
 
 def foreign(path: Path, name: str, mapping: dict[str, Any]) -> dict[str, Any]:
-    """The camera in one mapping as ROS, Kalibr and R3LIVE write it; empty if there is none.
+    """The camera in one mapping as ROS, Kalibr, R3LIVE and VINS write it; empty if there is none.
 
     Raises: InputError as `native`
     """
@@ -109,6 +115,7 @@ def _canonical(key: str) -> str:
 
 def _read(path: Path, name: str, mapping: dict[str, Any], *, alone: bool) -> dict[str, Any]:
     _check_model(path, mapping, alone)
+    mapping = _without_names_of_vins(mapping)
     values: dict[str, Any] = {}
     source: dict[str, str] = {}
     for key, meaning, value in _meanings(path, name, mapping, alone):
@@ -121,6 +128,19 @@ def _read(path: Path, name: str, mapping: dict[str, Any], *, alone: bool) -> dic
         values = _equidistant(path, values, source)
     _check_distortion(path, values, source)
     return {key: value for key, value in values.items() if key not in _MODELS}
+
+
+def _without_names_of_vins(mapping: dict[str, Any]) -> dict[str, Any]:
+    """The same, where VINS's names of an equidistant lens stand in its sections, with ours."""
+    sections = {key: mapping[key] for key in _NESTED if isinstance(mapping.get(key), dict)}
+    model = str(mapping.get("model_type", "")).lower()
+    if model not in _EQUIDISTANT or not any("mu" in section for section in sections.values()):
+        return mapping
+    renamed = {
+        key: {_VINS_FISHEYE.get(name, name): value for name, value in section.items()}
+        for key, section in sections.items()
+    }
+    return {**mapping, **renamed}
 
 
 def _equidistant(path: Path, values: dict[str, Any], source: dict[str, str]) -> dict[str, Any]:

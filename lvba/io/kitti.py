@@ -1,7 +1,7 @@
 """A sequence of the KITTI odometry benchmark as a `Dataset`.
 
     SEQUENCE/
-      velodyne/000000.bin   image_2/000000.png (or image_3; rectified)
+      velodyne/000000.bin   image_2/000000.png (or image_3; gray: image_0, image_1; rectified)
       times.txt             one time (s) a line, of scan and image of that number
       poses.txt             12 numbers a line, world from camera 0 (row by row); also ../../poses/SEQUENCE.txt
       calib.txt             P0 to P3: 3x4 projections from camera 0; Tr: 3x4, camera 0 from LiDAR
@@ -25,13 +25,18 @@ from lvba.io.posed_frames import PosedFrames
 from lvba.trajectory import Trajectory
 
 SCAN_FOLDER, CALIBRATION, TIMES, POSES = "velodyne", "calib.txt", "times.txt", "poses.txt"
-IMAGE_FOLDERS = {"image_2": "P2", "image_3": "P3"}
+IMAGE_FOLDERS = {"image_2": "P2", "image_3": "P3", "image_0": "P0", "image_1": "P1"}
+"""With the projection of each; the first that is there is taken: colors before gray."""
 _TOLERANCE = 1e-3
 
 
 def is_kitti(root: Path) -> bool:
     """Whether the folder looks like a KITTI odometry sequence."""
     return os.path.isdir(root / SCAN_FOLDER) and os.path.isfile(root / CALIBRATION)
+
+
+def _image_folder(root: Path) -> str | None:
+    return next((name for name in IMAGE_FOLDERS if os.path.isdir(root / name)), None)
 
 
 def open_kitti(root: Path) -> Dataset:
@@ -42,7 +47,7 @@ def open_kitti(root: Path) -> Dataset:
     calibration, times, pose_path, world_from_camera0 = _tables(root)
     world_from_scan = world_from_camera0 @ calibration["Tr"]
     scans = _open_frames(root / SCAN_FOLDER, (velodyne.SUFFIX,), "scan", times, world_from_scan, pose_path)
-    image_folder = next((name for name in IMAGE_FOLDERS if os.path.isdir(root / name)), None)
+    image_folder = _image_folder(root)
     cameras: tuple[RigCamera, ...] = ()
     if image_folder is None:
         pictures = None
@@ -79,7 +84,7 @@ def check_names(root: Path) -> None:
     """
     calibration, times, pose_path, poses = _tables(root)
     _timed(root / SCAN_FOLDER, (velodyne.SUFFIX,), "scan", len(times), len(poses), pose_path)
-    image_folder = next((name for name in IMAGE_FOLDERS if os.path.isdir(root / name)), None)
+    image_folder = _image_folder(root)
     if image_folder is not None:
         _split_projection(root, calibration, IMAGE_FOLDERS[image_folder])
         _timed(root / image_folder, images.SUFFIXES, "image", len(times), len(poses), pose_path)
@@ -87,7 +92,7 @@ def check_names(root: Path) -> None:
 
 def _tables(root: Path) -> tuple[dict[str, np.ndarray], np.ndarray, Path, np.ndarray]:
     """Calibration, times (N,) s, and the pose file with its poses (M, 4, 4), world from camera 0."""
-    calibration = _read_calibration(root / CALIBRATION)
+    calibration = _read_calibration(root / CALIBRATION, IMAGE_FOLDERS.get(_image_folder(root) or "", ""))
     times = _table(root / TIMES, 1)[:, 0]
     if (np.diff(times) <= 0).any():
         raise InputError(root / TIMES, "times are not ascending", "sort them")
@@ -165,12 +170,12 @@ def _row(where: str, words: list[str], columns: int) -> list[float]:
     return values
 
 
-def _read_calibration(path: Path) -> dict[str, np.ndarray]:
-    """Tr as (4, 4), P2 and P3 as (3, 4) where they are there."""
+def _read_calibration(path: Path, used: str) -> dict[str, np.ndarray]:
+    """Tr as (4, 4), and as (3, 4) P2, P3 and the projection that is used, where they are there."""
     matrices: dict[str, np.ndarray] = {}
     for number, line in enumerate(files.read_text(path).split("\n"), 1):
         key, _, rest = line.partition(":")
-        if key.strip() in ("P2", "P3", "Tr"):
+        if key.strip() in ("P2", "P3", "Tr", used):
             matrices[key.strip()] = np.array(_row(f"{path}:{number}", rest.split(), 12)).reshape(3, 4)
     if "Tr" not in matrices:
         raise InputError(path, "has no line Tr", "add Tr: 12 numbers, camera 0 from LiDAR")

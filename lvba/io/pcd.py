@@ -8,12 +8,10 @@ import numpy as np
 
 from lvba.dataset import Scan
 from lvba.errors import InputError
-from lvba.io import files, finite_points, pcd_header
+from lvba.io import files, finite_points, pcd_header, point_fields
 from lvba.io.pcd_header import Field, Header
 
 INTENSITY_NAMES = ("intensity", "intensities", "reflectivity", "i")
-TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "offset_time", "time_offset", "timeoffset", "stamp")
-"""Only names that say so: some drivers hide times in `curvature` or `normal_x`, others put there what the name says."""
 MAX_ASCII_BYTES = 256 * 1024**2
 """Longest file of text read; real scans have some megabytes."""
 _PIECE_BYTES = 1_000_000
@@ -30,12 +28,14 @@ def read_pcd(path: str | Path) -> Scan:
     columns = _DECODERS[header.encoding](path, header, content)
     points = columns.points()
     intensity = header.field(INTENSITY_NAMES)
-    time = header.field(TIME_NAMES)
+    names = point_fields.times_of(field.name for field in header.fields)
+    fields = [header.field((name.lower(),)) for name in names]
+    time = point_fields.joined([columns.values(field) for field in fields if field is not None])
     return finite_points.keep(
         path,
         points,
         None if intensity is None else columns.values(intensity).astype(np.float32),
-        None if time is None else columns.values(time).astype(np.float64),
+        None if time is None else time.astype(np.float64),
     )
 
 

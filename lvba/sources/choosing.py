@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
+from lvba.io import point_fields
 from lvba.sources.source import Kind, SourceDescription, Stream
 
 _DERIVED = re.compile(
@@ -13,9 +14,6 @@ _DERIVED = re.compile(
 _NOT_COLOR = re.compile(r"depth|disparity|infra|thermal|mask|debug|feature|track|match|rendered|overlay")
 _OTHER_POSES = re.compile(
     r"wheel|gps|gnss|rtk|fix|cmd|goal|target|setpoint|initial|ground_?truth|gt$|vicon|mocap|camera|image"
-)
-_TIMES = re.compile(
-    r"^(time|t|timestamp|time_stamp|offset_time|time_offset|timeoffset|t_offset|point_time) ", re.IGNORECASE
 )
 
 
@@ -58,8 +56,13 @@ def choose(description: SourceDescription, unusable: Collection[str] = ()) -> Ch
 
 def _scan_rank(stream: Stream) -> tuple[float, ...]:
     raw = not _DERIVED.search(stream.name.lower())
-    timed = any(_TIMES.match(field) for field in stream.fields)
+    timed = bool(point_fields.times_of(name for name in map(_named, stream.fields) if name))
     return raw, timed, stream.count or 0
+
+
+def _named(field: str) -> str:
+    """The name of a field of points ("name type"); "": its type is not known."""
+    return field.rpartition(" ")[0]
 
 
 def _image_rank(stream: Stream) -> tuple[float, ...]:

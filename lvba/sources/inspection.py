@@ -13,6 +13,7 @@ from lvba.lidar.point_times import find_clock
 from lvba.sources import camera_topics, packets, presets
 from lvba.sources.camera_topics import CameraTopic
 from lvba.sources.choosing import Choice, choose
+from lvba.sources.importing.survey import is_return
 from lvba.sources.repeated_transforms import Pair, Repeated
 from lvba.sources.source import (
     CameraInfo,
@@ -195,6 +196,7 @@ def _scan_facts(records: list[Any]) -> dict[str, Any]:
         facts["rows"] = rows
     if not scans[0].time_field:
         return facts | {"times": "none"}
+    scans = [_of_returns(scan) for scan in scans]
     stamps = np.array([scan.stamp for scan in scans]) * 1e-9
     clock = find_clock([scan.times for scan in scans], stamps)
     if isinstance(clock, str):
@@ -207,6 +209,12 @@ def _scan_facts(records: list[Any]) -> dict[str, Any]:
         "sweep_s": round(clock.sweep, 4),
         "stamp_is": _meaning(begin, clock.sweep),
     }
+
+
+def _of_returns(scan: RawScan) -> RawScan:
+    """The scan with the times of what came back alone: some drivers leave times of others at zero, or at NaN."""
+    good = is_return(scan.points)
+    return scan if scan.times is None or not good.any() else replace(scan, times=scan.times[good])
 
 
 def _first_relative(scans: list[RawScan], unit: float) -> float:

@@ -91,6 +91,36 @@ def test_a_kitti_sequence(tmp_path: Path):
     assert len(found.digest) == 64
 
 
+@pytest.mark.parametrize(("folder", "key"), [("image_0", "P0"), ("image_1", "P1"), ("image_3", "P3")])
+def test_a_kitti_sequence_of_another_camera(tmp_path: Path, folder: str, key: str):
+    poses = _kitti(tmp_path)
+    (tmp_path / "image_2").rename(tmp_path / folder)
+    for path in (tmp_path / folder).iterdir():
+        images.write_image(path, images.read_image(path)[..., 0])
+    calibration = tmp_path / "calib.txt"
+    offset = {"image_0": 0.0, "image_1": -0.54, "image_3": -0.47}[folder]
+    line = f"{key}: 31 0 16 {31 * offset:.6f} 0 31 12 0 0 0 1 0"
+    rest = [line for line in calibration.read_text().split("\n") if line[:3] in ("P2:", "Tr:")]
+    calibration.write_text("\n".join([line, *rest]))
+    found = open_dataset(tmp_path)
+    assert (len(found.image_paths), found.camera.fx) == (5, 31.0)
+    expected = poses @ geometry.inverse(
+        geometry.from_rotation_translation(np.eye(3), np.array([offset, 0, 0]))
+    )
+    np.testing.assert_allclose(found.images.world_from_sensor, expected, atol=1e-9)
+    assert load_image(found, 4).shape == (24, 32, 3)
+
+
+def test_colors_of_a_kitti_sequence_come_before_gray(tmp_path: Path):
+    _kitti(tmp_path)
+    before = open_dataset(tmp_path)
+    (tmp_path / "image_0").mkdir()
+    calibration = tmp_path / "calib.txt"
+    calibration.write_text(calibration.read_text().replace("P0:", "P0: not looked at"))
+    assert all("image_2" in path for path in open_dataset(tmp_path).image_paths)
+    assert len(before.image_paths) == 5
+
+
 def test_a_kitti_sequence_with_its_poses_where_the_benchmark_has_them(tmp_path: Path):
     root = tmp_path / "sequences" / "07"
     _kitti(root)

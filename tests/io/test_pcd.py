@@ -121,6 +121,32 @@ def test_names_of_fields_that_are_not_clear_are_no_time(tmp_path: Path):
     assert scan.intensity is None
 
 
+@pytest.mark.parametrize(
+    ("fields", "expected"),
+    [
+        ({"time_offset_ns": ("<i4", 7 * np.arange(4))}, 7 * np.arange(4)),
+        ({"point_time_offset": ("<f4", np.arange(4) / 8)}, np.arange(4) / 8),
+        (
+            {"timestampSec": ("<u4", 5), "timestampNsec": ("<u4", 9 + np.arange(4))},
+            5_000_000_009 + np.arange(4),
+        ),
+    ],
+)
+def test_times_of_other_names_are_read(tmp_path: Path, fields: dict, expected: np.ndarray):
+    table = np.zeros(
+        4, [*((axis, "<f4") for axis in "xyz"), *((name, kind) for name, (kind, _) in fields.items())]
+    )
+    table["x"] = 1
+    for name, (_, values) in fields.items():
+        table[name] = values
+    kinds = [table.dtype[name] for name in table.dtype.names]
+    letters = " ".join({"f": "F", "i": "I", "u": "U"}[kind.kind] for kind in kinds)
+    sizes = " ".join(str(kind.itemsize) for kind in kinds)
+    head = _header(" ".join(table.dtype.names), sizes, letters, " ".join("1" for _ in kinds), 4, "binary")
+    (tmp_path / "a.pcd").write_bytes(head + table.tobytes())
+    np.testing.assert_array_equal(pcd.read_pcd(tmp_path / "a.pcd").time, expected)
+
+
 def test_an_organized_cloud_and_one_without_points_line(tmp_path: Path):
     head = b"VERSION 0.6\nCOLUMNS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 5\nHEIGHT 2\nDATA binary\r\n"
     points = _points(10)

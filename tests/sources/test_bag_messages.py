@@ -11,7 +11,7 @@ from lvba import geometry
 from lvba.camera import Camera
 from lvba.errors import InputError
 from lvba.lens import Lens
-from lvba.sources import packets
+from lvba.sources import choosing, packets
 from lvba.sources.bags.decoders import kind_of
 from lvba.sources.importing.importer import import_source
 from lvba.sources.importing.options import ImportOptions
@@ -81,6 +81,40 @@ CLOUDS = {
         ring=(">u2", np.arange(12) + 256),
     ),
 }
+
+
+TIMES = {
+    "Aeva": ({"time_offset_ns": ("<i4", -70_000 * np.arange(12))}, -70_000 * np.arange(12, dtype=np.int32)),
+    "seconds and ns": (
+        {"timestampNsec": ("<u4", np.arange(12)), "timestampSec": ("<u4", T0 // 10**9)},
+        T0 + np.arange(12),
+    ),
+    "seconds and ns as floats": (
+        {"sec": ("<f8", 3.0), "nsec": ("<f4", 1000.0 * np.arange(12))},
+        3e9 + 1e3 * np.arange(12),
+    ),
+    "names known before come first": (
+        {"relative_time": ("<f4", 1.0), "t": ("<u4", np.arange(12))},
+        np.arange(12, dtype=np.uint32),
+    ),
+    "seconds alone are no times": ({"sec": ("<u4", 5)}, None),
+}
+
+
+@pytest.mark.parametrize("name", TIMES)
+def test_times_of_points_are_read_by_the_names_that_drivers_give_them(name, messages, tmp_path):
+    columns, expected = TIMES[name]
+    points = table(**{axis: ("<f4", XYZ[:, i]) for i, axis in enumerate("xyz")}, **columns)
+    source = source_of(tmp_path, messages, [messages.cloud(T0, points)], "sensor_msgs/msg/PointCloud2")
+    [(_, scan)] = source.records({"/a"})
+    assert (scan.times is None) == (expected is None)
+    [stream] = source.describe().streams
+    untimed = replace(stream, name="/b", fields=stream.fields[:3], count=5)
+    description = replace(source.describe(), streams=(untimed, stream))
+    assert choosing.choose(description).lidar == ("/b" if expected is None else "/a")
+    if expected is not None:
+        assert np.array_equal(scan.times, expected)
+        assert scan.times.dtype == expected.dtype
 
 
 @pytest.mark.parametrize("name", CLOUDS)

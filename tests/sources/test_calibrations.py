@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
+import surveys
 import yaml
 
 from lvba import geometry, lens
@@ -16,6 +17,10 @@ from lvba.io import calibration as result_calibration
 from lvba.io.image_header import ImageSize
 from lvba.lens import Lens
 from lvba.sources import calibrations
+from lvba.sources.importing import rig
+from lvba.sources.importing.options import Guess
+from lvba.sources.importing.survey import ImuReadings
+from lvba.sources.source import KnownGeometry
 
 CAMERA_FROM_LIDAR = geometry.from_rotation_translation(
     geometry.exp(np.array([0.02, -0.01, 0.03, 0, 0, 0]))[:3, :3]
@@ -29,9 +34,12 @@ RADIAL = (-0.108, 0.105, -1.2872e-4, 5.7923e-5)
 RADIAL_5 = (*RADIAL, -0.0222)
 FISHEYE = (-0.0370, -0.0089, 0.0089, -0.0038)
 ORB = "Camera.fx: 500\nCamera.fy: 500\nCamera.cx: 320\nCamera.cy: 240\n"
+VINS = "image_width: 640\nimage_height: 480\nprojection_parameters: {fx: 500, fy: 500, cx: 320, cy: 240}\n"
+EYE = "[1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0]"
 ALL = (
     *(writers.fast_livo, writers.r3live, writers.kalibr, writers.openvins, writers.m2mapping),
     *(writers.spires, writers.dvlc, writers.opencv, writers.colmap, writers.orb_slam, writers.orb_slam2),
+    *(writers.vins, writers.ntu_viral, writers.euroc),
 )
 ONLY_CAMERA = (writers.opencv, writers.colmap)
 CASES = [
@@ -91,6 +99,27 @@ def test_extrinsics_have_the_direction_of_their_format(tmp_path, writer):
     np.testing.assert_allclose(
         rig.body_from_camera, BODY_FROM_LIDAR @ geometry.inverse(CAMERA_FROM_LIDAR), rtol=0, atol=1e-9
     )
+
+
+@pytest.mark.parametrize("known", ["transforms", "preset"])
+def test_a_camera_on_the_imu_is_on_the_lidar_by_where_the_imu_is(tmp_path, known):
+    path = writers.euroc(tmp_path, RADIAL, False, CAMERA_FROM_LIDAR, BODY_FROM_LIDAR)
+    stamps, nothing = np.arange(2), np.zeros((0, 3))
+    imu = ImuReadings(np.zeros(0), nothing, nothing) if known == "transforms" else None
+    static = {("imu", "lidar"): BODY_FROM_LIDAR} if known == "transforms" else {}
+    size = (writers.WIDTH, writers.HEIGHT)
+    frames = {"lidar_frame": "lidar", "image_frame": "camera", "imu_frame": "imu"}
+    surveyed = surveys.survey(stamps, stamps, imu=imu, image_size=size, static=static, **frames)
+    guess = Guess() if static else Guess(by="preset x", imu_from_lidar=BODY_FROM_LIDAR)
+    facts = rig.gather((str(path),), KnownGeometry(), surveyed, "/cam0", guess=guess)
+    np.testing.assert_allclose(facts.camera_from_lidar, CAMERA_FROM_LIDAR, rtol=0, atol=1e-9)
+    assert facts.origins["camera_from_lidar"] == f"{path}, {'static transforms' if static else 'preset x'}"
+
+
+def test_vins_may_do_without_an_extrinsic(tmp_path):
+    path = writers.vins(tmp_path, FISHEYE, True, CAMERA_FROM_LIDAR, BODY_FROM_LIDAR)
+    path.write_text(path.read_text().replace("estimate_extrinsic: 0", "estimate_extrinsic: 2"))
+    assert calibrations.read([path]).body_from_camera is None
 
 
 def test_orb_slam_need_not_say_the_size_of_its_images(tmp_path):
@@ -358,6 +387,23 @@ def test_what_is_wrong_in_a_file_of_kalibr_is_said_in_one_line(tmp_path, change,
         ),
         ("a.yaml", f"{ORB}Camera.type: Omni\n", "the camera model 'Omni' .*cannot be used"),
         ("a.yaml", f"{ORB}Tbc: [1, 2]\n", "Tbc is not 16 or 12 finite numbers"),
+        (
+            "a.yaml",
+            f"{VINS}model_type: MEI\nmirror_parameters: {{xi: 1.2}}\n",
+            "the camera model 'MEI' is not known",
+        ),
+        (
+            "a.yaml",
+            f"{VINS}model_type: PINHOLE\nprojection_parameters: {{mu: 1}}\n",
+            "projection_parameters.mu is not",
+        ),
+        ("a.yaml", f"{VINS}T_Body_Cam: [1]\n", "T_Body_Cam is not 16 or 12 finite numbers"),
+        (
+            "a.yaml",
+            f"{VINS}T_Body_Cam: {EYE}\nT_BS: {EYE}\nsensor_type: camera\n",
+            "says 2 times where a camera is",
+        ),
+        ("a.yaml", f"sensor_type: imu\nT_BS: {EYE}\n", "neither a camera nor an extrinsic"),
         ("a.yaml", "- 1\n", "holds no names"),
         ("a.toml", "", "no calibration file of a known kind"),
         ("a.yaml", "camera: {model: 2}\nextrinsic: {T_C_L: [1]}\n", "write 0 \\(pinhole\\) or 1"),

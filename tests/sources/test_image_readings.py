@@ -1,12 +1,16 @@
 """What is taken where an offset of images is measured beside usual answers: pairs that are parabolas of the offset."""
 
+import struct
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 import pytest
 
 from lvba import geometry
-from lvba.sources.importing import decision, image_readings
+from lvba.io import images
+from lvba.sources.importing import decision, image_readings, survey
+from lvba.sources.source import RawImage
 
 CAMERA_FROM_LIDAR = geometry.exp(np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6]))
 OFFSETS = {"+0": 0.0, "+0.1": 0.1, "-0.1": -0.1, "+0.05": 0.05, "-0.05": -0.05}
@@ -23,6 +27,7 @@ class Parabolas:
 
     about: float
     spread: float
+    added: float = field(default=0.0, kw_only=True)
     flat: float = 1.0
     segments: int = 12
     rough: float = 0.0
@@ -120,3 +125,18 @@ def test_an_extrinsic_that_is_not_quite_its_own_inverse_is_a_question():
     shifted[0, 3] = 1e-3
     read = image_readings.find(Parabolas(0.0, 0.008, camera_from_lidar=shifted), OFFSETS, {}, "here")
     assert dict(read.decisions[0].scores).keys() == {"camera_from_lidar", "lidar_from_camera"}
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6])
+def test_images_are_judged_as_they_are_stored(tmp_path, orientation):
+    """EXIF says how a viewer turns an image; files, calibrations and `lvba run` have it as it was read out."""
+    ramp = np.linspace(0, 255, 60 * 80).reshape(60, 80).astype(np.uint8)
+    _, encoded = cv2.imencode(".jpg", ramp)
+    tag = struct.pack("<HHIHHI", 0x0112, 3, 1, orientation, 0, 0)
+    exif = b"Exif\0\0II*\0" + struct.pack("<IH", 8, 1) + tag
+    content = encoded.tobytes()
+    content = content[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + content[2:]
+    (tmp_path / "a.jpg").write_bytes(content)
+    gray = survey.gray_of(RawImage(0, "camera", content, None, ".jpg"))
+    np.testing.assert_array_equal(gray, images.read_image(tmp_path / "a.jpg")[..., 0])
+    assert np.abs(gray.astype(int) - ramp).max() < 10

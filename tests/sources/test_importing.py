@@ -261,16 +261,23 @@ def with_info(source, change):
     return replace(source, items=tuple(items))
 
 
-def test_rectified_images_that_are_called_raw_have_the_camera_of_rectified_ones(tmp_path, truth):
-    """As kitti2bag writes them: K and D of other images than those that are there."""
+@pytest.mark.parametrize("ahead_s", [0, 18])
+def test_rectified_images_that_are_called_raw_have_the_camera_of_rectified_ones(tmp_path, truth, ahead_s):
+    """As kitti2bag writes them: K and D of other images than those that are there. ahead_s: stamps of images"""
     raw_camera = replace(
         truth.camera, fx=1.33 * truth.camera.fx, fy=1.33 * truth.camera.fy, distortion=(-0.37, 0.2, 0.0, 0.0)
     )
     mixed = with_info(written(truth), lambda info: replace(info, camera=raw_camera, other=truth.camera))
+    items = [
+        (name, replace(record, stamp=record.stamp + ahead_s * 10**9) if name == raw.IMAGES else record)
+        for name, record in mixed.items
+    ]
+    mixed = replace(mixed, items=tuple(items))
     report = import_source(mixed, tmp_path / "out")
     dataset = assert_right(tmp_path / "out", truth)
     assert dataset.camera.fx == pytest.approx(truth.camera.fx)
     assert report.facts["conventions"]["images"]["taken"] == "rectified"
+    assert float(report.facts["conventions"]["image_offset"]["taken"]) == -ahead_s
     assert any("images: by their topic they are raw" in words for words in report.warnings)
     said = ImportOptions(conventions=parse_conventions(["images=raw"]))
     with pytest.raises(InputError, match="--convention images=raw contradicts the data"):

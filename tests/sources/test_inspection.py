@@ -54,6 +54,18 @@ def test_times_of_points_are_told_for_each_driver(layout, tmp_path):
     assert scans.rate == pytest.approx(10, rel=1e-3)
 
 
+def test_times_of_points_that_did_not_come_back_are_not_counted(tmp_path):
+    """Some drivers leave them at zero, beside times since 1970."""
+    items = []
+    for scan in SCANS:
+        points, times = scan.points.copy(), (scan.stamp + scan.times.astype(float)) * 1e-9
+        points[::7], times[::7] = np.nan, 0.0
+        items.append(("/scans", replace(scan, points=points, times=times)))
+    description = SourceDescription("a", "a list", 0, (Stream("/scans", Kind.SCANS, "scans", len(items)),))
+    scans = facts_of(inspect(ListSource(description, tuple(items))), "/scans")
+    assert (scans.facts["times"], scans.facts["stamp_is"]) == ("since 1970", "start of the sweep")
+
+
 def test_clouds_without_times_say_so(tmp_path):
     items = [("/scans", replace(scan, times=None, time_field="")) for scan in SCANS]
     inspection = inspected(tmp_path, items, PointLayout.OUSTER)

@@ -50,6 +50,40 @@ def test_scans_of_kiss_icp_are_matched_by_the_times_in_their_names(tmp_path):
     check(folders.find(tmp_path), CASES["kiss_icp"][1])
 
 
+def test_times_in_the_names_of_kiss_icp_are_whole_however_many_seconds_they_span(tmp_path):
+    """The digits behind the point repeat each second."""
+    names = [f"{1700000001 + i // 2}.{i % 2 * 500_000_000:09}.pcd" for i in range(4)]
+    kiss_icp(tmp_path, names, [f"{1700000001 + 0.5 * i:.4f}" for i in range(4)])
+    check(folders.find(tmp_path), [1700000001_000000000 + 500_000_000 * i for i in range(4)])
+
+
+def test_poses_of_kiss_icp_without_times_take_those_in_the_names(tmp_path):
+    names = [f"{1700000001 + i // 2}.{i % 2 * 500_000_000:09}.pcd" for i in range(4)]
+    kiss_icp(tmp_path, names, [f"{i}.0000" for i in range(4)])
+    source = folders.find(tmp_path)
+    check(source, [1700000001_000000000 + 500_000_000 * i for i in range(4)])
+    assert any("in the names of the scans are taken" in note for note in source.describe().notes)
+
+
+@pytest.mark.parametrize("names", ["{:06}.pcd", "scan{}_of_4.pcd", "v1.2_{:06}.pcd"])
+@pytest.mark.parametrize("first", [0, 1, 9])
+def test_poses_of_kiss_icp_without_any_times_are_ten_a_second(tmp_path, names, first):
+    named = [names.format(i + first) for i in range(4)]
+    kiss_icp(tmp_path, named, [f"{i}.0000" for i in range(4)])
+    source = folders.find(tmp_path)
+    check(source, [0, 100_000_000, 200_000_000, 300_000_000])
+    assert any("10 scans a second are assumed" in note for note in source.describe().notes)
+
+
+def test_files_of_one_number_are_refused(tmp_path):
+    hba(tmp_path)
+    (tmp_path / "pcd" / "copy_of_8.pcd").write_bytes((tmp_path / "pcd" / "8.pcd").read_bytes())
+    with pytest.raises(InputError, match=r"both 8.pcd and copy_of_8.pcd have the number 8"):
+        folders.find(tmp_path)
+    (tmp_path / "pcd" / "copy_of_8.pcd").rename(tmp_path / "pcd" / "8.PCD")  # as an image beside its original
+    check(folders.find(tmp_path), CASES["hba"][1])
+
+
 @pytest.mark.parametrize("viewpoints", [True, False])
 def test_oxford_spires_sequence(tmp_path, viewpoints):
     spires(tmp_path, viewpoints)

@@ -178,3 +178,54 @@ def orb_slam(path, coefficients, fisheye, camera_from_lidar, body_from_lidar, ve
 
 def orb_slam2(path, coefficients, fisheye, camera_from_lidar, body_from_lidar):
     return orb_slam(path, coefficients, fisheye, camera_from_lidar, body_from_lidar, version=0)
+
+
+def vins(path, coefficients, fisheye, camera_from_lidar, body_from_lidar):
+    """One file, as VINS-Mono has it; its fisheye has the coefficient of the angle itself, k1 = 1, before the others."""
+    model, focal, kinds = (
+        ("KANNALA_BRANDT", ("mu", "mv", "u0", "v0"), ("k2", "k3", "k4", "k5"))
+        if fisheye
+        else ("PINHOLE", ("fx", "fy", "cx", "cy"), ("k1", "k2", "p1", "p2", "k3"))
+    )
+    lines = [
+        "%YAML:1.0",
+        "---",
+        'imu_topic: "/imu0"',
+        "estimate_td: 0",
+        "acc_n: 0.08",
+        f"model_type: {model}",
+    ]
+    lines += ["camera_name: camera", f"image_width: {WIDTH}", f"image_height: {HEIGHT}"]
+    projection = [f"   {key}: {value!r}" for key, value in zip(focal, FOCAL, strict=True)]
+    distortion = [f"   {key}: {value!r}" for key, value in zip(kinds, coefficients, strict=False)]
+    lines += ["projection_parameters:", *(distortion if fisheye else []), *projection]
+    lines += [] if fisheye else ["distortion_parameters:", *distortion]
+    transform = body_from_lidar @ geometry.inverse(camera_from_lidar)
+    lines += ["estimate_extrinsic: 0", f"extrinsicRotation: {opencv_matrix(transform[:3, :3], '   ')}"]
+    lines += [f"extrinsicTranslation: {opencv_matrix(transform[:3, 3:], '   ')}"]
+    return write(path / "vins.yaml", "\n".join(lines) + "\n")
+
+
+def ntu_viral(path, coefficients, fisheye, camera_from_lidar, body_from_lidar):
+    """A camera in VINS's names, beside T_Body_Cam."""
+    file = vins(path, coefficients, fisheye, camera_from_lidar, body_from_lidar)
+    lines = file.read_text().split("estimate_extrinsic")[0].split("model_type")
+    body = f"T_Body_Cam: {opencv_matrix(body_from_lidar @ geometry.inverse(camera_from_lidar), '   ')}"
+    text = f"%YAML:1.0\n---\nsensor_type: camera\ncomment: left camera\n{body}\nrate_hz: 10\nmodel_type{lines[1]}"
+    return write(path / "camera_left.yaml", text)
+
+
+def euroc(path, coefficients, fisheye, camera_from_lidar, body_from_lidar):
+    body_from_camera = body_from_lidar @ geometry.inverse(camera_from_lidar)
+    document = {
+        "sensor_type": "camera",
+        "comment": "VI-Sensor cam0",
+        "T_BS": {"cols": 4, "rows": 4, "data": flat(body_from_camera)},
+        "rate_hz": 20,
+        "resolution": [WIDTH, HEIGHT],
+        "camera_model": "pinhole",
+        "intrinsics": list(FOCAL),
+        "distortion_model": "equidistant" if fisheye else "radial-tangential",
+        "distortion_coefficients": list(coefficients),
+    }
+    return write(path / "sensor.yaml", document)

@@ -47,12 +47,10 @@ def balm(path, timed=True):
     (path / "alidarPose.csv").write_text(lines)
 
 
-def kiss_icp(path, names=tuple(f"{i:06}.pcd" for i in range(4))):
+def kiss_icp(path, names=tuple(f"{i:06}.pcd" for i in range(4)), times=(50.5, 50.6, 50.7, 50.8)):
     write_scans(path / "scans", names)
-    rows = zip(view.poses()[:, :3, 3], quaternions(), strict=True)
-    (path / "run_poses_tum.txt").write_text(
-        "".join(line(50.5 + 0.1 * i, *t, *q) for i, (t, q) in enumerate(rows))
-    )
+    rows = zip(times, view.poses()[:, :3, 3], quaternions(), strict=True)
+    (path / "run_poses_tum.txt").write_text("".join(f"{time} {line(*t, *q)}" for time, t, q in rows))
 
 
 BASE_FROM_LIDAR = np.diag([-1.0, -1.0, 1.0, 1.0])

@@ -5,13 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from lvba.io import point_fields
 from lvba.sources.bags.definitions import Undecodable
 from lvba.sources.source import RawScan
 
-TIME_FIELDS = (
-    *("time", "t", "timestamp", "time_stamp", "offset_time", "time_offset", "timeoffset", "t_offset"),
-    *("point_time", "point_timestamp", "stamp", "dt", "offset_time_ns"),
-)
 INTENSITY_FIELDS = ("intensity", "intensities", "reflectivity", "reflectance", "i")
 ROW_FIELDS = ("ring", "line", "row", "channel", "laser_id", "scan_id", "ring_id")
 _CODES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -40,7 +37,7 @@ def point_cloud(values: dict[str, Any], stamp: int, frame: str) -> Iterator[RawS
     Raises Undecodable: it has no points, no coordinates, or its numbers contradict each other.
     """
     cloud = _Cloud(values)
-    time_field = _first(TIME_FIELDS, cloud.fields)
+    time_fields = point_fields.times_of(cloud.fields)
     intensity_field = _first(INTENSITY_FIELDS, cloud.fields)
     row_field = _first(ROW_FIELDS, cloud.fields)
     rows = cloud.column(row_field) if row_field else None
@@ -49,8 +46,8 @@ def point_cloud(values: dict[str, Any], stamp: int, frame: str) -> Iterator[RawS
         frame=frame,
         points=cloud.positions(),
         intensity=cloud.column(intensity_field).astype(np.float32) if intensity_field else None,
-        times=cloud.column(time_field) if time_field else None,
-        time_field=time_field,
+        times=point_fields.joined([cloud.column(name) for name in time_fields]),
+        time_field=", ".join(time_fields),
         rows=rows.astype(np.int64) if rows is not None and rows.dtype.kind in "iu" else None,
     )
 

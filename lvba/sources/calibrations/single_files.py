@@ -1,4 +1,4 @@
-"""Files of one camera: YAML of FAST-LIVO2, R3LIVE, M2Mapping, GS-SDF, ROS and OpenCV, T_cam_lidar, and lvba's own."""
+"""Files of one camera: of FAST-LIVO2, R3LIVE, M2Mapping, GS-SDF, ROS, OpenCV, VINS, EuRoC, T_cam_lidar, lvba's own."""
 
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,10 @@ from lvba.sources.calibrations import values
 from lvba.sources.calibrations.rig import FileCalibration
 
 _BODY_KEYS = ("extrinsic_R", "extrinsic_T")
+_EUROC, _NTU_VIRAL = "T_BS", "T_Body_Cam"
+"""Body (IMU) from sensor, which any sensor of EuRoC has, and body from camera."""
+_VINS_ROTATION, _VINS_TRANSLATION = "extrinsicRotation", "extrinsicTranslation"
+"""IMU from camera; VINS does without where estimate_extrinsic is 2."""
 
 
 def _section(document: dict[str, Any], *keys: str) -> dict[str, Any] | None:
@@ -115,19 +119,16 @@ def read_result(path: Path, document: dict[str, Any]) -> FileCalibration:
 
 
 def read_yaml(path: Path, document: dict[str, Any]) -> FileCalibration:
-    """FAST-LIVO2's and Global-LVBA's keys, R3LIVE's, and ROS's and OpenCV's camera files: see `lvba.io.camera_config`.
+    """FAST-LIVO2's and Global-LVBA's keys, R3LIVE's, files of ROS, OpenCV, VINS, EuRoC: see `lvba.io.camera_config`.
 
     Raises: InputError if the file holds neither a camera nor an extrinsic, or a value is missing or malformed.
     """
     calibration = camera_config.read_file(path)
     has_body = any(key in mapping for _, mapping in yaml_files.mappings(document) for key in _BODY_KEYS)
     r3live = _section(document, "camera_ext_R")
-    if (
-        calibration.camera is None
-        and calibration.camera_from_lidar is None
-        and not has_body
-        and r3live is None
-    ):
+    body_from_camera = _body_from_camera(path, document) if r3live is None else _r3live(path, r3live)
+    extrinsics = (calibration.camera_from_lidar, body_from_camera)
+    if calibration.camera is None and all(each is None for each in extrinsics) and not has_body:
         mend = "give a file with camera keys, Rcl and Pcl, or extrinsic_R and extrinsic_T"
         raise InputError(path, "holds neither a camera nor an extrinsic in names that are known", mend)
     offset, notes = _fast_livo_clock(path, document)
@@ -142,11 +143,37 @@ def read_yaml(path: Path, document: dict[str, Any]) -> FileCalibration:
         camera=calibration.camera,
         camera_from_lidar=calibration.camera_from_lidar,
         body_from_lidar=calibration.body_from_lidar if has_body else None,
-        body_from_camera=None if r3live is None else _r3live(path, r3live),
+        body_from_camera=body_from_camera,
         camera_time_offset_s=offset,
         clock="" if offset is None else "IMU",
         notes=notes,
     )
+
+
+def _body_from_camera(path: Path, document: dict[str, Any]) -> np.ndarray | None:
+    """(4, 4), as EuRoC, NTU VIRAL and VINS say it; None: the file does not, or is of another sensor.
+
+    Raises: InputError if a value is malformed, or the file has several of them.
+    """
+    said = [
+        values.matrix(path, key, mapping[key])
+        for _, mapping in yaml_files.mappings(document)
+        for key in (_EUROC, _NTU_VIRAL)
+        if key in mapping and (key == _NTU_VIRAL or _is_camera(mapping))
+    ]
+    vins = _section(document, _VINS_ROTATION, _VINS_TRANSLATION)
+    if vins is not None and vins.get("estimate_extrinsic") != 2:
+        rotation = values.numbers(path, _VINS_ROTATION, vins[_VINS_ROTATION], (9,)).reshape(3, 3)
+        translation = values.numbers(path, _VINS_TRANSLATION, vins[_VINS_TRANSLATION], (3,))
+        said.append(values.rigid(path, _VINS_ROTATION, rotation, translation))
+    if len(said) > 1:
+        raise InputError(path, f"says {len(said)} times where a camera is", "give a file of one camera")
+    return said[0] if said else None
+
+
+def _is_camera(mapping: dict[str, Any]) -> bool:
+    """Whether a sensor of EuRoC is a camera."""
+    return str(mapping.get("sensor_type", "camera" if "intrinsics" in mapping else "")) == "camera"
 
 
 def _r3live(path: Path, section: dict[str, Any]) -> np.ndarray:

@@ -139,7 +139,8 @@ def need_folder(path: Path, mend: str) -> None:
 def numbered(folder: Path, suffixes: tuple[str, ...], prefix: str = "", part: str = "") -> dict[int, Path]:
     """Files whose names begin so and have that part, by the last number in them, in the order of the numbers.
 
-    Raises: InputError if the folder cannot be read.
+    Of files that differ by their suffix alone, the first is taken.
+    Raises: InputError if the folder cannot be read, or two files have the same number.
     """
     paths: dict[int, Path] = {}
     for name in files.names_in(folder):
@@ -147,7 +148,12 @@ def numbered(folder: Path, suffixes: tuple[str, ...], prefix: str = "", part: st
         digits = _last_digits(stem)
         wanted = name.startswith(prefix) and part in name and not name.startswith(".")
         if digits and wanted and suffix.lower() in suffixes:
-            paths.setdefault(int(digits), folder / name)
+            first = paths.setdefault(int(digits), folder / name)
+            if first.stem != stem:
+                problem = (
+                    f"both {first.name} and {name} have the number {int(digits)}, the last in their names"
+                )
+                raise InputError(folder, problem, "give each file a number of its own")
     return dict(sorted(paths.items()))
 
 

@@ -76,4 +76,4 @@ def _by_camera(scorer: ImageScorer, usual: Camera, other: Camera) -> ImageScorer
         ImagePair(of_other(pair.one), of_other(pair.other), pair.points, pair.segment)
         for pair in scorer.pairs
     ]
-    return ImageScorer(scorer.lidar, scorer.camera_from_lidar, pairs)
+    return ImageScorer(scorer.lidar, scorer.camera_from_lidar, pairs, scorer.added)

@@ -1,5 +1,6 @@
 """All that is decided about a source from its survey: clocks, what poses are of, and how images are read."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -18,6 +19,7 @@ from lvba.sources.importing import (
     smoothing,
 )
 from lvba.sources.importing import turning as turnings
+from lvba.sources.importing.clocks import ONE, Clocks, name_of
 from lvba.sources.importing.decision import Answer, Decision
 from lvba.sources.importing.image_readings import ImageScorer, ImagesRead, TimedImage
 from lvba.sources.importing.imu_clock import ImuRead
@@ -31,6 +33,9 @@ from lvba.sources.importing.track import Track
 from lvba.sources.importing.turning import TurningTrack
 
 _SAME_STAMP_S = 2e-3
+_SAME_OFFSET_S = 5e-3
+_LATER_S = (0.2, -0.2, 0.3, -0.3)
+"""Offsets that are tried beside usual ones where clocks are known by when records were recorded, which may be so late."""
 _AGREEING = 0.9
 _OF_IMAGES = ("images", "extrinsic", "image_offset")
 _FORMAT, _FRAMES, _NO_GAIN = "the format", "names of frames", "no gain"
@@ -43,6 +48,7 @@ class Conventions:
     lidar: world from LiDAR, on the clock of the points; motion: how it moves from pose to pose
     scans, imu, images: what was decided, and from what; images: None without images
     body_from_lidar: (4, 4), of the frame that scans are written in; camera_from_lidar: (4, 4), None without images
+    clocks: what stamps had been added before anything was decided
     """
 
     clock: ScanClock
@@ -53,6 +59,7 @@ class Conventions:
     images: ImagesRead | None
     body_from_lidar: np.ndarray
     camera_from_lidar: np.ndarray | None
+    clocks: Clocks
     warnings: tuple[str, ...]
 
     @property
@@ -62,7 +69,7 @@ class Conventions:
 
     @property
     def image_offset(self) -> float:
-        """s, added to stamps of images."""
+        """s, added to stamps of images, beside what `clocks` adds."""
         return 0.0 if self.images is None else self.images.reading.offset
 
 
@@ -94,8 +101,9 @@ def decide(
     options: ImportOptions,
     where: str,
     guess: Guess = NO_GUESS,
+    clocks: Clocks = ONE,
 ) -> Conventions:
-    """The conventions of a source. guess: what is likely, which the data may contradict
+    """The conventions of a source. guess: what is likely, which the data may contradict; clocks: what was added to stamps
 
     Raises InputError: data contradict what options say, or every reading.
     """
@@ -108,10 +116,10 @@ def decide(
     choices = _choices(survey, rig, odometry, origin, clock, period, extrinsics, options, guess)
     scorer = Scorer(odometry, extrinsics, readings.pairs_of(segments, odometry))
     scans_read = readings.find(scorer, choices, clock.sweep, where)
-    imu = _imu(scorer, scans_read.reading, survey, rig, clock, options, where, guess)
+    imu = _imu(scorer, scans_read.reading, survey, rig, clock, options, where, guess, clocks.imu)
     survey = replace(survey, imu=imu.mended(survey.imu))
     lidar, motion = _motion(scorer, scans_read.reading, survey, rig, options, where)
-    warnings = [*scans_read.warnings, *imu.warnings]
+    warnings = [*clocks.warnings, *scans_read.warnings, *imu.warnings]
     if guess.by and choices.known_by.get("time") == guess.by:
         [time] = [each for each in scans_read.decisions if each.question == "time"]
         against = time.against(next(iter(choices.shifts)), guess.by)
@@ -120,7 +128,8 @@ def decide(
         warnings.append(f"points: {clock.words}: the motion during a scan is not taken out of it")
     images = None
     if rig.camera is not None and rig.camera_from_lidar is not None and len(survey.image_stamps):
-        images = _images(survey, rig, lidar, segments, scans_read.reading, clock, options, where, guess)
+        reading = scans_read.reading
+        images = _images(survey, rig, lidar, segments, reading, clock, options, where, guess, clocks.image)
         warnings += images.warnings
     pose_of = scans_read.reading.pose_of
     body = np.eye(4) if pose_of in ("lidar", "camera") else extrinsics.child_from_lidar[pose_of]
@@ -141,6 +150,7 @@ def decide(
         images=images,
         body_from_lidar=body,
         camera_from_lidar=extrinsic,
+        clocks=clocks,
         warnings=tuple(warnings),
     )
 
@@ -154,23 +164,33 @@ def _imu(
     options: ImportOptions,
     where: str,
     guess: Guess,
+    added: float,
 ) -> ImuRead:
-    """When the IMU was read: as stamped, or beside points that are some part of a sweep late or early."""
+    """When the IMU was read: as stamped, or beside points that are some part of a sweep late or early.
+
+    added: s, to its stamps, before
+    """
     first, sweep = imu_offset(clock, guess), clock.sweep
-    offsets = {f"{first:+.4g}": first}
-    for value in (0.0, sweep, -sweep, sweep / 2, -sweep / 2):
-        if all(abs(value - other) > 5e-3 for other in offsets.values()):
-            offsets[f"{value:+.4g}"] = value
+    offsets = _named((first, 0.0, sweep, -sweep, sweep / 2, -sweep / 2), added)
     said = options.conventions.get(imu_clock.QUESTION, "")
     if said and said not in offsets:
-        offsets[said] = float(said)
+        offsets[said] = float(said) - added
     poses = readings.lidar_track(scorer.odometry, reading, scorer.extrinsics)
     known_by = guess.by if first else ""
     read = imu_clock.find(
-        poses, survey.imu, rig.imu_from_lidar, offsets, options.conventions, where, known_by
+        poses, survey.imu, rig.imu_from_lidar, offsets, options.conventions, where, known_by, added
     )
-    against = read.decisions[0].against(f"{first:+.4g}", known_by) if read.decisions else ""
+    against = read.decisions[0].against(next(iter(offsets)), known_by) if read.decisions else ""
     return replace(read, warnings=(*read.warnings, against)) if against else read
+
+
+def _named(values: Iterable[float], added: float) -> dict[str, float]:
+    """Offsets (s) that are 5 ms apart, the first of those that are not, by their names. added: s, to stamps, before"""
+    offsets: dict[str, float] = {}
+    for value in values:
+        if all(abs(value - other) > _SAME_OFFSET_S for other in offsets.values()):
+            offsets[name_of(value, added)] = value
+    return offsets
 
 
 def imu_offset(clock: ScanClock, guess: Guess) -> float:
@@ -353,14 +373,16 @@ def _images(
     options: ImportOptions,
     where: str,
     guess: Guess,
+    added: float,
 ) -> ImagesRead:
+    """How images are read. added: s, to their stamps, before"""
     assert rig.camera is not None
     assert rig.camera_from_lidar is not None
-    offsets, known_by = _offsets(survey, rig, clock, guess)
+    offsets, known_by = _offsets(survey, rig, clock, guess, added)
     guessed = next(iter(offsets))
     said = {name: value for name, value in options.conventions.items() if name in _OF_IMAGES}
     if "image_offset" in said and said["image_offset"] not in offsets:
-        offsets = {said["image_offset"]: float(said["image_offset"]), **offsets}
+        offsets = {said["image_offset"]: float(said["image_offset"]) - added, **offsets}
     reach = max(abs(value) for value in offsets.values())
     ranked = []
     for number, (segment, scans) in enumerate(zip(survey.segments, segments, strict=True)):
@@ -378,7 +400,7 @@ def _images(
         ]
         ranked.append(image_readings.pairs_of(images, lidar, np.concatenate(placed), reach, number))
     pairs = [ranks[rank] for rank in range(6) for ranks in ranked if len(ranks) > rank]
-    scorer = ImageScorer(lidar, rig.camera_from_lidar, pairs[: image_readings.MOST_PAIRS])
+    scorer = ImageScorer(lidar, rig.camera_from_lidar, pairs[: image_readings.MOST_PAIRS], added)
     scorer, camera, chosen = camera_choice.choose(scorer, rig, offsets, said, where)
     by_frames = rig.origins.get("camera_from_lidar") == TRANSFORMS
     find = image_readings.find_with_links if by_frames else image_readings.find
@@ -393,27 +415,22 @@ def _images(
     )
 
 
-def _offsets(survey: Survey, rig: RigFacts, clock: ScanClock, guess: Guess) -> tuple[dict[str, float], str]:
+def _offsets(
+    survey: Survey, rig: RigFacts, clock: ScanClock, guess: Guess, added: float
+) -> tuple[dict[str, float], str]:
     """s, by name: what a calibration or a guess says, or none; a period of the camera, and parts of a sweep, either way.
 
     And what says the first of them, beside the data; "": it is none, or of a calibration.
+    added: s, to stamps, before; a calibration may be of stamps without or with it
     """
     period = float(np.median(np.diff(survey.image_stamps)) * 1e-9) if len(survey.image_stamps) > 1 else 0.1
     stamped = imu_offset(clock, guess)
     guessed = stamped + (guess.image_offset or 0.0)
     known_by = guess.by if rig.image_offset is None and (guess.image_offset is not None or stamped) else ""
     first = guessed if rig.image_offset is None else rig.image_offset
-    offsets = {f"{first:+.4g}": first}
-    for value in (
-        guessed,
-        0.0,
-        period,
-        -period,
-        clock.sweep,
-        -clock.sweep,
-        clock.sweep / 2,
-        -clock.sweep / 2,
-    ):
-        if all(abs(value - other) > 5e-3 for other in offsets.values()):
-            offsets[f"{value:+.4g}"] = value
+    if abs(first - added) < abs(first):
+        first -= added
+    sweep = clock.sweep
+    usual = (first, guessed, 0.0, period, -period, sweep, -sweep, sweep / 2, -sweep / 2)
+    offsets = _named((*usual, *(_LATER_S if added else ())), added)
     return offsets, known_by

@@ -102,11 +102,15 @@ class ImagePair:
 
 @dataclass
 class ImageScorer:
-    """How unlike the same points look in pairs of images, by readings. lidar: world from LiDAR."""
+    """How unlike the same points look in pairs of images, by readings. lidar: world from LiDAR.
+
+    added: s, to stamps of images, before, which names of offsets count in
+    """
 
     lidar: Track
     camera_from_lidar: np.ndarray
     pairs: list[ImagePair]
+    added: float = 0.0
     _known: dict[ImageReading, np.ndarray] = field(default_factory=dict)
 
     def scores(self, reading: ImageReading) -> np.ndarray:
@@ -253,7 +257,7 @@ def find(
     if abs(place - reading.offset) > far and "image_offset" not in said:
         reading, decisions[-1] = _measured(scorer, reading, decisions[-1], place, sigma, usual)
     else:
-        decisions[-1] = _with_what_is_left(decisions[-1], reading, place, sigma)
+        decisions[-1] = _with_what_is_left(decisions[-1], reading, place, sigma, scorer.added)
     warnings = [each.warning for each in decisions if each.warning]
     if scorer.pairs and scorer.score(reading) > WARN_SCORE:
         warnings.append(
@@ -278,14 +282,19 @@ def _directions(camera_from_lidar: Pose, said: str) -> tuple[str, ...]:
     return (AS_GIVEN, INVERSE, LINK) if said == LINK else (AS_GIVEN, INVERSE)
 
 
-def _with_what_is_left(decided: Decision, reading: ImageReading, place: float, sigma: float) -> Decision:
-    """The decision on the offset, with a warning where images seem to be taken at another one."""
+def _with_what_is_left(
+    decided: Decision, reading: ImageReading, place: float, sigma: float, added: float
+) -> Decision:
+    """The decision on the offset, with a warning where images seem to be taken at another one.
+
+    added: s, as of the scorer
+    """
     if abs(place - reading.offset) <= max(_TOLD_SIGMAS * sigma, _FIT_STEP_S) or decided.warning:
         return decided
+    size = f"{1000 * (place + added):+.0f} ms (+- {1000 * sigma:.0f})"
     words = (
-        f"image_offset: the data suggest {1000 * place:+.0f} ms (+- {1000 * sigma:.0f}) after their stamps, and "
-        f"{decided.taken} was applied: the bundle adjustment estimates the rest, or give --convention "
-        f"image_offset={place:.4f}"
+        f"image_offset: the data suggest {size} after their stamps, and {decided.taken} was applied: the bundle "
+        f"adjustment estimates the rest, or give --convention image_offset={place + added:.4f}"
     )
     return replace(decided, warning=words)
 
@@ -312,14 +321,15 @@ def _measured(
     """Reading and decision where images are of another time (s) than the reading says; usual: this is the usual one."""
     other = reading.answered("image_offset", round(place, 4))
     scores = [Answer("", scorer.scores(each)) for each in (reading, other)]
-    size = f"{1000 * other.offset:+.0f} ms (+- {1000 * sigma:.0f}) after their stamps"
+    total = other.offset + scorer.added
+    size = f"{1000 * total:+.0f} ms (+- {1000 * sigma:.0f}) after their stamps"
     # beside an unusual answer, what is measured is the better guess; the usual one must be beaten
     beaten = scores[1].score < scores[0].score if usual else not decision.better(*scores)
     if not beaten:
         words = f"image_offset: the data suggest {size}, but that does not improve the fit: not applied"
         return reading, replace(decided, warning=decided.warning or words)
     words = f"image_offset: images were taken {size}, by what they show: applied"
-    return other, decided.measured(f"{other.offset:+.4f}", scorer.score(other), words)
+    return other, decided.measured(f"{total:+.4f}", scorer.score(other), words)
 
 
 def _difference(one: float, other: float, lidar: Track) -> float:

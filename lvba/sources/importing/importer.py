@@ -17,18 +17,21 @@ from lvba.errors import InputError
 from lvba.io import calibration, files, image_poses, tum
 from lvba.io.dataset import IMAGE_POSES, SCAN_POSES
 from lvba.progress import Progress, silent
-from lvba.sources.importing import conventions as deciding
 from lvba.sources.importing import (
+    clocks,
     data_set,
     folder,
     image_bits,
     imu_clock,
     own_odometry,
+    pose_clock,
     rig,
     streams,
     survey,
     thinning,
 )
+from lvba.sources.importing import conventions as deciding
+from lvba.sources.importing.clocks import Clocks
 from lvba.sources.importing.conventions import Conventions, Origin
 from lvba.sources.importing.imu_clock import ImuRead
 from lvba.sources.importing.options import Guess, ImportOptions
@@ -85,9 +88,7 @@ def import_source(
         return ImportReport(_read(out), reused=True)
     passes = 2 if chosen.odometry or chosen.odometry_file else 3
     announce("survey", 0, passes)
-    surveyed = survey.survey(
-        source.records(chosen.surveyed), chosen, _count(description, chosen.surveyed), progress
-    )
+    source, surveyed, apart = _surveyed(source, chosen, options, progress)
     lost = list(source.losses())
     facts = rig.gather(
         options.calibration, source.geometry(), surveyed, chosen.image, options.camera, known.guess
@@ -100,11 +101,11 @@ def import_source(
         wanted = Selection.of(options, surveyed.zero, 1)
         estimated = _own_odometry(source, chosen, surveyed, facts, known.guess, wanted, progress)
         odometry = estimated.track
-    elif chosen.odometry_command:
-        odometry = own_odometry.of_command(chosen.odometry_command, description.path, surveyed, progress)
     else:
-        odometry = _odometry(chosen, surveyed)
-    decided = deciding.decide(surveyed, facts, odometry, origin, options, chosen.odometry_said, known.guess)
+        odometry, notes = _odometry(chosen, surveyed, description.path, options, progress)
+        facts = replace(facts, notes=(*facts.notes, *notes))
+    where = chosen.odometry_said
+    decided = deciding.decide(surveyed, facts, odometry, origin, options, where, known.guess, apart)
     announce("write", passes - 1, passes)
     writer = Writer(out, surveyed, decided, options)
     frames = tuple(name for name in (chosen.lidar, chosen.image) if name)
@@ -122,6 +123,20 @@ def import_source(
     _write_evidence(out, evidence)
     folder.finish(out, key)
     return ImportReport(evidence, reused=False)
+
+
+def _surveyed(
+    source: Source, chosen: Streams, options: ImportOptions, progress: Progress
+) -> tuple[Source, Survey, Clocks]:
+    """The source with its streams on one clock, its survey, and what was added to stamps for that."""
+    description = source.describe()
+    count = _count(description, chosen.surveyed)
+    surveyed = survey.survey(source.records(chosen.surveyed), chosen, count, progress)
+    apart = clocks.find(description, chosen, surveyed, options)
+    if shifts := apart.shifts(chosen):
+        source = clocks.OnOneClock(source, shifts)
+        surveyed = survey.survey(source.records(chosen.surveyed), chosen, count, progress)
+    return source, surveyed, apart
 
 
 def _check_camera(options: ImportOptions) -> None:
@@ -200,23 +215,25 @@ def _own_odometry(
     return own_odometry.of_scans(source, chosen.lidar, on_clock, clock, facts, wanted, progress)
 
 
-def _odometry(chosen: Streams, surveyed: Survey) -> Track:
-    """Raises InputError: there are fewer than two poses."""
-    if chosen.odometry_file:
-        file = tum.read_pose_file(chosen.odometry_file)
-        nanoseconds = np.array(
-            [_nanoseconds(text, time) for text, time in zip(file.stamps, file.trajectory.times)]
-        )
-        return Track(surveyed.seconds(nanoseconds), file.trajectory.world_from_sensor)
-    if surveyed.odometry is None or len(surveyed.odometry) < 2:
+def _odometry(
+    chosen: Streams, surveyed: Survey, path: str, options: ImportOptions, progress: Progress
+) -> tuple[Track, tuple[str, ...]]:
+    """The poses that are given, and notes on them. path: of the source
+
+    Raises InputError: there are fewer than two poses, or they are of another clock.
+    """
+    notes: tuple[str, ...] = ()
+    if chosen.odometry_command:
+        command = chosen.odometry_command
+        odometry, notes = own_odometry.of_command(command, path, surveyed, progress)
+    elif chosen.odometry_file:
+        odometry, notes = pose_clock.of_file(chosen.odometry_file, surveyed)
+    elif surveyed.odometry is None or len(surveyed.odometry) < 2:
         raise InputError(chosen.odometry, "has fewer than two poses", "choose another one by --odometry")
-    return surveyed.odometry
-
-
-def _nanoseconds(text: str, time: float) -> int:
-    """int ns of a time in seconds, by the digits on file where there are any."""
-    whole, _, decimals = (text or f"{time:.9f}").partition(".")
-    return int(whole) * 10**9 + int(f"{decimals[:9]:0<9}")
+    else:
+        odometry = surveyed.odometry
+    pose_clock.check(odometry, surveyed, chosen.odometry_said, options.conventions)
+    return odometry, notes
 
 
 def _check_images(
@@ -261,12 +278,14 @@ def _lost(chosen: Streams, lost: list[str]) -> str:
 
 def _check_written(written: Written, chosen: Streams, odometry: Track, surveyed: Survey) -> None:
     if len(written.scans) < 2:
-        first, last = surveyed.seconds(surveyed.scan_stamps[[0, -1]])
+        where = chosen.odometry or chosen.odometry_file
+        raise pose_clock.outside(odometry, surveyed, where, len(written.scans))
+    left_out = [each for each in written.sentences() if " images " in each and "of the poses" in each]
+    if chosen.image and left_out and not written.images:
         raise InputError(
-            chosen.odometry or chosen.odometry_file,
-            f"{len(written.scans)} scans lie inside of its poses, which are from {odometry.times[0]:.1f} to "
-            f"{odometry.times[-1]:.1f} s, counted from the first scan; scans from {first:.1f} to {last:.1f} s",
-            "give poses of the same clock, at most 0.5 s apart, and check --from and --to",
+            chosen.image,
+            f"no image lies between poses: {', '.join(left_out)}: its clock differs from theirs",
+            "give --convention image_offset=SECONDS, to be added to its stamps, or --image none",
         )
 
 
@@ -337,8 +356,8 @@ def _evidence(
         "conventions": answers,
         "applied": {
             "poses_hold_after_their_stamp_s": round(reading.reading.shift, 6),
-            "added_to_stamps_of_images_s": round(decided.image_offset, 6),
-            "added_to_stamps_of_imu_s": round(decided.imu.offset, 6),
+            "added_to_stamps_of_images_s": round(decided.clocks.image + decided.image_offset, 6),
+            "added_to_stamps_of_imu_s": round(decided.clocks.imu + decided.imu.offset, 6),
             **_applied_to_imu(decided.imu),
         },
         "evidence": {
@@ -346,7 +365,9 @@ def _evidence(
             "distance_of_scans_m": _rounded(reading.thickness),
             "distance_within_scans_m": _rounded(reading.floor),
             "poses_hold_after_their_stamp_s": _measured(reading.measured, reading.measured_sigma),
-            "imu_read_after_its_stamp_s": _measured(decided.imu.measured, decided.imu.measured_sigma),
+            "imu_read_after_its_stamp_s": _measured(
+                decided.clocks.imu + decided.imu.measured, decided.imu.measured_sigma
+            ),
             **_of_images(decided),
         },
         "calibration": dict(facts.origins),
@@ -369,7 +390,7 @@ def _of_images(decided: Conventions) -> dict[str, Any]:
     if decided.images is None:
         return {}
     images = decided.images
-    measured = _measured(images.measured, images.measured_sigma)
+    measured = _measured(decided.clocks.image + images.measured, images.measured_sigma)
     return {"pairs_of_images": images.pairs, "images_taken_after_their_stamp_s": measured}
 
 

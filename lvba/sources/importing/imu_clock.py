@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from lvba import geometry
 from lvba.arrays import Pose
 from lvba.inertial import readings
-from lvba.sources.importing import decision, imu_axes, offset
+from lvba.sources.importing import clocks, decision, imu_axes, offset
 from lvba.sources.importing import turning as turnings
 from lvba.sources.importing.decision import Answer, Decision
 from lvba.sources.importing.survey import ImuReadings
@@ -73,12 +73,13 @@ def find(
     said: Mapping[str, str],
     where: object,
     known_by: str = "",
+    added: float = 0.0,
 ) -> ImuRead:
     """The offset by which the gyroscope turns as poses do, and whether units, signs and axes are what is said.
 
     poses: world from LiDAR; imu_from_lidar: (4, 4), None: not known
     offsets: s, by name, the first is taken where data cannot tell; said: answers that options give, by question
-    known_by: what says the first one, beside the data
+    known_by: what says the first one, beside the data; added: s, to stamps, before, which names of offsets count in
     Raises InputError: data contradict what an option says.
     """
     if imu is None:
@@ -92,11 +93,11 @@ def find(
     if not all(np.isfinite(answer.scores).all() for answer in answers):
         words = "imu: there are no readings while most poses are taken: its clock is another one, or it was switched off"
         return ImuRead(offsets[first], warnings=(words,))
-    read = _when(turns, answers, offsets, said.get(QUESTION, ""), where, known_by)
+    read = _when(turns, answers, offsets, said.get(QUESTION, ""), where, known_by, added)
     fit = turns.fit(read.offset)
     if fit is not None and fit.counts_degrees:
         in_radians = replace(imu, rates=np.radians(imu.rates))
-        again = find(poses, in_radians, imu_from_lidar, offsets, said, where, known_by)
+        again = find(poses, in_radians, imu_from_lidar, offsets, said, where, known_by, added)
         words = f"imu: {fit.words()}: its rates are taken for degrees per second"
         return replace(again, rates=float(np.radians(1.0)), warnings=(words, *again.warnings))
     axes = imu_axes.find(
@@ -130,6 +131,7 @@ def _when(
     said: str,
     where: object,
     known_by: str,
+    added: float,
 ) -> ImuRead:
     """The offset, of answers with their scores, or as measured."""
     start = turns.near(offsets, min(answers, key=lambda answer: answer.score))
@@ -142,10 +144,10 @@ def _when(
     taken = offsets[decided.taken]
     # by turns that are as small as the noise of poses, chance seems to be an offset
     if abs(place - taken) > max(4 * sigma, _SIGNIFICANT_S) and not said and turns.size >= _TURNING:
-        size = f"{1000 * place:+.0f} ms (+- {1000 * sigma:.0f})"
+        size = f"{1000 * (place + added):+.0f} ms (+- {1000 * sigma:.0f})"
         words = f"{QUESTION}: the IMU turns {size} after its stamps: applied"
         taken = round(place, 4)
-        decided = decided.measured(f"{taken:+.4g}", decision.mean(turns.scores(taken)), words)
+        decided = decided.measured(clocks.name_of(taken, added), decision.mean(turns.scores(taken)), words)
     return ImuRead(
         offset=taken,
         decisions=(decided,),

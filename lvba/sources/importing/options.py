@@ -23,6 +23,8 @@ QUESTIONS = {
 }
 """What is decided, with the names of its answers; `time`, `image_offset` and `imu_offset` may also be seconds."""
 IN_SECONDS = ("time", "image_offset", "imu_offset")
+MOST_S = 4e9
+"""Seconds, that int64 ns can hold beside times since 1970."""
 AUTO = "auto"
 """As the odometry: by the scans."""
 FRAME = "frame:"
@@ -158,6 +160,6 @@ def parse_conventions(texts: list[str]) -> dict[str, str]:
 
 def _is_number(text: str) -> bool:
     try:
-        return abs(float(text)) < 10
+        return abs(float(text)) < MOST_S
     except ValueError:
         return False

@@ -10,7 +10,7 @@ import numpy as np
 from lvba import geometry
 from lvba.errors import InputError
 from lvba.progress import Progress
-from lvba.sources.importing import stamp_order
+from lvba.sources.importing import pose_clock, stamp_order
 from lvba.sources.importing.point_clock import ScanClock
 from lvba.sources.importing.rig import RigFacts
 from lvba.sources.importing.selection import Selection
@@ -74,15 +74,15 @@ def of_scans(
     return OwnOdometry(_track(estimated, clock.sweep), facts, warnings)
 
 
-def of_command(command: str, path: str, survey: Survey, progress: Progress) -> Track:
-    """The poses that a program of the user's writes; what they are of, and when they hold, the data decide.
+def of_command(command: str, path: str, survey: Survey, progress: Progress) -> tuple[Track, tuple[str, ...]]:
+    """The poses that a program of the user's writes, and notes; what they are of, and when they hold, the data decide.
 
     Raises InputError: as of `odometry.external.run`, or it writes fewer than two poses.
     """
     poses = external.run(command, Path(path), lambda: progress("odometry", 0, 0))
     if len(poses) < 2:
         raise InputError(command.split()[0], "has written fewer than two poses", "look at what it says")
-    return Track(survey.seconds(np.round(poses.times * 1e9).astype(np.int64)), poses.world_from_sensor)
+    return pose_clock.of_trajectory(poses, survey, command.split()[0])
 
 
 def _sweeps(

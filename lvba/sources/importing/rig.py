@@ -30,6 +30,7 @@ class RigFacts:
     camera: of the images' size; other_camera, rectified: as of `CameraInfo`
     camera_from_lidar, body_from_lidar: (4, 4); each None: not known
     imu_from_lidar: (4, 4), None: not known, or there is no IMU
+    imu_from_camera: (4, 4), what a calibration says, None: it does not
     image_offset: s, what a calibration says that is added to stamps of images; None: nothing says it
     frames: by name, what static transforms say beside: (4, 4), frame from LiDAR
     origins: where each comes from, by name
@@ -43,6 +44,7 @@ class RigFacts:
     body_from_lidar: np.ndarray | None = None
     imu_from_lidar: np.ndarray | None = None
     image_offset: float | None = None
+    imu_from_camera: np.ndarray | None = None
     frames: dict[str, np.ndarray] = field(default_factory=dict)
     origins: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
@@ -82,7 +84,8 @@ def gather(
         )
         ways = {name: _from_lidar(survey, name) for name in names[:_MOST_FRAMES]}
         facts = replace(facts, frames={name: way for name, way in ways.items() if way is not None})
-    return _with_imu(facts if size is None else _sized(facts, size), survey)
+    facts = _with_imu(facts if size is None else _sized(facts, size), survey)
+    return _with_camera_on_imu(facts)
 
 
 def _of_info(facts: RigFacts, info: CameraTopic) -> RigFacts:
@@ -106,6 +109,18 @@ def _sized(facts: RigFacts, size: ImageSize) -> RigFacts:
         with contextlib.suppress(InputError):  # that of images that these are not
             other = sized(facts.other_camera)
     return replace(facts, camera=sized(facts.camera), other_camera=other)
+
+
+def _with_camera_on_imu(facts: RigFacts) -> RigFacts:
+    """The same with the extrinsic that follows from where files say the camera is on the IMU, where nothing says it."""
+    lidar, where = facts.imu_from_lidar, facts.origins.get("imu_from_lidar", "")
+    if lidar is None and facts.origins.get("body_from_lidar", TRANSFORMS) != TRANSFORMS:
+        lidar, where = facts.body_from_lidar, facts.origins["body_from_lidar"]
+    if facts.camera_from_lidar is not None or facts.imu_from_camera is None or lidar is None:
+        return facts
+    origins = facts.origins | {"camera_from_lidar": f"{facts.origins['body_from_camera']}, {where}"}
+    camera_from_lidar = np.asarray(geometry.inverse(facts.imu_from_camera) @ lidar)
+    return replace(facts, camera_from_lidar=camera_from_lidar, origins=origins)
 
 
 def _with_imu(facts: RigFacts, survey: Survey) -> RigFacts:
@@ -139,6 +154,7 @@ def _of_files(
         camera=camera,
         camera_from_lidar=rig.camera_from_lidar,
         body_from_lidar=rig.body_from_lidar,
+        imu_from_camera=rig.body_from_camera,
         image_offset=rig.camera_time_offset_s,
         notes=rig.notes,
     )

@@ -238,9 +238,10 @@ def is_return(points: CloudPoints) -> np.ndarray:
 
 
 def gray_of(image: RawImage) -> np.ndarray | None:
-    """(H, W) uint8 of an image, None where it cannot be decoded."""
+    """(H, W) uint8 of an image as it is stored, not turned by EXIF; None where it cannot be decoded."""
     if image.encoded is not None:
-        return cv2.imdecode(np.frombuffer(image.encoded, np.uint8), cv2.IMREAD_GRAYSCALE)
+        as_stored = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+        return cv2.imdecode(np.frombuffer(image.encoded, np.uint8), as_stored)
     pixels = image.pixels
     if pixels is None:
         return None
