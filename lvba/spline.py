@@ -110,8 +110,8 @@ def leave_one_out_rates(samples: Trajectory, times: Times, floor: np.ndarray) ->
     before, _ = trajectory.bracket(samples.times, times)
     after = np.minimum(before + 1, len(samples) - 1)
     first = np.minimum(before, len(samples) - 2)
-    more = _in_gaps(samples.times)[first] / np.diff(samples.times)[first]
-    return np.asarray(np.maximum(each[before], each[after]) * more[:, None])
+    left_out = np.maximum(each[before], each[after]) * _in_gaps(samples.times)[first, None]
+    return np.asarray(left_out / np.diff(samples.times)[first, None])
 
 
 def unknown(samples: Trajectory, times: Times) -> np.ndarray:
