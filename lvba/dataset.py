@@ -26,7 +26,7 @@ class Scan:
     intensity: np.ndarray | None = None
     time: np.ndarray | None = None
     dropped: int = 0
-    """Points of the file left out because they had no finite position."""
+    """Points of the file left out because they had no finite position, or the sensor's own (no return)."""
 
     def __len__(self) -> int:
         return len(self.points)

@@ -25,6 +25,7 @@ from lvba.io import (
     bags,
     camera_config,
     files,
+    finite_points,
     frames,
     image_poses,
     images,
@@ -161,12 +162,13 @@ def _decide(poses: "_Poses", pictures: Trajectory, scans: Trajectory, calibratio
 
 
 def load_scan(dataset: Dataset, index: int) -> Scan:
-    """The points of one scan.
+    """The points of one scan, without those at the sensor's own position: beams that did not come back.
 
     Raises: InputError if the file has become unreadable or turns out damaged.
     """
     path = dataset.scan_paths[index]
-    return velodyne.read_bin(path) if path.endswith(velodyne.SUFFIX) else pcd.read_pcd(path)
+    scan = velodyne.read_bin(path) if path.endswith(velodyne.SUFFIX) else pcd.read_pcd(path)
+    return finite_points.without_no_returns(path, scan, dataset.sensor_position_scan)
 
 
 def load_scans(dataset: Dataset, indices: Sequence[int] | None = None) -> list[np.ndarray]:
