@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -49,8 +50,9 @@ def with_points(
     where: the file of the scan poses; load: a scan by its number; readings: whether poses may be misread
     """
 
+    @cache
     def points(index: int) -> np.ndarray:
-        return load(dataset, index).points
+        return pose_readings.thinned(load(dataset, index).points)
 
     try:
         range_m = _absurd(_range(points, dataset), MOST_RANGE)

@@ -66,7 +66,7 @@ def find(world_from_scan: Poses, load: Load) -> str:
     """
     if len(world_from_scan) < _FEWEST_PAIRS:
         return ""
-    points = cache(lambda index: _thinned(load(index)))
+    points = cache(lambda index: thinned(load(index)))
     others = {
         W_FIRST: w_first(world_from_scan),
         INVERSE: geometry.inverse(world_from_scan),
@@ -140,8 +140,11 @@ def _follow(given: np.ndarray, pairs: list[tuple[int, int]], points: Load) -> bo
     return bool(np.sum(moved * middles) >= _FOLLOWS * np.sum(moved * moved))
 
 
-def _thinned(points: np.ndarray) -> np.ndarray:
-    """At most `_POINTS` of the points, float64."""
+def thinned(points: np.ndarray) -> np.ndarray:
+    """At most `_POINTS` of the points, spread evenly, (M, 3) float64.
+
+    points: (N, 3) float32 or float64, m
+    """
     return points[:: -(-len(points) // _POINTS)].astype(np.float64)
 
 
