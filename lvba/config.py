@@ -57,9 +57,9 @@ def load(kind: type[Config], text: str, overrides: Sequence[str] = (), where: st
 def parse(text: str, where: str = "config") -> dict[str, Any]:
     """The mapping that YAML text holds.
 
-    Raises InputError: not YAML, or not a mapping.
+    Raises InputError: not YAML, not a mapping, or a name is there twice.
     """
-    values = plain_yaml.load(text, where, "write `name: value` lines, indented by spaces")
+    values = plain_yaml.load(text, where, "write `name: value` lines, indented by spaces", unique=True)
     if values is None:
         return {}
     if not isinstance(values, dict):
@@ -314,6 +314,10 @@ def _put(values: dict[str, Any], names: list[str], value: Any, where: str) -> No
 
 def _unknown(kind: Any, name: str, where: str, path: str, known: list[str]) -> SettingError:
     every = [path + other for other in names(kind)]
+    if not path and (dotted := difflib.get_close_matches(name, every, 1) if "." in name else []):
+        *groups, last = dotted[0].split(".")
+        nested = "".join(f"{group}: {{" for group in groups) + f"{last}: ..." + "}" * len(groups)
+        return SettingError(where, name, "is a group and a name in it", f"write them nested, {nested}")
     close = difflib.get_close_matches(name, known, 1) or [
         # right name in the wrong group, or a misspelling further down
         other.removeprefix(path)

@@ -26,7 +26,7 @@ class Scan:
     intensity: np.ndarray | None = None
     time: np.ndarray | None = None
     dropped: int = 0
-    """Points of the file left out because they had no finite position."""
+    """Points of the file left out because they had no finite position, or the sensor's own (no return)."""
 
     def __len__(self) -> int:
         return len(self.points)
@@ -42,6 +42,28 @@ class RigCamera:
 
     camera: Camera
     camera_from_scan: np.ndarray
+
+
+@dataclass(frozen=True)
+class InputFindings:
+    """What speaks against the files of a recording as they are; defaults: nothing does.
+
+    skipped_scans, skipped_images: files left out, for they have no pose, are bad or have another size
+    apart_s: s between the times of scans and those of images, where the two do not overlap
+    repeated_scans, repeated_poses: scans whose file, or whose pose, is identical to that of the scan before
+    speed_m_s: median from scan to scan, m/s, where nothing moves so fast; range_m: median of points, m, likewise
+    poses_as: reading of the scan poses under which scans agree far better than as given: a key of
+        `io.pose_readings.READINGS`, or ""
+    """
+
+    skipped_scans: int = 0
+    skipped_images: int = 0
+    apart_s: float = 0.0
+    repeated_scans: int = 0
+    repeated_poses: int = 0
+    speed_m_s: float = 0.0
+    range_m: float = 0.0
+    poses_as: str = ""
 
 
 @dataclass(frozen=True)
@@ -82,6 +104,8 @@ class Dataset:
     """(4, 4), m: its extrinsic in the scan frame (from body_from_imu)."""
     warnings: tuple[str, ...] = ()
     """What was left out, and why, one sentence each."""
+    findings: InputFindings = field(default_factory=InputFindings)
+    """What speaks against its files, for the verdict."""
     digest: str = ""
     """sha256 over names, sizes and contents of everything used: equal digest, equal input."""
 

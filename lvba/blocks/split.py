@@ -86,8 +86,8 @@ class SplitConfig:
             raise ValueError(f"size is {self.size}, must be above 0 with split.by {self.by}")
         if not self.overlap < np.inf:
             raise ValueError(f"overlap is {self.overlap}, must be finite")
-        if any(b <= a for a, b in zip((0.0, *self.starts), self.starts, strict=False)):
-            raise ValueError(f"starts are {self.starts}, must be ascending and above 0")
+        if not all(a < b < np.inf for a, b in zip((0.0, *self.starts), self.starts, strict=False)):
+            raise ValueError(f"starts are {self.starts}, must be finite, ascending and above 0")
 
 
 @dataclass(frozen=True)
@@ -214,6 +214,7 @@ def parts(dataset: Dataset, config: SplitConfig, load: Load) -> list[Part]:
     if config.by == "none" and not config.starts:
         return [_whole(dataset)]
     position = _position(dataset, config)
+    _check_count(config, position)
     first = _cuts(dataset, config, load, position)
     if len(first) == 1:
         return [_whole(dataset)]
@@ -344,6 +345,21 @@ def _gap(position: np.ndarray, bound: int) -> float:
 
 def _equal(scans: int, count: int) -> list[int]:
     return [scans * k // count for k in range(count)]
+
+
+def _check_count(config: SplitConfig, position: np.ndarray) -> None:
+    """That parts of a size are no more than scans: before as many are made."""
+    if config.by == "memory" or config.starts:
+        return
+    scans = len(position)
+    total = scans if config.by == "count" else float(position[-1])
+    if total > scans * config.size:
+        unit = {"length": " m", "time": " s", "count": " scans"}[config.by]
+        raise InputError(
+            "split.size",
+            f"parts of {config.size:g}{unit} would be more than the {scans} scans that there are ({total:.6g}{unit})",
+            "make the parts longer",
+        )
 
 
 def _parts_for_memory(dataset: Dataset, config: SplitConfig, load: Load) -> int:

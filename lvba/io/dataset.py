@@ -25,10 +25,12 @@ from lvba.io import (
     bags,
     camera_config,
     files,
+    finite_points,
     frames,
     image_poses,
     images,
     imu,
+    input_checks,
     kitti,
     pcd,
     posed_frames,
@@ -55,7 +57,8 @@ SCAN_POSES, IMAGE_POSES = "lidar_poses.txt", "image_poses.txt"
 def open_dataset(path: str | Path) -> Dataset:
     """The recording in a folder: files with matched rough poses and calibration; headers are checked, nothing is loaded.
 
-    Frames that are bad or have no pose near in time are left out with a warning, unless they are the majority.
+    Frames that are bad or have no pose near in time are left out with a warning; bad ones may not be the majority.
+    What speaks against the files otherwise is told in warnings and `Dataset.findings`; a few scans are read for it.
     The digest covers the contents of all files used; of recordings above `frames.HASHED_BYTES`, the sizes and change
     times of scans and images instead.
     Raises: InputError
@@ -93,7 +96,8 @@ def check_names(path: str | Path) -> None:
 
 def _open_fast_livo(root: Path) -> Dataset:
     scan_folder, image_folder = _layout(root)
-    scans = _open_frames(root, scan_folder, _poses_of(root, scan_folder, SCAN_POSES), (".pcd",), "scan")
+    poses = _poses_of(root, scan_folder, SCAN_POSES)
+    scans = _open_frames(root, scan_folder, poses, (".pcd",), "scan")
     calibration = camera_config.read_calibration(root)
     dataset = Dataset(
         root=str(root),
@@ -108,8 +112,12 @@ def _open_fast_livo(root: Path) -> Dataset:
         warnings=scans.warnings + calibration.warnings,
         digest=_digest(calibration, scans),
     )
-    if image_folder:
-        dataset = _with_images(dataset, root, image_folder, calibration, scans)
+    image_poses_file = _poses_of(root, image_folder, IMAGE_POSES) if image_folder else None
+    pictures = _open_images(root, image_folder, image_poses_file, calibration) if image_poses_file else None
+    dataset = input_checks.add(dataset, poses.path, scans, pictures)
+    dataset = input_checks.with_points(dataset, poses.path, load_scan)
+    if image_poses_file and pictures:
+        dataset = _with_images(dataset, image_poses_file, pictures, calibration, scans, poses.path)
     return posed_frames.shifted(_with_imu(dataset, root, calibration))
 
 
@@ -132,12 +140,24 @@ def _with_imu(dataset: Dataset, root: Path, calibration: Calibration) -> Dataset
 
 
 def _with_images(
-    dataset: Dataset, root: Path, folder: str, calibration: Calibration, scans: PosedFrames
+    dataset: Dataset,
+    poses: "_Poses",
+    pictures: PosedFrames,
+    calibration: Calibration,
+    scans: PosedFrames,
+    scan_poses: Path,
 ) -> Dataset:
-    """The recording of the scans with its images, whose poses become the camera's."""
-    poses = _poses_of(root, folder, IMAGE_POSES)
-    pictures = _open_images(root, folder, poses, calibration)
-    reading = _decide(poses, pictures.poses, scans.poses, calibration)
+    """The recording of the scans with its images, whose poses become the camera's.
+
+    poses: the file of the image poses; scan_poses: that of the scan poses, which may be the one to blame
+    """
+    try:
+        reading = _decide(poses, pictures.poses, scans.poses, calibration)
+    except InputError as error:
+        raise input_checks.blamed(error, scan_poses, dataset.findings) from error
+    undecided = (
+        () if dataset.findings.apart_s else reading.warnings
+    )  # without common times nothing is compared
     camera_from_scan = _camera_from_scan(calibration)
     poses_of_camera = image_poses.to_camera(pictures.poses.world_from_sensor, reading.kind, camera_from_scan)
     return dataclasses.replace(
@@ -148,7 +168,7 @@ def _with_images(
         image_stamps=pictures.stamps,
         image_poses=reading.kind,
         image_poses_reason=reading.reason,
-        warnings=dataset.warnings + pictures.warnings + reading.warnings,
+        warnings=dataset.warnings + pictures.warnings + undecided,
         digest=_digest(calibration, scans, pictures, reading.kind),
     )
 
@@ -161,12 +181,13 @@ def _decide(poses: "_Poses", pictures: Trajectory, scans: Trajectory, calibratio
 
 
 def load_scan(dataset: Dataset, index: int) -> Scan:
-    """The points of one scan.
+    """The points of one scan, without those at the sensor's own position: beams that did not come back.
 
     Raises: InputError if the file has become unreadable or turns out damaged.
     """
     path = dataset.scan_paths[index]
-    return velodyne.read_bin(path) if path.endswith(velodyne.SUFFIX) else pcd.read_pcd(path)
+    scan = velodyne.read_bin(path) if path.endswith(velodyne.SUFFIX) else pcd.read_pcd(path)
+    return finite_points.without_no_returns(path, scan, dataset.sensor_position_scan)
 
 
 def load_scans(dataset: Dataset, indices: Sequence[int] | None = None) -> list[np.ndarray]:
@@ -243,12 +264,13 @@ def _poses_of(root: Path, folder: str, name: str) -> _Poses:
 
 @dataclass(frozen=True)
 class _Matched:
-    """Files with a pose; their times with all digits; what to say of the others."""
+    """Files with a pose; their times with all digits; what to say of the others, and how many these are."""
 
     frames: list[Frame]
     poses: Trajectory
     stamps: list[str]
     warnings: list[str]
+    skipped: int
 
 
 def _matched(root: Path, folder: str, poses: _Poses, suffixes: tuple[str, ...], kind: str) -> _Matched:
@@ -259,7 +281,7 @@ def _matched(root: Path, folder: str, poses: _Poses, suffixes: tuple[str, ...], 
     matched = [on_disk[index] for index in match.files]
     warnings += [*poses.file.warnings, *_match_warnings(on_disk, match, len(rough), poses.path, kind)]
     stamps, timed = _stamps(matched, match, poses.file)
-    return _Matched(matched, timed, stamps, warnings)
+    return _Matched(matched, timed, stamps, warnings, len(on_disk) - len(matched))
 
 
 def _stamps(matched: list[Frame], match: timestamps.Match, file: PoseFile) -> tuple[list[str], Trajectory]:
@@ -284,7 +306,14 @@ def _open_frames(root: Path, folder: str, poses: _Poses, suffixes: tuple[str, ..
     check = pcd.check_pcd if kind == "scan" else images.check_image
     fingerprint = f"{poses.name} {files.sha256(poses.path)}"
     return posed_frames.checked(
-        matched.frames, matched.poses, check, kind, fingerprint, tuple(matched.warnings), matched.stamps
+        matched.frames,
+        matched.poses,
+        check,
+        kind,
+        fingerprint,
+        tuple(matched.warnings),
+        matched.stamps,
+        matched.skipped,
     )
 
 

@@ -1,5 +1,6 @@
 """Bytes from and to disk: every failure is an InputError, and a file is either whole or not there."""
 
+import codecs
 import contextlib
 import errno
 import hashlib
@@ -121,6 +122,8 @@ def read_text(path: str | Path, limit: int = MAX_TEXT_BYTES) -> str:
     Raises: InputError
     """
     content = read_bytes(path, limit)
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise InputError(path, "is UTF-16 text", "save it as UTF-8")
     if b"\0" in content[:4096]:
         raise InputError(path, "is binary, not text", "give the text file")
     try:
@@ -209,9 +212,17 @@ def make_folder(path: str | Path) -> Path:
 
     Raises: InputError
     """
+    folder = Path(path)
     with as_input_error(path):
-        Path(path).mkdir(parents=True, exist_ok=True)
-    return Path(path)
+        for part in (folder, *folder.parents):
+            if os.path.islink(part) and not os.path.exists(part):
+                raise InputError(
+                    part,
+                    f"is a symbolic link to {os.readlink(part)}, which does not exist",
+                    "make that folder, or choose another path",
+                )
+        folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 def try_to_write(folder: str | Path) -> None:

@@ -18,6 +18,7 @@ from lvba import geometry
 from lvba.arrays import Pose, Poses
 from lvba.dataset import BODY, CAMERA, Dataset
 from lvba.errors import InputError
+from lvba.io import pose_readings
 from lvba.trajectory import Trajectory, align, bracket
 
 KINDS = (CAMERA, BODY)
@@ -296,17 +297,10 @@ def _size(degrees: float, meters: float) -> str:
     return f"{degrees:.1f} degrees and {length}"
 
 
-def _w_first(poses: np.ndarray) -> np.ndarray:
-    """The poses as meant if their quaternions were written w first."""
-    return geometry.from_quaternion_translation(
-        np.roll(geometry.quaternion(poses), -1, axis=-1), poses[:, :3, 3]
-    )
-
-
 _MISTAKES: tuple[tuple[str, Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]], ...] = (
     (
         "the quaternions seem to be written w first: write qx qy qz qw",
-        lambda poses, extrinsic: (_w_first(poses), extrinsic),
+        lambda poses, extrinsic: (pose_readings.w_first(poses), extrinsic),
     ),
     (
         "the poses seem to be world to camera or body: write their inverse",

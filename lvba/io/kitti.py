@@ -17,9 +17,9 @@ import numpy as np
 
 from lvba import geometry
 from lvba.camera import Camera
-from lvba.dataset import Dataset, RigCamera
+from lvba.dataset import Dataset, RigCamera, Scan
 from lvba.errors import InputError
-from lvba.io import files, frames, images, posed_frames, velodyne
+from lvba.io import files, frames, images, input_checks, posed_frames, velodyne
 from lvba.io.frames import Frame
 from lvba.io.posed_frames import PosedFrames
 from lvba.trajectory import Trajectory
@@ -74,7 +74,12 @@ def open_kitti(root: Path) -> Dataset:
             scans, pictures, [files.sha256(root / name) for name in (CALIBRATION, TIMES)]
         ),
     )
-    return posed_frames.shifted(dataset)
+    dataset = input_checks.add(dataset, pose_path, scans, pictures)
+    return posed_frames.shifted(input_checks.with_points(dataset, pose_path, _load_scan, readings=False))
+
+
+def _load_scan(dataset: Dataset, index: int) -> Scan:
+    return velodyne.read_bin(dataset.scan_paths[index])
 
 
 def check_names(root: Path) -> None:
@@ -102,8 +107,8 @@ def _tables(root: Path) -> tuple[dict[str, np.ndarray], np.ndarray, Path, np.nda
 
 def _timed(
     folder: Path, suffixes: tuple[str, ...], kind: str, times: int, poses: int, pose_path: Path
-) -> tuple[dict[int, Frame], list[str]]:
-    """Frames by number; those beyond the times or poses are left out, and told."""
+) -> tuple[dict[int, Frame], list[str], int]:
+    """Frames by number; those beyond the times or poses are left out, told and counted."""
     on_disk, warnings = frames.find(folder, suffixes, kind)
     count = min(times, poses)
     numbers = [int(frame.time) for frame in on_disk]
@@ -115,19 +120,25 @@ def _timed(
         )
     warnings = [*warnings, *frames.left_out(without, f"{kind}s beyond the last pose", pose_path)]
     by_number = {int(frame.time): frame for frame in on_disk}
-    return {number: by_number[number] for number in numbers}, warnings
+    return {number: by_number[number] for number in numbers}, warnings, len(without)
 
 
 def _open_frames(
     folder: Path, suffixes: tuple[str, ...], kind: str, times: np.ndarray, poses: np.ndarray, pose_path: Path
 ) -> PosedFrames:
-    by_number, warnings = _timed(folder, suffixes, kind, len(times), len(poses), pose_path)
+    by_number, warnings, skipped = _timed(folder, suffixes, kind, len(times), len(poses), pose_path)
     numbers = list(by_number)
     timed = [Frame(frame.path, float(times[number])) for number, frame in by_number.items()]
     check = velodyne.check_bin if kind == "scan" else images.check_image
     fingerprint = f"{POSES} {files.sha256(pose_path)}"
     return posed_frames.checked(
-        timed, Trajectory(times[numbers], poses[numbers]), check, kind, fingerprint, tuple(warnings)
+        timed,
+        Trajectory(times[numbers], poses[numbers]),
+        check,
+        kind,
+        fingerprint,
+        tuple(warnings),
+        skipped=skipped,
     )
 
 

@@ -19,9 +19,9 @@ _CORRECT_LINE = "correct the line, or write the file again"
 
 
 def read_pcd(path: str | Path) -> Scan:
-    """The points of a PCD file, without those that have no finite position.
+    """The points of a PCD file, without those that have no finite position or that of the origin.
 
-    Raises: InputError if the file is unreadable, truncated or contradicts its header, or holds no finite point.
+    Raises: InputError if the file is unreadable, truncated or contradicts its header, or holds no other point.
     """
     content = files.read_bytes(path)
     header = pcd_header.parse(path, content, len(content))
@@ -58,7 +58,8 @@ def check_pcd(path: str | Path, content: bytes | None = None) -> int:
 def _check_sample(path: str | Path, columns: "_Binary") -> None:
     """That there are points with a position; all are looked at only if none of a thousand has one."""
     x = columns.values(_position_fields(columns.header)[0])
-    if not np.isfinite(x[:: max(1, len(x) // 1000)]).any():
+    sample = x[:: max(1, len(x) // 1000)]
+    if not (np.isfinite(sample) & (sample != 0)).any():
         finite_points.keep(path, columns.points(), None, None)
 
 

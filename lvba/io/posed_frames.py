@@ -28,6 +28,7 @@ class PosedFrames:
 
     stamps: times as results write them, with all digits known; none: the shortest text of the times
     fingerprints: name and content of each, after one of the pose file; sizes: of images, empty for scans
+    skipped: files of the folder that are not among them
     """
 
     paths: tuple[str, ...]
@@ -36,6 +37,7 @@ class PosedFrames:
     sizes: tuple[ImageSize, ...]
     warnings: tuple[str, ...]
     stamps: tuple[str, ...] = ()
+    skipped: int = 0
 
 
 def checked(
@@ -46,10 +48,12 @@ def checked(
     pose_fingerprint: str,
     warnings: tuple[str, ...],
     stamps: Sequence[str] = (),
+    skipped: int = 0,
 ) -> PosedFrames:
     """The frames whose files pass the check.
 
     poses, stamps: of `matched`, in order; check: as in `frames.check_all`; pose_fingerprint: of the pose file
+    skipped: files that are not in `matched`
     Raises: the first InputError if more than half of the frames are bad.
     """
     hashed = frames.total_bytes(matched) <= frames.HASHED_BYTES
@@ -63,6 +67,7 @@ def checked(
         sizes=tuple(facts for index in good if isinstance(facts := checks[index].facts, ImageSize)),
         warnings=(*warnings, *bad_warnings),
         stamps=tuple(stamps[index] for index in good) if stamps else (),
+        skipped=skipped + len(matched) - len(good),
     )
 
 
@@ -102,6 +107,7 @@ def of_one_size(pictures: PosedFrames, where: object) -> PosedFrames:
             *frames.left_out(others, f"images that are not {_text(size)} px", where),
         ),
         stamps=tuple(pictures.stamps[index] for index in good) if pictures.stamps else (),
+        skipped=pictures.skipped + len(others),
     )
 
 

@@ -20,6 +20,8 @@ _NORM_TOLERANCE = 1e-2
 """A quaternion written with 3 decimals is off by less; a matrix row or Euler angles are not this close by chance."""
 _HEADER_WORDS = {"t", "time", "timestamp", "stamp"}
 _SAME_POSE = 1e-6
+_MANY_FOR_ONE_TIME = 3
+"""Poses with the time of another one from which times have too few digits: no line is there by mistake."""
 _MAX_POSITION = 1e8
 _MAX_COMMENTS = 100
 _PLAIN = re.compile(r"[0-9]+(\.[0-9]*)?")
@@ -150,6 +152,8 @@ def _rows(path: str | Path, text: str) -> tuple[np.ndarray, np.ndarray]:
         words = line.split("#", 1)[0].replace(",", " ").split()
         if not words or (not rows and words[0].lower() in _HEADER_WORDS):
             continue
+        if len(words) > 8 and _has_decimal_commas(line):
+            raise InputError(f"{path}:{number}", "has decimal commas", "write decimal points")
         rows.append(_row(path, number, words))
         numbers.append(number)
     return np.array(rows, float).reshape(-1, 8), np.array(numbers, np.int64)
@@ -164,6 +168,12 @@ def _row(path: str | Path, number: int, words: list[str]) -> list[float]:
             f"{path}:{number}", f"{words[values.index(None)][:40]!r} is no number", f"write {_COLUMNS}"
         )
     return values  # type: ignore[return-value]
+
+
+def _has_decimal_commas(line: str) -> bool:
+    """Whether a line holds eight numbers between spaces, with commas where points should be."""
+    words = line.split("#", 1)[0].split()
+    return len(words) == 8 and all(_float(word.replace(",", ".", 1)) is not None for word in words)
 
 
 def _float(word: str) -> float | None:
@@ -195,15 +205,20 @@ def _check_values(path: str | Path, rows: np.ndarray, numbers: np.ndarray) -> No
 
 def _first_of_each_time(path: str | Path, rows: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     """(N,) bool: rows to keep of those in time order."""
-    keep = np.ones(len(rows), bool)
-    for row in np.flatnonzero(np.diff(rows[:, 0]) == 0) + 1:
-        same_position = np.abs(rows[row, 1:4] - rows[row - 1, 1:4]).max() < _SAME_POSE
-        same_rotation = abs(abs(rows[row, 4:] @ rows[row - 1, 4:]) - 1) < 2 * _NORM_TOLERANCE
-        if not (same_position and same_rotation):
-            raise InputError(
-                f"{path}:{numbers[row]}",
-                f"another pose than line {numbers[row - 1]} for the same time {time_text(rows[row, 0])}",
-                "remove one of the lines",
-            )
-        keep[row] = False
-    return keep
+    same_time = np.diff(rows[:, 0]) == 0
+    same_position = np.abs(np.diff(rows[:, 1:4], axis=0)).max(axis=1, initial=0.0) < _SAME_POSE
+    cosine = np.abs((rows[1:, 4:] * rows[:-1, 4:]).sum(1))
+    others = same_time & ~(same_position & (np.abs(cosine - 1) < 2 * _NORM_TOLERANCE))
+    if np.count_nonzero(others) >= _MANY_FOR_ONE_TIME:
+        raise InputError(
+            path,
+            f"{np.count_nonzero(others)} of {len(rows)} poses have the time of another pose",
+            "write the times with all their digits",
+        )
+    for row in np.flatnonzero(others)[:1] + 1:
+        raise InputError(
+            f"{path}:{numbers[row]}",
+            f"another pose than line {numbers[row - 1]} for the same time {time_text(rows[row, 0])}",
+            "remove one of the lines",
+        )
+    return np.append(True, ~same_time)

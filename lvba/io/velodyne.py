@@ -13,7 +13,7 @@ _POINT_BYTES = 16
 
 
 def read_bin(path: str | Path) -> Scan:
-    """The points and intensities of a .bin file, without those that have no finite position.
+    """The points and intensities of a .bin file, without those that have no finite position or that of the origin.
 
     Raises: InputError if the file is unreadable, no whole number of points, or holds no finite point.
     """

@@ -100,6 +100,7 @@ def of_dataset(dataset: Dataset) -> dict[str, Any]:
     """Counts, times and camera of the input."""
     times = np.concatenate([dataset.scans.times, dataset.images.times])
     positions = dataset.scans.world_from_sensor[:, :3, 3]
+    speaks_against = {name: value for name, value in _fields(dataset.findings, ()).items() if value}
     return {
         "digest": dataset.digest,
         "scans": len(dataset.scan_paths),
@@ -112,6 +113,7 @@ def of_dataset(dataset: Dataset) -> dict[str, Any]:
         else None,
         "origin": dataset.origin,
         "warnings": list(dataset.warnings),
+        **({"findings": speaks_against} if speaks_against else {}),
     }
 
 

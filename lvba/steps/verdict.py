@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from lvba.products import lengths
+from lvba.steps import verdict_input
 from lvba.steps.verdict_figures import Figures, Level, Reason
 from lvba.wording import runs
 
@@ -388,6 +389,7 @@ def _amount(value: float, unit: str) -> str:
 
 _RULES: tuple[Callable[[Figures], Iterator[Reason]], ...] = (
     _rejected,
+    verdict_input.reasons,
     _truth,
     _scale,
     _alarms,

@@ -1,11 +1,13 @@
 """The verdict on a run from the facts of its report, and the `verdict` and `alarms` parts of the report."""
 
+import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from lvba.dataset import InputFindings
 from lvba.lidar.bundle_adjustment import odometry_dependent_steps
 from lvba.products import lengths, renamed_facts
 from lvba.steps import verdict
@@ -116,6 +118,7 @@ def figures(facts: Facts) -> Figures:
         thickness=(planes["thickness_before_m"], planes["thickness_after_m"]) if planes else None,
         truth=tuple(_truth(facts.get("reference") or {})),
         scale=((facts.get("reference") or {}).get("lidar") or {}).get("scale"),
+        input=_input(dataset.get("findings") or {}),
         input_fits=_input_fits(
             lidar, visual, planes, bool(odometry.get("too_far_off")), degenerate_scans + dependent_steps
         ),
@@ -129,6 +132,12 @@ def _images(visual: Facts) -> dict[str, Any]:
         return {}
     late = (visual.get("time_offset") or {}).get("seconds") or 0.0
     return {"late_s": late, "patches_per_image": observations and observations / keyframes}
+
+
+def _input(findings: Facts) -> InputFindings:
+    """What the report says against the files; names that only another version knows are passed over."""
+    known = {field.name for field in dataclasses.fields(InputFindings)}
+    return InputFindings(**{name: value for name, value in findings.items() if name in known})
 
 
 def _camera_refined(visual: Facts) -> bool:

@@ -3,6 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+from lvba.dataset import InputFindings
+
 Level = Literal["good", "check", "bad"]
 
 _CONSISTENT = 3.0
@@ -80,6 +82,7 @@ class Figures:
     input_fits: None: the input's poses are not as good as what was refined, or something speaks against both
     ssim: of images predicted from the map, before and after, where the loss is beyond chance
     small_losses: what used parts lost in how well images are predicted, beyond chance, without being refused for it
+    input: what speaks against the files of the recording
     """
 
     scans: int = 0
@@ -125,6 +128,7 @@ class Figures:
     truth: tuple[Truth, ...] = ()
     scale: float | None = None
     input_fits: InputFits | None = None
+    input: InputFindings = field(default_factory=InputFindings)
 
 
 @dataclass(frozen=True)

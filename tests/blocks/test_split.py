@@ -179,6 +179,20 @@ def test_settings_out_of_range_are_refused(wrong):
         SplitConfig(**wrong)
 
 
+@pytest.mark.parametrize(("by", "size"), [("time", 1e-300), ("length", 1e-6), ("count", 0.5), ("time", 0.3)])
+def test_more_parts_than_scans_are_refused_before_they_are_made(by, size):
+    with pytest.raises(InputError, match=rf"split.size: parts of {size:g} .* more than the 100 scans"):
+        parts(recording(), SplitConfig(by=by, size=size), LOAD)
+
+
+@pytest.mark.parametrize(
+    "starts", [(float("nan"),), (5.0, float("nan")), (float("inf"),), (5.0, 5.0), (0.0,)]
+)
+def test_starts_are_finite_and_ascending(starts):
+    with pytest.raises(ValueError, match="must be finite, ascending and above 0"):
+        SplitConfig(starts=starts)
+
+
 def test_a_subset_is_a_recording_of_its_own():
     whole = recording()
     some = subset(whole, np.arange(10, 20), np.arange(5, 25))

@@ -289,3 +289,14 @@ def test_a_huge_file_is_not_read(tmp_path: Path):
             file.truncate(2**40)
         with pytest.raises(InputError, match="more than"):
             open_dataset(root)
+
+
+@pytest.mark.parametrize("below", ["", "x", "x/y"])
+def test_a_folder_through_a_link_to_nothing_names_the_link(tmp_path: Path, below: str):
+    (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(
+        InputError, match=r"dangling: is a symbolic link to .*nowhere, which does not exist; make"
+    ):
+        files.make_folder(tmp_path / "dangling" / below)
+    (tmp_path / "nowhere").mkdir()
+    assert files.make_folder(tmp_path / "dangling" / below).is_dir()

@@ -50,6 +50,28 @@ def test_frames_stream(tmp_path: Path):
     assert image.dtype == np.uint8
 
 
+def test_beams_that_did_not_come_back_are_no_points_of_a_scan(tmp_path: Path):
+    """Drivers write zeros; in the body frame they lie at zero, or where the sensor is."""
+    root = small_recording.write(tmp_path)
+    path = small_recording.scan_files(root)[2]
+    points = pcd.read_pcd(path).points
+    measured = points.copy()
+    points[:10], points[10:20] = 0, small_recording.EXTRINSIC_T
+    pcd.write_pcd(path, points, np.arange(50))
+    scan = dataset.load_scan(open_dataset(root), 2)
+    np.testing.assert_array_equal(scan.points, measured[20:])
+    np.testing.assert_array_equal(scan.intensity, np.arange(20, 50))
+    assert scan.dropped == 20
+
+
+def test_a_scan_of_zeros_alone_is_left_out(tmp_path: Path):
+    root = small_recording.write(tmp_path)
+    pcd.write_pcd(small_recording.scan_files(root)[2], np.zeros((50, 3)))
+    found = open_dataset(root)
+    assert len(found.scan_paths) == 5
+    assert any("left out this scan" in warning for warning in found.warnings)
+
+
 def test_without_images_it_is_a_lidar_recording(tmp_path: Path):
     found = open_dataset(small_recording.write(tmp_path, pictures=0))
     assert found.image_paths == ()

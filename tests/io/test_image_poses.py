@@ -172,7 +172,10 @@ def test_poses_beside_every_scan_cannot_be_compared(tmp_path: Path):
         path.rename(path.with_name(f"{START + 100 + 0.1 * i:.6f}.pcd"))
     found = open_dataset(root)
     assert found.image_poses == BODY
-    assert any("no image lies between two scans" in warning for warning in found.warnings)
+    assert "no image lies between two scans" in found.image_poses_reason
+    assert any("clocks or time zones differ" in warning for warning in found.warnings)
+    assert not any("say `image_poses" in warning for warning in found.warnings)  # no statement would mend it
+    assert found.findings.apart_s == pytest.approx(99.75, abs=0.4)
 
 
 @pytest.mark.parametrize("kind", [CAMERA, BODY])

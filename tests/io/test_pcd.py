@@ -54,9 +54,10 @@ def test_what_was_written_comes_back_exactly(
 @settings(deadline=None, max_examples=40)
 def test_any_finite_points_come_back_exactly(tmp_path_factory, rows, encoding):
     path = tmp_path_factory.mktemp("any") / "a.pcd"
-    points = np.array(rows, np.float32)
+    points = np.array([(1.0, 2.0, 3.0), *rows], np.float32)
     pcd.write_pcd(path, points, encoding=encoding)
-    np.testing.assert_array_equal(pcd.read_pcd(path).points, points)
+    measured = points[np.abs(points).max(axis=1) >= np.float32(1e-3)]
+    np.testing.assert_array_equal(pcd.read_pcd(path).points, measured)
 
 
 def test_any_order_and_type_of_fields(tmp_path: Path):
@@ -112,8 +113,32 @@ def test_points_without_a_finite_position_are_dropped_with_their_values(tmp_path
     assert scan.dropped == 3
 
 
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_points_at_zero_are_no_returns_and_are_dropped_with_their_values(tmp_path: Path, encoding: str):
+    points = _points()
+    points[::2] = 0
+    points[1] = 0, 0, 0.002
+    pcd.write_pcd(tmp_path / "a.pcd", points, np.arange(100), np.arange(100), encoding)
+    scan = pcd.read_pcd(tmp_path / "a.pcd")
+    np.testing.assert_array_equal(scan.points, points[1::2])
+    np.testing.assert_array_equal(scan.intensity, np.arange(1, 100, 2))
+    np.testing.assert_array_equal(scan.time, np.arange(1, 100, 2))
+    assert scan.dropped == 50
+
+
+def test_a_scan_of_zeros_is_refused_by_its_bytes_and_a_plane_across_the_origin_is_not(tmp_path: Path):
+    pcd.write_pcd(tmp_path / "a.pcd", np.zeros((5000, 3)))
+    for refuse in (pcd.read_pcd, lambda path: pcd.check_pcd(path, path.read_bytes())):
+        with pytest.raises(InputError, match=r"none of its 5000 points .* other than the sensor's own"):
+            refuse(tmp_path / "a.pcd")
+    plane = _points() * np.float32([0, 1, 1])
+    pcd.write_pcd(tmp_path / "b.pcd", plane)
+    assert pcd.check_pcd(tmp_path / "b.pcd", (tmp_path / "b.pcd").read_bytes()) == 100
+    np.testing.assert_array_equal(pcd.read_pcd(tmp_path / "b.pcd").points, plane)
+
+
 def test_names_of_fields_that_are_not_clear_are_no_time(tmp_path: Path):
-    table = np.zeros(4, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("normal_x", "<f4"), ("curvature", "<f4")])
+    table = np.ones(4, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("normal_x", "<f4"), ("curvature", "<f4")])
     head = _header("x y z normal_x curvature", "4 4 4 4 4", "F F F F F", "1 1 1 1 1", 4, "binary")
     (tmp_path / "a.pcd").write_bytes(head + table.tobytes())
     scan = pcd.read_pcd(tmp_path / "a.pcd")

@@ -102,3 +102,32 @@ def test_bad_exposures_are_named(tmp_path: Path, text: str):
     (tmp_path / "exposures.csv").write_text(text)
     with pytest.raises(InputError, match=r"exposures\.csv"):
         exposures.read_exposures(tmp_path / "exposures.csv")
+
+
+@pytest.mark.parametrize("times", [["0"] * 9, [f"{1703756316 + k / 9:.6e}" for k in range(9)]])
+def test_times_of_too_few_digits_are_told_as_such(tmp_path: Path, times: list[str]):
+    path = tmp_path / "poses.txt"
+    path.write_text("".join(f"{time} {k} 0 0 0 0 0 1\n" for k, time in enumerate(times)))
+    with pytest.raises(
+        InputError, match="8 of 9 poses have the time of another pose; write the times with all"
+    ):
+        tum.read_trajectory(path)
+
+
+def test_decimal_commas_are_named(tmp_path: Path):
+    path = tmp_path / "poses.txt"
+    path.write_text("# t\n1703756316,044 -0,5 1e-3 0,25 0 0,0 0 1,0\n")
+    with pytest.raises(InputError, match=r"poses.txt:2: has decimal commas; write decimal points"):
+        tum.read_trajectory(path)
+    path.write_text("1, 2, 3, 4, 0, 0, 0, 1, 9\n")
+    with pytest.raises(InputError, match=r"9 values instead of 8"):
+        tum.read_trajectory(path)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be"])
+def test_another_encoding_is_named(tmp_path: Path, encoding: str):
+    path = tmp_path / "poses.txt"
+    mark = "" if encoding == "utf-16" else "\ufeff"
+    path.write_bytes(f"{mark}0 0 0 0 0 0 0 1\n".encode(encoding))
+    with pytest.raises(InputError, match=r"is UTF-16 text; save it as UTF-8"):
+        tum.read_trajectory(path)

@@ -129,6 +129,20 @@ def test_mistakes_are_one_line_that_names_the_setting(option, message):
         ("levels: 2021-13-45", "my.yaml: invalid value"),
         ("levels: " + "[" * 3000, "my.yaml: nested too deep"),
         ("solver:\n  iteratons: 3\n", "my.yaml: solver.iteratons: no such setting"),
+        (
+            "solver.iterations: 3\n",
+            r"my.yaml: solver.iterations: .*; write them nested, solver: {iterations: ...}",
+        ),
+        (
+            "solver.iteratons: 3\n",
+            r"my.yaml: solver.iteratons: .*; write them nested, solver: {iterations: ...}",
+        ),
+        ("levels: 2\nlevels: 3\n", "my.yaml:2: levels is there twice; keep one"),
+        (
+            "solver:\n  iterations: 2\nlevels: 1\nsolver:\n  tolerance: 1\n",
+            "my.yaml:4: solver is there twice",
+        ),
+        ("solver:\n  iterations: 2\n  iterations: 2\n", "my.yaml:3: iterations is there twice"),
     ],
 )
 def test_mistakes_in_a_file_name_the_file(text, message):

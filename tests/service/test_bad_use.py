@@ -40,6 +40,8 @@ def assert_one_line(done, *words):
         (["run"], ["DATASET, --out"]),
         (["run", "D", "--out", "O", "--bogus"], ["--bogus"]),
         (["run", "D", "--out", "O", "--threads", "0"], ["--threads"]),
+        (["run", "D", "--out", "O", "--threads", "1e9"], ["--threads", "1e9 is no whole number"]),
+        (["import", "D", "--out", "O", "--rate", "fast"], ["--rate", "fast is no number"]),
         (["run", "D", "--out", "O", "--workers", "0"], ["--workers", "not 1 or more"]),
         (["run", "D", "--out", "O", "--workers", "1", "--scheduler", "tcp://a:1"], ["not allowed with"]),
         (["run", "D", "--out", "O", "--scheduler", "a:1"], ["a:1", "write tcp://HOST:PORT"]),

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from lvba.dataset import InputFindings
 from lvba.products import lengths
 from lvba.steps import verdict, verdict_data
 from lvba.steps.verdict_figures import Figures, Judged, Truth
@@ -58,6 +59,19 @@ KEPT = (Truth("scans", "m", 0.001, 0.07, 0.0009), Truth("cameras", "degrees", 0.
         ({"jumps": 1, "jump_m": 0.3}, "check", False),
         ({"jumps": 1, "jump_m": 1.0, "unconfirmed_jumps": (4,)}, "bad", True),
         ({"range_errors": 1}, "check", True),
+        ({"input": InputFindings(skipped_scans=12)}, "check", False),
+        ({"input": InputFindings(skipped_images=12)}, "check", False),
+        ({"input": InputFindings(skipped_scans=11, skipped_images=11)}, "good", False),
+        ({"input": InputFindings(apart_s=3600.0)}, "check", False),
+        ({"input": InputFindings(repeated_scans=5, repeated_poses=5)}, "good", False),
+        ({"input": InputFindings(repeated_scans=6)}, "check", True),
+        ({"input": InputFindings(repeated_scans=99)}, "bad", True),
+        ({"input": InputFindings(repeated_poses=99)}, "check", False),
+        ({"input": InputFindings(speed_m_s=900.0)}, "check", True),
+        ({"input": InputFindings(range_m=9000.0)}, "check", True),
+        ({"input": InputFindings(poses_as="w_first")}, "check", True),
+        ({"input": InputFindings(poses_as="inverse")}, "check", True),
+        ({"input": InputFindings(poses_as="world")}, "bad", True),
         ({"registered": True, "rough_m": 0.3}, "check", False),
         ({"registered": True, "open_steps": 1}, "bad", True),
         ({"registered": True}, "check", False),
