@@ -37,7 +37,7 @@ def assert_one_line(done, *words):
     [
         ([], ["required: COMMAND"]),
         (["rum"], ["invalid choice: 'rum'"]),
-        (["run"], ["DATASET, --out"]),
+        (["run"], ["RECORDING, --out"]),
         (["run", "D", "--out", "O", "--bogus"], ["--bogus"]),
         (["run", "D", "--out", "O", "--threads", "0"], ["--threads"]),
         (["run", "D", "--out", "O", "--threads", "1e9"], ["--threads", "1e9 is no whole number"]),

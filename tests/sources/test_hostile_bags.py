@@ -68,7 +68,7 @@ TREE = (
         (f"T0 x\n{TREE}", "too many fields|nested too deep"),
         ("int32 x\n" * 5000, "too many fields"),
         ("uint8[99999999999] x", "more than a billion"),
-        ("???", "a line of its definition that is none"),
+        ("???", "an invalid line of its definition"),
         ("unknown/Type x", "does not define unknown/Type"),
         ("x" * 2_000_000, "a definition of 2000000 characters"),
     ],
