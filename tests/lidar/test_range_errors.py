@@ -271,7 +271,7 @@ def test_facts_bring_errors_back(beams):
     values = {INCIDENCE: 0.002, ELEVATION: 0.003, BRIGHTNESS: 0.004}
     ranges = RangeErrors(beams, values, {ELEVATION: 1e-4}, (ELEVATION, BRIGHTNESS))
     clock = PointClock(1.0, 0.1, -0.1, True)
-    motion = MotionLeft(clock=clock, part=0.5, sigma=1e-3, motion=np.ones((2, 6)))
+    motion = MotionLeft(clock=clock, fraction=0.5, sigma=1e-3, motion=np.ones((2, 6)))
     errors = ScanErrors(ranges, motion)
     facts = json.loads(json.dumps(report_data.plain(report_data.of_scan_errors(errors))))
     again = ScanErrors.of_facts(facts)
