@@ -3,7 +3,9 @@
 import json
 import os
 import signal
+import sqlite3
 import time
+from contextlib import closing
 from pathlib import Path
 
 import httpx
@@ -106,6 +108,21 @@ def test_two_services_on_one_postgres_of_which_one_is_killed_and_then_the_databa
     assert two.stop() == 0
 
 
+def freeze_between_writes(service):
+    """Stops a service where it holds no lock: SQLite lets nobody write while one is stopped within a write."""
+    for _ in range(100):
+        service.process.send_signal(signal.SIGSTOP)
+        with closing(sqlite3.connect(service.data / "lvba.sqlite", timeout=2.0)) as database:
+            try:
+                database.execute("BEGIN IMMEDIATE")
+                database.rollback()
+                return
+            except sqlite3.OperationalError:
+                service.process.send_signal(signal.SIGCONT)
+        time.sleep(0.05)
+    raise AssertionError("the service never stops writing")
+
+
 def test_frozen_service_is_taken_over_and_its_process_stops_by_itself(tiny_recording, tiny_result, tmp_path):
     one, two = (
         Service(tmp_path / "data", environment={"LVBA_LEASE_S": "4"}, forks_jobs=False) for _ in range(2)
@@ -117,7 +134,7 @@ def test_frozen_service_is_taken_over_and_its_process_stops_by_itself(tiny_recor
         [child] = job_processes(one.data)
         parent = int(Path(f"/proc/{child}/stat").read_text().rsplit(")", 1)[1].split()[1])
         holder, other = (one, two) if parent == one.process.pid else (two, one)
-        holder.process.send_signal(signal.SIGSTOP)
+        freeze_between_writes(holder)
         until(other.http, f"/v1/jobs/{job_id}", lambda job: len(job["attempts"]) > 1)
         holder.process.send_signal(signal.SIGCONT)
     job = ended(other.http, job_id)
