@@ -9,38 +9,22 @@ Lengths in millimeters and angles in degrees are root mean squares over all fram
 [evaluation.md](evaluation.md). Seconds are wall time on two cores that had some other work beside (and
 the first rows compile, too); for what a run takes by itself see [benchmarks.md](benchmarks.md).
 
-Which version the tables are of:
+Rows are of the present version, or of an older one if the last column says in what that differs:
 
-- **Real recordings, poses of any method, gates of recordings, severely disturbed scenes, and errors of depth cameras:**
-  this one (severe ones but those with a rolling shutter and of depth cameras: one before, which gives the same there).
-- **Gates of seeds 119 and 120, simulated scenes of medium difficulty of these seeds, and scenes with three people:** two
-  before, which take expected rotations of straight paths from positions alone.
-- **Degenerate directions:** an older one, which does not measure by how much beams of a sensor that looks ahead go too
-  high, leaves out of the expected error how bright surfaces met at grazing angles are, and refines no scans again that
-  it left in a wrong minimum. Its renderings, and those of all tables below, show slanted surfaces up to a pixel off: PSNR
-  and SSIM are other ones, and gates saw less. Map entropy counts stray points, too, by which it is some hundredths of a
-  nat higher.
-- **The other typical disturbances (seed 821 in rooms, 823 in the courtyard):** several before that. In all but those with
-  errors by elevation or intensity, the expected error leaves out the common scale of range errors, and images take points
-  of scans by time alone; those with noise of ranges, rough drift or jumps are of two before the others.
-- **Gaussian splats:** the one of most typical disturbances.
-- **The other simulated scenes that are not disturbed (medium and hard difficulty), recordings in parts, and loops:** four
-  before. The first took what cameras have in common beside the scans for an error of the scans, however large; the
-  second took a calibration for as good as it claims however far off images see it, and motion for known while clocks
-  are apart. Where scans, images and calibration agree, as here, either changes hundredths of a millimeter. They ran two
-  and three at a time.
-- **Gates of seed 121, ablations, colors of the map, and what the model of errors of scans
-  brings:** one before that, which knows no rate of the camera's clock and
-  takes rough poses for wrong sooner. It looked for the best point of each voxel alone in images far apart in time, and
-  did not solve cameras further where scans had learned from them. They ran two at a time.
-- **What all models cost:** one before, which differs where rough motions are
-  wrong by more than a decimeter or a degree, where images are large, and in how errors of scans are searched for.
-- **What the other models bring:** one before.
-- **Gates of other seeds:** the one whose expected camera errors leave out what cancels between images; it neither
-  estimates the motion during images from their rows nor puts back single cameras that failed: their leave-one-out counts
-  pixels that show what lies behind a surface ([evaluation.md](evaluation.md#which-figure-decides)), and is lower for
-  it.
-- **The IMU:** one that finds exposures by color.
+| table | difference from the present version |
+|---|---|
+| real recordings, poses of any method, gates of recordings | none |
+| scenes that are not disturbed, medium and hard difficulty | none: computed one version before, which gives the same poses |
+| one disturbance: severe, clean, gaps, depth cameras | none: likewise |
+| three people; gates of seeds 119 and 120 | expected rotations of straight paths come from positions alone |
+| degenerate directions | the expected error leaves out brightness at grazing incidence; no second registration after a wrong minimum; renderings of slanted surfaces, here and in all tables below, are up to a pixel off (lower PSNR and SSIM), and map entropy counts stray points |
+| other typical disturbances (seeds 821 in rooms, 823 in the courtyard) | several versions back: the expected error leaves out the common scale of range errors; images take points of scans by time alone |
+| Gaussian splats | the version of the row above |
+| recordings in parts, loops | what cameras have in common beside the scans counts as an error of the scans; the calibration keeps its claimed certainty. Where scans, images and calibration agree, as here: hundredths of a millimeter |
+| ablations, gates of seed 121, colors of the map, errors of scans | no rate of the camera's clock; images far apart in time share one point per voxel; no cameras over moved scans |
+| what all models cost, what the other models bring | rough motions that are wrong by more than a decimeter or a degree, large images, and errors of scans are treated otherwise |
+| gates of other seeds | expected camera errors leave out what cancels between images; no motion during images from their rows; single failed cameras stay; leave-one-out counts pixels that show what lies behind a surface ([evaluation.md](evaluation.md#which-figure-decides)), and is lower for it |
+| the IMU | exposures come from grey values by color |
 """
 
 NOTES = {
