@@ -14,16 +14,26 @@ Rows are of the present version, or of an older one if the last column says in w
 | table | difference from the present version |
 |---|---|
 | real recordings, poses of any method, gates of recordings | none |
-| scenes that are not disturbed, medium and hard difficulty | none: computed one version before, which gives the same poses |
+| scenes that are not disturbed, medium and hard difficulty | none: computed one version before, which gives the same \
+poses |
 | one disturbance: severe, clean, gaps, depth cameras | none: likewise |
 | three people; gates of seeds 119 and 120 | expected rotations of straight paths come from positions alone |
-| degenerate directions | the expected error leaves out brightness at grazing incidence; no second registration after a wrong minimum; renderings of slanted surfaces, here and in all tables below, are up to a pixel off (lower PSNR and SSIM), and map entropy counts stray points |
-| other typical disturbances (seeds 821 in rooms, 823 in the courtyard) | several versions back: the expected error leaves out the common scale of range errors; images take points of scans by time alone |
+| degenerate directions | the expected error leaves out brightness at grazing incidence; no second registration after \
+a wrong minimum; renderings of slanted surfaces, here and in all tables below, are up to a pixel off (lower PSNR and \
+SSIM), and map entropy counts stray points |
+| other typical disturbances (seeds 821 in rooms, 823 in the courtyard) | several versions back: the expected error \
+leaves out the common scale of range errors; images take points of scans by time alone |
 | Gaussian splats | the version of the row above |
-| recordings in parts, loops | what cameras have in common beside the scans counts as an error of the scans; the calibration keeps its claimed certainty. Where scans, images and calibration agree, as here: hundredths of a millimeter |
-| ablations, gates of seed 121, colors of the map, errors of scans | no rate of the camera's clock; images far apart in time share one point per voxel; no cameras over moved scans |
-| what all models cost, what the other models bring | rough motions that are wrong by more than a decimeter or a degree, large images, and errors of scans are treated otherwise |
-| gates of other seeds | expected camera errors leave out what cancels between images; no motion during images from their rows; single failed cameras stay; leave-one-out counts pixels that show what lies behind a surface ([evaluation.md](evaluation.md#which-figure-decides)), and is lower for it |
+| recordings in parts, loops | what cameras have in common beside the scans counts as an error of the scans; the \
+calibration keeps its claimed certainty. Where scans, images and calibration agree, as here: hundredths of a \
+millimeter |
+| ablations, gates of seed 121, colors of the map, errors of scans | no rate of the camera's clock; images far apart \
+in time share one point per voxel; no cameras over moved scans |
+| what all models cost, what the other models bring | rough motions that are wrong by more than a decimeter or a \
+degree, large images, and errors of scans are treated otherwise |
+| gates of other seeds | expected camera errors leave out what cancels between images; no motion during images from \
+their rows; single failed cameras stay; leave-one-out counts pixels that show what lies behind a surface \
+([evaluation.md](evaluation.md#which-figure-decides)), and is lower for it |
 | the IMU | exposures come from grey values by color |
 """
 
@@ -36,19 +46,22 @@ colored them) and leave-one-out (only points colored from other images judge a p
     "foreign": """## Poses of any method
 
 Input, result and reference of the recordings, each given to `lvba evaluate` as poses of another method, all with
-exposures and camera of the result. Where a result predicts images better than the reference itself, their distance is no
+exposures and camera of the result. Where a result predicts images better than the reference itself, their distance \
+is no
 longer a measure of the result.
 """,
     "splats": """## Gaussian splats
 
-What 3D Gaussian splats (gsplat, 300,000 of them, 5,000 steps) predict of every eighth image, which training never saw, by
+What 3D Gaussian splats (gsplat, 300,000 of them, 5,000 steps) predict of every eighth image, which training never \
+saw, by
 `benchmarks/splats.py` on one H200. They know no LiDAR plane and none of the scores above. A row has the same images,
 exposures, camera and seed: only poses differ. Other seeds change 0.1 to 0.3 dB. References: KinectFusion (7-Scenes)
 and motion capture (TUM): the result predicts images better than either, also with the camera that these were made with.
 """,
     "simulated": """## Simulated scenes with known truth, {difficulty} difficulty
 
-Rough -> refined. Scans after alignment; cameras in the frame of the aligned LiDAR map; exposures after one common scale.
+Rough -> refined. Scans after alignment; cameras in the frame of the aligned LiDAR map; exposures after one common \
+scale.
 After the root mean squares, "median, 95 %": half and 95 % of the frames are off by less than so many millimeters.
 "expected" is the error that the reported covariance predicts, NEES the normalized estimation error squared (1:
 consistent).
@@ -56,7 +69,8 @@ consistent).
     "parts": """## Recordings in parts
 
 One street, undivided and in overlapping parts: against the undivided solution (largest difference of any scan, camera
-and exposure, after the scans are aligned), against the truth, and walls across seams relative to those of one side alone.
+and exposure, after the scans are aligned), against the truth, and walls across seams relative to those of one side \
+alone.
 """,
     "loops": """## Loops
 
@@ -80,13 +94,15 @@ What real sensors do, one at a time ([list](simulation.md#disturbances)), not to
 and 95 % of the frames are off by less than so many millimeters. "expected" is the error that the report predicts, and
 the verdict what a user without a reference reads; "perhaps more": the report says that
 errors may be larger than expected. Exposures are compared after the one power of the light that images leave open.
-**Bold**: more than three times the expected error without these words (exposures: without a reason that names them), but
+**Bold**: more than three times the expected error without these words (exposures: without a reason that names them), \
+but
 for a common scale of the LiDAR's ranges, which the expected error leaves out
 ([evaluation.md](evaluation.md#how-good-is-my-map)).
 """,
     "models": """## What each model of sensors brings
 
-Scenes disturbed by typical sizes of what a model is of, by runs with all models and without this one; last, all at once.
+Scenes disturbed by typical sizes of what a model is of, by runs with all models and without this one; last, all at \
+once.
 Without -> with: errors against the truth as above, the verdict, and processor seconds of the run. "nothing disturbed":
 what all models cost, and do to, a clean scene: the least seconds of several runs of each kind, in turns.
 """,
@@ -95,12 +111,14 @@ what all models cost, and do to, a clean scene: the least seconds of several run
 The map as users keep it, colored by the version before views were ranked by angle and hidden by surfaces, and by
 this one (before -> after), at the same poses and exposures. Wrong: points on the sides of a thin cabinet that carry the
 color of the floor it stands on, in percent of the colored ones: all, those up to 0.3 m above the floor, and those
-within 5 cm of an upright or upper edge; and points of the floor within 0.3 m of it that carry the cabinet's. Error: mean
+within 5 cm of an upright or upper edge; and points of the floor within 0.3 m of it that carry the cabinet's. Error: \
+mean
 absolute difference from the true color, grey values (0..255), over all colored points. Range noise is 20 mm.
 """,
     "imu": """## IMU
 
-Without -> with `imu.csv` of `lvba simulate --imu` (`benchmarks/imu_factors.py`; images of 320 x 240, medium difficulty).
+Without -> with `imu.csv` of `lvba simulate --imu` (`benchmarks/imu_factors.py`; images of 320 x 240, medium \
+difficulty).
 "open": scans that planes leave a direction of open without the IMU, how many, and their errors in both runs; tilt: how
 far the direction of gravity is off in the frame of the true poses, and one standard deviation as reported.
 """,
