@@ -3,38 +3,25 @@
 from dataclasses import replace
 
 import pytest
-from changed_sources import changed
+from changed_sources import SMALL, changed
 
 from lvba.camera import Camera
 from lvba.errors import InputError
 from lvba.io.dataset import open_dataset
 from lvba.simulate import raw
-from lvba.simulate.raw import Sensors
 from lvba.sources import camera_topics
 from lvba.sources.camera_topics import CameraTopic
-from lvba.sources.importing import readings
 from lvba.sources.importing.importer import import_source
 from lvba.sources.inspection import inspect
 from lvba.sources.source import CameraInfo, RawImage, TransformSample
 
-SENSORS = Sensors(points=600, width=64, height=48, image_hz=5.0)
+pytestmark = pytest.mark.usefixtures("one_pair")
 ONE = Camera(width=640, height=480, fx=500, fy=500, cx=320, cy=240, distortion=(0.0,) * 4)
 OTHER = replace(ONE, fx=400.0)
 
 
-@pytest.fixture(scope="module")
-def truth():
-    return raw.measure("courtyard", seconds=2.0, sensors=SENSORS)
-
-
-@pytest.fixture(autouse=True)
-def one_pair(monkeypatch):
-    """Nothing is decided here by the data."""
-    monkeypatch.setattr(readings, "MOST_PAIRS", 1)
-
-
 def source_with(truth, change):
-    return changed(raw.written(truth, sensors=SENSORS), change)
+    return changed(raw.written(truth, sensors=SMALL), change)
 
 
 def taken(topics, image="/left/image_raw", frame="camera", **more):
@@ -90,20 +77,20 @@ def stereo(name, record):
     return [(name, record)]
 
 
-def test_the_camera_of_the_images_is_taken_where_another_has_their_frame(tmp_path, truth):
-    source = source_with(truth, stereo)
+def test_the_camera_of_the_images_is_taken_where_another_has_their_frame(tmp_path, small_truth):
+    source = source_with(small_truth, stereo)
     report = import_source(source, tmp_path / "out")
-    assert open_dataset(tmp_path / "out").camera.fx == pytest.approx(truth.camera.fx)
+    assert open_dataset(tmp_path / "out").camera.fx == pytest.approx(small_truth.camera.fx)
     assert report.facts["calibration"]["camera"] == "camera info /left/camera_info"
     assert not any("no camera" in words for words in inspect(source).missing)
 
 
-def test_the_only_camera_info_is_not_taken_where_it_is_of_another_camera(tmp_path, truth):
+def test_the_only_camera_info_is_not_taken_where_it_is_of_another_camera(tmp_path, small_truth):
     def of_depth(name, record):
         other = isinstance(record, CameraInfo)
         return [("/depth/camera_info", replace(record, frame="depth")) if other else (name, record)]
 
-    source = source_with(truth, of_depth)
+    source = source_with(small_truth, of_depth)
     with pytest.raises(
         InputError, match=r"nothing says intrinsics of the camera \(not taken .*: /depth/camera_info\)"
     ):
@@ -111,15 +98,15 @@ def test_the_only_camera_info_is_not_taken_where_it_is_of_another_camera(tmp_pat
     assert any("no camera" in words for words in inspect(source).missing)
 
 
-def test_a_camera_info_without_a_size_is_of_the_size_of_the_images(tmp_path, truth):
+def test_a_camera_info_without_a_size_is_of_the_size_of_the_images(tmp_path, small_truth):
     def unsized(name, record):
         camera = replace(record.camera, width=0, height=0) if isinstance(record, CameraInfo) else None
         return [(name, record if camera is None else replace(record, camera=camera))]
 
-    import_source(source_with(truth, unsized), tmp_path / "out")
+    import_source(source_with(small_truth, unsized), tmp_path / "out")
     camera = open_dataset(tmp_path / "out").camera
-    assert (camera.width, camera.height) == (SENSORS.width, SENSORS.height)
-    assert camera.fx == pytest.approx(truth.camera.fx)
+    assert (camera.width, camera.height) == (SMALL.width, SMALL.height)
+    assert camera.fx == pytest.approx(small_truth.camera.fx)
 
     def of_others(name, record):
         [(_, record)] = unsized(name, record)
@@ -127,4 +114,4 @@ def test_a_camera_info_without_a_size_is_of_the_size_of_the_images(tmp_path, tru
         return [(name, replace(record, camera=moved) if moved else record)]
 
     with pytest.raises(InputError, match="principal point"):
-        import_source(source_with(truth, of_others), tmp_path / "other")
+        import_source(source_with(small_truth, of_others), tmp_path / "other")

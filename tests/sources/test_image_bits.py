@@ -9,24 +9,11 @@ from changed_sources import changed
 
 from lvba.io import images
 from lvba.io.dataset import open_dataset
-from lvba.simulate import raw
-from lvba.simulate.raw import Sensors
-from lvba.sources.importing import conventions, image_bits, readings
+from lvba.sources.importing import conventions, image_bits
 from lvba.sources.importing.importer import import_source
 from lvba.sources.source import RawImage
 
-SENSORS = Sensors(points=600, width=64, height=48, image_hz=5.0)
-
-
-@pytest.fixture(scope="module")
-def source():
-    return raw.written(raw.measure("courtyard", seconds=2.0, sensors=SENSORS), sensors=SENSORS)
-
-
-@pytest.fixture(autouse=True)
-def one_pair(monkeypatch):
-    """Nothing is decided here by the data."""
-    monkeypatch.setattr(readings, "MOST_PAIRS", 1)
+pytestmark = pytest.mark.usefixtures("one_pair")
 
 
 @pytest.mark.parametrize(
@@ -59,9 +46,9 @@ def deep(bits, encoded, color):
 
 @pytest.mark.parametrize("encoded", [False, True])
 @pytest.mark.parametrize("color", [False, True])
-def test_images_of_12_bits_in_16_are_as_bright_as_they_were(tmp_path, source, encoded, color):
+def test_images_of_12_bits_in_16_are_as_bright_as_they_were(tmp_path, small_source, encoded, color):
     change, seen = deep(12, encoded, color)
-    report = import_source(changed(source, change), tmp_path / "out")
+    report = import_source(changed(small_source, change), tmp_path / "out")
     dataset = open_dataset(tmp_path / "out")
     assert len(dataset.image_paths) >= 8
     assert len(report.facts["notes"]) == 1
@@ -75,9 +62,9 @@ def test_images_of_12_bits_in_16_are_as_bright_as_they_were(tmp_path, source, en
     assert max(off) == 0
 
 
-def test_images_that_use_all_16_bits_stay_as_they_are(tmp_path, source):
+def test_images_that_use_all_16_bits_stay_as_they_are(tmp_path, small_source):
     change, seen = deep(16, True, False)
-    written = changed(source, change)
+    written = changed(small_source, change)
     report = import_source(written, tmp_path / "out")
     stored = {record.encoded for _, record in written.items if isinstance(record, RawImage)}
     for path in open_dataset(tmp_path / "out").image_paths:
@@ -87,7 +74,7 @@ def test_images_that_use_all_16_bits_stay_as_they_are(tmp_path, source):
     assert seen
 
 
-def test_what_images_show_is_judged_by_the_bits_they_use(tmp_path, source, monkeypatch):
+def test_what_images_show_is_judged_by_the_bits_they_use(tmp_path, small_source, monkeypatch):
     samples = []
     monkeypatch.setattr(
         conventions.image_readings,
@@ -96,6 +83,6 @@ def test_what_images_show_is_judged_by_the_bits_they_use(tmp_path, source, monke
             samples.extend(scorer.pairs) or find(scorer, *more)
         ),
     )
-    import_source(changed(source, deep(12, False, False)[0]), tmp_path / "out")
+    import_source(changed(small_source, deep(12, False, False)[0]), tmp_path / "out")
     assert len(samples) > 1
     assert max(int(pair.one.gray.max()) for pair in samples) > 100

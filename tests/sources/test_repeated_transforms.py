@@ -12,27 +12,14 @@ from lvba import geometry
 from lvba.errors import InputError
 from lvba.io.dataset import open_dataset
 from lvba.simulate import raw
-from lvba.simulate.raw import Sensors
-from lvba.sources.importing import readings
 from lvba.sources.importing.importer import import_source
 from lvba.sources.inspection import inspect
 from lvba.sources.opening import open_source
 from lvba.sources.repeated_transforms import Repeated
 from lvba.sources.source import PoseSample, TransformSample
 
-SENSORS = Sensors(points=600, width=64, height=48, image_hz=5.0)
+pytestmark = pytest.mark.usefixtures("one_pair")
 SECOND = 1_000_000_000
-
-
-@pytest.fixture(scope="module")
-def source():
-    return raw.written(raw.measure("courtyard", seconds=2.0, sensors=SENSORS), sensors=SENSORS)
-
-
-@pytest.fixture(autouse=True)
-def one_pair(monkeypatch):
-    """Nothing is decided here by the data."""
-    monkeypatch.setattr(readings, "MOST_PAIRS", 1)
 
 
 def transform(child, stamp=0, size=1.0):
@@ -66,9 +53,9 @@ def repeating(also=(), seconds=2.0):
     return change
 
 
-def test_static_transforms_that_are_repeated_are_the_extrinsic(tmp_path, source):
-    import_source(source, tmp_path / "static")
-    repeated = changed(source, repeating())
+def test_static_transforms_that_are_repeated_are_the_extrinsic(tmp_path, small_source):
+    import_source(small_source, tmp_path / "static")
+    repeated = changed(small_source, repeating())
     assert not any("where the camera is" in words for words in inspect(repeated).missing)
     report = import_source(repeated, tmp_path / "out")
     one, other = (open_dataset(tmp_path / name) for name in ("static", "out"))
@@ -77,12 +64,12 @@ def test_static_transforms_that_are_repeated_are_the_extrinsic(tmp_path, source)
     assert report.facts["calibration"]["camera_from_lidar"] == "static transforms"
 
 
-def test_transforms_that_are_said_for_a_moment_only_are_none(tmp_path, source):
+def test_transforms_that_are_said_for_a_moment_only_are_none(tmp_path, small_source):
     with pytest.raises(InputError, match="nothing says the extrinsic"):
-        import_source(changed(source, repeating(seconds=0.7)), tmp_path / "out")
+        import_source(changed(small_source, repeating(seconds=0.7)), tmp_path / "out")
 
 
-def test_poses_in_tf_are_those_that_move(tmp_path, source):
+def test_poses_in_tf_are_those_that_move(tmp_path, small_source):
     def in_tree(name, record):
         if isinstance(record, PoseSample):
             moved = TransformSample(
@@ -91,9 +78,9 @@ def test_poses_in_tf_are_those_that_move(tmp_path, source):
             return [("/tf", moved)]
         return repeating()(name, record)
 
-    report = import_source(changed(source, in_tree), tmp_path / "out")
+    report = import_source(changed(small_source, in_tree), tmp_path / "out")
     assert report.facts["streams"]["odometry"] == "/tf"
-    import_source(source, tmp_path / "topic")
+    import_source(small_source, tmp_path / "topic")
     one, other = (open_dataset(tmp_path / name) for name in ("topic", "out"))
     np.testing.assert_allclose(other.scans.world_from_sensor, one.scans.world_from_sensor, atol=1e-9)
 
@@ -143,9 +130,9 @@ class LossySource:
         return (self._words,)
 
 
-def test_what_was_lost_is_told_where_the_extrinsic_is_not_said(tmp_path, source):
+def test_what_was_lost_is_told_where_the_extrinsic_is_not_said(tmp_path, small_source):
     without = changed(
-        source,
+        small_source,
         lambda name, record: [(name, replace(record, child="other") if name == raw.TF_STATIC else record)],
     )
     words = f"{raw.TF_STATIC}: 1 of 2 messages are lost: damaged"

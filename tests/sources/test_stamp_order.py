@@ -7,27 +7,14 @@ import numpy as np
 import pytest
 
 from lvba.io.dataset import open_dataset
-from lvba.simulate import raw
-from lvba.simulate.raw import Sensors
-from lvba.sources.importing import own_odometry, readings
+from lvba.sources.importing import own_odometry
 from lvba.sources.importing.importer import import_source
 from lvba.sources.importing.options import ImportOptions
 from lvba.sources.importing.stamp_order import in_order
 from lvba.sources.source import RawImage, RawScan
 
-SENSORS = Sensors(points=600, width=64, height=48, image_hz=5.0)
+pytestmark = pytest.mark.usefixtures("one_pair")
 SECOND = 1_000_000_000
-
-
-@pytest.fixture(scope="module")
-def source():
-    return raw.written(raw.measure("courtyard", seconds=2.0, sensors=SENSORS), sensors=SENSORS)
-
-
-@pytest.fixture(autouse=True)
-def one_pair(monkeypatch):
-    """Nothing is decided here by the data."""
-    monkeypatch.setattr(readings, "MOST_PAIRS", 1)
 
 
 def most_that_grow(stamps):
@@ -76,10 +63,10 @@ def late(source, kind, number, by):
 
 @pytest.mark.parametrize("kind", [RawScan, RawImage])
 @pytest.mark.parametrize("by", [3600 * SECOND, SECOND // 2 + 3_000_000])
-def test_one_stamp_that_is_too_late_loses_one_frame(tmp_path, source, kind, by):
-    import_source(source, tmp_path / "whole")
+def test_one_stamp_that_is_too_late_loses_one_frame(tmp_path, small_source, kind, by):
+    import_source(small_source, tmp_path / "whole")
     whole = open_dataset(tmp_path / "whole")
-    report = import_source(late(source, kind, 4, by), tmp_path / "out")
+    report = import_source(late(small_source, kind, 4, by), tmp_path / "out")
     dataset = open_dataset(tmp_path / "out")
     counts = [
         len(whole.scan_paths) - len(dataset.scan_paths),
@@ -90,7 +77,7 @@ def test_one_stamp_that_is_too_late_loses_one_frame(tmp_path, source, kind, by):
     assert f"1 {what} whose stamps are out of order left out" in report.facts["losses"]
 
 
-def test_a_scan_with_a_stamp_that_is_too_late_is_not_registered(tmp_path, source, monkeypatch):
+def test_a_scan_with_a_stamp_that_is_too_late_is_not_registered(tmp_path, small_source, monkeypatch):
     seen = []
 
     class EnoughError(Exception):
@@ -103,7 +90,7 @@ def test_a_scan_with_a_stamp_that_is_too_late_is_not_registered(tmp_path, source
     monkeypatch.setattr(own_odometry.estimating, "estimate", estimate)
     with pytest.raises(EnoughError):
         import_source(
-            late(source, RawScan, 4, 3600 * SECOND), tmp_path / "out", ImportOptions(odometry="auto")
+            late(small_source, RawScan, 4, 3600 * SECOND), tmp_path / "out", ImportOptions(odometry="auto")
         )
-    assert len(seen) == sum(isinstance(record, RawScan) for _, record in source.items) - 1
+    assert len(seen) == sum(isinstance(record, RawScan) for _, record in small_source.items) - 1
     assert (np.diff(seen) > 0).all()

@@ -2,7 +2,11 @@
 
 from dataclasses import replace
 
+from lvba.simulate.raw import Sensors
 from lvba.sources.source import ListSource
+
+SMALL = Sensors(points=600, width=64, height=48, image_hz=5.0)
+"""Of sources of which only what their records say matters."""
 
 
 def changed(source, change):
