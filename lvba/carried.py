@@ -22,8 +22,6 @@ _LEAST = np.array([np.radians(0.3), 0.02])
 """rad and m: frames leave the trajectory by as much anyway (`visual.trajectory_prior`)."""
 
 
-_GAP = 3.0
-"""Times the usual interval of scans from which on what the odometry did in between is known by itself alone."""
 _MOST_ALIKE = 16
 """Frames in one gap, or beyond one end, that err together: of more, the first and the last have little in common."""
 
@@ -85,13 +83,12 @@ def carry(rough: Trajectory, refined: Poses, others: Trajectory, extrinsic: Pose
 
 def far(rough: Times, times: Times) -> np.ndarray:
     """(I,) bool: times (I,) in gaps between others (N,), or beyond their ends by more than the usual interval."""
-    interval = np.diff(rough)
-    if not len(interval):
+    if len(rough) < 2:
         return np.zeros(len(times), bool)
     before, _ = trajectory.bracket(rough, times)
-    beyond, usual = np.maximum(rough[0] - times, times - rough[-1]), float(np.median(interval))
-    in_gap = (beyond <= 0) & (interval[np.minimum(before, len(interval) - 1)] > _GAP * usual)
-    return np.asarray((beyond > usual) | in_gap)
+    beyond = np.maximum(rough[0] - times, times - rough[-1])
+    in_gap = (beyond <= 0) & trajectory.gaps(rough)[np.minimum(before, len(rough) - 2)]
+    return np.asarray((beyond > np.median(np.diff(rough))) | in_gap)
 
 
 def _wrong(rough: Trajectory, refined: Poses, others: Trajectory) -> np.ndarray:

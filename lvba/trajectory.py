@@ -60,6 +60,16 @@ def motions_differ(one: Poses, other: Poses, meters: float, degrees: float) -> n
     return np.asarray((motion_differences(one, other) > [np.radians(degrees), meters]).any(axis=1))
 
 
+_GAP = 3.0
+"""Times the usual time between samples from which on what happened in between is known by itself alone."""
+
+
+def gaps(times: Times) -> np.ndarray:
+    """(N - 1,) bool: intervals between times (N,), s, ascending, that are much longer than usual (median)."""
+    interval = np.diff(times)
+    return np.asarray(interval > _GAP * np.median(interval)) if len(interval) else np.zeros(0, bool)
+
+
 def motion_differences(one: Poses, other: Poses) -> np.ndarray:
     """(N - 1, 2) float64, rad and m: by how much motions to the next frame of poses (N, 4, 4) differ from others'."""
     steps = [geometry.steps(poses) for poses in (one, other)]

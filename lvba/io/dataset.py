@@ -155,9 +155,8 @@ def _with_images(
         reading = _decide(poses, pictures.poses, scans.poses, calibration)
     except InputError as error:
         raise input_checks.blamed(error, scan_poses, dataset.findings) from error
-    undecided = (
-        () if dataset.findings.apart_s else reading.warnings
-    )  # without common times nothing is compared
+    # without common times nothing is compared
+    undecided = () if dataset.findings.apart_s else reading.warnings
     camera_from_scan = _camera_from_scan(calibration)
     poses_of_camera = image_poses.to_camera(pictures.poses.world_from_sensor, reading.kind, camera_from_scan)
     return dataclasses.replace(

@@ -117,9 +117,8 @@ def decide(
     evidence = _Evidence.of(
         _errors(carriers, sensors), _errors(carriers @ extrinsic, sensors), extrinsic, extrinsic_sigma
     )
-    if (
-        not near.any()
-    ):  # what interpolation misses is no noise that many images would average out, and nobody's mistake
+    if not near.any():
+        # what interpolation misses is no noise that many images would average out, and nobody's mistake
         return _judge(dataclasses.replace(evidence, images=1), statement, default, where)
     reading = _judge(evidence, statement, default, where)
     left_deg, left_m = evidence.left[reading.kind]

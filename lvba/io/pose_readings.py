@@ -61,12 +61,12 @@ Load = Callable[[int], np.ndarray]
 def find(world_from_scan: Poses, load: Load) -> str:
     """The key of the reading in which scans agree far better than as given, "" if there is none.
 
-    world_from_scan: (S, 4, 4), m; load: the points (N, 3) of a scan, m
+    world_from_scan: (S, 4, 4), m; load: the `thinned` points (N, 3) of a scan, m
     Raises: InputError if a scan cannot be read.
     """
     if len(world_from_scan) < _FEWEST_PAIRS:
         return ""
-    points = cache(lambda index: thinned(load(index)))
+    points = cache(load)
     others = {
         W_FIRST: w_first(world_from_scan),
         INVERSE: geometry.inverse(world_from_scan),

@@ -42,6 +42,12 @@ class PoseFile:
     comments: tuple[str, ...]
     warnings: tuple[str, ...]
 
+    @property
+    def times(self) -> list[str]:
+        """Decimal numbers, s: the stamps, or the times to a nanosecond where there are none."""
+        known = zip(self.stamps, self.trajectory.times.tolist(), strict=True)
+        return [stamp or f"{time:.9f}" for stamp, time in known]
+
 
 def read_trajectory(path: str | Path) -> Trajectory:
     """The poses of a TUM file, in time order; what was mended is logged as a warning.

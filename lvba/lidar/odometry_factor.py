@@ -12,6 +12,7 @@ from lvba.arrays import Indices, Poses, Times
 from lvba.optim import pose_graph
 from lvba.optim.normal_equations import NormalEquations
 from lvba.optim.pose_graph import Edges
+from lvba.trajectory import gaps
 
 _FEWEST_STEPS = 10
 _KINDS = 3
@@ -22,8 +23,6 @@ _FLOOR_ROTATION, _FLOOR_TRANSLATION = 2e-4, 1e-3
 """rad and m: no odometry is taken for better than this from scan to scan."""
 JUMP = np.diag(np.repeat([np.radians(4.0), 0.6], 3) ** -2.0)
 """(6, 6), information of a step of which nothing is known yet."""
-_PAUSE = 3.0
-"""Times the usual time between scans from which on a step is longer than those that tell of the odometry."""
 
 
 @dataclass(frozen=True)
@@ -97,13 +96,11 @@ def with_jumps(prior: OdometryPrior, jumps: Indices, world_from_scan: Poses) -> 
 def with_pauses(prior: OdometryPrior, times: Times) -> OdometryPrior:
     """The prior of scans at times (S,) s with steps that take much longer than usual as uncertain as the odometry may
     drift in so long a time; as it is where there is none."""
-    interval = np.diff(times)
-    usual = float(np.median(interval)) if len(interval) else 0.0
-    long = interval > _PAUSE * usual
+    long, interval = gaps(times), np.diff(times)
     long[prior.jumps] = False
-    if not long.any() or not usual:
+    if not long.any():
         return prior
-    spans = np.where(long, interval / usual, 1.0)
+    spans = np.where(long, interval / np.median(interval), 1.0)
     information = prior.information / spans[:, None, None] ** 2
     return replace(prior, information=information, spans=spans)
 

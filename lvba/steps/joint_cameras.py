@@ -266,11 +266,12 @@ def finish_cameras(
     spread, local_covariance = _of_parts(cores, stages, len(times))
     if lidar.result is not None and scans.verdict.accepted:
         where = Trajectory(dataset.scans.times, scans.world_from_scan)
-        unsolved = ~np.isfinite(spread[:, 0, 0])
         known = lidar.result.shared_factor * lidar.result.covariance
-        solved = now.prior if now.prior is not None else trajectory_prior.take(prior, keyframes)
-        spread[unsolved] = covariance.of_map(poses, times, where, known)[unsolved]
-        spread[unsolved] += trajectory_prior.expected_spread(prior, solved, calibration, keyframes)[unsolved]
+        if (unsolved := ~np.isfinite(spread[:, 0, 0])).any():
+            own = trajectory_prior.expected_spread(
+                prior, _of_keyframes(now, prior, keyframes), calibration, keyframes
+            )
+            spread[unsolved] = (covariance.of_map(poses, times, where, known) + own)[unsolved]
     degenerate = np.zeros(len(times), np.int32)
     for core, part in zip(cores, stages, strict=True):
         if part.result is not None:
@@ -313,12 +314,16 @@ def cameras_of_all(
 
     prior: of all I images; keyframes: (K,); times: (I,) s
     """
-    solved = now.prior if now.prior is not None else trajectory_prior.take(prior, keyframes)
-    poses, _ = trajectory_prior.fill(prior, solved, now.state, keyframes, times)
+    poses, _ = trajectory_prior.fill(prior, _of_keyframes(now, prior, keyframes), now.state, keyframes, times)
     reference = prior.calibration.reference
     return poses, fixed_calibration.restored(
         now.state.calibration, reference, joint_prior.fixed_in_all(stages)
     )
+
+
+def _of_keyframes(now: JointCameras, prior: Prior, keyframes: Indices) -> Prior:
+    """The prior of keyframes (K,) with the sigmas of the last round; as that of all images has it where there is none."""
+    return trajectory_prior.take(prior, keyframes) if now.prior is None else now.prior
 
 
 def _of_parts(

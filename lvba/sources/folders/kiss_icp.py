@@ -57,10 +57,7 @@ def open_folder(path: Path) -> FolderSource:
         if stamps is not None:
             notes.append("its poses have no times: those in the names of the scans are taken.")
     else:
-        stamps = [
-            tables.nanoseconds(file, stamp or f"{time:.9f}")
-            for stamp, time in zip(read.stamps, times, strict=True)
-        ]
+        stamps = [tables.nanoseconds(file, time) for time in read.times]
         if (matched := _by_name(files, times)) is not None:
             files = [files[index] for index, _ in matched]
             poses, stamps = [poses[pose] for _, pose in matched], [stamps[pose] for _, pose in matched]

@@ -176,22 +176,18 @@ class ImagesRead:
     camera: Camera | None = None
 
 
-def best(scorer: ImageScorer, offsets: dict[str, float], said: dict[str, str]) -> ImageReading:
-    """The usual reading by which points look most alike; arguments as of `find`."""
-    every: dict[str, dict[str, object]] = {
-        "extrinsic": {
-            name: name for name in _directions(scorer.camera_from_lidar, said.get("extrinsic", ""))
-        },
-        "image_offset": dict(offsets),
-    }
-    return _best(scorer, every, said)
-
-
-def _best(scorer: ImageScorer, every: dict[str, dict[str, object]], said: dict[str, str]) -> ImageReading:
-    allowed = [
-        [answers[said[name]]] if name in said else list(answers.values()) for name, answers in every.items()
+def best(
+    scorer: ImageScorer, offsets: dict[str, float], said: dict[str, str], more: tuple[str, ...] = ()
+) -> ImageReading:
+    """The reading by which points look most alike; the first where nothing tells. Arguments as of `find`."""
+    directions, times = _directions(scorer.camera_from_lidar, said.get("extrinsic", "")), offsets.values()
+    tried = [
+        ImageReading(*values)
+        for values in product(
+            [said["extrinsic"]] if "extrinsic" in said else [*directions, *more],
+            [offsets[said["image_offset"]]] if "image_offset" in said else times,
+        )
     ]
-    tried = [ImageReading(*values) for values in product(*allowed)]  # type: ignore[arg-type]
     return min(tried, key=scorer.score) if scorer.pairs else tried[0]
 
 
@@ -232,7 +228,7 @@ def find(
         "extrinsic": {name: name for name in directions},
         "image_offset": dict(offsets),
     }
-    likely = _best(scorer, every, said)
+    likely = best(scorer, offsets, said, more)
     place, sigma = _offset(scorer, likely)
     reading, decisions = likely, []
     for question in every:

@@ -25,11 +25,8 @@ def of_file(path: str, survey: Survey) -> tuple[Track, tuple[str, ...]]:
     Raises InputError: as `tum.read_pose_file`; in no unit do they overlap.
     """
     file = tum.read_pose_file(path)
-    texts = [
-        text or f"{time:.9f}" for text, time in zip(file.stamps, file.trajectory.times.tolist(), strict=True)
-    ]
-    unit = _unit(texts, survey)
-    stamps = np.array([_nanoseconds(text, _DIGITS[unit]) for text in texts], np.int64)
+    unit = _unit(file.times, survey)
+    stamps = np.array([_nanoseconds(text, _DIGITS[unit]) for text in file.times], np.int64)
     notes = () if unit == "seconds" else (f"{Path(path).name}: times of poses are {unit}.",)
     return Track(survey.seconds(stamps), file.trajectory.world_from_sensor), notes
 
