@@ -251,10 +251,15 @@ def _pose(seen: _Features, places: list[_Places], camera: Camera) -> tuple[Pose,
 
 
 def _matched(seen: _Features, places: _Places) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (N, 2) of features, and the places (N, 3) of those of a known image that they match."""
+    """Pixels (N, 2) of features, and the places (N, 3) of those of a known image that they match, one to one.
+
+    Where that has few places, the ratio to the second best says little: a hundred features may match the same one.
+    """
     pairs = cv2.BFMatcher().knnMatch(seen.descriptor, places.descriptor, k=2)
-    good = [(one.queryIdx, one.trainIdx) for one, other in pairs if one.distance < _RATIO * other.distance]
-    here, there = np.array(good, np.int64).reshape(-1, 2).T
+    good = [one for one, other in pairs if one.distance < _RATIO * other.distance]
+    # each place with the feature that is nearest to it
+    best = {one.trainIdx: one.queryIdx for one in sorted(good, key=lambda each: -each.distance)}
+    there, here = np.array(list(best.items()), np.int64).reshape(-1, 2).T
     return seen.pixel[here], places.position_world[there]
 
 

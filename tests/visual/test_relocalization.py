@@ -106,6 +106,22 @@ def test_an_image_that_shows_nothing_of_the_others_stays_where_it_is(room, shown
     assert found.tobytes() == truth.tobytes()
 
 
+def test_a_place_is_matched_by_one_feature_the_nearest():
+    """Where an image has few places, hundreds of features seem to match the best: the second best is far off."""
+    generator = np.random.default_rng(3)
+    usual = generator.uniform(0, 60, 128)
+    seen = usual + generator.normal(0, 1, (90, 128)) * np.linspace(3, 1, 90)[:, None]
+    there = np.stack([usual, usual + 100, seen[7]]).astype(np.float32)
+    pixel, position = relocalization._matched(
+        relocalization._Features(np.arange(180.0).reshape(90, 2), seen.astype(np.float32)),
+        relocalization._Places(np.arange(9.0).reshape(3, 3), there),
+    )
+    assert len(pixel) == 2
+    nearest = int(np.argmin(np.linalg.norm(seen - usual, axis=1)))
+    by_place = dict(zip(position[:, 0].tolist(), (pixel[:, 0] / 2).tolist(), strict=True))
+    assert by_place == {0.0: nearest, 6.0: 7.0}
+
+
 def test_the_visual_stage_brings_a_lost_image_to_the_truth(room, monkeypatch):
     """Its rough pose is off, and so is what the trajectory says: as where the sensor turned between scans."""
     inputs, truth, _ = room
