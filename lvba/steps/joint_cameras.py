@@ -381,6 +381,8 @@ def _level(rows: Sequence[LevelReport]) -> LevelReport:
         variance_factor=max(row.variance_factor for row in rows),  # an alarm: one part is enough
         iterations=tuple(entry for row in rows for entry in row.iterations),
         converged=all(row.converged for row in rows),
+        compared=sum(row.compared for row in rows),
+        alike=sum(row.alike for row in rows),
     )
 
 

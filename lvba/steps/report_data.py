@@ -261,6 +261,7 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
     facts |= {
         name: getattr(last, name) for name in ("scene_points", "global_points", "local_pairs", "global_pairs")
     }
+    facts["alike"] = last.alike / last.compared if last.compared else None
     facts["degenerate_directions"] = {"count": int(np.sum(result.degenerate)), "per_image": result.degenerate}
     return facts
 

@@ -28,6 +28,10 @@ _LATE_S = 0.06
 """s: stamps of cameras that are off by more are wrong: three times what recordings are supposed to be good for."""
 _FEW_PATCHES = 15
 """Pairs of patches per image that chance may choose: of images in the wrong order, 6; textured scenes have hundreds."""
+_FEW_ALIKE = 0.25
+"""Part of the compared patches that look alike: .47 to .98 in right recordings, with mirrors and foliage, too; .23 if
+images are mirrored, .11 if the focal length is 1.5 times as long, .04 and less if they are another recording's or in the
+wrong order."""
 _OF_EXPECTED = 0.05
 """Part of the expected error that scans may still move by."""
 _WORSE = 1.1
@@ -294,7 +298,16 @@ def _clock(figures: Figures) -> Iterator[Reason]:
 
 
 def _patches(figures: Figures) -> Iterator[Reason]:
-    if figures.patches_per_image is not None and figures.patches_per_image < _FEW_PATCHES:
+    if figures.alike is not None and figures.alike < _FEW_ALIKE:
+        yield Reason(
+            f"The images do not show what the scans see: only {100 * figures.alike:.0f} % of the patches that "
+            "neighboring images should both show look alike in them. Camera poses and colors are wrong.",
+            "Check that images belong to this recording and to their stamps, are neither mirrored nor turned, and that "
+            "focal length and extrinsic are right.",
+            "bad",
+            more=True,
+        )
+    elif figures.patches_per_image is not None and figures.patches_per_image < _FEW_PATCHES:
         yield Reason(
             f"Only {figures.patches_per_image:.0f} pairs of patches per image look alike: chance may have chosen them.",
             "Check that images belong to their stamps and to this recording, and look at the colors of the map.",

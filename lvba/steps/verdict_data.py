@@ -126,12 +126,13 @@ def figures(facts: Facts) -> Figures:
 
 
 def _images(visual: Facts) -> dict[str, Any]:
-    """How late images are, and how much ties them, where cameras are used."""
+    """How much images look alike; how late they are, and how much ties them, where cameras are used."""
     observations, keyframes = visual.get("observations"), visual.get("keyframes")
+    alike = {"alike": visual.get("alike")}
     if visual.get("accepted") is False or not keyframes:
-        return {}
+        return alike
     late = (visual.get("time_offset") or {}).get("seconds") or 0.0
-    return {"late_s": late, "patches_per_image": observations and observations / keyframes}
+    return alike | {"late_s": late, "patches_per_image": observations and observations / keyframes}
 
 
 def _input(findings: Facts) -> InputFindings:

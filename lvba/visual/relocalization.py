@@ -86,7 +86,12 @@ def without_chance(
         return points, observations
     used = np.zeros(len(points), bool)
     used[observations.point[kept]] = True
-    left = Observations(observations.point[kept], observations.target[kept], observations.is_global[kept])
+    left = replace(
+        observations,
+        point=observations.point[kept],
+        target=observations.target[kept],
+        is_global=observations.is_global[kept],
+    )
     return take_observed(points, left, used)
 
 

@@ -54,6 +54,10 @@ class LevelReport:
     prior_rotation_deg: tuple[float, ...]
     iterations: tuple[Iteration, ...]
     converged: bool
+    compared: int = 0
+    """In how many neighboring images a patch should be seen and was compared."""
+    alike: int = 0
+    """In how many of these it looks alike."""
 
 
 @dataclass(frozen=True)
@@ -142,6 +146,8 @@ def level_report(level: int, solution: LevelSolution) -> LevelReport:
         prior_rotation_deg=tuple(float(np.degrees(np.median(s.sigma_rotation))) for s in sources),
         iterations=solution.history,
         converged=solution.converged,
+        compared=observations.compared,
+        alike=observations.alike,
     )
 
 

@@ -54,11 +54,15 @@ class Observations:
     point: (O,) int32, index into ScenePoints
     target: (O,) int32, image index, never the point's reference
     is_global: (O,) bool: found through the global visibility map only
+    compared: in how many neighboring images a patch should be seen and was compared; alike: in how many of these it
+        looks alike, before at most some per point are kept
     """
 
     point: np.ndarray
     target: np.ndarray
     is_global: np.ndarray
+    compared: int = 0
+    alike: int = 0
 
     def __len__(self) -> int:
         return len(self.point)
@@ -78,10 +82,11 @@ def take_observed(
     """Some of the scene points, and the observations of these. mine: (P,) bool"""
     kept = mine[observations.point]
     number = np.cumsum(mine) - 1
-    return take(points, mine), Observations(
-        number[observations.point[kept]].astype(np.int32),
-        observations.target[kept],
-        observations.is_global[kept],
+    return take(points, mine), replace(
+        observations,
+        point=number[observations.point[kept]].astype(np.int32),
+        target=observations.target[kept],
+        is_global=observations.is_global[kept],
     )
 
 

@@ -336,23 +336,26 @@ def find(
     """
     count = len(level.images)
 
-    def passing(candidates: Pairs, limit: int) -> Pairs:
-        return _spread(_passing(*candidates, level, world_from_camera, points, patch, depth, shifts), limit)
+    def passing(candidates: Pairs, limit: int) -> tuple[Pairs, int, int]:
+        good, compared = _passing(*candidates, level, world_from_camera, points, patch, depth, shifts)
+        return _spread(good, limit), compared, len(good[0])
 
-    local = passing(local_pairs(points.reference, count, config.window), config.max_local)
+    local, compared, alike = passing(local_pairs(points.reference, count, config.window), config.max_local)
     if seen is None:
-        return _union(points, local, (np.empty(0, np.int32), np.empty(0, np.int32)), count)
+        none = np.empty(0, np.int32), np.empty(0, np.int32)
+        return _union(points, local, none, count, compared=compared, alike=alike)
     rows = seen.rows(points.position_world)
     chosen = choose_global(points, rows, view_scores(points, level.camera, world_from_camera, score))
     candidates = _without(global_pairs(chosen, rows, points.reference, seen), local, count)
-    of_chosen = passing(candidates, config.max_global)
+    of_chosen = passing(candidates, config.max_global)[0]
     others = passing(
         far_pairs(~chosen, rows, points.reference, seen, config.window),
         (config.max_global + 1) // 2,
-    )
+    )[0]
     chosen[others[0]] = True
     far = (np.append(of_chosen[0], others[0]), np.append(of_chosen[1], others[1]))
-    return _union(replace(points, is_global=chosen), local, far, count)
+    points = replace(points, is_global=chosen)
+    return _union(points, local, far, count, compared=compared, alike=alike)
 
 
 Pairs = tuple[np.ndarray, np.ndarray]
@@ -390,8 +393,8 @@ def _passing(
     patch: int,
     depth: DepthBuffers,
     shifts: PairShifts | None,
-) -> Pairs:
-    """The pairs that pass eq. (3)."""
+) -> tuple[Pairs, int]:
+    """The pairs that pass eq. (3), and of how many the patches were compared: by geometry, both images show them."""
     shift = np.zeros((0, 2)) if shifts is None else np.ascontiguousarray(shifts(points, point, target))
     verdict, _ = kernels.judge_pairs(
         level.images,
@@ -407,7 +410,8 @@ def _passing(
     counts = np.bincount(verdict, minlength=len(_GATES))
     _log.debug("pairs: %s", ", ".join(f"{n} {name}" for name, n in zip(_GATES, counts, strict=True)))
     good = verdict == kernels.PASSED
-    return point[good], target[good]
+    compared = int(counts[kernels.PASSED] + counts[kernels.UNLIKE])
+    return (point[good], target[good]), compared
 
 
 def _spread(pairs: Pairs, limit: int) -> Pairs:
@@ -429,7 +433,9 @@ def _codes(pairs: Pairs, images: int) -> np.ndarray:
     return np.asarray(pairs[0].astype(np.int64) * images + pairs[1])
 
 
-def _union(points: ScenePoints, local: Pairs, far: Pairs, images: int) -> tuple[ScenePoints, Observations]:
+def _union(
+    points: ScenePoints, local: Pairs, far: Pairs, images: int, *, compared: int, alike: int
+) -> tuple[ScenePoints, Observations]:
     """Points with at least one pair, and all pairs by (point, target)."""
     point, target = np.concatenate([local[0], far[0]]), np.concatenate([local[1], far[1]])
     through_map = np.arange(len(point)) >= len(local[0])
@@ -438,6 +444,6 @@ def _union(points: ScenePoints, local: Pairs, far: Pairs, images: int) -> tuple[
     seen[point] = True
     renumbered = (np.cumsum(seen) - 1)[point[order]]
     observations = Observations(
-        renumbered.astype(np.int32), target[order].astype(np.int32), through_map[order]
+        renumbered.astype(np.int32), target[order].astype(np.int32), through_map[order], compared, alike
     )
     return take(points, seen), observations

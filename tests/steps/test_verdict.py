@@ -83,6 +83,8 @@ KEPT = (Truth("scans", "m", 0.001, 0.07, 0.0009), Truth("cameras", "degrees", 0.
         ({"late_s": -0.07}, "check", False),
         ({"late_s": 0.04, "patches_per_image": 40.0}, "good", False),
         ({"patches_per_image": 6.1}, "check", True),
+        ({"alike": 0.23}, "bad", True),
+        ({"alike": 0.64}, "good", False),
         ({"open_pauses": (10,)}, "check", True),
         ({"ssim": (0.47, 0.35)}, "check", False),
         ({"thickness": (0.012, 0.013)}, "check", False),

@@ -72,6 +72,25 @@ def test_judge_matches_its_twin(moved):
     np.testing.assert_allclose(ncc, [n for _, n in expected], atol=1e-5)
 
 
+def test_how_many_patches_look_alike_tells_right_images_from_wrong_ones():
+    rec = room_with_screen()
+    points = local_points(rec)
+    of_right = find(rec, points, global_map(rec))[1]
+    assert of_right.compared > 500
+    assert of_right.alike > 0.9 * of_right.compared
+    for wrong in (rec.images[::-1], rec.images[:, :, ::-1], np.roll(rec.images, 3, axis=0)):
+        images = np.ascontiguousarray(wrong)
+        level = LevelImages(images, CAMERA, rec.noise)
+        mine = scene_points.select(level, rec.cameras, rec.surfaces, PointsConfig(cells=150))
+        of_wrong = find(rec, mine, global_map(rec), images)[1]
+        assert of_wrong.compared > 500
+        assert of_wrong.alike < 0.25 * of_wrong.compared
+    some = np.arange(len(points)) % 2 == 0
+    seen_points, observations = find(rec, points)
+    _, kept = scene_points.take_observed(seen_points, observations, some[: len(seen_points)])
+    assert (kept.compared, kept.alike) == (of_right.compared, of_right.alike)
+
+
 @pytest.mark.parametrize("limit", [1, 3, 4])
 def test_keep_spread_matches_its_twin(limit):
     group = np.repeat([0, 1, 4, 5], [1, 4, 9, 3]).astype(np.int32)
