@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from needed_steps import needed
 
 from lvba import pipeline, plan
 from lvba.blocks import decoded_images
@@ -44,11 +45,11 @@ def blanked(request, recording, tmp_path_factory):
     return folder
 
 
-def run(folder, store, config):
-    """Artifacts by the name of their steps."""
+def run(folder, store, config, *names):
+    """Artifacts by the name of their steps. names: of those that are made, all if none are given"""
     work = pipeline.refine(open_dataset(folder), config)
-    plan.run(work, store)
-    return {step.name: store[key] for key, step in work.steps.items()}
+    plan.run(needed(work, *names) if names else work, store)
+    return {step.name: store[key] for key, step in work.steps.items() if key in store}
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +71,9 @@ def test_a_blank_image_is_not_judged_and_its_neighbors_are_predicted_as_well(run
 
 def test_of_few_images_to_judge_another_one_is_judged_instead_of_a_blank_one(recording, blanked, store):
     few = Config(evaluate=EvaluateConfig(max_images=10))
-    clean, blank = (run(folder, store, few)["evaluate"][VISUAL].images for folder in (recording, blanked))
+    clean, blank = (
+        run(folder, store, few, "evaluate")["evaluate"][VISUAL].images for folder in (recording, blanked)
+    )
     assert len(blank) == len(clean) == 10
     assert set(clean) ^ set(blank) == {BLANK, BLANK - 1}
 

@@ -1,22 +1,32 @@
 """Imported by the process that others are forked from: kernels that were compiled before are loaded once for all of them.
 
-Not those that run in parallel: OpenMP refuses to continue in a process that was forked after it began.
+Those that run in parallel need a library of threads. Of OpenMP's, a process that was forked after it began refuses to
+continue: it begins in those that are forked.
 """
 
 import contextlib
+import ctypes
 import importlib
+import os
 import pkgutil
 
 from numba.core.registry import CPUDispatcher
+from numba.np.ufunc import omppool, parallel
 
 from lvba import kernels
 
+_BEGIN = ctypes.CFUNCTYPE(None, ctypes.c_int)
+_begin = _BEGIN(omppool.launch_threads)
+_later = _BEGIN(lambda threads: None)
+
 
 def load():
+    omppool.launch_threads = ctypes.cast(_later, ctypes.c_void_p).value
     for found in pkgutil.iter_modules(kernels.__path__):
         for value in list(vars(importlib.import_module(f"{kernels.__name__}.{found.name}")).values()):
-            if isinstance(value, CPUDispatcher) and not value.targetoptions.get("parallel"):
+            if isinstance(value, CPUDispatcher):
                 _load(value)
+    os.register_at_fork(after_in_child=lambda: _begin(parallel.NUM_THREADS))
 
 
 def _load(dispatcher):

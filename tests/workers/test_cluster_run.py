@@ -29,10 +29,13 @@ def test_without_a_certificate_nobody_is_let_in(tls_cluster):
         scheduler.connect(0.1, lambda: None)
 
 
-def test_over_tls(undisturbed, recording, lvba, tls_cluster, tmp_path):
-    lvba("run", recording, "--out", tmp_path, "--reference", recording / "reference", *tls_cluster.on())
-    assert products(tmp_path) == products(undisturbed[0])
-    assert artifacts(tmp_path / "stages") == artifacts(undisturbed[0] / "stages")
+def test_over_tls(tiny_recording, lvba, tls_cluster, tmp_path):
+    run = ["run", tiny_recording, "--reference", tiny_recording / "reference", "--out"]
+    alone, out = tmp_path / "alone", tmp_path / "out"
+    lvba(*run, alone)
+    lvba(*run, out, *tls_cluster.on())
+    assert products(out) == products(alone)
+    assert artifacts(out / "stages") == artifacts(alone / "stages") != {}
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ def browser():
 
 @pytest.fixture(scope="package")
 def served(tmp_path_factory, browser):
-    served = Served(tmp_path_factory.mktemp("served") / "data")
+    served = Served(tmp_path_factory.mktemp("served") / "data", forked=False)
     yield served
     served.stop()
 

@@ -273,6 +273,8 @@ def test_a_key_is_asked_for_and_opens_maps_and_files(browser, served, job, tmp_p
         page.get_by_label("API key").fill("lvba_0_wrong")
         page.get_by_role("button", name="Sign in").click()
         page.locator(".field-problem").filter(has_text="key").wait_for()
+        # these words are there before, too, when a key was typed
+        page.wait_for_function("() => sessionStorage.getItem('lvba-key') === null")
         page.get_by_label("API key").fill(key)
         page.get_by_role("button", name="Sign in").click()
         page.locator("form.signin").wait_for(state="detached")

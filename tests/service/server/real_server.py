@@ -139,7 +139,7 @@ def ended(http, job_id):
 def make_recording(folder):
     """A recording so small that a run takes seconds."""
     simulate.simulate(
-        "street", folder, frames=8, scans=8, length=6.0, seed=5, width=96, height=72, points_per_scan=1500
+        "street", folder, frames=8, scans=8, length=6.0, seed=6, width=96, height=72, points_per_scan=2500
     )
     return folder
 
