@@ -71,10 +71,12 @@ export async function problemOf(response: Response): Promise<Problem> {
 export async function request(path: string, init: RequestInit = {}): Promise<Response> {
   const asked = key;
   const response = await fetch(path, { ...init, headers: { ...headers(), ...(init.headers as Record<string, string> | undefined) } });
+  if (response.ok) return response;
+  const problem = await problemOf(response);
+  // another key may have been given while the answer was read
   if (response.status === 401 && asked !== key) throw new Problem(401, KEY_CHANGED, "Another key is used now.", "Try again.");
   if (response.status === 401 && key !== null) dispatchEvent(new Event("lvba-locked"));
-  if (!response.ok) throw await problemOf(response);
-  return response;
+  throw problem;
 }
 
 export async function get<T>(path: string, signal?: AbortSignal): Promise<T> {
