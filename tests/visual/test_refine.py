@@ -1,6 +1,6 @@
 """The whole visual stage in a small room: images, scans and rough trajectories in, refined cameras out."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -119,7 +119,7 @@ def test_a_level_at_which_nothing_is_seen_twice_is_passed_over(room, monkeypatch
     def near_sighted(level, *others, **more):
         points, observations = find(level, *others, **more)
         if level.camera.width < CAMERA.width:
-            observations = Observations(*(getattr(observations, f.name)[:0] for f in fields(observations)))
+            observations = Observations(np.empty(0, np.int32), np.empty(0, np.int32), np.empty(0, bool))
         return points, observations
 
     monkeypatch.setattr(visibility, "find", near_sighted)
