@@ -46,30 +46,28 @@ colored them) and leave-one-out (only points colored from other images judge a p
     "foreign": """## Poses of any method
 
 Input, result and reference of the recordings, each given to `lvba evaluate` as poses of another method, all with
-exposures and camera of the result. Where a result predicts images better than the reference itself, their distance \
-is no
-longer a measure of the result.
+exposures and camera of the result. Where a result predicts images better than the reference itself, their distance
+is no longer a measure of the result.
 """,
     "splats": """## Gaussian splats
 
-What 3D Gaussian splats (gsplat, 300,000 of them, 5,000 steps) predict of every eighth image, which training never \
-saw, by
-`benchmarks/splats.py` on one H200. They know no LiDAR plane and none of the scores above. A row has the same images,
-exposures, camera and seed: only poses differ. Other seeds change 0.1 to 0.3 dB. References: KinectFusion (7-Scenes)
-and motion capture (TUM): the result predicts images better than either, also with the camera that these were made with.
+What 3D Gaussian splats (gsplat, 300,000 of them, 5,000 steps) predict of every eighth image, which training never
+saw, by `benchmarks/splats.py` on one H200. They know no LiDAR plane and none of the scores above. A row has the same
+images, exposures, camera and seed: only poses differ. Other seeds change 0.1 to 0.3 dB. References: KinectFusion
+(7-Scenes) and motion capture (TUM): the result predicts images better than either, also with the camera that
+these were made with.
 """,
     "simulated": """## Simulated scenes with known truth, {difficulty} difficulty
 
-Rough -> refined. Scans after alignment; cameras in the frame of the aligned LiDAR map; exposures after one common \
-scale.
-After the root mean squares, "median, 95 %": half and 95 % of the frames are off by less than so many millimeters.
+Rough -> refined. Scans after alignment; cameras in the frame of the aligned LiDAR map; exposures after one common
+scale. After the root mean squares, "median, 95 %": half and 95 % of the frames are off by less than so many millimeters.
 "expected" is the error that the reported covariance predicts, NEES the normalized estimation error squared (1:
 consistent).
 """,
     "parts": """## Recordings in parts
 
 One street, undivided and in overlapping parts: against the undivided solution (largest difference of any scan, camera
-and exposure, after the scans are aligned), against the truth, and walls across seams relative to those of one side \
+and exposure, after the scans are aligned), against the truth, and walls across seams relative to those of one side
 alone.
 """,
     "loops": """## Loops
@@ -94,26 +92,23 @@ What real sensors do, one at a time ([list](simulation.md#disturbances)), not to
 and 95 % of the frames are off by less than so many millimeters. "expected" is the error that the report predicts, and
 the verdict what a user without a reference reads; "perhaps more": the report says that
 errors may be larger than expected. Exposures are compared after the one power of the light that images leave open.
-**Bold**: more than three times the expected error without these words (exposures: without a reason that names them), \
-but
-for a common scale of the LiDAR's ranges, which the expected error leaves out
+**Bold**: more than three times the expected error without these words (exposures: without a reason that names them),
+but for a common scale of the LiDAR's ranges, which the expected error leaves out
 ([evaluation.md](evaluation.md#how-good-is-my-map)).
 """,
     "models": """## What each model of sensors brings
 
-Scenes disturbed by typical sizes of what a model is of, by runs with all models and without this one; last, all at \
-once.
-Without -> with: errors against the truth as above, the verdict, and processor seconds of the run. "nothing disturbed":
-what all models cost, and do to, a clean scene: the least seconds of several runs of each kind, in turns.
+Scenes disturbed by typical sizes of what a model is of, by runs with all models and without this one; last, all at
+once. Without -> with: errors against the truth as above, the verdict, and processor seconds of the run. "nothing
+disturbed": what all models cost, and do to, a clean scene: the least seconds of several runs of each kind, in turns.
 """,
     "colors": """## Colors of the map
 
 The map as users keep it, colored by the version before views were ranked by angle and hidden by surfaces, and by
 this one (before -> after), at the same poses and exposures. Wrong: points on the sides of a thin cabinet that carry the
 color of the floor it stands on, in percent of the colored ones: all, those up to 0.3 m above the floor, and those
-within 5 cm of an upright or upper edge; and points of the floor within 0.3 m of it that carry the cabinet's. Error: \
-mean
-absolute difference from the true color, grey values (0..255), over all colored points. Range noise is 20 mm.
+within 5 cm of an upright or upper edge; and points of the floor within 0.3 m of it that carry the cabinet's. Error:
+mean absolute difference from the true color, grey values (0..255), over all colored points. Range noise is 20 mm.
 """,
     "imu": """## IMU
 

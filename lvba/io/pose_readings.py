@@ -7,7 +7,6 @@ rough agree badly in every reading.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -61,18 +60,17 @@ Load = Callable[[int], np.ndarray]
 def find(world_from_scan: Poses, load: Load) -> str:
     """The key of the reading in which scans agree far better than as given, "" if there is none.
 
-    world_from_scan: (S, 4, 4), m; load: the `thinned` points (N, 3) of a scan, m
+    world_from_scan: (S, 4, 4), m; load: the `thinned` points (N, 3) of a scan, m, asked for several times
     Raises: InputError if a scan cannot be read.
     """
     if len(world_from_scan) < _FEWEST_PAIRS:
         return ""
-    points = cache(load)
     others = {
         W_FIRST: w_first(world_from_scan),
         INVERSE: geometry.inverse(world_from_scan),
         WORLD: np.broadcast_to(np.eye(4), world_from_scan.shape),
     }
-    gains = {name: _gain(world_from_scan, other, points, name == WORLD) for name, other in others.items()}
+    gains = {name: _gain(world_from_scan, other, load, name == WORLD) for name, other in others.items()}
     best = max(gains, key=lambda name: gains[name])
     return best if gains[best] else ""
 

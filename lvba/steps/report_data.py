@@ -86,9 +86,10 @@ def collect(
     if open_by == "odometry" and along_open_m and accepted.fusion.accepted and fused.result is not None:
         if_images_are_right = fused.result.slide_sigma_m
     facts["expected_error"] = expected_error.collect(
-        *(expected, pieces, accepted.world_from_scan, noise),
-        *(of_ranges_m, along_open_m, open_by, if_images_are_right),
-    )
+        expected, pieces, accepted.world_from_scan,
+        range_noise_m=noise, of_ranges_m=of_ranges_m, along_open_m=along_open_m,
+        open_by=open_by, open_by_images_m=if_images_are_right,
+    )  # fmt: skip
     facts["planes"] = plane_thickness.facts(planes)
     facts["odometry"] = odometry_data.of_odometry(dataset, accepted, lidar, visual)
     if merge is not None:
