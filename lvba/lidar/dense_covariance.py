@@ -1,5 +1,7 @@
 """Covariances of all poses as one matrix: inverse, blocks, and what is left after one rigid alignment."""
 
+from collections.abc import Callable
+
 import numpy as np
 import scipy.linalg
 
@@ -33,6 +35,19 @@ def inverse(information: np.ndarray) -> np.ndarray:
     return _mirrored(inverse.T)
 
 
+def root_of_inverse(information: np.ndarray) -> np.ndarray:
+    """(N, N) float64, R where R R' is `inverse`; its inverse is a factor of the matrix: two thirds of the work.
+
+    information: (N, N) float64
+    """
+    factor, unsolved = scipy.linalg.lapack.dpotrf(np.array(information).T, lower=1, overwrite_a=1)
+    if unsolved:
+        values, vectors = scipy.linalg.eigh(information, check_finite=False)
+        return np.asarray(vectors / np.sqrt(np.maximum(values, 1e-9 * values[-1])))
+    root, _ = scipy.linalg.lapack.dtrtri(factor, lower=1, overwrite_c=1)
+    return np.asarray(root.T)
+
+
 def _mirrored(matrix: np.ndarray) -> np.ndarray:
     """A square matrix with what is above its diagonal written below it too, in place: a copy would double the memory."""
     width = 256
@@ -50,16 +65,35 @@ def aligned(covariance: np.ndarray, world_from_scan: Poses, lever_m: float | Non
 
     covariance: (6 S - 6, 6 S - 6) float64, C, of all poses but the first; lever_m: as of `alignment`
     """
+    return _aligned(blocks(covariance, 0), lambda finds: finds @ covariance, world_from_scan, lever_m)
+
+
+def aligned_of_root(root: np.ndarray, world_from_scan: Poses) -> np.ndarray:
+    """(S, 6, 6), as `aligned`, of the covariance R R'.
+
+    root: (6 S - 6, N) float64, R, of all poses (S, 4, 4) but the first
+    """
+    own = root.reshape(-1, 6, root.shape[1])
+    return _aligned(own @ np.swapaxes(own, 1, 2), lambda finds: (finds @ root) @ root.T, world_from_scan)
+
+
+def _aligned(
+    own: np.ndarray,
+    with_all: Callable[[np.ndarray], np.ndarray],
+    world_from_scan: np.ndarray,
+    lever_m: float | None = None,
+) -> np.ndarray:
+    """As `aligned`. own: (S - 1, 6, 6), the covariance's blocks; with_all: a matrix (6, 6 S - 6) times the covariance"""
     motion, pick = alignment(world_from_scan, lever_m)
     finds = np.linalg.solve(pick.T @ motion, pick.T)[:, 6:]
-    common = finds @ covariance
+    common = with_all(finds)
     none = np.zeros((1, 6, 6))
-    each = np.concatenate([none, blocks(covariance, 0)])
+    each = np.concatenate([none, own])
     with_common = np.concatenate([none, np.swapaxes(common.reshape(6, -1, 6), 0, 1)])
     motion = motion.reshape(-1, 6, 6)
     cross = motion @ with_common
-    own = motion @ (common @ finds.T) @ np.swapaxes(motion, -1, -2)
-    return np.asarray(each - cross - np.swapaxes(cross, -1, -2) + own)
+    of_all = motion @ (common @ finds.T) @ np.swapaxes(motion, -1, -2)
+    return np.asarray(each - cross - np.swapaxes(cross, -1, -2) + of_all)
 
 
 def alignment(world_from_scan: Poses, lever_m: float | None = None) -> tuple[np.ndarray, np.ndarray]:

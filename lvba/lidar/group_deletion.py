@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lvba import distinct_rows
 from lvba.arrays import Poses
-from lvba.lidar.dense_covariance import aligned, alignment, inverse
+from lvba.lidar.dense_covariance import aligned, aligned_of_root, alignment, inverse, root_of_inverse
 from lvba.lidar.plane_feature import PlaneFeatures, fit
 from lvba.lidar.problem import Problem
 from lvba.optim.normal_equations import NormalEquations
@@ -91,9 +92,10 @@ def _deals(features: PlaneFeatures, poses: np.ndarray, times: int) -> Iterator[n
     random = np.random.default_rng(0)
     for _ in range(times):
         cell = np.floor(center / PIECE_M + random.uniform(size=3)).astype(np.int64)
-        unique, piece = np.unique(cell, axis=0, return_inverse=True)
-        if len(unique) >= GROUPS:
-            yield random.permutation(len(unique))[piece.reshape(-1)] % GROUPS
+        piece = distinct_rows.number(cell)
+        pieces = int(piece.max(initial=-1)) + 1
+        if pieces >= GROUPS:
+            yield random.permutation(pieces)[piece] % GROUPS
 
 
 @dataclass(frozen=True)
@@ -130,12 +132,12 @@ def _moves(whole: _Whole, group: np.ndarray) -> tuple[float, float]:
     planes = replace(whole.problem, prior=None, inertial=None)
 
     def without_group(left: NormalEquations) -> tuple[float, float]:
-        without = inverse(whole.information - left.dense()[6:, 6:])
-        free = whole.solution - without @ (whole.gradient - left.gradient.ravel()[6:])
+        root = root_of_inverse(whole.information - left.dense()[6:, 6:])
+        free = whole.solution - root @ (root.T @ (whole.gradient - left.gradient.ravel()[6:]))
         step = np.concatenate([np.zeros(6), free])
         step = np.asarray(step - motion @ (finds @ step)).reshape(-1, 6)
         moved = float(np.einsum("si,sij,sj->", step, weight, step))
-        return moved, float(np.einsum("sij,sji->", weight, aligned(without, poses) - whole.predicted))
+        return moved, float(np.einsum("sij,sji->", weight, aligned_of_root(root, poses) - whole.predicted))
 
     # kernels share their own work among threads, matrices do not: those of several groups are inverted at once
     groups = (

@@ -4,7 +4,7 @@ Scans that overlap little fit together in several ways, and two scans on both si
 to tell: then those before and behind are asked.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -16,6 +16,7 @@ from lvba.loop_closure import scan_steps
 from lvba.loop_closure.scan_steps import Step
 from lvba.loop_closure.submap import Patch
 from lvba.loop_closure.surfel_icp import Target
+from lvba.parallel import in_order
 from lvba.trajectory import JUMP_DEG, JUMP_M
 
 _TESTED = 6
@@ -58,10 +59,10 @@ def contradicted(patches: Sequence[Patch | None], world_from_scan: Poses) -> np.
         if first is not None and second is not None:
             agree[k] = scan_steps.overlap(Target.of(first), second, steps[k])
     wrong = []
-    for k in np.argsort(agree, kind="stable")[:_TESTED]:
-        step = registered(patches, world_from_scan, k)
+    tested = np.argsort(agree, kind="stable")[:_TESTED].tolist()
+    for k, step in zip(tested, _all_registered(patches, world_from_scan, tested), strict=True):
         if step is not None and _far(step.correction(steps[k])) and step.overlap > agree[k] + _GAIN:
-            wrong.append(int(k))
+            wrong.append(k)
     return np.array(sorted(wrong), np.int64)
 
 
@@ -72,9 +73,8 @@ def typically_off(patches: Sequence[Patch | None], world_from_scan: Poses) -> fl
     patches: of `surfels_of`
     """
     steps, off = geometry.steps(world_from_scan), []
-    chosen = np.unique(np.linspace(0, max(len(steps) - 1, 0), _SAMPLED).astype(int))
-    for k in chosen[: len(steps)].tolist():
-        step = registered(patches, world_from_scan, k)
+    chosen = np.unique(np.linspace(0, max(len(steps) - 1, 0), _SAMPLED).astype(int)).tolist()[: len(steps)]
+    for k, step in zip(chosen, _all_registered(patches, world_from_scan, chosen), strict=True):
         if step is not None and step.aligned and not step.open:
             off.append(float(np.linalg.norm(step.correction(steps[k])[3:])))
     return float(np.median(off)) if 2 * len(off) > len(chosen) else 0.0
@@ -152,6 +152,13 @@ def registered(patches: Sequence[Patch | None], world_from_scan: Poses, k: int) 
         if more and not (around and _more_against(*around, step.first_from_second, rough)):
             return step
     return replace(step, first_from_second=rough, information=np.zeros((6, 6)), open=6)
+
+
+def _all_registered(
+    patches: Sequence[Patch | None], world_from_scan: np.ndarray, steps: list[int]
+) -> Iterator[Step | None]:
+    """Each of some steps as `registered`."""
+    return in_order(lambda k: registered(patches, world_from_scan, k), steps)
 
 
 def beside(

@@ -24,6 +24,7 @@ from lvba.loop_closure.submap import Patch, Submap
 from lvba.loop_closure.surfel_icp import Target
 from lvba.optim import pose_graph
 from lvba.optim.pose_graph import Edges
+from lvba.parallel import in_order
 from lvba.progress import Progress, silent
 
 _log = logging.getLogger(__name__)
@@ -172,7 +173,12 @@ def surfels_of(scans: Sequence[np.ndarray], sensor_position: Vector | None = Non
     scans: S arrays (N, 3) float32, m, scan frame; sensor_position: (3,), m, scan frame
     """
     sensor = np.zeros(3) if sensor_position is None else np.asarray(sensor_position, float)
-    return [scan_steps.surfels(thinned(points, number), sensor) for number, points in enumerate(scans)]
+
+    def of_scan(number: int) -> Patch | None:
+        return scan_steps.surfels(thinned(scans[number], number), sensor)
+
+    # one scan is too little for kernels to divide among threads
+    return list(in_order(of_scan, range(len(scans))))
 
 
 def start_if_contradicted(

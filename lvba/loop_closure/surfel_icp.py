@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from lvba import geometry
+from lvba import distinct_rows, geometry
 from lvba.arrays import Pose, StepSigmas
 from lvba.loop_closure.submap import Patch
 from lvba.optim import normal_equations
@@ -175,5 +175,4 @@ def _groups(center: np.ndarray, normal: np.ndarray) -> np.ndarray:
     facing = 2 * np.abs(normal).argmax(axis=1) + (
         normal[np.arange(len(normal)), np.abs(normal).argmax(1)] > 0
     )
-    _, group = np.unique(np.concatenate([cell, facing[:, None]], axis=1), axis=0, return_inverse=True)
-    return np.asarray(group).ravel()
+    return distinct_rows.number(np.concatenate([cell, facing[:, None]], axis=1))

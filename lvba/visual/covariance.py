@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix, diags, hstack
 
-from lvba import geometry
+from lvba import distinct_rows, geometry
 from lvba.arrays import Indices, PoseBlocks, Poses, Times
 from lvba.kernels import plane_offsets as offset_kernels
 from lvba.optim.normal_equations import NormalEquations
@@ -181,7 +181,7 @@ def _walls(points: ScenePoints) -> np.ndarray:
     axis = np.abs(points.normal_world).argmax(axis=1)
     side = 2 * axis + (np.take_along_axis(points.normal_world, axis[:, None], axis=1)[:, 0] > 0)
     cell = np.floor(points.position_world / _CLUSTER_M).astype(np.int64)
-    return np.unique(np.column_stack([cell, side]), axis=0, return_inverse=True)[1].reshape(-1)
+    return distinct_rows.number(np.column_stack([cell, side]))
 
 
 def information(

@@ -7,6 +7,7 @@ all others that it was 10 % darker, as dark as the coat was.
 
 import numpy as np
 
+from lvba import distinct_rows
 from lvba.arrays import Indices, Vectors
 from lvba.kernels.patches_mean import CONTRAST, SPREAD
 
@@ -48,8 +49,8 @@ def shown(
 
 def _median_by_surface(value: np.ndarray, position_world: Vectors) -> np.ndarray:
     """(N,) float64: the median of the values on each one's piece of surface; the lower of two."""
-    cell = np.floor(position_world / _SURFACE_M).astype(np.int64)
-    _, piece = np.unique(cell, axis=0, return_inverse=True)
-    order = np.lexsort((value, piece.ravel()))
-    _, first, count = np.unique(piece.ravel()[order], return_index=True, return_counts=True)
-    return np.asarray(value[order][first + (count - 1) // 2][piece.ravel()])
+    piece = distinct_rows.number(np.floor(position_world / _SURFACE_M).astype(np.int64))
+    order = np.lexsort((value, piece))
+    count = np.bincount(piece)
+    first = np.cumsum(count) - count
+    return np.asarray(value[order][first + (count - 1) // 2][piece])

@@ -20,6 +20,7 @@ from lvba.camera import Camera
 from lvba.kernels import moving_rows
 from lvba.kernels import photometric_shared as kernels
 from lvba.kernels.scene import PlanePatches
+from lvba.parallel import in_order
 from lvba.visual import fixed_calibration
 from lvba.visual.image import intrinsics_of
 from lvba.visual.patch_shifts import Shifts
@@ -30,6 +31,8 @@ COEFFICIENTS = 4
 """Coefficients of a lens that are refined: k1 k2 p1 p2, or k1 k2 k3 k4 of an equidistant one."""
 _STEP = 1e-5
 """Of differences, in normalized coordinates."""
+_AT_ONCE = 8192
+"""Pairs of patches whose shifts are computed at once, in one thread."""
 _ROW_STEPS = 3
 """Times that the row at which a point is read is computed from where that row shows it: each leaves a fiftieth."""
 
@@ -144,29 +147,40 @@ def shifts(
     world_from_camera: (I, 4, 4) float64; velocity: (I, 6) float64, rad/s and m/s, of `velocities`
     """
     pixels = points.pixel.astype(float)
-    place, by_pixel, by_poses = _centers(points, observations, pixels, pinhole, world_from_camera)
-    at = observations.point
-    layout = calibration.layout()
-    columns = fixed_calibration.indices()
-    jacobian = np.zeros((len(at), 3, len(columns)))
-    by, by_readout = jacobian[:, :2, :-1], jacobian[:, :2, -1]
-    by[:] = displacement(camera, pinhole, place) - by_pixel @ displacement(camera, pinhole, pixels)[at]
-    rows = np.stack([row_part(camera, pinhole, where) for where in (pixels[at], place)], axis=1)
-    for end, image in enumerate((points.reference[at], observations.target)):
-        moving = velocity[image] * rows[:, end : end + 1]
-        by_readout += np.einsum("oai,oi->oa", by_poses[:, :, 6 * end : 6 * end + 6], moving)
-    now = corrected(camera, calibration)
-    offset = np.zeros_like(place)
-    if now != camera or calibration.readout:
-        # the ray that the pixel of the reference shows, where it is seen in the target, and where that pixel has gone to
-        seen = _carried(camera, now, pinhole, pixels)
+    now, columns = corrected(camera, calibration), fixed_calibration.indices()
+    offset = np.zeros((len(observations), 2))
+    jacobian = np.zeros((len(observations), 3, len(columns)))
+    rows = np.empty((len(observations), 2))
+    by_reference = displacement(camera, pinhole, pixels)
+    moves = now != camera or bool(calibration.readout)
+    # the ray that the pixel of the reference shows, where it is seen in the target, and where that pixel has gone to
+    seen = _carried(camera, now, pinhole, pixels) if moves else pixels
+
+    def of_some(first: int) -> None:
+        some = slice(first, first + _AT_ONCE)
+        pairs = Observations(
+            observations.point[some], observations.target[some], observations.is_global[some]
+        )
+        at, images = pairs.point, (points.reference[pairs.point], pairs.target)
+        place, by_pixel, by_poses = _centers(points, pairs, pixels, pinhole, world_from_camera)
+        by, by_readout = jacobian[some, :2, :-1], jacobian[some, :2, -1]
+        by[:] = displacement(camera, pinhole, place) - by_pixel @ by_reference[at]
+        rows[some] = np.stack([row_part(camera, pinhole, where) for where in (pixels[at], place)], axis=1)
+        for end, image in enumerate(images):
+            moving = velocity[image] * rows[some, end : end + 1]
+            by_readout += np.einsum("oai,oi->oa", by_poses[:, :, 6 * end : 6 * end + 6], moving)
+        if not moves:
+            return
         if calibration.readout:
-            moving = _Rows(world_from_camera, calibration.readout * velocity, rows)
-            ends = _seen_by_rows(points, observations, seen, pinhole, now, moving)
+            over = _Rows(world_from_camera, calibration.readout * velocity, rows[some])
+            ends = _seen_by_rows(points, pairs, seen, pinhole, now, over)
         else:
-            ends = _centers(points, observations, seen, pinhole, world_from_camera)[0]
-        offset = _carried(now, camera, pinhole, ends) - place
-    return Shifts(offset, jacobian, columns, layout.size, rows)
+            ends = _centers(points, pairs, seen, pinhole, world_from_camera)[0]
+        offset[some] = _carried(now, camera, pinhole, ends) - place
+
+    for _ in in_order(of_some, range(0, len(observations), _AT_ONCE)):
+        pass
+    return Shifts(offset, jacobian, columns, calibration.layout().size, rows)
 
 
 class _Rows(NamedTuple):

@@ -100,6 +100,26 @@ def test_inverse_where_rounding_made_an_eigenvalue_negative():
     assert turn[:, 4] @ inverse @ turn[:, 4] == pytest.approx(1e9 / 4.0, rel=1e-3)
 
 
+@pytest.mark.parametrize("least", [0.5, -1e-12])
+def test_root_of_the_inverse_gives_the_inverse(least):
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(6, 6)))[0]
+    matrix = turn @ np.diag([4.0, 3.0, 2.0, 1.0, 0.7, least]) @ turn.T
+    kept = matrix.copy()
+    root = dense_covariance.root_of_inverse(matrix)
+    np.testing.assert_allclose(root @ root.T, dense_covariance.inverse(kept), rtol=1e-6)
+    np.testing.assert_array_equal(matrix, kept)
+
+
+def test_covariance_after_alignment_by_its_root():
+    rng = np.random.default_rng(2)
+    poses, root = geometry.exp(rng.normal(size=(4, 6))), rng.normal(size=(18, 21))
+    np.testing.assert_allclose(
+        dense_covariance.aligned_of_root(root, poses),
+        dense_covariance.aligned(root @ root.T, poses),
+        atol=1e-12,
+    )
+
+
 def test_who_turns_in_one_place_does_not_leave_the_map_turned():
     """A common turn moves no position there, so an alignment of positions leaves all of it; the map shows it, and what
     errors against a reference are counted after takes it out."""
