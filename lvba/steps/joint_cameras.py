@@ -369,6 +369,8 @@ def _levels(results: Sequence[VisualResult]) -> tuple[LevelReport, ...]:
 
 
 def _level(rows: Sequence[LevelReport]) -> LevelReport:
+    # of the part where fewest patches look alike: wrong images of one are an alarm, however many parts are right
+    strangest = min(rows, key=lambda row: row.alike / row.compared if row.compared else np.inf)
     return replace(
         rows[0],
         scene_points=sum(row.scene_points for row in rows),
@@ -381,8 +383,8 @@ def _level(rows: Sequence[LevelReport]) -> LevelReport:
         variance_factor=max(row.variance_factor for row in rows),  # an alarm: one part is enough
         iterations=tuple(entry for row in rows for entry in row.iterations),
         converged=all(row.converged for row in rows),
-        compared=sum(row.compared for row in rows),
-        alike=sum(row.alike for row in rows),
+        compared=strangest.compared,
+        alike=strangest.alike,
     )
 
 

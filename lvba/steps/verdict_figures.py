@@ -77,7 +77,7 @@ class Figures:
         only the odometry determines the motion meanwhile
     late_s: how long after their stamps images were taken, by the clock of the LiDAR
     patches_per_image: pairs of patches that determine cameras; None: no cameras are used
-    alike: part of the patches that neighboring images should both show which look alike in them
+    alike: part of the patches that neighboring images should both show which look alike in them, of the worst part
     extrinsic_sigmas: by how many standard deviations the extrinsic found differs from the calibrated one
     scale: of the reference over the result; None: there is no reference
     input_fits: None: the input's poses are not as good as what was refined, or something speaks against both

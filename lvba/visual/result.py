@@ -57,7 +57,7 @@ class LevelReport:
     compared: int = 0
     """In how many neighboring images a patch should be seen and was compared."""
     alike: int = 0
-    """In how many of these it looks alike."""
+    """In how many of these it looks alike; of several parts, both in the part where the fewest do."""
 
 
 @dataclass(frozen=True)

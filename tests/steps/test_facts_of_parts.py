@@ -1,10 +1,12 @@
 """What parts of a recording say together: which images are of one group, and what they warn of."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 
 from lvba.steps import joint_cameras
+from lvba.visual.result import LevelReport
 
 
 def part(first, last, group=None, number=0, warnings=(), problem=""):
@@ -38,3 +40,13 @@ def test_what_several_parts_warn_of_is_one_sentence():
         "part 4 of 10: vague",
         "part 6 of 10: no visual solution (too dark); cameras move with the scans there",
     )
+
+
+def test_wrong_images_of_one_part_are_not_averaged_away():
+    level = LevelReport(
+        level=0, scene_points=9, global_points=0, local_pairs=90, global_pairs=0, sigma=2.0, shift=0.1, rms=2.0,
+        variance_factor=2.0, prior_position_m=(), prior_rotation_deg=(), iterations=(), converged=True,
+    )  # fmt: skip
+    parts = [replace(level, compared=1000, alike=900), replace(level, compared=200, alike=20), level]
+    joint = joint_cameras._level(parts)
+    assert (joint.alike, joint.compared, joint.local_pairs) == (20, 200, 270)
