@@ -8,7 +8,6 @@ covariances (Hausman, "Specification Tests in Econometrics", Econometrica 1978).
 groups of pieces left out in turn (delete-a-group jackknife), is the variance factor at the size of a piece.
 """
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -46,9 +45,10 @@ def variance_factor(problem: Problem, world_from_scan: Poses) -> float:
         return 1.0
     moved = expected = 0.0
     windows = list(_windows(problem, world_from_scan))
-    for window, poses in windows:
+    for number, (window, poses) in enumerate(windows):
         whole = _Whole.of(window, poses)
-        for group in _deals(window.features, poses, math.ceil(DEALS / len(windows))):
+        deals = DEALS // len(windows) + (number < DEALS % len(windows))
+        for group in _deals(window.features, poses, deals):
             each = _moves(whole, group)
             moved, expected = moved + each[0], expected + each[1]
             if each[0] < _PLAIN * each[1]:
