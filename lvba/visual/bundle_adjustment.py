@@ -133,6 +133,7 @@ def solve(
         last = turn == config.rounds - 1
         scatter = noise.estimate(sums, problem.samples)
         problem = replace(problem, sigma=scatter.sigma(noise.gradients(sums)))
+        del sums  # as large as all images; so is what the next turn makes anew
         model = _Model(problem, prior if prior is None else trajectory_prior.with_fixed(prior, fixed))
         how = solver if last else quick
         solution = levenberg_marquardt.levenberg_marquardt(at, model.linearize, model.retract, how, free)
@@ -152,6 +153,7 @@ def solve(
             if shifts is not None and prior is not None and (one_left or state.calibration.readout):
                 at = _with_motion(problem, prior, at, sums, fixed)
             problem, at = _about(problem, at, shifts)
+            del linearization, solved, solution, model
     calibration = at.calibration
     if prior is not None:
         calibration = fixed_calibration.restored(calibration, prior.calibration.reference, fixed)
