@@ -158,7 +158,7 @@ def _all_registered(
     patches: Sequence[Patch | None], world_from_scan: np.ndarray, steps: list[int]
 ) -> Iterator[Step | None]:
     """Each of some steps as `registered`."""
-    return in_order(lambda k: registered(patches, world_from_scan, k), steps)
+    return in_order(lambda k: registered(patches, world_from_scan, k), steps, parallel_kernels=True)
 
 
 def beside(

@@ -178,7 +178,7 @@ def surfels_of(scans: Sequence[np.ndarray], sensor_position: Vector | None = Non
         return scan_steps.surfels(thinned(scans[number], number), sensor)
 
     # one scan is too little for kernels to divide among threads
-    return list(in_order(of_scan, range(len(scans))))
+    return list(in_order(of_scan, range(len(scans)), parallel_kernels=True))
 
 
 def start_if_contradicted(

@@ -178,7 +178,7 @@ def shifts(
             ends = _centers(points, pairs, seen, pinhole, world_from_camera)[0]
         offset[some] = _carried(now, camera, pinhole, ends) - place
 
-    for _ in in_order(of_some, range(0, len(observations), _AT_ONCE)):
+    for _ in in_order(of_some, range(0, len(observations), _AT_ONCE), parallel_kernels=True):
         pass
     return Shifts(offset, jacobian, columns, calibration.layout().size, rows)
 

@@ -64,3 +64,27 @@ def test_images_are_read_by_as_many_threads_as_the_kernels_have(threads):
         numba.set_num_threads(before)
     assert len(readers) == threads
     assert found[:, 15, 20, 0].tolist() == list(range(threads + 6))
+
+
+@pytest.mark.parametrize(("layer", "threads", "of_kernels"), [("omp", 2, 1), ("workqueue", 1, 2), ("", 1, 2)])
+def test_parallel_kernels_have_no_more_threads_together_than_alone(monkeypatch, layer, threads, of_kernels):
+    """With numba's own threads, and where its layer is not known yet, two may not enter kernels at once."""
+
+    def known():
+        if not layer:
+            raise ValueError("Threading layer is not initialized.")
+        return layer
+
+    each_has = []
+    monkeypatch.setattr(parallel, "threading_layer", known)
+    monkeypatch.setattr(parallel, "get_num_threads", lambda: 2)
+    monkeypatch.setattr(parallel, "set_num_threads", each_has.append)
+    together, used = threading.Barrier(threads, timeout=60), set()
+
+    def note(_):
+        together.wait()
+        used.add(threading.get_ident())
+
+    list(parallel.in_order(note, range(4), parallel_kernels=True))
+    assert len(used) == threads
+    assert each_has == threads * [of_kernels]

@@ -75,3 +75,11 @@ def test_commands_give_blas_one_thread(module, call):
     threads = json.loads(run.stdout.splitlines()[-1])
     assert len(threads) >= 2
     assert set(threads) == {1}
+
+
+def test_numba_s_own_threads_give_the_same_bytes(lvba, tiny_recording, tiny_result, tmp_path, monkeypatch):
+    """Machines without OpenMP have only these, and two threads that enter them at once end the process."""
+    monkeypatch.setenv("NUMBA_THREADING_LAYER", "workqueue")
+    lvba("run", tiny_recording, "--out", tmp_path, "--threads", 2)
+    for name in ("lidar_poses.txt", "image_poses.txt", "map.ply"):
+        assert (tmp_path / name).read_bytes() == (tiny_result / name).read_bytes()
