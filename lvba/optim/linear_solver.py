@@ -11,6 +11,7 @@ from scipy.linalg import cho_factor, cho_solve, lapack
 from scipy.sparse import csc_matrix, csr_matrix, diags
 from scipy.sparse.linalg import SuperLU, splu
 
+from lvba.arrays import Indices
 from lvba.optim import banded_cholesky
 from lvba.optim.banded_cholesky import BandedCholesky
 from lvba.optim.normal_equations import NormalEquations, Step
@@ -89,6 +90,12 @@ class Covariance:
     blocks: np.ndarray
     with_shared: np.ndarray
     shared: np.ndarray
+
+    def given(self, index: Indices) -> np.ndarray:
+        """(B, b, b): the blocks, were some of the shared parameters (n,) known."""
+        cross = self.with_shared[..., index]
+        explained = np.linalg.pinv(self.shared[np.ix_(index, index)], hermitian=True)
+        return np.asarray(self.blocks - cross @ explained @ np.swapaxes(cross, 1, 2))
 
 
 @dataclass(frozen=True)

@@ -307,19 +307,12 @@ def _moved(
     if not len(moved):
         return result
     at = outliers.about(len(times), moved)
-    poses, known, local = (
-        values.copy() for values in (result.world_from_camera, result.covariance, result.local_covariance)
-    )
+    poses = result.world_from_camera.copy()
     poses[at] = substituted(outliers, times, poses, expected)[at]
-    for image in at:
-        error = _error(outliers, times, expected, int(image))
-        for covariance in (known, local):
-            covariance[image] += error
+    errors = [_error(outliers, times, expected, int(image)) for image in at]
     return replace(
-        result,
+        _less_certain(result, at, np.array(errors).reshape(-1, 6, 6)),
         world_from_camera=poses,
-        covariance=known,
-        local_covariance=local,
         keyframes=np.setdiff1d(result.keyframes, moved),
         substituted=np.union1d(result.substituted, at),
     )
@@ -343,7 +336,6 @@ def _widened(result: VisualResult, outliers: Outliers, times: Times, unclear: In
     """The result with some outliers (r,) as uncertain as they are off where they are expected, by the nearest."""
     if not len(unclear):
         return result
-    known, local = result.covariance.copy(), result.local_covariance.copy()
     solved = result.world_from_camera[unclear]
     apart = np.stack(
         [
@@ -356,9 +348,19 @@ def _widened(result: VisualResult, outliers: Outliers, times: Times, unclear: In
     )
     nearest = np.linalg.norm(apart, axis=-1).argmin(axis=0)
     off = apart[nearest, np.arange(len(unclear))]
-    for covariance in (known, local):
-        covariance[unclear] += off[:, :, None] * off[:, None, :]
-    return replace(result, covariance=known, local_covariance=local)
+    return _less_certain(result, unclear, off[:, :, None] * off[:, None, :])
+
+
+def _less_certain(result: VisualResult, images: np.ndarray, errors: np.ndarray) -> VisualResult:
+    """The result with poses of some images (n,) less certain by errors of their own (n, 6, 6)."""
+    more = np.zeros_like(result.covariance)
+    more[images] = errors
+    return replace(
+        result,
+        covariance=result.covariance + more,
+        local_covariance=result.local_covariance + more,
+        own_covariance=result.own_covariance + more,
+    )
 
 
 def _warning(images: Sequence[str]) -> str:

@@ -28,7 +28,7 @@ def solve_fusion(
     cameras = pose_fusion.scan_poses_from_cameras(
         result.world_from_camera[known],
         result.moments(dataset.images.times)[known],
-        result.local_covariance[known],
+        result.own_covariance[known],
         result.scan_from_camera,
         result.extrinsic_sigma,
         result.group[known] if whole and len(result.group) else None,

@@ -263,7 +263,7 @@ def finish_cameras(
         times, keyframes, now.state.cameras.log_exposure, now.exposure_sigma
     )
     results = joint_prior.results_of(stages)
-    spread, local_covariance = _of_parts(cores, stages, len(times))
+    spread, local_covariance, own_covariance = _of_parts(cores, stages, len(times))
     if lidar.result is not None and scans.verdict.accepted:
         where = Trajectory(dataset.scans.times, scans.world_from_scan)
         known = lidar.result.shared_factor * lidar.result.covariance
@@ -285,6 +285,7 @@ def finish_cameras(
             log_exposure=log_exposure,
             covariance=spread,
             local_covariance=local_covariance,
+            own_covariance=own_covariance,
             log_exposure_sigma=np.hypot(exposure_sigma, balance),
             keyframes=keyframes,
             calibration=calibration,
@@ -328,16 +329,17 @@ def _of_keyframes(now: JointCameras, prior: Prior, keyframes: Indices) -> Prior:
 
 def _of_parts(
     cores: Sequence[Part], stages: Sequence[VisualStage], images: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """(I, 6, 6) covariance of each camera as the part of its core has it, and that relative to the map around it; NaN
-    where that was not solved."""
-    spread, local_covariance = np.full((2, images, 6, 6), np.nan)
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(I, 6, 6) covariance of each camera as the part of its core has it, that relative to the map around it, and the
+    part of that that is its own; NaN where that was not solved."""
+    spread, local_covariance, own_covariance = np.full((3, images, 6, 6), np.nan)
     for core, part in zip(cores, stages, strict=True):
         if part.result is not None:
             mine, own = slice(*core.core_images), core.core_of_images
             spread[mine] = part.result.covariance[own]
             local_covariance[mine] = part.result.local_covariance[own]
-    return spread, local_covariance
+            own_covariance[mine] = part.result.own_covariance[own]
+    return spread, local_covariance, own_covariance
 
 
 def _turns(cores: Sequence[Part], stages: Sequence[VisualStage], images: int) -> np.ndarray | None:

@@ -225,7 +225,7 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
     facts |= _fields(
         result,
         but=(
-            *("world_from_camera", "covariance", "local_covariance"),
+            *("world_from_camera", "covariance", "local_covariance", "own_covariance"),
             *("scan_from_camera", "degenerate", "log_exposure", "log_exposure_sigma"),
             *(
                 "calibration_sigma",

@@ -37,6 +37,8 @@ logger = logging.getLogger(__name__)
 _QUICK_DECREASE = 1e-3
 """Where weights are about to be estimated anew, a solve stops at this relative decrease."""
 
+_OF_ALL_IMAGES = ("scan_from_camera", "time_offset")
+"""What all images are off together by, for whoever compares them with the scans."""
 ROUNDS = 3
 """Solves per level, each with noise level and prior estimated anew from the last: a fourth changes neither."""
 PLANE_FLOOR_M = 0.001
@@ -348,8 +350,11 @@ def _undecided(prior: Prior, source: Source, state: VisualState, known: Covarian
     return np.asarray(np.diagonal(total, axis1=1, axis2=2))
 
 
-def covariance_of(solution: LevelSolution) -> Covariance:
-    """Of the images' unknowns, (I, 7, 7) blocks, and of the calibration, which counts errors of each image as its own."""
+def covariance_of(solution: LevelSolution) -> tuple[Covariance, np.ndarray]:
+    """Of the images' unknowns, (I, 7, 7) blocks, and of the calibration, which counts errors of each image as its own.
+
+    And of the poses (I, 6, 6), were extrinsic and time offset known, whose errors all images share.
+    """
     problem, prior, linearization = solution.problem, solution.prior, solution.linearization
     at = _State(solution.photometric, solution.state.calibration, solution.state.motion)
     total = joint(linearization.equations, prior, at.visual)
@@ -380,8 +385,10 @@ def covariance_of(solution: LevelSolution) -> Covariance:
             trajectory_prior.with_fixed(prior, solution.fixed),
             at.visual,
         )
-    known = replace(poses, shared=own)
-    return _with_held(known, solved, total, solution.fixed)
+    known = _with_held(replace(poses, shared=own), solved, total, solution.fixed)
+    held = known.blocks - poses.blocks
+    shared = fixed_calibration.indices(_OF_ALL_IMAGES) if prior is not None else np.zeros(0, np.int64)
+    return known, (poses.given(shared) + held)[:, :6, :6]
 
 
 def _with_held(

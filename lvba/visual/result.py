@@ -68,6 +68,7 @@ class VisualResult:
     log_exposure: (I,) float64, first image 0
     covariance: (I, 6, 6) float64, of `[rotation | translation]` in the camera's frame (rad, m)
     local_covariance: (I, 6, 6) float64, the same relative to the map about each camera, without that map's own errors
+    own_covariance: (I, 6, 6) float64, the part of that which errors of extrinsic and clock, shared by all, do not explain
     log_exposure_sigma: (I,) float64
     calibration: as found; calibration_sigma: (k,) standard deviations of its numbers, in the order and units of
         `Calibration.layout()`
@@ -91,6 +92,7 @@ class VisualResult:
     log_exposure: np.ndarray
     covariance: np.ndarray
     local_covariance: np.ndarray
+    own_covariance: np.ndarray
     log_exposure_sigma: np.ndarray
     keyframes: np.ndarray
     calibration: Calibration
@@ -168,22 +170,24 @@ def collect(
     start: (K, 4, 4), carried rough poses
     prior: of all I images, before the solve; keyframes: (K,); times: (I,) s of all images
     """
-    known = bundle_adjustment.covariance_of(last)
-    own = known.blocks[:, :6, :6]
+    known, own = bundle_adjustment.covariance_of(last)
+    whole = known.blocks[:, :6, :6]
     if last.prior is not None:
-        own = own + degeneracy.held_covariance(state, last.prior, directions)
+        held = degeneracy.held_covariance(state, last.prior, directions)
+        whole, own = whole + held, own + held
     solved = trajectory_prior.take(prior, keyframes) if last.prior is None else last.prior
     poses, between = trajectory_prior.fill(prior, solved, state, keyframes, times)
     nearest = nearest_in_time(times[keyframes], times)
     log_exposure, exposure_sigma = exposures_between.of_all(
         times, keyframes, state.cameras.log_exposure, log_exposure_sigma
     )
-    local_covariance = own[nearest] + between
+    local_covariance = whole[nearest] + between
     return VisualResult(
         world_from_camera=poses,
         log_exposure=log_exposure,
         covariance=local_covariance,
         local_covariance=local_covariance,
+        own_covariance=own[nearest] + between,
         log_exposure_sigma=exposure_sigma,
         keyframes=keyframes,
         calibration=state.calibration,
@@ -194,7 +198,7 @@ def collect(
         cost_initial=_cost(last, start, state),
         cost_final=_cost(last, state.cameras.world_from_camera, state),
         converged=all(report.converged for report in levels),
-        warnings=_warnings(last, levels, directions, own, times[keyframes]),
+        warnings=_warnings(last, levels, directions, whole, times[keyframes]),
         extrinsic_change=_extrinsic_change(state, last.prior, known),
         clock_epoch=prior.epoch,
         turns=camera_motion.turns(solved, state, keyframes, times),

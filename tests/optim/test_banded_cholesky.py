@@ -128,6 +128,25 @@ def test_covariances_are_those_of_the_dense_inverse(problem, dense_limit):
     np.testing.assert_array_equal(linear_solver.shared_covariance(equations, free, dense_limit), known.shared)
 
 
+def test_covariances_given_shared_parameters_are_those_where_they_are_held(problem, dense_limit):
+    equations, free = problem
+    count, size = free.shape
+    known = np.arange(equations.shared)[::2]
+    information = equations.dense()
+    kept = np.setdiff1d(
+        np.flatnonzero(np.r_[free.ravel(), np.ones(equations.shared, bool)]), known + count * size
+    )
+    expected = np.zeros((count * size, count * size))
+    inner = kept < count * size
+    expected[np.ix_(kept[inner], kept[inner])] = np.linalg.inv(information[np.ix_(kept, kept)])[
+        np.ix_(inner, inner)
+    ]
+    here = np.arange(count)
+    expected = expected.reshape(count, size, count, size)[here, :, here]
+    found = linear_solver.covariance(equations, free, dense_limit).given(known)
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
+
+
 def test_propagated_covariances_are_those_of_the_dense_inverse(problem, dense_limit, monkeypatch):
     monkeypatch.setattr(linear_solver, "_COLUMNS", 7)
     equations, free = problem

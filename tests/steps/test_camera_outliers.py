@@ -80,6 +80,7 @@ class Walk:
             "world_from_camera": poses,
             "covariance": small,
             "local_covariance": small,
+            "own_covariance": small,
             "keyframes": np.setdiff1d(np.arange(COUNT), np.arange(1, COUNT, 3)),
             "calibration": Calibration(np.eye(4)),
             "clock_epoch": 0.0,

@@ -218,7 +218,9 @@ def test_an_image_that_shares_no_point_changes_the_covariance_of_no_other(scene)
         rough.cameras.world_from_camera[:COUNT] = start(poses).cameras.world_from_camera
         taken = np.concatenate([images, images[:more]])
         found = bundle_adjustment.solve(taken, CAMERA, points, observations, rough, None, variant=JOINT)
-        return bundle_adjustment.covariance_of(found).blocks
+        known, own = bundle_adjustment.covariance_of(found)
+        np.testing.assert_array_equal(own, known.blocks[:, :6, :6])  # without a prior, nothing is shared
+        return known.blocks
 
     alone, beside = covariance_with(0), covariance_with(1)
     assert np.isfinite(alone).all()
