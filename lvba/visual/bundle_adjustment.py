@@ -395,7 +395,7 @@ def _with_held(
     known: Covariance, solved: _Turn, total: NormalEquations, fixed: tuple[str, ...]
 ) -> Covariance:
     """The covariance, with how far all would move were the parameters free that are held, where that is no chance."""
-    step = linear_solver.solve_step(total, 0.0, solved.free) if fixed else None
+    step = linear_solver.solve_step(total, 0.0, solved.free) if fixed and total.shared else None
     if step is None:
         return known
     fraction = fixed_calibration.significant_fraction(

@@ -209,15 +209,17 @@ def test_what_cancels_between_the_images_of_a_wall_still_does_where_its_error_co
     assert np.abs(reduced - factor[:, None] * plain).max() > 1e-3 * np.abs(plain).max()
 
 
-def test_an_image_that_shares_no_point_changes_the_covariance_of_no_other(scene):
-    """Before, without a prior: `LinAlgError: Singular matrix`."""
+@pytest.mark.parametrize("camera", ["refined", "as calibrated"])
+def test_an_image_that_shares_no_point_changes_the_covariance_of_no_other(scene, camera):
+    """Before, without a prior: `LinAlgError: Singular matrix`; as calibrated: an `IndexError`."""
     images, points, observations, poses, _ = scene
 
     def covariance_with(more: int) -> np.ndarray:
         rough = start(np.concatenate([poses, poses[:more]]))
         rough.cameras.world_from_camera[:COUNT] = start(poses).cameras.world_from_camera
         taken = np.concatenate([images, images[:more]])
-        found = bundle_adjustment.solve(taken, CAMERA, points, observations, rough, None, variant=JOINT)
+        variant = replace(JOINT, camera=camera)
+        found = bundle_adjustment.solve(taken, CAMERA, points, observations, rough, None, variant=variant)
         known, own = bundle_adjustment.covariance_of(found)
         np.testing.assert_array_equal(own, known.blocks[:, :6, :6])  # without a prior, nothing is shared
         return known.blocks
