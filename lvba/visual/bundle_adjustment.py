@@ -249,13 +249,8 @@ def _turn(
         total = joint(linearization.equations, prior, at.visual)
         gradients = covariance.wall_gradients(problem, linearization, at.photometric, wall_clusters, total)
     return _Turn(
-        problem=problem,
-        wall_clusters=wall_clusters,
-        at=at,
-        linearization=linearization,
-        free=free,
-        gradients=gradients,
-    )
+        problem=problem, wall_clusters=wall_clusters, at=at, linearization=linearization, free=free, gradients=gradients,
+    )  # fmt: skip
 
 
 class _Model:
@@ -364,13 +359,9 @@ def covariance_of(solution: LevelSolution) -> tuple[Covariance, np.ndarray]:
     clusters = covariance.balanced_gradients(gradients, total.shared)
     poses = linear_solver.sandwich(total, clusters, _gradient_variance(prior, at), solution.free)
     solved = _Turn(
-        problem=problem,
-        wall_clusters=solution.wall_clusters,
-        at=at,
-        linearization=linearization,
-        free=solution.free,
-        gradients=gradients,
-    )
+        problem=problem, wall_clusters=solution.wall_clusters, at=at, linearization=linearization,
+        free=solution.free, gradients=gradients,
+    )  # fmt: skip
     own = _covariance_of_calibration(solved, prior, total)
     if prior is not None:
         # balanced gradients predict too small errors of the camera, which turns all images: on a road, 0.2 px for a
