@@ -30,8 +30,8 @@ def inverse(information: np.ndarray) -> np.ndarray:
         factor, _ = scipy.linalg.cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
         inverse, _ = scipy.linalg.lapack.dpotri(factor, lower=True, overwrite_c=True)
     except np.linalg.LinAlgError:
-        values, vectors = scipy.linalg.eigh(information, check_finite=False)
-        return np.asarray((vectors / np.maximum(values, 1e-9 * values[-1])) @ vectors.T)
+        values, vectors = _positive_eigen(information)
+        return np.asarray((vectors / values) @ vectors.T)
     return _mirrored(inverse.T)
 
 
@@ -42,10 +42,16 @@ def root_of_inverse(information: np.ndarray) -> np.ndarray:
     """
     factor, unsolved = scipy.linalg.lapack.dpotrf(np.array(information).T, lower=1, overwrite_a=1)
     if unsolved:
-        values, vectors = scipy.linalg.eigh(information, check_finite=False)
-        return np.asarray(vectors / np.sqrt(np.maximum(values, 1e-9 * values[-1])))
+        values, vectors = _positive_eigen(information)
+        return np.asarray(vectors / np.sqrt(values))
     root, _ = scipy.linalg.lapack.dtrtri(factor, lower=1, overwrite_c=1)
     return np.asarray(root.T)
+
+
+def _positive_eigen(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues (N,), tiny where rounding made them negative, and eigenvectors (N, N) of a symmetric matrix."""
+    values, vectors = scipy.linalg.eigh(matrix, check_finite=False)
+    return np.maximum(values, 1e-9 * values[-1]), vectors
 
 
 def _mirrored(matrix: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lvba import geometry
+from lvba import distinct_rows, geometry
 from lvba.lidar import voxel_map
 from lvba.lidar.config import Stage
 from lvba.lidar.plane_feature import PlaneFeatures, PlaneFits, fit
@@ -70,10 +70,8 @@ def points_per_cell(scans: Scans, size: float) -> float:
     for each in _sampled(scans):
         points = geometry.finite(each)
         if len(points):
-            cells = np.floor(points / np.float32(size)).astype(np.int64)
-            key = (cells[:, 0] * 2_000_003 + cells[:, 1]) * 2_000_003 + cells[:, 2]
-            _, inverse, count = np.unique(key, return_inverse=True, return_counts=True)
-            medians.append(float(np.median(count[inverse.ravel()])))
+            cell = distinct_rows.number(np.floor(points / np.float32(size)).astype(np.int64))
+            medians.append(float(np.median(np.bincount(cell)[cell])))
     return float(np.median(medians)) if medians else 0.0
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from lvba import distinct_rows
 from lvba.arrays import Vectors
 
 _FEWEST = 8
@@ -40,24 +41,22 @@ def of_planes(points: Vectors, cell: float) -> np.ndarray:
 def _full(points: Vectors, cell: float) -> float:
     """m, edge of cells that most points share with enough others: twice, four times, ... the least."""
     for _ in range(_LARGER):
-        _, index, counts = np.unique(_numbers(points, cell), return_inverse=True, return_counts=True)
-        if np.median(counts[index]) >= _ENOUGH:
+        index = _cells(points, cell)
+        if np.median(np.bincount(index)[index]) >= _ENOUGH:
             break
         cell *= 2
     return cell
 
 
-def _numbers(points: Vectors, cell: float) -> np.ndarray:
-    """(N,) int64, the same for points (N, 3) in the same cell."""
-    keys = np.floor(points / cell).astype(np.int64)
-    keys -= keys.min(axis=0)
-    size = keys.max(axis=0) + 1
-    return np.asarray((keys[:, 0] * size[1] + keys[:, 1]) * size[2] + keys[:, 2])
+def _cells(points: Vectors, cell: float) -> np.ndarray:
+    """(N,) int64, the number of the cell that each of points (N, 3) is in."""
+    return distinct_rows.number(np.floor(points / cell).astype(np.int64))
 
 
 def _planes(points: Vectors, cell: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Means (M, 3), eigenvalues (M, 3) ascending, eigenvectors (M, 3, 3) in columns and counts (M,) of flat cells."""
-    _, index, counts = np.unique(_numbers(points, cell), return_inverse=True, return_counts=True)
+    index = _cells(points, cell)
+    counts = np.bincount(index)
     means = np.stack([np.bincount(index, points[:, k]) for k in range(3)], axis=-1) / counts[:, None]
     away = points - means[index]
     squares = np.empty((len(counts), 3, 3))
