@@ -3,6 +3,7 @@
 Pixels are (column, row); the centre of the first pixel is (0, 0). Camera axes: x right, y down, z forward.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +33,13 @@ class Camera:
     def matrix(self) -> np.ndarray:
         """K, (3, 3) float64."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+
+    @property
+    def half_angle(self) -> float:
+        """rad, off the axis, of the farthest corner of the image, distortion aside."""
+        corners = [(x, y) for x in (-0.5, self.width - 0.5) for y in (-0.5, self.height - 0.5)]
+        farthest = float(np.hypot(*self.normalized(np.array(corners))).max())
+        return farthest if self.lens is Lens.EQUIDISTANT else math.atan(farthest)
 
     def normalized(self, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Coordinates (N,) right and (N,) down behind the lens, of what a pinhole of this K sees at pixels.

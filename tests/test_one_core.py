@@ -47,7 +47,7 @@ LINEAR_ALGEBRA = {
     "lvba/lidar/row_times.py": (1, "regression of the points' order on their directions"),
     "lvba/lidar/scan_motion.py": (2, "6 x 6 information of single scans"),
     "lvba/lidar/scan_evidence.py": (4, "numbers that scans share, at most 16 x 16; poses and planes eliminated"),
-    "lvba/lidar/range_uncertainty.py": (2, "errors of a range sensor, at most 5 x 5"),
+    "lvba/lidar/range_uncertainty.py": (3, "errors of a range sensor, at most 5 x 5; the place of a camera, 3 x 3"),
     "lvba/lidar/pose_response.py": (1, "the turn that all scans of a window have in common, 3 x 3"),
     "lvba/steps/error_chain.py": (6, "6 x 6 covariances of a chain's links"),
     "lvba/steps/pose_fusion.py": (5, "6 x 6 covariances of single scans"),

@@ -8,6 +8,7 @@ import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -29,10 +30,10 @@ from lvba.lidar.bundle_adjustment import Aligned
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.point_times import PointClock
 from lvba.lidar.range_errors import Beams, RangeErrors
-from lvba.lidar.range_uncertainty import Response
+from lvba.lidar.range_uncertainty import Response, Sight
 from lvba.lidar.row_times import RowClock
 from lvba.lidar.scan import gather
-from lvba.lidar.scan_evidence import ByShared, OnPlanes, ScanEvidence, View
+from lvba.lidar.scan_evidence import ByShared, Moved, OnPlanes, ScanEvidence, View
 from lvba.progress import Progress, silent
 
 _log = logging.getLogger(__name__)
@@ -64,6 +65,12 @@ def measure(
     return measurement.of(probes, sampled)
 
 
+def _alike(part: float, off: float) -> np.ndarray:
+    """(6, 6): as `RangeErrors.planes_off`, of planes that are off alike along and about all axes, by a part of the range
+    and by so many m."""
+    return np.diag(np.repeat(np.square([part, off]), 3))
+
+
 def _usual_brightness(probes: list[Window], beams: Beams) -> float | None:
     """By one scan of each window; None: scans have no intensities that differ."""
     scans = [window.scans[len(window.scans) // 2] for window in probes if window.intensity is not None]
@@ -78,7 +85,7 @@ class _Measurement:
     """Finds poses, planes and the errors in turn.
 
     cosines: of each window, of its points on planes; poses: of its scans, in the round before
-    depths: of each window, as `beam_depth.Depths.squares`; responses: of each, of its points to errors
+    depths: of each window, as `beam_depth.Depths.squares`; responses: of each, of a camera to errors
     poses_by_depth: as of `RangeErrors.poses_off`, by that
     by_grazing: (k,) float64, of the round before: how errors would move by a range that is too long on surfaces met at
         grazing angles
@@ -172,7 +179,7 @@ class _Measurement:
         response = sum(self.responses.values(), range_uncertainty.none(self.size))
         return replace(
             errors,
-            points_off=response.off(moment),
+            planes_off=response.off(moment),
             poses_off=total.poses.of_numbers(slice(0, self.size)).by(moment, self._extent),
         )
 
@@ -186,12 +193,12 @@ class _Measurement:
         """The errors, with how deep beams go into surfaces, if they do."""
         if (depth := self._depth) < range_errors.LEAST_M:
             return errors
-        (part, off), (turn, shift), by_depth = errors.points_off, errors.poses_off, self.poses_by_depth
+        (turn, shift), by_depth = errors.poses_off, self.poses_by_depth
         return replace(
             errors,
             values={**errors.values, range_errors.DEPTH: round(depth, 4)},
             noticed=(*errors.noticed, range_errors.DEPTH),
-            points_off=(part, math.hypot(off, depth)),
+            planes_off=errors.planes_off + _alike(0.0, depth),
             poses_off=(math.hypot(turn, by_depth[0]), math.hypot(shift, by_depth[1])),
         )
 
@@ -212,7 +219,7 @@ class _Measurement:
             judged,
             values=values,
             noticed=(range_errors.DIRECTION,),
-            points_off=by_direction,
+            planes_off=_alike(*by_direction),
             poses_off=total.poses.by(np.outer(likely, likely), self._extent),
         )
 
@@ -220,6 +227,13 @@ class _Measurement:
     def _extent(self) -> float:
         """m, of the whole recording."""
         return pose_response.extent_of(self.dataset.scans.world_from_sensor)
+
+    @cached_property
+    def _sight(self) -> Sight:
+        """Of the camera; all around where there is none."""
+        if not self.dataset.cameras:
+            return range_uncertainty.EVERYWHERE
+        return range_uncertainty.sight(self.dataset.camera_from_scan, self.dataset.camera.half_angle)
 
     @property
     def size(self) -> int:
@@ -242,7 +256,8 @@ class _Measurement:
         return own.change[: self.size], beside**2 * own.covariance[: self.size, : self.size]
 
     def _by_direction(self, total: ScanEvidence, points: np.ndarray) -> tuple[float, float]:
-        """As `RangeErrors.points_off`, of points (N, 3) m; zeros: what is seen of it may be chance.
+        """How far points (N, 3) m are off by it, root mean square, as a part of the range and in m; zeros: what is seen
+        of it may be chance.
 
         Less the common scale in it, which planes do not tell: where beams are level, it looks like a harmonic.
         """
@@ -311,12 +326,15 @@ class _Measurement:
         brighter = None
         if self.beams.usual is not None and window.intensity is not None:
             brighter = range_errors.brighter_on_planes(view, self.beams, window.intensity, cosine)
-        self.responses[number] = range_uncertainty.response(view, self.beams, brighter)
         deep = number in self.depths and self.depths[number][0] > 0
         depths = beam_depth.of_planes(view, self.beams.position, deep)
         self.depths[number] = depths.squares
         by_depth = beam_depth.by_depth(self.beams, depths.of_points(view.labels.plane))
-        return scan_evidence.evidence(view, self._by_shared(window, result, brighter, by_depth), size)
+        by_shared = self._by_shared(window, result, brighter, by_depth)
+        evidence, moved = scan_evidence.evidence_and_moved(view, by_shared, size)
+        of_errors = Moved(moved.planes[:, : self.size], moved.scans[..., : self.size])
+        self.responses[number] = range_uncertainty.response(view, of_errors, self._sight)
+        return evidence
 
     def _corrected(self, number: int, window: Window, errors: np.ndarray) -> list[np.ndarray]:
         """Points of each scan; angles of incidence are those on the planes of the round before."""

@@ -214,8 +214,9 @@ class RangeErrors:
     corrected: the names of those that are taken out of the points
     noticed: of those that are no chance, but stay
     problem: why what is significant was not corrected
-    points_off: how far points stay off by what else depends on the beam's direction or goes into surfaces, or by what
-        these errors may still be, root mean square: as a part of the range, and in m
+    planes_off: (6, 6) float64, second moments of how far a camera that planes hold is off its place on the sensor, with
+        all of them, by what else depends on the beam's direction or goes into surfaces, or by what these errors may still
+        be: `[rotation | translation]`, rad and m, along the axes of the scan
     poses_off: rad and m, root mean square, that poses are off because of that
     """
 
@@ -225,7 +226,7 @@ class RangeErrors:
     corrected: tuple[str, ...] = ()
     problem: str = ""
     noticed: tuple[str, ...] = ()
-    points_off: tuple[float, float] = (0.0, 0.0)
+    planes_off: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
     poses_off: tuple[float, float] = (0.0, 0.0)
 
     @property

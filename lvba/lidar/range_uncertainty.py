@@ -7,9 +7,12 @@ were expected without it.
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from lvba import geometry
+from lvba.arrays import Pose
 from lvba.lidar.range_errors import (
     BRIGHTNESS,
     DISTORTION,
@@ -17,10 +20,9 @@ from lvba.lidar.range_errors import (
     INCIDENCE,
     OFFSET,
     Beams,
-    by_errors,
     directions,
 )
-from lvba.lidar.scan_evidence import ByShared, OnPlanes, View
+from lvba.lidar.scan_evidence import ByShared, Moved, OnPlanes, View
 
 USUAL = {
     INCIDENCE: 0.01, ELEVATION: math.radians(0.2), DISTORTION: 0.02, OFFSET: 0.01, BRIGHTNESS: 0.01
@@ -36,51 +38,92 @@ one standard deviation, times the usual brightness: rough ones return more than 
 _GRAZING_COSINE = 0.2
 """Of incidence, below which that holds."""
 _THINNED = 8
-"""Every so many points on planes are enough for a mean square."""
+"""Every so many points on planes are enough for a mean."""
+_NEAREST_M = 0.3
+"""Points nearer to a camera do not count for more."""
+_OPEN = 1e-3
+"""Part of the mean information by axis that holds a camera where no plane does."""
+
+
+class Sight(NamedTuple):
+    """Which way a camera looks that sits on the sensor.
+
+    position: (3,) m, ahead: (3,), unit vector, scan frame; cosine: of the angle off it that the image's corners are
+    """
+
+    position: np.ndarray
+    ahead: np.ndarray
+    cosine: float
+
+    def sees(self, away: np.ndarray) -> np.ndarray:
+        """(N,) bool. away: (N, 3) float64, m, of points from the camera, scan axes"""
+        return np.asarray(away @ self.ahead >= self.cosine * np.linalg.norm(away, axis=1))
+
+
+def sight(camera_from_scan: Pose, half_angle: float) -> Sight:
+    """Of a camera whose image's corners are so far off its axis. camera_from_scan: (4, 4) float64, m; half_angle: rad"""
+    position = geometry.inverse(camera_from_scan)[:3, 3]
+    return Sight(position, camera_from_scan[2, :3], math.cos(min(half_angle, math.pi / 2)))
+
+
+EVERYWHERE = Sight(np.zeros(3), np.array([0.0, 0.0, 1.0]), -1.0)
 
 
 @dataclass(frozen=True)
 class Response:
-    """How points on planes move by k errors; adds up over scans.
+    """How a camera that planes hold leaves its place on the sensor by k errors; adds up over scans.
 
-    squares: (2, k, k) float64, sums over points of products of how far they move along the plane's normal by a unit of
-        each: as parts of the range, and in m
-    points: how many
+    Planes move by these errors, and scans do. The camera moves with the planes that it sees, as their distances tell by
+    angle, and does not turn: that, images know without planes.
+    information: (3, 3) float64, of the camera's place, scan axes; pull: (3, k) float64, of planes that move by a unit of
+        each error; scans: (6, k) float64, sum over so many scans of how their sensor turns and moves where the camera is
     """
 
-    squares: np.ndarray
-    points: int
+    information: np.ndarray
+    pull: np.ndarray
+    scans: np.ndarray
+    count: int
 
     def __add__(self, other: "Response") -> "Response":
-        return Response(self.squares + other.squares, self.points + other.points)
+        return Response(
+            self.information + other.information,
+            self.pull + other.pull,
+            self.scans + other.scans,
+            self.count + other.count,
+        )
 
-    def off(self, moment: np.ndarray) -> tuple[float, float]:
-        """How far points are off, root mean square: as a part of the range, and in m.
+    def off(self, moment: np.ndarray) -> np.ndarray:
+        """(6, 6) float64: as `RangeErrors.planes_off`.
 
         moment: (k, k) float64, second moments of the errors
         """
-        part, off = np.sqrt(np.einsum("pij,ij->p", self.squares, moment) / max(self.points, 1))
-        return float(part), float(off)
+        held = _OPEN * max(float(np.trace(self.information)) / 3, 1e-12) * np.eye(3)
+        moved = -self.scans / max(self.count, 1)
+        moved[3:] += np.linalg.solve(self.information + held, self.pull)
+        return np.asarray(moved @ moment @ moved.T)
 
 
 def none(size: int) -> Response:
-    """Of no point, by so many errors."""
-    return Response(np.zeros((2, size, size)), 0)
+    """Of no scan, by so many errors."""
+    return Response(np.zeros((3, 3)), np.zeros((3, size)), np.zeros((6, size)), 0)
 
 
-def response(view: View, beams: Beams, brighter: np.ndarray | None) -> Response:
-    """Of the points that some scans have on their planes. brighter: (M,) float64, as of `range_errors.by_errors`"""
-    total, derivative = none(len(beams.names)), by_errors(beams, brighter)
+def response(view: View, moved: Moved, camera: Sight) -> Response:
+    """Of the points that some scans have on their planes and a camera sees. moved: what moves by a unit of each error"""
+    total = none(moved.planes.shape[1])
     for scan, pose in enumerate(view.world_from_scan):
         known = view.on_planes(scan)
         if known is None:
             continue
         plane, chosen = (each[::_THINNED] for each in known)
-        place = view.scans.points[chosen].astype(float)
+        away = view.scans.points[chosen].astype(float) - camera.position
+        seen = camera.sees(away)
+        plane, away = plane[seen], away[seen]
         normal = view.planes.normal[plane] @ pose[:3, :3]
-        moved = derivative(OnPlanes(scan, chosen, place, normal, np.zeros((len(chosen), 0))))
-        parts = moved / directions(place, beams.position)[1][:, None]
-        total += Response(np.stack([parts.T @ parts, moved.T @ moved]), len(chosen))
+        weighted = normal.T / np.maximum(np.einsum("ni,ni->n", away, away), _NEAREST_M**2)
+        turn, shift = moved.scans[scan, :3], moved.scans[scan, 3:]
+        there = np.concatenate([turn, shift + np.cross(turn, camera.position, axis=0)])
+        total += Response(weighted @ normal, weighted @ moved.planes[plane], there, 1)
     return total
 
 

@@ -235,11 +235,28 @@ class View:
         return Seen(plane, number, point, distance)
 
 
+@dataclass(frozen=True)
+class Moved:
+    """What moves by a unit of each of k shared numbers, all else as it fits best.
+
+    planes: (P, k) float64, m, along their normals, at their centers; scans: (S, 6, k) float64, local tangent, rad and m
+    """
+
+    planes: np.ndarray
+    scans: np.ndarray
+
+
 def evidence(view: View, by_shared: ByShared, size: int) -> ScanEvidence:
     """What the planes tell of so many shared numbers."""
+    return evidence_and_moved(view, by_shared, size)[0]
+
+
+def evidence_and_moved(view: View, by_shared: ByShared, size: int) -> tuple[ScanEvidence, Moved]:
+    """The same, and what moves by them."""
     sums = [each for scan in range(len(view.scans)) if (each := _of_scan(view, scan, by_shared)) is not None]
     if not sums:
-        return nothing(size)
+        planes, scans = len(view.planes.center), len(view.world_from_scan)
+        return nothing(size), Moved(np.zeros((planes, size)), np.zeros((scans, 6, size)))
     return _eliminated(sums, view.world_from_scan, neighborhoods(view.planes.center, _HALVINGS), size)
 
 
@@ -309,8 +326,10 @@ def _of_scan(view: View, scan: int, by_shared: ByShared) -> _Sums | None:
     )
 
 
-def _eliminated(sums: list[_Sums], world_from_scan: Poses, near: Indices, size: int) -> ScanEvidence:
-    """The sums by the shared numbers alone. near: (P,), the neighborhood of each plane"""
+def _eliminated(
+    sums: list[_Sums], world_from_scan: Poses, near: Indices, size: int
+) -> tuple[ScanEvidence, Moved]:
+    """The sums by the shared numbers alone, and what moves. near: (P,), the neighborhood of each plane"""
     scans, planes = len(world_from_scan), len(near)
     plane = np.concatenate([each.plane for each in sums])
     scan = np.concatenate([np.full(len(each.plane), each.scan) for each in sums])
@@ -340,13 +359,15 @@ def _eliminated(sums: list[_Sums], world_from_scan: Poses, near: Indices, size: 
     own -= np.einsum("pik,pi->pk", met, right)
     curvature -= np.einsum("pik,pil->pkl", met, met)
     information = np.einsum("in,nj->ij", normal[free:], through)
-    return ScanEvidence(
+    moved = poses.reshape(scans, 6, size)
+    every = ScanEvidence(
         information=(information + information.T) / 2,
         gradient=-own.sum(axis=0),
         own=_together(own, near),
         curvature=_together(curvature, near),
-        poses=PoseResponse.of(poses.reshape(scans, 6, size), world_from_scan),
+        poses=PoseResponse.of(moved, world_from_scan),
     )
+    return every, Moved(np.einsum("pi,pik->pk", inverse[:, :, 0], met), moved)
 
 
 def _together(values: np.ndarray, near: Indices) -> np.ndarray:

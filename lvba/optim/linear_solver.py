@@ -354,13 +354,20 @@ def with_errors_of_shared(
     index = index[np.diagonal(plain.shared)[index] > 0]
     own = np.ix_(index, index)
     values, axes = np.linalg.eigh(more[own])
-    errors = (axes * np.maximum(values, 0.0)) @ axes.T
-    by_errors = np.linalg.inv(plain.shared[own])
-    poses, shared = plain.with_shared[..., index] @ by_errors, plain.shared[:, index] @ by_errors
+    by_errors = np.linalg.solve(plain.shared[own], axes * np.sqrt(np.maximum(values, 0.0)))
+    return with_errors(known, plain.with_shared[..., index] @ by_errors, plain.shared[:, index] @ by_errors)
+
+
+def with_errors(known: Covariance, blocks: np.ndarray, shared: np.ndarray) -> Covariance:
+    """The covariance, with m errors that it does not have, independent of each other.
+
+    blocks: (B, b, m) float64, how far the blocks of unknowns move by one standard deviation of each; shared: (k, m)
+        float64, how far the shared parameters do
+    """
     return Covariance(
-        known.blocks + poses @ errors @ np.swapaxes(poses, 1, 2),
-        known.with_shared + poses @ errors @ shared.T,
-        known.shared + shared @ errors @ shared.T,
+        known.blocks + blocks @ np.swapaxes(blocks, 1, 2),
+        known.with_shared + blocks @ shared.T,
+        known.shared + shared @ shared.T,
     )
 
 

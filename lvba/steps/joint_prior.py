@@ -36,7 +36,7 @@ def prior_of_all(dataset: Dataset, lidar: LidarStage, scans: ScanPoses, config: 
         dataset.camera_from_scan,
         config.prior,
         local_covariance,
-        lidar.points_off,
+        lidar.planes_off,
     )
 
 

@@ -283,7 +283,7 @@ def finish_scans(
         result,
         rough_error=rough_poses.of_all(errors),
         confirmed=confirmed,
-        points_off=(0.0, 0.0) if scan_errors is None else scan_errors.points_off,
+        planes_off=np.zeros((6, 6)) if scan_errors is None else scan_errors.planes_off,
     )
     return JointScans(stage, merged.merged, state.history)
 

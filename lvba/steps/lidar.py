@@ -78,7 +78,7 @@ def solve_lidar(
         if begin is None
         else begin.judged(surfels, rough, poses, result.odometry_dependence),
         confirmed=_confirmed(surfels, dataset.scans, Trajectory(dataset.scans.times, poses)),
-        points_off=(0.0, 0.0) if errors is None else errors.points_off,
+        planes_off=np.zeros((6, 6)) if errors is None else errors.planes_off,
     )
 
 

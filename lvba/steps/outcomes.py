@@ -24,14 +24,14 @@ class LidarStage:
 
     rough_error: of rough poses that were too far off to start from; None: they were not
     confirmed: (K,) int64, scans after which the motion is not as before and after, but surfaces confirm the refined one
-    points_off: errors of ranges that stay in the points, as `RangeErrors.points_off`
+    planes_off: (6, 6) float64, by errors of ranges that stay in the points, as `RangeErrors.planes_off`
     """
 
     result: LidarResult | None
     problem: str = ""
     rough_error: RoughError | None = None
     confirmed: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
-    points_off: tuple[float, float] = (0.0, 0.0)
+    planes_off: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
 
 
 @dataclass(frozen=True)

@@ -213,6 +213,6 @@ def inputs(
         planes=plane_set,
         plane_points=points,
         scan_covariance=planes.uncertainty,
-        range_errors=lidar.points_off,
+        planes_off=lidar.planes_off,
         camera=dataset.camera,
     )

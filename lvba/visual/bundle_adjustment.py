@@ -18,6 +18,7 @@ from lvba.visual import (
     fixed_calibration,
     noise,
     photometric,
+    planes_off,
     trajectory_prior,
     trajectory_sigmas,
 )
@@ -362,24 +363,22 @@ def covariance_of(solution: LevelSolution) -> tuple[Covariance, np.ndarray]:
         problem=problem, wall_clusters=solution.wall_clusters, at=at, linearization=linearization,
         free=solution.free, gradients=gradients,
     )  # fmt: skip
-    own = _covariance_of_calibration(solved, prior, total)
+    own = _sandwich_of_calibration(solved, prior, total)
+    known = replace(poses, shared=own)
     if prior is not None:
         # balanced gradients predict too small errors of the camera, which turns all images: on a road, 0.2 px for a
         # principal point that was 0.6 px off, where those of each image by itself say 0.8
         plain, camera = linear_solver.covariance(total, solution.free), fixed_calibration.indices()
         poses = linear_solver.with_errors_of_shared(poses, own - poses.shared, plain, camera)
         place = Calibration.layout()["readout"].start
+        but_fixed = trajectory_prior.with_fixed(prior, solution.fixed)
         own[place, place] += camera_motion.readout_variance(
-            problem,
-            at.photometric,
-            linearization.sums,
-            trajectory_prior.with_fixed(prior, solution.fixed),
-            at.visual,
+            problem, at.photometric, linearization.sums, but_fixed, at.visual
         )
-    known = _with_held(replace(poses, shared=own), solved, total, solution.fixed)
-    held = known.blocks - poses.blocks
+        known = planes_off.with_planes_off(replace(poses, shared=own), plain, prior, at.calibration)
+    with_held = _with_held(known, solved, total, solution.fixed)
     shared = fixed_calibration.indices(_OF_ALL_IMAGES) if prior is not None else np.zeros(0, np.int64)
-    return known, (poses.given(shared) + held)[:, :6, :6]
+    return with_held, (poses.given(shared) + with_held.blocks - known.blocks)[:, :6, :6]
 
 
 def _with_held(
@@ -392,12 +391,8 @@ def _with_held(
     fraction = fixed_calibration.significant_fraction(
         step.shared, _precision(known.shared, solved, total), fixed
     )
-    blocks, shared = step.blocks, step.shared
-    return Covariance(
-        known.blocks + fraction * blocks[:, :, None] * blocks[:, None],
-        known.with_shared + fraction * blocks[:, :, None] * shared,
-        known.shared + fraction * np.outer(shared, shared),
-    )
+    size = np.sqrt(fraction)
+    return linear_solver.with_errors(known, size * step.blocks[..., None], size * step.shared[:, None])
 
 
 def _precision(
@@ -411,7 +406,16 @@ def _precision(
 
 
 def _covariance_of_calibration(solved: _Turn, prior: Prior | None, total: NormalEquations) -> np.ndarray:
-    """(k, k); total: `joint`, at this state."""
+    """(k, k), with errors of ranges that all planes have in common; total: `joint`, at this state."""
+    own = _sandwich_of_calibration(solved, prior, total)
+    if prior is None:
+        return own
+    plain = linear_solver.shared_covariance(total, solved.free)
+    return np.asarray(own + planes_off.of_calibration(plain, prior, solved.at.calibration))
+
+
+def _sandwich_of_calibration(solved: _Turn, prior: Prior | None, total: NormalEquations) -> np.ndarray:
+    """(k, k), by what pieces of wall contradict each other; total: `joint`, at this state."""
     assert solved.gradients is not None
     clusters = covariance.bias_reduced_gradients(solved.gradients, total.shared)
     return linear_solver.shared_sandwich(total, clusters, _gradient_variance(prior, solved.at), solved.free)

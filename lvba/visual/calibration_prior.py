@@ -15,9 +15,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import block_diag, eigh
 from scipy.special import chdtrc, ndtri
 
+from lvba.arrays import Pose
 from lvba.optim.shared_parameters import SharedPrior, information
 from lvba.visual.states import Calibration
 
@@ -53,15 +54,16 @@ class Evidence:
             self.information + other.information, self.spread + other.spread, self.pull + other.pull
         )
 
-    def by_range_errors(self, errors: tuple[float, float]) -> np.ndarray:
-        """(k, k): variance of the gradient by errors of ranges that planes share. errors: as `RangeErrors.points_off`
+    def by_range_errors(self, planes_off: np.ndarray) -> np.ndarray:
+        """(k, k): variance of the gradient by errors of ranges that planes share.
 
         Planes that are off by so much, all in some way together, look to the images as a camera that sits elsewhere on
         the LiDAR. How far pieces of wall contradict each other shows nothing of it.
+        planes_off: (6, 6) float64, second moments of that, in steps of the extrinsic
         """
         extrinsic = Calibration.layout()["scan_from_camera"]
         by_extrinsic = self.information[:, extrinsic]
-        return np.asarray(by_extrinsic * np.repeat(np.square(errors), 3) @ by_extrinsic.T)
+        return np.asarray(by_extrinsic @ planes_off @ by_extrinsic.T)
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,15 @@ def extrinsic_change(
 def build(calibrated: Calibration, sigma: Mapping[str, float | np.ndarray]) -> SharedPrior[Calibration]:
     """The prior of calibrated values with these standard deviations, by parameter."""
     return SharedPrior(calibrated, information(calibrated.layout(), sigma))
+
+
+def along_camera(moments: np.ndarray, camera_from_scan: Pose) -> np.ndarray:
+    """(6, 6) float64: second moments of `[rotation | translation]` along the axes of the camera, rad and m.
+
+    moments: (6, 6) float64, rad and m, along the axes of the scan
+    """
+    turn = block_diag(*(camera_from_scan[:3, :3],) * 2)
+    return np.asarray(turn @ moments @ turn.T)
 
 
 def granted(said: Evidence, spread: np.ndarray, claims: np.ndarray) -> np.ndarray:

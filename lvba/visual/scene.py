@@ -1,7 +1,7 @@
 """What the visual bundle adjustment works on, and what all its levels share."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -29,7 +29,7 @@ class Inputs:
     pyramid: of the keyframes only; keyframes: (K,) their indices among the images
     images, scans: rough trajectories; refined_scans: (S, 4, 4), poses the planes were made with
     camera_from_scan: (4, 4) calibrated extrinsic; sensor_position_scan: (3,) m
-    scan_covariance: of refined_scans; None: not known; range_errors: left in points, as `RangeErrors.points_off`
+    scan_covariance: of refined_scans; None: not known; planes_off: (6, 6), as `RangeErrors.planes_off`
     camera: of the raw images, with its lens; None: they had none, and their camera is not refined
     colors: red (0), green or blue of the keyframes, (K, H, W, 1) uint8; None: not at hand; smaller_colors: of large ones
     """
@@ -44,7 +44,7 @@ class Inputs:
     planes: Planes
     plane_points: PlanePoints
     scan_covariance: Covariance | None = None
-    range_errors: tuple[float, float] = (0.0, 0.0)
+    planes_off: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
     camera: Camera | None = None
     colors: Callable[[int], Images] | None = None
     smaller_colors: white_balance.SmallerColors | None = None
@@ -90,7 +90,7 @@ def scene_of(given: Inputs, config: VisualConfig, variant: Variant = PRODUCT) ->
     local_covariance = None if known is None else covariances.local_covariance(known, given.refined_scans)
     prior = trajectory_prior.build(
         scans, given.refined_scans, given.images, given.camera_from_scan, config.prior, local_covariance,
-        given.range_errors,
+        given.planes_off,
     )  # fmt: skip
     extrinsic = prior.calibration.reference.scan_from_camera
     start = carry(scans, given.refined_scans, given.images, extrinsic).world_from_sensor[given.keyframes]

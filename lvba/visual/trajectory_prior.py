@@ -6,7 +6,7 @@ faces them: three over one bare plane, one in a corridor. The paper has no term 
 """
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -89,7 +89,8 @@ class Prior:
         it; evidence: of the images, by which it was weighed last, None: it was not
     scans: as refined; times: (I,) s, of the images; None: not known
     epoch: s, the stamp that the rate of the camera's clock counts from; drifting: whether that rate is solved for
-    range_errors: left in points, alike on all planes, as `RangeErrors.points_off` of the LiDAR
+    planes_off: (6, 6) float64, second moments of how far planes are off the sensor, all together, by errors of ranges, in
+        steps of the extrinsic
     """
 
     sources: tuple[Source, ...]
@@ -101,7 +102,7 @@ class Prior:
     times: np.ndarray | None = None
     epoch: float = 0.0
     drifting: bool = False
-    range_errors: tuple[float, float] = (0.0, 0.0)
+    planes_off: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
 
     def __len__(self) -> int:
         return len(self.velocity_world)
@@ -114,13 +115,13 @@ def build(
     camera_from_scan: Pose,
     config: PriorConfig = _DEFAULTS,
     scan_covariance: PoseBlocks | None = None,
-    range_errors: tuple[float, float] = (0.0, 0.0),
+    planes_off: np.ndarray | None = None,
 ) -> Prior:
     """The prior of I images from the rough trajectories and the (S, 4, 4) refined scan poses.
 
     scan_covariance: (S, 6, 6), how far each refined pose may be off the map around it, tangent `[rotation |
         translation]`, rad and m; None: as far as a frame may be at most
-    range_errors: left in the points of the scans, as `Prior` has them
+    planes_off: (6, 6) float64, rad and m, as `RangeErrors.planes_off`; None: zero
 
     Two sources. The rough camera carried by the interpolated LiDAR correction (Li et al., eq. 1) follows every motion,
     but has the odometry's noise of each frame. A spline through the refined scans has none, but does not know what
@@ -167,7 +168,9 @@ def build(
         scans=moving,
         times=images.times,
         epoch=float(images.times[0] + images.times[-1]) / 2,
-        range_errors=range_errors,
+        planes_off=calibration_prior.along_camera(
+            np.zeros((6, 6)) if planes_off is None else planes_off, camera_from_scan
+        ),
     )
 
 
@@ -203,7 +206,7 @@ def weighed(prior: Prior, said: Evidence, keep: bool = True) -> Prior:
 
     keep: as of `calibration_prior.weighed`; else what the calibration is good for stays as it was, too
     """
-    spread, known = said.spread + said.by_range_errors(prior.range_errors), prior.calibration
+    spread, known = said.spread + said.by_range_errors(prior.planes_off), prior.calibration
     good = calibration_prior.granted(said, spread, known.claimed) if keep else known.good_for
     counted = calibration_prior.weighed(said.information, spread, good, keep)
     return replace(prior, calibration=replace(known, counted=counted, granted=good), evidence=said)
@@ -378,8 +381,7 @@ def linearize(prior: Prior, state: VisualState) -> NormalEquations:
 
 
 def gradient_variance(prior: Prior, state: VisualState) -> NormalEquations:
-    """What the prior's gradient varies by: its Hessian, but for a calibration that counts for more than is claimed; and
-    what errors of ranges make the images say of the calibration.
+    """What the prior's gradient varies by: its Hessian, but for a calibration that counts for more than is claimed.
 
     Blocks as in `linearize`; cost and gradient mean nothing.
     """
@@ -387,8 +389,6 @@ def gradient_variance(prior: Prior, state: VisualState) -> NormalEquations:
     assert equations.border is not None
     known = prior.calibration
     more = known.gradient_variance(state.calibration) - known.hessian(state.calibration)
-    if prior.evidence is not None:
-        more += prior.evidence.by_range_errors(prior.range_errors)
     return replace(equations, border=replace(equations.border, hessian=equations.border.hessian + more))
 
 

@@ -58,14 +58,14 @@ def measured(beams, errors, rays, distance, normal, bright=1.0):
     return beams.position + directions * (distance * factor + bias)[:, None]
 
 
-def room(beams, errors, seed=0, noise=0.0, bright=None):
+def room(beams, errors, seed=0, noise=0.0, bright=None, tilt=0.5):
     """Scans of the walls of a convex room, taken with errors; planes and poses are the true ones.
 
-    bright: (12,), times the usual, of the walls
+    bright: (12,), times the usual, of the walls; tilt: rad, of the scans, one standard deviation
     """
     rng = np.random.default_rng(seed)
     normals, offsets = np.concatenate([NORMALS, -NORMALS]), np.full(2 * len(NORMALS), 8.0)
-    poses = geometry.exp(rng.normal(size=(8, 6)) * [0.5, 0.5, 0.5, 1.5, 1.5, 1.5])
+    poses = geometry.exp(rng.normal(size=(8, 6)) * [tilt, tilt, 0.5, 1.5, 1.5, 1.5])
     points, labels = [], []
     for pose in poses:
         rays = rng.normal(size=(6000, 3)) * [1, 1, 0.3]

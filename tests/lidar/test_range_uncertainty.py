@@ -13,37 +13,73 @@ from lvba.lidar.range_errors import (
     INCIDENCE,
     OFFSET,
     by_errors,
-    cosines_on_planes,
     directions,
 )
-from lvba.lidar.range_uncertainty import USUAL, Response, by_grazing
+from lvba.lidar.range_uncertainty import EVERYWHERE, USUAL, Response, by_grazing
 from tests.lidar.test_range_errors import AHEAD, AROUND, room
 
 
 @pytest.mark.parametrize("beams", [AHEAD, AROUND])
-def test_points_are_off_by_as_much_as_correcting_an_error_moves_them(beams):
-    """All points, along the normals of their planes."""
-    view = room(beams, {}, noise=0.01)
-    errors = dict(zip(beams.names, [0.004, 0.0002, 0.0003, -0.003][-len(beams.names) :], strict=True))
-    cosine = cosines_on_planes(view, beams)
-    points = view.scans.points.astype(float)
-    moved = sum(value * beams.shift(name, points, cosine) for name, value in errors.items())
-    pose = np.repeat(view.world_from_scan, np.diff(view.scans.offsets), axis=0)
-    normal = np.einsum("nji,nj->ni", pose[:, :3, :3], view.planes.normal[view.labels.plane])
-    off = np.einsum("ni,ni->n", moved, normal)
-    part = off / np.linalg.norm(points - beams.position, axis=1)
-    values = np.array(list(errors.values()))
-    response = range_uncertainty.response(view, beams, None)
-    assert 0.1 * len(points) < response.points < 0.2 * len(points)
-    expected = [np.sqrt(np.mean(part**2)), np.sqrt(np.mean(off**2))]
-    np.testing.assert_allclose(response.off(np.outer(values, values)), expected, rtol=0.05)
+def test_planes_and_scans_move_as_those_that_are_solved_for_anew(beams):
+    """Points moved by an error, against poses and planes of least squares with that error given."""
+    view = room(beams, {}, noise=0.002)
+    _, moved = scan_evidence.evidence_and_moved(view, by_errors(beams), len(beams.names))
+    planes, scans, size = len(view.planes.center), len(view.world_from_scan), len(beams.names)
+    rows = [scan_evidence.terms(view, scan, by_errors(beams)) for scan in range(scans)]
+    square, right = np.zeros((6 * scans + 3 * planes,) * 2), np.zeros((6 * scans + 3 * planes, size))
+    for scan, (plane, x, y, _) in enumerate(rows):
+        jacobian = np.zeros((len(plane), len(square)))
+        jacobian[:, 6 * scan : 6 * scan + 6] = x[:, :6]
+        for axis in range(3):
+            jacobian[np.arange(len(plane)), 6 * scans + 3 * plane + axis] = -y[:, axis]
+        square += jacobian.T @ jacobian
+        right -= jacobian.T @ x[:, 6:]
+    square[np.diag_indices(6 * scans)] += np.tile(scan_evidence.POSE_SIGMA**-2.0, scans)
+    square[np.diag_indices(len(square))] += np.r_[np.zeros(6 * scans), np.full(3 * planes, 1e-6)]
+    solved = np.linalg.solve(square, right)
+    np.testing.assert_allclose(moved.scans, solved[: 6 * scans].reshape(scans, 6, size), rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose(moved.planes, solved[6 * scans :: 3], rtol=1e-4, atol=1e-7)
 
 
-def test_responses_add_up_and_no_point_is_off_by_nothing():
-    one, none = Response(np.ones((2, 3, 3)), 4), range_uncertainty.none(3)
-    assert (one + none).off(np.eye(3)) == one.off(np.eye(3)) == (pytest.approx(np.sqrt(3 / 4)),) * 2
-    assert (one + one).off(np.eye(3)) == one.off(np.eye(3))
-    assert none.off(np.eye(3)) == (0.0, 0.0)
+def test_beams_that_go_too_high_put_a_level_camera_as_far_below_as_they_lower_the_floor():
+    """And nowhere else: walls stay where they are."""
+    view = room(AROUND, {}, noise=0.002, tilt=0.02)
+    _, moved = scan_evidence.evidence_and_moved(view, by_errors(AROUND), 3)
+    response = range_uncertainty.response(view, moved, EVERYWHERE)
+    wrong = 0.002 * (np.array(AROUND.names) == ELEVATION)
+    off = np.sqrt(np.diagonal(response.off(np.outer(wrong, wrong))))
+    level = np.abs(view.planes.normal[:, 2]) > 0.9
+    lowered = 0.002 * np.abs(moved.planes[level][:, AROUND.names.index(ELEVATION)])
+    assert lowered.min() > 2e-3
+    # walls that lean in are lowered less
+    assert 0.8 * lowered.min() < off[5] < lowered.max()
+    assert off[[3, 4]].max() < 0.2 * off[5]
+    assert off[:3].max() < 2e-4
+
+
+def test_a_camera_moves_with_the_planes_that_it_sees():
+    """Ranges that are too long put walls outward: a camera that looks at one of them, nearer to it by so much; one that
+    sees all around, nowhere."""
+    view = room(AROUND, {}, noise=0.002, tilt=0.02)
+    _, moved = scan_evidence.evidence_and_moved(view, by_errors(AROUND), 3)
+    wrong = 0.01 * (np.array(AROUND.names) == OFFSET)
+    ahead = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    sees = range_uncertainty.sight(ahead, math.radians(20))
+    assert sees.ahead == pytest.approx([1, 0, 0])
+    forward, around = (
+        np.sqrt(np.diagonal(range_uncertainty.response(view, moved, each).off(np.outer(wrong, wrong))))
+        for each in (sees, EVERYWHERE)
+    )
+    assert forward[3] == pytest.approx(0.01, rel=0.15)
+    assert around[3:5].max() < 0.003
+
+
+def test_responses_add_up_and_no_scan_is_off_by_nothing():
+    one = Response(np.eye(3), 0.01 * np.ones((3, 3)), 0.02 * np.ones((6, 3)), 1)
+    none = range_uncertainty.none(3)
+    for same in (one + none, one + one):
+        np.testing.assert_allclose(same.off(np.eye(3)), one.off(np.eye(3)), rtol=1e-9)
+    assert not none.off(np.eye(3)).any()
 
 
 def test_what_is_left_of_errors_is_their_posterior_about_the_correction():
@@ -88,22 +124,22 @@ def test_an_error_that_is_well_known_leaves_nothing_of_its_usual_size():
     assert np.sqrt(kept[0, 0]) == pytest.approx(0.02, rel=0.01)
 
 
-def test_planes_off_by_an_error_are_as_far_off_as_is_said():
+def test_cameras_off_by_an_error_are_as_far_off_as_is_said():
     """Of many rooms with an error each, by what is measured of it: the root mean square of what is left, over what is
     said of that."""
     rng, ratios = np.random.default_rng(3), []
     for seed in range(12):
-        error = {OFFSET: 0.01 * rng.normal()}
+        error = {ELEVATION: math.radians(0.2) * rng.normal()}
         view = room(AROUND, error, seed=seed, noise=0.02)
-        known = scan_evidence.evidence(view, by_errors(AROUND), 3)
+        known, moved = scan_evidence.evidence_and_moved(view, by_errors(AROUND), 3)
         none = np.zeros(3)
         moment = range_uncertainty.moment(
             range_uncertainty.usual(AROUND), known.change, known.covariance, none
         )
         truth = np.array([error.get(name, 0.0) for name in AROUND.names])
-        response = range_uncertainty.response(view, AROUND, None)
-        ratios.append(response.off(np.outer(truth, truth))[1] / response.off(moment)[1])
-    assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 1.5
+        response = range_uncertainty.response(view, moved, EVERYWHERE)
+        ratios.append(response.off(np.outer(truth, truth))[5, 5] / response.off(moment)[5, 5])
+    assert 0.5 < np.sqrt(np.mean(ratios)) < 1.5
 
 
 def test_errors_follow_ranges_that_are_too_long_at_grazing_angles(monkeypatch):

@@ -7,7 +7,8 @@ import pytest
 from scipy.stats import chi2, norm
 from test_trajectory_prior import moved, problem
 
-from lvba.visual import calibration_prior, trajectory_prior
+from lvba.optim.linear_solver import Covariance
+from lvba.visual import calibration_prior, planes_off, trajectory_prior
 from lvba.visual.calibration_prior import Evidence
 from lvba.visual.prior_config import PriorConfig
 from lvba.visual.states import Calibration
@@ -88,9 +89,9 @@ def test_errors_of_ranges_that_planes_share_leave_the_extrinsic_to_its_calibrati
     prior, _ = problem()
     extrinsic = Calibration.layout()["scan_from_camera"]
     said = Evidence(100 * CLAIMS, 100 * CLAIMS, np.zeros(SIZE))
-    off = (2 * float(np.radians(0.3)), 0.02)
+    off = np.diag(np.repeat(np.square([2 * float(np.radians(0.3)), 0.02]), 3))
     alone = trajectory_prior.weighed(prior, said).calibration
-    shared = trajectory_prior.weighed(replace(prior, range_errors=off), said).calibration
+    shared = trajectory_prior.weighed(replace(prior, planes_off=off), said).calibration
     wants = np.zeros(SIZE)
     wants[extrinsic] = 1.0
     for known, part in ((alone, 100 / 101), (shared, 0.2)):
@@ -100,21 +101,43 @@ def test_errors_of_ranges_that_planes_share_leave_the_extrinsic_to_its_calibrati
     assert shared.information[np.ix_(others, others)] == pytest.approx(CLAIMS[np.ix_(others, others)])
 
 
-def test_what_errors_of_ranges_make_images_say_is_in_the_variance_of_the_gradient():
-    """The covariance that comes of it is what a least-squares estimate has whose planes are off so much, together."""
+@pytest.mark.parametrize("strength", [0.1, 1.0, 30.0])
+def test_cameras_that_images_hold_move_with_planes_that_errors_of_ranges_move(strength):
+    """By a dense system: images say where cameras are on planes, which are all off the sensor by the same, so the
+    solution is off what it would be by the pull of that."""
     prior, state = problem()
-    state = replace(state, calibration=prior.calibration.reference)
-    said = Evidence(100 * CLAIMS, 0 * CLAIMS, np.zeros(SIZE))
-    off = (0.004, 0.03)
-    weighed = trajectory_prior.weighed(replace(prior, range_errors=off), said)
-    plain = trajectory_prior.gradient_variance(
-        replace(weighed, range_errors=(0.0, 0.0)), state
-    ).border.hessian
-    more = trajectory_prior.gradient_variance(weighed, state).border.hessian - plain
-    extrinsic = Calibration.layout()["scan_from_camera"]
-    planes = np.zeros((SIZE, SIZE))
-    planes[extrinsic, extrinsic] = np.diag(np.repeat(np.square(off), 3))
-    assert more == pytest.approx(said.information @ planes @ said.information)
+    factor = np.random.default_rng(5).normal(size=(3, 3, 40))
+    off = 1e-5 * factor[0] @ factor[0].T
+    moments = np.block([[off, 0.1 * off], [0.1 * off, 2 * off]])
+    prior = replace(prior, planes_off=moments)
+    cameras = len(state.cameras.world_from_camera)
+    equations = trajectory_prior.linearize(prior, state)
+    by_prior = equations.sparse().toarray()
+    images = np.zeros_like(by_prior)
+    for camera in range(cameras):
+        mine = slice(7 * camera, 7 * camera + 6)
+        images[mine, mine] = strength * by_prior[mine, mine] * np.random.default_rng(camera).uniform(0.5, 2)
+        images[mine.stop, mine.stop] = 1.0  # its exposure
+    inverse = np.linalg.inv(by_prior + images)
+    following = np.zeros((len(inverse), 6))
+    for axis in range(6):
+        following[np.arange(cameras) * 7 + axis, axis] = 1.0
+    moved = inverse @ images @ following
+    expected = moved @ moments @ moved.T
+
+    def blocks(matrix):
+        square = matrix[: 7 * cameras, : 7 * cameras].reshape(cameras, 7, cameras, 7)
+        corner = matrix[7 * cameras :, 7 * cameras :]
+        with_shared = matrix[: 7 * cameras, 7 * cameras :].reshape(cameras, 7, -1)
+        return Covariance(square[np.arange(cameras), :, np.arange(cameras)], with_shared, corner)
+
+    known = blocks(inverse)
+    more = planes_off.with_planes_off(known, known, prior, state.calibration)
+    for name in ("blocks", "with_shared", "shared"):
+        added = getattr(more, name) - getattr(known, name)
+        assert added == pytest.approx(getattr(blocks(expected), name), rel=5e-3, abs=1e-8)
+    by_calibration = planes_off.of_calibration(known.shared, prior, state.calibration)
+    assert by_calibration == pytest.approx(more.shared - known.shared, rel=1e-6, abs=1e-12)
 
 
 def seen(sigmas: float, information: np.ndarray, spread: np.ndarray) -> Evidence:
