@@ -44,8 +44,11 @@ _CONVERGED = 0.03
 _SUSPECT = 1e-2
 """How often the first look at a right sensor may ask for a closer one."""
 _CERTAIN_M = 2e-3
-"""And how far cameras may be off, along any axis, by what it leaves open. In rooms, beams 0.1 degrees too high put them
-6 mm off, at 1.6 standard deviations of the first look and 6 of the closer one."""
+"""And how far cameras may be off, along any axis, by what it leaves open; if more, a second look at more points follows.
+In rooms, beams 0.1 degrees too high put cameras 6 mm off, at 1.6 standard deviations of the first look and 6 of the
+closest."""
+_EVERY = 2
+"""Every so many points are enough for the second look."""
 
 
 def measure(
@@ -117,25 +120,33 @@ class _Measurement:
         intensity = np.concatenate(known) if self.beams.usual is not None else None
         shifts = range_errors.typical_shifts(self.beams, together, intensity) if scans else np.zeros(0)
         least = range_errors.LEAST_M / np.maximum(shifts, 1e-9)
-        total = self._total(probes, np.zeros(self.size))
+        errors = self._if_right(probes, least)
+        if errors is not None and np.diagonal(errors.planes_off)[3:].max() > _CERTAIN_M**2:
+            errors = self._if_right([window.every(_EVERY) for window in sampled()[:1]], least)
+        return self._closer(sampled(), least, together) if errors is None else errors
+
+    def _if_right(self, windows: list[Window], least: np.ndarray) -> RangeErrors | None:
+        """What the errors may be as these windows have it; None where they are no chance."""
+        self._forget()
+        total = self._total(windows, np.zeros(self.size))
         own = total.of(self.own)
         estimate, covariance = self._estimate(own)
         if not np.isfinite(covariance).all():
             return self._unknown(own)
         kept, _ = self._significant(estimate, covariance, least, _SUSPECT)
-        if not kept.any() and total.chance(self.others) > _SUSPECT:
-            errors = self._uncertain(self._errors(estimate, covariance, kept), estimate, covariance, own)
-            if np.diagonal(errors.planes_off)[3:].max() < _CERTAIN_M**2:
-                return errors
-        return self._closer(sampled(), least, together)
+        if kept.any() or total.chance(self.others) <= _SUSPECT:
+            return None
+        return self._uncertain(self._errors(estimate, covariance, kept), estimate, covariance, own)
+
+    def _forget(self) -> None:
+        """What is known of windows, before others are looked at."""
+        for known in (self.cosines, self.poses, self.depths, self.responses):
+            known.clear()
 
     def _closer(self, windows: list[Window], least: np.ndarray, points: np.ndarray) -> RangeErrors:
         errors = np.zeros(self.size)
         rounds = [errors]
-        self.cosines.clear()
-        self.poses.clear()
-        self.depths.clear()
-        self.responses.clear()
+        self._forget()
         for turn in range(_ROUNDS):
             self.progress("errors of ranges", turn, _ROUNDS)
             total = self._total(windows, errors)

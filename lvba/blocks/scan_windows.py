@@ -81,6 +81,15 @@ class Window:
         known = [scan.intensity for scan in self.scans if scan.intensity is not None]
         return np.concatenate(known) if known and len(known) == len(self.scans) else None
 
+    def every(self, step: int) -> "Window":
+        """The window with each step-th point of every scan."""
+
+        def thinned(scan: Scan) -> Scan:
+            intensity, time = (None if each is None else each[::step] for each in (scan.intensity, scan.time))
+            return Scan(np.ascontiguousarray(scan.points[::step]), intensity, time)
+
+        return replace(self, scans=[thinned(scan) for scan in self.scans])
+
     def corrected(self, ranges: RangeErrors | None) -> "Window":
         """The window with its points where they belong."""
         if ranges is None or not ranges.corrected:
