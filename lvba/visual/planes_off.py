@@ -6,7 +6,6 @@ too high lowered the floor by 6 mm about every scan, and all cameras with it.
 
 import numpy as np
 
-from lvba.optim import linear_solver
 from lvba.optim.linear_solver import Covariance
 from lvba.visual.states import Calibration
 from lvba.visual.trajectory_prior import Prior
@@ -25,28 +24,25 @@ def with_planes_off(
     where they were. Were it to count for nothing, all would move as the planes do, whatever they are held by.
     """
     blocks = np.eye(plain.blocks.shape[1], 6) - plain.with_shared @ _kept(prior, calibration)
-    moved = _of_calibration(plain.shared, prior, calibration)
-    return linear_solver.with_errors(known, blocks @ _root(prior.planes_off), moved)
+    moved, moments = _of_calibration(plain.shared, prior, calibration), prior.planes_off
+    return Covariance(
+        known.blocks + blocks @ moments @ np.swapaxes(blocks, 1, 2),
+        known.with_shared + blocks @ moments @ moved.T,
+        known.shared + moved @ moments @ moved.T,
+    )
 
 
 def of_calibration(plain: np.ndarray, prior: Prior, calibration: Calibration) -> np.ndarray:
     """(k, k): what the covariance of the calibration has of it. plain: (k, k) float64, as of `with_planes_off`"""
     moved = _of_calibration(plain, prior, calibration)
-    return np.asarray(moved @ moved.T)
+    return np.asarray(moved @ prior.planes_off @ moved.T)
 
 
 def _of_calibration(plain: np.ndarray, prior: Prior, calibration: Calibration) -> np.ndarray:
-    """(k, 6): how far it moves by one standard deviation along each axis of the moments."""
-    moved = np.eye(len(plain))[:, _EXTRINSIC] - plain @ _kept(prior, calibration)
-    return np.asarray(moved @ _root(prior.planes_off))
+    """(k, 6): how far it moves by a unit of each number of the planes."""
+    return np.asarray(np.eye(len(plain))[:, _EXTRINSIC] - plain @ _kept(prior, calibration))
 
 
 def _kept(prior: Prior, calibration: Calibration) -> np.ndarray:
     """(k, 6): what the calibration itself says of the extrinsic, in its steps."""
     return prior.calibration.hessian(calibration)[:, _EXTRINSIC]
-
-
-def _root(moments: np.ndarray) -> np.ndarray:
-    """(6, 6), whose product with its transpose the moments (6, 6) are."""
-    values, axes = np.linalg.eigh(moments)
-    return np.asarray(axes * np.sqrt(np.maximum(values, 0.0)))
