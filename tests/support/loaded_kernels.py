@@ -7,8 +7,10 @@ continue: it begins in those that are forked.
 import contextlib
 import ctypes
 import importlib
+import json
 import os
 import pkgutil
+from pathlib import Path
 
 from numba.core.registry import CPUDispatcher
 from numba.np.ufunc import omppool, parallel
@@ -21,10 +23,13 @@ _later = _BEGIN(lambda threads: None)
 
 
 def load():
+    """Those that Python calls: one that only kernels call has been compiled into each of these, in another way than by
+    itself, and where it is loaded first, they call it instead, with other roundings."""
+    called = {name for name, _ in json.loads((Path(kernels.__file__).parent / "signatures.json").read_text())}
     omppool.launch_threads = ctypes.cast(_later, ctypes.c_void_p).value
     for found in pkgutil.iter_modules(kernels.__path__):
         for value in list(vars(importlib.import_module(f"{kernels.__name__}.{found.name}")).values()):
-            if isinstance(value, CPUDispatcher):
+            if isinstance(value, CPUDispatcher) and f"{found.name}.{value.__name__}" in called:
                 _load(value)
     os.register_at_fork(after_in_child=lambda: _begin(parallel.NUM_THREADS))
 
