@@ -31,6 +31,11 @@ class Scan:
     def __len__(self) -> int:
         return len(self.points)
 
+    def of_points(self, kept: np.ndarray) -> "Scan":
+        """The scan of some of its points. kept: (n,) int64, their numbers, or (N,) bool"""
+        intensity, time = (None if each is None else each[kept] for each in (self.intensity, self.time))
+        return replace(self, points=self.points[kept], intensity=intensity, time=time)
+
 
 @dataclass(frozen=True)
 class RigCamera:

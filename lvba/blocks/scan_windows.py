@@ -83,12 +83,7 @@ class Window:
 
     def every(self, step: int) -> "Window":
         """The window with each step-th point of every scan."""
-
-        def thinned(scan: Scan) -> Scan:
-            intensity, time = (None if each is None else each[::step] for each in (scan.intensity, scan.time))
-            return Scan(np.ascontiguousarray(scan.points[::step]), intensity, time)
-
-        return replace(self, scans=[thinned(scan) for scan in self.scans])
+        return replace(self, scans=[scan.of_points(np.arange(0, len(scan), step)) for scan in self.scans])
 
     def corrected(self, ranges: RangeErrors | None) -> "Window":
         """The window with its points where they belong."""
@@ -170,8 +165,6 @@ def _thinned(dataset: Dataset, numbers: list[int], most: int) -> list[Scan]:
         scan = recordings.load_scan(dataset, number)
         if len(scan) <= most:
             return scan
-        kept = np.sort(np.random.default_rng(number).permutation(len(scan))[:most])
-        intensity, time = (None if each is None else each[kept] for each in (scan.intensity, scan.time))
-        return Scan(scan.points[kept], intensity, time)
+        return scan.of_points(np.sort(np.random.default_rng(number).permutation(len(scan))[:most]))
 
     return list(in_order(load, numbers))

@@ -1,6 +1,7 @@
 """Points without a usable position are dropped where files are read, so that nobody else has to look."""
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,9 +53,4 @@ def _kept(path: str | Path, scan: Scan, good: np.ndarray) -> Scan:
             "remove the file",
         )
     logger.info("%s: left out %d points without a finite position, or at the sensor's own", path, dropped)
-    return Scan(
-        scan.points[good],
-        None if scan.intensity is None else scan.intensity[good],
-        None if scan.time is None else scan.time[good],
-        scan.dropped + dropped,
-    )
+    return replace(scan.of_points(good), dropped=scan.dropped + dropped)

@@ -25,9 +25,9 @@ class ScanErrors:
         return any(each is not None and each.corrected for each in (self.ranges, self.motion))
 
     @property
-    def planes_off(self) -> np.ndarray:
-        """(6, 6) float64, as `RangeErrors.planes_off`."""
-        return np.zeros((6, 6)) if self.ranges is None else self.ranges.planes_off
+    def planes_off(self) -> np.ndarray | None:
+        """(6, 6) float64, as `RangeErrors.planes_off`; None: not known."""
+        return None if self.ranges is None else self.ranges.planes_off
 
     def own_covariance(self, scans: Indices) -> np.ndarray:
         """(n, 6, 6) float64, local tangent, rad and m: what the motion taken out of some scans (n,) int64 adds to that of

@@ -354,20 +354,23 @@ def with_errors_of_shared(
     index = index[np.diagonal(plain.shared)[index] > 0]
     own = np.ix_(index, index)
     values, axes = np.linalg.eigh(more[own])
-    by_errors = np.linalg.solve(plain.shared[own], axes * np.sqrt(np.maximum(values, 0.0)))
-    return with_errors(known, plain.with_shared[..., index] @ by_errors, plain.shared[:, index] @ by_errors)
+    errors = (axes * np.maximum(values, 0.0)) @ axes.T
+    by_errors = np.linalg.inv(plain.shared[own])
+    return with_errors(
+        known, plain.with_shared[..., index] @ by_errors, plain.shared[:, index] @ by_errors, errors
+    )
 
 
-def with_errors(known: Covariance, blocks: np.ndarray, shared: np.ndarray) -> Covariance:
-    """The covariance, with m errors that it does not have, independent of each other.
+def with_errors(known: Covariance, blocks: np.ndarray, shared: np.ndarray, moments: np.ndarray) -> Covariance:
+    """The covariance, with m errors that it does not have.
 
-    blocks: (B, b, m) float64, how far the blocks of unknowns move by one standard deviation of each; shared: (k, m)
-        float64, how far the shared parameters do
+    blocks: (B, b, m) float64, how far the blocks of unknowns move by a unit of each; shared: (k, m) float64, how far the
+        shared parameters do; moments: (m, m) float64, second moments of the errors
     """
     return Covariance(
-        known.blocks + blocks @ np.swapaxes(blocks, 1, 2),
-        known.with_shared + blocks @ shared.T,
-        known.shared + shared @ shared.T,
+        known.blocks + blocks @ moments @ np.swapaxes(blocks, 1, 2),
+        known.with_shared + blocks @ moments @ shared.T,
+        known.shared + shared @ moments @ shared.T,
     )
 
 

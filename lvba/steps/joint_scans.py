@@ -283,7 +283,7 @@ def finish_scans(
         result,
         rough_error=rough_poses.of_all(errors),
         confirmed=confirmed,
-        planes_off=np.zeros((6, 6)) if scan_errors is None else scan_errors.planes_off,
+        planes_off=None if scan_errors is None else scan_errors.planes_off,
     )
     return JointScans(stage, merged.merged, state.history)
 

@@ -78,7 +78,7 @@ def solve_lidar(
         if begin is None
         else begin.judged(surfels, rough, poses, result.odometry_dependence),
         confirmed=_confirmed(surfels, dataset.scans, Trajectory(dataset.scans.times, poses)),
-        planes_off=np.zeros((6, 6)) if errors is None else errors.planes_off,
+        planes_off=None if errors is None else errors.planes_off,
     )
 
 

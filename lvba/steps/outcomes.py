@@ -24,14 +24,15 @@ class LidarStage:
 
     rough_error: of rough poses that were too far off to start from; None: they were not
     confirmed: (K,) int64, scans after which the motion is not as before and after, but surfaces confirm the refined one
-    planes_off: (6, 6) float64, by errors of ranges that stay in the points, as `RangeErrors.planes_off`
+    planes_off: (6, 6) float64, by errors of ranges that stay in the points, as `RangeErrors.planes_off`; None: not
+        known
     """
 
     result: LidarResult | None
     problem: str = ""
     rough_error: RoughError | None = None
     confirmed: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
-    planes_off: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
+    planes_off: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -364,7 +364,7 @@ def covariance_of(solution: LevelSolution) -> tuple[Covariance, np.ndarray]:
         free=solution.free, gradients=gradients,
     )  # fmt: skip
     own = _sandwich_of_calibration(solved, prior, total)
-    known = replace(poses, shared=own)
+    known = with_held = replace(poses, shared=own)
     if prior is not None:
         # balanced gradients predict too small errors of the camera, which turns all images: on a road, 0.2 px for a
         # principal point that was 0.6 px off, where those of each image by itself say 0.8
@@ -376,41 +376,37 @@ def covariance_of(solution: LevelSolution) -> tuple[Covariance, np.ndarray]:
             problem, at.photometric, linearization.sums, but_fixed, at.visual
         )
         known = planes_off.with_planes_off(replace(poses, shared=own), plain, prior, at.calibration)
-    with_held = _with_held(known, solved, total, solution.fixed)
+        with_held = _with_held(known, plain.shared, solved, total, solution.fixed)
     shared = fixed_calibration.indices(_OF_ALL_IMAGES) if prior is not None else np.zeros(0, np.int64)
     return with_held, (poses.given(shared) + with_held.blocks - known.blocks)[:, :6, :6]
 
 
 def _with_held(
-    known: Covariance, solved: _Turn, total: NormalEquations, fixed: tuple[str, ...]
+    known: Covariance, plain: np.ndarray, solved: _Turn, total: NormalEquations, fixed: tuple[str, ...]
 ) -> Covariance:
     """The covariance, with how far all would move were the parameters free that are held, where that is no chance."""
-    step = linear_solver.solve_step(total, 0.0, solved.free) if fixed and total.shared else None
+    step = linear_solver.solve_step(total, 0.0, solved.free) if fixed else None
     if step is None:
         return known
     fraction = fixed_calibration.significant_fraction(
-        step.shared, _precision(known.shared, solved, total), fixed
+        step.shared, _precision(known.shared, plain, solved), fixed
     )
-    size = np.sqrt(fraction)
-    return linear_solver.with_errors(known, size * step.blocks[..., None], size * step.shared[:, None])
-
-
-def _precision(
-    covariance_of_calibration: np.ndarray, solved: _Turn, total: NormalEquations
-) -> fixed_calibration.Precision:
-    return fixed_calibration.Precision(
-        covariance=covariance_of_calibration,
-        plain=linear_solver.shared_covariance(total, solved.free),
-        per_pixel=noise.per_pixel(solved.problem.information, solved.linearization.sums),
+    return linear_solver.with_errors(
+        known, step.blocks[..., None], step.shared[:, None], np.array([[fraction]])
     )
 
 
-def _covariance_of_calibration(solved: _Turn, prior: Prior | None, total: NormalEquations) -> np.ndarray:
-    """(k, k), with errors of ranges that all planes have in common; total: `joint`, at this state."""
+def _precision(calibration: np.ndarray, plain: np.ndarray, solved: _Turn) -> fixed_calibration.Precision:
+    """calibration: (k, k), its covariance; plain: (k, k), the same as the information has it"""
+    per_pixel = noise.per_pixel(solved.problem.information, solved.linearization.sums)
+    return fixed_calibration.Precision(covariance=calibration, plain=plain, per_pixel=per_pixel)
+
+
+def _covariance_of_calibration(
+    plain: np.ndarray, solved: _Turn, prior: Prior, total: NormalEquations
+) -> np.ndarray:
+    """(k, k), with errors of ranges that all planes have in common; plain: as of `_precision`; total: `joint`"""
     own = _sandwich_of_calibration(solved, prior, total)
-    if prior is None:
-        return own
-    plain = linear_solver.shared_covariance(total, solved.free)
     return np.asarray(own + planes_off.of_calibration(plain, prior, solved.at.calibration))
 
 
@@ -429,7 +425,8 @@ def _fixed(solved: _Turn, prior: Prior) -> tuple[str, ...]:
     """The parameters of the calibration that the images do not call to correct."""
     linearization, calibration = solved.linearization, solved.at.calibration
     total = joint(linearization.equations, prior, solved.at.visual)
-    known = _precision(_covariance_of_calibration(solved, prior, total), solved, total)
+    plain = linear_solver.shared_covariance(total, solved.free)
+    known = _precision(_covariance_of_calibration(plain, solved, prior, total), plain, solved)
     return fixed_calibration.insignificant(calibration.deviation(prior.calibration.reference), known)
 
 
@@ -442,7 +439,8 @@ def _with_clock(solved: _Turn, prior: Prior) -> tuple[Prior, _State]:
     if step is None:
         return prior, at
     column = Calibration.layout()["clock_rate"].start
-    variance = _covariance_of_calibration(solved, asked, total)[column, column]
+    plain = linear_solver.shared_covariance(total, solved.free)
+    variance = _covariance_of_calibration(plain, solved, asked, total)[column, column]
     rate = at.calibration.clock_rate + step.shared[column]
     drifting = fixed_calibration.beyond_chance(rate, float(np.sqrt(variance)))
     if not drifting:

@@ -6,6 +6,7 @@ too high lowered the floor by 6 mm about every scan, and all cameras with it.
 
 import numpy as np
 
+from lvba.optim import linear_solver
 from lvba.optim.linear_solver import Covariance
 from lvba.visual.states import Calibration
 from lvba.visual.trajectory_prior import Prior
@@ -24,12 +25,8 @@ def with_planes_off(
     where they were. Were it to count for nothing, all would move as the planes do, whatever they are held by.
     """
     blocks = np.eye(plain.blocks.shape[1], 6) - plain.with_shared @ _kept(prior, calibration)
-    moved, moments = _of_calibration(plain.shared, prior, calibration), prior.planes_off
-    return Covariance(
-        known.blocks + blocks @ moments @ np.swapaxes(blocks, 1, 2),
-        known.with_shared + blocks @ moments @ moved.T,
-        known.shared + moved @ moments @ moved.T,
-    )
+    moved = _of_calibration(plain.shared, prior, calibration)
+    return linear_solver.with_errors(known, blocks, moved, prior.planes_off)
 
 
 def of_calibration(plain: np.ndarray, prior: Prior, calibration: Calibration) -> np.ndarray:

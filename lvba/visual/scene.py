@@ -1,7 +1,7 @@
 """What the visual bundle adjustment works on, and what all its levels share."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -44,7 +44,7 @@ class Inputs:
     planes: Planes
     plane_points: PlanePoints
     scan_covariance: Covariance | None = None
-    planes_off: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
+    planes_off: np.ndarray | None = None
     camera: Camera | None = None
     colors: Callable[[int], Images] | None = None
     smaller_colors: white_balance.SmallerColors | None = None

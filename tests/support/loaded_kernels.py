@@ -7,15 +7,14 @@ continue: it begins in those that are forked.
 import contextlib
 import ctypes
 import importlib
-import json
 import os
 import pkgutil
-from pathlib import Path
 
 from numba.core.registry import CPUDispatcher
 from numba.np.ufunc import omppool, parallel
 
 from lvba import kernels
+from service.cli import kernel_signatures
 
 _BEGIN = ctypes.CFUNCTYPE(None, ctypes.c_int)
 _begin = _BEGIN(omppool.launch_threads)
@@ -25,7 +24,7 @@ _later = _BEGIN(lambda threads: None)
 def load():
     """Those that Python calls: one that only kernels call has been compiled into each of these, in another way than by
     itself, and where it is loaded first, they call it instead, with other roundings."""
-    called = {name for name, _ in json.loads((Path(kernels.__file__).parent / "signatures.json").read_text())}
+    called = {signature.name for signature in kernel_signatures.read()}
     omppool.launch_threads = ctypes.cast(_later, ctypes.c_void_p).value
     for found in pkgutil.iter_modules(kernels.__path__):
         for value in list(vars(importlib.import_module(f"{kernels.__name__}.{found.name}")).values()):
