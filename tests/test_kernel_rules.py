@@ -1,6 +1,7 @@
 """What keeps kernels such that one may change them: two decorators, one layout of poses, names instead of positions."""
 
 import ast
+import json
 import re
 from pathlib import Path
 
@@ -115,6 +116,42 @@ def test_fields_of_kernel_arguments_are_described():
                     if not re.search(rf"\b{name}\b", described)
                 ]
     assert missing == []
+
+
+def called_kernels(path):
+    """The names, with their modules, of the functions of kernel modules that a file calls."""
+    of_modules, by_themselves = {}, {}
+    for node in ast.walk(tree(path)):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("lvba.kernels"):
+            known = of_modules if node.module == "lvba.kernels" else by_themselves
+            inside = node.module.removeprefix("lvba.kernels").removeprefix(".")
+            known |= {
+                alias.asname or alias.name: f"{inside}.{alias.name}".lstrip(".") for alias in node.names
+            }
+    if path in KERNELS:
+        by_themselves |= {function.name: f"{path.stem}.{function.name}" for function in functions(path)}
+    for node in ast.walk(tree(path)):
+        match node:
+            case ast.Call(func=ast.Name(id=name)) if name in by_themselves:
+                yield by_themselves[name]
+            case ast.Call(func=ast.Attribute(value=ast.Name(id=module), attr=name)) if module in of_modules:
+                yield f"{of_modules[module]}.{name}"
+
+
+def test_kernels_that_python_calls_are_called_by_no_other():
+    """A kernel holds a copy of those that it calls. Where one of these was loaded before, as Python called it, that is
+    taken instead, with other roundings: results would depend on the order of calls. Whole numbers have none."""
+    kernels = {f"{path.stem}.{function.name}" for path in KERNELS for function in functions(path)}
+    from_python = {
+        name for path in LVBA.rglob("*.py") if path not in KERNELS for name in called_kernels(path)
+    }
+    from_kernels = {name for path in KERNELS for name in called_kernels(path)}
+    assert len(from_python & kernels) > 60
+    assert len(from_kernels & kernels) > 100
+    both = from_python & from_kernels & kernels
+    arguments = dict(json.loads((LVBA / "kernels" / "signatures.json").read_text()))
+    rounding = {name for name in both if any("float" in str(each) for each in arguments[name])}
+    assert rounding == set()
 
 
 def test_there_is_one_tolerance_of_occlusion():

@@ -10,12 +10,13 @@ _FEWEST_HEAPS = 2
 
 
 def limit_blas() -> None:
-    """BLAS gets one thread. Must come before numpy is imported.
+    """BLAS gets one thread, whatever the environment says. Must come before numpy is imported.
 
-    Its threads beside numba's slow both down many times, and with several of them sums depend on how many there are.
+    Its threads beside numba's slow both down many times, and with several of them sums depend on how many there are:
+    a recording would have other results where a shell sets `OMP_NUM_THREADS`.
     """
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
+        os.environ[name] = "1"
 
 
 def limit_threads(threads: int | None) -> None:

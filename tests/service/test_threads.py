@@ -68,8 +68,11 @@ print(json.dumps([each["num_threads"] for each in threadpool_info() if each["use
         ("demo", "import service.system.threads as threads; threads.limit_threads(None)"),
     ],
 )
-def test_commands_give_blas_one_thread(module, call):
-    told = {name: value for name, value in os.environ.items() if not name.endswith("NUM_THREADS")}
+@pytest.mark.parametrize("of_the_user", [{}, {"OPENBLAS_NUM_THREADS": "2", "OMP_NUM_THREADS": "3"}])
+def test_commands_give_blas_one_thread(module, call, of_the_user):
+    told = {
+        name: value for name, value in os.environ.items() if not name.endswith("NUM_THREADS")
+    } | of_the_user
     script = _LIBRARIES.format(module=module, call=call)
     run = subprocess.run([sys.executable, "-c", script], env=told, capture_output=True, text=True, check=True)
     threads = json.loads(run.stdout.splitlines()[-1])
