@@ -44,9 +44,9 @@ _CONVERGED = 0.03
 _SUSPECT = 1e-2
 """How often the first look at a right sensor may ask for a closer one."""
 _CERTAIN_M = 2e-3
-"""And how far cameras may be off, along any axis, by what it leaves open; if more, a second look at more points follows.
-In rooms, beams 0.1 degrees too high put cameras 6 mm off, at 1.6 standard deviations of the first look and 6 of the
-closest."""
+"""And how far cameras, along any axis, or the scans of the whole recording may be off by what it leaves open; if more, a
+second look at more points follows. In rooms, beams 0.1 degrees too high put cameras 6 mm off, at 1.6 standard deviations
+of the first look and 6 of the closest. On a street, which bends by such errors, the first look leaves 10 mm open."""
 _EVERY = 2
 """Every so many points are enough for the second look."""
 
@@ -75,6 +75,11 @@ def _alike(part: float, off: float) -> np.ndarray:
     """(6, 6): as `RangeErrors.planes_off`, of planes that are off alike along and about all axes, by a part of the range
     and by so many m."""
     return np.diag(np.repeat(np.square([part, off]), 3))
+
+
+def _leaves_open(errors: RangeErrors) -> bool:
+    """Whether cameras or scans may be further off by what is not known of errors than is certain enough."""
+    return max(float(np.diagonal(errors.planes_off)[3:].max()), errors.poses_off[1] ** 2) > _CERTAIN_M**2
 
 
 def _usual_brightness(probes: list[Window], beams: Beams) -> float | None:
@@ -121,7 +126,7 @@ class _Measurement:
         shifts = range_errors.typical_shifts(self.beams, together, intensity) if scans else np.zeros(0)
         least = range_errors.LEAST_M / np.maximum(shifts, 1e-9)
         errors = self._if_right(probes, least)
-        if errors is not None and np.diagonal(errors.planes_off)[3:].max() > _CERTAIN_M**2:
+        if errors is not None and _leaves_open(errors):
             errors = self._if_right([window.every(_EVERY) for window in sampled()[:1]], least)
         return self._closer(sampled(), least, together) if errors is None else errors
 

@@ -93,6 +93,29 @@ def with_jumps(prior: OdometryPrior, jumps: Indices, world_from_scan: Poses) -> 
     return replace(prior, previous_from_next=steps, information=information, jumps=np.asarray(jumps))
 
 
+def with_motions(
+    prior: OdometryPrior,
+    steps: Indices,
+    world_from_scan: Poses,
+    sigma_rotation: float,
+    sigma_translation: float,
+) -> OdometryPrior:
+    """The prior with some steps (K,) int64 as poses (S, 4, 4) have them, with standard deviations (rad, m) of their own.
+
+    Two kinds of steps err by different amounts: the fewer ones say nothing of the others.
+    """
+    if not len(steps):
+        return prior
+    motions, information = prior.previous_from_next.copy(), prior.information.copy()
+    motions[steps] = geometry.inverse(world_from_scan[steps]) @ world_from_scan[steps + 1]
+    information[steps] = np.diag(np.repeat([sigma_rotation, sigma_translation], 3) ** -2.0)
+    others = np.setdiff1d(np.arange(len(motions)), steps)
+    fewer = steps if len(steps) < len(others) else others
+    return replace(
+        prior, previous_from_next=motions, information=information, jumps=np.union1d(prior.jumps, fewer)
+    )
+
+
 def with_pauses(prior: OdometryPrior, times: Times) -> OdometryPrior:
     """The prior of scans at times (S,) s with steps that take much longer than usual as uncertain as the odometry may
     drift in so long a time; as it is where there is none."""

@@ -7,7 +7,7 @@ scans are solved, registered to each other wherever they see the same place, and
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from lvba.arrays import Indices, Poses, Vector
 from lvba.errors import DegenerateProblemError
 from lvba.lidar import bundle_adjustment
 from lvba.lidar.config import LidarConfig
-from lvba.lidar.odometry_factor import JUMP, OdometryPrior, odometry_prior, with_jumps
+from lvba.lidar.odometry_factor import JUMP, OdometryPrior, odometry_prior, with_jumps, with_motions
 from lvba.loop_closure import candidates, registration, rough_motions, scan_steps, submap
 from lvba.loop_closure.candidates import CandidateConfig
 from lvba.loop_closure.scan_steps import Step
@@ -51,6 +51,9 @@ _CANDIDATES = CandidateConfig(drift=0.03, drift_deg=2.0, least_m=0.8, least_deg=
 """Groups are registered where they may be off by more than an odometry would be: so is what is mended here."""
 
 
+_STEPS = ("wrong_after", "open_after", "left_after", "by_images")
+
+
 @dataclass(frozen=True)
 class RoughError:
     """How far rough poses are off that a bundle adjustment could not start from, and what is left of it.
@@ -60,6 +63,7 @@ class RoughError:
     open_after: (K,) int64, of these, and of all where every motion is off by decimeters, where surfaces neither determine
         it in every direction nor confirm that of the result
     left_after: (L,) int64, scans after which the result contradicts what both scans see
+    by_images: (M,) int64, scans after which the motion that the bundle adjustment begins with is that of the images
     """
 
     step_m: float
@@ -67,13 +71,18 @@ class RoughError:
     wrong_after: np.ndarray
     open_after: np.ndarray
     left_after: np.ndarray
+    by_images: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @staticmethod
     def of_jumps(config: LidarConfig) -> "RoughError":
         """Of poses whose motions are as good as the settings let expect, but for jumps that are not known yet."""
         none = np.zeros(0, np.int64)
         return RoughError(
-            config.prior_translation, float(np.degrees(config.prior_rotation)), none, none, none
+            step_m=config.prior_translation,
+            step_deg=float(np.degrees(config.prior_rotation)),
+            wrong_after=none,
+            open_after=none,
+            left_after=none,
         )
 
     def with_open(self, after: Indices) -> "RoughError":
@@ -86,7 +95,7 @@ class RoughError:
 
     def numbered(self, scans: np.ndarray) -> "RoughError":
         """The same with numbers of the whole. scans: (n,) int64, number of each scan in the whole"""
-        after = {name: scans[getattr(self, name)] for name in ("wrong_after", "open_after", "left_after")}
+        after = {name: scans[getattr(self, name)] for name in _STEPS}
         return replace(self, **after)
 
 
@@ -94,10 +103,7 @@ def of_all(errors: Sequence[RoughError]) -> RoughError | None:
     """Of a recording whose parts have these; None: they have none."""
     if not errors:
         return None
-    together = {
-        name: np.unique(np.concatenate([getattr(each, name) for each in errors]))
-        for name in ("wrong_after", "open_after", "left_after")
-    }
+    together = {name: np.unique(np.concatenate([getattr(each, name) for each in errors])) for name in _STEPS}
     return RoughError(
         step_m=max(each.step_m for each in errors), step_deg=max(each.step_deg for each in errors), **together
     )
@@ -148,13 +154,17 @@ def odometry_of(
     """What rough poses (S, 4, 4) still say of the motions from scan to scan.
 
     error: None: as much as the settings let expect; else their steps are as good as they proved to be, and those that are
-        wrong are as poses (S, 4, 4) have them that came of surfaces, and say next to nothing
+        wrong are as poses (S, 4, 4) have them that came of surfaces, and say next to nothing; those of images are as
+        these poses have them, too, and as good as the settings let expect
     """
     if error is None:
         return odometry_prior(rough, config.prior_rotation, config.prior_translation)
     rotation = max(config.prior_rotation, float(np.radians(error.step_deg)))
     prior = odometry_prior(rough, rotation, max(config.prior_translation, error.step_m))
-    return with_jumps(prior, error.wrong_after, world_from_scan)
+    prior = with_jumps(prior, error.wrong_after, world_from_scan)
+    return with_motions(
+        prior, error.by_images, world_from_scan, config.prior_rotation, config.prior_translation
+    )
 
 
 def thinned(points: np.ndarray, number: int) -> np.ndarray:

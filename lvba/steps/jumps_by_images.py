@@ -6,26 +6,18 @@ have seen both. Between jumps, poses are as good as an odometry's: a few scans s
 
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 
 from lvba import geometry, trajectory
-from lvba.arrays import Indices, Pose, Poses
-from lvba.camera import Camera
+from lvba.arrays import Indices, Poses
 from lvba.dataset import Dataset
-from lvba.io import dataset as recordings
 from lvba.loop_closure.submap import Patch
+from lvba.steps import features_on_scans
 from lvba.trajectory import Trajectory
-from lvba.visual import image, image_groups, relocalization
-from lvba.visual.relocalization import Matcher
+from lvba.visual import image_groups
 
 _SCANS = 6
 """Scans of the same run, the nearest in time, whose surfels an image may see."""
-_CELLS = 16
-"""Across the image: what is behind the nearest surfel of a cell is hidden ..."""
-_BEHIND, _BEHIND_M = 1.3, 0.1
-"""... where it is so many times as far away, and so many meters more."""
-_LEAST_DEPTH_M = 0.2
 _BESIDE = 0.2
 """Of the time from a scan to the next: an image so near to one is where its motion leads, on whichever side of a jump."""
 LEAST_M, LEAST_DEG = 0.1, 1.5
@@ -48,9 +40,13 @@ def mended(
     if np.count_nonzero(np.bincount(of_run) > 1) < 2:
         return world_from_scan, np.zeros(0, np.int64)
     cameras = _cameras(dataset, world_from_scan, run, numbers, of_run)
-    together = image_groups.put_together(
-        _matcher(dataset, patches, world_from_scan, run, numbers, of_run, cameras), cameras, of_run
-    )
+
+    def scans_of(index: int) -> np.ndarray:
+        own = np.flatnonzero(run == of_run[index])
+        return features_on_scans.nearest_scans(dataset, numbers[index], own, _SCANS)
+
+    matcher = features_on_scans.matcher(dataset, patches, world_from_scan, numbers, cameras, scans_of)
+    together = image_groups.put_together(matcher, cameras, of_run)
     if together is None:
         return world_from_scan, np.zeros(0, np.int64)
     motion, joined = _of_runs(*together, cameras, of_run, run[-1] + 1)
@@ -110,54 +106,3 @@ def _cameras(
             speed = geometry.log(geometry.steps(path.world_from_sensor[last]))[0] / np.diff(path.times[last])
             poses[mine] = geometry.retract(poses[mine], past[:, None] * speed)
     return np.asarray(poses @ geometry.inverse(dataset.camera_from_scan))
-
-
-def _matcher(
-    dataset: Dataset,
-    patches: Sequence[Patch | None],
-    world_from_scan: Poses,
-    run: np.ndarray,
-    numbers: Indices,
-    of_run: np.ndarray,
-    cameras: Poses,
-) -> Matcher:
-    """Of some images (I,), whose planes are the surfels of scans (S) of the same run, as cameras (I, 4, 4) see them."""
-    pinhole = image.measuring_camera(dataset.camera)
-    small, undistort = relocalization.at_features_size(pinhole), image.Undistorter(dataset.camera, pinhole)
-    size = small.width, small.height
-
-    def look(index: int) -> np.ndarray:
-        grey = cv2.cvtColor(recordings.load_image(dataset, int(numbers[index])), cv2.COLOR_RGB2GRAY)
-        return cv2.resize(undistort(grey), size, interpolation=cv2.INTER_AREA)[..., None]
-
-    def planes(index: int, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
-        scans = np.flatnonzero(run == of_run[index])
-        off = np.abs(dataset.scans.times[scans] - dataset.images.times[numbers[index]])
-        camera_from_world = geometry.inverse(cameras[index])
-        near = [
-            patch.moved(camera_from_world @ world_from_scan[scan])
-            for scan in scans[np.argsort(off, kind="stable")[:_SCANS]]
-            if (patch := patches[scan]) is not None
-        ]
-        if not near:
-            return np.zeros((0, 3)), np.zeros((0, 3))
-        center, normal = (
-            np.concatenate([getattr(each, name) for each in near]) for name in ("center", "normal")
-        )
-        seen = _seen(center, small)
-        return geometry.transform_points(pose, center[seen]), normal[seen] @ pose[:3, :3].T
-
-    return Matcher(planes, small, look)
-
-
-def _seen(center: np.ndarray, camera: Camera) -> np.ndarray:
-    """Which surfels (N, 3), m, camera frame, are in the image and behind no other, (n,) int64."""
-    front = np.flatnonzero(center[:, 2] > _LEAST_DEPTH_M)
-    pixel = center[front, :2] / center[front, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
-    inside = ((pixel > 0) & (pixel < [camera.width, camera.height])).all(axis=1)
-    front, pixel = front[inside], pixel[inside]
-    column, row = (pixel * _CELLS / camera.width).astype(np.int64).T
-    cell, depth = row * _CELLS + column, center[front, 2]
-    nearest = np.full(cell.max(initial=0) + 1, np.inf)
-    np.minimum.at(nearest, cell, depth)
-    return np.asarray(front[depth < _BEHIND * nearest[cell] + _BEHIND_M])

@@ -30,9 +30,13 @@ from lvba.loop_closure.rough_poses import RoughError, StartPoses
 from lvba.loop_closure.submap import Patch
 from lvba.products.cloud import Cloud, assemble
 from lvba.progress import Progress, silent
-from lvba.steps import jumps_by_images, trajectory_jumps
+from lvba.steps import jumps_by_images, motions_by_images, trajectory_jumps
+from lvba.steps.motions_by_images import LaidOut
 from lvba.steps.outcomes import LidarStage
 from lvba.trajectory import Trajectory
+
+_TIMES_LAID_OUT = 2
+"""Scans that are where images have them place features better."""
 
 
 def solve_lidar(
@@ -69,6 +73,14 @@ def solve_lidar(
                 scans, surfels, rough, sensor_position=sensor, config=config, progress=progress
             )
             result = refine(begin)
+        for _ in range(_TIMES_LAID_OUT):
+            laid_out = _laid_out_by_images(dataset, surfels, result, begin, config)
+            if laid_out is None:
+                break
+            again = refine(laid_out.start)
+            if not laid_out.fits_better(dataset, again.world_from_scan, result.world_from_scan):
+                break
+            begin, result = laid_out.start, again
     except DegenerateProblemError as error:
         return LidarStage(None, str(error))
     poses = result.world_from_scan
@@ -134,6 +146,20 @@ def _jumps_by_images(
     if not len(moved):
         return begin
     return StartPoses(poses, error.with_open(moved))
+
+
+def _laid_out_by_images(
+    dataset: Dataset,
+    surfels: Sequence[Patch | None],
+    result: LidarResult,
+    begin: StartPoses | None,
+    config: LidarConfig,
+) -> LaidOut | None:
+    """Where the bundle adjustment begins once more; None: images have nothing against what it came to."""
+    if not dataset.image_paths or not len(result.odometry_dependence):
+        return None
+    poses, dependence = result.world_from_scan, result.odometry_dependence
+    return motions_by_images.laid_out(dataset, surfels, poses, dependence, begin, config)
 
 
 def _met_at_planes(

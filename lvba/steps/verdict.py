@@ -183,10 +183,12 @@ def _registered(figures: Figures) -> Iterator[Reason]:
             "Leave it out, or take only the map of the others.",
             more=True,
         )
+    instead = "scans were registered to each other first"
+    if figures.steps_by_images:
+        instead = f"features of the images gave {figures.steps_by_images} motions from scan to scan instead"
     yield Reason(
         "The rough poses were too far off to start from (typically "
-        f"{lengths.text(figures.rough_m)} and {figures.rough_deg:.1f} degrees from scan to scan, or jumps): scans were "
-        "registered to each other first.",
+        f"{lengths.text(figures.rough_m)} and {figures.rough_deg:.1f} degrees from scan to scan, or jumps): {instead}.",
         "Look at the map for double surfaces; correct the odometry if you can.",
         more=figures.odometry_dependent_steps > 0,  # on one that has proved to be wrong
     )

@@ -163,6 +163,7 @@ def _rough_poses(odometry: Facts) -> dict[str, Any]:
         "open_steps": len(far.get("open_after") or []),
         "unconnected_ends": tuple(renamed_facts.value(far, "unconnected_ends") or ()),
         "left_steps": len(far.get("left_after") or []),
+        "steps_by_images": len(far.get("by_images") or []),
         "jumps": len(odometry.get("jumps_after") or []),
         "jump_m": max(odometry.get("jumps_m") or [0.0]),
         "jump_deg": max(odometry.get("jumps_deg") or [0.0]),

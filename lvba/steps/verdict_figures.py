@@ -71,7 +71,8 @@ class Figures:
     range_errors: systematic errors of the range sensor that are in the points
     registered: whether rough poses were so far off that scans were registered to each other first; rough_m, rough_deg: by
         how much from scan to scan; open_steps, left_steps: motions between scans that this left open and images do not
-        confirm, and that are wrong in the result; unconnected_ends: scans at the ends that only an open motion ties
+        confirm, and that are wrong in the result; unconnected_ends: scans at the ends that only an open motion ties;
+        steps_by_images: motions that features of images gave instead
     jumps: frames after which the rough poses jump; jump_m, jump_deg: by at most; unconfirmed_jumps: those where
         neither surfaces nor images determine the motion; open_pauses: frames after which the recording paused, and
         only the odometry determines the motion meanwhile
@@ -113,6 +114,7 @@ class Figures:
     open_steps: int = 0
     unconnected_ends: tuple[int, ...] = ()
     left_steps: int = 0
+    steps_by_images: int = 0
     jumps: int = 0
     jump_m: float = 0.0
     jump_deg: float = 0.0

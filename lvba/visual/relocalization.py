@@ -10,7 +10,7 @@ its pose (perspective n-point in RANSAC, OpenCV); the levels that follow say wha
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -37,8 +37,12 @@ _NEIGHBORS = 8
 _TURN_DEG, _STEP_M = 30.0, 1.0
 """They are those that look the same way from the same place: a turn counts as much as a step."""
 _FEATURES = 2000
+_CONTRAST = 0.01
+"""A quarter of what SIFT asks for: of dark images there would be eight features, and nobody needs more than the best."""
 _MOST_PIXELS = 1_500_000
 """Of an image: features need no more."""
+_REMEMBERED = 100
+"""Images whose features are in memory at a time, a megabyte of each."""
 _LEVELS = 6
 _RATIO = 0.75
 """The best match must be this much nearer than the second best (Lowe 2004)."""
@@ -130,7 +134,7 @@ class Matcher:
 
     def __init__(self, planes: PlanesOf, camera: Camera, image: Callable[[int], Picture]) -> None:
         self._planes, self._camera = planes, camera
-        self._look = cache(lambda number: _features(image(number)))
+        self._look = lru_cache(_REMEMBERED)(lambda number: _features(image(number)))
 
     @staticmethod
     def of(points: ScenePoints, pyramid: Pyramid) -> "Matcher":
@@ -143,15 +147,17 @@ class Matcher:
 
         return Matcher(planes, pyramid.camera.at_level(level), lambda image: pyramid.levels[level][image])
 
-    def pose(self, image: int, near: Indices, poses: Poses, farthest_m: float) -> tuple[Pose, int] | None:
+    def pose(
+        self, image: int, near: Indices, poses: Poses, farthest_m: float, fewest: int = _FEWEST_INLIERS
+    ) -> tuple[Pose, int] | None:
         """world_from_camera (4, 4) of an image by those (n,) near it, where poses (I, 4, 4) have them, and how many
-        features agree on it; None: too few do, or on one further than so many m from where it is."""
+        features agree on it; None: fewer do, or on one further than so many m from where it is."""
         places = [
             _places(*self._planes(int(each), poses[each]), poses[each], self._camera, self._look(int(each)))
             for each in near
         ]
         seen = self._look(image)
-        by_features = _pose(seen, [each for each in places if len(each.descriptor) > 1], self._camera)
+        by_features = _pose(seen, [each for each in places if len(each.descriptor) > 1], self._camera, fewest)
         if by_features is None:
             return None
         meters, degrees = apart(by_features[0], poses[image])
@@ -188,7 +194,9 @@ class _Places:
 def _features(image: np.ndarray) -> _Features:
     """Of one image (H, W, C) uint8."""
     grey = image[..., 0] if image.shape[2] == 1 else image.mean(axis=2).astype(np.uint8)
-    keys, descriptor = cv2.SIFT.create(_FEATURES).detectAndCompute(np.ascontiguousarray(grey), None)
+    keys, descriptor = cv2.SIFT.create(_FEATURES, contrastThreshold=_CONTRAST).detectAndCompute(
+        np.ascontiguousarray(grey), None
+    )
     if descriptor is None:
         return _Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
     # threads may find them in any order
@@ -228,12 +236,12 @@ def _places(position: np.ndarray, normal: np.ndarray, pose: Pose, camera: Camera
     return _Places((pose[:3, 3] + depth[:, None] * ray)[good], seen.descriptor[good])
 
 
-def _pose(seen: _Features, places: list[_Places], camera: Camera) -> tuple[Pose, int] | None:
-    """world_from_camera (4, 4) of the image with these features, and how many agree on it; None: too few do."""
-    if len(seen.pixel) < _FEWEST_INLIERS:
+def _pose(seen: _Features, places: list[_Places], camera: Camera, fewest: int) -> tuple[Pose, int] | None:
+    """world_from_camera (4, 4) of the image with these features, and how many agree on it; None: fewer do."""
+    if len(seen.pixel) < fewest:
         return None
     matches = [_matched(seen, each) for each in places]
-    if sum(len(pixel) for pixel, _ in matches) < _FEWEST_INLIERS:
+    if sum(len(pixel) for pixel, _ in matches) < fewest:
         return None
     pixel = np.concatenate([each for each, _ in matches])
     position = np.concatenate([each for _, each in matches])
@@ -242,7 +250,7 @@ def _pose(seen: _Features, places: list[_Places], camera: Camera) -> tuple[Pose,
         position - middle, pixel, camera.matrix, None, reprojectionError=_REPROJECTION_PX,
         iterationsCount=1000, confidence=0.9999,
     )  # fmt: skip
-    if not solved or agreed is None or len(agreed) < max(_FEWEST_INLIERS, _LEAST_AGREEING * len(pixel)):
+    if not solved or agreed is None or len(agreed) < max(fewest, _LEAST_AGREEING * len(pixel)):
         return None
     index = agreed.ravel()
     turn, shift = cv2.solvePnPRefineLM(

@@ -380,10 +380,24 @@ def test_along_a_corridor_the_odometry_stays():
 
 def test_errors_of_parts_add_up():
     one = RoughError(0.1, 2.0, np.array([1, 3]), np.array([3]), np.zeros(0, np.int64))
-    two = RoughError(0.2, 1.0, np.array([0]), np.zeros(0, np.int64), np.array([0]))
+    two = RoughError(0.2, 1.0, np.array([0]), np.zeros(0, np.int64), np.array([0]), by_images=np.array([2]))
     whole = rough_poses.of_all([one.numbered(np.arange(10)), two.numbered(np.arange(8, 20))])
     assert (whole.step_m, whole.step_deg) == (0.2, 2.0)
     assert whole.wrong_after.tolist() == [1, 3, 8]
     assert whole.open_after.tolist() == [3]
     assert whole.left_after.tolist() == [8]
+    assert whole.by_images.tolist() == [10]
     assert rough_poses.of_all([]) is None
+
+
+def test_motions_of_images_are_held_as_usual_where_the_rough_ones_are_off():
+    config = LidarConfig()
+    rough = geometry.exp(np.outer(np.arange(6.0), [0, 0, 0.1, 1, 0, 0]))
+    images = geometry.exp(np.outer(np.arange(6.0), [0, 0, 0.1, 2, 0, 0]))
+    none = np.zeros(0, np.int64)
+    error = RoughError(0.2, 1.0, none, none, none, by_images=np.array([1, 3]))
+    prior = rough_poses.odometry_of(rough, error, images, config)
+    np.testing.assert_allclose(prior.previous_from_next[[1, 3], 0, 3], geometry.steps(images)[[1, 3], 0, 3])
+    np.testing.assert_allclose(prior.previous_from_next[[0, 2], 0, 3], geometry.steps(rough)[[0, 2], 0, 3])
+    np.testing.assert_allclose(prior.information[1, 5, 5], config.prior_translation**-2.0)
+    np.testing.assert_allclose(prior.information[0, 5, 5], 0.2**-2.0)

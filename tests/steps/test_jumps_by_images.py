@@ -4,12 +4,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import textured_room
-from textured_room import CAMERA, COUNT, MOUNT, RAYS
+import textured_recording
+from textured_room import COUNT
 
 from lvba import geometry
 from lvba.lidar.config import LidarConfig
-from lvba.loop_closure import rough_poses
 from lvba.steps import jumps_by_images, lidar
 from lvba.trajectory import Trajectory
 
@@ -20,33 +19,13 @@ NONE = np.zeros(0, np.int64)
 
 @pytest.fixture(scope="module")
 def room():
-    """The surfels of each scan, its true pose, and the images."""
-    inputs, _, _ = textured_room.make()
-    truth, points = inputs["refined_scans"], inputs["plane_points"].points_world.reshape(-1, RAYS, 3)
-    back = geometry.inverse(truth)
-    scans = [
-        geometry.transform_points(one, each).astype(np.float32)
-        for one, each in zip(back, points, strict=True)
-    ]
-    surfels = rough_poses.surfels_of(scans)
-    return SimpleNamespace(
-        truth=truth, surfels=surfels, images=inputs["pyramid"].levels[0], times=inputs["scans"].times
-    )
+    return textured_recording.room()
 
 
 @pytest.fixture
 def recording(room, monkeypatch):
     """Makes the recording with some scan poses, and images of some numbers."""
-
-    def made(poses, images=range(COUNT)):
-        pictures = room.images[list(images)].repeat(3, axis=3)
-        monkeypatch.setattr(jumps_by_images.recordings, "load_image", lambda _, number: pictures[number])
-        return SimpleNamespace(
-            scans=Trajectory(room.times, poses), images=SimpleNamespace(times=room.times[::2][list(images)]),
-            image_paths=tuple(images), camera=CAMERA, camera_from_scan=geometry.inverse(MOUNT),
-        )  # fmt: skip
-
-    return made
+    return lambda poses, images=range(COUNT): textured_recording.recording(room, poses, monkeypatch, images)
 
 
 def jumped(truth, by=JUMP):
@@ -126,13 +105,3 @@ def test_an_image_just_beside_a_jump_is_seen_by_the_scans_on_its_side():
     np.testing.assert_allclose(cameras[:, 1, 3], [0, 0, 1, 1, 1], atol=1e-9)
     # a scan alone between two jumps does not tell how the sensor moves
     assert 4 not in jumps_by_images._of_images(dataset, np.array([0, 0, 0, 1, 2, 2]))[0]
-
-
-def test_surfels_behind_others_are_not_seen():
-    seen = jumps_by_images._seen(
-        np.array(
-            [[0, 0, 2.0], [0.01, 0, 2.1], [0.02, 0.01, 4.0], [0, 0, -2.0], [5.0, 0, 2.0], [1.0, 0, 4.0]]
-        ),
-        CAMERA,
-    )
-    assert seen.tolist() == [0, 1, 5]

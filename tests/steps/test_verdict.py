@@ -339,6 +339,10 @@ def test_where_motions_between_scans_stay_wrong_no_millimeters_are_expected():
     assert "300 mm and 2.0 degrees" in verdict["reasons"][0]["text"]
     assert "Expect errors of about" in verdict["summary"]
     assert "perhaps" not in verdict["summary"]
+    assert "scans were registered to each other first" in verdict["reasons"][0]["text"]
+    given["odometry"]["too_far_off"]["by_images"] = [4, 5]
+    text = verdict_data.add(given)["verdict"]["reasons"][0]["text"]
+    assert "features of the images gave 2 motions from scan to scan instead" in text
     # one scan that nothing ties is no reason against the others
     given["odometry"]["too_far_off"]["unconnected_ends"] = [0, 39]
     verdict = verdict_data.add(given)["verdict"]
