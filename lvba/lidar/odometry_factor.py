@@ -87,10 +87,7 @@ def odometry_prior(world_from_scan: Poses, sigma_rotation: float, sigma_translat
 
 def with_jumps(prior: OdometryPrior, jumps: Indices, world_from_scan: Poses) -> OdometryPrior:
     """The prior with some steps (K,) int64 as poses (S, 4, 4) have them, and hardly held there."""
-    steps, information = prior.previous_from_next.copy(), prior.information.copy()
-    steps[jumps] = geometry.inverse(world_from_scan[jumps]) @ world_from_scan[jumps + 1]
-    information[jumps] = JUMP
-    return replace(prior, previous_from_next=steps, information=information, jumps=np.asarray(jumps))
+    return replace(_as_poses(prior, jumps, world_from_scan, JUMP), jumps=np.asarray(jumps))
 
 
 def with_motions(
@@ -106,14 +103,21 @@ def with_motions(
     """
     if not len(steps):
         return prior
-    motions, information = prior.previous_from_next.copy(), prior.information.copy()
-    motions[steps] = geometry.inverse(world_from_scan[steps]) @ world_from_scan[steps + 1]
-    information[steps] = np.diag(np.repeat([sigma_rotation, sigma_translation], 3) ** -2.0)
-    others = np.setdiff1d(np.arange(len(motions)), steps)
+    information = np.diag(np.repeat([sigma_rotation, sigma_translation], 3) ** -2.0)
+    others = np.setdiff1d(np.arange(len(prior.information)), steps)
     fewer = steps if len(steps) < len(others) else others
-    return replace(
-        prior, previous_from_next=motions, information=information, jumps=np.union1d(prior.jumps, fewer)
-    )
+    held = _as_poses(prior, steps, world_from_scan, information)
+    return replace(held, jumps=np.union1d(prior.jumps, fewer))
+
+
+def _as_poses(
+    prior: OdometryPrior, steps: Indices, world_from_scan: Poses, information: np.ndarray
+) -> OdometryPrior:
+    """The prior with some steps (K,) int64 as poses (S, 4, 4) have them, of so much information (6, 6) each."""
+    motions, known = prior.previous_from_next.copy(), prior.information.copy()
+    motions[steps] = geometry.inverse(world_from_scan[steps]) @ world_from_scan[steps + 1]
+    known[steps] = information
+    return replace(prior, previous_from_next=motions, information=known)
 
 
 def with_pauses(prior: OdometryPrior, times: Times) -> OdometryPrior:

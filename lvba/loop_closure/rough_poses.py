@@ -43,7 +43,7 @@ _OUTLYING = 6.0
 _LEAST_SIGMA = np.repeat([np.radians(0.2), 0.02], 3)
 """rad and m: surfaces do not tell better how good the odometry is."""
 _PRECISE = 2.0
-_MEDIAN_OF_NORM = 1.54
+MEDIAN_OF_NORM = 1.54
 """Of a normal distribution in three dimensions, with unit variance along each."""
 _GROUP = 12
 """Scans that are solved together: enough to see a place from all sides, too few to drift."""
@@ -304,7 +304,7 @@ class _Odometry:
         )
         size = np.linalg.norm(off.reshape(-1, 2, 3), axis=2)
         aligned = np.array([each is not None and each.aligned for each in steps])
-        typical = np.median(size[aligned], axis=0) / _MEDIAN_OF_NORM if aligned.any() else np.zeros(2)
+        typical = np.median(size[aligned], axis=0) / MEDIAN_OF_NORM if aligned.any() else np.zeros(2)
         sigma = np.maximum(np.repeat(typical, 3), _LEAST_SIGMA)
         wrong = (size > _OUTLYING * sigma[[0, 3]]).any(axis=1)
         return _Odometry(rough, world_from_scan[0], steps, sigma, wrong)

@@ -55,8 +55,6 @@ _BETWEEN = np.repeat([np.radians(1.0), 0.02], 3)
 _NOTHING = 1e-4
 """rad and m: no motion is known better."""
 _HALF = 0.5
-_MEDIAN_OF_NORM = 1.54
-"""Of a normal distribution in three dimensions, with unit variance along each."""
 _MOST = 4.0
 """Standard deviations at which a motion counts as far off as any that goes elsewhere by more."""
 
@@ -134,13 +132,12 @@ def laid_out(
     images = _images(dataset)
     if not len(left) or len(images) < 2:
         return None
-    first, second = images[:-1], images[1:]
-    about = _about(dataset, first, second, left)
-    seen = _by_features(dataset, patches, world_from_scan, first[about], second[about])
+    about = _about(dataset, images, left)
+    features = _Features.of(dataset, patches, world_from_scan, images)
+    seen = features.motions(np.flatnonzero(about))
     if not _contradicted(seen.off(dataset, world_from_scan)):
         return None
-    others = _by_features(dataset, patches, world_from_scan, first[~about], second[~about])
-    motions = ImageMotions.together([seen, others])
+    motions = ImageMotions.together([seen, features.motions(np.flatnonzero(~about))])
     firm = np.setdiff1d(np.arange(len(dependence)), left)
     return LaidOut(_start(dataset, world_from_scan, firm, motions, begin, config), motions)
 
@@ -162,38 +159,55 @@ def _images(dataset: Dataset) -> np.ndarray:
     return np.asarray(inside[nearest])
 
 
-def _about(dataset: Dataset, first: Indices, second: Indices, steps: Indices) -> np.ndarray:
-    """(P,) bool: which pairs of images were taken about motions (n,) of scans to the next."""
-    scans, images = dataset.scans.times, dataset.images.times
-    before = np.searchsorted(images[second], scans[steps], side="right")
-    after = np.searchsorted(images[first], scans[steps + 1], side="left")
-    marks = np.zeros(len(first) + 1, np.int64)
-    np.add.at(marks, np.minimum(before, len(first)), 1)
-    np.add.at(marks, np.maximum(after, before), -1)
+def _about(dataset: Dataset, images: Indices, steps: Indices) -> np.ndarray:
+    """(I - 1,) bool: after which of images (I,) a pair begins that was taken about motions (n,) of scans to the next."""
+    scans, times = dataset.scans.times, dataset.images.times[images]
+    begin = np.searchsorted(times[1:], scans[steps], side="right")
+    end = np.searchsorted(times[:-1], scans[steps + 1], side="left")
+    return _inside(begin, end, len(images) - 1)
+
+
+def _inside(begin: Indices, end: Indices, count: int) -> np.ndarray:
+    """(count,) bool: which numbers are in one of the half-open ranges from begin (n,) to end (n,)."""
+    marks = np.zeros(count + 1, np.int64)
+    np.add.at(marks, begin, 1)
+    np.add.at(marks, end, -1)
     return np.asarray(np.cumsum(marks)[:-1] > 0)
 
 
-def _by_features(
-    dataset: Dataset, patches: Sequence[Patch | None], world_from_scan: Poses, first: Indices, second: Indices
-) -> ImageMotions:
-    """What features tell of the motions between images (P,) and others (P,), as far as they do."""
-    numbers, places = np.unique(np.concatenate([first, second]), return_inverse=True)
-    path = Trajectory(dataset.scans.times, world_from_scan)
-    scan_from_camera = geometry.inverse(dataset.camera_from_scan)
-    cameras = trajectory.sample(path, dataset.images.times[numbers]) @ scan_from_camera
-    scans = np.arange(len(world_from_scan))
+@dataclass(frozen=True)
+class _Features:
+    """Of successive images (I,) int64, with places on the scans about them; cameras: (I, 4, 4), by these scans."""
 
-    def scans_of(index: int) -> np.ndarray:
-        return features_on_scans.nearest_scans(dataset, int(numbers[index]), scans, _SCANS)
+    images: np.ndarray
+    cameras: np.ndarray
+    camera_from_scan: np.ndarray
+    matcher: Matcher
 
-    matcher = features_on_scans.matcher(dataset, patches, world_from_scan, numbers, cameras, scans_of)
-    one, other = places[: len(first)], places[len(first) :]
-    motions = [_motion(matcher, int(a), int(b), cameras) for a, b in zip(one, other, strict=True)]
-    known = np.array([motion is not None for motion in motions], bool)
-    cameras_apart = np.array([motion for motion in motions if motion is not None]).reshape(-1, 4, 4)
-    return ImageMotions(
-        first[known], second[known], scan_from_camera @ cameras_apart @ dataset.camera_from_scan
-    )
+    @staticmethod
+    def of(
+        dataset: Dataset, patches: Sequence[Patch | None], world_from_scan: Poses, images: Indices
+    ) -> "_Features":
+        path = Trajectory(dataset.scans.times, world_from_scan)
+        scan_from_camera = geometry.inverse(dataset.camera_from_scan)
+        cameras = trajectory.sample(path, dataset.images.times[images]) @ scan_from_camera
+        scans = np.arange(len(world_from_scan))
+
+        def scans_of(index: int) -> np.ndarray:
+            return features_on_scans.nearest_scans(dataset, int(images[index]), scans, _SCANS)
+
+        matcher = features_on_scans.matcher(dataset, patches, world_from_scan, images, cameras, scans_of)
+        return _Features(images, cameras, dataset.camera_from_scan, matcher)
+
+    def motions(self, places: Indices) -> ImageMotions:
+        """From images at places (n,) int64 to the next ones, as far as features tell them."""
+        motions = [_motion(self.matcher, int(place), int(place) + 1, self.cameras) for place in places]
+        known = places[np.array([motion is not None for motion in motions], bool)]
+        apart = np.array([motion for motion in motions if motion is not None]).reshape(-1, 4, 4)
+        scan_from_camera = geometry.inverse(self.camera_from_scan)
+        return ImageMotions(
+            self.images[known], self.images[known + 1], scan_from_camera @ apart @ self.camera_from_scan
+        )
 
 
 def _motion(matcher: Matcher, first: int, second: int, cameras: Poses) -> np.ndarray | None:
@@ -227,7 +241,7 @@ def _start(
     """
     rough = dataset.scans.world_from_sensor
     off = np.linalg.norm(motions.off(dataset, rough).reshape(-1, 2, 3), axis=2)
-    turn, shift = np.median(off, axis=0) / _MEDIAN_OF_NORM
+    turn, shift = np.median(off, axis=0) / rough_poses.MEDIAN_OF_NORM
     error = RoughError.of_jumps(config) if begin is None else begin.error
     error = replace(
         error,
@@ -312,8 +326,6 @@ def _chain(times: Vector, scans: Indices, odometry: OdometryPrior) -> Edges:
 def _covered(times: Vector, scans: Indices, first: Indices, second: Indices) -> np.ndarray:
     """(K,) int64: of scans at nodes (S,), those after which motions from nodes (E,) to later ones (E,) tell half of the
     motion to the next, or more. times: (N,) float64, s, of the nodes"""
-    marks = np.zeros(len(times), np.int64)
-    np.add.at(marks, first, 1)
-    np.add.at(marks, second, -1)
-    covered = np.concatenate([[0.0], np.cumsum(np.diff(times) * (np.cumsum(marks)[:-1] > 0))])
+    inside = _inside(first, second, len(times) - 1)
+    covered = np.concatenate([[0.0], np.cumsum(np.diff(times) * inside)])
     return np.flatnonzero(np.diff(covered[scans]) >= _HALF * np.diff(times[scans]))

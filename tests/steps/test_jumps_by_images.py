@@ -4,7 +4,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import textured_recording
 from textured_room import COUNT
 
 from lvba import geometry
@@ -15,17 +14,6 @@ from lvba.trajectory import Trajectory
 AFTER = 11
 JUMP = geometry.exp(np.array([0.01, -0.02, 0.04, 0.7, 0.3, -0.1]))
 NONE = np.zeros(0, np.int64)
-
-
-@pytest.fixture(scope="module")
-def room():
-    return textured_recording.room()
-
-
-@pytest.fixture
-def recording(room, monkeypatch):
-    """Makes the recording with some scan poses, and images of some numbers."""
-    return lambda poses, images=range(COUNT): textured_recording.recording(room, poses, monkeypatch, images)
 
 
 def jumped(truth, by=JUMP):
@@ -39,9 +27,9 @@ def off(poses, truth):
     return np.linalg.norm(error[:3, 3]), geometry.rotation_angle_deg(error)
 
 
-def test_scans_after_a_jump_go_where_images_have_them(room, recording):
+def test_scans_after_a_jump_go_where_images_have_them(room, recording_of_room):
     rough = jumped(room.truth)
-    poses, moved = jumps_by_images.mended(recording(rough), room.surfels, rough, np.array([AFTER]))
+    poses, moved = jumps_by_images.mended(recording_of_room(rough), room.surfels, rough, np.array([AFTER]))
     assert moved.tolist() == [AFTER]
     assert off(rough, room.truth)[0] > 0.7
     meters, degrees = off(poses, room.truth)
@@ -62,25 +50,27 @@ def test_scans_after_a_jump_go_where_images_have_them(room, recording):
         (JUMP, range(0)),
     ],
 )
-def test_poses_stay_where_images_do_not_tell_of_a_jump(room, recording, by, images):
+def test_poses_stay_where_images_do_not_tell_of_a_jump(room, recording_of_room, by, images):
     rough = jumped(room.truth, by)
-    poses, moved = jumps_by_images.mended(recording(rough, images), room.surfels, rough, np.array([AFTER]))
+    poses, moved = jumps_by_images.mended(
+        recording_of_room(rough, images), room.surfels, rough, np.array([AFTER])
+    )
     assert len(moved) == 0
     assert poses is rough
 
 
-def test_the_bundle_adjustment_begins_there_and_the_jump_counts_as_open(room, recording, monkeypatch):
+def test_the_bundle_adjustment_begins_there_and_the_jump_counts_as_open(room, recording_of_room, monkeypatch):
     rough, config = jumped(room.truth), LidarConfig()
     monkeypatch.setattr(lidar.trajectory_jumps, "find", lambda _: SimpleNamespace(after=np.array([AFTER])))
     # as of a narrow sensor: surfaces confirm nothing
     monkeypatch.setattr(lidar.rough_motions, "confirmed", lambda *_: NONE)
-    begin = lidar._jumps_by_images(recording(rough), room.surfels, None, config)
+    begin = lidar._jumps_by_images(recording_of_room(rough), room.surfels, None, config)
     assert off(begin.world_from_scan, room.truth)[0] < 0.04
     assert begin.error.wrong_after.tolist() == begin.error.open_after.tolist() == [AFTER]
     assert begin.error.step_m == config.prior_translation
-    assert lidar._jumps_by_images(recording(rough, range(0)), room.surfels, None, config) is None
+    assert lidar._jumps_by_images(recording_of_room(rough, range(0)), room.surfels, None, config) is None
     monkeypatch.setattr(lidar.rough_motions, "confirmed", lambda *_: np.array([AFTER]))
-    assert lidar._jumps_by_images(recording(rough), room.surfels, None, config) is None
+    assert lidar._jumps_by_images(recording_of_room(rough), room.surfels, None, config) is None
 
 
 def test_runs_that_images_put_together_move_and_others_follow_those_before():

@@ -4,7 +4,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import textured_recording
 from textured_room import COUNT
 
 from lvba import geometry
@@ -18,17 +17,6 @@ THERE, BACK = 7, 15
 """Scans after which the rough poses go aside, and back."""
 ASIDE = geometry.exp(np.array([0.0, 0.0, 0.03, 0.25, 0.12, 0.0]))
 CONFIG = LidarConfig()
-
-
-@pytest.fixture(scope="module")
-def room():
-    return textured_recording.room()
-
-
-@pytest.fixture
-def recording(room, monkeypatch):
-    """Makes the recording with some scan poses, and images of some numbers."""
-    return lambda poses, images=range(COUNT): textured_recording.recording(room, poses, monkeypatch, images)
 
 
 def aside(truth, by=ASIDE):
@@ -47,9 +35,9 @@ def off(poses, truth):
     return np.linalg.norm(error[:, :3, 3], axis=1), geometry.rotation_angle_deg(error)
 
 
-def test_scans_go_where_images_have_them(room, recording):
+def test_scans_go_where_images_have_them(room, recording_of_room):
     rough = aside(room.truth)
-    dataset, dependence = recording(rough), left_open(room, THERE, BACK)
+    dataset, dependence = recording_of_room(rough), left_open(room, THERE, BACK)
     laid_out = motions_by_images.laid_out(dataset, room.surfels, rough, dependence, None, CONFIG)
     assert off(rough, room.truth)[0].max() > 0.2
     meters, degrees = off(laid_out.start.world_from_scan, room.truth)
@@ -61,9 +49,9 @@ def test_scans_go_where_images_have_them(room, recording):
     assert not laid_out.fits_better(dataset, rough, room.truth)
 
 
-def test_one_open_motion_is_enough_to_look_at_all_images(room, recording):
+def test_one_open_motion_is_enough_to_look_at_all_images(room, recording_of_room):
     rough = np.concatenate([room.truth[: THERE + 1], ASIDE @ room.truth[THERE + 1 :]])
-    dataset, dependence = recording(rough), left_open(room, THERE)
+    dataset, dependence = recording_of_room(rough), left_open(room, THERE)
     laid_out = motions_by_images.laid_out(dataset, room.surfels, rough, dependence, None, CONFIG)
     assert off(laid_out.start.world_from_scan, room.truth)[0].max() < 0.05
     assert len(laid_out.motions) > 5
@@ -79,18 +67,18 @@ def test_one_open_motion_is_enough_to_look_at_all_images(room, recording):
         (ASIDE, (THERE,), range(THERE // 2)),  # no images there
     ],
 )
-def test_poses_stay_where_images_have_nothing_against_them(room, recording, by, open_steps, images):
+def test_poses_stay_where_images_have_nothing_against_them(room, recording_of_room, by, open_steps, images):
     rough = aside(room.truth, by)
-    dataset, dependence = recording(rough, images), left_open(room, *open_steps)
+    dataset, dependence = recording_of_room(rough, images), left_open(room, *open_steps)
     assert motions_by_images.laid_out(dataset, room.surfels, rough, dependence, None, CONFIG) is None
 
 
-def test_jumps_that_images_tell_of_are_no_jumps_any_more(room, recording):
+def test_jumps_that_images_tell_of_are_no_jumps_any_more(room, recording_of_room):
     rough = aside(room.truth)
     none = np.zeros(0, np.int64)
     begin = StartPoses(rough, RoughError(0.08, 0.4, np.array([THERE]), np.array([THERE]), none))
     laid_out = motions_by_images.laid_out(
-        recording(rough), room.surfels, rough, left_open(room, THERE), begin, CONFIG
+        recording_of_room(rough), room.surfels, rough, left_open(room, THERE), begin, CONFIG
     )
     error = laid_out.start.error
     assert (error.wrong_after.tolist(), error.open_after.tolist()) == ([], [])
@@ -106,10 +94,9 @@ def test_what_images_tell_of_half_of_a_motion_counts():
 def test_images_about_a_motion_are_those_beside_and_between():
     images = SimpleNamespace(times=np.array([0.0, 0.9, 1.1, 1.5, 2.0, 3.0]))
     dataset = SimpleNamespace(images=images, scans=SimpleNamespace(times=np.arange(4.0)))
-    first, second = np.arange(5), np.arange(1, 6)
-    about = motions_by_images._about(dataset, first, second, np.array([1]))
+    about = motions_by_images._about(dataset, np.arange(6), np.array([1]))
     assert about.tolist() == [False, True, True, True, False]
-    assert motions_by_images._about(dataset, first, second, np.array([0, 2])).tolist() == [
+    assert motions_by_images._about(dataset, np.arange(6), np.array([0, 2])).tolist() == [
         True, True, False, False, True,
     ]  # fmt: skip
 
@@ -129,10 +116,10 @@ def test_the_fewer_motions_of_two_kinds_say_nothing_of_the_others():
 
 @pytest.mark.parametrize("better", [True, False])
 def test_the_bundle_adjustment_begins_again_and_the_better_result_is_used(
-    room, recording, monkeypatch, better
+    room, recording_of_room, monkeypatch, better
 ):
     rough = aside(room.truth)
-    dataset = recording(rough)
+    dataset = recording_of_room(rough)
     dataset.sensor_position_scan = np.zeros(3)
     results = {True: room.truth if better else rough, False: rough}
     none = np.zeros(0, np.int64)
@@ -156,9 +143,9 @@ def test_the_bundle_adjustment_begins_again_and_the_better_result_is_used(
     assert (stage.rough_error is not None) == better
 
 
-def test_motions_that_differ_little_cost_little_and_others_a_bounded_amount(room, recording):
+def test_motions_that_differ_little_cost_little_and_others_a_bounded_amount(room, recording_of_room):
     """From the last image before the scans go aside to the next."""
-    dataset, first = recording(room.truth), THERE // 2
+    dataset, first = recording_of_room(room.truth), THERE // 2
     motion = geometry.inverse(room.truth[2 * first]) @ room.truth[2 * first + 2]
     motions = ImageMotions(np.array([first]), np.array([first + 1]), motion[None])
     costs = [
