@@ -1,5 +1,6 @@
 """Files of a job that disappear while it runs, or change after it: the job says so, and the queue continues."""
 
+import contextlib
 import io
 import os
 import shutil
@@ -29,10 +30,17 @@ def wounded(tiny_recording, tmp_path_factory):
     running.stop()
 
 
+def remove_folder(folder):
+    """Remove a folder into which a job is still writing: what it adds in the meantime goes with it."""
+    while folder.exists():
+        with contextlib.suppress(OSError):
+            shutil.rmtree(folder)
+
+
 def remove(folder, pattern):
     for path in [folder] if pattern == "." else list(folder.glob(pattern)):
         if path.is_dir():
-            shutil.rmtree(path)
+            remove_folder(path)
         else:
             path.unlink()
 
@@ -76,7 +84,7 @@ def test_job_whose_folder_has_gone_is_canceled(wounded):
     with service.held("lidar"):
         job = submit(service.http, dataset)["id"]
         until(service.http, f"/v1/jobs/{job}", runs("lidar"))
-        shutil.rmtree(service.data / "jobs" / job)
+        remove_folder(service.data / "jobs" / job)
         service.http.post(f"/v1/jobs/{job}/cancel").raise_for_status()
         assert ended(service.http, job)["state"] == "canceled"
     assert job_processes(service.data) == []
