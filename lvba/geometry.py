@@ -13,6 +13,8 @@ from scipy.spatial.transform import Rotation
 from lvba.arrays import Pose, Poses, Rotations, Tangents, Transforms
 
 _SMALL_ANGLE = 1e-5
+_HALF_A_TURN = -0.98
+"""Cosine of an angle near pi."""
 
 
 def from_rotation_translation(rotation: Rotations, translation: np.ndarray) -> np.ndarray:
@@ -134,13 +136,30 @@ def moved_along(points: np.ndarray, amounts: np.ndarray, tangent: np.ndarray) ->
 def log(transform: Transforms) -> np.ndarray:
     """The (..., 6) tangent vectors `[rotation | translation]` of (..., 4, 4) transforms; rotation below pi."""
     transform = np.asarray(transform, float)
-    rotation = transform[..., :3, :3]
-    phi = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec().reshape(*rotation.shape[:-2], 3)
+    phi = _rotation_vector(transform[..., :3, :3])
     _, second, third = _series(np.linalg.norm(phi, axis=-1))
     skew = hat(phi)
     left_jacobian = np.eye(3) + second * skew + third * (skew @ skew)
     rho = np.linalg.solve(left_jacobian, transform[..., :3, 3:])[..., 0]
     return np.concatenate([phi, rho], axis=-1)
+
+
+def _rotation_vector(rotation: np.ndarray) -> np.ndarray:
+    """(..., 3) float64, rad, of rotation matrices (..., 3, 3)."""
+    # R - R^T is twice the sine of the angle, times the axis
+    turned = rotation - np.swapaxes(rotation, -1, -2)
+    axis = np.stack([turned[..., 2, 1], turned[..., 0, 2], turned[..., 1, 0]], axis=-1)
+    sine = 0.5 * np.linalg.norm(axis, axis=-1)
+    cosine = 0.5 * (np.trace(rotation, axis1=-2, axis2=-1) - 1)
+    angle = np.arctan2(sine, cosine)
+    small = sine < _SMALL_ANGLE
+    factor = np.where(small, 0.5 + sine**2 / 12, 0.5 * angle / np.where(small, 1.0, sine))
+    vector = np.asarray(factor[..., None] * axis)
+    half_a_turn = cosine < _HALF_A_TURN
+    if half_a_turn.any():
+        # the sine vanishes there, too
+        vector[half_a_turn] = Rotation.from_matrix(rotation[half_a_turn]).as_rotvec()
+    return vector
 
 
 def inverse_right_jacobian(rotation: np.ndarray) -> np.ndarray:
@@ -165,7 +184,11 @@ def retract(a_from_b: Transforms, delta: Tangents) -> np.ndarray:
     """
     delta = np.asarray(delta, float)
     still = np.all(delta == 0, axis=-1)[..., None, None]
-    return np.asarray(np.where(still, a_from_b, orthonormalize(a_from_b @ exp(delta))))
+    moved = np.asarray(a_from_b @ exp(delta))
+    rotation = moved[..., :3, :3]
+    # one step of Newton's method towards the nearest rotation, which is next to it
+    moved[..., :3, :3] = rotation @ (1.5 * np.eye(3) - 0.5 * (np.swapaxes(rotation, -1, -2) @ rotation))
+    return np.where(still, a_from_b, moved)
 
 
 def turn_tangent(blocks: np.ndarray, rotation: Rotations) -> np.ndarray:

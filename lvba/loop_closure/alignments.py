@@ -73,10 +73,9 @@ def find(
         *patches, expected.a_from_b, expected.reach_m, expected.reach_deg, cell, starts
     )
     few, more = (_thinned(source.patch, count) for count in (_COARSE_SURFELS, _FINE_SURFELS))
-    begin = [expected.a_from_b, *rough.a_from_b]
-    coarse = [_aligned(target, few, pose, surfel_icp.COARSE, expected) for pose in begin]
-    different = _different(coarse, _NEAR_M)
-    fine = [_aligned(target, more, pose, surfel_icp.FINE, expected) for pose in different]
+    begin = np.array([expected.a_from_b, *rough.a_from_b])
+    coarse = _aligned(target, few, begin, surfel_icp.COARSE, expected)
+    fine = _aligned(target, more, _different(coarse, _NEAR_M), surfel_icp.FINE, expected)
     inside = [
         pose
         for pose in _different(fine, _NEAR_M / 2)
@@ -88,13 +87,14 @@ def find(
 
 def polished(target: Target, patch: Patch, a_from_b: Pose, expected: Expected) -> np.ndarray:
     """The alignment (4, 4) by all surfels, where it was found by some."""
-    return _aligned(target, patch, a_from_b, surfel_icp.FINE[-1:], expected)
+    return np.asarray(_aligned(target, patch, a_from_b[None], surfel_icp.FINE[-1:], expected)[0])
 
 
 def _aligned(
     target: Target, patch: Patch, a_from_b: np.ndarray, stages: tuple[Stage, ...], expected: Expected
 ) -> np.ndarray:
-    return surfel_icp.align(target, patch, a_from_b, stages, expected.a_from_b, expected.information)
+    """From each of some poses (P, 4, 4), (P, 4, 4)."""
+    return surfel_icp.align_each(target, patch, a_from_b, stages, expected.a_from_b, expected.information)
 
 
 _COARSE_SURFELS, _FINE_SURFELS = 800, 2500
@@ -107,13 +107,13 @@ def _thinned(patch: Patch, count: int) -> Patch:
     return patch.take(np.arange(0, len(patch), max(len(patch) // count, 1)))
 
 
-def _different(poses: list[np.ndarray], near: float) -> list[np.ndarray]:
-    """The poses without those that are near (m) an earlier one."""
+def _different(poses: np.ndarray, near: float) -> np.ndarray:
+    """The poses (P, 4, 4) without those that are near (m) an earlier one."""
     kept: list[np.ndarray] = []
     for pose in poses:
         if not any(_within(other, pose, near, _NEAR_DEG) for other in kept):
             kept.append(pose)
-    return kept
+    return np.array(kept)
 
 
 def _within(one: np.ndarray, other: np.ndarray, meters: float, degrees: float) -> bool:

@@ -1,17 +1,21 @@
 """Two patches of surfels, point to plane: the alignment, how well it is known, and which surfels agree."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from lvba import distinct_rows, geometry
-from lvba.arrays import Pose, StepSigmas
+from lvba.arrays import Pose, Poses, StepSigmas
 from lvba.loop_closure.submap import Patch
 from lvba.optim import normal_equations
 from lvba.optim.levenberg_marquardt import damped_step
+from lvba.optim.normal_equations import NormalEquations
 
 _NEIGHBORS = 6
+_FEWEST = 6
+"""Matches below which nothing is aligned."""
 _STEP_M, _STEP_RAD = 1e-5, 1e-6
 """An alignment stands still below."""
 _OPEN_FRACTION = 0.0015
@@ -62,17 +66,26 @@ FINE = (Stage(0.7, 25.0, 8, 0.08), Stage(0.5, 20.0, 12, 0.03))
 def match(target: Target, source: Patch, a_from_b: Pose, reach: float, angle_deg: float) -> Matches:
     """The nearest surfel of the target within `reach` (m) that faces the same way, for each surfel of the source that has
     one."""
-    moved = source.moved(a_from_b)
-    away, near = target.tree.query(moved.center, k=_NEIGHBORS, distance_upper_bound=reach)
+    return _match_each(target, source, a_from_b[None], reach, angle_deg)
+
+
+def _match_each(
+    target: Target, source: Patch, a_from_b: np.ndarray, reach: float, angle_deg: float
+) -> Matches:
+    """As `match` for each of some poses (P, 4, 4); surfel j of the source is number k len(source) + j at the k-th."""
+    rotation, translation = np.swapaxes(a_from_b[:, :3, :3], 1, 2), a_from_b[:, None, :3, 3]
+    center = (source.center @ rotation + translation).reshape(-1, 3)
+    facing = (source.normal @ rotation).reshape(-1, 3)
+    away, near = target.tree.query(center, k=_NEIGHBORS, distance_upper_bound=reach)
     there = np.isfinite(away)
     near = np.where(there, near, 0)
-    cosine = np.einsum("kni,ki->kn", target.patch.normal[near], moved.normal)
+    cosine = np.einsum("kni,ki->kn", target.patch.normal[near], facing)
     alike = there & (cosine > np.cos(np.radians(angle_deg)))
     first = np.argmax(alike, axis=1)
     index = np.flatnonzero(alike.any(axis=1))
     nearest = near[index, first[index]]
     normal = target.patch.normal[nearest]
-    distance = np.einsum("mi,mi->m", normal, moved.center[index] - target.patch.center[nearest])
+    distance = np.einsum("mi,mi->m", normal, center[index] - target.patch.center[nearest])
     return Matches(index, nearest, distance)
 
 
@@ -90,26 +103,61 @@ def align(
         decides what surfaces leave open, and no more
     prior: (6, 6) float64, rad and m, to the power of -2
     """
-    pose = a_from_b
+    return np.asarray(align_each(target, source, a_from_b[None], stages, expected, prior)[0])
+
+
+def align_each(
+    target: Target,
+    source: Patch,
+    a_from_b: Poses,
+    stages: tuple[Stage, ...],
+    expected: Pose,
+    prior: np.ndarray,
+) -> np.ndarray:
+    """As `align` from each of some poses (P, 4, 4), (P, 4, 4): all of them move at once, each by itself.
+
+    expected: (4, 4); prior: (6, 6) float64
+    """
+    poses, matched = np.array(a_from_b), np.ones(len(a_from_b), bool)
     for stage in stages:
+        moving = matched.copy()
         for _ in range(stage.steps):
-            matches = match(target, source, pose, stage.reach, stage.angle_deg)
-            if len(matches.source) < 6:
-                return pose
-            jacobian = jacobians(target, source, pose, matches)
-            weight = 1 / (1 + (matches.distance / stage.robust) ** 2) / stage.robust**2
-            behind = geometry.log(geometry.inverse(expected) @ pose)
-            hessian = jacobian.T @ (weight[:, None] * jacobian) + prior
-            pull = jacobian.T @ (weight * matches.distance) + prior @ behind
-            # surfels are matched anew before every step, so no cost could accept or refuse it
-            taken, _ = damped_step(normal_equations.from_dense(hessian, pull[None], 0.0), 0.0)
-            if taken is None:
-                return pose
-            step = taken.blocks[0]
-            pose = geometry.retract(pose, step)
-            if np.abs(step[:3]).max() < _STEP_RAD and np.abs(step[3:]).max() < _STEP_M:
+            if not moving.any():
                 break
-    return pose
+            here = np.flatnonzero(moving)
+            equations, enough = _linearized(target, source, poses[here], stage, expected, prior)
+            moving[here[~enough]] = matched[here[~enough]] = False
+            # surfels are matched anew before every step, so no cost could accept or refuse it
+            taken, _ = damped_step(equations, 0.0)
+            if taken is None:
+                return poses
+            step = np.where(enough[:, None], taken.blocks, 0.0)
+            poses[here] = geometry.retract(poses[here], step)
+            far = (np.abs(step[:, :3]).max(1) >= _STEP_RAD) | (np.abs(step[:, 3:]).max(1) >= _STEP_M)
+            moving[here] &= far
+    return poses
+
+
+def _linearized(
+    target: Target, source: Patch, a_from_b: np.ndarray, stage: Stage, expected: np.ndarray, prior: np.ndarray
+) -> tuple[NormalEquations, np.ndarray]:
+    """Normal equations with a block for each of some poses (P, 4, 4), and whether enough surfels match there, (P,)."""
+    count, size = len(a_from_b), len(source)
+    matches = _match_each(target, source, a_from_b, stage.reach, stage.angle_deg)
+    weight = 1 / (1 + (matches.distance / stage.robust) ** 2) / stage.robust**2
+    behind = geometry.log(geometry.inverse(expected) @ a_from_b)
+    hessian, pull = np.tile(prior, (count, 1, 1)), behind @ prior
+    ends = np.searchsorted(matches.source, size * np.arange(count + 1))
+    for k, (first, last) in enumerate(pairwise(ends)):
+        here = slice(first, last)
+        own = Matches(matches.source[here] - k * size, matches.target[here], matches.distance[here])
+        jacobian = jacobians(target, source, a_from_b[k], own)
+        weighted = weight[here, None] * jacobian
+        hessian[k] += jacobian.T @ weighted
+        pull[k] += weighted.T @ own.distance
+    diagonal = np.arange(count)
+    equations = normal_equations.from_blocks(diagonal, diagonal, hessian, pull, 0.0)
+    return equations, np.diff(ends) >= _FEWEST
 
 
 def jacobians(target: Target, source: Patch, a_from_b: Pose, matches: Matches) -> np.ndarray:

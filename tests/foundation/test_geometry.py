@@ -46,10 +46,18 @@ def test_log_undoes_exp(seed, scale):
     np.testing.assert_allclose(geometry.log(geometry.exp(delta)), delta, atol=1e-12)
 
 
-@pytest.mark.parametrize("angle", [0.0, 1e-8, 1e-5, 9.9e-3, 1.01e-2, 3.0])
+@pytest.mark.parametrize("angle", [0.0, 1e-8, 0.99e-5, 1.01e-5, 9.9e-3, 1.01e-2, 2.93, 2.95, 3.14])
 def test_log_undoes_exp_on_both_sides_of_the_series_limits(angle):
     delta = np.array([0, angle, 0, 0.3, -0.2, 0.7])
     np.testing.assert_allclose(geometry.log(geometry.exp(delta)), delta, atol=1e-11)
+
+
+@given(seeds)
+def test_what_was_made_orthonormal_again_stays_so_over_many_steps(seed):
+    pose, step = geometry.exp(_tangent(seed, 1.0)), _tangent(seed + 1, 0.1)
+    for _ in range(200):
+        pose = geometry.retract(pose, step)
+    np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-15)
 
 
 @given(seeds)

@@ -148,6 +148,18 @@ def test_matches_face_the_same_way_and_are_the_nearest_that_do(patch):
     assert np.mean(chosen <= nearest + 1e-12) > 0.98
 
 
+def test_each_of_several_alignments_ends_where_it_does_alone(patch):
+    begin = geometry.exp(np.random.default_rng(8).normal(0, 1, (5, 6)) * ([0.05] * 3 + [0.3] * 3))
+    begin[3, :3, 3] += 1000.0  # nothing matches from there
+    prior, stages = np.eye(6), surfel_icp.COARSE + surfel_icp.FINE
+    target, still = Target.of(patch), np.eye(4)
+    together = surfel_icp.align_each(target, patch, begin, stages, still, prior)
+    alone = [surfel_icp.align(target, patch, pose, stages, still, prior) for pose in begin]
+    np.testing.assert_allclose(together, alone, atol=1e-9)
+    assert np.array_equal(together[3], begin[3])
+    assert np.linalg.norm(geometry.log(together[:3]), axis=1).max() < 0.01
+
+
 def test_the_search_finds_a_shift_of_meters_and_a_turn(patch):
     off = geometry.exp(np.array([0.03, -0.02, 0.06, 2.6, -1.8, 0.5]))
     starts = correlation.search(patch, patch.moved(geometry.inverse(off)), np.eye(4), 4.0, 6.0, 0.8, 20)
