@@ -1,9 +1,11 @@
 """Where the LiDAR bundle adjustment of a part begins, and begins again."""
 
+import numpy as np
 import pytest
 
 from lvba.blocks import decoded_scans, split
 from lvba.blocks.split import SplitConfig
+from lvba.errors import DegenerateProblemError
 from lvba.io import dataset as recordings
 from lvba.io import reference
 from lvba.io.dataset import open_dataset
@@ -26,23 +28,51 @@ def round_a_cabinet(tmp_path_factory):
     return open_dataset(root)
 
 
-def test_scans_that_end_in_a_wrong_minimum_are_registered_and_refined_again(round_a_cabinet):
+@pytest.fixture(scope="module")
+def wrong_minimum(round_a_cabinet):
+    """What the bundle adjustment comes to from the rough poses."""
+    return bundle_adjustment.refine(
+        recordings.load_scans(round_a_cabinet),
+        round_a_cabinet.scans.world_from_sensor,
+        sensor_position=round_a_cabinet.sensor_position_scan,
+    )
+
+
+def solved(dataset):
+    [part] = split.parts(dataset, SplitConfig(), split.Load(4000, 0.0))
+    piece = decoded_scans.decode_scans(dataset, (0, 40))
+    return solve_lidar(dataset, part, [((0, 40), lambda: piece)], LidarConfig())
+
+
+def test_scans_that_end_in_a_wrong_minimum_are_registered_and_refined_again(round_a_cabinet, wrong_minimum):
     dataset, sensor = round_a_cabinet, round_a_cabinet.sensor_position_scan
     truth = reference.read_reference(f"{dataset.root}/reference").scans.world_from_sensor
     scans, rough = recordings.load_scans(dataset), dataset.scans.world_from_sensor
     surfels = rough_poses.surfels_of(scans, sensor)
     assert len(rough_motions.contradicted(surfels, rough)) == 0
-    alone = bundle_adjustment.refine(scans, rough, sensor_position=sensor).world_from_scan
+    alone = wrong_minimum.world_from_scan
     assert pose_error(alone, truth).ate_m > 0.1
     assert rough_motions.typically_off(surfels, alone) > rough_motions.WRONG_MINIMUM_M
-    [part] = split.parts(dataset, SplitConfig(), split.Load(4000, 0.0))
-    piece = decoded_scans.decode_scans(dataset, (0, 40))
-    stage = solve_lidar(dataset, part, [((0, 40), lambda: piece)], LidarConfig())
+    stage = solved(dataset)
     assert pose_error(stage.result.world_from_scan, truth).ate_m < 0.005
     assert rough_motions.typically_off(surfels, stage.result.world_from_scan) < 0.02
     assert stage.rough_error.step_m > 0.05
     assert len(stage.rough_error.open_after) == 0
     assert len(stage.rough_error.left_after) == 0
+
+
+def test_a_start_from_which_no_plane_is_seen_twice_costs_nothing(round_a_cabinet, wrong_minimum, monkeypatch):
+    results = iter([wrong_minimum])
+
+    def refine(*_, **__):
+        for result in results:
+            return result
+        raise DegenerateProblemError("no plane is seen by two scans")
+
+    monkeypatch.setattr(bundle_adjustment, "refine", refine)
+    stage = solved(round_a_cabinet)
+    assert np.array_equal(stage.result.world_from_scan, wrong_minimum.world_from_scan)
+    assert stage.rough_error is None
 
 
 def test_nothing_is_off_where_surfaces_tell_too_little(round_a_cabinet):
