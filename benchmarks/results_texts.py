@@ -13,7 +13,8 @@ Rows are of the present version, or of an older one if the last column says in w
 
 | table | difference from the present version |
 |---|---|
-| recordings in parts, loops; hard difficulty but for courtyards; streets of seeds 104 and 105, medium | none |
+| recordings in parts, loops; hard difficulty but for courtyards; streets of seeds 104, 105 and \
+119 to 121, medium | none |
 | real recordings, poses of any method, gates of recordings | dark images have fewer features, and features of images \
 lay out no scans |
 | one disturbance: typical ones of seed 832 in rooms but for gaps, jumps and drift | the same, and errors of ranges that \
