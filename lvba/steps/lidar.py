@@ -1,7 +1,7 @@
 """The step that refines the scans of one part, and what follows from scan poses: clouds, cameras carried along."""
 
-import logging
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
@@ -36,7 +36,6 @@ from lvba.steps.motions_by_images import LaidOut
 from lvba.steps.outcomes import LidarStage
 from lvba.trajectory import Trajectory
 
-_log = logging.getLogger(__name__)
 _TIMES_LAID_OUT = 2
 """Scans that are where images have them place features better."""
 
@@ -71,21 +70,23 @@ def solve_lidar(
         result = refine(begin)
     except DegenerateProblemError as error:
         return LidarStage(None, str(error))
-    most = rough_motions.WRONG_MINIMUM_M
-    if begin is None and rough_motions.typically_off(surfels, result.world_from_scan) > most:
-        start = rough_poses.start(
-            scans, surfels, rough, sensor_position=sensor, config=config, progress=progress
-        )
-        again = _unless_degenerate(refine, start)
-        begin, result = (begin, result) if again is None else (start, again)
-    for _ in range(_TIMES_LAID_OUT):
-        laid_out = _laid_out_by_images(dataset, surfels, result, begin, config)
-        again = None if laid_out is None else _unless_degenerate(refine, laid_out.start)
-        if laid_out is None or again is None:
-            break
-        if not laid_out.fits_better(dataset, again.world_from_scan, result.world_from_scan):
-            break
-        begin, result = laid_out.start, again
+    # where another start leads nowhere, the result that is there stays
+    with suppress(DegenerateProblemError):
+        most = rough_motions.WRONG_MINIMUM_M
+        if begin is None and rough_motions.typically_off(surfels, result.world_from_scan) > most:
+            start = rough_poses.start(
+                scans, surfels, rough, sensor_position=sensor, config=config, progress=progress
+            )
+            begin, result = start, refine(start)
+    with suppress(DegenerateProblemError):
+        for _ in range(_TIMES_LAID_OUT):
+            laid_out = _laid_out_by_images(dataset, surfels, result, begin, config)
+            if laid_out is None:
+                break
+            again = refine(laid_out.start)
+            if not laid_out.fits_better(dataset, again.world_from_scan, result.world_from_scan):
+                break
+            begin, result = laid_out.start, again
     poses = result.world_from_scan
     return LidarStage(
         with_errors(result, errors, part.scan_numbers),
@@ -129,17 +130,6 @@ def _refined(
         return result
     scans = _met_at_planes(scans, cosine, result, errors.ranges)
     return refine(scans, result.world_from_scan, odometry=odometry)
-
-
-def _unless_degenerate(
-    refine: Callable[[StartPoses | None], LidarResult], begin: StartPoses
-) -> LidarResult | None:
-    """What the bundle adjustment comes to from another start; None: no plane is seen by two scans there."""
-    try:
-        return refine(begin)
-    except DegenerateProblemError as error:
-        _log.info("another start of the LiDAR bundle adjustment is of no use: %s", error)
-        return None
 
 
 def _jumps_by_images(

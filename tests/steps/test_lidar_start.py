@@ -61,16 +61,22 @@ def test_scans_that_end_in_a_wrong_minimum_are_registered_and_refined_again(roun
     assert len(stage.rough_error.left_after) == 0
 
 
-def test_a_start_from_which_no_plane_is_seen_twice_costs_nothing(round_a_cabinet, wrong_minimum, monkeypatch):
-    results = iter([wrong_minimum])
+@pytest.mark.parametrize("lost", ["start", "refine"])
+def test_another_start_that_leads_nowhere_costs_nothing(round_a_cabinet, wrong_minimum, monkeypatch, lost):
+    """Motions that leave poses open, or poses from which no plane is seen twice."""
+    results = [wrong_minimum]
+
+    def degenerate(*_, **__):
+        raise DegenerateProblemError(lost)
 
     def refine(*_, **__):
-        for result in results:
-            return result
-        raise DegenerateProblemError("no plane is seen by two scans")
+        return results.pop() if results else degenerate()
 
     monkeypatch.setattr(bundle_adjustment, "refine", refine)
+    if lost == "start":
+        monkeypatch.setattr(rough_poses, "start", degenerate)
     stage = solved(round_a_cabinet)
+    assert not results
     assert np.array_equal(stage.result.world_from_scan, wrong_minimum.world_from_scan)
     assert stage.rough_error is None
 
