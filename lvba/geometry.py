@@ -232,7 +232,7 @@ def interpolate(first: Transforms, second: Transforms, fraction: np.ndarray) -> 
     fraction: (...) float64, one for each transform
     """
     fraction = np.asarray(fraction, float)[..., None]
-    return orthonormalize(first @ exp(fraction * log(inverse(first) @ second)))
+    return retract(first, fraction * log(inverse(first) @ second))
 
 
 def rotation_angle_deg(transform: Transforms) -> np.ndarray:

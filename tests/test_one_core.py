@@ -63,7 +63,7 @@ LINEAR_ALGEBRA = {
 """File: how many solves or inverses outside the core, and of what."""
 
 TURNS = {
-    "lvba/geometry.py": (2, "the tangent itself: retract, interpolate"),
+    "lvba/geometry.py": (1, "the tangent itself: retract"),
     "lvba/inertial/factor.py": (2, "axes of an IMU that are turned a little; what a bias turns a motion by"),
     "lvba/lidar/rounds.py": (1, "a constant rotation of the grid of cells"),
     "lvba/loop_closure/correlation.py": (1, "a search over rotations, no steps"),
