@@ -1,6 +1,6 @@
 """Files of a job that disappear while it runs, or change after it: the job says so, and the queue continues."""
 
-import contextlib
+import errno
 import io
 import os
 import shutil
@@ -33,8 +33,11 @@ def wounded(tiny_recording, tmp_path_factory):
 def remove_folder(folder):
     """Remove a folder into which a job is still writing: what it adds in the meantime goes with it."""
     while folder.exists():
-        with contextlib.suppress(OSError):
+        try:
             shutil.rmtree(folder)
+        except OSError as error:
+            if error.errno not in (errno.ENOENT, errno.ENOTEMPTY):
+                raise
 
 
 def remove(folder, pattern):
