@@ -42,7 +42,7 @@ def choose(description: SourceDescription, unusable: Collection[str] = ()) -> Ch
             picked[kind] = ranked[0].name
         if len(ranked) > 1:
             others.append((kind, tuple(each.name for each in ranked[1:])))
-    moving = [each.name for each in streams if each.kind is Kind.TRANSFORMS and "static" not in each.name]
+    moving = [each.name for each in streams if may_move(each)]
     if Kind.POSES not in picked and len(moving) == 1:
         picked[Kind.POSES] = moving[0]
     return Choice(
@@ -52,6 +52,12 @@ def choose(description: SourceDescription, unusable: Collection[str] = ()) -> Ch
         imu=picked.get(Kind.IMU, ""),
         others=tuple(others),
     )
+
+
+def may_move(stream: Stream) -> bool:
+    """Whether it has transforms that may be poses of an odometry: tf_static and metadata of a sensor have none."""
+    still = "static" in stream.name or stream.message_type.endswith("/String")
+    return stream.kind is Kind.TRANSFORMS and not still
 
 
 def _scan_rank(stream: Stream) -> tuple[float, ...]:

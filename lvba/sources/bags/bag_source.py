@@ -11,12 +11,13 @@ from typing import Any
 from lvba.errors import InputError
 from lvba.io import files
 from lvba.sources import packets
-from lvba.sources.bags import decoders, point_clouds, poses, velodyne_packets
+from lvba.sources.bags import decoders, ouster_packets, point_clouds, poses, velodyne_packets
 from lvba.sources.bags.bag_files import container_at, topics_said
 from lvba.sources.bags.container import MAX_MESSAGE, Container, Contents, Losses, Message, Topic
 from lvba.sources.bags.decoders import Decoder
 from lvba.sources.bags.definitions import Undecodable, short
 from lvba.sources.bags.layout import Layout, decode, layout_of
+from lvba.sources.bags.ouster_topics import OusterPass, OusterTopics
 from lvba.sources.source import Kind, KnownGeometry, Record, SourceDescription, Stream
 
 _PATIENCE = 100
@@ -25,6 +26,8 @@ _BESIDE = (Kind.CAMERA_INFO, Kind.TRANSFORMS, Kind.GNSS)
 """Kinds that may be lost: others can say what they say."""
 _MOST_LOOKED_AT = 50
 """Topics of clouds whose first message is read for its fields."""
+_MOST_METADATA = 20
+"""Messages of metadata that are read: a driver writes one more each time a sensor is set up."""
 _WRONG = (KeyError, TypeError, ValueError, OverflowError, IndexError, AttributeError)
 """What comes of fields that are not those of the type's name."""
 _RECTIFIED = re.compile("rect|undistort")
@@ -47,10 +50,11 @@ def said_by_metadata(folder: Path) -> SourceDescription | None:
     Raises InputError: the metadata are damaged.
     """
     topics = topics_said(folder)
+    kinds = decoders.kinds_of(topics)
     streams = tuple(
         Stream(
             name=topic.name,
-            kind=decoders.kind_of(topic.message_type),
+            kind=kinds[topic.name],
             message_type=topic.message_type,
             count=topic.count,
         )
@@ -88,6 +92,7 @@ class BagSource:
         self._description: SourceDescription | None = None
         self._layouts: dict[Topic, Layout | Undecodable] = {}
         self._losses: tuple[str, ...] = ()
+        self._ouster: OusterTopics | None = None
 
     def describe(self) -> SourceDescription:
         """Its topics, by the indices of its files; fields of points by the first message of each topic.
@@ -119,26 +124,27 @@ class BagSource:
         Raises InputError: there is no such topic, it has nothing that is read here, or most of it cannot be decoded (but
         of camera infos, transforms and positions: those are counted in `losses`, too).
         """
-        needed = self._check(streams)
-        losses, tallies = Losses(), {name: _Tally() for name in streams}
+        needed, topics = self._check(streams), self._ouster_topics()
+        losses, tallies, unasked = Losses(), {name: _Tally() for name in streams}, _Tally()
         self._losses = ()
         makers: dict[Topic, Decoder] = {}
-        for message in self._container.messages(streams, losses):
-            topic, tally = message.topic, tallies[message.topic.name]
+        ouster = OusterPass(topics)
+        for message in self._container.messages({*streams, *topics.beside(streams)}, losses):
+            topic, tally = message.topic, tallies.get(message.topic.name, unasked)
             if topic not in makers:
-                rectified = rectifies(topic.name, streams)
-                makers[topic] = (
-                    decoders.decoder_of(topic.message_type, topic.name, rectified=rectified) or _none
-                )
+                makers[topic] = ouster.maker(topic.name) or _maker(topic, streams)
             try:
-                yield from ((topic.name, record) for record in self._decoded(message, makers[topic], tally))
+                decoded = self._decoded(message, makers[topic], tally)
                 tally.read += 1
+                if tally is not unasked:
+                    yield from ((topic.name, record) for record in decoded)
             except Undecodable as error:
                 tally.reasons[str(error)] += 1
                 impatient = not tally.read and tally.lost >= _PATIENCE and topic.name in needed
                 if impatient and not str(error).startswith("it has no"):
                     raise self._useless(topic.name, tally) from error
-        self._losses = (*losses.sentences(), *_sentences(tallies))
+        yield from ouster.finish()
+        self._losses = (*losses.sentences(), *_sentences(tallies), *ouster.sentences())
         for name, tally in tallies.items():
             if name in needed and tally.lost > tally.read:
                 raise self._useless(name, tally)
@@ -152,6 +158,19 @@ class BagSource:
             if len(kept) == count or tried == 10 * count:
                 break
         return kept
+
+    def _ouster_topics(self) -> OusterTopics:
+        if self._ouster is None:
+            topics = {topic.name: topic for topic in reversed(self._container.contents().topics)}
+            types = {name: topic.message_type for name, topic in topics.items()}
+
+            def texts(name: str) -> list[str]:
+                # without an index, all of the bag would be read for a second one
+                most = min(topics[name].count or 1, _MOST_METADATA)
+                return [str(values.get("data", "")) for values in self.values(name, most)]
+
+            self._ouster = OusterTopics(self._path, types, texts)
+        return self._ouster
 
     def _decoded(self, message: Message, make: Decoder, tally: _Tally) -> list[Record]:
         """The records of a message, but parts that cannot be decoded. Raises Undecodable: it has none"""
@@ -213,19 +232,21 @@ class BagSource:
     def _streams(self, contents: Contents) -> Iterator[Stream]:
         """One for each name: several publishers may have written to it."""
         by_name: dict[str, list[Topic]] = {}
+        kinds = decoders.kinds_of(contents.topics)
         for topic in contents.topics:
             by_name.setdefault(topic.name, []).append(topic)
         looked = 0
         for name, topics in sorted(by_name.items()):
-            kind = decoders.kind_of(topics[0].message_type)
+            kind = kinds[name]
             looked += kind is Kind.SCANS
             counts = [topic.count for topic in topics]
             known = [count for count in counts if count is not None]
+            count = sum(known) if len(known) == len(counts) else None
             yield Stream(
                 name=name,
                 kind=kind,
                 message_type=topics[0].message_type,
-                count=sum(known) if len(known) == len(counts) else None,
+                count=self._ouster_topics().records(name, count),
                 first=min((topic.first for topic in topics if topic.first is not None), default=None),
                 last=max((topic.last for topic in topics if topic.last is not None), default=None),
                 fields=self._fields(name, topics) if kind is Kind.SCANS and looked <= _MOST_LOOKED_AT else (),
@@ -240,6 +261,8 @@ class BagSource:
                 return point_clouds.field_names(values)
             if "packets" in values:
                 return velodyne_packets.FIELDS
+            if "buf" in values:
+                return ouster_packets.FIELDS
             return point_clouds.livox_fields(values)
         except (*_WRONG, InputError):
             return ()
@@ -267,6 +290,11 @@ def _all(records: Iterator[Record], tally: _Tally) -> list[Record]:
             raise
         tally.damaged[str(error)] += 1
     return kept
+
+
+def _maker(topic: Topic, streams: Collection[str]) -> Decoder:
+    rectified = rectifies(topic.name, streams)
+    return decoders.decoder_of(topic.message_type, topic.name, rectified=rectified) or _none
 
 
 def _none(values: dict[str, Any], stamp: int, frame: str) -> Iterator[Record]:

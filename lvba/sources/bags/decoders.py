@@ -1,10 +1,11 @@
 """Which messages are which kind of stream, and what makes records of them."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from lvba.sources import packets
-from lvba.sources.bags import camera_info, images, point_clouds, poses, velodyne_packets
+from lvba.sources.bags import camera_info, images, ouster_topics, point_clouds, poses, velodyne_packets
+from lvba.sources.bags.container import Topic
 from lvba.sources.bags.definitions import short
 from lvba.sources.source import Kind, Record
 
@@ -47,6 +48,14 @@ def kind_of(message_type: str) -> Kind:
     if name in _TREES:
         return Kind.TRANSFORMS
     return Kind.PACKETS if name in packets.DRIVERS else Kind.OTHER
+
+
+def kinds_of(topics: Iterable[Topic]) -> dict[str, Kind]:
+    """What topics of a bag have, by their names; some types of messages have several kinds."""
+    types: dict[str, str] = {}
+    for topic in topics:
+        types.setdefault(topic.name, topic.message_type)
+    return {name: kind_of(kind) for name, kind in types.items()} | ouster_topics.kinds(types)
 
 
 def decoder_of(message_type: str, topic: str, *, rectified: bool) -> Decoder | None:

@@ -119,6 +119,10 @@ _KNOWN = {
     "sensor_msgs/PointCloud2": "Header header;uint32 height;uint32 width;PointField[] fields;bool is_bigendian;"
     "uint32 point_step;uint32 row_step;uint8[] data;bool is_dense",
     "velodyne_msgs/VelodynePacket": "builtin_interfaces/Time stamp;uint8[1206] data",
+    "std_msgs/String": "string data",
+    **dict.fromkeys(
+        ("ouster_ros/PacketMsg", "ouster_sensor_msgs/PacketMsg", "ouster_msgs/PacketMsg"), "uint8[] buf"
+    ),
     "velodyne_msgs/VelodyneScan": "Header header;VelodynePacket[] packets",
     "sensor_msgs/Image": "Header header;uint32 height;uint32 width;string encoding;uint8 is_bigendian;uint32 step;"
     "uint8[] data",

@@ -116,7 +116,7 @@ def _odometry(description: SourceDescription, options: ImportOptions) -> tuple[s
     Raises InputError: there is none, or several.
     """
     poses = _of_kind(description, Kind.POSES)
-    moving = [stream for stream in _of_kind(description, Kind.TRANSFORMS) if "static" not in stream.name]
+    moving = [stream for stream in _of_kind(description, Kind.TRANSFORMS) if choosing.may_move(stream)]
     asked = options.odometry
     if asked:
         if asked in [stream.name for stream in (*poses, *moving)]:
