@@ -5,6 +5,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from lvba.io import point_fields
+from lvba.sources import packets
 from lvba.sources.source import Kind, SourceDescription, Stream
 
 _DERIVED = re.compile(
@@ -38,6 +39,8 @@ def choose(description: SourceDescription, unusable: Collection[str] = ()) -> Ch
     others = []
     for kind, rank in _RANKS.items():
         ranked = sorted((each for each in streams if each.kind is kind), key=rank, reverse=True)
+        first = made_of(ranked)
+        ranked = [*first, *(each for each in ranked if each not in first)]
         if ranked:
             picked[kind] = ranked[0].name
         if len(ranked) > 1:
@@ -52,6 +55,11 @@ def choose(description: SourceDescription, unusable: Collection[str] = ()) -> Ch
         imu=picked.get(Kind.IMU, ""),
         others=tuple(others),
     )
+
+
+def made_of(streams: list[Stream]) -> list[Stream]:
+    """Those that the driver made of packets, where it recorded both; else all."""
+    return [each for each in streams if not packets.is_raw(each.message_type)] or streams
 
 
 def may_move(stream: Stream) -> bool:

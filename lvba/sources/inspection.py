@@ -133,7 +133,8 @@ def _facts(source: Source, stream: Stream) -> StreamFacts:
     try:
         records = [record for _, record in islice(source.records({stream.name}), _SAMPLES[stream.kind])]
     except InputError as error:
-        return replace(facts, problem=error.problem)
+        raw = packets.is_raw(stream.message_type)
+        return replace(facts, problem=f"{error.problem}: {error.mend}" if raw else error.problem)
     if not records:
         return replace(facts, problem=next(iter(source.losses()), "none of its records can be read"))
     first = records[0]
@@ -316,7 +317,9 @@ def _has_camera(image: str, facts: tuple[StreamFacts, ...]) -> bool:
 
 
 def _missing(source: Source, facts: tuple[StreamFacts, ...], choice: Choice) -> Iterator[str]:
-    yield from _absent([each.stream for each in facts], choice)
+    scans = [each for each in facts if each.stream.kind is Kind.SCANS and each.problem]
+    why = f"{scans[0].stream.name}: {scans[0].problem}" if scans else "nothing can be imported"
+    yield from _absent([each.stream for each in facts], choice, why)
     if not choice.image:
         return
     known = source.geometry()
@@ -327,11 +330,10 @@ def _missing(source: Source, facts: tuple[StreamFacts, ...], choice: Choice) -> 
         yield "where the camera is on the LiDAR is not said: give the extrinsic, --calibration FILE"
 
 
-def _absent(streams: Iterable[Stream], choice: Choice) -> Iterator[str]:
-    """What no stream has."""
+def _absent(streams: Iterable[Stream], choice: Choice, why: str = "nothing can be imported") -> Iterator[str]:
+    """What no stream has. why: there are no scans"""
     if not choice.lidar:
         stream = packets.only(streams)
-        why = "nothing can be imported"
         if stream is not None:
             why = f"{packets.problem(stream)}: {packets.mend(stream.message_type)}"
         yield f"no scans: {why}"

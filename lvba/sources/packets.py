@@ -1,4 +1,7 @@
-"""Raw packets of sensors that need their own decoder: which driver makes point clouds of them, on which topic."""
+"""Raw packets of sensors that need their own decoder: which driver makes point clouds of them, on which topic.
+
+Those of Velodyne and Ouster are read here; where that fails, their drivers help, too.
+"""
 
 from collections.abc import Iterable
 
@@ -26,6 +29,11 @@ DRIVERS = {
     ),
 }
 """By the short name of a message: the driver, and the usual topic of its clouds."""
+
+
+def is_raw(message_type: str) -> bool:
+    """Whether messages are packets, whether they are read or not; "package/Name" or "package/msg/Name"."""
+    return message_type.replace("/msg/", "/") in DRIVERS
 
 
 def mend(message_type: str) -> str:

@@ -14,11 +14,16 @@ sys.path.append(
 import calibration_writers
 import kitti_writers
 import lidar_writers
+import ouster_writers
 import rgbd_writers
 
 from lvba import geometry
 from lvba.errors import InputError
 from lvba.sources import calibrations, folders
+from lvba.sources.bags import ouster_metadata
+from lvba.sources.bags.definitions import Undecodable
+from lvba.sources.bags.ouster_scans import ScanMaker
+from lvba.sources.bags.sensor_clock import SensorClock
 from lvba.sources.source import PoseSample, RawScan
 
 _CALIBRATIONS = (
@@ -106,3 +111,37 @@ def read_folder(folder: Path) -> None:
                 assert column is None or len(column) == len(record.points)
         if isinstance(record, PoseSample):
             assert np.isfinite(record.parent_from_child).all()
+
+
+def packet_seeds(folder: Path) -> list[Files]:
+    """Metadata of an Ouster, and packets of two turns, each behind its length."""
+    seeds = []
+    for number, profile in enumerate(ouster_writers.PROFILES):
+        device = ouster_writers.Device(profile, beams=2, columns=32, window=(0, 31))
+        turns = [ouster_writers.turn(device, frame, 10**12 + frame * 10**8) for frame in (65535, 65536)]
+        data = [each for seen in turns for each in ouster_writers.packets(device, seen)]
+        listed = b"".join(len(each).to_bytes(2, "little") + each for each in data)
+        text = device.metadata(nested=bool(number % 2))
+        seeds.append({"metadata.json": text.encode(), "packets": listed})
+    return seeds
+
+
+def read_packets(folder: Path) -> None:
+    """Points are finite, and every column has their number; what is none of the sensor's is refused."""
+    text = (folder / "metadata.json").read_bytes().decode(errors="replace")
+    data, at, scans = (folder / "packets").read_bytes(), 0, []
+    try:
+        make = ScanMaker(ouster_metadata.parse(text), SensorClock(), "")
+        while at < len(data):
+            length = int.from_bytes(data[at : at + 2], "little")
+            packet = np.frombuffer(data[at + 2 : at + 2 + length], np.uint8)
+            scans += make({"buf": packet}, 1_700_000_000 * 10**9 + at, "")
+            at += 2 + length
+    except Undecodable as error:
+        raise InputError(folder, str(error), "give others") from error
+    for scan in (*scans, *make.finish()):
+        assert abs(scan.stamp) < 2**63
+        assert np.isfinite(scan.points).all()
+        for column in (scan.rows, scan.times, scan.intensity):
+            assert column is not None
+            assert len(column) == len(scan.points) > 0

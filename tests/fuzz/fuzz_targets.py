@@ -450,6 +450,7 @@ TARGETS: dict[str, Target] = {
         fuzz_bags.seeds(BagForm.MCAP, BagForm.MCAP_ZSTD), fuzz_bags.read, tokens=fuzz_bags.TOKENS
     ),
     "bag-sqlite": Target(fuzz_bags.seeds(BagForm.SQLITE3), fuzz_bags.read, tokens=fuzz_bags.TOKENS),
+    "packets": Target(sources.packet_seeds, sources.read_packets, tokens=fuzz_tokens.YAML),
     "calibrations": Target(sources.calibration_seeds, sources.read_calibrations, tokens=fuzz_tokens.YAML),
     "folders": Target(
         sources.folder_seeds, sources.read_folder, tokens=(*fuzz_tokens.POSE, *fuzz_tokens.YAML)

@@ -12,7 +12,8 @@ from lvba.camera import Camera
 from lvba.errors import InputError
 from lvba.lens import Lens
 from lvba.sources import choosing, packets
-from lvba.sources.bags.decoders import kind_of
+from lvba.sources.bags import decoders
+from lvba.sources.bags.container import Encoding, Topic
 from lvba.sources.importing.importer import import_source
 from lvba.sources.importing.options import ImportOptions
 from lvba.sources.inspection import inspect
@@ -515,7 +516,10 @@ def test_the_driver_of_each_kind_of_packets_is_named(name):
     for text in (name, f"{package}/msg/{message}"):
         assert driver in packets.mend(text)
         assert topic in packets.mend(text)
-        assert kind_of(text) is (Kind.SCANS if package == "velodyne_msgs" else Kind.PACKETS)
+        is_read = package.startswith(("velodyne", "ouster"))
+        assert decoders.kinds_of([Topic("/a", text, Encoding.ROS1)])["/a"] is (
+            Kind.SCANS if is_read else Kind.PACKETS
+        )
 
 
 @pytest.mark.parametrize(

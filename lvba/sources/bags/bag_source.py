@@ -92,6 +92,7 @@ class BagSource:
         self._description: SourceDescription | None = None
         self._layouts: dict[Topic, Layout | Undecodable] = {}
         self._losses: tuple[str, ...] = ()
+        self._inside: Contents | None = None
         self._ouster: OusterTopics | None = None
 
     def describe(self) -> SourceDescription:
@@ -100,7 +101,7 @@ class BagSource:
         Raises InputError: it is damaged past use.
         """
         if self._description is None:
-            contents = self._container.contents()
+            contents = self._contents()
             self._description = SourceDescription(
                 path=str(self._path),
                 format=contents.format,
@@ -161,7 +162,7 @@ class BagSource:
 
     def _ouster_topics(self) -> OusterTopics:
         if self._ouster is None:
-            topics = {topic.name: topic for topic in reversed(self._container.contents().topics)}
+            topics = {topic.name: topic for topic in reversed(self._contents().topics)}
             types = {name: topic.message_type for name, topic in topics.items()}
 
             def texts(name: str) -> list[str]:
@@ -171,6 +172,11 @@ class BagSource:
 
             self._ouster = OusterTopics(self._path, types, texts)
         return self._ouster
+
+    def _contents(self) -> Contents:
+        if self._inside is None:
+            self._inside = self._container.contents()
+        return self._inside
 
     def _decoded(self, message: Message, make: Decoder, tally: _Tally) -> list[Record]:
         """The records of a message, but parts that cannot be decoded. Raises Undecodable: it has none"""
@@ -226,7 +232,8 @@ class BagSource:
         reason, _ = tally.reasons.most_common(1)[0]
         problem = f"{tally.lost} of {tally.lost + tally.read} messages of {name} cannot be decoded: {reason}"
         kind = next(each.message_type for each in self.describe().streams if each.name == name)
-        mend = packets.mend(kind) if "packets are of" in reason else "choose another topic, or record it anew"
+        of_packets = "packets are of" in reason or "by the metadata" in reason
+        mend = packets.mend(kind) if of_packets else "choose another topic, or record it anew"
         return InputError(self._path, problem, mend)
 
     def _streams(self, contents: Contents) -> Iterator[Stream]:

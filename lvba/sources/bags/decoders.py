@@ -40,8 +40,8 @@ _DECODERS: dict[str, tuple[Kind, Decoder]] = {
 _TREES = ("tf2_msgs/TFMessage", "tf/tfMessage")
 
 
-def kind_of(message_type: str) -> Kind:
-    """What a topic of such messages has."""
+def _kind_of(message_type: str) -> Kind:
+    """What a topic of such messages has, where its name does not matter."""
     name = short(message_type)
     if name in _DECODERS:
         return _DECODERS[name][0]
@@ -55,7 +55,7 @@ def kinds_of(topics: Iterable[Topic]) -> dict[str, Kind]:
     types: dict[str, str] = {}
     for topic in topics:
         types.setdefault(topic.name, topic.message_type)
-    return {name: kind_of(kind) for name, kind in types.items()} | ouster_topics.kinds(types)
+    return {name: _kind_of(kind) for name, kind in types.items()} | ouster_topics.kinds(types)
 
 
 def decoder_of(message_type: str, topic: str, *, rectified: bool) -> Decoder | None:

@@ -83,6 +83,8 @@ def parse(text: str) -> OusterSensor:
     beams = _count(values, "pixels_per_column", _MOST_BEAMS, len(altitude))
     if len(altitude) != beams or not beams <= _MOST_BEAMS:
         raise Undecodable(f"they have {len(altitude)} beam_altitude_angles for {beams} beams")
+    if beams > 1 and not np.ptp(altitude):
+        raise Undecodable("all their beam_altitude_angles are the same")
     profile = values.get("udp_profile_lidar") or _LEGACY
     if not isinstance(profile, str):
         raise Undecodable("their udp_profile_lidar is no text")

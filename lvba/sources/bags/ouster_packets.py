@@ -234,14 +234,17 @@ class Reading(NamedTuple):
 def readings(data: np.ndarray) -> list[Reading]:
     """The readings of an IMU packet: one, or (ACCEL32_GYRO32_NMEA) several. data: (N,) uint8
 
-    The stamp is the gyroscope's, as the driver takes it.
+    The stamp is the gyroscope's, as the driver takes it. Packets of one reading count in g and degrees, others in SI
+    units.
     Raises Undecodable: it is no such packet, or has numbers that are none.
     """
     packet = data.tobytes()
     around = 2 * _HEAD_BYTES + _NMEA_BYTES
+    turn_unit, force_unit = 1.0, 1.0
     if len(packet) in (_IMU_BYTES, _IMU_BYTES + 1):
         stamps = np.frombuffer(packet[16:24], "<u8")
         numbers = np.frombuffer(packet[24:48], "<f4").reshape(1, 6)
+        turn_unit, force_unit = np.pi / 180, _GRAVITY
     elif len(packet) > around and (len(packet) - around) % _READING_BYTES == 0:
         kind = np.dtype([("stamp", "<u8"), ("number", "<u2"), ("status", "<u2"), ("values", "<f4", 6)])
         listed = np.frombuffer(packet[_HEAD_BYTES + _NMEA_BYTES : -_HEAD_BYTES], kind)
@@ -252,5 +255,5 @@ def readings(data: np.ndarray) -> list[Reading]:
     numbers = numbers.astype(float)
     if not np.isfinite(numbers).all() or (stamps >= _LATEST_NS).any():
         raise Undecodable("its packets have numbers that are not finite, or no time")
-    turns, forces = np.radians(numbers[:, 3:]), numbers[:, :3] * _GRAVITY
+    turns, forces = numbers[:, 3:] * turn_unit, numbers[:, :3] * force_unit
     return [Reading(int(each), *rest) for each, *rest in zip(stamps, turns, forces, strict=True)]

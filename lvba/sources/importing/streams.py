@@ -95,6 +95,7 @@ def _one(description: SourceDescription, kind: Kind, asked: str, option: str, ne
         raise InputError(
             f"{option} {asked}", f"{description.path} has no such stream of {kind}", _listed(fitting)
         )
+    fitting = choosing.made_of(fitting)
     if len(fitting) > 1:
         names = f"{len(fitting)} streams of {kind}"
         raise InputError(
