@@ -16,6 +16,7 @@ from lvba.simulate import lidar, raw
 from lvba.sources import choosing
 from lvba.sources.bags.bag_source import BagSource
 from lvba.sources.bags.container import Contents, Encoding, Message, Topic
+from lvba.sources.bags.ouster_topics import OusterTopics
 from lvba.sources.bags.writing import BagForm, write_bag
 from lvba.sources.importing import streams as importing_streams
 from lvba.sources.importing.importer import import_source
@@ -110,6 +111,27 @@ def test_what_inspection_says(tmp_path):
     assert facts[SCANS].facts["stamp_is"] == "start of the sweep"
     assert facts[SCANS].facts["time_unit"] == "ns"
     assert facts[IMU].facts["acceleration_unit"] == "m/s^2"
+
+
+@pytest.mark.parametrize(
+    ("left", "right"),
+    [("/left/{}", "/right/{}"), ("/left_{}", "/right_{}"), ("/os/{}_left", "/os/{}_right")],
+)
+def test_two_sensors_have_metadata_clocks_and_frames_of_their_own(left, right):
+    devices = {left: Device(LOW), right: Device(LOW, beams=7)}
+    kinds = {"lidar_packets": PACKET, "imu_packets": PACKET, "metadata": "std_msgs/msg/String"}
+    types = {name.format(part): kind for name in devices for part, kind in kinds.items()}
+    texts = {name.format("metadata"): [device.metadata()] for name, device in devices.items()}
+    topics = OusterTopics(Path("a.bag"), types, texts.__getitem__)
+    names = [name.format("lidar_packets") for name in devices]
+    assert [len(topics.sensor(name).altitude) for name in names] == [6, 7]
+    assert len({topics.unit(name) for name in types}) == 2
+    assert len({topics.frame(name, "os_sensor") for name in types}) == 2
+    assert topics.beside(names[:1]) == {left.format("imu_packets")}
+    assert "left" in topics.frame(names[0], "os_imu")
+    lost = {name: kind for name, kind in types.items() if name != right.format("metadata")}
+    with pytest.raises(InputError, match=f"record {right.format('metadata')} "):
+        OusterTopics(Path("a.bag"), lost, texts.__getitem__).sensor(names[1])
 
 
 def test_what_the_driver_made_of_packets_is_taken_where_both_are_there():

@@ -25,7 +25,7 @@ _PATIENCE = 100
 _BESIDE = (Kind.CAMERA_INFO, Kind.TRANSFORMS, Kind.GNSS)
 """Kinds that may be lost: others can say what they say."""
 _MOST_LOOKED_AT = 50
-"""Topics of clouds whose first message is read for its fields."""
+"""Topics of clouds whose first message is read for its fields, and packets of whose metadata count."""
 _MOST_METADATA = 20
 """Messages of metadata that are read: a driver writes one more each time a sensor is set up."""
 _WRONG = (KeyError, TypeError, ValueError, OverflowError, IndexError, AttributeError)
@@ -253,7 +253,7 @@ class BagSource:
                 name=name,
                 kind=kind,
                 message_type=topics[0].message_type,
-                count=self._ouster_topics().records(name, count),
+                count=self._ouster_topics().records(name, count) if looked <= _MOST_LOOKED_AT else count,
                 first=min((topic.first for topic in topics if topic.first is not None), default=None),
                 last=max((topic.last for topic in topics if topic.last is not None), default=None),
                 fields=self._fields(name, topics) if kind is Kind.SCANS and looked <= _MOST_LOOKED_AT else (),

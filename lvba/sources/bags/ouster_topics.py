@@ -1,6 +1,8 @@
 """Which topics of a bag have packets of Ouster's sensors, and the metadata of each; what makes records of them."""
 
 import contextlib
+import re
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,8 @@ PACKETS = ("ouster_ros/PacketMsg", "ouster_sensor_msgs/PacketMsg", "ouster_msgs/
 _TEXT = "std_msgs/String"
 _SENSOR, _LIDAR, _IMU = "os_sensor", "os_lidar", "os_imu"
 """Frames, as Ouster's driver names them."""
+_WORDS, _LIDAR_PACKETS = re.compile("lidar_packets|imu_packets|metadata"), re.compile("lidar_packets|packets")
+"""Of names of topics, as the driver has them."""
 Maker = Callable[[dict[str, Any], int, str], Iterator[Record]]
 
 
@@ -58,6 +62,7 @@ class OusterTopics:
     def __init__(self, path: Path, types: Mapping[str, str], texts: Callable[[str], list[str]]) -> None:
         self._path, self._types, self._texts = path, types, texts
         self.kinds = kinds(types)
+        self._spaces = Counter(_space(name) for name, kind in self.kinds.items() if kind is Kind.SCANS)
         self._sensors: dict[str, OusterSensor | InputError] = {}
 
     def sensor(self, topic: str) -> OusterSensor:
@@ -84,13 +89,17 @@ class OusterTopics:
 
     def beside(self, topics: Collection[str]) -> set[str]:
         """Topics of IMUs of the sensors of these topics: packets of an IMU come the least late, and tell the clock."""
-        spaces = {_space(topic) for topic in topics if self.kinds.get(topic) is Kind.SCANS}
-        return {topic for topic, kind in self.kinds.items() if kind is Kind.IMU and _space(topic) in spaces}
+        units = {self.unit(topic) for topic in topics if self.kinds.get(topic) is Kind.SCANS}
+        return {topic for topic, kind in self.kinds.items() if kind is Kind.IMU and self.unit(topic) in units}
+
+    def unit(self, topic: str) -> str:
+        """What names of topics of one sensor have in common: the namespace, or more where it has several sensors."""
+        space = _space(topic)
+        return _WORDS.sub("", topic) if self._spaces[space] > 1 else space
 
     def frame(self, topic: str, name: str) -> str:
         """Of a topic's sensor, with the namespace of the topic where there are several."""
-        spaces = {_space(each) for each, kind in self.kinds.items() if kind is Kind.SCANS}
-        return f"{_space(topic).strip('/')}/{name}" if len(spaces) > 1 else name
+        return f"{self.unit(topic).strip('/_')}/{name}" if self._spaces.total() > 1 else name
 
     def _read(self, topic: str) -> OusterSensor:
         name = self._metadata_of(topic)
@@ -114,19 +123,19 @@ class OusterTopics:
         raise InputError(self._path, problem, self._mend(topic))
 
     def _mend(self, topic: str) -> str:
-        named = f"{_space(topic)}/metadata"
+        named = _LIDAR_PACKETS.sub("metadata", topic)
+        named = named if named != topic else f"{_space(topic)}/metadata"
         return (
             f"record {named} (std_msgs/String, latched) with them, or save its text as {_beside(self._path)}"
         )
 
     def _metadata_of(self, topic: str) -> str:
-        """The topic of metadata in the same namespace, or the only one; "": there is none."""
+        """The topic of metadata of the same sensor, or the only one; "": there is none."""
         names = _metadata(self._types)
-        near = [name for name in names if _space(name) == _space(topic)]
-        spaces = {_space(each) for each, kind in self.kinds.items() if kind is Kind.SCANS}
-        if not near and len(names) == 1 and len(spaces) <= 1:
+        near = [name for name in names if self.unit(name) == self.unit(topic)]
+        if not near and len(names) == 1 and self._spaces.total() <= 1:
             near = names
-        return near[0] if near else ""
+        return min(near, key=len, default="")
 
 
 def _space(topic: str) -> str:
@@ -152,7 +161,7 @@ class OusterPass:
         Raises InputError: metadata are needed, and cannot be used.
         """
         kind, frame = self._topics.kinds.get(topic), self._topics.frame
-        clock = self._clocks.setdefault(_space(topic), SensorClock())
+        clock = self._clocks.setdefault(self._topics.unit(topic), SensorClock())
         if kind is Kind.SCANS:
             made = ScanMaker(self._topics.sensor(topic), clock, frame(topic, _SENSOR))
             self._scans[topic] = made
