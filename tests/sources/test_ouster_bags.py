@@ -96,7 +96,7 @@ def test_a_bag_of_packets_is_a_source_of_scans_and_readings(tmp_path, container)
         ("os_sensor", "os_lidar", True),
         ("os_sensor", "os_imu", True),
     }
-    assert {each.frame for each in scans} == {"os_sensor"}
+    assert {each.frame for each in scans} == {"os_lidar"}
     assert {each.frame for each in felt} == {"os_imu"}
     # scans that are read alone have the same stamps
     assert [record.stamp for _, record in source.records({SCANS})] == [each.stamp for each in scans]
@@ -126,7 +126,7 @@ def test_two_sensors_have_metadata_clocks_and_frames_of_their_own(left, right):
     names = [name.format("lidar_packets") for name in devices]
     assert [len(topics.sensor(name).altitude) for name in names] == [6, 7]
     assert len({topics.unit(name) for name in types}) == 2
-    assert len({topics.frame(name, "os_sensor") for name in types}) == 2
+    assert len({topics.frame(name, "os_lidar") for name in types}) == 2
     assert topics.beside(names[:1]) == {left.format("imu_packets")}
     assert "left" in topics.frame(names[0], "os_imu")
     lost = {name: kind for name, kind in types.items() if name != right.format("metadata")}
@@ -237,7 +237,7 @@ def _simulated(truth, device):
 
 def test_packets_of_a_simulated_recording_are_imported(tmp_path, one_pair, monkeypatch):
     """By a clock of its own, packets 1 to 4 ms late: stamps of scans are those of the truth, but for the first delay."""
-    monkeypatch.setattr(raw, "LIDAR_FRAME", "os_sensor")
+    monkeypatch.setattr(raw, "LIDAR_FRAME", "os_lidar")
     truth = raw.measure("courtyard", seconds=2.0, sensors=SMALL)
     write_bag(raw.written(truth, sensors=SMALL), tmp_path / "others.bag", BagForm.ROS1)
     identity = tuple(np.eye(4).ravel())

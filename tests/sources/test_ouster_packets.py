@@ -19,7 +19,7 @@ TURNED = (HALF, -HALF, 0, 10.0, HALF, HALF, 0, -20.0, 0, 0, 1, 30.0, 0, 0, 0, 1)
 
 
 def maker(device, **metadata):
-    return ScanMaker(ouster_metadata.parse(device.metadata(**metadata)), SensorClock(), "os_sensor")
+    return ScanMaker(ouster_metadata.parse(device.metadata(**metadata)), SensorClock(), "os_lidar")
 
 
 def scans_of(make, data, recorded=T0):
@@ -55,7 +55,7 @@ def test_each_return_is_where_and_when_its_beam_was(profile, nested):
     seen = ouster.turn(device, 77, T0)
     [scan] = scans_of(maker(device, nested=nested), ouster.packets(device, seen))
     assert_is(scan, device, seen)
-    assert scan.frame == "os_sensor"
+    assert scan.frame == "os_lidar"
     beams = len(np.unique(np.stack([scan.times, scan.rows]), axis=1).T)
     assert len(scan.points) > 1.3 * beams if "DUAL" in profile else len(scan.points) == beams
 

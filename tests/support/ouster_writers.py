@@ -177,10 +177,10 @@ def imu_packets_of_several(readings) -> bytes:
 def truth(device: Device, seen: Turn) -> np.ndarray:
     """(N, 6): x y z (m), time (ns since the first column), row, reflectivity of each return, in the order of their times.
 
-    By the formula of the manual, beam by beam.
+    LiDAR frame, by the formula of the manual, beam by beam.
     """
     first = int(seen.times[seen.measured].min())
-    rows, transform = [], np.reshape(device.sensor_from_lidar, (4, 4))
+    rows = []
     beyond = np.hypot(device.out, device.up)
     for column in np.argsort(seen.times, kind="stable"):
         encoder = 2 * np.pi * (1 - column / device.columns)
@@ -193,7 +193,7 @@ def truth(device: Device, seen: Turn) -> np.ndarray:
                 x = (reach - beyond) * np.cos(angle) * np.cos(tilt) + device.out * np.cos(encoder)
                 y = (reach - beyond) * np.sin(angle) * np.cos(tilt) + device.out * np.sin(encoder)
                 z = (reach - beyond) * np.sin(tilt) + device.up
-                place = 1e-3 * (transform @ [x, y, z, 1.0])[:3]
+                place = 1e-3 * np.array([x, y, z])
                 rows.append((*place, seen.times[column] - first, row, seen.reflectivity[column, row, number]))
     return np.array(rows)
 

@@ -198,12 +198,11 @@ class PacketFormat:
         return reach, reflectivity
 
     def _places(self, reach: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-        """(C, H, R, 3) float32, m, sensor frame. reach: (C, H, R), m; numbers: (C,), of the columns"""
+        """(C, H, R, 3) float32, m, LiDAR frame. reach: (C, H, R), m; numbers: (C,), of the columns"""
         sensor = self._sensor
         turned = 2 * np.pi * numbers / sensor.columns_per_frame  # clockwise
         ahead, left = np.cos(turned), -np.sin(turned)
         begin = np.stack([sensor.out * ahead, sensor.out * left, np.full(len(turned), sensor.up)], axis=1)
-        begin = begin @ sensor.sensor_from_lidar[:3, :3].T + sensor.sensor_from_lidar[:3, 3]
         # ranges count from the axis: the way to where the beam begins is a part of them
         beyond = reach - np.hypot(sensor.out, sensor.up)
         places = np.empty((*reach.shape, 3), np.float32)
@@ -215,12 +214,12 @@ class PacketFormat:
 
 
 def _beams(sensor: OusterSensor) -> np.ndarray:
-    """(3, H, 3): what directions of beams are, sensor frame, times the cosine and the sine of the turn, and without."""
+    """(3, H, 3): what directions of beams are, LiDAR frame, times the cosine and the sine of the turn, and without."""
     altitude, azimuth = np.radians(sensor.altitude), np.radians(sensor.azimuth)
     level, zero = np.cos(altitude), np.zeros(len(altitude))
     along, across = level * np.cos(azimuth), level * np.sin(azimuth)
     parts = [[along, -across, zero], [across, along, zero], [zero, zero, np.sin(altitude)]]
-    return np.asarray(np.array(parts).transpose(0, 2, 1) @ sensor.sensor_from_lidar[:3, :3].T)
+    return np.array(parts).transpose(0, 2, 1)
 
 
 class Reading(NamedTuple):

@@ -163,7 +163,7 @@ class OusterPass:
         kind, frame = self._topics.kinds.get(topic), self._topics.frame
         clock = self._clocks.setdefault(self._topics.unit(topic), SensorClock())
         if kind is Kind.SCANS:
-            made = ScanMaker(self._topics.sensor(topic), clock, frame(topic, _SENSOR))
+            made = ScanMaker(self._topics.sensor(topic), clock, frame(topic, _LIDAR))
             self._scans[topic] = made
             return made
         if kind is Kind.IMU:
