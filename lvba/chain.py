@@ -1,6 +1,6 @@
 """What all steps of a run share: its frames in parts, what is decoded of them, and a step for each part or region."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -82,16 +82,28 @@ class Chain:
             return list(given(self.points, numbers))
         return given_static(self.points, self.moving, numbers)
 
-    def _each_region(self, one: str, function: Any, *arguments: Any) -> list[Ref]:
-        """A step for each region, given the recording, all regions, the number of this one, and the scans about it."""
+    def _each_region(
+        self, one: str, function: Any, *arguments: Any, own: Callable[[Part], list[Any]] = lambda _: []
+    ) -> list[Ref]:
+        """A step for each region, given the recording, all regions, the number of this one, and the scans about it.
+
+        own: further arguments of each region
+        """
         return [
             self.plan.add(
                 self._name(region, one), function,
                 *(self.dataset, self.regions, region.number),
-                *(about_region(self.dataset, region, self.points), *arguments),
+                *(about_region(self.dataset, region, self.points), *arguments, *own(region)),
             )
             for region in self.regions
         ]  # fmt: skip
+
+    def _inside(self, region: Part, solved: list[Ref]) -> list[Ref]:
+        """Of all parts, those whose cores are in a region."""
+        first, end = region.core_scans
+        return [
+            ref for part, ref in zip(self.parts, solved, strict=True) if first <= part.core_scans[0] < end
+        ]
 
     def _name(self, part: Part, one: str, many: str = "") -> str:
         return f"{many or one}-{part.number}" if self.many else one

@@ -168,6 +168,7 @@ class _Chain(Chain):
             clusters = self._each_region(
                 f"lidar-clusters-{stage}", joint_scans.collect_clusters,
                 *(state, self.survey, stage if rounds else stage + 1),
+                own=lambda region: [one_at_a_time(self._inside(region, solved))],
             )  # fmt: skip
             for turn in range(rounds):
                 equations = self._linearize(f"lidar-linearize-{stage}-{turn}", clusters, state, stage)

@@ -16,7 +16,7 @@ from lvba.arrays import Indices, Pose, Poses, Vector, Vectors
 from lvba.kernels import voxel as kernel
 from lvba.lidar import degeneracy, group_factor, plane_factor, voxel_map
 from lvba.lidar.config import Stage
-from lvba.lidar.plane_feature import fit
+from lvba.lidar.plane_feature import PlaneFeatures, fit
 from lvba.lidar.point_cluster import PointClusters
 from lvba.lidar.scan import Scans, gather
 from lvba.lidar.voxel_map import Level, VoxelMap
@@ -52,6 +52,7 @@ class BlockClusters:
     scans: (L,) int64, ascending, the recording's scans that have points here
     size: m, edge of a cell; key (C,), starts (C + 1,), entry_scan (E,) int32 (into `scans`), clusters: as in `Level`
     grid_from_world: (4, 4), turn of the grid
+    mixed: planes in cells of several surfaces, with numbers of scans as in `scans`; None: there are none
     """
 
     scans: np.ndarray
@@ -61,6 +62,7 @@ class BlockClusters:
     entry_scan: np.ndarray
     clusters: PointClusters
     grid_from_world: np.ndarray
+    mixed: PlaneFeatures | None = None
 
     def grid(self, world_from_scan: Poses, largest: float) -> VoxelMap:
         """All levels up to cells of edge `largest`, for the poses (L, 4, 4) of `scans`."""
@@ -115,12 +117,14 @@ def collect(
     size: float,
     largest: float,
     grid_from_world: Pose,
+    mixed: PlaneFeatures | None = None,
     progress: Progress = silent,
 ) -> BlockClusters:
     """The block of a part.
 
     load: numbers of scans -> their points (N, 3) float32, scan frame
     scans: those to look at; world_from_scan: (S, 4, 4) of the whole recording
+    mixed: planes in cells of several surfaces, with scan numbers of the recording
     size, largest: m, edges of the finest cells and of the coarsest (owned as a whole), powers of two apart
     Raises InputError: the grid does not reach over all these scans (`voxel_map.grid_origin`).
     """
@@ -144,7 +148,15 @@ def collect(
             )
         )
         pieces.append((key[mine], scan[mine], clusters.take(mine)))
-    return _clusters(pieces, scans, size, grid_from_world)
+    block = _clusters(pieces, scans, size, grid_from_world)
+    return block if mixed is None else replace(block, mixed=_among(mixed, block.scans))
+
+
+def _among(features: PlaneFeatures, scans: np.ndarray) -> PlaneFeatures:
+    """What some scans (L,) int64, ascending, see of features, with their numbers among these."""
+    known = features.observations_where(np.isin(features.scan, scans))
+    known = replace(known, scan=np.searchsorted(scans, known.scan).astype(np.int32))
+    return known.select(np.diff(known.offsets) > 1)
 
 
 def _chunks(load: Callable[[list[int]], list[np.ndarray]], scans: np.ndarray) -> Iterator[tuple[int, Scans]]:
@@ -216,11 +228,7 @@ def linearize(
     """
     poses = np.ascontiguousarray(world_from_scan[clusters.scans])
     count = len(clusters.scans)
-    features = (
-        voxel_map.find_planes(clusters.grid(poses, stage.sizes[-1]), poses, sensor, stage.plane_test).features
-        if count
-        else None
-    )
+    features = _planes(clusters, poses, sensor, stage) if count else None
     if features is None or len(features) == 0:
         none = np.zeros((count, 6, 6))
         return BlockEquations(
@@ -255,6 +263,12 @@ def linearize(
         sigma=weighted.sigma,
         bodies=bodies,
     )
+
+
+def _planes(clusters: BlockClusters, poses: np.ndarray, sensor: Vector, stage: Stage) -> PlaneFeatures:
+    grid = clusters.grid(poses, stage.sizes[-1])
+    features = voxel_map.find_planes(grid, poses, sensor, stage.plane_test).features
+    return features if clusters.mixed is None else features.joined(clusters.mixed)
 
 
 def _no_equations(count: int) -> NormalEquations:

@@ -85,18 +85,20 @@ class Refits(NamedTuple):
 
 @kernel
 def order_points(
-    offsets: np.ndarray, pair: np.ndarray, pair_starts: np.ndarray, entry_of: np.ndarray
+    offsets: np.ndarray, pair: np.ndarray, pair_starts: np.ndarray, entry_of: np.ndarray, wanted: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`first` (E + 1,) int64 and `order` (M,) int32 of `CellPoints`.
+    """`first` (E + 1,) int64 and `order` (M,) int32 of `CellPoints`, of the wanted entries; others are empty.
 
     offsets: (S + 1,) int64, scan s owns points offsets[s] to offsets[s + 1]; pair: (M,) int32, the (cell, scan) pair of
-    each among those of its scan, -1: none; pair_starts: (S + 1,) int64; entry_of: (E,) int64, the entry of each pair
+    each among those of its scan, -1: none; pair_starts: (S + 1,) int64; entry_of: (E,) int64, the entry of each pair;
+    wanted: (E,) bool
     """
     first = np.zeros(len(entry_of) + 1, np.int64)
     for s in range(len(offsets) - 1):
         for i in range(offsets[s], offsets[s + 1]):
             if pair[i] >= 0:
-                first[entry_of[pair_starts[s] + pair[i]] + 1] += 1
+                e = entry_of[pair_starts[s] + pair[i]]
+                first[e + 1] += wanted[e]
     for e in range(len(entry_of)):
         first[e + 1] += first[e]
     free = first[:-1].copy()
@@ -105,8 +107,9 @@ def order_points(
         for i in range(offsets[s], offsets[s + 1]):
             if pair[i] >= 0:
                 e = entry_of[pair_starts[s] + pair[i]]
-                order[free[e]] = i
-                free[e] += 1
+                if wanted[e]:
+                    order[free[e]] = i
+                    free[e] += 1
     return first, order
 
 

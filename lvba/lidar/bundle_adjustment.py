@@ -22,6 +22,7 @@ from lvba.lidar import degeneracy, density, inertial_rounds, surface
 from lvba.lidar.config import LidarConfig, Stage
 from lvba.lidar.odometry_factor import OdometryPrior, by_turns, odometry_prior
 from lvba.lidar.plane import PlanePoints, Planes
+from lvba.lidar.plane_feature import PlaneFeatures
 from lvba.lidar.problem import Problem
 from lvba.lidar.rounds import Round, Rounds, Solved, build_grid, count_points, planes_in
 from lvba.lidar.scan import Scans, gather
@@ -76,6 +77,8 @@ class LidarResult:
     """What the IMU said; None: there is none."""
     shared_factor: float = 1.0
     own_covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 6, 6)))
+    mixed: PlaneFeatures | None = None
+    """Planes of the last association in cells of several surfaces, which clusters of cells do not tell of."""
 
     @property
     def pose_covariance(self) -> uncertainty.Covariance:
@@ -128,7 +131,7 @@ def refine(
     if imu is not None:
         rounds, solved, inertial = inertial_rounds.with_imu(rounds, imu, stages[-1], solved, progress)
     problem, directions, converged = solved
-    poses, history = rounds.poses, rounds.history
+    poses, history, mixed = rounds.poses, rounds.history, rounds.mixed
     del rounds
     progress("aligning scans", total, total)
     planes, plane_points = _planes_of_stage(points, poses, sensor, stages[-1])
@@ -154,6 +157,7 @@ def refine(
         degenerate_scans=directions.count,
         odometry_dependence=covariance.odometry_dependence,
         inertial=None if inertial is None else inertial.among(covariance.marginal),
+        mixed=mixed,
         warnings=_warnings(points, history[-1], stages, converged, problem)
         + inertial_rounds.warnings(inertial)
         + _warnings_of_dependence(covariance.odometry_dependence, directions, problem.prior),

@@ -35,6 +35,9 @@ class Stage:
     oblique_grid: bool = True
     """Turn the grid out of the axes of the world. Walls are often parallel to those, and then lie on faces of cells:
     noise throws their points to both sides, and two copies of a wall never meet in one cell."""
+    mixed_cells: bool = True
+    """Look for planes in the finest cells that hold several surfaces, too (`lidar.mixed_cells`). While rough poses tear
+    surfaces apart, these are no planes."""
     weight_passes: int = WEIGHT_PASSES
     """How often planes and the weights of observations are found in turn; 0 to 10; 0: all points weigh the same."""
 
@@ -59,12 +62,14 @@ _COARSE = Stage(
     plane_test=PlaneTest(ratio=0.15, finest_ratio=0.15, max_residual_growth=np.inf),
     rounds=5,
     pose_tolerance=0.01,
+    mixed_cells=False,
 )
 _MIDDLE = Stage(
     sizes=(0.25, 0.5, 1.0),
     plane_test=PlaneTest(ratio=0.08, finest_ratio=0.1, max_residual_growth=0.5),
     rounds=4,
     pose_tolerance=0.002,
+    mixed_cells=False,
 )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from lvba.arrays import Poses
 from lvba.kernels import lidar as kernel
-from lvba.lidar.point_cluster import PointClusters
+from lvba.lidar.point_cluster import PointClusters, concatenate
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,22 @@ class PlaneFeatures:
         offsets = np.concatenate([[0], np.cumsum(np.diff(self.offsets)[keep])]).astype(np.int64)
         return PlaneFeatures(
             offsets, self.scan[kept], self.clusters.take(kept), self.weight[kept], self.size[keep]
+        )
+
+    def observations_where(self, keep: np.ndarray) -> "PlaneFeatures":
+        """The observations where keep (O,) bool holds; features may be left without any."""
+        counts = np.bincount(self.feature[keep], minlength=len(self))
+        offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        return PlaneFeatures(offsets, self.scan[keep], self.clusters.take(keep), self.weight[keep], self.size)
+
+    def joined(self, other: "PlaneFeatures") -> "PlaneFeatures":
+        """These features, then those of another, of the same scans."""
+        return PlaneFeatures(
+            np.concatenate([self.offsets, self.offsets[-1] + other.offsets[1:]]),
+            np.concatenate([self.scan, other.scan]),
+            concatenate([self.clusters, other.clusters]),
+            np.concatenate([self.weight, other.weight]),
+            np.concatenate([self.size, other.size]),
         )
 
 

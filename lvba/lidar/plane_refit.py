@@ -93,5 +93,8 @@ def _rough(
 def _points_by_cell(points: PlanePoints, grid: VoxelMap) -> CellPoints:
     """All points by finest cell and scan."""
     level = grid.levels[0]
-    first, order = kernels.order_points(points.scan_offsets, grid.pair, grid.pair_starts, level.entry_of)
+    all_of_them = np.ones(len(level.scan), bool)
+    first, order = kernels.order_points(
+        points.scan_offsets, grid.pair, grid.pair_starts, level.entry_of, all_of_them
+    )
     return CellPoints(level.key, level.starts, level.scan, first, order)

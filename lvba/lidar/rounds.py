@@ -9,14 +9,14 @@ from lvba import geometry
 from lvba.arrays import Poses, Vector
 from lvba.errors import DegenerateProblemError
 from lvba.inertial.factor import InertialFactor
-from lvba.lidar import degeneracy, noise_information, voxel_map
+from lvba.lidar import degeneracy, mixed_cells, noise_information, voxel_map
 from lvba.lidar.config import LidarConfig, Stage
 from lvba.lidar.odometry_factor import OdometryPrior, reestimated
-from lvba.lidar.plane_feature import fit
+from lvba.lidar.plane_feature import PlaneFeatures, fit
 from lvba.lidar.problem import LidarSolution, Problem, solve
 from lvba.lidar.scan import Scans
 from lvba.lidar.voxel_map import Association, VoxelMap
-from lvba.lidar.weights import observation_weights
+from lvba.lidar.weights import observation_weights, point_sigma
 from lvba.progress import Progress
 
 _log = logging.getLogger(__name__)
@@ -50,7 +50,10 @@ Solved = tuple[Problem, degeneracy.DegenerateDirections, bool]
 
 @dataclass
 class Rounds:
-    """Rounds of association and solving, each from the poses of the one before. poses: (S, 4, 4) float64"""
+    """Rounds of association and solving, each from the poses of the one before.
+
+    poses: (S, 4, 4) float64; mixed: the planes of the last association in cells of several surfaces; None: not looked for
+    """
 
     points: Scans
     sensor: np.ndarray
@@ -59,6 +62,7 @@ class Rounds:
     prior: OdometryPrior
     grid: VoxelMap | None = None
     inertial: InertialFactor | None = None
+    mixed: PlaneFeatures | None = None
     history: list[Round] = field(default_factory=list)
 
     def of_stage(self, stage: Stage, progress: Progress, done: int, total: int) -> Solved:
@@ -100,8 +104,21 @@ class Rounds:
         self.grid = (
             self.grid.up_to(stage.sizes[-1]) if self.grid else build_grid(self.points, self.poses, stage)
         )
-        problem, directions = _associate(self.grid, self.poses, self.sensor, self.config, stage, self.prior)
+        features = self._planes(self.grid, stage)
+        problem, directions = _weighed(features, self.poses, self.config, stage, self.prior)
         return replace(problem, inertial=self.inertial), directions
+
+    def _planes(self, grid: VoxelMap, stage: Stage) -> PlaneFeatures:
+        """The planes at the poses so far."""
+        association = planes_in(grid, self.poses, self.sensor, stage)
+        features = association.features
+        if not stage.mixed_cells:
+            return features
+        sigma = point_sigma(features, self.poses)
+        self.mixed = mixed_cells.find(
+            grid, association, self.points, self.poses, self.sensor, sigma, stage.plane_test
+        )
+        return features.joined(self.mixed)
 
     def _take(
         self, problem: Problem, directions: degeneracy.DegenerateDirections, solution: LidarSolution
@@ -155,16 +172,10 @@ def planes_in(grid: VoxelMap, poses: Poses, sensor: Vector, stage: Stage) -> Ass
     return planes
 
 
-def _associate(
-    grid: VoxelMap,
-    poses: np.ndarray,
-    sensor: np.ndarray,
-    config: LidarConfig,
-    stage: Stage,
-    prior: OdometryPrior,
+def _weighed(
+    features: PlaneFeatures, poses: np.ndarray, config: LidarConfig, stage: Stage, prior: OdometryPrior
 ) -> tuple[Problem, degeneracy.DegenerateDirections]:
-    """The planes at the poses so far, with weights and degenerate directions: a problem to solve."""
-    features = planes_in(grid, poses, sensor, stage).features
+    """The planes with weights and degenerate directions: a problem to solve."""
     weights = observation_weights(features, poses, stage.weight_passes)
     features = features.with_weight(weights.weight)
     directions = degeneracy.find(features, fit(features, poses), poses, weights.sigma, config.prior_sigmas)

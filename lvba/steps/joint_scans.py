@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from lvba.dataset import Dataset
 from lvba.lidar.bundle_adjustment import LidarConfig, LidarResult, Round
 from lvba.lidar.odometry_factor import with_pauses
 from lvba.lidar.plane import no_plane_points, no_planes
+from lvba.lidar.plane_feature import PlaneFeatures
 from lvba.lidar.rounds import OBLIQUE
 from lvba.lidar.scan_errors import ScanErrors
 from lvba.loop_closure import registration, rough_poses, submap
@@ -49,6 +51,8 @@ class PartScans:
     problem: str = ""
     rough_error: RoughError | None = None
     confirmed: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    mixed: PlaneFeatures | None = None
+    """As in `LidarResult`, with scan numbers of the part."""
 
 
 def solve_part(
@@ -75,6 +79,7 @@ def solve_part(
         shared_factor=result.shared_factor,
         rough_error=lidar.rough_error and lidar.rough_error.numbered(part.scan_numbers),
         confirmed=part.scan_numbers[lidar.confirmed],
+        mixed=result.mixed,
     )
 
 
@@ -159,12 +164,21 @@ def collect_clusters(
     state: JointState,
     survey: Survey,
     number: int,
+    solved: Sequence[Callable[[], PartScans]] = (),
     progress: Progress = silent,
 ) -> BlockClusters | None:
-    """The point clusters of a part's region at the poses so far; none where stage `number` has converged already."""
+    """The point clusters of a part's region at the poses so far; none where stage `number` has converged already.
+
+    solved: read the parts whose scans have their cores in this region
+    """
     if state.converged_stage >= number:
         return None
     owned = regions(dataset, cores, state.world_from_scan)
+    mixed = (
+        _mixed_of(cores[part], solved)
+        if survey.stages[min(number, len(survey.stages) - 1)].mixed_cells
+        else None
+    )
     sizes = survey.stages[-1].sizes
     return lidar_block.collect(
         ScanReader(points, whole=dataset).load,
@@ -175,8 +189,25 @@ def collect_clusters(
         size=sizes[0],
         largest=max(stage.sizes[-1] for stage in survey.stages[-2:]),
         grid_from_world=OBLIQUE if survey.stages[-1].oblique_grid else np.eye(4),
+        mixed=mixed,
         progress=progress,
     )
+
+
+def _mixed_of(core: Part, solved: Sequence[Callable[[], PartScans]]) -> PlaneFeatures | None:
+    """Planes in cells of several surfaces as parts have them, of scans in a core and with their numbers in the whole.
+
+    Scans of two parts are tied by all other planes: to tell points of such cells apart takes points.
+    """
+    made = []
+    for read in solved:
+        part = read()
+        if part.mixed is not None:
+            numbers = part.poses.scans[part.mixed.scan]
+            inside = (core.core_scans[0] <= numbers) & (numbers < core.core_scans[1])
+            own = replace(part.mixed, scan=numbers.astype(np.int32)).observations_where(inside)
+            made.append(own.select(np.diff(own.offsets) > 1))
+    return None if not made else reduce(PlaneFeatures.joined, made)
 
 
 def linearize_scans(

@@ -8,6 +8,8 @@ import pytest
 
 from lvba import geometry
 from lvba.blocks import lidar_block, lidar_joint
+from lvba.blocks.merge import PartPoses
+from lvba.blocks.split import Part
 from lvba.errors import InputError
 from lvba.kernels import voxel as kernel
 from lvba.lidar import bundle_adjustment, plane_factor, voxel_map
@@ -16,6 +18,8 @@ from lvba.lidar.odometry_factor import odometry_prior
 from lvba.lidar.rounds import OBLIQUE
 from lvba.lidar.scan import gather
 from lvba.optim import normal_equations
+from lvba.steps import joint_scans
+from lvba.steps.joint_scans import PartScans
 from lvba.trajectory import pose_error
 
 CONFIG = LidarConfig(dense_points=0)
@@ -33,7 +37,7 @@ def regions(poses, parts):
     return lidar_block.Regions(poses[:, :3, 3], np.arange(len(poses)) * parts // len(poses))
 
 
-def blocks_of(scans, poses, parts):
+def blocks_of(scans, poses, parts, mixed=None):
     owned = regions(poses, parts)
     return [
         lidar_block.collect(
@@ -45,6 +49,7 @@ def blocks_of(scans, poses, parts):
             size=STAGE.sizes[0],
             largest=STAGE.sizes[-1],
             grid_from_world=OBLIQUE,
+            mixed=mixed,
         )
         for part in range(parts)
     ]
@@ -101,6 +106,62 @@ def test_the_equations_of_all_shares_add_up_to_those_of_the_whole(world, parts):
     np.testing.assert_allclose(together.gradient, whole.gradient, atol=1e-9 * np.abs(whole.gradient).max())
     dense = whole.dense()
     np.testing.assert_allclose(together.dense(), dense, atol=1e-9 * np.abs(dense).max())
+
+
+@pytest.fixture(scope="module")
+def mixed(world):
+    """Planes of another grid in the place of those that points tell of."""
+    scans, _, rough = world
+    grid = voxel_map.build(gather(scans), rough, (2.0,), OBLIQUE)
+    return voxel_map.find_planes(grid, rough, SENSOR, STAGE.plane_test).features
+
+
+def test_planes_in_cells_of_several_surfaces_count_beside_those_of_cells(world, mixed):
+    scans, _, rough = world
+    assert len(mixed) > 50
+    [without], [with_them] = blocks_of(scans, rough, 1), blocks_of(scans, rough, 1, mixed)
+    before = lidar_block.linearize(without, rough, SENSOR, PLAIN)
+    after = lidar_block.linearize(with_them, rough, SENSOR, PLAIN)
+    assert after.planes == before.planes + len(mixed)
+    own = plane_factor.linearize(mixed, rough, 1.0, exact=False)
+    together = before.equations.scaled(before.sigma**2) + own
+    found = after.equations.scaled(after.sigma**2)
+    assert found.cost == pytest.approx(together.cost, rel=1e-12)
+    np.testing.assert_allclose(found.dense(), together.dense(), atol=1e-9 * np.abs(together.dense()).max())
+
+
+def test_parts_bring_the_planes_of_scans_in_their_cores(world, mixed):
+    """Of two parts that overlap, each scan's observations come from the one whose core it is in."""
+    scans, _, rough = world
+    count = len(scans)
+    parts = []
+    for number, (first, end) in enumerate(((0, 14), (10, count))):
+        inside = (mixed.scan >= first) & (mixed.scan < end)
+        own = mixed.observations_where(inside)
+        numbers = np.arange(first, end)
+        parts.append(
+            PartScans(
+                poses=PartPoses(numbers, rough[first:end], np.zeros((end - first - 1, 6, 6))),
+                surfaces=None,
+                variance_factor=1.0,
+                history=(),
+                converged=True,
+                warnings=(),
+                mixed=replace(own, scan=own.scan - first),
+            )
+        )
+        parts[number] = (
+            parts[number],
+            Part(number, (first, end), ((0, 12), (12, count))[number], (0, 0), (0, 0)),
+        )
+    for part, core in parts:
+        found = joint_scans._mixed_of(core, [lambda part=part: part])
+        low, high = core.core_scans
+        expected = mixed.observations_where((mixed.scan >= low) & (mixed.scan < high))
+        expected = expected.select(np.diff(expected.offsets) > 1)
+        np.testing.assert_array_equal(found.scan, expected.scan)
+        np.testing.assert_array_equal(found.offsets, expected.offsets)
+        np.testing.assert_array_equal(found.clusters.mean, expected.clusters.mean)
 
 
 @pytest.mark.parametrize("parts", [1, 2, 5, 8])
