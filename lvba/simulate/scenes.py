@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lvba.errors import InputError
-from lvba.simulate import blocks, cabinet, indoor, outdoor, site
+from lvba.simulate import blocks, cabinet, indoor, outdoor, site, stairs
 from lvba.simulate.trajectories import Motion
 from lvba.simulate.world import World
 
@@ -29,6 +29,7 @@ SCENES: dict[str, Callable[[np.random.Generator, int, float | None], tuple[World
     "terrace": blocks.terrace,
     "cabinet": cabinet.cabinet,
     "site": site.site,
+    "staircase": stairs.staircase,
 }
 
 

@@ -271,7 +271,7 @@ def _add_simulate(commands: "argparse._SubParsersAction[Parser]") -> None:
     simulate.add_argument(
         "scene",
         metavar="SCENE",
-        help="courtyard, rooms, corridor, street, plane, block, terrace, cabinet, site",
+        help="courtyard, rooms, corridor, street, plane, block, terrace, cabinet, site, staircase",
     )
     simulate.add_argument("--out", type=Path, required=True, metavar="RECORDING", help="folder or bag")
     simulate.add_argument("--frames", type=int, metavar="N", help="images (default: the scene's)")

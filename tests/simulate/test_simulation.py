@@ -16,7 +16,7 @@ from lvba.io import imu, reference
 from lvba.io.dataset import load_image, load_scan, open_dataset
 from lvba.simulate import blocks, scenes, simulate, truth
 from lvba.simulate.drift import Closing, difficulty
-from lvba.simulate.world import EmbreeCaster
+from lvba.simulate.world import EmbreeCaster, PlainCaster
 from lvba.trajectory import pose_error
 
 SMALL = {"frames": 6, "width": 96, "height": 72, "points_per_scan": 2000}
@@ -190,6 +190,24 @@ def test_a_drive_around_the_block_comes_back_past_its_start():
     assert np.linalg.norm(line[20:-40] - line[0], axis=1).min() > 5
     assert np.linalg.norm(line[-40:] - line[0], axis=1).min() < 0.5
     assert np.all(np.ptp(line, axis=0) > 35)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_stairwell_is_climbed_within_its_walls(seed):
+    """No beam leaves it, one keeps away from all surfaces, and steps are below the path at the height of the eyes."""
+    scene = scenes.build("staircase", np.random.default_rng(seed), 90, None)
+    caster, rng = PlainCaster(scene.world), np.random.default_rng(seed)
+    directions = rng.normal(size=(300, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    path = scene.motion.position(np.linspace(0, scene.motion.duration, 25))
+    for place in path:
+        reach, _ = caster.cast(place, directions)
+        assert np.isfinite(reach).all()
+        assert reach.min() > 0.25
+        below, _ = caster.cast(place, np.array([[0.0, 0.0, -1.0]]))
+        assert 1.0 < below[0] < 1.9
+    assert np.ptp(path[:, 2]) > 2 * 2.5
+    assert np.linalg.norm(path[0] - path[-1]) < 0.5
 
 
 def test_all_of_a_terrace_looks_alike_and_its_end_is_a_lane_beside_its_start():
