@@ -13,7 +13,7 @@ from lvba.sources.importing import data_set, streams
 from lvba.sources.importing.importer import import_source
 from lvba.sources.importing.options import ImportOptions, parse_conventions
 from lvba.sources.opening import open_source
-from lvba.sources.source import Kind, ListSource
+from lvba.sources.source import Kind, ListSource, TransformSample
 
 pytestmark = pytest.mark.usefixtures("one_pair")
 
@@ -116,6 +116,18 @@ def test_what_data_cannot_tell_is_said(tmp_path, small_source):
         "by": "option",
     }
     assert not any(words.startswith(("time", "pose_of")) for words in decided.warnings)
+
+
+@pytest.mark.parametrize("named", ["body", "frame:imu"])
+def test_a_body_at_the_place_of_the_lidar_is_the_lidar(tmp_path, small_source, named):
+    here = TransformSample(raw.START_NS, raw.IMU_FRAME, raw.LIDAR_FRAME, np.eye(4), True)
+    items = tuple(
+        (stream, here if getattr(record, "parent", "") == raw.IMU_FRAME else record)
+        for stream, record in small_source.items
+    )
+    options = ImportOptions(conventions={"pose_of": named})
+    report = import_source(replace(small_source, items=items), tmp_path / "out", options)
+    assert report.facts["conventions"]["pose_of"]["taken"] == "lidar"
 
 
 def test_a_body_that_nothing_is_known_of_is_a_warning(tmp_path, small_source):

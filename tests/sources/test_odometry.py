@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -275,11 +276,20 @@ def test_a_program_ends_when_the_user_stops(tmp_path: Path) -> None:
     def stop() -> None:
         raise KeyboardInterrupt
 
-    command = program(tmp_path, "import time\ntime.sleep(600)\n")
+    sleep = f"{sys.executable} -c 'import time; time.sleep(600)' {tmp_path}"
+    # a script that waits for another program, as recipes do
+    script = tmp_path / "script.sh"
+    script.write_text(f"{sleep}\necho done\n")
     with pytest.raises(KeyboardInterrupt):
-        external.run(command, tmp_path / "x.bag", stop)
-    listed = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True).stdout
-    assert str(tmp_path) not in listed
+        external.run(f"sh {script} {{bag}} {{out}}", tmp_path / "x.bag", stop)
+    deadline = time.monotonic() + 10.0
+    while str(tmp_path) in _running():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def _running() -> str:
+    return subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True).stdout
 
 
 @pytest.fixture(scope="module")

@@ -250,6 +250,20 @@ def _extrinsics(rig: RigFacts, survey: Survey) -> Extrinsics:
     return Extrinsics(known)
 
 
+def _frame(named: str, survey: Survey, rig: RigFacts, extrinsics: Extrinsics) -> str:
+    """What poses are said to be of, by its name among the answers: a body or an IMU may be where the LiDAR is."""
+    places = {
+        "body": rig.body_from_lidar,
+        f"{FRAME}{survey.imu_frame}": rig.imu_from_lidar,
+        f"{FRAME}{survey.lidar_frame}": np.eye(4),
+    }
+    place = places.get(named)
+    same = (
+        n for n, other in extrinsics.child_from_lidar.items() if place is not None and _same(place, other)
+    )
+    return named if named in extrinsics.child_from_lidar else next(same, named)
+
+
 def _body_is_open(survey: Survey, rig: RigFacts, extrinsics: Extrinsics) -> bool:
     """Whether poses may be of a body that nothing is known of."""
     if rig.deskewed or rig.body_from_lidar is not None or survey.child == survey.lidar_frame != "":
@@ -275,16 +289,14 @@ def _choices(
     guess: Guess,
 ) -> Choices:
     said = {name: value for name, value in options.conventions.items() if name in readings.ORDER}
-    points: tuple[str, ...] = ("raw",)
-    if rig.deskewed or not clock.unit:
-        points = ("deskewed",) if rig.deskewed else ("raw",)
-    else:
-        points = ("raw", "deskewed")
+    if "pose_of" in said:
+        said["pose_of"] = _frame(said["pose_of"], survey, rig, extrinsics)
+    points = ("raw", "deskewed") if clock.unit else ("raw",)
     every: dict[str, tuple[str, ...]] = {
         "quaternions": ("xyzw", "wxyz") if origin is Origin.FILE else ("xyzw",),
         "pose_direction": ("world_from",) if origin is Origin.OWN else ("world_from", "inverse"),
         "pose_of": ("lidar",) if origin is Origin.OWN else tuple(extrinsics.child_from_lidar),
-        "points": points,
+        "points": ("deskewed",) if rig.deskewed else points,
     }
     for name, answers in every.items():
         if name in said and said[name] not in answers:

@@ -1,6 +1,8 @@
 """An odometry that the user has installed, run as a program of its own: it reads the source and writes TUM poses."""
 
+import os
 import shlex
+import signal
 import subprocess
 import tempfile
 from collections import deque
@@ -53,7 +55,13 @@ _HOW = f"let it write TUM lines (t tx ty tz qx qy qz qw) to {OUTPUT}"
 def _run(words: list[str], log: Path, check: Callable[[], None]) -> int:
     with log.open("wb") as said:
         try:
-            process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT)
+            process = subprocess.Popen(
+                words,
+                stdin=subprocess.DEVNULL,
+                stdout=said,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,  # so that what it starts itself ends with it
+            )
         except OSError as error:
             problem = f"cannot be run: {error.strerror}"
             raise InputError(words[0], problem, "install it, or give its whole path") from error
@@ -70,11 +78,11 @@ def _run(words: list[str], log: Path, check: Callable[[], None]) -> int:
 def _end(process: "subprocess.Popen[bytes]") -> None:
     if process.poll() is not None:
         return
-    process.terminate()
+    os.killpg(process.pid, signal.SIGTERM)
     try:
         process.wait(_GRACE_S)
     except subprocess.TimeoutExpired:
-        process.kill()
+        os.killpg(process.pid, signal.SIGKILL)
         process.wait()
 
 
