@@ -78,7 +78,8 @@ class LidarResult:
     shared_factor: float = 1.0
     own_covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 6, 6)))
     mixed: PlaneFeatures | None = None
-    """Planes of the last association in cells of several surfaces, which clusters of cells do not tell of."""
+    """Planes of the last association in cells of several surfaces, which clusters of cells do not tell of; None: others
+    leave no scan open."""
 
     @property
     def pose_covariance(self) -> uncertainty.Covariance:

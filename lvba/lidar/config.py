@@ -36,8 +36,9 @@ class Stage:
     """Turn the grid out of the axes of the world. Walls are often parallel to those, and then lie on faces of cells:
     noise throws their points to both sides, and two copies of a wall never meet in one cell."""
     mixed_cells: bool = True
-    """Look for planes in the finest cells that hold several surfaces, too (`lidar.mixed_cells`). While rough poses tear
-    surfaces apart, these are no planes."""
+    """Where planes leave scans open, look for others in the finest cells that hold several surfaces
+    (`lidar.mixed_cells`). While rough poses tear surfaces apart, these are no planes; and where scans are dense enough
+    for finer cells, small surfaces have cells of their own."""
     weight_passes: int = WEIGHT_PASSES
     """How often planes and the weights of observations are found in turn; 0 to 10; 0: all points weigh the same."""
 

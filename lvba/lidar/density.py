@@ -36,11 +36,16 @@ def adapted(stages: tuple[Stage, ...], scans: Scans, dense_points: int) -> tuple
     dense_points: fewest points of a single scan that a finer cell must hold; 0: never finer
 
     A depth camera over a desk puts hundreds of points of one scan into a cell of 0.25 m, and surfaces there are smaller
-    than the cell; a spinning LiDAR in the open puts five there, and a finer cell would hold no plane at all.
+    than the cell; a spinning LiDAR in the open puts five there, and a finer cell would hold no plane at all. Where there
+    are finer cells, nothing is looked for in those of several surfaces.
     """
     if not len(scans.points):
         return stages
-    return without_noisy(with_finer(stages, scans, dense_points), scans)
+    made = without_noisy(with_finer(stages, scans, dense_points), scans)
+    return tuple(
+        replace(new, mixed_cells=old.mixed_cells and new.sizes[0] >= old.sizes[0])
+        for old, new in zip(stages, made, strict=True)
+    )
 
 
 def with_finer(stages: tuple[Stage, ...], scans: Scans, dense_points: int) -> tuple[Stage, ...]:

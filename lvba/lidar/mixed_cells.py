@@ -1,9 +1,10 @@
 """Planes in the finest cells that hold several surfaces, found by their points.
 
 A cell is one plane, or is split; the finest ones are not. They are as small as the noise of ranges allows, and surfaces
-that are smaller, such as the steps of a stairwell, would not count: there, nothing else holds scans upright. So a few
-planes are looked for in what these cells hold: each drawn through three places (Fischler and Bolles 1981) and fitted,
-then the next one in the rest. Points near two planes go to neither: they would pull each towards the other.
+that are smaller, such as the steps of a stairwell, would not count: there, nothing else holds scans upright. So where all
+other planes leave scans open, a few are looked for in what these cells hold: each drawn through three places (Fischler
+and Bolles 1981) and fitted, then the next one in the rest. Points near two planes go to neither: they would pull each
+towards the other.
 Source: ours.
 """
 

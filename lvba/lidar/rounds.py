@@ -52,7 +52,7 @@ Solved = tuple[Problem, degeneracy.DegenerateDirections, bool]
 class Rounds:
     """Rounds of association and solving, each from the poses of the one before.
 
-    poses: (S, 4, 4) float64; mixed: the planes of the last association in cells of several surfaces; None: not looked for
+    poses: (S, 4, 4) float64; mixed: the planes of the last association in cells of several surfaces; None: not needed
     """
 
     points: Scans
@@ -104,21 +104,20 @@ class Rounds:
         self.grid = (
             self.grid.up_to(stage.sizes[-1]) if self.grid else build_grid(self.points, self.poses, stage)
         )
-        features = self._planes(self.grid, stage)
+        association = planes_in(self.grid, self.poses, self.sensor, stage)
+        features, self.mixed = association.features, None
         problem, directions = _weighed(features, self.poses, self.config, stage, self.prior)
+        if stage.mixed_cells and directions.count.any():
+            self.mixed = self._mixed(self.grid, association, stage)
+            features = features.joined(self.mixed)
+            problem, directions = _weighed(features, self.poses, self.config, stage, self.prior)
         return replace(problem, inertial=self.inertial), directions
 
-    def _planes(self, grid: VoxelMap, stage: Stage) -> PlaneFeatures:
-        """The planes at the poses so far."""
-        association = planes_in(grid, self.poses, self.sensor, stage)
-        features = association.features
-        if not stage.mixed_cells:
-            return features
-        sigma = point_sigma(features, self.poses)
-        self.mixed = mixed_cells.find(
-            grid, association, self.points, self.poses, self.sensor, sigma, stage.plane_test
-        )
-        return features.joined(self.mixed)
+    def _mixed(self, grid: VoxelMap, association: Association, stage: Stage) -> PlaneFeatures:
+        """The planes in the finest cells that hold several surfaces."""
+        sigma = point_sigma(association.features, self.poses)
+        test = stage.plane_test
+        return mixed_cells.find(grid, association, self.points, self.poses, self.sensor, sigma, test)
 
     def _take(
         self, problem: Problem, directions: degeneracy.DegenerateDirections, solution: LidarSolution

@@ -31,6 +31,17 @@ def test_dense_scans_get_finer_cells_and_sparse_ones_do_not():
         assert after.sizes[0] < before.sizes[0]
 
 
+def test_cells_of_several_surfaces_are_looked_into_where_there_are_no_finer_ones():
+    """Dense scans with too much noise for finer cells have none."""
+    assert STAGES[-1].mixed_cells
+    exact, noisy = (gather([_noisy_scan(noise, seed) for seed in range(3)]) for noise in (0.002, 0.03))
+    assert density.with_finer(STAGES, noisy, 4)[-1].sizes[0] < STAGES[-1].sizes[0]
+    assert not density.adapted(STAGES, exact, 4)[-1].mixed_cells
+    adapted = density.adapted(STAGES, noisy, 4)[-1]
+    assert adapted.sizes[0] == STAGES[-1].sizes[0]
+    assert adapted.mixed_cells
+
+
 def test_nothing_is_adapted_where_it_is_switched_off_or_there_are_no_points():
     assert density.adapted(STAGES, gather([_wall(0.005)]), 0) == STAGES
     assert density.adapted(STAGES, gather([np.zeros((0, 3), np.float32)]), 64) == STAGES

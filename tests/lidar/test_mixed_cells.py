@@ -97,6 +97,31 @@ def test_scans_of_stairs_are_put_together_in_height():
     assert errors[True] < 0.5 * errors[False]
 
 
+def test_where_other_planes_hold_all_scans_none_are_looked_for():
+    """The same stairs over a floor and before a wall."""
+    rng = np.random.default_rng(5)
+    scans, poses = flight(5, count=3000)
+    surfaces = [
+        (np.array([2.5, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])),
+        (np.array([0.0, 4.5, 0.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])),
+        (np.array([0.0, 0.0, -0.5]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])),
+    ]
+    held = []
+    for scan, pose in zip(scans, poses, strict=True):
+        parts = [scan]
+        for corner, one, other in surfaces:
+            at = rng.uniform(-2, 3, (4000, 2))
+            points = corner + at[:, :1] * one + at[:, 1:] * other
+            normal = np.cross(one, other)
+            parts.append(
+                (points + NOISE * rng.normal(size=(4000, 1)) * normal - pose[:3, 3]).astype(np.float32)
+            )
+        held.append(np.concatenate(parts))
+    assert bundle_adjustment.refine(held, poses, stages=(STAGE,)).mixed is None
+    alone = [scan[:3000] for scan in flight(5)[0]]
+    assert bundle_adjustment.refine(alone, poses, stages=(STAGE,)).mixed is not None
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_clutter_has_no_planes(seed):
     rng = np.random.default_rng(seed)
