@@ -108,16 +108,23 @@ class Rounds:
         features, self.mixed = association.features, None
         problem, directions = _weighed(features, self.poses, self.config, stage, self.prior)
         if stage.mixed_cells and directions.count.any():
-            self.mixed = self._mixed(self.grid, association, stage)
+            self.mixed = self._mixed(self.grid, association, stage, directions.count > 0)
             features = features.joined(self.mixed)
             problem, directions = _weighed(features, self.poses, self.config, stage, self.prior)
         return replace(problem, inertial=self.inertial), directions
 
-    def _mixed(self, grid: VoxelMap, association: Association, stage: Stage) -> PlaneFeatures:
-        """The planes in the finest cells that hold several surfaces."""
+    def _mixed(
+        self, grid: VoxelMap, association: Association, stage: Stage, is_open: np.ndarray
+    ) -> PlaneFeatures:
+        """The planes in the finest cells that hold several surfaces, as far as scans see them that are open, (S,) bool.
+
+        Normals of small planes are uncertain: where scans are held without them, they add more noise than they tell.
+        """
         sigma = point_sigma(association.features, self.poses)
         test = stage.plane_test
-        return mixed_cells.find(grid, association, self.points, self.poses, self.sensor, sigma, test)
+        planes = mixed_cells.find(grid, association, self.points, self.poses, self.sensor, sigma, test)
+        seen = np.bincount(planes.feature, is_open[planes.scan], len(planes)) > 0
+        return planes.select(seen)
 
     def _take(
         self, problem: Problem, directions: degeneracy.DegenerateDirections, solution: LidarSolution
