@@ -1,7 +1,7 @@
 """LiDAR bundle adjustment from files to poses: as BALM2 does it and by the default method, on a recording and on a scene.
 
 The recording is BALM2's own, 177 scans of which every fourth point is left, with its planes found once at 2 m; it is left
-out where it is not at hand (LVBA_DATA names the folder of recordings). The scene is simulated: 100 scans of 30,000
+out where it is not at hand (LVBA_DATA names the folder of recordings). The scenes are simulated: 100 scans of 30,000
 points. Each task runs in a process of its own, several times: the best run counts, so compile time does not. Processor
 time beside time: where others use the machine too, it says what a quiet one would need.
 """
@@ -24,13 +24,13 @@ from ablations import balm2
 from lvba import geometry, trajectory
 from lvba.io.dataset import open_dataset
 from lvba.io.pcd import read_pcd
-from lvba.lidar import rounds, surface, voxel_map
+from lvba.lidar import mixed_cells, rounds, surface, voxel_map
 from lvba.lidar.bundle_adjustment import LidarResult, refine
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.plane_feature import PlaneFeatures, fit
 from lvba.lidar.problem import LidarSolution, Problem, solve
 from lvba.lidar.scan import Scans, gather
-from lvba.lidar.weights import observation_weights
+from lvba.lidar.weights import observation_weights, point_sigma
 
 ROOT = Path(__file__).resolve().parent.parent
 RECORDING = Path(os.environ.get("LVBA_DATA", ROOT.parent / "shared" / "data")) / "balm_realworld"
@@ -42,10 +42,11 @@ def run() -> dict[str, Any]:
     """Seconds, memory and outcome of each task."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        scene = Path(folder) / "courtyard"
-        simulate = ["-m", "service.cli", "simulate", "courtyard", "--out", str(scene), "--seed", "1"]
-        _python(simulate)
-        for name, place in (("balm2", RECORDING), ("recording", RECORDING), ("scene", scene)):
+        scenes = [Path(folder) / name for name in ("courtyard", "staircase")]
+        for scene in scenes:
+            _python(["-m", "service.cli", "simulate", scene.name, "--out", str(scene), "--seed", "1"])
+        places = [("balm2", RECORDING), ("recording", RECORDING), *(("scene", scene) for scene in scenes)]
+        for name, place in places:
             if place.is_dir():
                 rows.append(json.loads(_python([__file__, name, str(place)])))
     return {"name": "lidar", "threads": os.cpu_count(), "rows": rows}
@@ -59,7 +60,8 @@ def _python(arguments: list[str]) -> str:
 
 def row(task: str, seconds: float, processor_s: float, **figures: Any) -> dict[str, Any]:
     """A line of the table."""
-    kinds = ("read_s", "planes_s", "loop_s", "hessian_s", "surfaces_s", "steps", "planes", COST, "ate_mm")
+    seconds_of = ("read_s", "planes_s", "loop_s", "hessian_s", "surfaces_s", "mixed_cells_s")
+    kinds = (*seconds_of, "steps", "planes", COST, "ate_mm")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     fields = {"task": task, "seconds": seconds, "processor_s": processor_s, "peak_memory_mb": peak}
     return {**fields, **{kind: figures.get(kind, "") for kind in kinds}}
@@ -159,11 +161,13 @@ def on_scene(folder: Path, repeats: int = 3) -> dict[str, Any]:
     ate = 1e3 * trajectory.pose_error(result.world_from_scan, truth).ate_m
     scans = gather([read_pcd(Path(dataset.root) / path).points for path in dataset.scan_paths])
     surfaces_s, _, _ = best(surfaces_of(scans, result.world_from_scan, dataset.sensor_position_scan), repeats)
+    mixed_s, _, _ = best(mixed_of(scans, result.world_from_scan, dataset.sensor_position_scan), repeats)
     fields = row(
-        "default method, simulated courtyard",
+        f"default method, simulated {folder.name}",
         seconds,
         processor_s,
         surfaces_s=surfaces_s,
+        mixed_cells_s=mixed_s,
         steps=result.iterations,
     )
     return {**fields, "planes": len(result.planes), "ate_mm": ate}
@@ -176,6 +180,15 @@ def surfaces_of(scans: Scans, poses: np.ndarray, sensor: np.ndarray) -> Callable
     planes = rounds.planes_in(grid, poses, sensor, stage)
     weights = observation_weights(planes.features, poses)
     return lambda: surface.extract(scans, grid, planes, weights, poses, sensor)
+
+
+def mixed_of(scans: Scans, poses: np.ndarray, sensor: np.ndarray) -> Callable[[], Any]:
+    """What looks for planes in cells that hold several surfaces, at some poses (S, 4, 4)."""
+    stage = LidarConfig().stages[-1]
+    grid = rounds.build_grid(scans, poses, stage)
+    planes = rounds.planes_in(grid, poses, sensor, stage)
+    sigma = point_sigma(planes.features, poses)
+    return lambda: mixed_cells.find(grid, planes, scans, poses, sensor, sigma, stage.plane_test)
 
 
 TASKS = {"balm2": as_balm2, "recording": on_recording, "scene": on_scene}
