@@ -133,7 +133,7 @@ def of_lidar(lidar: LidarStage, scans: ScanPoses, accepted: Accepted) -> dict[st
             lidar.result,
             but=(
                 *("world_from_scan", "planes", "plane_points", "covariance", "conditional_covariance"),
-                *("map_covariance", "step_covariance", "own_covariance", "inertial"),
+                *("map_covariance", "step_covariance", "own_covariance", "inertial", "mixed"),
             ),
         )
         if lidar.result.inertial is not None:

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from lvba.camera import Camera
+from lvba.kernels import mixed_cells
+from lvba.kernels.plane_refit import CellPoints
 from lvba.simulate import simulate
 from lvba.simulate.disturbances import Disturbances
 from lvba.simulate.world import PlainCaster
@@ -52,6 +54,7 @@ def fill(display: Display, threads: int | None = None) -> int:
             result = Path(name) / f"result-{number}"
             run_command.refine(_arguments(recording, result, (*options, *own)), display)
         _see_rows_at_once()
+        _look_into_mixed_cells()
     return ahead + seen.done
 
 
@@ -59,6 +62,16 @@ def _see_rows_at_once() -> None:
     """What only images that are read row by row need: those of the recording are too small to tell that they are."""
     camera = Camera(16, 12, 12.0, 12.0, 7.5, 5.5)
     Undistorter(camera)(np.zeros((12, 16, 3), np.uint8), np.array([0.01, 0.0, 0.0]))
+
+
+def _look_into_mixed_cells() -> None:
+    """What only scans need that planes leave open: planes hold those of the recording."""
+    none, one = np.zeros(0, np.int32), np.zeros(1, np.int32)
+    near = CellPoints(np.zeros(1, np.int64), np.array([0, 1]), one, np.zeros(2, np.int64), none)
+    points, poses = np.zeros((1, 3), np.float32), np.eye(4)[None]
+    limits = mixed_cells.MixedTest(sigma=0.02, size=0.25, min_points=16, ratio=0.1, max_tilt=0.02)
+    labels = mixed_cells.label(near, points, poses, np.zeros((1, 3)), limits)
+    mixed_cells.observations(near, points, labels)
 
 
 def simulate_recording(recording: Path, display: Display) -> None:
