@@ -30,7 +30,7 @@ from lvba.lidar.config import LidarConfig
 from lvba.lidar.plane_feature import PlaneFeatures, fit
 from lvba.lidar.problem import LidarSolution, Problem, solve
 from lvba.lidar.scan import Scans, gather
-from lvba.lidar.weights import observation_weights, point_sigma
+from lvba.lidar.weights import observation_weights
 
 ROOT = Path(__file__).resolve().parent.parent
 RECORDING = Path(os.environ.get("LVBA_DATA", ROOT.parent / "shared" / "data")) / "balm_realworld"
@@ -187,7 +187,7 @@ def mixed_of(scans: Scans, poses: np.ndarray, sensor: np.ndarray) -> Callable[[]
     stage = LidarConfig().stages[-1]
     grid = rounds.build_grid(scans, poses, stage)
     planes = rounds.planes_in(grid, poses, sensor, stage)
-    sigma = point_sigma(planes.features, poses)
+    sigma = observation_weights(planes.features, poses).sigma
     return lambda: mixed_cells.find(grid, planes, scans, poses, sensor, sigma, stage.plane_test)
 
 

@@ -155,8 +155,7 @@ def collect(
 def _among(features: PlaneFeatures, scans: np.ndarray) -> PlaneFeatures:
     """What some scans (L,) int64, ascending, see of features, with their numbers among these."""
     known = features.observations_where(np.isin(features.scan, scans))
-    known = replace(known, scan=np.searchsorted(scans, known.scan).astype(np.int32))
-    return known.select(np.diff(known.offsets) > 1)
+    return replace(known, scan=np.searchsorted(scans, known.scan).astype(np.int32))
 
 
 def _chunks(load: Callable[[list[int]], list[np.ndarray]], scans: np.ndarray) -> Iterator[tuple[int, Scans]]:

@@ -3,8 +3,8 @@
 import numpy as np
 from numba import prange
 
-from lvba.kernels.compiled import kernel, parallel_kernel
-from lvba.kernels.point_cluster import eigen3
+from lvba.kernels.compiled import parallel_kernel
+from lvba.kernels.point_cluster import add_squares, eigen3
 
 FEWEST = 12
 """Points that a plane is read off."""
@@ -15,17 +15,6 @@ WIDE = 0.02
 
 _LEAST_SPREAD, _LEAST_COSINE = 1e-12, 1e-6
 """m^2, and a squared cosine: nothing is divided by less."""
-
-
-@kernel(inline=True)
-def _add_squares(scatter: np.ndarray, x: float, y: float, z: float) -> None:
-    """Adds what a point that is so far from the mean adds to a scatter (6,) float64, in place."""
-    scatter[0] += x * x
-    scatter[1] += x * y
-    scatter[2] += x * z
-    scatter[3] += y * y
-    scatter[4] += y * z
-    scatter[5] += z * z
 
 
 @parallel_kernel
@@ -48,7 +37,7 @@ def plane_error(position: np.ndarray, starts: np.ndarray, scale: float) -> np.nd
             mean[a] = mean[a] / (end - first) + position[first, a]
         for i in range(first, end):
             x, y, z = position[i, 0] - mean[0], position[i, 1] - mean[1], position[i, 2] - mean[2]
-            _add_squares(sums, x, y, z)
+            add_squares(sums, x, y, z)
         eigen3(sums, values, vectors)
         if values[0] > FLAT * values[1] or values[1] < WIDE * values[2] or values[1] <= 0.0:
             continue
@@ -84,7 +73,7 @@ def flattest(
         for k in range(near.shape[1]):
             at = near[m, k]
             x, y, z = points[at, 0] - mean[0], points[at, 1] - mean[1], points[at, 2] - mean[2]
-            _add_squares(sums, x, y, z)
+            add_squares(sums, x, y, z)
         eigen3(sums, values, vectors)
         along = vectors[0, 0] * beam[m, 0] + vectors[0, 1] * beam[m, 1] + vectors[0, 2] * beam[m, 2]
         flat = unbiased * values[0] / max(values[1], _LEAST_SPREAD) / max(along * along, _LEAST_COSINE)

@@ -6,8 +6,8 @@ import numpy as np
 from numba import prange
 
 from lvba.kernels.compiled import kernel, parallel_kernel
-from lvba.kernels.plane_refit import CellPoints
-from lvba.kernels.point_cluster import eigen3
+from lvba.kernels.plane_refit import CellPoints, off_plane
+from lvba.kernels.point_cluster import add_squares, eigen3
 
 MOST_PLANES = 3
 """Planes looked for in a cell: a corner has three."""
@@ -80,15 +80,6 @@ def _of_cell(
     return out
 
 
-@kernel(inline=True)
-def _away(point: np.ndarray, plane: np.ndarray) -> float:
-    """How far a point (3 or more,) is off a plane (6,), a point on it and its unit normal, m."""
-    away = 0.0
-    for a in range(3):
-        away += plane[3 + a] * (point[a] - plane[a])
-    return away
-
-
 @kernel
 def _fit(cell: np.ndarray, chosen: np.ndarray, plane: np.ndarray, values: np.ndarray) -> int:
     """The plane of the chosen points, plane (6,) and values (3,), m^2, out; returns their number.
@@ -107,12 +98,7 @@ def _fit(cell: np.ndarray, chosen: np.ndarray, plane: np.ndarray, values: np.nda
     for i in range(len(cell)):
         if chosen[i]:
             x, y, z = cell[i, 0] - mean[0], cell[i, 1] - mean[1], cell[i, 2] - mean[2]
-            scatter[0] += x * x
-            scatter[1] += x * y
-            scatter[2] += x * z
-            scatter[3] += y * y
-            scatter[4] += y * z
-            scatter[5] += z * z
+            add_squares(scatter, x, y, z)
     scatter /= count
     eigen3(scatter, values, vectors)
     same = vectors[0, 0] * plane[3] + vectors[0, 1] * plane[4] + vectors[0, 2] * plane[5]
@@ -201,7 +187,7 @@ def _search(cell: np.ndarray, test: MixedTest, seed: int, planes: np.ndarray, va
             break
         for _ in range(_FITS):
             for i in range(n):
-                chosen[i] = left[i] and abs(_away(cell[i], plane)) < gate
+                chosen[i] = left[i] and abs(off_plane(cell[i], plane)) < gate
             points = _fit(cell, chosen, plane, values[count])
             if points < 4:
                 break
@@ -209,7 +195,7 @@ def _search(cell: np.ndarray, test: MixedTest, seed: int, planes: np.ndarray, va
             break
         count += 1
         for i in range(n):
-            if left[i] and abs(_away(cell[i], plane)) < gate:
+            if left[i] and abs(off_plane(cell[i], plane)) < gate:
                 left[i] = False
                 rest -= 1
     return count if n - rest >= EXPLAINED * n else 0
@@ -236,18 +222,18 @@ def _choose(
     """
     plane, gate, side = planes[k], _gate(test, values[k]), 0
     for i in range(len(cell)):
-        side += 1 if _away(cell[i, 3:], plane) > 0.0 else -1
+        side += 1 if off_plane(cell[i, 3:], plane) > 0.0 else -1
     sign = 1.0 if side >= 0 else -1.0
     for i in range(len(cell)):
-        away = abs(_away(cell[i], plane))
-        chosen[i] = away < gate and sign * _away(cell[i, 3:], plane) > 0.0
+        away = abs(off_plane(cell[i], plane))
+        chosen[i] = away < gate and sign * off_plane(cell[i, 3:], plane) > 0.0
         for other in range(len(planes)):
             if not chosen[i] or other == k:
                 continue
             cosine = 0.0
             for a in range(3):
                 cosine += planes[other, 3 + a] * plane[3 + a]
-            far = abs(_away(cell[i], planes[other]))
+            far = abs(off_plane(cell[i], planes[other]))
             if far < _gate(test, values[other]) and (abs(cosine) < PARALLEL or far < away):
                 chosen[i] = False
 
@@ -351,11 +337,5 @@ def _cluster(
     for j in range(near.first[e], near.first[e + 1]):
         if labels[j] == k:
             p = points[near.order[j]]
-            x, y, z = p[0] - mean[at, 0], p[1] - mean[at, 1], p[2] - mean[at, 2]
-            scatter[at, 0] += x * x
-            scatter[at, 1] += x * y
-            scatter[at, 2] += x * z
-            scatter[at, 3] += y * y
-            scatter[at, 4] += y * z
-            scatter[at, 5] += z * z
+            add_squares(scatter[at], p[0] - mean[at, 0], p[1] - mean[at, 1], p[2] - mean[at, 2])
     return True

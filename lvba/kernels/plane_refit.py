@@ -243,8 +243,11 @@ def _points_over(
 
 
 @kernel(inline=True)
-def _away(point: np.ndarray, plane: np.ndarray) -> float:
-    """How far a point (4,), of `_points_over`, is off a plane (6,), of a point on it and its unit normal, m."""
+def off_plane(point: np.ndarray, plane: np.ndarray) -> float:
+    """m, how far a point is off a plane, towards its normal.
+
+    point: (3 or more,) float64, m; plane: (6,) float64, a point on it, m, and its unit normal
+    """
     away = 0.0
     for a in range(3):
         away += plane[3 + a] * (point[a] - plane[a])
@@ -261,7 +264,7 @@ def _fit(over: np.ndarray, gate: float, plane: np.ndarray, values: np.ndarray, v
     total, mean, scatter = 0.0, np.zeros(3), np.zeros(6)
     for turn in range(2):
         for i in range(len(over)):
-            if abs(_away(over[i], plane)) > gate:
+            if abs(off_plane(over[i], plane)) > gate:
                 continue
             w = over[i, 3]
             if turn == 0:
@@ -294,7 +297,7 @@ def _heights(over: np.ndarray, gate: float, plane: np.ndarray, patches: _Patches
     sides = patches.used.shape
     sums = np.zeros((sides[0] * sides[1], 3))
     for i in range(len(over)):
-        away = _away(over[i], plane)
+        away = off_plane(over[i], plane)
         if abs(away) > gate:
             continue
         at0 = int((over[i, 1] - patches.low[0]) / patches.edge[0])

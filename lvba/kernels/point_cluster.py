@@ -76,6 +76,20 @@ def add_point(sums: np.ndarray, x: float, y: float, z: float) -> None:
 
 
 @kernel(inline=True)
+def add_squares(scatter: np.ndarray, x: float, y: float, z: float) -> None:
+    """Adds what a point that is so far from the mean, m, adds to a scatter.
+
+    scatter: (6,) float64, m^2, in and out
+    """
+    scatter[0] += x * x
+    scatter[1] += x * y
+    scatter[2] += x * z
+    scatter[3] += y * y
+    scatter[4] += y * z
+    scatter[5] += z * z
+
+
+@kernel(inline=True)
 def cluster_of_sums(sums: np.ndarray, mean: np.ndarray, scatter: np.ndarray) -> None:
     """Write mean (3,) and scatter (6,) of the points of the sums (10,) of `add_point`, all float64."""
     inverse = 1.0 / max(sums[POINTS], 1.0)

@@ -47,10 +47,11 @@ class PlaneFeatures:
         )
 
     def observations_where(self, keep: np.ndarray) -> "PlaneFeatures":
-        """The observations where keep (O,) bool holds; features may be left without any."""
+        """The observations where keep (O,) bool holds, of features that two scans or more see then."""
         counts = np.bincount(self.feature[keep], minlength=len(self))
         offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-        return PlaneFeatures(offsets, self.scan[keep], self.clusters.take(keep), self.weight[keep], self.size)
+        kept = PlaneFeatures(offsets, self.scan[keep], self.clusters.take(keep), self.weight[keep], self.size)
+        return kept.select(counts > 1)
 
     def joined(self, other: "PlaneFeatures") -> "PlaneFeatures":
         """These features, then those of another, of the same scans."""

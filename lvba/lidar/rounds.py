@@ -16,7 +16,7 @@ from lvba.lidar.plane_feature import PlaneFeatures, fit
 from lvba.lidar.problem import LidarSolution, Problem, solve
 from lvba.lidar.scan import Scans
 from lvba.lidar.voxel_map import Association, VoxelMap
-from lvba.lidar.weights import observation_weights, point_sigma
+from lvba.lidar.weights import observation_weights
 from lvba.progress import Progress
 
 _log = logging.getLogger(__name__)
@@ -108,19 +108,19 @@ class Rounds:
         features, self.mixed = association.features, None
         problem, directions = _weighed(features, self.poses, self.config, stage, self.prior)
         if stage.mixed_cells and directions.count.any():
-            self.mixed = self._mixed(self.grid, association, stage, directions.count > 0)
+            self.mixed = self._mixed(self.grid, association, stage, problem.sigma, directions.count > 0)
             features = features.joined(self.mixed)
             problem, directions = _weighed(features, self.poses, self.config, stage, self.prior)
         return replace(problem, inertial=self.inertial), directions
 
     def _mixed(
-        self, grid: VoxelMap, association: Association, stage: Stage, is_open: np.ndarray
+        self, grid: VoxelMap, association: Association, stage: Stage, sigma: float, is_open: np.ndarray
     ) -> PlaneFeatures:
         """The planes in the finest cells that hold several surfaces, as far as scans see them that are open, (S,) bool.
 
+        sigma: m, of a point about its plane
         Normals of small planes are uncertain: where scans are held without them, they add more noise than they tell.
         """
-        sigma = point_sigma(association.features, self.poses)
         test = stage.plane_test
         planes = mixed_cells.find(grid, association, self.points, self.poses, self.sensor, sigma, test)
         seen = np.bincount(planes.feature, is_open[planes.scan], len(planes)) > 0

@@ -58,13 +58,6 @@ def observation_weights(
     return Weights(weight, sigma, np.sqrt(common * own))
 
 
-def point_sigma(features: PlaneFeatures, world_from_scan: Poses) -> float:
-    """m, standard deviation of a point's distance to its plane, within one scan, at poses (S, 4, 4)."""
-    alike = features.with_weight(np.ones(len(features.scan)))
-    _, within = _distances(features, fit(alike, world_from_scan), world_from_scan)
-    return _within_scan_sigma(within, features.clusters.count)
-
-
 _SHRINK = 10.0
 """Points that the noise of a plane, and of one scan on it, is drawn to the common one by."""
 _FLOOR = 0.1

@@ -205,8 +205,7 @@ def _mixed_of(core: Part, solved: Sequence[Callable[[], PartScans]]) -> PlaneFea
         if part.mixed is not None:
             numbers = part.poses.scans[part.mixed.scan]
             inside = (core.core_scans[0] <= numbers) & (numbers < core.core_scans[1])
-            own = replace(part.mixed, scan=numbers.astype(np.int32)).observations_where(inside)
-            made.append(own.select(np.diff(own.offsets) > 1))
+            made.append(replace(part.mixed, scan=numbers.astype(np.int32)).observations_where(inside))
     return None if not made else reduce(PlaneFeatures.joined, made)
 
 

@@ -73,7 +73,7 @@ class Points(NamedTuple):
     """Returns of a scan in the order of their times.
 
     stamp: ns, of the first column, on the sensor's clock; times: (N,) int64, ns from it
-    points: (N, 3) float32, m, sensor frame; reflectivity: (N,) float32; rows: (N,) int64, of the beams from the top down
+    points: (N, 3) float32, m, LiDAR frame; reflectivity: (N,) float32; rows: (N,) int64, of the beams from the top down
     columns: how many were measured
     """
 

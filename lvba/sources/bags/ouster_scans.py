@@ -23,7 +23,7 @@ class ScanMaker:
     """Makes scans of the packets of one topic. It holds the packets of two scans at most."""
 
     def __init__(self, sensor: OusterSensor, clock: SensorClock, frame: str) -> None:
-        """frame: name of the sensor's. Raises Undecodable: its packets are not read"""
+        """frame: name of the LiDAR's. Raises Undecodable: its packets are not read"""
         self._sensor, self._clock, self._frame = sensor, clock, frame
         self._format = PacketFormat(sensor)
         self._most = 2 * sensor.packets + _OLD
