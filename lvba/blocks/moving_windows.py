@@ -82,6 +82,11 @@ class MovingWindows:
         """
         return path_motion.sweep_twists(self.dataset.scans.times[window.numbers], world_from_scan, self.clock)
 
+    def rough_twists(self, window: Window) -> np.ndarray:
+        """(n, 6) float64, rad/s and m/s: the same, by the rough poses, without their jumps."""
+        rough = self.dataset.scans.world_from_sensor[window.numbers]
+        return self.twists(window, path_motion.without_jumps(rough, self.latest(window)))
+
     def first_twists(self, window: Window) -> np.ndarray:
         """(n, 6) float64, rad/s and m/s: the same, by the poses that a window begins with."""
         return self.twists(window, window.begin)

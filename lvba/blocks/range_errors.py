@@ -379,7 +379,7 @@ class _Measurement:
             stamps = self.dataset.scans.times[window.numbers]
             tau = moving_windows.point_times_of(window, stamps, self.clock)
             twist = path_motion.sweep_twists(stamps, result.world_from_scan, self.clock)
-            terms.append(scan_motion.by_part(np.concatenate(tau), twist))
+            terms.append(scan_motion.by_parts(np.concatenate(tau), twist[None]))
         terms += [by_depth, range_errors.by_directions(self.beams), range_uncertainty.by_grazing(self.beams)]
 
         def derivative(points: OnPlanes) -> np.ndarray:

@@ -54,11 +54,9 @@ def measure(
     Raises InputError: a scan cannot be read.
     """
     motion = None if shared is None else shared.motion
-    if shared is None or motion is None or motion.clock is None or motion.fraction is None:
+    if shared is None or motion is None or motion.clock is None or not motion_left.is_sure(motion):
         return None
-    if not motion_left.is_sure(motion):
-        return None
-    measurement = _Measurement(MovingWindows(dataset, motion.clock, config), motion.fraction)
+    measurement = _Measurement(MovingWindows(dataset, motion.clock, config), motion.fractions)
     windows = [each for each in scan_windows.cores(len(dataset.scan_paths)) if scans[0] <= each[0] < scans[1]]
     measured = [_no_motions(0)]
     for number, core in enumerate(windows):
@@ -97,10 +95,10 @@ def _joined(motions: Sequence[ScanMotions]) -> ScanMotions:
 
 @dataclass(frozen=True)
 class _Measurement:
-    """Finds poses, planes and motions of windows in turn. fraction: of the motion that is left"""
+    """Finds poses, planes and motions of windows in turn. fractions: (3,), of `scan_motion.motions`"""
 
     moving: MovingWindows
-    fraction: float
+    fractions: np.ndarray
 
     def of(self, window: Window) -> ScanMotions:
         """The motion of the path between scans, and what each scan's own points tell beside it.
@@ -115,12 +113,11 @@ class _Measurement:
         return ScanMotions(np.round(motion[inside], 7), np.round(acceleration[inside], 6), covariance[inside])
 
     def _of_path(self, window: Window) -> np.ndarray:
-        """(n, 6), rad/s and m/s: that fraction of the motion of the path through the scans of a window."""
-        first = self.moving.first_twists(window)
-        solved = self.moving.solved(window, self.fraction * first)
-        return self.fraction * (
-            first if solved is None else self.moving.twists(window, solved.result.world_from_scan)
-        )
+        """(n, 6), rad/s and m/s: what is left of the motion of the path through the scans of a window."""
+        first, rough = self.moving.first_twists(window), self.moving.rough_twists(window)
+        solved = self.moving.solved(window, scan_motion.left(self.fractions, first, rough))
+        own = first if solved is None else self.moving.twists(window, solved.result.world_from_scan)
+        return scan_motion.left(self.fractions, own, rough)
 
     def _wider(self, window: Window) -> np.ndarray:
         """(n, 2) rad/s and m/s, as of `scan_motion.most_likely`: of the first and the last scan of the recording."""
@@ -131,7 +128,7 @@ class _Measurement:
         for end, off in zip(
             ends, path_motion.beyond_ends(times, self.moving.latest(window), self.moving.clock), strict=True
         ):
-            wider[window.numbers == end] = abs(self.fraction) * off
+            wider[window.numbers == end] = np.abs(self.fractions).max() * off
         return wider
 
     def _deviations(self, window: Window, path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

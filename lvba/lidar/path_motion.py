@@ -10,6 +10,8 @@ from lvba.trajectory import Trajectory
 
 _NEIGHBORS = 2
 """Scans on either side that a motion is predicted from."""
+_JUMP = 5.0
+"""Times the median that rough poses are off from scan to scan at most; more is a jump."""
 
 
 def sweep_twists(times: Times, world_from_scan: Poses, clock: PointClock | RowClock) -> Tangents:
@@ -58,6 +60,20 @@ def beyond_ends(times: Times, world_from_scan: Poses, clock: PointClock | RowClo
     first = [off(k, slice(k, None)) for k in inner if count - k >= spline.FEWEST_SAMPLES]
     last = [off(k, slice(k + 1)) for k in inner if k + 1 >= spline.FEWEST_SAMPLES]
     return np.stack([sizes(np.concatenate(each)) if each else np.zeros(2) for each in (first, last)])
+
+
+def without_jumps(rough: Poses, refined: Poses) -> np.ndarray:
+    """(S, 4, 4): rough poses, with the motions of refined ones from scan to scan where theirs is off as no other is.
+
+    An odometry does not deskew by a jump. Both (S, 4, 4)
+    """
+    steps, better = geometry.steps(rough), geometry.steps(refined)
+    off = np.linalg.norm(geometry.log(geometry.inverse(better) @ steps).reshape(-1, 2, 3), axis=2)
+    jump = (off > _JUMP * np.median(off, axis=0)).any(axis=1)
+    chain = [rough[0]]
+    for step in np.where(jump[:, None, None], better, steps):
+        chain.append(chain[-1] @ step)
+    return geometry.orthonormalize(np.array(chain))
 
 
 def _by(

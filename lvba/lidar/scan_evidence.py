@@ -6,7 +6,7 @@ noise any more (20 mm of noise made 0.01 degrees of elevation, six standard devi
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -134,6 +134,17 @@ class ScanEvidence:
             own=self.own[:, columns],
             curvature=self.curvature[:, columns, columns],
             poses=self.poses.of_numbers(columns),
+        )
+
+    def given(self, columns: slice, values: Vector) -> "ScanEvidence":
+        """Of some of the numbers, the others known. values: (k,), of all, of which those of the others count"""
+        others = np.array(values, float)
+        others[columns] = 0.0
+        rest = self.of(columns)
+        return replace(
+            rest,
+            gradient=rest.gradient - self.information[columns] @ others,
+            own=rest.own + self.curvature[:, columns] @ others,
         )
 
     def chance(self, columns: slice) -> float:

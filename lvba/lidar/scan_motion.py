@@ -1,8 +1,9 @@
 """The fraction of the sensor's motion during a scan that deskewing left in its points, from the planes that scans share.
 
 A point measured tau seconds from its scan's stamp by a sensor that moves by `twist` a second belongs at
-exp(fraction * tau * twist) p; the fraction is 0 where scans are deskewed, 1 where they are raw. It is the one unknown
-that all scans share, linear in the distances of points from their planes, with poses and planes free beside it.
+exp(fraction * tau * twist) p; the fraction is 0 where scans are deskewed, 1 where they are raw. Where they were deskewed
+by rough poses, the difference of the twist from that of the rough poses is left, too. The fractions of both are unknowns
+that all scans share, linear in the distances of points from their planes, with poses and planes free beside them.
 
 What the points of a scan tell beside that is a motion of its own, and an acceleration: hands turn a sensor by 2 rad/s^2,
 which bends a sweep of 0.1 s so much that a pose by a steady motion is 0.1 degrees off.
@@ -15,11 +16,28 @@ from typing import Any
 import numpy as np
 
 from lvba import geometry
-from lvba.arrays import Tangents, Times
+from lvba.arrays import Tangents, Times, Vector
 from lvba.lidar import scan_evidence
 from lvba.lidar.point_times import PointClock
 from lvba.lidar.row_times import RowClock
 from lvba.lidar.scan_evidence import POSE_SIGMA, ByShared, OnPlanes, ScanEvidence, View
+
+TURN, SHIFT = "rotation", "translation"
+BY_ROUGH = (TURN, SHIFT)
+"""What of their motion scans may be deskewed by with rough poses: an odometry with an IMU turns them by its gyroscope."""
+
+
+def motions(twist: Tangents, rough: Tangents) -> np.ndarray:
+    """(3, S, 6), rad/s and m/s: motions of which a fraction may be left in scans: all of it, and of its difference from
+    that of the rough poses the rotation and the translation. Both motions (S, 6), scan frames"""
+    turn, shift = np.zeros_like(twist), np.zeros_like(twist)
+    turn[:, :3], shift[:, 3:] = (twist - rough)[:, :3], (twist - rough)[:, 3:]
+    return np.stack([twist, turn, shift])
+
+
+def left(fractions: Vector, twist: Tangents, rough: Tangents) -> np.ndarray:
+    """(S, 6), rad/s and m/s: what is left in scans. fractions: (3,), of `motions`"""
+    return np.asarray(np.tensordot(fractions, motions(twist, rough), 1))
 
 
 def moved(
@@ -40,6 +58,7 @@ class MotionLeft:
     """What is left of the motion in the scans of a recording, and how they are corrected.
 
     fraction: of the motion; 0: deskewed, 1: raw; sigma: its standard deviation, both None where not measured
+    by_rough: which of `BY_ROUGH` scans were deskewed with by the rough poses: what these had wrong is left, too
     motion: (S, 6) float64, rad/s and m/s, scan frames, at the stamps; (0, 6): points stay as they are
     acceleration: (S, 6) float64, rad/s^2 and m/s^2, scan frames; (0, 6): none
     problem: why it was not measured, or not corrected
@@ -54,6 +73,12 @@ class MotionLeft:
     problem: str = ""
     pose_covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 6, 6)))
     acceleration: np.ndarray = field(default_factory=lambda: np.zeros((0, 6)))
+    by_rough: tuple[str, ...] = ()
+
+    @property
+    def fractions(self) -> np.ndarray:
+        """(3,): of `motions`."""
+        return np.array([self.fraction or 0.0, *(float(name in self.by_rough) for name in BY_ROUGH)])
 
     @property
     def corrected(self) -> bool:
@@ -78,7 +103,15 @@ class MotionLeft:
 
     def facts(self) -> dict[str, Any]:
         """As report.json has it (`lidar.motion_left`)."""
-        named = ("clock", "fraction", "sigma", "motion", "acceleration", "problem")
+        named = (
+            "clock",
+            "fraction",
+            "sigma",
+            "by_rough",
+            "motion",
+            "acceleration",
+            "problem",
+        )
         return {name: getattr(self, name) for name in named}
 
     @staticmethod
@@ -96,6 +129,7 @@ class MotionLeft:
                 clock=_clock(facts["clock"]),
                 fraction=facts["fraction"] if "fraction" in facts else facts["part"],  # before 0.3
                 sigma=facts["sigma"],
+                by_rough=tuple(facts.get("by_rough") or ()),  # older results have none
                 motion=motion,
                 acceleration=acceleration,
             )
@@ -110,24 +144,28 @@ def _clock(facts: Mapping[str, Any]) -> PointClock | RowClock:
     return RowClock(**{**facts, **vectors})
 
 
-def by_part(tau: Times, twist: Tangents) -> ByShared:
-    """Derivative of points' distances by the fraction.
+def by_parts(tau: Times, twists: np.ndarray) -> ByShared:
+    """Derivative of points' distances by fractions of k motions.
 
-    tau: (M,) s from the stamps; twist: (S, 6), rad/s and m/s, scan frames
+    tau: (M,) s from the stamps; twists: (k, S, 6) float64, rad/s and m/s, scan frames
     """
 
     def derivative(points: OnPlanes) -> np.ndarray:
-        return np.asarray(tau[points.chosen, None] * (points.by_pose @ twist[points.scan])[:, None])
+        return np.asarray(tau[points.chosen, None] * (points.by_pose @ twists[:, points.scan].T))
 
     return derivative
 
 
-def evidence(view: View, tau: Times, twist: Tangents) -> ScanEvidence:
-    """What the planes of S scans tell of the fraction that is left: one number.
+def evidence(view: View, tau: Times, twist: Tangents, rough: Tangents, taken_out: Tangents) -> ScanEvidence:
+    """What the planes of S scans tell of the fractions of `motions`.
 
-    tau: (M,) s from the stamps; twist: (S, 6), rad/s and m/s, scan frames
+    tau: (M,) s from the stamps; twist, rough: (S, 6), rad/s and m/s, scan frames; taken_out: (S, 6), the motion that
+        points were moved by already
     """
-    return scan_evidence.evidence(view, by_part(tau, twist), 1)
+    twists = np.concatenate([motions(twist, rough), taken_out[None]])
+    known = np.append(np.zeros(len(twists) - 1), -1.0)
+    every = scan_evidence.evidence(view, by_parts(tau, twists), len(twists))
+    return every.given(slice(0, len(twists) - 1), known)
 
 
 @dataclass(frozen=True)

@@ -191,6 +191,11 @@ def warnings_of_motion(motion: MotionLeft | None) -> list[str]:
             f"The depth camera reads the rows of a scan one after another, in {1e3 * motion.sweep:.0f} ms: "
             "points were moved by the refined trajectory"
         ]
+    if motion.corrected and motion.by_rough:
+        return [
+            f"Scans were deskewed by the rough poses ({' and '.join(motion.by_rough)}): points were moved by what the "
+            "refined trajectory has else"
+        ]
     if motion.corrected:
         return [
             f"{100 * (motion.fraction or 0.0):.1f} % of the motion during scans was left in them: points were moved by "

@@ -7,11 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lvba.blocks import decoded_scans, scan_errors, scan_motions
+from lvba import geometry
+from lvba.blocks import decoded_scans, motion_left, scan_errors, scan_motions, scan_windows
 from lvba.io import dataset as recordings
 from lvba.io import reference
 from lvba.io.dataset import open_dataset
-from lvba.lidar import bundle_adjustment
+from lvba.lidar import bundle_adjustment, path_motion, scan_motion
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.row_times import RowClock
 from lvba.lidar.scan_errors import ScanErrors
@@ -104,6 +105,61 @@ def test_a_jump_of_the_rough_poses_is_no_motion(recording, found):
     assert jumping.fraction == pytest.approx(found.fraction, abs=5e-3)
     np.testing.assert_allclose(jumping.motion[:, 3:], found.motion[:, 3:], atol=0.03)
     np.testing.assert_allclose(jumping.motion[:, :3], found.motion[:, :3], atol=0.01)
+
+
+def deskewed_by(dataset, monkeypatch, of_motion, seed=3):
+    """The recording with rough poses that are a decimeter off, and scans that were deskewed by them.
+
+    of_motion: (6,) of rotation and translation, by how much of them
+    """
+    rng, scans, real = np.random.default_rng(seed), dataset.scans, recordings.load_scan
+    truth = truth_of(dataset)
+    off = rng.normal(0, [4e-3] * 3 + [0.1] * 3, (len(truth), 6))
+    rough = truth @ geometry.exp(off)
+    clock = motion_left.clock(dataset, scan_windows.probes(dataset))
+    wrong = [path_motion.sweep_twists(scans.times, poses, clock) for poses in (rough, truth)]
+    added = (wrong[0] - wrong[1]) * of_motion
+
+    def load(dataset, index):
+        scan = real(dataset, index)
+        tau = scan.time - dataset.scans.times[index]
+        return replace(scan, points=geometry.moved_along(scan.points, tau, added[index]).astype(np.float32))
+
+    monkeypatch.setattr(recordings, "load_scan", load)
+    return replace(dataset, scans=Trajectory(scans.times, rough))
+
+
+@pytest.mark.parametrize("by_rough", [("rotation", "translation"), ("translation",)])
+def test_scans_that_were_deskewed_by_rough_poses_are_deskewed_again(recording, monkeypatch, by_rough):
+    """With a gyroscope, only the translation is theirs."""
+    of_motion = np.repeat([float(name in by_rough) for name in scan_motion.BY_ROUGH], 3)
+    dataset = deskewed_by(recording["clean"], monkeypatch, of_motion)
+    motion = measured(dataset)
+    assert motion.by_rough == by_rough
+    assert motion.fraction == 0
+    piece = decoded_scans.decode_scans(dataset, (0, 36), ScanErrors(None, motion))
+    points = [piece.points[a:b] for a, b in zip(piece.offsets[:-1], piece.offsets[1:], strict=True)]
+    before, after = (error_m(dataset, each) for each in (recordings.load_scans(dataset), points))
+    assert after < 0.8 * before
+    assert "deskewed by the rough poses" in report_data.warnings_of_motion(motion)[0]
+    facts = json.loads(json.dumps(report_data.plain(motion.facts())))
+    assert MotionLeft.of_facts(facts).by_rough == by_rough
+
+
+def test_rough_poses_that_scans_were_not_deskewed_by_leave_nothing(recording, monkeypatch):
+    dataset = deskewed_by(recording["clean"], monkeypatch, np.zeros(6))
+    motion = measured(dataset)
+    assert motion.by_rough == ()
+    assert not motion.corrected
+
+
+def test_scans_beside_a_jump_of_the_rough_poses_were_not_deskewed_by_it(recording, monkeypatch):
+    dataset = deskewed_by(recording["clean"], monkeypatch, np.ones(6))
+    rough = dataset.scans.world_from_sensor.copy()
+    rough[18:, :3, 3] += [0.3, -0.5, 0.8]
+    jumping = measured(replace(dataset, scans=Trajectory(dataset.scans.times, rough)))
+    assert jumping.by_rough == scan_motion.BY_ROUGH
+    assert np.linalg.norm(jumping.motion[:, 3:], axis=1).max() < 2
 
 
 def test_deskewed_scans_keep_their_bytes(recording):

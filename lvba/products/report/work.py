@@ -131,6 +131,8 @@ def _motion_row(left: Facts) -> tuple[str, str]:
         text, factor, unit = "Readout of the rows of a depth image", 1000.0 * clock["sweep"], "ms"
     error = "" if sigma is None else f" \N{PLUS-MINUS SIGN} {formats.number(factor * sigma, 2)}"
     taken = ", taken out" if left.get("motion") else ""
+    if by_rough := left.get("by_rough"):
+        return "Deskewed again, by the refined poses" if taken else text, " and ".join(by_rough)
     return text + taken, f"{formats.number(factor * renamed_facts.value(left, 'fraction'), 2)}{error} {unit}"
 
 
