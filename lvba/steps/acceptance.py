@@ -136,11 +136,11 @@ def entropy_figure(change: EntropyChange, config: GateConfig) -> Figure:
     )
 
 
-_PSNR, _SSIM = "psnr_leave_one_out", "ssim_leave_one_out"
+PSNR, SSIM = "psnr_leave_one_out", "ssim_leave_one_out"
 LOSSES = {
-    _PSNR: MIN_PSNR_LOSS,
+    PSNR: MIN_PSNR_LOSS,
     "psnr_compared": MIN_PSNR_LOSS,
-    _SSIM: MIN_SSIM_LOSS,
+    SSIM: MIN_SSIM_LOSS,
     "ssim_compared": MIN_SSIM_LOSS,
 }
 
@@ -180,7 +180,7 @@ def with_calibration(figure: Figure, spread: float, config: GateConfig) -> Figur
 
 def contradicted(images: Sequence[Figure]) -> bool:
     """Whether images speak against refined scans, by PSNR."""
-    return _PSNR in [each.name for each in _agreed(images, "worse")]
+    return PSNR in [each.name for each in agreed(images, "worse")]
 
 
 def paired_gain(before: Scores, after: Scores, name: str) -> tuple[float, float]:
@@ -207,86 +207,6 @@ def standard_error(values: np.ndarray) -> float:
     return float(np.sqrt(max(total, alone) / count / (count - 1)))
 
 
-def may_be_sharper(entropy: Figure, config: GateConfig) -> bool:
-    """Whether images are to be asked about refined scans: the map gains enough, whether beyond chance or not."""
-    return entropy.finding == "better" or (
-        entropy.finding == "neither" and entropy.gain > config.min_entropy_gain
-    )
-
-
-def judge_scans(
-    entropy: Figure, images: Sequence[Figure], config: GateConfig, open_motions: int = 0
-) -> Verdict:
-    """Whether map and images together speak for refined scan poses: one gains beyond chance, the other does not deny it.
-
-    images: from cameras carried along with the scans, with the same exposures on both sides, or none; no figures where
-        there are no images
-    Scan poses may make the map sharper and still be wrong, by sliding where planes leave it open: images see that, by
-    PSNR. SSIM alone contradicts nothing here: the cameras are not refined yet, and where they are centimeters off, SSIM
-    punishes a sharp map for structure in the wrong place, and a blurred one less. In a simulated courtyard, scans that
-    come from 56 to 0.4 mm change PSNR by +0.05 +- 0.11 dB and SSIM by -0.019 +- 0.004. In small rooms few blocks make the
-    error of the entropy large; there PSNR may decide: where SSIM denies it, by as many standard errors as deny anything.
-    open_motions: from scan to scan, of those that were registered first, which surfaces leave open. A map is as sharp
-    whatever these are, so that only images can tell: there the poses must not be the less likely ones by PSNR.
-    """
-    figures = (entropy, *images)
-    change = _words(entropy)
-    if not config.enabled:
-        return Verdict(True, "accepted unjudged (gate.enabled is false)", f"{change}", figures)
-    if entropy.finding == "unknown":
-        return Verdict(False, "input poses kept", "the map is too thin to be judged by its entropy", figures)
-    asked = images if may_be_sharper(entropy, config) else ()
-    lost, gained = ([each.name for each in _agreed(asked, way)] for way in ("worse", "better"))
-    if _PSNR in lost and _SSIM not in gained:
-        return Verdict(
-            False,
-            "input poses kept",
-            f"the refined map is sharper ({change}), "
-            f"but images are predicted worse ({_words(*_leading(images))})",
-            figures,
-        )
-    if open_motions and _SSIM not in gained and _fall(asked):
-        return Verdict(
-            False,
-            "input poses kept",
-            f"the refined map is sharper ({change}), but {open_motions} motions from scan to scan are not "
-            f"determined by surfaces, and the images are predicted worse ({_words(*_leading(images))})",
-            figures,
-        )
-    seen = _PSNR in gained and (_SSIM not in lost or _beyond(asked, CONTRADICTION))
-    if entropy.finding != "better" and not seen:
-        chance = entropy.gain <= config.confidence * entropy.error
-        why = (
-            "by more than chance"
-            if chance
-            else f"by {config.min_entropy_gain:g} nats (gate.min_entropy_gain)"
-        )
-        why = "not sharper" if entropy.gain <= 0 else f"not sharper {why}"
-        return Verdict(
-            False,
-            "input poses kept",
-            f"the refined map is {why} ({_words(entropy, *_leading(images))})",
-            figures,
-        )
-    return Verdict(True, "accepted", f"{_words(entropy, *_leading(images))}", figures)
-
-
-def images_agree(entropy: Figure, images: Sequence[Figure]) -> bool:
-    """Whether scans that make the map sharper beyond chance make PSNR better by more than its standard error: of more
-    images none then speak against them beyond chance."""
-    return entropy.finding == "better" and _beyond(images, 1.0)
-
-
-def _beyond(images: Sequence[Figure], errors: float) -> bool:
-    """Whether PSNR gains by more than so many standard errors, over either kind of pixels."""
-    return all(each.gain > errors * each.error for each in images if each.name in (_PSNR, "psnr_compared"))
-
-
-def _fall(images: Sequence[Figure]) -> bool:
-    """Whether PSNR falls over either kind of pixels, by chance or not."""
-    return bool(images) and all(each.gain < 0 for each in images if each.name in (_PSNR, "psnr_compared"))
-
-
 def judge_cameras(
     before: Scores, after: Scores, config: GateConfig, extrinsic: ExtrinsicChange = NO_CHANGE
 ) -> Verdict:
@@ -299,7 +219,7 @@ def judge_cameras(
     if not (config.enabled and verdict.accepted and _implausible(extrinsic)):
         return verdict
     cause = (
-        f"images are predicted better ({_words(*_leading(verdict.figures))}), but all cameras have left the scans: the "
+        f"images are predicted better ({words(*leading(verdict.figures))}), but all cameras have left the scans: the "
         f"extrinsic moved by {extrinsic.sigmas:.1f} standard deviations of its calibration, and the images "
         f"determine it only {extrinsic.certainty:.1f} times as precisely as the calibration"
     )
@@ -318,7 +238,7 @@ def judge_exposures(before: Scores, after: Scores, config: GateConfig) -> Verdic
 def _judge_by_images(before: Scores, after: Scores, what: str, config: GateConfig) -> Verdict:
     figures = image_figures(before, after, config)
     own, same = figures[:2]
-    change = _words(*_leading(figures))
+    change = words(*leading(figures))
     if not config.enabled:
         return Verdict(True, "accepted unjudged (gate.enabled is false)", f"{change}", figures)
     if "unknown" in (own.finding, same.finding):
@@ -332,11 +252,11 @@ def _judge_by_images(before: Scores, after: Scores, what: str, config: GateConfi
             f"{same.before:.3f} -> {same.after:.3f} dB over the pixels covered by all)",
             figures,
         )
-    if lost := _agreed(figures, "worse"):
+    if lost := agreed(figures, "worse"):
         return Verdict(
             False,
             f"input {what} kept",
-            f"images are predicted better by PSNR, but worse by SSIM ({_words(own, *lost)})",
+            f"images are predicted better by PSNR, but worse by SSIM ({words(own, *lost)})",
             figures,
         )
     return Verdict(True, "accepted", f"{change}", figures)
@@ -349,7 +269,7 @@ the same images, and of few or small ones a right gain is seldom beyond chance o
 
 def _predicts_better(figures: Sequence[Figure]) -> bool:
     """Whether PSNR gains, over all pixels covered and over those that all states cover: none may win by covering less."""
-    return "better" in [each.finding for each in figures[:2]] and _beyond(figures, _EITHER)
+    return "better" in [each.finding for each in figures[:2]] and beyond(figures, _EITHER)
 
 
 _TOGETHER = ((1.5, 0.0), (1.0, 1.0))
@@ -365,13 +285,13 @@ def _clearly_more_alike(figures: Sequence[Figure], config: GateConfig) -> bool:
     headset's tracking 0.45 degrees off before and 0.25 after. Exposures of 16 images that were 22 % off, right to a tenth
     of a percent after: PSNR +2.0 +- 1.1 dB, for some images gain much more than others, SSIM +0.049 +- 0.024.
     """
-    by_ssim = [each for each in figures if each.name in (_SSIM, "ssim_compared")]
+    by_ssim = [each for each in figures if each.name in (SSIM, "ssim_compared")]
 
     def gains(errors: float) -> bool:
         least = errors * config.confidence
         return all(each.gain > max(LOSSES[each.name], least * each.error) for each in by_ssim)
 
-    return any(gains(by_edges) and _beyond(figures, by_psnr) for by_edges, by_psnr in _TOGETHER)
+    return any(gains(by_edges) and beyond(figures, by_psnr) for by_edges, by_psnr in _TOGETHER)
 
 
 def fused_entropy_allowed(rough_gain: float, entropy: Figure, config: GateConfig) -> bool:
@@ -399,25 +319,25 @@ def judge_fusion(
     images: with the same cameras and exposures on both sides; none: not asked yet; cameras: what images said of these
     """
     figures = (entropy, *images)
-    change = _words(entropy, *_leading(images))
+    change = words(entropy, *leading(images))
     if not config.enabled:
         return Verdict(True, "accepted unjudged (gate.enabled is false)", f"{change}", figures)
     if not fused_entropy_allowed(rough_gain, entropy, config):
-        return Verdict(False, _STAY, f"the map would be less sharp ({_words(entropy)})", figures)
+        return Verdict(False, _STAY, f"the map would be less sharp ({words(entropy)})", figures)
     gained = {figure.name: max(figure.gain, 0.0) for figure in cameras}
-    lost = _agreed(images, "worse")
+    lost = agreed(images, "worse")
     if lost := [each for each in lost if -each.gain > FUSION_IMAGE_LOSS * gained.get(each.name, 0.0)]:
-        return Verdict(False, _STAY, f"images would be predicted worse ({_words(*lost)})", figures)
+        return Verdict(False, _STAY, f"images would be predicted worse ({words(*lost)})", figures)
     return Verdict(True, "accepted", f"{change}", figures)
 
 
 _STAY = "scans keep the LiDAR result"
 
 
-def _agreed(figures: Sequence[Figure], finding: Finding) -> list[Figure]:
+def agreed(figures: Sequence[Figure], finding: Finding) -> list[Figure]:
     """Those of PSNR and SSIM for which the pixels of their own and those that all states cover agree on a finding."""
     by_name = {figure.name: figure for figure in figures}
-    pairs = ((_PSNR, "psnr_compared"), (_SSIM, "ssim_compared"))
+    pairs = ((PSNR, "psnr_compared"), (SSIM, "ssim_compared"))
     return [
         by_name[own]
         for own, same in pairs
@@ -425,18 +345,24 @@ def _agreed(figures: Sequence[Figure], finding: Finding) -> list[Figure]:
     ]
 
 
-def _leading(figures: Sequence[Figure]) -> list[Figure]:
-    return [figure for figure in figures if figure.name in (_PSNR, _SSIM)]
+def beyond(images: Sequence[Figure], errors: float) -> bool:
+    """Whether PSNR gains by more than so many standard errors, over either kind of pixels."""
+    return all(each.gain > errors * each.error for each in images if each.name in (PSNR, "psnr_compared"))
+
+
+def leading(figures: Sequence[Figure]) -> list[Figure]:
+    """PSNR and SSIM over the pixels of each state."""
+    return [figure for figure in figures if figure.name in (PSNR, SSIM)]
 
 
 _IN_WORDS = {
     "map_entropy": ("mean map entropy", 4, ""),
-    _PSNR: ("leave-one-out PSNR", 3, " dB"),
-    _SSIM: ("leave-one-out SSIM", 4, ""),
+    PSNR: ("leave-one-out PSNR", 3, " dB"),
+    SSIM: ("leave-one-out SSIM", 4, ""),
 }
 
 
-def _words(*figures: Figure) -> str:
+def words(*figures: Figure) -> str:
     """Before and after of each figure that is known."""
     parts = []
     for figure in figures:

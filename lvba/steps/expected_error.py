@@ -29,8 +29,8 @@ def of_result(lidar: LidarStage, fused: FusionStage, visual: VisualStage, accept
     scans = scan_covariance(lidar, fused, accepted)
     cameras = None
     if scans is not None and visual.result is not None and accepted.cameras.accepted:
-        cameras = _known(_of_cameras(visual.result, by_images(fused, accepted)))
-    return Expected(None if scans is None else _known(scans), cameras)
+        cameras = where_known(_of_cameras(visual.result, by_images(fused, accepted)))
+    return Expected(None if scans is None else where_known(scans), cameras)
 
 
 def scan_covariance(lidar: LidarStage, fused: FusionStage, accepted: Accepted) -> np.ndarray | None:
@@ -59,8 +59,8 @@ def by_images(fused: FusionStage, accepted: Accepted) -> OpenMotions | None:
     return fused.result.open_motions
 
 
-def _known(covariance: np.ndarray) -> np.ndarray:
-    """The same with NaN where a frame has none (not finite, or all zero)."""
+def where_known(covariance: np.ndarray) -> np.ndarray:
+    """The same with NaN where a frame has none (not finite, or all zero). covariance: (N, 6, 6) float64"""
     known = np.isfinite(covariance).all((1, 2)) & (np.trace(covariance, axis1=1, axis2=2) > 0)
     return np.where(known[:, None, None], covariance, np.nan)
 

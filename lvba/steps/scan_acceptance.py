@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lvba import trajectory
 from lvba.arrays import Indices, Poses
 from lvba.blocks.decoded_images import PhotoReader, blank_photos
 from lvba.blocks.decoded_scans import ScanPieces, ScanPoints, ScanReader
@@ -21,7 +22,7 @@ from lvba.products.evaluate import EvaluateConfig, Scores, State
 from lvba.products.map_quality import EntropyBlocks, EntropyConfig
 from lvba.products.recorded_images import views_of
 from lvba.progress import Progress, silent
-from lvba.steps import acceptance, other_calibrations
+from lvba.steps import acceptance, expected_error, other_calibrations, scan_gate
 from lvba.steps.acceptance import CARRIED, ROUGH, GateConfig, Verdict
 from lvba.steps.lidar import carry_cameras, cloud_of
 from lvba.steps.outcomes import FusionStage, LidarStage, ScanPoses
@@ -32,10 +33,14 @@ from lvba.visual.prior_config import PriorConfig
 
 @dataclass(frozen=True)
 class RegionEntropy:
-    """The entropies of map points in one region, at the rough and at the refined poses."""
+    """The entropies of map points in one region, at the rough and at the refined poses.
+
+    shift: of all scans; None: not known, or they are held by something else than planes
+    """
 
     rough: EntropyBlocks
     refined: EntropyBlocks
+    shift: scan_gate.Shift | None = None
 
 
 @dataclass(frozen=True)
@@ -65,7 +70,24 @@ def measure_entropy(
         return RegionEntropy(before, before)
     refined = lidar.result.world_from_scan
     after = region_cloud(dataset, cores, part, points, refined, survey.reach_m, progress)
-    return RegionEntropy(before, map_quality.entropy_blocks(after, config))
+    return RegionEntropy(before, map_quality.entropy_blocks(after, config), shift_of(rough, lidar))
+
+
+def shift_of(rough: Poses, lidar: LidarStage) -> scan_gate.Shift | None:
+    """How far refined scans are from the input's (S, 4, 4), where planes determine them, and the rounds converged."""
+    result = lidar.result
+    if (
+        result is None
+        or not result.converged
+        or result.degenerate_directions
+        or lidar.rough_error is not None
+    ):
+        return None
+    covariance = result.shared_factor * result.whole_covariance.marginal
+    expected = expected_error.of_poses(expected_error.where_known(covariance))
+    if expected is None:
+        return None
+    return scan_gate.Shift(trajectory.pose_error(result.world_from_scan, rough).ate_m, expected["position_m"])
 
 
 def measure_fused_entropy(
@@ -126,7 +148,7 @@ def compare(
     entropy = acceptance.entropy_figure(map_quality.entropy_change(*_of_all_regions(entropies)), gates)
 
     def agree(scores: Mapping[str, Scores]) -> bool:
-        return acceptance.images_agree(
+        return scan_gate.images_agree(
             entropy, acceptance.image_figures(scores[ROUGH], scores[CARRIED], gates)
         )
 
@@ -212,7 +234,8 @@ def judge_lidar(
         return keep_rough(rough, before, lidar.problem)
     scores = together(compared, {})
     open_motions = 0 if lidar.rough_error is None else len(lidar.rough_error.open_after)
-    return decide(rough, lidar.result.world_from_scan, before, after, scores, config, open_motions)
+    shift = entropies[0].shift
+    return decide(rough, lidar.result.world_from_scan, before, after, scores, config, open_motions, shift)
 
 
 def _of_all_regions(entropies: Sequence[RegionEntropy]) -> tuple[EntropyBlocks, EntropyBlocks]:
@@ -263,7 +286,8 @@ def keep_rough(rough: Poses, blocks: EntropyBlocks, problem: str) -> ScanPoses:
 def asks_images(entropies: Sequence[RegionEntropy], gates: GateConfig) -> bool:
     """Whether it is for the images to say if refined scan poses are accepted."""
     change = map_quality.entropy_change(*_of_all_regions(entropies))
-    return gates.enabled and acceptance.may_be_sharper(acceptance.entropy_figure(change, gates), gates)
+    entropy = acceptance.entropy_figure(change, gates)
+    return gates.enabled and scan_gate.may_be_better(entropy, entropies[0].shift, gates)
 
 
 def asked_images(count: int) -> np.ndarray:
@@ -281,12 +305,13 @@ def decide(
     scores: Mapping[str, Scores],
     gates: GateConfig,
     open_motions: int = 0,
+    shift: scan_gate.Shift | None = None,
 ) -> ScanPoses:
-    """The scan poses in use. rough, refined: (S, 4, 4); scores: of `compare`; open_motions: as of `judge_scans`"""
+    """The scan poses in use. rough, refined: (S, 4, 4); scores: of `compare`; the others as of `judge_scans`"""
     entropy = acceptance.entropy_figure(map_quality.entropy_change(before, after), gates)
     images = acceptance.image_figures(scores[ROUGH], scores[CARRIED], gates) if scores else ()
     images = other_calibrations.counted(images, scores, (ROUGH, CARRIED), gates)
-    verdict = acceptance.judge_scans(entropy, images, gates, open_motions)
+    verdict = scan_gate.judge_scans(entropy, images, gates, open_motions, shift)
     poses, blocks = (refined, after) if verdict.accepted else (rough, before)
     return ScanPoses(poses, verdict, before.mean, after.mean, blocks)
 

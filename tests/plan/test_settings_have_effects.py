@@ -19,7 +19,7 @@ from lvba.pipeline import Config
 from lvba.plan import digest, identity
 from lvba.products import evaluate, map_file
 from lvba.products.map_quality import EntropyChange
-from lvba.steps import acceptance
+from lvba.steps import acceptance, scan_gate
 from lvba.steps.fusion import solve_fusion
 from lvba.steps.lidar import solve_lidar
 from lvba.steps.outcomes import LidarStage, VisualLevel
@@ -158,7 +158,7 @@ def gate(settings):
         for gain, error in ((0.03, 0.01), (0.03, 0.014), (-0.1, 0.01))
     ]
     figures = [acceptance.entropy_figure(change, settings.gate) for change in changes]
-    return [acceptance.judge_scans(figure, (), settings.gate).accepted for figure in figures]
+    return [scan_gate.judge_scans(figure, (), settings.gate).accepted for figure in figures]
 
 
 @cache

@@ -8,7 +8,7 @@ from image_scores import scores_of
 
 from lvba.products.evaluate import Scores
 from lvba.products.map_quality import EntropyBlocks, EntropyChange
-from lvba.steps import acceptance
+from lvba.steps import acceptance, scan_acceptance, scan_gate
 from lvba.steps import evaluate as evaluate_steps
 from lvba.steps.acceptance import (
     CARRIED,
@@ -22,7 +22,7 @@ from lvba.steps.acceptance import (
     GateConfig,
     Verdict,
 )
-from lvba.steps.outcomes import ScanPoses, VisualStage
+from lvba.steps.outcomes import LidarStage, ScanPoses, VisualStage
 from lvba.visual.calibration_prior import NO_CHANGE, ExtrinsicChange
 
 CONFIG = GateConfig()
@@ -67,7 +67,7 @@ def images(before, after):
     ],
 )
 def test_scans_without_images(before, after, error, accepted, word):
-    verdict = acceptance.judge_scans(entropy(before, after, error), (), CONFIG)
+    verdict = scan_gate.judge_scans(entropy(before, after, error), (), CONFIG)
     assert verdict.accepted is accepted
     assert word in verdict.reason
 
@@ -91,7 +91,7 @@ def test_images_may_contradict_a_sharper_map(psnr, common, ssim, accepted):
     SSIM alone may not: at cameras that are not refined it punishes a sharp map more than a blurred one.
     """
     told = images(scores(BASE), scores(BASE + psnr, BASE + common, ssim))
-    verdict = acceptance.judge_scans(entropy(-3.0, -3.1), told, CONFIG)
+    verdict = scan_gate.judge_scans(entropy(-3.0, -3.1), told, CONFIG)
     assert verdict.accepted is accepted
     assert accepted or "predicted worse" in verdict.reason
     assert [figure.name for figure in verdict.figures][:2] == ["map_entropy", "psnr_leave_one_out"]
@@ -117,9 +117,58 @@ def test_images_may_speak_for_a_map_that_is_sharper_within_chance(after, error, 
     """By PSNR over own and common pixels, against SSIM only if far beyond chance; not for a map that gains too little, or
     loses."""
     told = images(scores(BASE), scores(BASE + psnr, BASE + common, ssim))
-    verdict = acceptance.judge_scans(entropy(-3.0, after, error), told, CONFIG)
+    verdict = scan_gate.judge_scans(entropy(-3.0, after, error), told, CONFIG)
     assert verdict.accepted is accepted
     assert verdict.reason.startswith("accepted") is accepted
+
+
+@pytest.mark.parametrize(
+    ("after", "error", "shift", "psnr", "word"),
+    [
+        (-3.005, 0.01, scan_gate.Shift(0.005, 0.001), 0.0, "the map is as sharp"),
+        (-2.995, 0.01, scan_gate.Shift(0.005, 0.001), 0.0, "expected to be 1.0 mm off"),
+        (-3.005, np.nan, scan_gate.Shift(0.005, 0.001), 0.0, "5.0 mm from these"),
+        (-3.005, 0.01, scan_gate.Shift(0.002, 0.001), 0.0, "kept"),
+        (-3.005, 0.01, None, 0.0, "kept"),
+        (-2.985, 0.01, scan_gate.Shift(0.005, 0.001), 0.0, "kept"),
+        (-2.9, 0.01, scan_gate.Shift(0.005, 0.001), 0.0, "kept"),
+        (-3.005, 0.01, scan_gate.Shift(0.005, 0.001), -1.0, "as sharp (mean map entropy"),
+    ],
+)
+def test_where_the_map_does_not_tell_scans_are_used_from_which_the_input_s_are_far_off(
+    after, error, shift, psnr, word
+):
+    """Farther than they are expected to be off themselves, unless images contradict, or the map loses."""
+    told = images(scores(BASE), scores(BASE + psnr))
+    figure = entropy(-3.0, after, error)
+    verdict = scan_gate.judge_scans(figure, told, CONFIG, shift=shift)
+    assert word in verdict.reason
+    assert verdict.accepted is ("kept" not in verdict.reason)
+    asked = shift is not None and shift.of_input and -0.012 < -3.0 - after < 0.012
+    assert scan_gate.may_be_better(figure, shift, CONFIG) is asked
+
+
+def test_how_far_the_input_s_scans_are_is_known_where_planes_determine_refined_ones():
+    rough = np.tile(np.eye(4), (20, 1, 1))
+    rough[:, :3, 3] = np.random.default_rng(0).uniform(-5, 5, (20, 3))
+    refined = rough.copy()
+    refined[::2, 0, 3] += 0.004
+    covariance = np.tile(np.diag([1e-6] * 3 + [1e-6, 2e-6, 1e-6]), (20, 1, 1))
+    result = SimpleNamespace(
+        world_from_scan=refined,
+        converged=True,
+        degenerate_directions=(),
+        shared_factor=1.0,
+        whole_covariance=SimpleNamespace(marginal=covariance),
+    )
+    shift = scan_acceptance.shift_of(rough, LidarStage(result))
+    assert shift.shift_m == pytest.approx(0.002, rel=0.1)
+    assert shift.expected_m == pytest.approx(0.002)
+    result.shared_factor = 4.0
+    assert scan_acceptance.shift_of(rough, LidarStage(result)).expected_m == pytest.approx(0.004)
+    result.converged = False
+    assert scan_acceptance.shift_of(rough, LidarStage(result)) is None
+    assert scan_acceptance.shift_of(rough, LidarStage(None)) is None
 
 
 @pytest.mark.parametrize(
@@ -134,7 +183,7 @@ def test_images_may_speak_for_a_map_that_is_sharper_within_chance(after, error, 
 )
 def test_few_images_do_where_they_speak_for_a_sharper_map(after, gain, agree):
     told = images(scores(BASE), scores(BASE + gain))
-    assert acceptance.images_agree(entropy(-3.0, after), told) is agree
+    assert scan_gate.images_agree(entropy(-3.0, after), told) is agree
 
 
 @pytest.mark.parametrize(
@@ -152,15 +201,15 @@ def test_where_surfaces_leave_motions_open_the_likelier_poses_by_images_are_used
 ):
     """The map is as sharp whatever these motions are. A loss that is chance else contradicts nothing."""
     judged_by = images(scores(BASE), scores(BASE + psnr, BASE + common, ssim))
-    assert acceptance.judge_scans(entropy(-3.0, -3.1), judged_by, CONFIG).accepted
-    verdict = acceptance.judge_scans(entropy(-3.0, -3.1), judged_by, CONFIG, open_motions=40)
+    assert scan_gate.judge_scans(entropy(-3.0, -3.1), judged_by, CONFIG).accepted
+    verdict = scan_gate.judge_scans(entropy(-3.0, -3.1), judged_by, CONFIG, open_motions=40)
     assert verdict.accepted is accepted
     assert accepted or "40 motions" in verdict.reason
 
 
 def test_images_that_cannot_be_judged_contradict_nothing():
     nothing = scores(np.full(5, np.nan), ssim=np.nan)
-    assert acceptance.judge_scans(entropy(-3.0, -3.1), images(nothing, nothing), CONFIG).accepted
+    assert scan_gate.judge_scans(entropy(-3.0, -3.1), images(nothing, nothing), CONFIG).accepted
 
 
 @pytest.mark.parametrize(
@@ -360,7 +409,7 @@ def test_switched_off_everything_is_accepted():
     config = GateConfig(enabled=False)
     found = choose(exposed=BASE - 1, posed=BASE - 1, visual=BASE - 2, fused=BASE - 5, config=config)
     assert found.state == FUSED
-    assert acceptance.judge_scans(entropy(-3.0, -2.0), (), config).accepted
+    assert scan_gate.judge_scans(entropy(-3.0, -2.0), (), config).accepted
 
 
 def test_every_verdict_tells_its_figures():

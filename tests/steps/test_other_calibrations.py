@@ -14,7 +14,7 @@ from lvba.io.dataset import open_dataset
 from lvba.products import evaluate
 from lvba.products.map_quality import EntropyChange
 from lvba.products.views import Views
-from lvba.steps import acceptance, other_calibrations, part_scores
+from lvba.steps import acceptance, other_calibrations, part_scores, scan_gate
 from lvba.steps.acceptance import CARRIED, ROUGH, GateConfig
 from lvba.visual.prior_config import PriorConfig
 
@@ -42,7 +42,7 @@ def judged(gain, others=()):
     images = acceptance.image_figures(known[ROUGH], known[CARRIED], CONFIG)
     images = other_calibrations.counted(images, known, (ROUGH, CARRIED), CONFIG)
     entropy = acceptance.entropy_figure(EntropyChange(-3.0, -4.5, 1.5, 0.02), CONFIG)
-    return acceptance.judge_scans(entropy, images, CONFIG), images
+    return scan_gate.judge_scans(entropy, images, CONFIG), images
 
 
 def test_images_that_say_otherwise_with_other_calibrations_do_not_contradict_scans():
