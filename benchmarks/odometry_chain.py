@@ -81,9 +81,10 @@ def stamps_of(times: np.ndarray) -> np.ndarray:
 
 
 def true_scans(recording: Path, times: np.ndarray, truth: raw.RawTruth) -> np.ndarray:
-    """(N, 4, 4), of the frame in which the recording has its scans."""
+    """(N, 4, 4), of the frame in which the recording has its scans; the body where it says of none."""
     poses = truth.scene_from_body(stamps_of(times))
-    conventions = yaml.safe_load((recording / "recording.yaml").read_text())["conventions"]
+    said = recording / "recording.yaml"
+    conventions = yaml.safe_load(said.read_text())["conventions"] if said.exists() else {}
     of = conventions.get("pose_of", {}).get("taken", "body")
     return poses @ truth.rig.body_from_lidar if of in ("lidar", "camera") else poses
 
