@@ -34,6 +34,10 @@ images are mirrored, .11 if the focal length is 1.5 times as long, .04 and less 
 wrong order."""
 _OF_EXPECTED = 0.05
 """Part of the expected error that scans may still move by."""
+_NO_SOLUTION_M, _NO_SOLUTION_PART = 0.06, 0.5
+"""m, and part of the expected error: scans that still move by more are no solution. With poses of odometries that had
+lost the way, scans that ended .7 to 50 m off still moved by 86 mm and more, though 77 mm were expected; those that ended
+up to 55 mm off, by 19 mm at most. Scans of a depth camera that moved by 51 mm were 11 mm off (113 expected)."""
 _WORSE = 1.1
 """Times the input's error up to which a result counts as no worse: references have errors of their own."""
 
@@ -280,7 +284,8 @@ def _converged(figures: Figures) -> Iterator[Reason]:
     if moved is not None and (known is None or moved > _OF_EXPECTED * known):
         yield Reason(
             f"Scan poses had not converged: they still moved by {1000 * moved:.1f} mm in the last round.",
-            "Give more rounds (lidar.rounds, in parts merge.scan_rounds).",
+            "Give more rounds (lidar.rounds, in parts merge.scan_rounds), or better rough poses.",
+            level="bad" if moved > max(_NO_SOLUTION_M, _NO_SOLUTION_PART * (known or 0.0)) else "check",
             more=known is not None and moved > known,
         )
     if not figures.cameras_converged:
