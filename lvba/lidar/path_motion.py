@@ -1,6 +1,7 @@
 """How a sensor moves during its scans by the path from scan to scan, and how far that may be from how it does."""
 
 import numpy as np
+from scipy import ndimage
 
 from lvba import geometry, spline
 from lvba.arrays import Indices, Poses, Tangents, Times
@@ -10,8 +11,8 @@ from lvba.trajectory import Trajectory
 
 _NEIGHBORS = 2
 """Scans on either side that a motion is predicted from."""
-_JUMP = 5.0
-"""Times the median that rough poses are off from scan to scan at most; more is a jump."""
+_JUMP, _ABOUT_JUMP = 5.0, 11
+"""Times the median of so many steps about it that a step of rough poses is off at most; more is a jump."""
 
 
 def sweep_twists(times: Times, world_from_scan: Poses, clock: PointClock | RowClock) -> Tangents:
@@ -63,13 +64,14 @@ def beyond_ends(times: Times, world_from_scan: Poses, clock: PointClock | RowClo
 
 
 def without_jumps(rough: Poses, refined: Poses) -> np.ndarray:
-    """(S, 4, 4): rough poses, with the motions of refined ones from scan to scan where theirs is off as no other is.
+    """(S, 4, 4): rough poses, with the motions of refined ones from scan to scan where theirs is off as none about it is.
 
-    An odometry does not deskew by a jump. Both (S, 4, 4)
+    An odometry does not deskew by a jump; it does by what it has wrong for seconds. Both (S, 4, 4)
     """
     steps, better = geometry.steps(rough), geometry.steps(refined)
     off = np.linalg.norm(geometry.log(geometry.inverse(better) @ steps).reshape(-1, 2, 3), axis=2)
-    jump = (off > _JUMP * np.median(off, axis=0)).any(axis=1)
+    usual = ndimage.median_filter(off, size=(_ABOUT_JUMP, 1), mode="nearest")
+    jump = (off > _JUMP * usual).any(axis=1)
     chain = [rough[0]]
     for step in np.where(jump[:, None, None], better, steps):
         chain.append(chain[-1] @ step)

@@ -73,3 +73,20 @@ def test_the_ends_of_a_path_tell_motions_from_one_side():
     steady = np.arange(0, 12, 0.1)
     assert (path_motion.beyond_ends(steady, swaying(steady, 60.0), CLOCK) < 1e-3).all()
     assert not path_motion.beyond_ends(times[:4], poses[:4], CLOCK).any()
+
+
+def test_jumps_of_rough_poses_are_not_what_they_have_wrong_for_seconds():
+    """One step a meter off among steps of centimeters; and ten steps in a row that are decimeters off."""
+    rng = np.random.default_rng(0)
+    true = np.tile(np.eye(4), (60, 1, 1))
+    true[:, 0, 3] = np.arange(60)
+    steps = geometry.steps(true) @ geometry.exp(rng.normal(0, 0.01, (59, 6)))
+    steps[20, 0, 3] += 1.0
+    steps[40:50, 1, 3] += 0.3
+    rough = [np.eye(4)]
+    for step in steps:
+        rough.append(rough[-1] @ step)
+    mended = geometry.steps(path_motion.without_jumps(np.array(rough), true))
+    np.testing.assert_allclose(mended[20], geometry.steps(true)[20], atol=1e-9)
+    others = np.delete(np.arange(59), 20)
+    np.testing.assert_allclose(mended[others], steps[others], atol=1e-9)
