@@ -37,10 +37,11 @@ def write_folder(source: ListSource, truth: raw.RawTruth, out: Path) -> None:
     """A recording in which all is as it was, but for the noise of the odometry."""
     scans, images = files.make_folder(out / "all_pcd_body"), files.make_folder(out / "all_image")
     for begin, points, times in zip(truth.scans, truth.points, truth.point_times, strict=True):
-        body = truth.scene_from_body(times) @ truth.rig.body_from_lidar
-        scene = np.einsum("nij,nj->ni", body[:, :3, :3], points) + body[:, :3, 3]
-        begun = geometry.inverse(truth.scene_from_body(np.array([begin])))[0]
-        pcd.write_pcd(scans / f"{stamp_text(int(begin))}.pcd", scene @ begun[:3, :3].T + begun[:3, 3])
+        lidar = truth.scene_from_body(times) @ truth.rig.body_from_lidar
+        scene = np.einsum("nij,nj->ni", lidar[:, :3, :3], points) + lidar[:, :3, 3]
+        [body_from_scene] = geometry.inverse(truth.scene_from_body(np.array([begin])))
+        here = geometry.transform_points(body_from_scene, scene)
+        pcd.write_pcd(scans / f"{stamp_text(int(begin))}.pcd", here)
     for taken, encoded in zip(truth.images, truth.encoded, strict=True):
         files.write_bytes(images / f"{stamp_text(int(taken))}.jpg", encoded)
     samples = [record for _, record in source.items if isinstance(record, PoseSample)]
@@ -71,14 +72,14 @@ def digest(recording: Path) -> str:
     return whole.hexdigest()
 
 
-def ran(recording: Path, out: Path, truth: raw.RawTruth) -> tuple[str, float, float]:
-    """Cells of a table, and errors of scans and cameras, m."""
+def ran(recording: Path, out: Path, truth: raw.RawTruth) -> str:
+    """Cells of a table: errors of scans and cameras, and the verdict."""
     code, said = lvba("run", recording, "--out", out, "--quiet")
     if code:
-        return f"refused: {said.strip().splitlines()[-1]}", np.nan, np.nan
+        return f"refused: {said.strip().splitlines()[-1]}"
     facts = result_of(recording, out, truth)
-    scans, cameras = float(facts["scans_m"]), float(facts["cameras_m"])
-    return f"{scans * 1e3:.2f} | {cameras * 1e3:.2f} | {facts['verdict']}", scans, cameras
+    errors = (f"{1e3 * float(facts[name]):.2f}" for name in ("scans_m", "cameras_m"))
+    return " | ".join([*errors, facts["verdict"]])
 
 
 def line(
@@ -94,8 +95,7 @@ def line(
             return f"{form} refused: {said.strip().splitlines()[-1]}"
         recordings.setdefault(digest(recording), []).append(form)
     first, same = next(iter(recordings.values()))[0], max(map(len, recordings.values()))
-    cells, _, _ = ran(folder / first, folder / "result", truth)
-    return f"{cells} | {same} of {len(forms)}"
+    return f"{ran(folder / first, folder / 'result', truth)} | {same} of {len(forms)}"
 
 
 def main() -> None:
@@ -120,7 +120,7 @@ def main() -> None:
         )
         head, folder = f"| {scene} {seed} | {lidar}", given.work / f"{scene}-{lidar}-{seed}"
         write_folder(source, truth, folder / "folder")
-        cells, _, _ = ran(folder / "folder", folder / "folder-result", truth)
+        cells = ran(folder / "folder", folder / "folder-result", truth)
         print(f"{head} | folder | {cells} | |", flush=True)
         for layout in LAYOUTS[lidar]:
             cells = line(source, truth, layout, files.make_folder(folder / layout), given.forms)

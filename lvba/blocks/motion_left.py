@@ -22,7 +22,7 @@ from lvba.lidar.point_times import PointClock
 from lvba.lidar.range_errors import Beams, RangeErrors
 from lvba.lidar.row_times import RowClock
 from lvba.lidar.scan_evidence import ScanEvidence, nothing
-from lvba.lidar.scan_motion import BY_ROUGH, MotionLeft
+from lvba.lidar.scan_motion import BY_ROUGH, MOTIONS, MotionLeft
 from lvba.progress import Progress, silent
 
 _log = logging.getLogger(__name__)
@@ -120,7 +120,7 @@ class _Measurement:
     def of(self, probes: list[Window], sampled: Callable[[], list[Window]]) -> MotionLeft:
         """By some windows; only where they tell of a fraction, by more of the recording."""
         probes = [each.corrected(self.ranges) for each in probes]
-        evidence, _ = self._of_windows(probes, np.zeros(3), None)
+        evidence, _ = self._of_windows(probes, np.zeros(MOTIONS), None)
         alone = evidence.of(_OWN)
         change, sigma = float(alone.change[0]), float(alone.sigma[0])
         suspect = isinstance(self.moving.clock, PointClock) and self._suspects_rough(evidence)
@@ -137,7 +137,7 @@ class _Measurement:
 
     def _by_rough(self, windows: list[Window]) -> MotionLeft | None:
         """With what of their motion scans were deskewed by the rough poses; None: with nothing. Then no more is left."""
-        fractions, twists = np.zeros(3), None
+        fractions, twists = np.zeros(MOTIONS), None
         for turn in range(_ROUNDS):
             self.progress("motion left in scans", turn, _ROUNDS)
             evidence, twists = self._of_windows(windows, fractions, twists)
@@ -153,7 +153,7 @@ class _Measurement:
         fraction, twists, changes = first, None, [first]
         for turn in range(_ROUNDS):
             self.progress("motion left in scans", turn, _ROUNDS)
-            evidence, twists = self._of_windows(windows, fraction * np.eye(3)[0], twists)
+            evidence, twists = self._of_windows(windows, fraction * np.eye(MOTIONS)[0], twists)
             alone = evidence.of(_OWN)
             changes.append(float(alone.change[0]) - fraction)
             fraction += changes[-1]
@@ -183,7 +183,7 @@ class _Measurement:
         pairs = [
             self._evidence(window, fractions, twist) for window, twist in zip(windows, twists, strict=True)
         ]
-        evidence = sum((each for each, _ in pairs), nothing(3))
+        evidence = sum((each for each, _ in pairs), nothing(MOTIONS))
         _log.info("motion left: %s after %s, +- %s", evidence.change, fractions, evidence.sigma)
         return evidence, [twist for _, twist in pairs]
 
@@ -204,6 +204,6 @@ class _Measurement:
         taken_out = scan_motion.left(fractions, twist, rough)
         solved = self.moving.solved(window, taken_out)
         if solved is None:
-            return nothing(3), twist
+            return nothing(MOTIONS), twist
         own = self.moving.twists(window, solved.result.world_from_scan)
         return scan_motion.evidence(self.moving.view(solved), solved.tau, own, rough, taken_out), own

@@ -25,6 +25,8 @@ from lvba.lidar.scan_evidence import POSE_SIGMA, ByShared, OnPlanes, ScanEvidenc
 TURN, SHIFT = "rotation", "translation"
 BY_ROUGH = (TURN, SHIFT)
 """What of their motion scans may be deskewed by with rough poses: an odometry with an IMU turns them by its gyroscope."""
+MOTIONS = 1 + len(BY_ROUGH)
+"""How many `motions` there are."""
 
 
 def motions(twist: Tangents, rough: Tangents) -> np.ndarray:

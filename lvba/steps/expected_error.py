@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from lvba.arrays import PoseBlocks, Poses
+from lvba.lidar.bundle_adjustment import LidarResult
 from lvba.lidar.degeneracy import DegenerateDirection
 from lvba.products.map_error import Tally, counted
 from lvba.products.map_file import PointMap
@@ -40,7 +41,12 @@ def scan_covariance(lidar: LidarStage, fused: FusionStage, accepted: Accepted) -
         return None
     if fused.result is not None and accepted.fusion.accepted:
         return lidar.result.shared_factor * fused.result.covariance
-    return lidar.result.shared_factor * lidar.result.whole_covariance.marginal
+    return of_lidar(lidar.result)
+
+
+def of_lidar(result: LidarResult) -> np.ndarray:
+    """(S, 6, 6) of refined scans, with errors that planes close to each other share."""
+    return result.shared_factor * result.whole_covariance.marginal
 
 
 def _of_cameras(result: VisualResult, open_motions: OpenMotions | None) -> np.ndarray:

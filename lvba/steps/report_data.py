@@ -193,8 +193,8 @@ def warnings_of_motion(motion: MotionLeft | None) -> list[str]:
         ]
     if motion.corrected and motion.by_rough:
         return [
-            f"Scans were deskewed by the rough poses ({' and '.join(motion.by_rough)}): points were moved by what the "
-            "refined trajectory has else"
+            f"Scans were deskewed by the rough poses ({' and '.join(motion.by_rough)}): they were deskewed again, by the "
+            "refined trajectory"
         ]
     if motion.corrected:
         return [

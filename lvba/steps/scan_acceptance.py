@@ -83,8 +83,7 @@ def shift_of(rough: Poses, lidar: LidarStage) -> scan_gate.Shift | None:
         or lidar.rough_error is not None
     ):
         return None
-    covariance = result.shared_factor * result.whole_covariance.marginal
-    expected = expected_error.of_poses(expected_error.where_known(covariance))
+    expected = expected_error.of_poses(expected_error.where_known(expected_error.of_lidar(result)))
     if expected is None:
         return None
     return scan_gate.Shift(trajectory.pose_error(result.world_from_scan, rough).ate_m, expected["position_m"])

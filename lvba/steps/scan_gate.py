@@ -78,6 +78,7 @@ def judge_scans(
     error of the entropy large; there PSNR may decide: where SSIM denies it, by as many standard errors as deny anything.
     open_motions: from scan to scan, of those that were registered first, which surfaces leave open. A map is as sharp
     whatever these are, so that only images can tell: there the poses must not be the less likely ones by PSNR.
+    shift: where planes determine the scans; None: not known. It decides where the map does not tell.
     """
     figures = (entropy, *images)
     change = words(entropy)
