@@ -27,6 +27,8 @@ from lvba.sources.bags.writing import BagForm, write_bag
 from lvba.trajectory import Trajectory
 
 GOOD, AUTO = "good", "auto"
+SE3_LIO = Path(__file__).parent.parent / "docs/examples/odometry/se3_lio.yaml"
+"""Its noise of the IMU is that of the simulated one."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +40,9 @@ class Bag:
     truth: raw.RawTruth
 
 
-def bag(folder: Path, scene: str, lidar: str, seed: int, seconds: float) -> Bag:
+def bag(folder: Path, scene: str, lidar: str, seed: int, seconds: float, rest_s: float) -> Bag:
     """The bags of a scene, made if they are not there."""
-    sensors = raw.Sensors(lidar=lidar, width=320, height=240)
+    sensors = raw.Sensors(lidar=lidar, width=320, height=240, rest_s=rest_s)
     frames = round(seconds / 0.1)
     source, truth = raw.simulate_raw(scene, seconds=seconds, seed=seed, frames=frames, sensors=sensors)
     made = Bag(folder / "walk.bag", folder / "bare.bag", truth)
@@ -52,12 +54,14 @@ def bag(folder: Path, scene: str, lidar: str, seed: int, seconds: float) -> Bag:
 
 
 def calibration(folder: Path, truth: raw.RawTruth) -> Path:
-    """A configuration of se3-lio."""
+    """The configuration of se3-lio that the recipe has, with the true extrinsic."""
     pose = Trajectory(np.zeros(1), truth.rig.body_from_lidar[None])
     tum.write_trajectory(folder / "extrinsic.txt", pose)
-    _, x, y, z, qx, qy, qz, qw = np.loadtxt(folder / "extrinsic.txt")
+    _, x, y, z, qx, qy, qz, qw = np.loadtxt(folder / "extrinsic.txt").tolist()
+    of_recipe = yaml.safe_load(SE3_LIO.read_text())
+    of_recipe["sensors"] |= {"t_exts": [x, y, z], "q_exts": [qw, qx, qy, qz]}
     path = folder / "se3.yaml"
-    path.write_text(f"sensors: {{t_exts: [{x}, {y}, {z}], q_exts: [{qw}, {qx}, {qy}, {qz}]}}\n")
+    path.write_text(yaml.safe_dump(of_recipe))
     return path
 
 
@@ -87,6 +91,18 @@ def true_scans(recording: Path, times: np.ndarray, truth: raw.RawTruth) -> np.nd
     conventions = yaml.safe_load(said.read_text())["conventions"] if said.exists() else {}
     of = conventions.get("pose_of", {}).get("taken", "body")
     return poses @ truth.rig.body_from_lidar if of in ("lidar", "camera") else poses
+
+
+def taken(recording: Path, times: np.ndarray, truth: raw.RawTruth) -> np.ndarray:
+    """(N,) s: when images were taken, whatever offset the import gave to their stamps, (N,) s."""
+    said = recording / "recording.yaml"
+    conventions = yaml.safe_load(said.read_text())["conventions"] if said.exists() else {}
+    stamped = np.asarray(times, float) - float(conventions.get("image_offset", {}).get("taken", 0.0))
+    true = truth.images * 1e-9
+    nearest = true[np.abs(true[None] - stamped[:, None]).argmin(axis=1)]
+    if not np.allclose(nearest, stamped, atol=1e-3):
+        raise ValueError(f"{recording}: its images have no stamps of the bag")
+    return nearest
 
 
 def row(made: Bag, program: str, folder: Path) -> dict[str, object]:
@@ -120,8 +136,8 @@ def result_of(recording: Path, out: Path, truth: raw.RawTruth) -> dict[str, obje
     scans = tum.read_trajectory(out / "lidar_poses.txt")
     errors, align = off(scans, true_scans(recording, scans.times, truth))
     cameras = tum.read_trajectory(out / "image_poses.txt")
-    # images of a bag have poses of the frame that scans are in
-    true = true_scans(recording, cameras.times, truth)
+    # images of a bag have poses of the frame that scans are in, of when they were taken
+    true = true_scans(recording, taken(recording, cameras.times, truth), truth)
     apart = np.linalg.norm((align @ cameras.world_from_sensor)[:, :3, 3] - true[:, :3, 3], axis=1)
     report = json.loads((out / "report.json").read_text())
     verdict = report["verdict"]
@@ -145,6 +161,7 @@ def main() -> None:
     parser.add_argument("--lidars", nargs="+", default=["spinning", "non_repetitive"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[3])
     parser.add_argument("--seconds", type=float, default=12.0)
+    parser.add_argument("--rest", type=float, default=0.0, help="s at rest before the sensors move")
     parser.add_argument("--programs", nargs="+", default=[GOOD, AUTO])
     parser.add_argument("--work", type=Path, required=True, help="a folder for bags, recordings and results")
     given = parser.parse_args()
@@ -153,7 +170,7 @@ def main() -> None:
             for seed in given.seeds:
                 folder = given.work / f"{scene}-{lidar}-{seed}"
                 folder.mkdir(parents=True, exist_ok=True)
-                made = bag(folder, scene, lidar, seed, given.seconds)
+                made = bag(folder, scene, lidar, seed, given.seconds, given.rest)
                 for program in given.programs:
                     name = program.partition("=")[0]
                     facts = row(made, program, folder / name)

@@ -9,6 +9,9 @@ from lvba.trajectory import Trajectory
 
 CAMERA, BODY = "camera", "body"
 """What the poses of a recording's image_poses.txt are of."""
+TURN, SHIFT = "rotation", "translation"
+DESKEWED_BY = (TURN, SHIFT)
+"""What of their motion scans may be deskewed by with rough poses: an odometry with an IMU turns them by its gyroscope."""
 NO_CAMERA = Camera(width=0, height=0, fx=1.0, fy=1.0, cx=0.0, cy=0.0)
 """The camera of a recording without images."""
 
@@ -92,6 +95,8 @@ class Dataset:
     """(3,), m: where the LiDAR is in the scan frame (from extrinsic_T); view directions start here."""
     sensor_axes_scan: np.ndarray = field(default_factory=lambda: np.eye(3))
     """(3, 3): columns are the LiDAR's own axes in the scan frame (from extrinsic_R)."""
+    deskewed_by: tuple[str, ...] = ()
+    """With what of the rough poses the scans were deskewed, of DESKEWED_BY, as their file says; (): it says nothing."""
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     """(3,), m: added to positions when poses and maps are written."""
     scan_stamps: tuple[str, ...] = ()

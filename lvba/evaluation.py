@@ -147,7 +147,11 @@ def report(
         "dataset": {"path": dataset.root, **report_data.of_dataset(dataset)},
         "config": settings.to_dict(config),
         "evaluation": report_data.of_evaluation(dataset, scans, scores, VISUAL),
-        "warnings": [*dataset.warnings, *given.warnings, *report_data.warnings_of_errors(errors)],
+        "warnings": [
+            *dataset.warnings,
+            *given.warnings,
+            *report_data.warnings_of_errors(errors, dataset.deskewed_by),
+        ],
     }
     if errors is not None:
         facts["lidar"] = report_data.of_scan_errors(errors)

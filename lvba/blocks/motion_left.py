@@ -15,14 +15,14 @@ import numpy as np
 from lvba.arrays import Vector
 from lvba.blocks.moving_windows import MovingWindows
 from lvba.blocks.scan_windows import Window
-from lvba.dataset import Dataset
+from lvba.dataset import DESKEWED_BY, Dataset
 from lvba.lidar import point_times, row_times, scan_motion
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.point_times import PointClock
 from lvba.lidar.range_errors import Beams, RangeErrors
 from lvba.lidar.row_times import RowClock
 from lvba.lidar.scan_evidence import ScanEvidence, nothing
-from lvba.lidar.scan_motion import BY_ROUGH, MOTIONS, MotionLeft
+from lvba.lidar.scan_motion import MOTIONS, MotionLeft
 from lvba.progress import Progress, silent
 
 _log = logging.getLogger(__name__)
@@ -82,9 +82,17 @@ def _not_corrected(
     fraction: float | None = None,
     sigma: float | None = None,
     problem: str = "",
+    by_rough: tuple[str, ...] = (),
 ) -> MotionLeft:
     """Points stay as they are, until motions are known."""
-    return MotionLeft(clock=clock, fraction=fraction, sigma=sigma, motion=np.zeros((0, 6)), problem=problem)
+    return MotionLeft(
+        clock=clock,
+        fraction=fraction,
+        sigma=sigma,
+        motion=np.zeros((0, 6)),
+        problem=problem,
+        by_rough=by_rough,
+    )
 
 
 def clock(dataset: Dataset, windows: list[Window]) -> PointClock | RowClock | str | None:
@@ -120,6 +128,8 @@ class _Measurement:
     def of(self, probes: list[Window], sampled: Callable[[], list[Window]]) -> MotionLeft:
         """By some windows; only where they tell of a fraction, by more of the recording."""
         probes = [each.corrected(self.ranges) for each in probes]
+        if isinstance(self.moving.clock, PointClock) and (said := self.moving.dataset.deskewed_by):
+            return self._as_said(probes, said)
         evidence, _ = self._of_windows(probes, np.zeros(MOTIONS), None)
         alone = evidence.of(_OWN)
         change, sigma = float(alone.change[0]), float(alone.sigma[0])
@@ -130,6 +140,12 @@ class _Measurement:
         if suspect and (by_rough := self._by_rough(windows)) is not None:
             return by_rough
         return self._estimated(windows, change)
+
+    def _as_said(self, windows: list[Window], by_rough: tuple[str, ...]) -> MotionLeft:
+        """Scans that their recording says were deskewed by the rough poses: then no more is left."""
+        said = _not_corrected(self.moving.clock, 0.0, by_rough=by_rough)
+        evidence, _ = self._of_windows(windows, said.fractions, None)
+        return replace(said, sigma=self._sigma(evidence))
 
     def _suspects_rough(self, evidence: ScanEvidence) -> bool:
         """Whether scans may be deskewed by the rough poses. Of bent scans, poses tell little of by how much."""
@@ -143,10 +159,10 @@ class _Measurement:
             evidence, twists = self._of_windows(windows, fractions, twists)
             fractions = np.clip(evidence.change, -1.0, 1.0)
         sure = fractions > np.maximum(_BY_ROUGH, _SURE * evidence.sigma)
-        by_rough = tuple(name for name, is_so in zip(BY_ROUGH, sure[1:], strict=True) if is_so)
+        by_rough = tuple(name for name, is_so in zip(DESKEWED_BY, sure[1:], strict=True) if is_so)
         if not by_rough:
             return None
-        return replace(_not_corrected(self.moving.clock, 0.0, self._sigma(evidence)), by_rough=by_rough)
+        return _not_corrected(self.moving.clock, 0.0, self._sigma(evidence), by_rough=by_rough)
 
     def _estimated(self, windows: list[Window], first: float) -> MotionLeft:
         """The fraction of the motion, by windows in turn. first: where it begins"""

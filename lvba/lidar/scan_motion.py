@@ -17,15 +17,13 @@ import numpy as np
 
 from lvba import geometry
 from lvba.arrays import Tangents, Times, Vector
+from lvba.dataset import DESKEWED_BY
 from lvba.lidar import scan_evidence
 from lvba.lidar.point_times import PointClock
 from lvba.lidar.row_times import RowClock
 from lvba.lidar.scan_evidence import POSE_SIGMA, ByShared, OnPlanes, ScanEvidence, View
 
-TURN, SHIFT = "rotation", "translation"
-BY_ROUGH = (TURN, SHIFT)
-"""What of their motion scans may be deskewed by with rough poses: an odometry with an IMU turns them by its gyroscope."""
-MOTIONS = 1 + len(BY_ROUGH)
+MOTIONS = 1 + len(DESKEWED_BY)
 """How many `motions` there are."""
 
 
@@ -60,7 +58,7 @@ class MotionLeft:
     """What is left of the motion in the scans of a recording, and how they are corrected.
 
     fraction: of the motion; 0: deskewed, 1: raw; sigma: its standard deviation, both None where not measured
-    by_rough: which of `BY_ROUGH` scans were deskewed with by the rough poses: what these had wrong is left, too
+    by_rough: which of `DESKEWED_BY` scans were deskewed with by the rough poses: what these had wrong is left, too
     motion: (S, 6) float64, rad/s and m/s, scan frames, at the stamps; (0, 6): points stay as they are
     acceleration: (S, 6) float64, rad/s^2 and m/s^2, scan frames; (0, 6): none
     problem: why it was not measured, or not corrected
@@ -80,7 +78,7 @@ class MotionLeft:
     @property
     def fractions(self) -> np.ndarray:
         """(3,): of `motions`."""
-        return np.array([self.fraction or 0.0, *(float(name in self.by_rough) for name in BY_ROUGH)])
+        return np.array([self.fraction or 0.0, *(float(name in self.by_rough) for name in DESKEWED_BY)])
 
     @property
     def corrected(self) -> bool:

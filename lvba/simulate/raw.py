@@ -51,6 +51,8 @@ START_NS = 1_700_000_000_000_000_000
 _LEAD_S = 0.3
 """Of the motion before the first sweep and after the last one: odometry and IMU begin earlier and end later."""
 _IMU_HZ = 200
+_START_S = 2.0
+"""How long sensors take from rest to their speed."""
 _SHAKE_HZ = 2.5
 _GYROSCOPE_NOISE, _GYROSCOPE_BIAS = 2e-3, 2e-3
 _ACCELEROMETER_NOISE, _ACCELEROMETER_BIAS = 0.02, 0.05
@@ -124,6 +126,8 @@ class Sensors:
     """Of the odometry over the whole recording, root mean square."""
     shake_deg: float = 0.0
     """Yaw and pitch swing by this at 2.5 Hz, as in a hand that walks."""
+    rest_s: float = 0.0
+    """How long the sensors stand still before they move, of which 0.3 s come before the first sweep."""
 
 
 @dataclass(frozen=True)
@@ -173,6 +177,9 @@ def measure(
     made = simulation.make(scene, seed, "easy", max(frames, 2), 2, None, None)
     if sensors.shake_deg:
         motion = _shaken(made.scene.motion, sensors.shake_deg)
+        made = replace(made, scene=replace(made.scene, motion=motion))
+    if sensors.rest_s:
+        motion = _from_rest(made.scene.motion, sensors.rest_s)
         made = replace(made, scene=replace(made.scene, motion=motion))
     seconds = min(seconds, made.scene.motion.duration - 2 * _LEAD_S)
     begins = _begins(np.arange(max(int(seconds / lidar.SWEEP_S), 2)))
@@ -243,6 +250,17 @@ def _shaken(motion: Motion, size_deg: float) -> Motion:
         [np.sin(phase), np.cos(1.3 * phase), np.zeros(len(times))], axis=-1
     )
     return replace(motion, angles=CubicSpline(times, motion.angles(times) + swing))
+
+
+def _from_rest(motion: Motion, rest_s: float) -> Motion:
+    """The motion after a rest; its speed rises from zero within `_START_S`."""
+    duration = rest_s + motion.duration + 0.5 * _START_S
+    times = np.arange(0, duration, 5e-3)
+    moved = np.clip((times - rest_s) / _START_S, 0, 1)
+    # the integral of the smooth step 3 m^2 - 2 m^3
+    on_path = _START_S * (moved**3 - 0.5 * moved**4) + np.maximum(times - rest_s - _START_S, 0)
+    position, angles = (CubicSpline(times, spline(on_path)) for spline in (motion.position, motion.angles))
+    return Motion(duration, position, angles)
 
 
 def _begins(numbers: np.ndarray) -> np.ndarray:

@@ -76,7 +76,9 @@ def collect(
         facts["reference"] = reference_data.collect(
             dataset, lidar, scans, visual, fused, accepted, expected, reference
         )
-    facts["warnings"] = _warnings(dataset, lidar, visual, accepted) + warnings_of_errors(errors)
+    facts["warnings"] = _warnings(dataset, lidar, visual, accepted) + warnings_of_errors(
+        errors, dataset.deskewed_by
+    )
     noise = lidar.result.history[-1].sigma if lidar.result is not None and lidar.result.history else None
     of_ranges_m = 0.0 if errors is None or errors.ranges is None else errors.ranges.poses_off[1]
     open_ = () if lidar.result is None else lidar.result.degenerate_directions
@@ -157,9 +159,12 @@ def of_moving_points(moving: Sequence[MovingPoints]) -> dict[str, Any]:
     return {"moving_points": {"count": count, "fraction": fraction}}
 
 
-def warnings_of_errors(errors: ScanErrors | None) -> list[str]:
-    """That points were moved, or why not."""
-    return [] if errors is None else [*warnings_of_ranges(errors.ranges), *warnings_of_motion(errors.motion)]
+def warnings_of_errors(errors: ScanErrors | None, deskewed_by: tuple[str, ...] = ()) -> list[str]:
+    """That points were moved, or why not. deskewed_by: `Dataset.deskewed_by`: no warning that scans were so deskewed"""
+    if errors is None:
+        return []
+    said = errors.motion is not None and errors.motion.by_rough == deskewed_by != ()
+    return warnings_of_ranges(errors.ranges) + ([] if said else warnings_of_motion(errors.motion))
 
 
 _NOT_CORRECTED = {

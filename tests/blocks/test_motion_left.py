@@ -9,10 +9,11 @@ import pytest
 
 from lvba import geometry
 from lvba.blocks import decoded_scans, motion_left, scan_errors, scan_motions, scan_windows
+from lvba.dataset import DESKEWED_BY
 from lvba.io import dataset as recordings
 from lvba.io import reference
 from lvba.io.dataset import open_dataset
-from lvba.lidar import bundle_adjustment, path_motion, scan_motion
+from lvba.lidar import bundle_adjustment, path_motion
 from lvba.lidar.config import LidarConfig
 from lvba.lidar.row_times import RowClock
 from lvba.lidar.scan_errors import ScanErrors
@@ -107,14 +108,14 @@ def test_a_jump_of_the_rough_poses_is_no_motion(recording, found):
     np.testing.assert_allclose(jumping.motion[:, :3], found.motion[:, :3], atol=0.01)
 
 
-def deskewed_by(dataset, monkeypatch, of_motion, seed=3):
+def deskewed_by(dataset, monkeypatch, of_motion, seed=3, size=(4e-3, 0.1)):
     """The recording with rough poses that are a decimeter off, and scans that were deskewed by them.
 
-    of_motion: (6,) of rotation and translation, by how much of them
+    of_motion: (6,) of rotation and translation, by how much of them; size: rad and m that the poses are off
     """
     rng, scans, real = np.random.default_rng(seed), dataset.scans, recordings.load_scan
     truth = truth_of(dataset)
-    off = rng.normal(0, [4e-3] * 3 + [0.1] * 3, (len(truth), 6))
+    off = rng.normal(0, np.repeat(size, 3), (len(truth), 6))
     rough = truth @ geometry.exp(off)
     clock = motion_left.clock(dataset, scan_windows.probes(dataset))
     wrong = [path_motion.sweep_twists(scans.times, poses, clock) for poses in (rough, truth)]
@@ -132,7 +133,7 @@ def deskewed_by(dataset, monkeypatch, of_motion, seed=3):
 @pytest.mark.parametrize("by_rough", [("rotation", "translation"), ("translation",)])
 def test_scans_that_were_deskewed_by_rough_poses_are_deskewed_again(recording, monkeypatch, by_rough):
     """With a gyroscope, only the translation is theirs."""
-    of_motion = np.repeat([float(name in by_rough) for name in scan_motion.BY_ROUGH], 3)
+    of_motion = np.repeat([float(name in by_rough) for name in DESKEWED_BY], 3)
     dataset = deskewed_by(recording["clean"], monkeypatch, of_motion)
     motion = measured(dataset)
     assert motion.by_rough == by_rough
@@ -144,6 +145,24 @@ def test_scans_that_were_deskewed_by_rough_poses_are_deskewed_again(recording, m
     assert "deskewed by the rough poses" in report_data.warnings_of_motion(motion)[0]
     facts = json.loads(json.dumps(report_data.plain(motion.facts())))
     assert MotionLeft.of_facts(facts).by_rough == by_rough
+
+
+def test_a_recording_may_say_that_scans_were_deskewed_by_its_poses(recording, monkeypatch):
+    """Speed was wrong in the first scans only, of which all planes together tell too little."""
+    dataset = deskewed_by(recording["clean"], monkeypatch, np.ones(6), size=(3e-4, 4e-3))
+    assert measured(dataset).by_rough == ()
+    said = replace(dataset, deskewed_by=DESKEWED_BY)
+    motion = measured(said)
+    assert motion.by_rough == DESKEWED_BY
+    assert motion.fraction == 0
+    assert motion.corrected
+    errors = ScanErrors(None, motion)
+    piece = decoded_scans.decode_scans(said, (0, 36), errors)
+    points = [piece.points[a:b] for a, b in zip(piece.offsets[:-1], piece.offsets[1:], strict=True)]
+    before, after = (error_m(said, each) for each in (recordings.load_scans(said), points))
+    assert after < before
+    assert report_data.warnings_of_errors(errors, said.deskewed_by) == []
+    assert report_data.warnings_of_errors(errors) != []
 
 
 def test_rough_poses_that_scans_were_not_deskewed_by_leave_nothing(recording, monkeypatch):
@@ -158,7 +177,7 @@ def test_scans_beside_a_jump_of_the_rough_poses_were_not_deskewed_by_it(recordin
     rough = dataset.scans.world_from_sensor.copy()
     rough[18:, :3, 3] += [0.3, -0.5, 0.8]
     jumping = measured(replace(dataset, scans=Trajectory(dataset.scans.times, rough)))
-    assert jumping.by_rough == scan_motion.BY_ROUGH
+    assert jumping.by_rough == DESKEWED_BY
     assert np.linalg.norm(jumping.motion[:, 3:], axis=1).max() < 2
 
 

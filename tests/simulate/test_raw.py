@@ -1,5 +1,7 @@
 """Raw recordings: each point was measured from where the sensor was at its own time, and drivers write what they say."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -97,3 +99,16 @@ def test_the_same_seed_gives_the_same_source():
         return [getattr(record, "points", getattr(record, "encoded", None)) for _, record in source.items]
 
     assert str(make(2)) == str(make(2)) != str(make(3))
+
+
+def test_sensors_may_stand_still_before_they_move():
+    """Odometries with an IMU take gravity from that; then the path is the same."""
+    moving = raw.measure("courtyard", seconds=0.5, sensors=FEW)
+    truth = raw.measure("courtyard", seconds=0.5, sensors=replace(FEW, rest_s=2.0))
+    seconds = np.arange(0.0, 12.0, 0.1)
+    poses = truth.motion.poses(seconds)
+    speed = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) / 0.1
+    np.testing.assert_allclose(poses[:20], poses[:1].repeat(20, axis=0), atol=1e-9)
+    assert (np.diff(speed[20:40]) > 0).all()
+    later = moving.motion.poses(seconds[50:] - 2.0 - 1.0)
+    np.testing.assert_allclose(poses[50:], later, atol=1e-6)

@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from lvba import geometry
+from lvba.dataset import DESKEWED_BY
 from lvba.errors import InputError
 from lvba.inertial import consistency
 from lvba.inertial.readings import Imu
@@ -295,6 +296,13 @@ def test_raw_images_keep_their_camera_beside_that_of_rectified_ones(tmp_path, tr
     for name in ("config.yaml", "image_poses.txt", "lidar_poses.txt"):
         if (tmp_path / "alone" / name).exists():
             assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
+
+
+def test_a_recording_says_that_its_scans_were_deskewed_by_its_poses(tmp_path, truth):
+    import_source(written(truth), tmp_path / "out")
+    assert open_dataset(tmp_path / "out").deskewed_by == DESKEWED_BY
+    import_source(written(truth, time_type=""), tmp_path / "untimed")
+    assert open_dataset(tmp_path / "untimed").deskewed_by == ()
 
 
 def test_images_are_rectified_only_where_a_camera_info_says_how(tmp_path, truth):

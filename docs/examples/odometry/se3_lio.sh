@@ -3,13 +3,11 @@
 # is under GPL-2: lvba runs it as a program of its own.
 #
 #   pip install se3-lio
-#   lvba import walk.bag --out recording --odometry "sh se3_lio.sh {bag} {out} config.yaml [SCANS IMU]"
+#   lvba import walk.bag --out recording --odometry "sh se3_lio.sh {bag} {out} se3_lio.yaml [SCANS IMU]"
 #
 # It reads bags of ROS 1 with PointCloud2 (Ouster, Hesai, Velodyne), and of ROS 2 with Livox. SCANS and IMU are topics.
-# config.yaml has the pose of the LiDAR on the IMU, m and quaternion w x y z:
-#
-#   sensors: {t_exts: [0.0, 0.0, 0.1], q_exts: [1.0, 0.0, 0.0, 0.0]}
-#
+# se3_lio.yaml, beside this file, says what to write into it. The sensors must stand still for a second or two at first:
+# SE(3)-LIO takes gravity from the first readings of the IMU, and its speed for zero.
 # The poses are of the IMU, at the end of a sweep.
 set -eu
 work=$(mktemp -d)

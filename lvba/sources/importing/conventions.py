@@ -38,7 +38,7 @@ _LATER_S = (0.2, -0.2, 0.3, -0.3)
 """Offsets that are tried beside usual ones where clocks are known by when records were recorded, which may be so late."""
 _AGREEING = 0.9
 _OF_IMAGES = ("images", "extrinsic", "image_offset")
-_FORMAT, _FRAMES, _NO_GAIN = "the format", "names of frames", "no gain"
+_FORMAT, _FRAMES = "the format", "names of frames"
 
 
 @dataclass(frozen=True)
@@ -221,8 +221,10 @@ def _motion(
         return tracks[said or "poses"], ()
     deskewed = reading.points == "deskewed"
     answers = [Answer(name, scorer.along(track, deskewed)) for name, track in tracks.items()]
-    decided = decision.decide("motion", answers, said, "poses", "m", where, known_by=_NO_GAIN)
-    if decided.by == "default":  # better than along the poses; which of several such, changes little
+    # the closest, significant or not: noise of single poses bends scans by more than pairs of scans show
+    closest = min(answers, key=lambda answer: answer.score).name
+    decided = decision.decide("motion", answers, said, closest, "m", where)
+    if decided.by == "default":
         decided = replace(decided, by="data", warning="")
     return tracks[decided.taken], (decided,)
 

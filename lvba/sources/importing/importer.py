@@ -12,9 +12,9 @@ import numpy as np
 import yaml
 
 from lvba import geometry
-from lvba.dataset import BODY
+from lvba.dataset import BODY, DESKEWED_BY
 from lvba.errors import InputError
-from lvba.io import calibration, files, image_poses, tum
+from lvba.io import calibration, files, image_poses, scan_poses, tum
 from lvba.io.dataset import IMAGE_POSES, SCAN_POSES
 from lvba.progress import Progress, silent
 from lvba.sources.importing import (
@@ -44,8 +44,6 @@ from lvba.sources.importing.track import Track
 from lvba.sources.importing.writing import Writer, Written, stamp_text
 from lvba.sources.source import Source, SourceDescription
 from lvba.trajectory import Trajectory
-
-_SCAN_COMMENT = "body (the scans' frame) to world at the time of each scan: t tx ty tz qx qy qz qw"
 
 Announce = Callable[[str, int, int], None]
 """Called as announce(name, index, total) when a pass begins."""
@@ -298,7 +296,7 @@ def _write_texts(
         (
             SCAN_POSES,
             written.scans,
-            _SCAN_COMMENT,
+            scan_poses.comment(DESKEWED_BY if decided.clock.unit and not decided.deskewed else ()),
         ),
         (IMAGE_POSES, written.images, image_poses.comment(BODY)),
     ):
