@@ -15,11 +15,12 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
 
-from lvba import trajectory
+from lvba import geometry, trajectory
 from lvba.io import tum
 from lvba.simulate import raw
 from lvba.sources.bags.point_layouts import PointLayout
@@ -55,11 +56,10 @@ def bag(folder: Path, scene: str, lidar: str, seed: int, seconds: float, rest_s:
 
 def calibration(folder: Path, truth: raw.RawTruth) -> Path:
     """The configuration of se3-lio that the recipe has, with the true extrinsic."""
-    pose = Trajectory(np.zeros(1), truth.rig.body_from_lidar[None])
-    tum.write_trajectory(folder / "extrinsic.txt", pose)
-    _, x, y, z, qx, qy, qz, qw = np.loadtxt(folder / "extrinsic.txt").tolist()
+    imu_from_lidar = truth.rig.body_from_lidar
+    x, y, z, w = geometry.quaternion(imu_from_lidar).tolist()
     of_recipe = yaml.safe_load(SE3_LIO.read_text())
-    of_recipe["sensors"] |= {"t_exts": [x, y, z], "q_exts": [qw, qx, qy, qz]}
+    of_recipe["sensors"] |= {"t_exts": imu_from_lidar[:3, 3].tolist(), "q_exts": [w, x, y, z]}
     path = folder / "se3.yaml"
     path.write_text(yaml.safe_dump(of_recipe))
     return path
@@ -84,20 +84,23 @@ def stamps_of(times: np.ndarray) -> np.ndarray:
     return np.round(np.asarray(times, float) * 1e6).astype(np.int64) * 1000
 
 
+def said_of(recording: Path) -> dict[str, Any]:
+    """What its import wrote of it, {} where none made it."""
+    said = recording / "recording.yaml"
+    return yaml.safe_load(said.read_text()) if said.exists() else {}
+
+
 def true_scans(recording: Path, times: np.ndarray, truth: raw.RawTruth) -> np.ndarray:
     """(N, 4, 4), of the frame in which the recording has its scans; the body where it says of none."""
     poses = truth.scene_from_body(stamps_of(times))
-    said = recording / "recording.yaml"
-    conventions = yaml.safe_load(said.read_text())["conventions"] if said.exists() else {}
-    of = conventions.get("pose_of", {}).get("taken", "body")
+    of = said_of(recording).get("conventions", {}).get("pose_of", {}).get("taken", "body")
     return poses @ truth.rig.body_from_lidar if of in ("lidar", "camera") else poses
 
 
 def taken(recording: Path, times: np.ndarray, truth: raw.RawTruth) -> np.ndarray:
     """(N,) s: when images were taken, whatever offset the import gave to their stamps, (N,) s."""
-    said = recording / "recording.yaml"
-    conventions = yaml.safe_load(said.read_text())["conventions"] if said.exists() else {}
-    stamped = np.asarray(times, float) - float(conventions.get("image_offset", {}).get("taken", 0.0))
+    added = said_of(recording).get("applied", {}).get("added_to_stamps_of_images_s", 0.0)
+    stamped = np.asarray(times, float) - added
     true = truth.images * 1e-9
     nearest = true[np.abs(true[None] - stamped[:, None]).argmin(axis=1)]
     if not np.allclose(nearest, stamped, atol=1e-3):

@@ -175,12 +175,12 @@ def measure(
     if sensors.lidar not in ("spinning", "non_repetitive"):
         raise InputError("lidar", f"{sensors.lidar[:40]!r} has no sweep", "take spinning or non_repetitive")
     made = simulation.make(scene, seed, "easy", max(frames, 2), 2, None, None)
+    motion = made.scene.motion
     if sensors.shake_deg:
-        motion = _shaken(made.scene.motion, sensors.shake_deg)
-        made = replace(made, scene=replace(made.scene, motion=motion))
+        motion = _shaken(motion, sensors.shake_deg)
     if sensors.rest_s:
-        motion = _from_rest(made.scene.motion, sensors.rest_s)
-        made = replace(made, scene=replace(made.scene, motion=motion))
+        motion = _from_rest(motion, sensors.rest_s)
+    made = replace(made, scene=replace(made.scene, motion=motion))
     seconds = min(seconds, made.scene.motion.duration - 2 * _LEAD_S)
     begins = _begins(np.arange(max(int(seconds / lidar.SWEEP_S), 2)))
     # between two begins of sweeps, so that no image has the time of a scan

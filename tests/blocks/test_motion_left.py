@@ -148,7 +148,7 @@ def test_scans_that_were_deskewed_by_rough_poses_are_deskewed_again(recording, m
 
 
 def test_a_recording_may_say_that_scans_were_deskewed_by_its_poses(recording, monkeypatch):
-    """Speed was wrong in the first scans only, of which all planes together tell too little."""
+    """Poses are wrong by so little that planes do not tell it."""
     dataset = deskewed_by(recording["clean"], monkeypatch, np.ones(6), size=(3e-4, 4e-3))
     assert measured(dataset).by_rough == ()
     said = replace(dataset, deskewed_by=DESKEWED_BY)

@@ -63,9 +63,9 @@ class Conventions:
     warnings: tuple[str, ...]
 
     @property
-    def deskewed(self) -> bool:
-        """Whether points are already as seen at the stamp."""
-        return self.scans.reading.points == "deskewed"
+    def deskews(self) -> bool:
+        """Whether points have times and are not yet as seen at the stamp."""
+        return bool(self.clock.unit) and self.scans.reading.points != "deskewed"
 
     @property
     def image_offset(self) -> float:
@@ -223,9 +223,7 @@ def _motion(
     answers = [Answer(name, scorer.along(track, deskewed)) for name, track in tracks.items()]
     # the closest, significant or not: noise of single poses bends scans by more than pairs of scans show
     closest = min(answers, key=lambda answer: answer.score).name
-    decided = decision.decide("motion", answers, said, closest, "m", where)
-    if decided.by == "default":
-        decided = replace(decided, by="data", warning="")
+    decided = decision.decide("motion", answers, said, closest, "m", where, known_by="data")
     return tracks[decided.taken], (decided,)
 
 

@@ -296,7 +296,7 @@ def _write_texts(
         (
             SCAN_POSES,
             written.scans,
-            scan_poses.comment(DESKEWED_BY if decided.clock.unit and not decided.deskewed else ()),
+            scan_poses.comment(DESKEWED_BY if decided.deskews else ()),
         ),
         (IMAGE_POSES, written.images, image_poses.comment(BODY)),
     ):

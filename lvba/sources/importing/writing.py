@@ -131,7 +131,7 @@ class Writer:
             self.written.lose("scans without a point")
             return
         stamp = self._seconds(scan.stamp)
-        raw = after[kept] if not self.conventions.deskewed else np.zeros(1)
+        raw = after[kept] if self.conventions.deskews else np.zeros(1)
         first, last = stamp + min(raw.min(), 0.0), stamp + max(raw.max(), 0.0)
         if not self.conventions.lidar.covers(first, last):
             self.written.lose_unposed("scans", self.conventions.lidar.outside(first, last))
@@ -144,7 +144,7 @@ class Writer:
     def _write_scan(self, path: Path, scan: RawScan, kept: np.ndarray, after: np.ndarray) -> None:
         conventions, stamp = self.conventions, self._seconds(scan.stamp)
         points = scan.points[kept].astype(float)
-        if conventions.clock.unit and not conventions.deskewed:
+        if conventions.deskews:
             at_nodes = placing.nodes(stamp + after.min(), stamp + after.max(), _NODE_S)
             at_stamp = geometry.inverse(conventions.lidar.at(np.array([stamp])))
             points = placing.place(points, at_nodes, at_stamp @ conventions.lidar.at(at_nodes), stamp + after)
