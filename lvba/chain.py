@@ -53,7 +53,7 @@ class Chain:
         self.errors = add("scan-errors", scan_motions.joined, shared, motions)
         self.photos, self.judging, self.keyframes = list[Made](), list[Made](), list[Made]()
         self.points = self._decode("scans", decode_scans, cores, self.errors, self.survey)
-        self.moving = list[Made]()
+        self.moving, self.entropies = list[Made](), list[Ref]()
 
     def _decode(self, name: str, function: Any, ranges: Sequence[Range], *arguments: Any) -> list[Made]:
         """A step for each range of frames, given those of its images that were decoded before, where any were."""

@@ -131,7 +131,7 @@ class _Chain(Chain):
             [solved] = self._each(
                 "lidar", lidar.solve_lidar, config.lidar, config.refine_scans, self.errors, photos=False
             )
-        entropies = self._each_region(
+        entropies = self.entropies = self._each_region(
             "lidar-entropy", scan_acceptance.measure_entropy, solved, self.survey, config.evaluate.entropy
         )
         if config.remove_moving_points:
@@ -353,6 +353,7 @@ class _Chain(Chain):
         entropies = self._each_region(
             "fusion-entropy", scan_acceptance.measure_fused_entropy,
             *(learned, self.survey, config.evaluate.entropy),
+            own=lambda region: [self.entropies[region.number]],
         )  # fmt: skip
         judged = scans, learned, entropies, config.gate
         learned = add("fusion-choice", scan_acceptance.choose_fusion, *judged)

@@ -32,6 +32,7 @@ FEW_KERNELS = ("tests", "io", "foundation", "fuzz", "sources", "steps", "plan")
 MANY_KERNELS = (
     "test_blank_images.py",
     "test_camera_outliers.py",
+    "test_confirmed_cameras_run.py",
     "test_evaluation.py",
     "test_importing.py",
     "test_judging_size_run.py",

@@ -50,7 +50,7 @@ LINEAR_ALGEBRA = {
     "lvba/lidar/range_uncertainty.py": (3, "errors of a range sensor, at most 5 x 5; the place of a camera, 3 x 3"),
     "lvba/lidar/pose_response.py": (1, "the turn that all scans of a window have in common, 3 x 3"),
     "lvba/steps/error_chain.py": (6, "6 x 6 covariances of a chain's links"),
-    "lvba/steps/pose_fusion.py": (5, "6 x 6 covariances of single scans"),
+    "lvba/steps/pose_fusion.py": (4, "6 x 6 covariances of single scans"),
     "lvba/steps/uncertainty.py": (1, "normalized errors, 6 x 6"),
     "lvba/visual/bundle_adjustment.py": (1, "information of the shared parameters from their covariance, k x k"),
     "lvba/visual/calibration_prior.py": (7, "whitening by the calibration's information, variances, k x k"),

@@ -244,6 +244,13 @@ def completed(brief: Scores, full: Scores) -> Scores:
     return replace(brief, per_image=per_image, **{name: getattr(full, name) for name in lacks})
 
 
+def compared_over(scores: Scores, others: Scores) -> Scores:
+    """A state's scores with the figures named _common of others of the same state and images, of other pixels."""
+    names = ("psnr_common", "ssim_common", "coverage_common")
+    per_image = scores.per_image | {name: others.per_image[name] for name in names}
+    return replace(scores, per_image=per_image, **{name: getattr(others, name) for name in names})
+
+
 def _geometries(states: Mapping[str, State], colors: str) -> list[list[str]]:
     """Names of the states, those with the same cloud, images and camera poses together (blended colors need exposures and
     light, too)."""

@@ -3,6 +3,8 @@
 Of D numbers each: the 6 of a tangent `[rotation | translation]`, rad and m, or how far each has slid along D motions.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from lvba.optim import linear_solver, normal_equations
@@ -50,6 +52,46 @@ def information(own: np.ndarray, step: np.ndarray, carry: np.ndarray) -> tuple[n
 
     own, step, carry: float64, as of `most_likely`
     """
+    links = _links(own, step, carry)
+    # of unit covariance each, the later error is `correlation` (C) times the one before and noise of covariance 1 - C^2
+    noise = 1.0 / (1.0 - links.correlation**2)
+    diagonal = np.zeros_like(own)
+    diagonal[0] = np.linalg.inv(own[0])
+    later, before = (np.swapaxes(each, -1, -2) for each in (links.later, links.before))
+    diagonal[1:] = later @ (noise[:, :, None] * links.later)
+    diagonal[:-1] += before @ ((noise * links.correlation**2)[:, :, None] * links.before)
+    return diagonal, -before @ ((noise * links.correlation)[:, :, None] * links.later)
+
+
+def drawn(own: np.ndarray, step: np.ndarray, carry: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Errors (S, D) of scans that are as likely as any: a draw from the chain.
+
+    own, step, carry: float64, as of `most_likely`; noise: (S, D) float64, independent, of unit variance
+    """
+    first = np.linalg.cholesky(own) @ noise[..., None]
+    if not len(step):
+        return np.asarray(first[..., 0])
+    links = _links(own, step, carry)
+    errors = [first[0, :, 0]]
+    for k, correlation in enumerate(links.correlation):
+        unit = correlation * (links.before[k] @ errors[-1]) + np.sqrt(1.0 - correlation**2) * noise[k + 1]
+        errors.append(links.back[k] @ unit)
+    return np.array(errors)
+
+
+class _Links(NamedTuple):
+    """How errors of successive scans go together, in axes in which both are of unit covariance and correlate one by one.
+
+    correlation: (S - 1, D); before, later: (S - 1, D, D), what brings errors there; back: what brings later ones back
+    """
+
+    correlation: np.ndarray
+    before: np.ndarray
+    later: np.ndarray
+    back: np.ndarray
+
+
+def _links(own: np.ndarray, step: np.ndarray, carry: np.ndarray) -> _Links:
     before = carry @ own[:-1] @ np.swapaxes(carry, -1, -2)
     common = 0.5 * (before + own[1:] - step)
     left, right = np.linalg.cholesky(before), np.linalg.cholesky(own[1:])
@@ -57,16 +99,13 @@ def information(own: np.ndarray, step: np.ndarray, carry: np.ndarray) -> tuple[n
         left, np.swapaxes(np.linalg.solve(right, np.swapaxes(common, -1, -2)), -1, -2)
     )
     values, axes = np.linalg.eigh(0.5 * (correlation + np.swapaxes(correlation, -1, -2)))
-    values = np.clip(values, 0.0, _MOST_COMMON)
-    # of unit covariance each, the later error is `correlation` (C) times the one before and noise of covariance 1 - C^2
-    back = np.swapaxes(axes, -1, -2)
-    next_, last = back @ np.linalg.inv(right), back @ np.linalg.solve(left, carry)
-    noise = 1.0 / (1.0 - values**2)
-    diagonal = np.zeros_like(own)
-    diagonal[0] = np.linalg.inv(own[0])
-    diagonal[1:] = np.swapaxes(next_, -1, -2) @ (noise[:, :, None] * next_)
-    diagonal[:-1] += np.swapaxes(last, -1, -2) @ ((noise * values**2)[:, :, None] * last)
-    return diagonal, -np.swapaxes(last, -1, -2) @ ((noise * values)[:, :, None] * next_)
+    to_axes = np.swapaxes(axes, -1, -2)
+    return _Links(
+        correlation=np.clip(values, 0.0, _MOST_COMMON),
+        before=to_axes @ np.linalg.solve(left, carry),
+        later=to_axes @ np.linalg.inv(right),
+        back=right @ axes,
+    )
 
 
 def solve(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lvba.arrays import Poses
 from lvba.blocks.decoded_images import PhotoReader, blank_photos
 from lvba.blocks.decoded_scans import ScanPieces, ScanReader
 from lvba.blocks.pieces import Pieces
@@ -19,11 +20,13 @@ from lvba.products.evaluate import EvaluateConfig, Scores, State
 from lvba.products.recorded_images import views_of
 from lvba.products.views import Views
 from lvba.progress import Progress, silent
-from lvba.steps import acceptance, scan_acceptance
+from lvba.steps import acceptance, camera_agreement, scan_acceptance
 from lvba.steps.acceptance import (
     CARRIED,
     EXPOSED,
     FUSED,
+    FUSED_CARRIED,
+    FUSED_EXPOSED,
     FUSED_POSED,
     POSED,
     ROUGH,
@@ -31,6 +34,7 @@ from lvba.steps.acceptance import (
     GateConfig,
     Verdict,
 )
+from lvba.steps.camera_agreement import Apart
 from lvba.steps.lidar import carry_cameras, cloud_of
 from lvba.steps.outcomes import Accepted, ScanPoses, VisualStage
 from lvba.steps.part_scores import as_in_whole, in_core, together
@@ -42,6 +46,13 @@ CLEAR = 2.0
 """A gain of so many times the standard errors that it must exceed is one whichever images are asked ..."""
 LEAST_CONFIDENCE = 2.0
 """... and of no fewer than so many times CLEAR, however few it must exceed."""
+
+
+_BY_FUSED = {FUSED_CARRIED: CARRIED, FUSED_EXPOSED: EXPOSED}
+"""States that are judged only where they become the result, and the same ones without the scans refined with cameras."""
+_WITH_FUSED = {POSED: FUSED_POSED, VISUAL: FUSED, CARRIED: FUSED_CARRIED, EXPOSED: FUSED_EXPOSED}
+"""States, and the same ones with the scans refined with the cameras."""
+_OVER_FUSED = frozenset(_WITH_FUSED.values())
 
 
 @dataclass(frozen=True)
@@ -137,20 +148,25 @@ def complete(
 ) -> dict[str, Scores]:
     """The scores of a part with all figures of the state that became the result. Arguments as of `evaluate`."""
     name = accepted.state
-    if name not in _brief(scores):
+    if not scores or name not in _brief(scores) | set(_BY_FUSED):
         return scores
-    core = scores[name].images - part.images[0]
+    core = scores[ROUGH].images - part.images[0]
     read = ScanReader(points, part.scans[0])
-    states = judged_states(dataset, part, read, photos, *of_part(scans, fused, visual, part), progress)
-    entropies = entropies_of([name], scans, fused)
+    # pixels that both cover are those that the input is compared over
+    names = [ROUGH, name] if name in _BY_FUSED else [name]
+    states = judged_states(dataset, part, read, photos, *of_part(scans, fused, visual, part), progress, names)
     only = evaluation.evaluate(
-        {name: states[name]},
+        states,
         config,
         held_out=blank_photos(photos, part.images),
-        entropies=entropies,
+        entropies=entropies_of(names, scans, fused),
+        brief={ROUGH} & set(names),
         images=core,
         progress=progress,
     )
+    if name in _BY_FUSED:
+        compared = evaluation.compared_over(scores[ROUGH], only[ROUGH])
+        return scores | {ROUGH: compared, name: only[name]}
     return scores | {name: evaluation.completed(scores[name], only[name])}
 
 
@@ -206,7 +222,7 @@ def _brief(states: Collection[str]) -> set[str]:
 
 def entropies_of(states: Iterable[str], scans: ScanPoses, fused: ScanPoses) -> dict[str, float]:
     """Mean map entropy of the judged states, nats, by name."""
-    special = {ROUGH: scans.entropy_rough, FUSED: fused.entropy, FUSED_POSED: fused.entropy}
+    special = {ROUGH: scans.entropy_rough} | dict.fromkeys(_OVER_FUSED, fused.entropy)
     return {name: special.get(name, scans.entropy) for name in states}
 
 
@@ -219,21 +235,33 @@ def judged_states(
     fused: ScanPoses,
     visual: VisualStage,
     progress: Progress = silent,
+    names: Sequence[str] | None = None,
 ) -> dict[str, State]:
-    """Cloud and views of each state that is judged, by name. read: gives points of the dataset; photos: raw images"""
-    rough = cloud_of(dataset, dataset.scans.world_from_sensor, progress, read)
-    own = cloud_of(dataset, scans.world_from_scan, progress, read) if scans.verdict.accepted else rough
-    clouds = {ROUGH: rough}
-    if fused.verdict.accepted:
-        clouds[FUSED] = clouds[FUSED_POSED] = cloud_of(dataset, fused.world_from_scan, progress, read)
+    """Cloud and views of some states by name; None: of all that are judged beside each other.
+
+    read: gives points of the dataset; photos: raw images
+    """
+    known = camera_states(dataset, scans, fused, visual)
+    if names is not None:
+        known = {name: cameras_of(dataset, scans, fused, visual, name) for name in names}
+    by_scans = {name: _scan_poses(dataset, name, scans, fused) for name in known}
+    clouds = {id(poses): cloud_of(dataset, poses, progress, read) for poses in by_scans.values()}
     views: dict[tuple[Camera, int], Views] = {}
     pictures, states = PhotoReader(photos, dataset.camera, part.images[0]), {}
-    for name, cameras in camera_states(dataset, scans, fused, visual).items():
+    for name, cameras in known.items():
         seen = cameras.camera, id(cameras.turns)
         if seen not in views:
             views[seen] = views_by(dataset, pictures, cameras)
-        states[name] = State(clouds.get(name, own), views_at(views[seen], cameras))
+        states[name] = State(clouds[id(by_scans[name])], views_at(views[seen], cameras))
     return states
+
+
+def _scan_poses(dataset: Dataset, name: str, scans: ScanPoses, fused: ScanPoses) -> Poses:
+    """(S, 4, 4): the scan poses of a state."""
+    if name in _OVER_FUSED:
+        return fused.world_from_scan
+    kept = name != ROUGH and scans.verdict.accepted
+    return scans.world_from_scan if kept else dataset.scans.world_from_sensor
 
 
 def views_by(dataset: Dataset, pictures: PhotoReader, cameras: Cameras) -> Views:
@@ -274,6 +302,17 @@ def camera_states(
     return states
 
 
+def cameras_of(
+    dataset: Dataset, scans: ScanPoses, fused: ScanPoses, visual: VisualStage, name: str
+) -> Cameras:
+    """The cameras of a state, also of those that are judged only where they become the result."""
+    states = camera_states(dataset, scans, fused, visual)
+    if name not in _BY_FUSED:
+        return states[name]
+    carried = carry_cameras(dataset, fused.world_from_scan)
+    return dataclasses.replace(states[_BY_FUSED[name]], world_from_camera=carried)
+
+
 def refined_cameras(camera: Camera, result: VisualResult) -> Cameras:
     """The cameras as the visual stage has them. camera: of the raw images, as calibrated"""
     refined = self_calibration.corrected(camera, result.calibration)
@@ -281,12 +320,19 @@ def refined_cameras(camera: Camera, result: VisualResult) -> Cameras:
 
 
 def choose(
-    scores: Mapping[str, Scores], scans: ScanPoses, fused: ScanPoses, visual: VisualStage, config: GateConfig
+    scores: Mapping[str, Scores],
+    scans: ScanPoses,
+    fused: ScanPoses,
+    visual: VisualStage,
+    config: GateConfig,
+    apart: Apart | None = None,
 ) -> Choice:
     """Each part that the visual stage and the fusion found, judged by itself: all else is equal on both sides.
 
     Exposures at the camera poses found, and once more at the carried ones where those are not used; cameras with the
-    exposures that are used; fused scans with the cameras and exposures that are used. Without scores nothing is used.
+    exposures that are used; fused scans with the cameras and exposures that are used, or the refined ones that confirm
+    these. Without scores nothing is used.
+    apart: how far refined cameras are from the carried ones; None: not known
     """
     if visual.result is None:
         nothing = Verdict(False, "input kept", f"{visual.problem}")
@@ -295,19 +341,20 @@ def choose(
         return _unjudged(fused, config)
     exposures = acceptance.judge_exposures(scores[POSED], scores[VISUAL], config)
     before, after = (EXPOSED, VISUAL) if exposures.accepted else (CARRIED, POSED)
-    cameras = acceptance.judge_cameras(scores[before], scores[after], config, visual.result.extrinsic_change)
+    extrinsic = visual.result.extrinsic_change
+    cameras = acceptance.judge_cameras(scores[before], scores[after], config, extrinsic, apart)
+    fusion = fused.verdict
+    if fusion.accepted and (cameras.accepted or cameras.confirmed):
+        images = acceptance.image_figures(scores[after], scores[_WITH_FUSED[after]], config)
+        gained = scan_acceptance.rough_gain(scans)
+        entropy = [each for each in fusion.figures if each.name in (acceptance.ENTROPY, acceptance.DRAWN)]
+        fusion = acceptance.judge_fusion(gained, entropy, images, config, cameras.figures)
+    state = after
     if not cameras.accepted:
         exposures = acceptance.judge_exposures(scores[CARRIED], scores[EXPOSED], config)
         state = EXPOSED if exposures.accepted else CARRIED
-        return Choice(state, cameras, exposures, _without_cameras(fused.verdict))
-    if not fused.verdict.accepted:
-        return Choice(after, cameras, exposures, fused.verdict)
-    together = FUSED if exposures.accepted else FUSED_POSED
-    images = acceptance.image_figures(scores[after], scores[together], config)
-    fusion = acceptance.judge_fusion(
-        scan_acceptance.rough_gain(scans), fused.verdict.figures[0], images, config, cameras.figures
-    )
-    return Choice(together if fusion.accepted else after, cameras, exposures, fusion)
+        fusion = fusion if cameras.confirmed else _without_cameras(fusion)
+    return Choice(_WITH_FUSED[state] if fusion.accepted else state, cameras, exposures, fusion)
 
 
 def _unjudged(fused: ScanPoses, config: GateConfig) -> Choice:
@@ -351,9 +398,9 @@ def decide(
     config: GateConfig,
 ) -> Accepted:
     """The state that holds every part that was accepted, and the input's where one was not."""
-    chosen = choose(scores, scans, fused, visual, config)
+    chosen = choose(scores, scans, fused, visual, config, _apart(dataset, scans, visual))
     used = fused if chosen.fusion.accepted else scans
-    cameras = camera_states(dataset, scans, fused, visual)[chosen.state]
+    cameras = cameras_of(dataset, scans, fused, visual, chosen.state)
     balance = None if visual.result is None or not chosen.exposures.accepted else visual.result.white_balance
     return Accepted(
         world_from_scan=used.world_from_scan,
@@ -368,8 +415,16 @@ def decide(
         fusion=chosen.fusion,
         state=chosen.state,
         white_balance=balance,
-        remark=_remark(scores, chosen.state),
+        remark=_remark(scores, _BY_FUSED.get(chosen.state, chosen.state)),
     )
+
+
+def _apart(dataset: Dataset, scans: ScanPoses, visual: VisualStage) -> Apart | None:
+    """How far refined cameras are from those carried along with refined scans; None: there are none of either."""
+    if visual.result is None or not scans.verdict.accepted:
+        return None
+    carried = carry_cameras(dataset, scans.world_from_scan)
+    return camera_agreement.apart(visual.result.world_from_camera, visual.result.covariance, carried)
 
 
 def _remark(scores: Mapping[str, Scores], state: str) -> str:

@@ -14,6 +14,7 @@ from lvba.lidar.bundle_adjustment import LidarResult
 from lvba.lidar.degeneracy import DegenerateDirection
 from lvba.products.map_error import Tally, counted
 from lvba.products.map_file import PointMap
+from lvba.steps import camera_agreement
 from lvba.steps.open_motions import OpenMotions
 from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, VisualStage
 from lvba.steps.uncertainty import Expected
@@ -24,13 +25,17 @@ from lvba.visual.result import VisualResult
 def of_result(lidar: LidarStage, fused: FusionStage, visual: VisualStage, accepted: Accepted) -> Expected:
     """What is known of the poses that are the result.
 
-    Nothing is known of poses that are the input's. Nor of cameras where the scans are the input's: their covariances
-    count from the map that these make.
+    Nothing is known of poses that are the input's, but of cameras that refined ones confirm. Nor of cameras where the
+    scans are the input's: their covariances count from the map that these make.
     """
     scans = scan_covariance(lidar, fused, accepted)
-    cameras = None
-    if scans is not None and visual.result is not None and accepted.cameras.accepted:
-        cameras = where_known(_of_cameras(visual.result, by_images(fused, accepted)))
+    cameras, result = None, visual.result
+    if scans is not None and result is not None and (accepted.cameras.accepted or accepted.cameras.confirmed):
+        cameras = where_known(_of_cameras(result, by_images(fused, accepted)))
+        if not accepted.cameras.accepted:
+            cameras = camera_agreement.expected_squares(
+                result.world_from_camera, cameras, accepted.world_from_camera
+            )
     return Expected(None if scans is None else where_known(scans), cameras)
 
 

@@ -24,12 +24,13 @@ MOST_POINTS = 3_000_000
 class PlaneChange:
     """Sums over cubes that are planar before, after, or both, and that both maps have points enough in.
 
-    before, after: of the thicknesses, m; cubes: how many these are
+    before, after: of the thicknesses, m; squares: of the squared changes, m^2; cubes: how many these are
     planar_before, planar_after: how many cubes are planar
     """
 
     before: float
     after: float
+    squares: float
     cubes: int
     planar_before: int
     planar_after: int
@@ -64,12 +65,14 @@ def compare(before: Cubes, after: Cubes) -> PlaneChange:
     """
     _, here, there = np.intersect1d(before.key, after.key, assume_unique=True, return_indices=True)
     either = before.planar[here] | after.planar[there]
+    thickness = before.thickness[here][either], after.thickness[there][either]
     return PlaneChange(
-        float(before.thickness[here][either].sum()),
-        float(after.thickness[there][either].sum()),
-        int(either.sum()),
-        int(before.planar.sum()),
-        int(after.planar.sum()),
+        before=float(thickness[0].sum()),
+        after=float(thickness[1].sum()),
+        squares=float(np.square(thickness[1] - thickness[0]).sum()),
+        cubes=int(either.sum()),
+        planar_before=int(before.planar.sum()),
+        planar_after=int(after.planar.sum()),
     )
 
 
@@ -78,9 +81,12 @@ def facts(changes: Sequence[PlaneChange]) -> dict[str, float | int] | None:
     cubes = sum(each.cubes for each in changes)
     if not cubes:
         return None
+    before, after = (sum(getattr(each, name) for each in changes) / cubes for name in ("before", "after"))
+    spread = sum(each.squares for each in changes) / cubes - (after - before) ** 2
     return {
-        "thickness_before_m": sum(each.before for each in changes) / cubes,
-        "thickness_after_m": sum(each.after for each in changes) / cubes,
+        "thickness_before_m": before,
+        "thickness_after_m": after,
+        "thickness_change_error_m": float(np.sqrt(max(spread, 0.0) / max(cubes - 1, 1))),
         "count_before": sum(each.planar_before for each in changes),
         "count_after": sum(each.planar_after for each in changes),
     }

@@ -20,6 +20,7 @@ from lvba.lidar.degeneracy import DegenerateDirection
 from lvba.settings import setting
 from lvba.steps import error_chain
 from lvba.steps.open_motions import Open, OpenMotions
+from lvba.steps.uncertainty import squared_distances
 from lvba.trajectory import Trajectory
 from lvba.visual import image_groups
 
@@ -91,6 +92,8 @@ class Fused:
     open_by_images: whether the covariance counts on images along these; else on the odometry alone
     only_slid: whether scans went along these, and learned nothing else
     slid: what they are then; None: nothing is open, or this is that
+    drawn: (S, 4, 4) float64, poses that are as likely as those of the LiDAR by what planes say: these are to make a map
+        that is no sharper; (0, 4, 4): not known
     """
 
     world_from_scan: np.ndarray
@@ -104,6 +107,7 @@ class Fused:
     open_by_images: bool = False
     only_slid: bool = False
     slid: "Fused | None" = None
+    drawn: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 4)))
 
 
 def scan_poses_from_cameras(
@@ -155,16 +159,17 @@ def fuse(
     )
     interpolated = _interpolated(seen.leave_one_out_error, interpolation_error_scale)
     of_cameras = known + interpolated
-    distance = _distance(judged, own + of_cameras)
+    distance = squared_distances(judged, own + of_cameras)
     variance_factor = 1.0
     if seen.inside.any():
         variance_factor = max(variance_factor, float(np.median(distance[seen.inside])) / _MEDIAN)
     contradicted = seen.near & (distance > CONTRADICTION**2 * variance_factor)
     used = seen.near & ~contradicted
+    # where motions are known, a group of scans may be off as far as it is uncertain within the trajectory: cameras far
+    # apart in time see it beside others
+    in_chain = covariance.in_map + LEAST * np.eye(6) if len(covariance.step) else own
     step, slide = _corrections(
-        # where motions are known, a group of scans may be off as far as it is uncertain within the trajectory: cameras
-        # far apart in time see it beside others
-        covariance.in_map + LEAST * np.eye(6) if len(covariance.step) else own,
+        in_chain,
         covariance.step,
         scans.world_from_sensor,
         # what both do not predict is the cameras': the scans' own share in it is in what groups are off
@@ -180,6 +185,7 @@ def fuse(
         interpolation_error_scale=float(np.median(interpolation_error_scale)),
         variance_factor=variance_factor,
         contradicted=int(np.count_nonzero(contradicted)),
+        drawn=_drawn(in_chain, covariance.step, scans.world_from_sensor, open_),
     )
     if open_motions is None:
         return fused
@@ -187,6 +193,18 @@ def fuse(
     return _with_slides(
         fused, open_motions, scans.world_from_sensor, slide, covariance.marginal, of_cameras, used, tied
     )
+
+
+def _drawn(own: np.ndarray, step: np.ndarray, world_from_scan: np.ndarray, open_: Open | None) -> np.ndarray:
+    """Scan poses (S, 4, 4) as likely as those given, but for slides along open motions. Others as of `_corrections`"""
+    noise = np.random.default_rng(0).standard_normal((len(own), 6))
+    errors = error_chain.drawn(own, step, _carry(world_from_scan), noise)
+    return geometry.retract(world_from_scan, errors if open_ is None else errors - open_.part(errors))
+
+
+def _carry(world_from_scan: np.ndarray) -> np.ndarray:
+    """(S - 1, 6, 6): what an error of each scan makes of the next, if the motion between them is right."""
+    return geometry.adjoint(geometry.inverse(world_from_scan[1:]) @ world_from_scan[:-1])
 
 
 def _with_slides(
@@ -314,7 +332,7 @@ def _corrections(
     for all scans of a corridor); a slide of decimeters must not leak into these.
     of_cameras: (S, 6, 6), covariances of what cameras say; used: (S,) bool, where they say anything
     """
-    carry = geometry.adjoint(geometry.inverse(world_from_scan[1:]) @ world_from_scan[:-1])
+    carry = _carry(world_from_scan)
     information = np.linalg.inv(of_cameras) * used[:, None, None]
     # past the ends of the images these say how far scans have slid, no more
     within = information * seen.inside[:, None, None]
@@ -376,10 +394,3 @@ def _interpolation_error_scale(
         short = np.median(np.square(differences) / total, axis=0) > _MEDIAN_OF_ONE
         low, high = np.where(short, middle, low), np.where(short, high, middle)
     return np.exp(high)
-
-
-def _distance(differences: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """(S,): squared Mahalanobis distances over their degrees of freedom."""
-    return np.asarray(
-        np.einsum("si,si->s", differences, np.linalg.solve(covariance, differences[..., None])[..., 0]) / 6
-    )

@@ -219,6 +219,7 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
         return {"accepted": None, "problem": visual.problem}
     facts: dict[str, Any] = {
         "accepted": accepted.cameras.accepted,
+        "confirmed": accepted.cameras.confirmed,
         "reason": accepted.cameras.reason,
         "cause": accepted.cameras.cause,
         "judged": accepted.cameras.figures,
@@ -235,17 +236,9 @@ def of_visual(dataset: Dataset, visual: VisualStage, accepted: Accepted) -> dict
     facts |= _fields(
         result,
         but=(
-            *("world_from_camera", "covariance", "local_covariance", "own_covariance"),
-            *("scan_from_camera", "degenerate", "log_exposure", "log_exposure_sigma"),
-            *(
-                "calibration_sigma",
-                "radiometry",
-                "extrinsic_change",
-                "white_balance",
-                "clock_epoch",
-                "group",
-                "turns",
-            ),
+            *("world_from_camera", "covariance", "local_covariance", "own_covariance", "scan_from_camera"),
+            *("degenerate", "log_exposure", "log_exposure_sigma", "calibration_sigma", "radiometry"),
+            *("extrinsic_change", "white_balance", "clock_epoch", "group", "turns"),
         ),
     )
     if accepted.exposures.accepted:
@@ -337,7 +330,7 @@ def of_fusion(fused: FusionStage, accepted: Accepted) -> dict[str, Any]:
         "judged": accepted.fusion.figures,
     }
     if fused.result is not None:
-        but = "world_from_scan", "covariance", "open_motions", "open_by_images", "slid"
+        but = "world_from_scan", "covariance", "open_motions", "open_by_images", "slid", "drawn"
         facts |= _fields(fused.result, but=but)
     return facts
 

@@ -27,7 +27,6 @@ from lvba.steps.acceptance import CARRIED, ROUGH, GateConfig, Verdict
 from lvba.steps.lidar import carry_cameras, cloud_of
 from lvba.steps.outcomes import FusionStage, LidarStage, ScanPoses
 from lvba.steps.part_scores import as_in_whole, in_core, leave_one_out, together
-from lvba.steps.pose_fusion import Fused
 from lvba.visual.prior_config import PriorConfig
 
 
@@ -45,10 +44,14 @@ class RegionEntropy:
 
 @dataclass(frozen=True)
 class FusedEntropy:
-    """The same at scans that cameras moved, and where these only slid along what planes leave open; None: nothing is."""
+    """The same at scans that cameras moved, and where these only slid along what planes leave open; None: nothing is.
+
+    drawn: at poses that are as likely as those before by what planes say; None: not asked
+    """
 
     fused: EntropyBlocks
     slid: EntropyBlocks | None = None
+    drawn: EntropyBlocks | None = None
 
 
 def measure_entropy(
@@ -97,19 +100,27 @@ def measure_fused_entropy(
     fused: FusionStage,
     survey: Survey,
     config: EntropyConfig,
+    before: RegionEntropy,
     progress: Progress = silent,
 ) -> FusedEntropy | None:
-    """How sharp the map is in a part's region, at the scans that cameras moved; None: there are none."""
-    if fused.result is None:
+    """How sharp the map is in a part's region, at the scans that cameras moved; None: there are none.
+
+    before: of the same region. Only where the map is not as sharp as that, other poses as likely are asked.
+    """
+    result = fused.result
+    if result is None:
         return None
 
-    def blocks(result: Fused) -> EntropyBlocks:
-        poses = result.world_from_scan
+    def blocks(poses: Poses) -> EntropyBlocks:
         cloud = region_cloud(dataset, cores, part, points, poses, survey.reach_m, progress)
         return map_quality.entropy_blocks(cloud, config)
 
-    slid = fused.result.slid
-    return FusedEntropy(blocks(fused.result), None if slid is None else blocks(slid))
+    own = blocks(result.world_from_scan)
+    return FusedEntropy(
+        own,
+        None if result.slid is None else blocks(result.slid.world_from_scan),
+        blocks(result.drawn) if len(result.drawn) and own.mean > before.refined.mean else None,
+    )
 
 
 def compare(
@@ -269,11 +280,15 @@ def judge_fusion(
     if fused.result is None:
         return not_fused(scans, fused)
     known = [each for each in entropies if each is not None]
+    drawn = None
     if fused.result.only_slid:
         blocks = [each.slid for each in known if each.slid is not None]
     else:
         blocks = [each.fused for each in known]
-    return decide_fusion(scans, fused.result.world_from_scan, map_quality.blocks_together(blocks), config)
+        if any(each.drawn is not None for each in known):
+            drawn = map_quality.blocks_together([each.drawn or each.fused for each in known])
+    after = map_quality.blocks_together(blocks)
+    return decide_fusion(scans, fused.result.world_from_scan, after, config, drawn)
 
 
 def keep_rough(rough: Poses, blocks: EntropyBlocks, problem: str) -> ScanPoses:
@@ -316,13 +331,19 @@ def decide(
 
 
 def decide_fusion(
-    scans: ScanPoses, world_from_scan: Poses, after: EntropyBlocks, config: GateConfig
+    scans: ScanPoses,
+    world_from_scan: Poses,
+    after: EntropyBlocks,
+    config: GateConfig,
+    drawn: EntropyBlocks | None = None,
 ) -> ScanPoses:
-    """The scan poses in use, from the map entropy at the fused ones (S, 4, 4)."""
+    """The scan poses in use, from the map entropy at the fused ones (S, 4, 4), and at those as likely before (None: not
+    asked)."""
     change = map_quality.entropy_change(scans.map_blocks, after)
-    verdict = acceptance.judge_fusion(
-        rough_gain(scans), acceptance.entropy_figure(change, config), (), config
-    )
+    entropy = [acceptance.entropy_figure(change, config)]
+    if drawn is not None:
+        entropy.append(acceptance.against_drawn(map_quality.entropy_change(drawn, after), config))
+    verdict = acceptance.judge_fusion(rough_gain(scans), entropy, (), config)
     poses, blocks = (
         (world_from_scan, after) if verdict.accepted else (scans.world_from_scan, scans.map_blocks)
     )

@@ -43,13 +43,21 @@ def against(
     spread = covariance[pairs[:, 0]]
     aligned = trajectory.align(poses, truth) if reference_from_map is None else reference_from_map
     error = geometry.log(geometry.inverse(aligned @ poses) @ truth)
-    whitened = np.linalg.solve(spread, error[..., None])[..., 0]
     rotation, position = (np.trace(spread[:, s, s], axis1=1, axis2=2).mean() for s in (slice(3), slice(3, 6)))
     return {
         "predicted_ate_m": float(np.sqrt(position)),
         "predicted_rotation_deg": float(np.degrees(np.sqrt(rotation))),
-        "nees": float((error * whitened).sum(1).mean() / 6),
+        "nees": float(squared_distances(error, spread).mean()),
     }
+
+
+def squared_distances(errors: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """(N,) float64: squared Mahalanobis distances over their degrees of freedom.
+
+    errors: (N, D) float64; covariance: (N, D, D) float64
+    """
+    whitened = np.linalg.solve(covariance, errors[..., None])[..., 0]
+    return np.asarray((errors * whitened).sum(axis=1) / errors.shape[1])
 
 
 def of_exposures(

@@ -86,8 +86,10 @@ def _rejected(figures: Figures) -> Iterator[Reason]:
         (figures.scans_with_cameras, "scans refined with the cameras",
          "The scans keep the LiDAR result. Check time stamps and extrinsic if you expect the cameras to be better."),
     ):  # fmt: skip
-        if part.accepted is False and (
-            fits is None or part not in (figures.scan_poses, figures.camera_poses)
+        if (
+            part.accepted is False
+            and not part.confirmed
+            and (fits is None or part not in (figures.scan_poses, figures.camera_poses))
         ):
             yield Reason(
                 f"Not used: {name} ({part.reason}).",
@@ -343,7 +345,7 @@ def _looks(figures: Figures) -> Iterator[Reason]:
             f"Used although images are predicted worse: {'; '.join(figures.small_losses)}.",
             "This alone says nothing sure of geometry; a reference would tell (--reference).",
         )
-    if figures.thickness is not None and figures.thickness[1] > figures.thickness[0]:
+    if figures.thickness is not None:
         before, after = (1000 * value for value in figures.thickness)
         yield Reason(
             f"Planes have become thicker ({before:.1f} mm before, {after:.1f} mm after).",

@@ -83,14 +83,15 @@ def figures(facts: Facts) -> Figures:
     used = lidar.get("accepted") is not False
     degenerate_scans, dependent_steps = _undetermined(lidar)
     extrinsic, balance = visual.get("extrinsic") or {}, visual.get("white_balance") or {}
-    fused = "moved_m" in fusion and visual.get("accepted") is not False and used
+    confirmed = visual.get("confirmed") is True
+    fused = "moved_m" in fusion and (confirmed or visual.get("accepted") is not False) and used
     ssim = _changed_ssim(facts.get("evaluation") or {})
     ssim_rose = ssim is not None and ssim[1] > ssim[0]
     return Figures(
         scans=dataset.get("scans") or 0,
         images=dataset.get("images") or 0,
         scan_poses=Judged(lidar.get("accepted"), _cause(lidar)),
-        camera_poses=Judged(visual.get("accepted"), _cause(visual)),
+        camera_poses=Judged(visual.get("accepted"), _cause(visual), confirmed),
         exposures=Judged(visual.get("exposures_accepted"), _cause(visual, "exposures_")),
         scans_with_cameras=Judged(fusion.get("accepted") if fused else None, _cause(fusion)),
         variance_factor=renamed_facts.value(last, "variance_factor"),
@@ -115,7 +116,7 @@ def figures(facts: Facts) -> Figures:
         **_images(visual),
         small_losses=tuple(_small_losses(facts, ssim_rose)),
         ssim=None if ssim_rose else ssim,
-        thickness=(planes["thickness_before_m"], planes["thickness_after_m"]) if planes else None,
+        thickness=_thicker(planes),
         truth=tuple(_truth(facts.get("reference") or {})),
         scale=((facts.get("reference") or {}).get("lidar") or {}).get("scale"),
         input=_input(dataset.get("findings") or {}),
@@ -283,6 +284,20 @@ def _truth(reference: Facts) -> list[Truth]:
             ),
         ]
     return truths
+
+
+_SURELY_THICKER, _THICKER = 2.0, 1.01
+"""Standard errors, and part of the thickness, by which planes must have become thicker: poses that are as good as before
+make them so by chance, up to .3 % in simulations."""
+
+
+def _thicker(planes: Facts) -> tuple[float, float] | None:
+    """Thickness before and after, m, where planes have become thicker beyond chance."""
+    if not planes:
+        return None
+    before, after = planes["thickness_before_m"], planes["thickness_after_m"]
+    least = _SURELY_THICKER * (planes.get("thickness_change_error_m") or 0.0)  # before 0.3, not known
+    return (before, after) if after > max(_THICKER * before, before + least) else None
 
 
 _WORTH_A_CAUSE_M = 0.02

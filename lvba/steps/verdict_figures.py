@@ -13,10 +13,12 @@ _CONSISTENT = 3.0
 
 @dataclass(frozen=True)
 class Judged:
-    """A part of the result that was judged against its input. accepted: None if there is nothing to judge"""
+    """A part of the result that was judged against its input. accepted: None if there is nothing to judge; confirmed:
+    whether the input's is used because it is as good"""
 
     accepted: bool | None = None
     reason: str = ""
+    confirmed: bool = False
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,7 @@ class Figures:
     scale: of the reference over the result; None: there is no reference
     input_fits: None: the input's poses are not as good as what was refined, or something speaks against both
     ssim: of images predicted from the map, before and after, where the loss is beyond chance
+    thickness: of planes, m, before and after, where they have become thicker beyond chance
     small_losses: what used parts lost in how well images are predicted, beyond chance, without being refused for it
     input: what speaks against the files of the recording
     """

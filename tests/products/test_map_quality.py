@@ -185,6 +185,8 @@ def test_planes_that_are_planar_before_or_after_count_so_that_neither_map_is_fav
     found = plane_thickness.facts([there])
     assert found["thickness_before_m"] == pytest.approx(0.03, rel=0.05)
     assert found["thickness_after_m"] == pytest.approx(0.01, rel=0.05)
+    off = (cubes[1].thickness - cubes[0].thickness)[cubes[0].planar | cubes[1].planar]
+    assert found["thickness_change_error_m"] == pytest.approx(off.std(ddof=1) / np.sqrt(len(off)), rel=1e-6)
     assert (back.before, back.after, back.cubes) == (there.after, there.before, there.cubes)
     assert plane_thickness.facts([there, there])["count_after"] == 2 * found["count_after"]
     assert plane_thickness.facts([plane_thickness.compare(cubes[2], cubes[1])]) is None

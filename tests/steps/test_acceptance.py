@@ -14,6 +14,8 @@ from lvba.steps.acceptance import (
     CARRIED,
     EXPOSED,
     FUSED,
+    FUSED_CARRIED,
+    FUSED_EXPOSED,
     FUSED_POSED,
     POSED,
     ROUGH,
@@ -22,6 +24,7 @@ from lvba.steps.acceptance import (
     GateConfig,
     Verdict,
 )
+from lvba.steps.camera_agreement import Apart
 from lvba.steps.outcomes import LidarStage, ScanPoses, VisualStage
 from lvba.visual.calibration_prior import NO_CHANGE, ExtrinsicChange
 
@@ -227,14 +230,14 @@ def test_images_that_cannot_be_judged_contradict_nothing():
 )
 def test_scans_that_cameras_moved(rough_gain, before, after, error, accepted):
     """A twentieth of what refining gained may be lost, or what is chance."""
-    verdict = acceptance.judge_fusion(rough_gain, entropy(before, after, error), (), CONFIG)
+    verdict = acceptance.judge_fusion(rough_gain, [entropy(before, after, error)], (), CONFIG)
     assert verdict.accepted is accepted
     assert ("accepted" if accepted else "less sharp") in verdict.reason
 
 
 def test_scans_that_cameras_moved_may_be_contradicted_by_images():
     told = images(scores(BASE), scores(BASE - 1))
-    assert not acceptance.judge_fusion(0.4, entropy(-3.0, -3.0), told, CONFIG).accepted
+    assert not acceptance.judge_fusion(0.4, [entropy(-3.0, -3.0)], told, CONFIG).accepted
 
 
 @pytest.mark.parametrize(("gained", "accepted"), [(5.0, False), (20.0, True)])
@@ -242,7 +245,7 @@ def test_a_tenth_of_what_cameras_gained_may_be_given_back(gained, accepted):
     told = images(scores(BASE), scores(BASE - 1))
     of_cameras = images(scores(BASE - gained), scores(BASE))
     assert {each.finding for each in told} >= {"worse"}
-    verdict = acceptance.judge_fusion(0.4, entropy(-3.0, -3.0), told, CONFIG, of_cameras)
+    verdict = acceptance.judge_fusion(0.4, [entropy(-3.0, -3.0)], told, CONFIG, of_cameras)
     assert verdict.accepted is accepted
 
 
@@ -270,8 +273,8 @@ def judged(
     return states, poses(accepted=True), with_cameras, VisualStage(found), config
 
 
-def choose(**states):
-    return evaluate_steps.choose(*judged(**states))
+def choose(apart=None, **states):
+    return evaluate_steps.choose(*judged(**states), apart)
 
 
 def verdicts(**states):
@@ -367,6 +370,46 @@ def test_fusion_is_judged_with_equal_cameras_and_exposures():
     refused = choose(fused=BASE, exposed=BASE + 5, posed=BASE - 1, visual=BASE + 3).fusion
     assert not refused.accepted
     assert "cameras were not accepted" in refused.reason
+
+
+NEAR, CERTAIN = Apart(5e-4, 0.01, 0.6), ExtrinsicChange(0.2, 8.0)
+SAME = {"posed": BASE + CHANCE, "visual": BASE + 1 + CHANCE}
+"""Cameras that gain nothing beyond chance."""
+
+
+@pytest.mark.parametrize(
+    ("more", "confirmed"),
+    [
+        ({}, True),
+        ({"extrinsic": NO_CHANGE}, True),
+        ({"apart": None}, False),
+        ({"apart": Apart(5e-3, 0.1, 2.1)}, False),
+        ({"extrinsic": ExtrinsicChange(0.2, 1.2)}, False),  # images know no more than the calibration
+        ({"visual": BASE + 2}, False),  # used
+        ({"posed": scores(BASE + CHANCE, BASE - 3), "visual": scores(BASE + 1 + CHANCE, BASE - 2)}, False),
+        ({"posed": scores(BASE + CHANCE, ssim=0.4), "visual": scores(BASE + 1 + CHANCE, ssim=0.4)}, False),
+        (dict.fromkeys(("posed", "visual"), scores(np.full(5, np.nan))), False),
+    ],
+)
+def test_cameras_are_confirmed_by_refined_ones_that_agree_and_gain_nothing(more, confirmed):
+    found = choose(**{"apart": NEAR, "extrinsic": CERTAIN, **SAME, **more}).cameras
+    assert found.confirmed is confirmed
+    assert ("images confirm them: refined ones are 0.50 mm and 0.010 degrees" in found.reason) is confirmed
+    assert not (found.confirmed and found.accepted)
+
+
+def test_scans_are_refined_with_cameras_that_confirm_those_in_use():
+    known = {"apart": NEAR, "extrinsic": CERTAIN} | SAME
+    with_exposures = choose(**known, fused=BASE + 1 + CHANCE)
+    assert with_exposures.fusion.accepted
+    assert with_exposures.state == FUSED_EXPOSED
+    without = choose(**known | {"visual": BASE - 1 + CHANCE}, exposed=BASE - 1, fused=BASE + CHANCE)
+    assert without.state == FUSED_CARRIED
+    lost = choose(**known, fused=BASE - 1)
+    assert (lost.fusion.accepted, lost.state) == (False, EXPOSED)
+    assert "images would be predicted worse" in lost.fusion.reason
+    assert choose(**known | {"apart": None}, fused=BASE + 1 + CHANCE).state == EXPOSED
+    assert choose(**known).state == EXPOSED
 
 
 @pytest.mark.parametrize(

@@ -71,3 +71,28 @@ def test_the_chain_is_solved_as_the_dense_equations_are():
     np.testing.assert_allclose(
         found.ravel(), np.linalg.solve(dense(diagonal, upper), right.ravel()), rtol=1e-8
     )
+
+
+def test_draws_from_the_chain_have_its_covariance():
+    rng = np.random.default_rng(12)
+    poses, own, step = chain_of(4, rng)
+    expected = np.linalg.inv(dense(*error_chain.information(own, step, carries(poses))))
+    draws = np.array(
+        [error_chain.drawn(own, step, carries(poses), rng.normal(size=(4, 6))).ravel() for _ in range(20_000)]
+    )
+    size = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        draws.T @ draws / len(draws) / np.outer(size, size), expected / np.outer(size, size), atol=0.05
+    )
+
+
+def test_draws_of_independent_errors_have_their_covariances():
+    rng = np.random.default_rng(13)
+    _, own, _ = chain_of(2, rng)
+    none = np.zeros((0, 6, 6))
+    draws = np.array([error_chain.drawn(own, none, none, rng.normal(size=(2, 6))) for _ in range(20_000)])
+    size = np.sqrt(np.diagonal(own, axis1=1, axis2=2))
+    scale = size[:, :, None] * size[:, None, :]
+    np.testing.assert_allclose(
+        np.einsum("nsi,nsj->sij", draws, draws) / len(draws) / scale, own / scale, atol=0.05
+    )

@@ -57,6 +57,34 @@ def test_cameras_of_one_group_are_expected_along_open_motions_as_images_have_the
     np.testing.assert_allclose(across, 0.02, rtol=1e-2)
 
 
+def test_cameras_that_refined_ones_confirm_are_expected_to_be_off_by_what_is_between_them_too():
+    poses = geometry.exp(np.random.default_rng(6).normal(size=(3, 6)))
+    covariance = np.tile(np.diag(SIGMAS**2), (3, 1, 1))
+    covariance[2] = 0.0
+    visual = SimpleNamespace(
+        world_from_camera=geometry.retract(poses, np.array([0, 0, 0, 0.12, 0, 0])), covariance=covariance
+    )
+    own = SimpleNamespace(marginal=covariance)
+    lidar = SimpleNamespace(result=SimpleNamespace(whole_covariance=own, shared_factor=1.0))
+
+    def cameras(**of_cameras):
+        accepted = SimpleNamespace(
+            scans=SimpleNamespace(accepted=True),
+            fusion=SimpleNamespace(accepted=False),
+            cameras=SimpleNamespace(accepted=False, **of_cameras),
+            world_from_camera=poses,
+        )
+        found = expected_error.of_result(
+            lidar, SimpleNamespace(result=None), SimpleNamespace(result=visual), accepted
+        )
+        return found.cameras
+
+    expected = np.sqrt(np.diagonal(cameras(confirmed=True), axis1=1, axis2=2))
+    np.testing.assert_allclose(expected[:2, 3:], [[0.13, 0.05, 0.05]] * 2, atol=2e-3)
+    assert np.isnan(expected[2]).all()
+    assert cameras(confirmed=False) is None
+
+
 def test_what_is_expected_along_open_directions_is_in_the_world_and_of_slides_alone():
     rng = np.random.default_rng(0)
     poses = geometry.exp(rng.normal(size=(4, 6)))

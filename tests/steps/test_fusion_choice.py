@@ -35,11 +35,15 @@ def blocks(entropy):
     return EntropyBlocks(np.arange(BLOCKS), np.stack([100 * values, np.full(BLOCKS, 100.0)], axis=1))
 
 
-def in_use(fused, whole, slid, config=None):
-    """What is chosen, and the poses in use, by the entropies of the two maps; -4 before."""
+def in_use(fused, whole, slid, config=None, drawn=None, rough=-3.0):
+    """What is chosen, and the poses in use, by the entropies of the two maps; -4 before.
+
+    drawn: of the map at poses as likely as those before; rough: at the input's
+    """
     config, own = config or GateConfig(), blocks(-4.0)
-    scans = ScanPoses(BEFORE, Verdict(True, "accepted"), -3.0, own.mean, own)
-    entropies = [FusedEntropy(blocks(whole), None if slid is None else blocks(slid)), None]
+    scans = ScanPoses(BEFORE, Verdict(True, "accepted"), rough, own.mean, own)
+    maps = [None if each is None else blocks(each) for each in (slid, drawn)]
+    entropies = [FusedEntropy(blocks(whole), *maps), None]
     chosen = scan_acceptance.choose_fusion(scans, FusionStage(fused), entropies, config)
     return chosen.result, scan_acceptance.judge_fusion(scans, chosen, entropies, config)
 
@@ -58,6 +62,29 @@ def test_what_blurs_the_map_is_not_followed_and_slides_that_do_not_are(whole, sl
     assert scans.verdict.accepted == accepted
     expected = chosen.world_from_scan if accepted else BEFORE
     np.testing.assert_array_equal(scans.world_from_scan, expected)
+
+
+@pytest.mark.parametrize(
+    ("whole", "drawn", "accepted"),
+    [
+        (-3.99, -3.985, True),  # sharper than at poses as likely
+        (-3.99, -3.99, True),
+        (-3.99, -3.995, False),  # less sharp, beyond chance
+        (-3.99, None, False),
+        (-3.97, -3.95, False),  # more than means little
+    ],
+)
+def test_where_the_input_was_as_good_the_map_may_be_as_sharp_as_at_poses_as_likely(whole, drawn, accepted):
+    assert (
+        in_use(replace(WHOLE, slid=None), whole, None, drawn=drawn, rough=-3.99)[1].verdict.accepted
+        == accepted
+    )
+
+
+def test_the_verdict_on_fused_scans_has_the_figure_that_it_depends_on():
+    _, scans = in_use(replace(WHOLE, slid=None), -3.99, None, drawn=-3.985, rough=-3.99)
+    assert [each.name for each in scans.verdict.figures] == ["map_entropy", "map_entropy_drawn"]
+    assert [each.gain for each in scans.verdict.figures] == pytest.approx([-0.01, 0.005], abs=1e-6)
 
 
 def test_where_nothing_is_open_there_is_no_choice():

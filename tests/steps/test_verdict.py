@@ -19,7 +19,7 @@ def scaled(what, error, rough, predicted, after):
 USED, NOT_USED = Judged(True, "accepted"), Judged(False, "not sharper")
 CLEAN = Figures(
     scans=100, images=100, scan_poses=USED, camera_poses=USED, exposures=USED, scans_with_cameras=USED,
-    variance_factor=2.4, spline_error=0.4, fusion_variance_factor=1.0, extrinsic_sigmas=1.0, thickness=(0.03, 0.012),
+    variance_factor=2.4, spline_error=0.4, fusion_variance_factor=1.0, extrinsic_sigmas=1.0,
 )  # fmt: skip
 KEPT = (Truth("scans", "m", 0.001, 0.07, 0.0009), Truth("cameras", "degrees", 0.01, 0.2, 0.02))
 
@@ -37,6 +37,7 @@ KEPT = (Truth("scans", "m", 0.001, 0.07, 0.0009), Truth("cameras", "degrees", 0.
         ({"scans_with_cameras": NOT_USED}, "check", False),
         ({"scan_poses": NOT_USED, "camera_poses": NOT_USED}, "bad", False),
         ({"scan_poses": NOT_USED, "images": 0, "camera_poses": Judged()}, "bad", False),
+        ({"camera_poses": Judged(False, "images confirm them", confirmed=True)}, "good", False),
         ({"variance_factor": 4.6}, "check", True),
         ({"variance_factor": 90.0, "camera_refined": True}, "check", False),
         ({"spline_error": 0.81}, "check", True),
@@ -283,6 +284,22 @@ def test_scans_that_lost_with_the_cameras_of_the_input_need_no_look_where_later_
     given["evaluation"]["refined"] = {"per_image": {"ssim_common": [value + after for value in before]}}
     reasons = verdict_data.add(given)["verdict"]["reasons"]
     assert any("refined scans (loss of 0.0500" in reason["text"] for reason in reasons) == said
+
+
+@pytest.mark.parametrize(
+    ("after", "error", "thicker"),
+    [
+        (0.0111, 2e-5, False),  # less than 1 %
+        (0.0112, 2e-5, True),
+        (0.0112, 1.2e-4, False),  # within chance
+        (0.0120, 1.2e-4, True),
+        (0.0090, 1e-6, False),
+    ],
+)
+def test_planes_are_thicker_beyond_chance_and_by_more_than_means_nothing(after, error, thicker):
+    planes = {"thickness_before_m": 0.011, "thickness_after_m": after, "thickness_change_error_m": error}
+    judged = verdict_data.add(facts(planes=planes))["verdict"]
+    assert any("become thicker" in reason["text"] for reason in judged["reasons"]) is thicker
 
 
 def test_a_white_balance_that_was_taken_out_of_all_images_needs_no_look():

@@ -188,6 +188,8 @@ _STATES = {
     "posed": "with refined camera poses as well",
     "fused_posed": "with scans refined with the cameras",
     "exposed": "with relative exposures as well",
+    "fused_carried": "with scans refined with the cameras",
+    "fused_exposed": "with scans refined with the cameras",
     "visual": "with relative exposures as well",
     "fused": "with relative exposures as well",
 }
@@ -196,6 +198,8 @@ _WAYS = {
     "posed": ("rough", "carried", "posed"),
     "fused_posed": ("rough", "carried", "posed", "fused_posed"),
     "exposed": ("rough", "carried", "exposed"),
+    "fused_carried": ("rough", "carried", "fused_carried"),
+    "fused_exposed": ("rough", "carried", "exposed", "fused_exposed"),
     "visual": ("rough", "carried", "posed", "visual"),
     "fused": ("rough", "carried", "posed", "fused_posed", "fused"),
 }

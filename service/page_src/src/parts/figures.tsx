@@ -78,7 +78,8 @@ export function Figures({ report, image, choose }: { report: Report; image: numb
 
 /** What is refined in each state that was judged, from the input on. */
 const STATES: [string, string][] = [
-  ["rough", "The input"], ["carried", "Scans (cameras moved with them)"], ["exposed", "Scans and exposures"], ["posed", "Scans and cameras"],
+  ["rough", "The input"], ["carried", "Scans (cameras moved with them)"], ["exposed", "Scans and exposures"],
+  ["fused_carried", "Scans, refined with the cameras"], ["fused_exposed", "Scans, refined with the cameras, and exposures"], ["posed", "Scans and cameras"],
   ["visual", "Scans, cameras and exposures"], ["fused_posed", "Scans and cameras, scans refined with the cameras"],
   ["fused", "All of these, scans refined with the cameras"],
 ];
