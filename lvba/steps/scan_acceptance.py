@@ -301,7 +301,7 @@ def asks_images(entropies: Sequence[RegionEntropy], gates: GateConfig) -> bool:
     """Whether it is for the images to say if refined scan poses are accepted."""
     change = map_quality.entropy_change(*_of_all_regions(entropies))
     entropy = acceptance.entropy_figure(change, gates)
-    return gates.enabled and scan_gate.may_be_better(entropy, entropies[0].shift, gates)
+    return gates.enabled and scan_gate.may_be_better(entropy)
 
 
 def asked_images(count: int) -> np.ndarray:

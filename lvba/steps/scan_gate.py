@@ -43,21 +43,22 @@ class Shift:
         return self.shift_m > OFF_BY_INPUT * self.expected_m
 
 
-def may_be_better(entropy: Figure, shift: Shift | None, config: GateConfig) -> bool:
-    """Whether images are to be asked about refined scans: the map gains enough, whether beyond chance or not, or it loses
-    nothing and the input's scans are further off."""
-    if entropy.finding == "neither":
-        return entropy.gain > config.min_entropy_gain or _as_sharp(entropy, shift)
-    return entropy.finding == "better"
+def may_be_better(entropy: Figure) -> bool:
+    """Whether images are to be asked about refined scans: the map gains, or loses no more than its standard error.
+
+    A map of points with a noise of 2 cm shows little of scans that are a few millimeters off: images may show more.
+    """
+    return entropy.finding == "better" or (entropy.finding == "neither" and not _lost(entropy))
+
+
+def _lost(entropy: Figure) -> bool:
+    """Whether the map is less sharp by more than its standard error."""
+    return bool(-entropy.gain > np.nan_to_num(entropy.error))
 
 
 def _as_sharp(entropy: Figure, shift: Shift | None) -> bool:
-    """Whether refined scans, from which the input's are further than they are expected to be off, cost the map nothing.
-
-    A map of points with a noise of 2 cm shows little of scans that are a few millimeters off.
-    """
-    lost = -entropy.gain > np.nan_to_num(entropy.error)
-    return entropy.finding == "neither" and not lost and shift is not None and shift.of_input
+    """Whether refined scans, from which the input's are further than expected errors are, cost the map nothing."""
+    return entropy.finding == "neither" and not _lost(entropy) and shift is not None and shift.of_input
 
 
 def judge_scans(
@@ -86,7 +87,7 @@ def judge_scans(
         return Verdict(True, "accepted unjudged (gate.enabled is false)", f"{change}", figures)
     if entropy.finding == "unknown":
         return Verdict(False, "input poses kept", "the map is too thin to be judged by its entropy", figures)
-    asked = images if may_be_better(entropy, shift, config) else ()
+    asked = images if may_be_better(entropy) else ()
     lost, gained = ([each.name for each in agreed(asked, way)] for way in ("worse", "better"))
     if PSNR in lost and SSIM not in gained:
         return Verdict(
