@@ -11,6 +11,7 @@ import numpy as np
 from lvba.products import lengths
 from lvba.steps.acceptance import (
     CONTRADICTION,
+    LOSSES,
     PSNR,
     SSIM,
     Figure,
@@ -106,6 +107,8 @@ def judge_scans(
             figures,
         )
     seen = PSNR in gained and (SSIM not in lost or beyond(asked, CONTRADICTION))
+    # rendering alone makes small differences, and nothing else speaks for poses whose map gains too little
+    seen = seen and (entropy.gain > config.min_entropy_gain or _clearly(asked))
     if shift is not None and not seen and _as_sharp(entropy, shift):
         further = (
             f"the map is as sharp ({words(entropy, *leading(images))}), and the input's poses are "
@@ -133,6 +136,11 @@ def images_agree(entropy: Figure, images: Sequence[Figure]) -> bool:
     """Whether scans that make the map sharper beyond chance make PSNR better by more than its standard error: of more
     images none then speak against them beyond chance."""
     return entropy.finding == "better" and beyond(images, 1.0)
+
+
+def _clearly(images: Sequence[Figure]) -> bool:
+    """Whether PSNR gains more than a loss may be that contradicts nothing, over either kind of pixels."""
+    return all(each.gain > LOSSES[PSNR] for each in images if each.name in (PSNR, "psnr_compared"))
 
 
 def _fall(images: Sequence[Figure]) -> bool:

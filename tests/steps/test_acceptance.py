@@ -118,6 +118,8 @@ def test_images_may_contradict_a_sharper_map(psnr, common, ssim, accepted):
         (-3.015, np.nan, 1.0, 1.0, 0.5, True),
         (-2.99, 0.012, 1.0, 1.0, 0.5, True),
         (-2.99, 0.012, CHANCE, CHANCE, 0.5, False),
+        (-2.99, 0.012, 0.09, 0.09, 0.5, False),  # rendering alone makes as much
+        (-3.1, 0.06, 0.09, 0.09, 0.5, True),
         (-2.99, 0.008, 1.0, 1.0, 0.5, False),
         (-2.99, np.nan, 1.0, 1.0, 0.5, False),
         (-2.9, 0.06, 1.0, 1.0, 0.5, False),
