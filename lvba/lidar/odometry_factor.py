@@ -21,8 +21,8 @@ _CEILING = 4.0
 """Times what is expected of a step that its standard deviation is estimated at most."""
 _FLOOR_ROTATION, _FLOOR_TRANSLATION = 2e-4, 1e-3
 """rad and m: no odometry is taken for better than this from scan to scan."""
-_ORDINARY = 2.0
-"""Standard deviations, root mean square over three axes, by which a step is off at most; one of 140 is by chance."""
+_ORDINARY = 3.0
+"""Standard deviations, root mean square over three axes, by which a step is off at most; one of 200,000 by chance."""
 JUMP = np.diag(np.repeat([np.radians(4.0), 0.6], 3) ** -2.0)
 """(6, 6), information of a step of which nothing is known yet."""
 
@@ -137,8 +137,8 @@ def with_pauses(prior: OdometryPrior, times: Times) -> OdometryPrior:
 def reestimated(prior: OdometryPrior, world_from_scan: Poses, held: np.ndarray) -> OdometryPrior:
     """The prior with the standard deviations that its errors at refined poses (S, 4, 4) show; robust (median).
 
-    Steps that are off by more are as uncertain as they are off: an odometry that is right to a millimeter may have
-    begun with a wrong speed. In a street, steps that were 20 mm off drew the first scans 8 mm along it.
+    Steps that are off by far hold nothing: an odometry that is right to a millimeter may have begun with a wrong speed.
+    In a street, steps that were 20 mm off drew the first scans 8 mm along it.
     held: (S,) bool, scans that planes hold in every direction: only steps between two of these tell how wrong the
         odometry is; where they are few the prior stays as it is
     """
@@ -147,7 +147,7 @@ def reestimated(prior: OdometryPrior, world_from_scan: Poses, held: np.ndarray) 
         return prior
     error = np.abs(prior.residuals(world_from_scan))
     sigma = np.minimum(_sigmas(error[None, telling]), prior.ceiling)
-    return _with_sigmas(prior, np.minimum(_as_off(prior, sigma, error), prior.ceiling), ordinary)
+    return _with_sigmas(prior, np.minimum(_as_off(prior, sigma, error, telling), prior.ceiling), ordinary)
 
 
 def by_turns(prior: OdometryPrior, world_from_scan: Poses, held: np.ndarray) -> OdometryPrior:
@@ -165,15 +165,19 @@ def by_turns(prior: OdometryPrior, world_from_scan: Poses, held: np.ndarray) -> 
     error = np.abs(prior.residuals(world_from_scan))
     most = _CEILING * prior.ceiling
     sigma = np.minimum(_by_turn(turn, turn[telling], error[telling]), most)
-    return _with_sigmas(prior, np.minimum(_as_off(prior, sigma, error), most), ordinary)
+    return _with_sigmas(prior, np.minimum(_as_off(prior, sigma, error, telling), most), ordinary)
 
 
-def _as_off(prior: OdometryPrior, sigma: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """(S - 1, 6), rad and m: standard deviations (S - 1 or 1, 6) of steps of the usual time, larger for those with errors
-    (S - 1, 6) that are too large for them."""
+def _as_off(prior: OdometryPrior, sigma: np.ndarray, error: np.ndarray, telling: np.ndarray) -> np.ndarray:
+    """(S - 1, 6), rad and m: standard deviations (S - 1 or 1, 6) of steps of the usual time, larger for telling ones
+    (S - 1,) bool with errors (S - 1, 6) that are too large for them: so much that they hardly draw the scans any more.
+
+    Of other steps, errors may be those of the poses.
+    """
     spans = 1.0 if prior.spans is None else prior.spans[:, None]
     size = np.sqrt(np.square(error / (sigma * spans)).reshape(len(error), 2, 3).mean(axis=2))
-    return np.asarray(sigma * np.repeat(np.maximum(size / _ORDINARY, 1.0), 3, axis=1))
+    factor = np.where(telling[:, None], np.maximum(size / _ORDINARY, 1.0) ** 2, 1.0)
+    return np.asarray(sigma * np.repeat(factor, 3, axis=1))
 
 
 def _telling(prior: OdometryPrior, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -40,18 +40,20 @@ def test_it_is_found_in_spite_of_slips_and_these_are_as_uncertain_as_it_may_be()
     assert found[slips - 1] == pytest.approx(np.tile(CEILING, (3, 1)))
 
 
-def test_steps_of_a_wrong_speed_are_as_uncertain_as_they_are_off():
-    """For the solution and for expected errors: an odometry may begin with a wrong speed."""
+def test_steps_of_a_wrong_speed_hold_nothing():
+    """For the solution and for expected errors: an odometry may begin with a wrong speed. Where planes do not hold scans,
+    errors tell nothing."""
     refined, rough = walk(translation=0.002)
     for at in range(1, 7):
         late = rough[at] @ geometry.exp(np.array([0, 0, 0, 0.03, 0, 0])) @ geometry.inverse(rough[at])
         rough[at:] = late @ rough[at:]
     for estimate in (reestimated, by_turns):
-        found = sigmas(estimate(odometry_prior(rough, 0.01, 0.05), refined, np.ones(201, bool)))
-        assert (found[:6, 3:] > 0.006).all()
-        assert np.median(found[6:, 3:]) == pytest.approx(0.002, rel=0.2)
-        assert found[6:, 3:].max() < 0.004
-        assert found[:6, :3] == pytest.approx(np.full((6, 3), 0.002), rel=0.3)
+        found = sigmas(estimate(odometry_prior(rough, 0.01, 0.05), refined, np.arange(201) != 3))
+        off = np.array([0, 1, 4, 5])
+        assert (found[off, 3:] > 0.01).all()
+        others = np.delete(found, off, axis=0)
+        assert others[:, 3:] == pytest.approx(np.full((196, 3), 0.002), rel=0.3)
+        assert found[off, :3] == pytest.approx(np.full((4, 3), 0.002), rel=0.3)
 
 
 def test_steps_that_turn_are_known_less_well_where_the_odometry_errs_in_turns():
