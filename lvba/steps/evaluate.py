@@ -245,7 +245,8 @@ def judged_states(
     if names is not None:
         known = {name: cameras_of(dataset, scans, fused, visual, name) for name in names}
     by_scans = {name: _scan_poses(dataset, name, scans, fused) for name in known}
-    clouds = {id(poses): cloud_of(dataset, poses, progress, read) for poses in by_scans.values()}
+    each = {id(poses): poses for poses in by_scans.values()}
+    clouds = {key: cloud_of(dataset, poses, progress, read) for key, poses in each.items()}
     views: dict[tuple[Camera, int], Views] = {}
     pictures, states = PhotoReader(photos, dataset.camera, part.images[0]), {}
     for name, cameras in known.items():
