@@ -52,7 +52,7 @@ class Covariance:
             return self
         step = self.step
         if len(step):
-            carry = geometry.adjoint(geometry.inverse(world_from_scan[1:]) @ world_from_scan[:-1])
+            carry = carry_to_next(world_from_scan)
             step = step + own[1:] + carry @ own[:-1] @ np.swapaxes(carry, -1, -2)
         return replace(
             self,
@@ -117,13 +117,18 @@ def _of_steps(covariance: np.ndarray, world_from_scan: np.ndarray) -> np.ndarray
     none = np.zeros((1, 6, 6))
     each = np.concatenate([none, dense_covariance.blocks(covariance, 0)])
     upper = np.concatenate([none, dense_covariance.blocks(covariance, 1)])
-    relative = geometry.inverse(world_from_scan[1:]) @ world_from_scan[:-1]
-    later = np.broadcast_to(np.eye(6), (len(relative), 6, 6))
-    by_both = np.concatenate([-geometry.adjoint(relative), later], axis=2)
+    carry = carry_to_next(world_from_scan)
+    by_both = np.concatenate([-carry, np.broadcast_to(np.eye(6), carry.shape)], axis=2)
     pairs = np.empty((len(upper), 12, 12))
     pairs[:, :6, :6], pairs[:, 6:, 6:] = each[:-1], each[1:]
     pairs[:, :6, 6:], pairs[:, 6:, :6] = upper, np.swapaxes(upper, -1, -2)
     return np.asarray(by_both @ pairs @ np.swapaxes(by_both, -1, -2))
+
+
+def carry_to_next(world_from_scan: Poses) -> np.ndarray:
+    """(S - 1, 6, 6) float64: what an error of each of poses (S, 4, 4) makes of the next, if the motion between them is
+    right."""
+    return geometry.adjoint(geometry.inverse(world_from_scan[1:]) @ world_from_scan[:-1])
 
 
 LEAST = 1e-12

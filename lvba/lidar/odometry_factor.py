@@ -146,8 +146,8 @@ def reestimated(prior: OdometryPrior, world_from_scan: Poses, held: np.ndarray) 
     if np.count_nonzero(telling) < _FEWEST_STEPS:
         return prior
     error = np.abs(prior.residuals(world_from_scan))
-    sigma = np.minimum(_sigmas(error[None, telling]), prior.ceiling)
-    return _with_sigmas(prior, np.minimum(_as_off(prior, sigma, error, telling), prior.ceiling), ordinary)
+    sigma = _as_off(prior, _sigmas(error[None, telling]), error, telling, prior.ceiling)
+    return _with_sigmas(prior, sigma, ordinary)
 
 
 def by_turns(prior: OdometryPrior, world_from_scan: Poses, held: np.ndarray) -> OdometryPrior:
@@ -163,21 +163,23 @@ def by_turns(prior: OdometryPrior, world_from_scan: Poses, held: np.ndarray) -> 
     # not of the rough poses: where these hardly turn, their errors would be taken for turns
     turn = geometry.rotation_angle_deg(geometry.steps(world_from_scan))
     error = np.abs(prior.residuals(world_from_scan))
-    most = _CEILING * prior.ceiling
-    sigma = np.minimum(_by_turn(turn, turn[telling], error[telling]), most)
-    return _with_sigmas(prior, np.minimum(_as_off(prior, sigma, error, telling), most), ordinary)
+    by_turn = _by_turn(turn, turn[telling], error[telling])
+    return _with_sigmas(prior, _as_off(prior, by_turn, error, telling, _CEILING * prior.ceiling), ordinary)
 
 
-def _as_off(prior: OdometryPrior, sigma: np.ndarray, error: np.ndarray, telling: np.ndarray) -> np.ndarray:
-    """(S - 1, 6), rad and m: standard deviations (S - 1 or 1, 6) of steps of the usual time, larger for telling ones
-    (S - 1,) bool with errors (S - 1, 6) that are too large for them: so much that they hardly draw the scans any more.
+def _as_off(
+    prior: OdometryPrior, sigma: np.ndarray, error: np.ndarray, telling: np.ndarray, most: np.ndarray
+) -> np.ndarray:
+    """(S - 1, 6), rad and m, no more than `most`, (6,): standard deviations (S - 1 or 1, 6) of steps of the usual time,
+    larger for telling ones (S - 1,) bool with errors (S - 1, 6) that are too large for them: so much that they hardly
+    draw the scans any more.
 
     Of other steps, errors may be those of the poses.
     """
-    spans = 1.0 if prior.spans is None else prior.spans[:, None]
+    sigma, spans = np.minimum(sigma, most), 1.0 if prior.spans is None else prior.spans[:, None]
     size = np.sqrt(np.square(error / (sigma * spans)).reshape(len(error), 2, 3).mean(axis=2))
     factor = np.where(telling[:, None], np.maximum(size / _ORDINARY, 1.0) ** 2, 1.0)
-    return np.asarray(sigma * np.repeat(factor, 3, axis=1))
+    return np.asarray(np.minimum(sigma * np.repeat(factor, 3, axis=1), most))
 
 
 def _telling(prior: OdometryPrior, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -23,6 +23,7 @@ FIRST_IMAGES = 40
 """Images judged first, where the rest is judged only if these leave something open: a gain of many standard errors needs
 no more."""
 _SUFFIX = {ALL: "", OTHERS: "_leave_one_out"}
+_COMMON = ("psnr_common", "ssim_common", "coverage_common")
 _COMPARED = ("psnr_compared", "ssim_compared", "coverage_compared")
 _FIGURES = (
     *(
@@ -30,7 +31,7 @@ _FIGURES = (
         for name in ("psnr", "ssim", "coverage", "psnr_full", "ssim_full")
         for suffix in _SUFFIX.values()
     ),
-    *("psnr_common", "ssim_common", "coverage_common"),
+    *_COMMON,
     *_COMPARED,
 )
 
@@ -238,15 +239,16 @@ def together(parts: Sequence[Scores], entropy: float) -> Scores:
 def completed(brief: Scores, full: Scores) -> Scores:
     """A brief state's scores, with those that it lacks taken from others of the same state."""
     lacks = {name for name, values in brief.per_image.items() if not np.isfinite(values).any()}
-    per_image = {
-        name: full.per_image[name] if name in lacks else values for name, values in brief.per_image.items()
-    }
-    return replace(brief, per_image=per_image, **{name: getattr(full, name) for name in lacks})
+    return _with(brief, lacks, full)
 
 
 def compared_over(scores: Scores, others: Scores) -> Scores:
     """A state's scores with the figures named _common of others of the same state and images, of other pixels."""
-    names = ("psnr_common", "ssim_common", "coverage_common")
+    return _with(scores, _COMMON, others)
+
+
+def _with(scores: Scores, names: Collection[str], others: Scores) -> Scores:
+    """The scores with some figures, and what they are by image, of others."""
     per_image = scores.per_image | {name: others.per_image[name] for name in names}
     return replace(scores, per_image=per_image, **{name: getattr(others, name) for name in names})
 

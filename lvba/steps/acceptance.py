@@ -395,7 +395,12 @@ def agreed(figures: Sequence[Figure], finding: Finding) -> list[Figure]:
 
 def beyond(images: Sequence[Figure], errors: float) -> bool:
     """Whether PSNR gains by more than so many standard errors, over either kind of pixels."""
-    return all(each.gain > errors * each.error for each in images if each.name in (PSNR, "psnr_compared"))
+    return all(each.gain > errors * each.error for each in by_psnr(images))
+
+
+def by_psnr(images: Sequence[Figure]) -> list[Figure]:
+    """PSNR over either kind of pixels."""
+    return [each for each in images if each.name in (PSNR, "psnr_compared")]
 
 
 def leading(figures: Sequence[Figure]) -> list[Figure]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from lvba import geometry
 from lvba.arrays import PoseBlocks, Poses, Tangents
-from lvba.steps.uncertainty import squared_distances
+from lvba.steps.uncertainty import is_known, squared_distances
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ def apart(world_from_refined: Poses, covariance: PoseBlocks, world_from_camera: 
     world_from_refined, world_from_camera: (I, 4, 4) float64, m
     covariance: (I, 6, 6) float64, of the refined ones, local tangent `[rotation | translation]`, rad and m
     """
-    known = np.isfinite(covariance).all((1, 2)) & (np.trace(covariance, axis1=1, axis2=2) > 0)
+    known = is_known(covariance)
     if not known.any():
         return None
     off, spread = _differences(world_from_refined[known], covariance[known], world_from_camera[known])

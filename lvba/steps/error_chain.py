@@ -68,7 +68,8 @@ def drawn(own: np.ndarray, step: np.ndarray, carry: np.ndarray, noise: np.ndarra
 
     own, step, carry: float64, as of `most_likely`; noise: (S, D) float64, independent, of unit variance
     """
-    first = np.linalg.cholesky(own) @ noise[..., None]
+    alone = slice(1) if len(step) else slice(None)
+    first = np.linalg.cholesky(own[alone]) @ noise[alone, :, None]
     if not len(step):
         return np.asarray(first[..., 0])
     links = _links(own, step, carry)

@@ -243,7 +243,8 @@ def judged_states(
     """
     known = camera_states(dataset, scans, fused, visual)
     if names is not None:
-        known = {name: cameras_of(dataset, scans, fused, visual, name) for name in names}
+        every = known | over_fused(dataset, fused, known)
+        known = {name: every[name] for name in names}
     by_scans = {name: _scan_poses(dataset, name, scans, fused) for name in known}
     each = {id(poses): poses for poses in by_scans.values()}
     clouds = {key: cloud_of(dataset, poses, progress, read) for key, poses in each.items()}
@@ -303,15 +304,14 @@ def camera_states(
     return states
 
 
-def cameras_of(
-    dataset: Dataset, scans: ScanPoses, fused: ScanPoses, visual: VisualStage, name: str
-) -> Cameras:
-    """The cameras of a state, also of those that are judged only where they become the result."""
-    states = camera_states(dataset, scans, fused, visual)
-    if name not in _BY_FUSED:
-        return states[name]
+def over_fused(dataset: Dataset, fused: ScanPoses, states: Mapping[str, Cameras]) -> dict[str, Cameras]:
+    """The cameras of the states that are judged only where they become the result. states: of `camera_states`"""
     carried = carry_cameras(dataset, fused.world_from_scan)
-    return dataclasses.replace(states[_BY_FUSED[name]], world_from_camera=carried)
+    return {
+        name: dataclasses.replace(states[before], world_from_camera=carried)
+        for name, before in _BY_FUSED.items()
+        if before in states
+    }
 
 
 def refined_cameras(camera: Camera, result: VisualResult) -> Cameras:
@@ -399,9 +399,10 @@ def decide(
     config: GateConfig,
 ) -> Accepted:
     """The state that holds every part that was accepted, and the input's where one was not."""
-    chosen = choose(scores, scans, fused, visual, config, _apart(dataset, scans, visual))
+    states = camera_states(dataset, scans, fused, visual)
+    chosen = choose(scores, scans, fused, visual, config, _apart(states[CARRIED], scans, visual))
     used = fused if chosen.fusion.accepted else scans
-    cameras = cameras_of(dataset, scans, fused, visual, chosen.state)
+    cameras = (states | over_fused(dataset, fused, states))[chosen.state]
     balance = None if visual.result is None or not chosen.exposures.accepted else visual.result.white_balance
     return Accepted(
         world_from_scan=used.world_from_scan,
@@ -420,12 +421,12 @@ def decide(
     )
 
 
-def _apart(dataset: Dataset, scans: ScanPoses, visual: VisualStage) -> Apart | None:
+def _apart(carried: Cameras, scans: ScanPoses, visual: VisualStage) -> Apart | None:
     """How far refined cameras are from those carried along with refined scans; None: there are none of either."""
-    if visual.result is None or not scans.verdict.accepted:
+    result = visual.result
+    if result is None or not scans.verdict.accepted:
         return None
-    carried = carry_cameras(dataset, scans.world_from_scan)
-    return camera_agreement.apart(visual.result.world_from_camera, visual.result.covariance, carried)
+    return camera_agreement.apart(result.world_from_camera, result.covariance, carried.world_from_camera)
 
 
 def _remark(scores: Mapping[str, Scores], state: str) -> str:

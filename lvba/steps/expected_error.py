@@ -14,7 +14,7 @@ from lvba.lidar.bundle_adjustment import LidarResult
 from lvba.lidar.degeneracy import DegenerateDirection
 from lvba.products.map_error import Tally, counted
 from lvba.products.map_file import PointMap
-from lvba.steps import camera_agreement
+from lvba.steps import camera_agreement, uncertainty
 from lvba.steps.open_motions import OpenMotions
 from lvba.steps.outcomes import Accepted, FusionStage, LidarStage, VisualStage
 from lvba.steps.uncertainty import Expected
@@ -72,7 +72,7 @@ def by_images(fused: FusionStage, accepted: Accepted) -> OpenMotions | None:
 
 def where_known(covariance: np.ndarray) -> np.ndarray:
     """The same with NaN where a frame has none (not finite, or all zero). covariance: (N, 6, 6) float64"""
-    known = np.isfinite(covariance).all((1, 2)) & (np.trace(covariance, axis1=1, axis2=2) > 0)
+    known = uncertainty.is_known(covariance)
     return np.where(known[:, None, None], covariance, np.nan)
 
 

@@ -15,12 +15,12 @@ import numpy as np
 
 from lvba import geometry, spline, trajectory
 from lvba.arrays import Indices, Pose, PoseBlocks, Poses, Times
-from lvba.lidar.covariance import LEAST, Covariance, local_covariance, positive
+from lvba.lidar.covariance import LEAST, Covariance, carry_to_next, local_covariance, positive
 from lvba.lidar.degeneracy import DegenerateDirection
 from lvba.settings import setting
 from lvba.steps import error_chain
 from lvba.steps.open_motions import Open, OpenMotions
-from lvba.steps.uncertainty import squared_distances
+from lvba.steps.uncertainty import is_known, squared_distances
 from lvba.trajectory import Trajectory
 from lvba.visual import image_groups
 
@@ -123,7 +123,7 @@ def scan_poses_from_cameras(
     moments: (K,) s, ascending, on the LiDAR's clock; covariance: (K, 6, 6), relative to the map, in the camera's tangent
     extrinsic_sigma: (7,) float64, as in `VisualResult`; group: (K,) int64, of each image; None: not known
     """
-    known = np.isfinite(covariance).all((1, 2)) & (np.trace(covariance, axis1=1, axis2=2) > 0)
+    known = is_known(covariance)
     carry = geometry.adjoint(scan_from_camera)
     return Cameras(
         Trajectory(moments[known], world_from_camera[known] @ geometry.inverse(scan_from_camera)),
@@ -198,13 +198,8 @@ def fuse(
 def _drawn(own: np.ndarray, step: np.ndarray, world_from_scan: np.ndarray, open_: Open | None) -> np.ndarray:
     """Scan poses (S, 4, 4) as likely as those given, but for slides along open motions. Others as of `_corrections`"""
     noise = np.random.default_rng(0).standard_normal((len(own), 6))
-    errors = error_chain.drawn(own, step, _carry(world_from_scan), noise)
+    errors = error_chain.drawn(own, step, carry_to_next(world_from_scan), noise)
     return geometry.retract(world_from_scan, errors if open_ is None else errors - open_.part(errors))
-
-
-def _carry(world_from_scan: np.ndarray) -> np.ndarray:
-    """(S - 1, 6, 6): what an error of each scan makes of the next, if the motion between them is right."""
-    return geometry.adjoint(geometry.inverse(world_from_scan[1:]) @ world_from_scan[:-1])
 
 
 def _with_slides(
@@ -332,7 +327,7 @@ def _corrections(
     for all scans of a corridor); a slide of decimeters must not leak into these.
     of_cameras: (S, 6, 6), covariances of what cameras say; used: (S,) bool, where they say anything
     """
-    carry = _carry(world_from_scan)
+    carry = carry_to_next(world_from_scan)
     information = np.linalg.inv(of_cameras) * used[:, None, None]
     # past the ends of the images these say how far scans have slid, no more
     within = information * seen.inside[:, None, None]

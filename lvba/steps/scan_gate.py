@@ -19,6 +19,7 @@ from lvba.steps.acceptance import (
     Verdict,
     agreed,
     beyond,
+    by_psnr,
     leading,
     words,
 )
@@ -140,12 +141,12 @@ def images_agree(entropy: Figure, images: Sequence[Figure]) -> bool:
 
 def _clearly(images: Sequence[Figure]) -> bool:
     """Whether PSNR gains more than a loss may be that contradicts nothing, over either kind of pixels."""
-    return all(each.gain > LOSSES[PSNR] for each in images if each.name in (PSNR, "psnr_compared"))
+    return all(each.gain > LOSSES[PSNR] for each in by_psnr(images))
 
 
 def _fall(images: Sequence[Figure]) -> bool:
     """Whether PSNR falls over either kind of pixels, by chance or not."""
-    return bool(images) and all(each.gain < 0 for each in images if each.name in (PSNR, "psnr_compared"))
+    return bool(images) and all(each.gain < 0 for each in by_psnr(images))
 
 
 def _as(entropy: Figure) -> str:

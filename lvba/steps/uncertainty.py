@@ -35,7 +35,7 @@ def against(
     reference_from_map: alignment to use; None: found here
     """
     pairs = matched(estimate.times, reference.times)
-    known = np.isfinite(covariance).all((1, 2)) & (np.trace(covariance, axis1=1, axis2=2) > 0)
+    known = is_known(covariance)
     pairs = pairs[known[pairs[:, 0]]]
     if len(pairs) < 2:
         return {}
@@ -49,6 +49,11 @@ def against(
         "predicted_rotation_deg": float(np.degrees(np.sqrt(rotation))),
         "nees": float(squared_distances(error, spread).mean()),
     }
+
+
+def is_known(covariance: PoseBlocks) -> np.ndarray:
+    """(N,) bool: which frames have a covariance (N, 6, 6), not one that is not finite, or all zero."""
+    return np.asarray(np.isfinite(covariance).all((1, 2)) & (np.trace(covariance, axis1=1, axis2=2) > 0))
 
 
 def squared_distances(errors: np.ndarray, covariance: np.ndarray) -> np.ndarray:
