@@ -167,13 +167,19 @@ class Execution:
         """What was told since the last call, or within a moment from now; a step that is done ends the wait."""
         with suppress(Empty):
             self._show_event(self._news.get(timeout=_WAIT_SECONDS))
+        self._take_news_at_hand()
+        self._say_if_lonely()
+
+    def _take_news_at_hand(self) -> None:
+        with suppress(Empty):
             while True:
                 self._show_event(self._news.get_nowait())
-        self._say_if_lonely()
 
     def _settle_what_is_done(self) -> None:
         # looked at, and not left to callbacks: one that is lost would leave a run waiting for ever
         done = [key for key, future in self._running.items() if future.done()]
+        # a begin arrives before the end of its step: read it before that end is judged
+        self._take_news_at_hand()
         if self._client.status != "running" or any(self._running[key].cancelled() for key in done):
             self._start_over()
             return

@@ -13,7 +13,7 @@ from lvba.steps import verdict_input
 from lvba.steps.verdict_figures import Figures, Level, Reason
 from lvba.wording import runs
 
-MOST_VARIANCE_FACTOR, MOST_SPLINE_ERROR, MOST_FUSION_VARIANCE_FACTOR = 4.5, 0.8, 1.2
+MOST_OVERDISPERSION, MOST_SPLINE_ERROR, MOST_FUSION_VARIANCE_FACTOR = 1.6, 0.8, 1.2
 _FEWEST_FRAMES = 10
 """With fewer, one rigid alignment takes up much of what could be compared."""
 _NAMED = 8
@@ -38,6 +38,9 @@ _NO_SOLUTION_M, _NO_SOLUTION_PART = 0.06, 0.5
 """m, and part of the expected error: scans that still move by more are no solution. With poses of odometries that had
 lost the way, scans that ended .7 to 50 m off still moved by 86 mm and more, though 77 mm were expected; those that ended
 up to 55 mm off, by 19 mm at most. Scans of a depth camera that moved by 51 mm were 11 mm off (113 expected)."""
+_CONTRADICTED = 3.0
+"""Times the expected error of scans from which on it is wrong, if images have them elsewhere: in corridors where nothing
+else tells, by odometries 0.2 to 1.7 m off, 4 to 22 times. Right ones were at most half of it apart."""
 _WORSE = 1.1
 """Times the input's error up to which a result counts as no worse: references have errors of their own."""
 
@@ -122,12 +125,12 @@ def _images(figures: Figures) -> Iterator[Reason]:
     20 times further off. It is enough where images corrected it: of 50 runs no camera was off by twice what was expected,
     of real recordings 0.3 to 1.2 times.
     """
-    factor = figures.variance_factor
-    if factor is None or factor <= MOST_VARIANCE_FACTOR:
+    factor = figures.overdispersion
+    if factor is None or factor <= MOST_OVERDISPERSION:
         return
     words = (
-        f"Images contradict each other {factor:.1f} times more than their noise explains (limit "
-        f"{MOST_VARIANCE_FACTOR})"
+        f"Images contradict each other {factor:.1f} times more than their noise explains "
+        f"(limit {MOST_OVERDISPERSION})"
     )
     if figures.camera_refined:
         yield Reason(
@@ -233,17 +236,33 @@ def _odometry(figures: Figures) -> Iterator[Reason]:
             "Look at the map there; record more slowly, or with more overlap between scans.",
         )
     if figures.common_degenerate:
-        yield Reason(
-            f"Surfaces leave {figures.common_degenerate} motions of the whole map open (as along a corridor): there it "
-            f"is as the {'images have' if figures.scans_with_cameras.accepted else 'odometry has'} it.",
-            "Nothing to do if that is good enough there; else record surfaces that face the open direction.",
-        )
+        yield _open_map(figures)
     elif figures.degenerate_scans > _FEW * figures.scans:
         yield Reason(
             f"{figures.degenerate_scans} of {figures.scans} scans see too few surfaces to be held in every direction: "
             "there they follow the odometry or the cameras.",
             "Look at these frames: they are among those with the largest expected errors.",
         )
+
+
+def _open_map(figures: Figures) -> Reason:
+    """Motions of the whole map that surfaces leave open. Unused cameras may show that the odometry is wrong there."""
+    words = f"Surfaces leave {figures.common_degenerate} motions of the whole map open (as along a corridor)"
+    apart, expected = figures.apart_from_cameras_m, figures.scans_m
+    if apart is not None and expected is not None and apart > _CONTRADICTED * expected:
+        return Reason(
+            f"{words}: there it is as the odometry has it, and images contradict that. By them, scans are "
+            f"{lengths.text(apart)} elsewhere.",
+            "Compare a length along the open direction with one that you know; run another odometry, or record "
+            "surfaces that face that direction.",
+            "bad",
+            more=True,
+            unknown=True,
+        )
+    return Reason(
+        f"{words}: there it is as the {'images have' if figures.scans_with_cameras.accepted else 'odometry has'} it.",
+        "Nothing to do if that is good enough there; else record surfaces that face the open direction.",
+    )
 
 
 def _frames(figures: Figures) -> Iterator[Reason]:

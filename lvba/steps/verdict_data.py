@@ -26,6 +26,8 @@ by a ninth more. Where inputs were refined with gain, it was mostly 4 to 300 tim
 _THIN = 1.5
 """Times the noise of points that planes of the whole map may be thick: of what refined poses leave double or apart, the
 distances from planes found with them tell nothing."""
+_NOISE_BEFORE = 2.0
+"""The variance factor of noise in results from before it was known: cameras that move have 1.6 to 2.1."""
 
 _JUDGED = (
     ("refined scans", "lidar", ""),
@@ -63,7 +65,7 @@ def add(facts: Facts) -> dict[str, Any]:
 def _alarms(known: Figures) -> dict[str, dict[str, float | None]]:
     """What tells that covariances predict errors that are too small, each with the limit above which it does."""
     return {
-        "variance_factor": {"value": known.variance_factor, "limit": verdict.MOST_VARIANCE_FACTOR},
+        "overdispersion": {"value": known.overdispersion, "limit": verdict.MOST_OVERDISPERSION},
         "spline_error": {"value": known.spline_error, "limit": verdict.MOST_SPLINE_ERROR},
         "fusion_variance_factor": {
             "value": known.fusion_variance_factor,
@@ -94,7 +96,7 @@ def figures(facts: Facts) -> Figures:
         camera_poses=Judged(visual.get("accepted"), _cause(visual), confirmed),
         exposures=Judged(visual.get("exposures_accepted"), _cause(visual, "exposures_")),
         scans_with_cameras=Judged(fusion.get("accepted") if fused else None, _cause(fusion)),
-        variance_factor=renamed_facts.value(last, "variance_factor"),
+        overdispersion=_overdispersion(last),
         camera_refined=_camera_refined(visual),
         spline_error=renamed_facts.value(fusion, "interpolation_error_scale"),
         fusion_variance_factor=renamed_facts.value(fusion, "variance_factor"),
@@ -105,6 +107,8 @@ def figures(facts: Facts) -> Figures:
         uncertain_cameras=_uncertain(expected.get("cameras")),
         uncertain_exposures=tuple(renamed_facts.value(visual, "uncertain_exposures") or ()),
         white_balance=balance.get("change_percent") if balance.get("used") and facts.get("merge") else None,
+        apart_from_cameras_m=_apart_from_cameras(fusion) if used else None,
+        scans_m=(expected.get("scans") or {}).get("position_m"),
         moved_m=history[-1].get("moved") if used and lidar.get("converged") is False else None,
         scan_p95_m=(expected.get("scans") or {}).get("position_p95_m"),
         cameras_converged=last.get("converged") is not False,
@@ -140,6 +144,18 @@ def _input(findings: Facts) -> InputFindings:
     """What the report says against the files; names that only another version knows are passed over."""
     known = {field.name for field in dataclasses.fields(InputFindings)}
     return InputFindings(**{name: value for name, value in findings.items() if name in known})
+
+
+def _apart_from_cameras(fusion: Facts) -> float | None:
+    """m, root mean square: how far cameras would have moved the scans, which did not follow them."""
+    moved = fusion.get("moved_m") or ()
+    return float(np.sqrt(np.mean(np.square(moved)))) if moved and fusion.get("accepted") is False else None
+
+
+def _overdispersion(level: Facts) -> float | None:
+    """By what factor images contradict each other more than the noise of their pixels explains."""
+    actual = renamed_facts.value(level, "variance_factor")
+    return None if actual is None else actual / level.get("noise_variance_factor", _NOISE_BEFORE)
 
 
 def _camera_refined(visual: Facts) -> bool:

@@ -60,7 +60,7 @@ class Truth:
 class Figures:
     """What the verdict is made from; None or 0 where there is none.
 
-    variance_factor: actual over modeled variance of the pixels
+    overdispersion: actual variance of the pixels over what their noise makes of it, which patches share
     spline_error: how far the path through the cameras misses the scans, as part of the error of leaving a camera out
     camera_refined: whether images corrected the calibration of the camera
     fusion_variance_factor: actual over predicted variance of the differences between scans and cameras
@@ -68,6 +68,8 @@ class Figures:
         `verdict.UNCERTAIN` times the median
     uncertain_exposures: numbers of the images whose exposures have, if errors of this size can be seen
     white_balance: percent, root mean square, by which it changes between images that joint rounds take as they are
+    apart_from_cameras_m: root mean square distance of scans from where cameras would have moved them, where that is not
+        used; scans_m: their expected error
     moved_m: how far a scan moved at most in the last round that did not converge; scan_p95_m: what 95 % of the scans are
         expected to be off by less
     range_errors: systematic errors of the range sensor that are in the points
@@ -96,7 +98,7 @@ class Figures:
     camera_poses: Judged = field(default_factory=Judged)
     exposures: Judged = field(default_factory=Judged)
     scans_with_cameras: Judged = field(default_factory=Judged)
-    variance_factor: float | None = None
+    overdispersion: float | None = None
     camera_refined: bool = False
     spline_error: float | None = None
     fusion_variance_factor: float | None = None
@@ -107,6 +109,8 @@ class Figures:
     uncertain_cameras: int = 0
     uncertain_exposures: tuple[int, ...] = ()
     white_balance: float | None = None
+    apart_from_cameras_m: float | None = None
+    scans_m: float | None = None
     moved_m: float | None = None
     scan_p95_m: float | None = None
     cameras_converged: bool = True

@@ -16,6 +16,7 @@ from lvba.visual import (
     exposures_between,
     image_groups,
     photometric,
+    pixel_noise,
     trajectory_prior,
 )
 from lvba.visual.bundle_adjustment import LevelSolution
@@ -49,6 +50,8 @@ class LevelReport:
     """Root mean square of all valid residuals, of 255."""
     variance_factor: float
     """Actual over modeled variance of the pixels."""
+    noise_variance_factor: float
+    """The same, had the images nothing but noise of their pixels, which patches share."""
     prior_position_m: tuple[float, ...]
     """Spread of the cameras about the LiDAR trajectory: by eq. (1), and by splines; empty without prior."""
     prior_rotation_deg: tuple[float, ...]
@@ -144,6 +147,9 @@ def level_report(level: int, solution: LevelSolution) -> LevelReport:
         shift=solution.noise.shift,
         rms=float(np.sqrt(sums[:, photometric.SQUARE].sum() / count)),
         variance_factor=solution.problem.variance_factor,
+        noise_variance_factor=pixel_noise.variance_factor(
+            solution.problem, solution.photometric, solution.linearization, solution.wall_clusters
+        ),
         prior_position_m=tuple(float(np.median(s.sigma_position)) for s in sources),
         prior_rotation_deg=tuple(float(np.degrees(np.median(s.sigma_rotation))) for s in sources),
         iterations=solution.history,

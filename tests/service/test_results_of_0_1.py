@@ -122,7 +122,7 @@ def test_it_is_reported(result):
 
 def test_its_figures_are_read_by_their_old_names(result):
     figures = verdict_data.figures(json.loads((result / "report.json").read_text()))
-    assert figures.variance_factor == 9.0
+    assert figures.overdispersion == 4.5
     assert figures.spline_error == 0.4
     assert figures.fusion_variance_factor == 1.5
     assert (figures.common_degenerate, figures.degenerate_scans) == (1, 1)

@@ -45,7 +45,8 @@ def test_what_several_parts_warn_of_is_one_sentence():
 def test_wrong_images_of_one_part_are_not_averaged_away():
     level = LevelReport(
         level=0, scene_points=9, global_points=0, local_pairs=90, global_pairs=0, sigma=2.0, shift=0.1, rms=2.0,
-        variance_factor=2.0, prior_position_m=(), prior_rotation_deg=(), iterations=(), converged=True,
+        variance_factor=2.0, noise_variance_factor=1.0, prior_position_m=(), prior_rotation_deg=(), iterations=(),
+        converged=True,
     )  # fmt: skip
     parts = [replace(level, compared=1000, alike=900), replace(level, compared=200, alike=20), level]
     joint = joint_cameras._level(parts)

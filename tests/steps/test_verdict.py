@@ -19,7 +19,7 @@ def scaled(what, error, rough, predicted, after):
 USED, NOT_USED = Judged(True, "accepted"), Judged(False, "not sharper")
 CLEAN = Figures(
     scans=100, images=100, scan_poses=USED, camera_poses=USED, exposures=USED, scans_with_cameras=USED,
-    variance_factor=2.4, spline_error=0.4, fusion_variance_factor=1.0, extrinsic_sigmas=1.0,
+    overdispersion=1.4, spline_error=0.4, fusion_variance_factor=1.0, extrinsic_sigmas=1.0,
 )  # fmt: skip
 KEPT = (Truth("scans", "m", 0.001, 0.07, 0.0009), Truth("cameras", "degrees", 0.01, 0.2, 0.02))
 
@@ -28,23 +28,26 @@ KEPT = (Truth("scans", "m", 0.001, 0.07, 0.0009), Truth("cameras", "degrees", 0.
     ("change", "level", "at_least"),
     [
         ({}, "good", False),
-        ({"images": 0, "camera_poses": Judged(), "exposures": Judged(), "variance_factor": None}, "good", False),
+        ({"images": 0, "camera_poses": Judged(), "exposures": Judged(), "overdispersion": None}, "good", False),
         ({"scan_poses": NOT_USED}, "check", False),
-        ({"scan_poses": NOT_USED, "variance_factor": 9.0}, "check", True),
-        ({"camera_poses": NOT_USED, "variance_factor": 9.0}, "check", True),
+        ({"scan_poses": NOT_USED, "overdispersion": 9.0}, "check", True),
+        ({"camera_poses": NOT_USED, "overdispersion": 9.0}, "check", True),
         ({"camera_poses": NOT_USED}, "check", False),
         ({"exposures": NOT_USED}, "check", False),
         ({"scans_with_cameras": NOT_USED}, "check", False),
         ({"scan_poses": NOT_USED, "camera_poses": NOT_USED}, "bad", False),
         ({"scan_poses": NOT_USED, "images": 0, "camera_poses": Judged()}, "bad", False),
         ({"camera_poses": Judged(False, "images confirm them", confirmed=True)}, "good", False),
-        ({"variance_factor": 4.6}, "check", True),
-        ({"variance_factor": 90.0, "camera_refined": True}, "check", False),
+        ({"overdispersion": 1.7}, "check", True),
+        ({"overdispersion": 90.0, "camera_refined": True}, "check", False),
         ({"spline_error": 0.81}, "check", True),
         ({"fusion_variance_factor": 1.21}, "check", True),
-        ({"variance_factor": 4.5, "spline_error": 0.8, "fusion_variance_factor": 1.2}, "good", False),
+        ({"overdispersion": 1.6, "spline_error": 0.8, "fusion_variance_factor": 1.2}, "good", False),
         ({"common_degenerate": 1}, "check", False),
         ({"common_degenerate": 1, "scans_with_cameras": Judged(True, "")}, "check", False),
+        ({"common_degenerate": 1, "apart_from_cameras_m": 0.02, "scans_m": 0.01}, "check", False),
+        ({"common_degenerate": 1, "apart_from_cameras_m": 0.04, "scans_m": 0.01}, "bad", True),
+        ({"apart_from_cameras_m": 0.04, "scans_m": 0.01}, "good", False),
         ({"degenerate_scans": 6}, "check", False),
         ({"degenerate_scans": 5}, "good", False),
         ({"odometry_dependent_steps": 1}, "check", False),
@@ -160,7 +163,7 @@ def test_open_motions_are_named_where_they_are_most_of_what_is_expected():
 
 def test_the_worst_reason_comes_first():
     found = verdict.judge(
-        replace(CLEAN, jumps=1, variance_factor=9.0, truth=(Truth("scans", "m", 0.09, 0.03, 0.02),))
+        replace(CLEAN, jumps=1, overdispersion=9.0, truth=(Truth("scans", "m", 0.09, 0.03, 0.02),))
     )
     assert [reason.level for reason in found.reasons] == ["bad", "check", "check", "check"]
     assert [reason.more for reason in found.reasons] == [False, True, True, False]
@@ -180,7 +183,8 @@ def facts(**more):
         "lidar": {"accepted": True, "reason": "accepted", "degenerate_scans": [0] * 20, "degenerate_directions": [],
                   "odometry_dependence": [0.1] * 19, "converged": True, "history": [{"moved": 1e-5}]},
         "visual": {"accepted": True, "exposures_accepted": True,
-                   "levels": [{"variance_factor": 20.0, "converged": False}, {"variance_factor": 2.0, "converged": True}],
+                   "levels": [{"variance_factor": 20.0, "noise_variance_factor": 1.0, "converged": False},
+                              {"variance_factor": 4.5, "noise_variance_factor": 4.0, "converged": True}],
                    "extrinsic": {"change_m": 0.01, "change_deg": 0.3, "sigmas": 1.2}},
         "fusion": {"accepted": True, "interpolation_error_scale": 0.3, "variance_factor": 1.0, "moved_m": [0.0]},
         "evaluation": {"rough": {"per_image": per_image}, "refined": {"per_image": per_image}},
@@ -195,12 +199,12 @@ def test_a_clean_report_is_good_and_says_how_many_millimeters():
     assert found["verdict"]["level"] == "good"
     assert found["verdict"]["reasons"] == []
     assert "about 2.5 mm in the map, 0.42 mm in the scan poses and" in found["verdict"]["summary"]
-    assert found["alarms"]["variance_factor"] == {"value": 2.0, "limit": 4.5}
+    assert found["alarms"]["overdispersion"] == {"value": 4.5 / 4.0, "limit": 1.6}
     assert found["expected_error"]["at_least"] is False
 
 
 def alarmed(facts):
-    facts["visual"]["levels"][-1]["variance_factor"] = 15.0
+    facts["visual"]["levels"][-1]["variance_factor"] = 60.0
 
 
 def open_scans(facts):
@@ -428,7 +432,7 @@ def test_figures_of_arrays_of_nothing_known_count_every_frame():
 
 def test_cameras_are_alarmed_about_where_scans_are_not_used():
     """No error is predicted where neither is used; images that contradict each other count wherever cameras are."""
-    off = replace(CLEAN, scan_poses=Judged(False, "not sharper"), variance_factor=190.0)
+    off = replace(CLEAN, scan_poses=Judged(False, "not sharper"), overdispersion=190.0)
     texts = [
         [reason.text for reason in verdict.judge(replace(off, camera_poses=Judged(used, "why"))).reasons]
         for used in (True, False)
@@ -466,3 +470,12 @@ def test_names_of_older_reports_are_read():
         figures = verdict_data.figures(given)
         known.append((figures.uncertain_exposures, figures.unconfirmed_jumps, figures.unconnected_ends))
     assert known == [((3,), (4,), (19,))] * 2
+
+
+def test_cameras_that_would_move_scans_along_an_open_corridor_reach_the_verdict():
+    moved = {"accepted": False, "cause": "the map would be less sharp", "moved_m": [0.0, 0.3, 0.4]}
+    judged = verdict.judge(
+        verdict_data.figures(facts(fusion=moved, lidar=facts()["lidar"] | {"degenerate_directions": [{}]}))
+    )
+    assert judged.unknown
+    assert "images contradict that. By them, scans are 289 mm elsewhere." in judged.reasons[0].text

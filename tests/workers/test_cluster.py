@@ -301,7 +301,9 @@ def test_worker_that_runs_out_of_memory_is_restarted_and_only_the_step_that_did_
     gives_up = pytest.raises(connection.ClusterError, match=r"fail: .*--memory-limit.*split\.memory_gb")
     with gives_up, connection.local(1, 1, memory_bytes=700_000_000) as scheduler:
         cluster.run(work, str(tmp_path / "store"), scheduler)
-    assert 2 <= len(said(tmp_path, "began fail")) <= 7
+    # Dask gives a step up after four dead workers, and once more where the driver heard of fewer than four begins: the
+    # other step's death counts among the first four, or a worker died before it had sent that the step begins
+    assert 2 <= len(said(tmp_path, "began fail")) <= 8
     assert len({line.split()[2] for line in said(tmp_path, "began hungry")}) == 2
     made = ZarrStore(tmp_path / "store")
     assert made[once.key].tobytes() == np.arange(1000.0).tobytes()
