@@ -373,9 +373,8 @@ def _levels(results: Sequence[VisualResult]) -> tuple[LevelReport, ...]:
 def _level(rows: Sequence[LevelReport]) -> LevelReport:
     # of the part where fewest patches look alike: wrong images of one are an alarm, however many parts are right
     strangest = min(rows, key=lambda row: row.alike / row.compared if row.compared else np.inf)
-    noisiest = max(
-        rows, key=lambda row: row.variance_factor / row.noise_variance_factor
-    )  # one part is enough
+    # nor are images of one that contradict each other
+    worst = max(rows, key=lambda row: row.variance_factor / row.noise_variance_factor)
     return replace(
         rows[0],
         scene_points=sum(row.scene_points for row in rows),
@@ -385,8 +384,8 @@ def _level(rows: Sequence[LevelReport]) -> LevelReport:
         sigma=float(np.mean([row.sigma for row in rows])),
         shift=float(np.mean([row.shift for row in rows])),
         rms=float(np.mean([row.rms for row in rows])),
-        variance_factor=noisiest.variance_factor,
-        noise_variance_factor=noisiest.noise_variance_factor,
+        variance_factor=worst.variance_factor,
+        noise_variance_factor=worst.noise_variance_factor,
         iterations=tuple(entry for row in rows for entry in row.iterations),
         converged=all(row.converged for row in rows),
         compared=strangest.compared,

@@ -7,7 +7,7 @@ from lvba.dataset import InputFindings
 
 Level = Literal["good", "check", "bad"]
 
-_CONSISTENT = 3.0
+CONSISTENT = 3.0
 """Times the predicted error up to which an error is consistent with it."""
 
 
@@ -53,7 +53,7 @@ class Truth:
         """Whether the error is too large for the predicted one, in the scale of the LiDAR's ranges: nothing in a
         recording tells that."""
         error = self.error if self.scaled is None else self.scaled
-        return self.predicted is not None and error > _CONSISTENT * self.predicted
+        return self.predicted is not None and error > CONSISTENT * self.predicted
 
 
 @dataclass(frozen=True)

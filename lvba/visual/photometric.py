@@ -263,7 +263,7 @@ def linearize(
     if by_shared is None and problem.shifts is not None:
         return _spread(linearize(problem, state, s, problem.shifts.jacobian), problem.shifts)
     pairs = problem.pairs
-    blocks, gradients, single, coupling = _assembled(problem, state, s)
+    blocks, gradients, single, coupling = assembled(problem, state, s)
     gradient = np.zeros((len(state.cameras), 7))
     np.add.at(gradient, pairs.reference, gradients[:, :7])
     np.add.at(gradient, pairs.target, gradients[:, 7:])
@@ -341,10 +341,11 @@ def _explained_border(
     return Border(coupling, -np.einsum("pk,pl->kl", shared.entry, over), -np.einsum("pk,p->k", over, own))
 
 
-def _assembled(
+def assembled(
     problem: Problem, state: PhotometricState, observation_sums: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Blocks and gradient of every image pair, gradient and plane's row of every observation."""
+    """Blocks (pairs, 14, 14) and gradient (pairs, 14) of every image pair, gradient (O, 15), as `Linearization.single`,
+    and plane's row of every observation, float64. observation_sums: of `sums`"""
     assemble = moving_kernels.assemble if problem.reference_pixels == "moving" else kernels.assemble
     return assemble(
         observation_sums,

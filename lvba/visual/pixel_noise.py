@@ -30,9 +30,10 @@ def variance_factor(
     linearization: of the problem at the state
     """
     noise = _drawn(problem.images[0].size)
-    noisy = photometric.linearize(replace(problem, images=_with(noise, problem.images)), state)
+    noisy = replace(problem, images=_with(noise, problem.images))
+    _, _, single, _ = photometric.assembled(noisy, state, photometric.sums(noisy, state))
     scale = float(np.median(problem.sigma)) / float(noise.std())
-    change = replace(linearization, single=scale * (noisy.single - linearization.single))
+    change = replace(linearization, single=scale * (single - linearization.single))
     clusters = covariance.cluster_gradients(problem, change, walls)
     return max(problem.variance_factor * covariance.dispersion(linearization.equations, clusters), 1.0)
 

@@ -1,5 +1,6 @@
 """How far images contradict each other by the noise of their pixels alone, and by more than that."""
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -14,17 +15,23 @@ from lvba.visual.states import CameraStates
 
 CAMERA = Camera(320, 240, 190.0, 190.0, 159.5, 119.5)
 COUNT, SIGMA = 8, 2.0
+POSES = textured_planes.walk(COUNT)
 
 
+@functools.cache
+def pictures(noise):
+    """Of the room, at the true poses."""
+    return textured_planes.render(textured_planes.room(), POSES, CAMERA, np.ones(COUNT), noise=noise)
+
+
+@functools.cache
 def factors(step, camera=CAMERA, weight=1.0, noise=SIGMA):
     """The variance factor at the true poses, and what the noise of the pixels makes of it."""
-    world, poses = textured_planes.room(), textured_planes.walk(COUNT)
-    images = textured_planes.render(world, poses, CAMERA, np.ones(COUNT), noise=noise)
-    points, observations = textured_planes.scene_points(world, poses, CAMERA, step=step)
+    points, observations = textured_planes.scene_points(textured_planes.room(), POSES, CAMERA, step=step)
     problem = photometric.prepare(
-        images, camera, points, observations, 7, sigma=noise, variance_factor=weight
+        pictures(noise), camera, points, observations, 7, sigma=noise, variance_factor=weight
     )
-    state = PhotometricState(CameraStates(poses, np.zeros(COUNT)), np.zeros(len(points)))
+    state = PhotometricState(CameraStates(POSES, np.zeros(COUNT)), np.zeros(len(points)))
     sums = photometric.sums(problem, state)
     sigma = noise_of_residuals.estimate(sums, problem.samples).sigma(noise_of_residuals.gradients(sums))
     problem = replace(problem, sigma=sigma)
