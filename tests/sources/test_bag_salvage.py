@@ -168,6 +168,22 @@ def test_mcap_with_less_than_usual(options, tmp_path):
     assert source.describe().streams[0].count in (COUNT, None)
 
 
+@pytest.mark.parametrize("place", [2**63, 2**64 - 1, 2**62])
+def test_mcap_whose_summary_names_places_that_no_file_has_is_read_without_it(place, tmp_path):
+    from mcap.reader import make_reader
+
+    content = bytearray(mcap_bytes())
+    [(channel, at), *_] = (
+        make_reader(io.BytesIO(content)).get_summary().chunk_indexes[0].message_index_offsets.items()
+    )
+    number = content.rindex(struct.pack("<HQ", channel, at))
+    content[number : number + 10] = struct.pack("<HQ", channel, place)
+    (tmp_path / "a.mcap").write_bytes(content)
+    source = open_source(tmp_path / "a.mcap")
+    assert source.describe().streams[0].count == COUNT
+    assert numbers(source) == list(range(COUNT))
+
+
 def test_checksum_of_a_chunk_that_is_wrong_is_told(tmp_path):
     content = bytearray(mcap_bytes())
     content[content.index(NOISE[200:300].encode())] ^= 1

@@ -113,6 +113,15 @@ def test_a_million_messages_in_a_message_are_not_listed():
         decode(layout, struct.pack("<I", 1_000_000) + bytes(4_000_000), Encoding.ROS1)
 
 
+@pytest.mark.parametrize("twice", ["int32 a\nint32 a", "uint32 a\nint8 b\nuint32 a"])
+@pytest.mark.parametrize("encoding", [Encoding.ROS1, Encoding.CDR])
+def test_names_that_a_type_has_twice_make_no_table(twice, encoding):
+    layout = layout_of(f"S[] x\n{RULE}\nMSG: a/S\nstring name\n{twice}", "a/msg/A", encoding)
+    head = b"\0\1\0\0" if encoding is Encoding.CDR else b""
+    values = decode(layout, head + struct.pack("<I", 3) + bytes(60), encoding, ["x"])["x"]
+    assert [each["a"] for each in values] == [0, 0, 0]
+
+
 def bag(tmp_path, name="a.bag"):
     messages = Messages(1)
     pose = messages.pose((1, 2, 3), (0, 0, 0, 1))

@@ -307,6 +307,8 @@ class _Reader:
         if second + (count - 1) * stride > len(self._data):
             return None
         names, formats, offsets = zip(*places, strict=True)
+        if len(set(names)) != len(names):
+            return None
         kind = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": stride})
         rest = np.frombuffer(self._data, kind, count - 1, second)
         if any((rest[name] != length).any() for name, length in lengths.items()):

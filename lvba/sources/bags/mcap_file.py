@@ -232,6 +232,8 @@ class McapFile:
 
     def _head(self, file: BufferedReader, position: int) -> tuple[int, int]:
         """Kind and length of the record at a position. Raises Damaged"""
+        if position > self._size:  # a summary may say what no file can be asked for
+            raise Damaged("a record would begin beyond the end of the file")
         file.seek(position)
         head = file.read(_HEAD.size)
         if len(head) < _HEAD.size:
