@@ -44,16 +44,32 @@ def stamps(paths):
     return np.array([int(Path(path).stem.replace(".", "")) for path in paths])
 
 
-def points_off(dataset, truth):
-    """m: root mean square of how far points are from where they were measured."""
-    squares = []
-    for number, pose in enumerate(dataset.scans.world_from_sensor):
+def scans_with_truth(dataset, truth):
+    """Scans as they are and where their points were measured (N, 3), m, and when their sweep began, ns."""
+    for number in range(len(dataset.scan_paths)):
         scan = load_scan(dataset, number)
         sweep = int(np.argmin([abs(times.mean() * 1e-9 - scan.time.mean()) for times in truth.point_times]))
         poses = truth.scene_from_body(truth.point_times[sweep]) @ truth.rig.body_from_lidar
         true = np.einsum("nij,nj->ni", poses[:, :3, :3], truth.points[sweep].astype(float)) + poses[:, :3, 3]
+        yield scan, true, truth.scans[sweep]
+
+
+def points_off(dataset, truth):
+    """m: root mean square of how far points are from where they were measured."""
+    squares = []
+    poses = dataset.scans.world_from_sensor
+    for pose, (scan, true, _) in zip(poses, scans_with_truth(dataset, truth), strict=True):
         here = geometry.transform_points(pose, scan.points) + dataset.origin
         squares.append(((here - true) ** 2).sum(axis=1))
+    return float(np.sqrt(np.concatenate(squares).mean()))
+
+
+def bent(dataset, truth):
+    """m: root mean square of how far points are from where the body sees them at the stamp."""
+    squares = []
+    for scan, true, stamp in scans_with_truth(dataset, truth):
+        body_from_scene = geometry.inverse(truth.scene_from_body(np.array([stamp])))[0]
+        squares.append(((scan.points - geometry.transform_points(body_from_scene, true)) ** 2).sum(axis=1))
     return float(np.sqrt(np.concatenate(squares).mean()))
 
 
@@ -303,6 +319,33 @@ def test_a_recording_says_that_its_scans_were_deskewed_by_its_poses(tmp_path, tr
     assert open_dataset(tmp_path / "out").deskewed_by == DESKEWED_BY
     import_source(written(truth, time_type=""), tmp_path / "untimed")
     assert open_dataset(tmp_path / "untimed").deskewed_by == ()
+
+
+def swaying(source, truth):
+    """The source with an odometry that turns about by 0.6 degrees within half a second, as those that bend scans do."""
+
+    def sway(record):
+        seconds = (record.stamp - truth.scans[0]) * 1e-9
+        turned = geometry.exp(np.radians([0.0, 0.0, 0.6 * np.sin(4 * np.pi * seconds), 0, 0, 0]))
+        return replace(record, parent_from_child=record.parent_from_child @ turned)
+
+    return replace(
+        source,
+        items=tuple(
+            (name, sway(record) if name == raw.ODOMETRY else record) for name, record in source.items
+        ),
+    )
+
+
+def test_poses_that_sway_bend_no_scan_where_an_imu_says_how_it_moved(tmp_path, truth):
+    source = swaying(written(truth), truth)
+    report = import_source(source, tmp_path / "out")
+    assert report.facts["conventions"]["motion"]["taken"] == "inertial"
+    import_source(source, tmp_path / "poses", ImportOptions(imu="none"))
+    straight, by_poses = (open_dataset(tmp_path / name) for name in ("out", "poses"))
+    assert straight.deskewed_by == by_poses.deskewed_by == DESKEWED_BY
+    assert bent(straight, truth) < 0.01 < 0.03 < bent(by_poses, truth)
+    assert points_off(straight, truth) < 0.02 < 0.05 < points_off(by_poses, truth)
 
 
 def test_images_are_rectified_only_where_a_camera_info_says_how(tmp_path, truth):

@@ -100,6 +100,38 @@ def test_noise_of_single_poses_is_smoothed_out_as_far_as_it_is_noise(plain):
     np.testing.assert_allclose(exact.at(plain.times)[:, :3, 3], plain.poses[:, :3, 3], atol=3e-3)
 
 
+def swaying(plain):
+    """As poses of an odometry that registers scans which it has bent itself."""
+    sway = np.zeros((len(plain), 6))
+    sway[:, 2] = np.radians(0.6) * np.sin(2 * np.pi * plain.times / 0.5)
+    return Track(plain.times, plain.poses @ geometry.exp(sway))
+
+
+def test_what_changes_too_fast_for_the_drift_of_a_gyroscope_is_no_turn(plain):
+    """No cross-validation takes it for noise."""
+    poses = swaying(plain)
+    turning = turnings.turning(gyroscope(-0.2, 5.2, bias=0.02), IMU_FROM_LIDAR)
+    followed = smoothing.smooth(poses, turning)
+    drifting = smoothing.smooth(poses, turnings.unbiased(turning, poses), 3.0)
+    assert bend(drifting) < 0.1 * bend(followed)
+    assert off(drifting, plain.times[10:-10]).max() < 0.1
+
+
+@pytest.mark.parametrize(("jump_deg", "most"), [(0.0, 4e-3), (8.0, 9e-3)])
+def test_a_constant_bias_shows_in_what_poses_turn_over_seconds(plain, jump_deg, most):
+    poses = swaying(plain).poses
+    poses[20:] = geometry.exp(np.radians([0.0, 0.0, jump_deg, 0, 0, 0])) @ poses[20:]
+    readings = gyroscope(-0.2, 5.2, bias=0.02)
+    turning = turnings.turning(readings, IMU_FROM_LIDAR)
+    bias = turning.rates - turnings.unbiased(turning, Track(plain.times, poses)).rates
+    np.testing.assert_allclose(bias, np.broadcast_to(bias[0], bias.shape), atol=1e-12)
+    true = IMU_FROM_LIDAR[:3, :3].T @ np.full(3, 0.02)
+    assert np.linalg.norm(bias[0] - true) < most
+    # of a second of poses nothing is known
+    few = Track(plain.times[:12], poses[:12])
+    assert turnings.unbiased(turning, few) is turning
+
+
 def test_a_gyroscope_with_a_gap_smooths_nothing(plain):
     readings = gyroscope(-0.2, 5.2)
     keep = (readings.times < 2.02) | (readings.times > 2.2)
@@ -133,3 +165,15 @@ def test_each_column_is_as_smooth_as_leaving_out_its_samples_asks_for():
     crossed = make_smoothing_spline(times, (true + noise)[:, 0])(times) - true[:, 0]
     assert np.sqrt(np.mean(left[:, 0] ** 2)) < 1.05 * np.sqrt(np.mean(crossed**2)) < 0.05
     assert np.sqrt(np.mean(left[:, 1] ** 2)) < 0.09
+
+
+def test_of_swings_at_the_slowest_no_more_than_half_remains():
+    times = np.arange(400.0)
+    for slower, most in ((1.0, 0.51), (3.0, 0.02)):
+        swing = np.sin(slower * times / 5.0)[:, None]
+        left = smoothing_spline.fit(times, swing, 5.0)(times)[100:300]
+        assert np.abs(left).max() < most
+    # stiffer than any that is tried without a limit
+    slow = np.sin(times / 1000.0)[:, None]
+    assert np.abs(smoothing_spline.fit(times, swing + slow, 300.0)(times) - slow)[50:350].max() < 0.05
+    np.testing.assert_allclose(smoothing_spline.fit(times, swing)(times), swing, rtol=0, atol=1e-3)

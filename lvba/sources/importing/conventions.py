@@ -11,16 +11,14 @@ from lvba.arrays import Pose
 from lvba.errors import InputError
 from lvba.sources.importing import (
     camera_choice,
-    decision,
     image_readings,
     imu_clock,
+    motion,
     point_clock,
     readings,
-    smoothing,
 )
-from lvba.sources.importing import turning as turnings
 from lvba.sources.importing.clocks import ONE, Clocks, name_of
-from lvba.sources.importing.decision import Answer, Decision
+from lvba.sources.importing.decision import Decision
 from lvba.sources.importing.image_readings import ImageScorer, ImagesRead, TimedImage
 from lvba.sources.importing.imu_clock import ImuRead
 from lvba.sources.importing.options import FRAME, NO_GUESS, Guess, ImportOptions
@@ -30,7 +28,6 @@ from lvba.sources.importing.rig import TRANSFORMS, RigFacts
 from lvba.sources.importing.survey import Survey
 from lvba.sources.importing.thickness import TimedScan
 from lvba.sources.importing.track import Track
-from lvba.sources.importing.turning import TurningTrack
 
 _SAME_STAMP_S = 2e-3
 _SAME_OFFSET_S = 5e-3
@@ -118,7 +115,7 @@ def decide(
     scans_read = readings.find(scorer, choices, clock.sweep, where)
     imu = _imu(scorer, scans_read.reading, survey, rig, clock, options, where, guess, clocks.imu)
     survey = replace(survey, imu=imu.mended(survey.imu))
-    lidar, motion = _motion(scorer, scans_read.reading, survey, rig, options, where)
+    lidar, moved_by = motion.decide(scorer, scans_read.reading, survey, rig, options, where)
     warnings = [*clocks.warnings, *scans_read.warnings, *imu.warnings]
     if guess.by and choices.known_by.get("time") == guess.by:
         [time] = [each for each in scans_read.decisions if each.question == "time"]
@@ -144,7 +141,7 @@ def decide(
     return Conventions(
         clock=clock,
         lidar=lidar,
-        motion=motion,
+        motion=moved_by,
         scans=scans_read,
         imu=imu,
         images=images,
@@ -197,34 +194,6 @@ def imu_offset(clock: ScanClock, guess: Guess) -> float:
     """s, what is added to stamps of the IMU by what is known beforehand of those of scans."""
     late = _stamped(clock, guess) or 0.0
     return late if abs(late) > 0.02 * clock.sweep else 0.0
-
-
-def _motion(
-    scorer: Scorer, reading: Reading, survey: Survey, rig: RigFacts, options: ImportOptions, where: str
-) -> tuple[Track, tuple[Decision, ...]]:
-    """World from LiDAR at any time: along the poses, or smooth, or with the gyroscope, as pairs of scans lie closest."""
-    poses = readings.lidar_track(scorer.odometry, reading, scorer.extrinsics)
-    tracks: dict[str, Track] = {"poses": poses}
-    if (smooth := smoothing.smooth(poses, None)) is not None:
-        tracks["smooth"] = smooth
-    turning = turnings.turning(survey.imu, rig.imu_from_lidar)
-    if turning is not None:
-        tracks["gyroscope"] = TurningTrack(poses.times, poses.poses, turning)
-        if (smooth := smoothing.smooth(poses, turning)) is not None:
-            tracks["smooth_gyroscope"] = smooth
-    said = options.conventions.get("motion", "")
-    if said and said not in tracks:
-        raise InputError(
-            f"--convention motion={said}", "is not possible here", f"give one of {', '.join(tracks)}"
-        )
-    if not scorer.pairs:
-        return tracks[said or "poses"], ()
-    deskewed = reading.points == "deskewed"
-    answers = [Answer(name, scorer.along(track, deskewed)) for name, track in tracks.items()]
-    # the closest, significant or not: noise of single poses bends scans by more than pairs of scans show
-    closest = min(answers, key=lambda answer: answer.score).name
-    decided = decision.decide("motion", answers, said, closest, "m", where, known_by="data")
-    return tracks[decided.taken], (decided,)
 
 
 def _timed(

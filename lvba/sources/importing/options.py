@@ -14,7 +14,7 @@ QUESTIONS = {
     "pose_of": ("body", "lidar", "camera"),
     "points": ("raw", "deskewed"),
     "time": ("begin", "middle", "end"),
-    "motion": ("poses", "smooth", "gyroscope", "smooth_gyroscope"),
+    "motion": ("poses", "smooth", "gyroscope", "smooth_gyroscope", "inertial"),
     "images": ("raw", "rectified"),
     "extrinsic": ("camera_from_lidar", "lidar_from_camera", "camera_link_from_lidar"),
     "image_offset": (),

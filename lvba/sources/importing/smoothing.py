@@ -37,8 +37,11 @@ class SmoothTrack(Track):
         return geometry.from_rotation_translation(rotation.as_matrix(), values[:, :3])
 
 
-def smooth(lidar: Track, turning: Turning | None) -> SmoothTrack | None:
-    """The smooth track of world from LiDAR; None where there are too few poses, or the gyroscope has gaps."""
+def smooth(lidar: Track, turning: Turning | None, slowest_s: float = 0.0) -> SmoothTrack | None:
+    """The smooth track of world from LiDAR; None where there are too few poses, or the gyroscope has gaps.
+
+    slowest_s: s, of `smoothing_spline.fit`, of rotations; 0: as smooth as poses ask for
+    """
     if turning is not None:
         # a gyroscope that begins a little later or ends a little earlier than the poses does for all between
         inside = (lidar.times >= turning.times[0]) & (lidar.times <= turning.times[-1])
@@ -57,5 +60,7 @@ def smooth(lidar: Track, turning: Turning | None) -> SmoothTrack | None:
     turned[1:][opposite] *= -1.0
     step = float(np.median(np.diff(lidar.times)))
     when = (lidar.times - lidar.times[0]) / step
-    columns = np.concatenate([lidar.poses[:, :3, 3], turned], axis=1)
-    return SmoothTrack(lidar.times, lidar.poses, smoothing_spline.fit(when, columns), step, turning)
+    moved = smoothing_spline.fit(when, lidar.poses[:, :3, 3])
+    turned = smoothing_spline.fit(when, turned, slowest_s / step)(when)
+    spline = CubicSpline(when, np.concatenate([moved(when), turned], axis=1), bc_type="natural")
+    return SmoothTrack(lidar.times, lidar.poses, spline, step, turning)

@@ -53,18 +53,23 @@ class _Bands:
         return stiffness * off
 
 
-def fit(times: Times, values: np.ndarray) -> CubicSpline:
+def fit(times: Times, values: np.ndarray, slowest: float = 0.0) -> CubicSpline:
     """The splines of k columns, each as smooth as its own samples ask for.
 
     times: (n,) float64, strictly ascending, n >= 4, about 1 apart; values: (n, k) float64
+    slowest: at least so stiff that of a swing through an angle of 1 in this time half remains, in the unit of times
     Returns a spline whose values are (..., k) at times (...).
     """
     bands = _Bands.of(times)
-    factors = np.stack([bands.factor(each) for each in _STIFFNESSES])
-    freedom = _STIFFNESSES * _traces(factors, bands.qq)
+    # a swing of angular frequency w remains by 1 / (1 + a w^4)
+    softest = slowest**4
+    enough = softest <= _STIFFNESSES
+    stiffnesses = _STIFFNESSES[enough] if enough.any() else np.array([softest])
+    factors = np.stack([bands.factor(each) for each in stiffnesses])
+    freedom = stiffnesses * _traces(factors, bands.qq)
     least = np.full(values.shape[1], np.inf)
     smooth = values.copy()
-    for stiffness, factor, free in zip(_STIFFNESSES, factors, freedom, strict=True):
+    for stiffness, factor, free in zip(stiffnesses, factors, freedom, strict=True):
         off = bands.left(float(stiffness), factor, values)
         score = np.sum(off**2, axis=0) / free**2
         better = score < least

@@ -3,16 +3,19 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import optimize
 from scipy.spatial.transform import Rotation
 
 from lvba import trajectory
-from lvba.arrays import Pose, Times
+from lvba.arrays import Pose, Times, Vectors
 from lvba.sources.importing.survey import ImuReadings
 from lvba.sources.importing.track import Track
 
 _MAX_GAP_S = 0.03
 """Readings further apart say nothing of what is between."""
 _FEWEST = 10
+_SPAN_S, _FEWEST_SPANS = 1.0, 3
+"""Poses of odometries sway within half a second; a gyroscope drifts slowly."""
 
 
 @dataclass(frozen=True)
@@ -83,10 +86,14 @@ def turning(imu: ImuReadings | None, imu_from_lidar: Pose | None) -> Turning | N
     if imu is None or imu_from_lidar is None or len(imu.times) < _FEWEST:
         return None
     keep = np.concatenate([[True], np.diff(imu.times) > 0])
-    times = imu.times[keep]
     rates = imu.rates[keep] @ imu_from_lidar[:3, :3]
     # between two readings, their mean
     rates = np.concatenate([0.5 * (rates[1:] + rates[:-1]), rates[-1:]])
+    return _summed(imu.times[keep], rates)
+
+
+def _summed(times: Times, rates: Vectors) -> Turning:
+    """times: (N,) float64, s, ascending; rates: (N, 3) float64, rad/s, from each time to the next"""
     steps = np.minimum(np.diff(times), _MAX_GAP_S)
     turned = Rotation.from_rotvec(np.concatenate([np.zeros((1, 3)), rates[:-1] * steps[:, None]])).as_quat()
     reach = 1
@@ -95,3 +102,41 @@ def turning(imu: ImuReadings | None, imu_from_lidar: Pose | None) -> Turning | N
         turned = np.concatenate([turned[:reach], product.as_quat()])
         reach *= 2
     return Turning(times, turned, rates)
+
+
+def unbiased(turning: Turning, lidar: Track) -> Turning:
+    """The same without the constant bias of the gyroscope, by what poses of the LiDAR turn over a second and more.
+
+    A constant bias turns about with the sensor, and would be no slow drift of the world. Steps of poses that are off as
+    few are do not count as much. The same where poses say nothing.
+    """
+    moments = lidar.times[lidar.apart(_SPAN_S)]
+    known = turning.covers(moments[:-1], moments[1:])
+    if np.count_nonzero(known) < _FEWEST_SPANS:
+        return turning
+    first, last = moments[:-1][known], moments[1:][known]
+    truly = (_rotation(lidar, first).inv() * _rotation(lidar, last)).inv()
+    off = (truly * turning.at(first).inv() * turning.at(last)).as_rotvec()
+    by_bias = _by_bias(turning, first, last)
+    scale = max(float(np.median(np.abs(off))), 1e-6)
+    solved = optimize.least_squares(
+        lambda bias: (by_bias @ bias - off).ravel(),
+        np.zeros(3),
+        jac=lambda _: by_bias.reshape(-1, 3),
+        loss="soft_l1",
+        f_scale=scale,
+    )
+    return _summed(turning.times, turning.rates - solved.x)
+
+
+def _rotation(lidar: Track, times: Times) -> Rotation:
+    return Rotation.from_matrix(lidar.at(times)[:, :3, :3])
+
+
+def _by_bias(turning: Turning, first: Times, last: Times) -> np.ndarray:
+    """(Q, 3, 3) s: how far a bias of 1 rad/s about each axis turns from first (Q,) to last (Q,) s, axes of the last."""
+    rotations = Rotation.from_quat(turning.turned).as_matrix()
+    steps = np.diff(turning.times, append=turning.times[-1])
+    sums = np.cumsum(rotations * steps[:, None, None], axis=0)
+    whole = sums[np.searchsorted(turning.times, last)] - sums[np.searchsorted(turning.times, first)]
+    return np.asarray(np.swapaxes(turning.at(last).as_matrix(), 1, 2) @ whole)
